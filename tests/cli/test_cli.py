@@ -1,4 +1,4 @@
-"""What the commands do when everything is right."""
+"""Tests the commands with correct arguments."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from support.scenes.raster_scenes import front_camera, random_gaussians
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
-def test_render_writes_a_picture_per_camera(work):
-    """Each frame of the camera file becomes a picture of its name and size, the same as the library renders."""
+def test_render_writes_an_image_for_each_camera(work):
+    """Each camera of the file becomes an image with its name and size, equal to the library's render."""
     outcome = work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--device", "cpu")
     assert (outcome.status, outcome.err) == (0, "")
     assert {path.name for path in work.path("out").iterdir()} == {"left.png", "right.png"}
@@ -44,7 +44,7 @@ def test_render_writes_a_picture_per_camera(work):
     assert np.array_equal(read_image(work.path("out/left.png"))["srgb"], expected)
 
 
-def test_render_picks_frames_and_scales(work):
+def test_render_selects_frames_by_name_and_scales_them(work):
     """--frames selects by name, and one given side keeps the aspect ratio."""
     work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--frames", "right", "--width", "32")
     assert {path.name for path in work.path("out").iterdir()} == {"right.png"}
@@ -94,7 +94,7 @@ def test_mistakes_of_a_scene_file_are_found_before_captures_are_loaded(work, mon
     assert loaded == ["lit.toml"]
 
 
-def test_render_sizes_cameras_without_a_size(work):
+def test_width_and_height_size_cameras_without_a_size(work):
     """--width and --height are the image size where a camera file gives only an angle."""
     pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     frame = {"file_path": "0001", "transform_matrix": pose}
@@ -106,7 +106,7 @@ def test_render_sizes_cameras_without_a_size(work):
 
 
 def test_settings_reach_the_renderer(work):
-    """Settings by --set give the picture that the library gives with the same settings."""
+    """Settings by --set give the image that the library renders with equal settings."""
     ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
     scene = ls.Scene([work.capture("bands.ply")])
     camera = ls.load_cameras(work.path("cameras.json"))[0]
@@ -156,7 +156,7 @@ TRACE_OPTIONS = (
 
 
 def configured(work: Workplace, monkeypatch: pytest.MonkeyPatch, *args: str) -> ls.RenderConfig:
-    """The settings that a command asks its renderer for; nothing is rendered."""
+    """Returns the settings with which a command asks for its renderer; nothing is rendered."""
     asked = []
 
     def refuse(config: ls.RenderConfig, *_: object, **__: object) -> None:
@@ -168,8 +168,8 @@ def configured(work: Workplace, monkeypatch: pytest.MonkeyPatch, *args: str) -> 
     return asked[0]
 
 
-def test_settings_of_the_ray_tracer(work, monkeypatch, caplog):
-    """Every option arrives at its setting; those that several stages have at all of them."""
+def test_settings_of_the_ray_tracer_reach_the_renderer(work, monkeypatch, caplog):
+    """Each option changes its setting, in all groups that have it."""
     config = configured(work, monkeypatch, "render", "@mesh.obj", "--pipeline", "trace", *TRACE_OPTIONS)
     assert config == ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
@@ -192,21 +192,21 @@ def test_settings_of_the_ray_tracer(work, monkeypatch, caplog):
     assert not caplog.records
 
 
-def test_options_are_at_the_defaults_of_the_settings(work, monkeypatch):
-    """What --help calls a default is the library's."""
+def test_defaults_of_options_equal_those_of_settings(work, monkeypatch):
+    """Defaults in --help are those of the library."""
     assert configured(work, monkeypatch, "render", "@mesh.obj") == ls.RenderConfig()
     assert configured(work, monkeypatch, "bench", "@mesh.obj") == ls.RenderConfig()
 
 
-def test_bench_settings(work, monkeypatch):
+def test_settings_reach_the_renderer_of_bench(work, monkeypatch):
     """Bench times the pipeline and the strategy of its options."""
     args = ("bench", "@mesh.obj", "--pipeline", "trace", "--set=trace.strategy=stochastic-hit")
     trace = ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
     assert configured(work, monkeypatch, *args) == ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
 
 
-def test_options_that_nothing_uses(work, monkeypatch, caplog):
-    """What is asked for in vain is said in one line, once the scene is known."""
+def test_options_without_effect_are_logged(work, monkeypatch, caplog):
+    """Each reason is one line, once the scene is known."""
     args = ("render", "@mesh.obj", "--lighting", "off", "--width", "16", "-o", "@a.png", "--device", "cpu")
     assert work.run(*args, *TRACE_OPTIONS).status == 0
     assert [line for line in caplog.messages if line.startswith("not used")] == [
@@ -225,8 +225,8 @@ def test_options_that_nothing_uses(work, monkeypatch, caplog):
     assert "not used: --set trace.strategy (used by the pipelines trace, hybrid, realtime)" in caplog.messages
 
 
-def test_render_without_cameras_shows_the_scene(work):
-    """A capture alone gives one picture, in which there is something to see, framed for the size asked for."""
+def test_render_without_cameras_frames_the_scene(work):
+    """A capture alone gives one image of the requested size in which the capture is visible."""
     args = ("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64")
     assert work.run(*args, "--device", "cpu").status == 0
     picture = read_image(work.path("first.png"))["srgb"]
@@ -240,15 +240,15 @@ def test_render_without_cameras_shows_the_scene(work):
 @pytest.mark.parametrize(
     ("text", "corner"), [("white", (255, 255, 255)), ("#ff8000", (255, 128, 0)), ("0,0.2,1", (0, 51, 255))]
 )
-def test_background(work, text, corner):
-    """The background is the colour that was asked for, in every notation."""
+def test_background_fills_empty_pixels(work, text, corner):
+    """The colour may be given in every notation."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.png")
     assert work.run(*args, "--background", text).status == 0
     assert tuple(read_image(work.path("a.png"))["srgb"][0, 0]) == corner
 
 
-def test_transparent_background(work):
-    """A transparent picture has an alpha channel: 0 beside the mesh, 1 on it."""
+def test_transparent_background_writes_alpha(work):
+    """Alpha is 0 beside the mesh, and 1 on it."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.png")
     work.run(*args, "--background", "transparent")
     alpha = read_image(work.path("a.png"))["srgb"][..., 3]
@@ -256,8 +256,8 @@ def test_transparent_background(work):
     assert alpha[24, 32] == 255
 
 
-def test_layers_beside_png(work):
-    """--aov writes a viewable picture for each layer beside the PNG."""
+def test_layers_are_files_beside_a_png(work):
+    """--aov writes an image for each layer beside the PNG."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.png")
     assert work.run(*args, "--aov", "depth,normal,instance_index,gaussian_index").status == 0
     # The triangle faces the camera at z = 4: its normal is (0, 0, -1), and it holds no Gaussian.
@@ -268,8 +268,8 @@ def test_layers_beside_png(work):
     assert not read_image(work.path("a.depth.png"))["srgb"][0, 0].any()
 
 
-def test_layers_in_exr(work):
-    """--aov puts layers into the one EXR, and only those."""
+def test_layers_are_channels_of_an_exr(work):
+    """--aov writes exactly the given layers into the EXR."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@out", "--format", "exr")
     assert work.run(*args, "--aov", "depth,instance_index").status == 0
     channels = read_image(work.path("out/left.exr"))
@@ -278,8 +278,8 @@ def test_layers_in_exr(work):
     assert np.isinf(channels["depth.Z"][0, 0])
 
 
-def test_background_of_exr(work, caplog):
-    """A background asked for with EXR is said to be left out, in one line; without, nothing is said."""
+def test_a_background_for_an_exr_is_logged_as_unused(work, caplog):
+    """Without --background, nothing is logged."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.exr")
     assert work.run(*args).status == 0
     assert caplog.text == ""
@@ -287,7 +287,7 @@ def test_background_of_exr(work, caplog):
     assert [record.getMessage().partition(":")[0] for record in caplog.records] == ["--background is not used"]
 
 
-def test_stats(work):
+def test_stats_prints_times_and_counts(work):
     """--stats names each stage and counts the Gaussians."""
     outcome = work.run("render", "@capture.ply", "-o", "@a.npz", "--width", "32", "--stats", "--device", "cpu")
     for word in ("project", "sort", "bin", "composite", "60", "tile pairs", "memory"):
@@ -295,8 +295,8 @@ def test_stats(work):
     assert "color" in read_image(work.path("a.npz"))
 
 
-def test_stats_of_rays(work):
-    """Rays have no tiles and no list of what is visible."""
+def test_stats_of_traced_frames_have_no_tile_counts(work):
+    """Rays have neither tiles nor a list of visible splats."""
     args = ("@capture.ply", "--pipeline", "trace", "--device", "cpu", "--width", "32")
     for outcome in (
         work.run("render", *args, "-o", "@a.png", "--stats"),
@@ -307,8 +307,8 @@ def test_stats_of_rays(work):
         assert "tile pairs" not in outcome.out and "visible" not in outcome.out
 
 
-def test_render_by_rays(work, monkeypatch):
-    """--pipeline trace gives what the library traces, here glass before a capture; samples are reported one by one."""
+def test_render_traces_frames(work, monkeypatch):
+    """--pipeline trace gives the library's traced image of glass before a capture, and reports each sample."""
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
         '[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, -2]\n'
@@ -347,8 +347,8 @@ def test_render_by_rays(work, monkeypatch):
     assert traced == pytest.approx([1 / 3, 2 / 3, 1.0])
 
 
-def test_a_bar_ends_and_begins_anew(monkeypatch):
-    """Bars are gone when done, and one whose label comes again, as that of samples in each picture, starts at zero."""
+def test_a_progress_bar_can_be_shown_again(monkeypatch):
+    """Finished bars disappear; a bar whose label is reported again starts at zero."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     shown = []
     with progress_bars() as report:
@@ -359,23 +359,23 @@ def test_a_bar_ends_and_begins_anew(monkeypatch):
     assert shown == [[("a", 0.0)], [("a", 0.0), ("b", 0.5)], [("b", 0.5)], [], [("b", 0.25)], [("b", 0.25)]]
 
 
-def test_scene_of_several_files(work):
-    """Several files make one scene: the mesh hides nothing of the capture in front of it, and both are there."""
+def test_several_files_make_one_scene(work):
+    """The mesh hides nothing of the capture in front of it, and both are visible."""
     args = ("--cameras", "@cameras.json", "--frames", "left", "-o", "@a.npz", "--device", "cpu")
     assert work.run("render", "@capture.ply", "@mesh.obj", *args).status == 0
     assert set(np.unique(read_image(work.path("a.npz"))["instance_index"])) >= {0, 1}
 
 
-def test_scene_file(work):
-    """A scene.toml places files relative to itself."""
+def test_a_scene_file_is_rendered(work):
+    """Its paths are relative to its folder."""
     work.path("scene.toml").write_text('[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, 4]\n')
     args = ("--cameras", "@cameras.json", "--frames", "left", "-o", "@a.npz")
     assert work.run("render", "@scene.toml", *args).status == 0
     assert read_image(work.path("a.npz"))["depth"][24, 32] == pytest.approx(8.0, abs=1e-3)
 
 
-def test_info(work):
-    """Info says what is in captures, meshes and camera files."""
+def test_info_prints_the_content_of_files(work):
+    """Captures, meshes and camera files have their own tables."""
     outcome = work.run("info", "@capture.ply", "@mesh.obj", "@cameras.json")
     assert outcome.status == 0
     scales = work.capture("capture.ply").scales
@@ -384,8 +384,8 @@ def test_info(work):
         assert text in outcome.out
 
 
-def test_info_goes_on_after_files_that_cannot_be_read(work):
-    """All others are shown, as tables and as JSON; then a line for each of these, and status 2."""
+def test_info_continues_after_unreadable_files(work):
+    """All other files are printed as tables or JSON, then a line for each unreadable one, with status 2."""
     work.path("short.ply").write_text("ply\n")
     for how in ((), ("--json",)):
         outcome = work.run("info", "@none.ply", "@short.ply", "@capture.ply", *how)
@@ -395,8 +395,8 @@ def test_info_goes_on_after_files_that_cannot_be_read(work):
         assert second.startswith("error: ") and "short.ply: " in second
 
 
-def test_info_says_what_is_unusual(work):
-    """The kernel degree is shown where it is not that of nearly all captures; a mesh shows its surface."""
+def test_info_prints_unusual_properties_only_if_present(work):
+    """The kernel degree is printed only if it is not 2; a mesh shows its surface."""
     assert "kernel degree" not in work.run("info", "@capture.ply").out
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
@@ -407,8 +407,8 @@ def test_info_says_what_is_unusual(work):
     assert "metallic 0 roughness 0 specular 1 ior 1.33 transmission 1" in shown
 
 
-def test_info_tells_entries_apart(work):
-    """Meshes of one entry are numbered and named, and frames are listed under the names of their files."""
+def test_info_numbers_and_names_entries(work):
+    """Meshes of one entry are numbered and named, and frames are listed by their file names."""
     work.path("two.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wood\nf 1 2 3\nusemtl brass\nf 3 2 1\n")
     work.path("scene.toml").write_text('[[meshes]]\npath = "two.obj"\nname = "lamp"\n')
     ls.save_cameras(work.path("spaced.json"), [front_camera(name="back left")])
@@ -417,8 +417,8 @@ def test_info_tells_entries_apart(work):
     assert "back_left" in outcome.out
 
 
-def test_info_shows_text_as_it_is(work):
-    """What a file or its name says is not taken for markup or terminal commands."""
+def test_info_prints_text_without_markup_or_control_characters(work):
+    """Neither a file's text nor its name can change the terminal."""
     gaussians = ls.load(work.path("capture.ply"))
     assert isinstance(gaussians, ls.Gaussians)
     ls.save(work.path("[bold].ply"), replace(gaussians, comments=("[/red] :cat: \x1b[2J",)))
@@ -429,7 +429,7 @@ def test_info_shows_text_as_it_is(work):
 
 
 def test_convert_keeps_the_kernel_degree(work, caplog):
-    """A capture trained with another kernel is still one in the other format, or one line says that it is not."""
+    """If the other format cannot store it, one line reports it."""
     ls.save(work.path("quartic.ply"), replace(work.capture("capture.ply"), kernel_degree=4))
     assert work.run("convert", "@quartic.ply", "@copy.compressed.ply").status == 0
     assert work.capture("copy.compressed.ply").kernel_degree == 4
@@ -439,8 +439,8 @@ def test_convert_keeps_the_kernel_degree(work, caplog):
 
 
 @pytest.mark.parametrize("target", ["copy.compressed.ply", "copy.spz", "copy.ply"])
-def test_convert(work, target):
-    """A converted capture holds the same Gaussians."""
+def test_convert_writes_the_same_gaussians(work, target):
+    """Only the rounding of the format differs."""
     outcome = work.run("convert", "@capture.ply", f"@{target}")
     assert outcome.status == 0
     assert "60 Gaussians" in outcome.out
@@ -449,8 +449,8 @@ def test_convert(work, target):
     assert np.allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
 
 
-def test_drop_invalid(work):
-    """--drop-invalid renders what is left of a capture with NaN in it."""
+def test_drop_invalid_renders_the_valid_gaussians(work):
+    """Without --drop-invalid, a capture with NaN is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -458,7 +458,7 @@ def test_drop_invalid(work):
     assert work.run("render", "@nan.ply", "-o", "@a.png", "--width", "32", "--drop-invalid").status == 0
 
 
-def test_bench(work):
+def test_bench_prints_loading_frame_and_stage_times(work):
     """Bench prints a row for loading, the first frame, steady frames and each stage."""
     outcome = work.run("bench", "@capture.ply", "--width", "64", "--repeats", "2", "--device", "cpu")
     assert outcome.status == 0
@@ -466,8 +466,8 @@ def test_bench(work):
         assert word in outcome.out
 
 
-def test_help_and_version(capsys):
-    """Without arguments there is help; it lists the commands, and each explains its options."""
+def test_help_lists_commands_and_options(capsys):
+    """No arguments print the list of commands, and each command's help its options."""
     assert main([]) == 0
     listed = capsys.readouterr().out
     for command in ("render", "info", "convert", "demo", "bench", "metrics", "relight"):
@@ -481,7 +481,7 @@ def test_help_and_version(capsys):
 
 
 def test_help_is_wrapped_once(capsys, monkeypatch):
-    """Where the terminal ends, and not where the source does: no row begins with what the one before had room for."""
+    """Lines end at the terminal's width, wherever the docstring's lines end."""
     monkeypatch.setenv("COLUMNS", "80")
     for command in (["render"], ["farm", "animate"], ["train"]):
         assert main([*command, "--help"]) == 0
@@ -496,7 +496,7 @@ def test_help_is_wrapped_once(capsys, monkeypatch):
 
 
 def test_help_imports_nothing_heavy():
-    """Help must come at once: it imports neither Warp nor a file library nor NumPy."""
+    """Help imports neither Warp, NumPy nor a file library, so that it appears at once."""
     program = (
         "import sys, lumisplat.cli; lumisplat.cli.main(['--help']);"
         "print(sorted({'warp', 'numpy', 'zstandard', 'OpenEXR', 'PIL', 'rich.progress'} & set(sys.modules)))"
@@ -506,7 +506,7 @@ def test_help_imports_nothing_heavy():
 
 
 def test_console_script_is_silent_on_success(work):
-    """A process of its own prints one line and nothing on standard error, whatever Warp has to say."""
+    """A process prints one line and nothing on standard error, whatever Warp logs."""
     command = [sys.executable, "-m", "lumisplat", "render", "capture.ply", "-o", "a.png", "--width", "32"]
     command += ["--up", "y-down"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=True)
@@ -515,7 +515,7 @@ def test_console_script_is_silent_on_success(work):
 
 @pytest.mark.parametrize("debug", [False, True])
 def test_warnings_of_libraries_are_for_debugging(debug: bool) -> None:
-    """A user sees no warning of Python or NumPy; with --debug all are there."""
+    """Warnings of Python and NumPy appear with --debug only."""
     program = (
         "import warnings, lumisplat.cli as cli, lumisplat.__main__ as process\n"
         "cli.main = lambda: warnings.warn('overflow', RuntimeWarning) or 0\n"

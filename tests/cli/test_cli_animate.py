@@ -1,4 +1,4 @@
-"""``lumisplat animate``: frames are the same however they come about; none is half, none of other settings."""
+"""Tests ``lumisplat animate``: frames do not depend on how they were made, are whole, and of equal settings."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ OTHER += ["--set=animation.lighting.direct=0.2", "--background=white", "--width=
 
 
 def disc_gaussians(means: np.ndarray, scales: tuple[float, float, float], color: float) -> ls.Gaussians:
-    """Gaussians of one shape and one grey."""
+    """Returns Gaussians of one shape and one grey."""
     count = len(means)
     return ls.Gaussians(
         means,
@@ -94,7 +94,7 @@ def disc_gaussians(means: np.ndarray, scales: tuple[float, float, float], color:
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A ball that moves over a floor, under a lamp."""
+    """Returns a folder with a ball that moves over a floor below a light."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     across = np.linspace(-1.5, 1.5, 16)
@@ -114,17 +114,17 @@ def animate(work: Workplace, folder: str, *options: str):
 
 
 def frames(work: Workplace, folder: str) -> dict[str, bytes]:
-    """The frames of a folder, by their names."""
+    """Returns the frames of a folder by name."""
     return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("frame_*"))}
 
 
 def names(*indices: int) -> list[str]:
-    """File names of frames."""
+    """Returns file names of frames."""
     return [f"frame_{index:04d}.png" for index in indices]
 
 
-def test_frames_are_those_of_the_python_interface(work):
-    """Each frame is the scene that `AvatarLighter` gives at its time: the ball moves, and so does its shadow."""
+def test_frames_equal_those_of_the_library(work):
+    """Each frame equals the scene of `AvatarLighter` at its time, in which the ball and its shadow move."""
     work.path("scene.toml").write_text(RELIT)
     done = animate(work, "frames")
     assert (done.status, done.err) == (0, "")
@@ -142,8 +142,8 @@ def test_frames_are_those_of_the_python_interface(work):
     assert {path.name for path in work.path("frames").iterdir()} == {*made, STAMP}
 
 
-def test_an_interrupted_animation_goes_on(work, monkeypatch):
-    """Ctrl-C leaves finished frames; the same command makes the others only, and all are as if made at once."""
+def test_the_same_command_continues_an_interrupted_animation(work, monkeypatch):
+    """Ctrl-C leaves finished frames; the same command makes only the others, and all equal an uninterrupted run."""
     assert animate(work, "whole").status == 0
     render, seen = Renderer.render, []
 
@@ -171,8 +171,8 @@ def test_an_interrupted_animation_goes_on(work, monkeypatch):
     assert len(seen) == 3 + 2  # the two that were missing
 
 
-def test_a_range_is_a_part_of_the_whole(work, monkeypatch):
-    """Frames do not depend on which are made: also where lights are looked for, it is about the first one's actors."""
+def test_a_range_of_frames_equals_those_of_the_whole(work, monkeypatch):
+    """Lights are estimated around the actors of frame 0, whichever frames are rendered."""
     text = RELIT[: RELIT.index("[[lights]]")] + RELIT[RELIT.index("[[actors]]") :]
     work.path("scene.toml").write_text(text)
     lamp = disc_gaussians(np.array([[0.6, 2.0, 0.4]]), (0.05, 0.05, 0.05), 1.5)
@@ -197,8 +197,8 @@ def test_a_range_is_a_part_of_the_whole(work, monkeypatch):
     assert list(frames(work, "part")) == names(0, 2, 3)
 
 
-def test_a_still_scene_stands_still(work):
-    """Nothing moves: all frames are the same to the bit, shadows and sampled light included."""
+def test_a_still_scene_has_equal_frames(work):
+    """Frames are equal bit by bit, including shadows and sampled light."""
     work.path("scene.toml").write_text(SCENE.replace("position = [0.5, 0.0, 0.0]", "position = [-0.5, 0.0, 0.0]"))
     for options in ((), ("--pipeline", "trace", "--samples", "2", "--frames", "0:2")):
         assert animate(work, "frames", *options, "--overwrite").status == 0
@@ -206,8 +206,8 @@ def test_a_still_scene_stands_still(work):
 
 
 @pytest.mark.parametrize("option", OTHER)
-def test_other_settings_do_not_mix(work, option):
-    """Frames of other settings are refused by name of what changed, and stay; --overwrite makes all of them anew."""
+def test_frames_of_other_settings_are_refused(work, option):
+    """The error names the changes, and the frames stay; --overwrite renders all of them anew."""
     work.path("scene.toml").write_text(SCENE_FOR.get(option, SCENE))
     assert animate(work, "frames", "--frames", "0:2").status == 0
     before = frames(work, "frames")
@@ -224,8 +224,8 @@ def test_other_settings_do_not_mix(work, option):
     assert animate(work, "frames", option, "--frames", "1:2").status == 0
 
 
-def test_changed_files_do_not_mix(work):
-    """A scene file, or a file that it names, of another size or time is another origin."""
+def test_frames_of_changed_files_are_refused(work):
+    """Size and time of the scene file and of the files that it names are compared."""
     assert animate(work, "frames", "--frames", "0:1").status == 0
     status = work.path("ball.ply").stat()
     os.utime(work.path("ball.ply"), ns=(status.st_atime_ns, status.st_mtime_ns + 10**9))
@@ -234,8 +234,8 @@ def test_changed_files_do_not_mix(work):
     assert "settings or files (ball.ply, scene.toml): give" in animate(work, "frames").err
 
 
-def test_unknown_frames_are_not_touched(work):
-    """Frames without a word about what they are of are not ours to mix with; other files are nobody's business."""
+def test_frames_without_a_stamp_are_refused(work):
+    """Other files in the folder are ignored."""
     work.path("frames").mkdir()
     work.path("frames/notes.txt").write_text("mine")
     assert animate(work, "frames", "--frames", "0:1").status == 0
@@ -248,8 +248,8 @@ def test_unknown_frames_are_not_touched(work):
     assert "fps" in json.loads((work.path("frames") / STAMP).read_text())
 
 
-def test_videos(work):
-    """A video holds the frames in order, at their rate; it is made of frames that are there, too."""
+def test_videos_are_written_from_frames(work):
+    """A video has the frames in order at their rate, also if they existed before."""
     assert animate(work, "frames").status == 0
     done = animate(work, "frames", "--video", "@out.mp4")
     assert done.out.splitlines()[1] == f"{work.path('out.mp4')} (10 frames a second, 0.40 s)"
@@ -265,15 +265,15 @@ def test_videos(work):
 
 
 @pytest.mark.parametrize("kept", [0, 200])
-def test_a_damaged_frame_is_not_taken_for_one(work, kept):
-    """A frame that was cut short elsewhere cannot be part of a video: the line says what helps, and it does."""
+def test_a_damaged_frame_ends_the_video_with_advice(work, kept):
+    """The advice for a truncated frame works."""
     assert animate(work, "frames").status == 0
     made, frame = frames(work, "frames"), work.path("frames") / names(1)[0]
     frame.write_bytes(frame.read_bytes()[:kept])
     done = animate(work, "frames", "--video", "@out.gif")
     assert (done.status, done.err.count("\n")) == (2, 1)
     assert done.err.startswith(f"error: {frame}: ")
-    assert done.err.endswith("; delete it and run the command again, which makes it anew\n")
+    assert done.err.endswith("; delete it and run the command again\n")
     assert not work.path("out.gif").exists()
     frame.unlink()
     done = animate(work, "frames", "--video", "@out.gif")
@@ -281,8 +281,8 @@ def test_a_damaged_frame_is_not_taken_for_one(work, kept):
     assert frames(work, "frames") == made
 
 
-def test_interrupted_while_frames_are_made_anew(work, monkeypatch):
-    """The same command would remove them again: it goes on without --overwrite."""
+def test_an_interrupted_overwrite_continues_without_overwrite(work, monkeypatch):
+    """With --overwrite, the same command would remove the frames again."""
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -294,8 +294,8 @@ def test_interrupted_while_frames_are_made_anew(work, monkeypatch):
     assert done.err == f"interrupted: {told}\n"
 
 
-def test_another_rate_takes_as_long(work):
-    """Half the frames a second are half as many, each second one of the others."""
+def test_another_frame_rate_keeps_the_duration(work):
+    """Half the rate gives every second frame."""
     assert animate(work, "whole").status == 0
     assert animate(work, "half", "--fps", "5").status == 0
     whole, half = frames(work, "whole"), frames(work, "half")
@@ -303,8 +303,8 @@ def test_another_rate_takes_as_long(work):
     assert half[names(1)[0]] == whole[names(2)[0]]
 
 
-def test_cameras(work):
-    """One for all frames, one for each, or one by its name; another number is refused."""
+def test_cameras_are_one_or_one_for_each_frame(work):
+    """A camera may also be chosen by name; other numbers of cameras are refused."""
     animation = ls.load_animation(work.path("scene.toml"))
     views = [
         replace(ls.Camera.look_at((x, 1.5, 2.5), (0, 0.2, 0), (0, 1, 0), width=40, height=24), name=f"view{index}")
@@ -325,23 +325,23 @@ def test_cameras(work):
     assert len(animation.cameras) == 1
 
 
-def test_without_cameras_all_is_seen(work):
-    """The camera that frames the scene, of the size that was asked for."""
+def test_without_cameras_scene_and_actors_are_framed(work):
+    """The framing camera has the requested size."""
     work.path("scene.toml").write_text(SCENE[: SCENE.index("[[cameras]]")])
     assert animate(work, "frames", "--frames", "0:1", "--width", "40", "--height", "30", "--up", "y-up").status == 0
     assert ls.load_image(work.path("frames") / names(0)[0]).shape == (30, 40, 3)
 
 
-def test_meshes_alone(work):
-    """A scene without captures has nothing to darken: actors are rendered as they are."""
+def test_actors_without_captures_are_rendered(work):
+    """Nothing receives shadows there, and actors are rendered as they are."""
     work.path("tile.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nf 1 4 3\nf 1 3 2\n")
     work.path("scene.toml").write_text(SCENE.replace("[[splats]]", "[[meshes]]").replace("floor.ply", "tile.obj"))
     assert animate(work, "frames").status == 0
     assert len(set(frames(work, "frames").values())) == 4
 
 
-def test_options_without_effect_are_said(work, caplog):
-    """Once, of the scene as it is lit: the lamp says where shadows fall, and there are no meshes for it to light."""
+def test_options_without_effect_are_logged_once(work, caplog):
+    """The remark is about the lit scene, whose light only casts shadows, as there are no meshes."""
     assert animate(work, "frames", "--frames", "0:2", "--set=response.kernel_degree=2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
     assert lines == [
@@ -351,8 +351,8 @@ def test_options_without_effect_are_said(work, caplog):
     ]
 
 
-def test_actors_in_the_dark_are_told_which_option_helps(work, caplog):
-    """The option, its value, and the key of a scene file, which is one that files have."""
+def test_black_sides_of_actors_are_logged_with_a_remedy(work, caplog):
+    """The line names the option and a valid key of the scene file."""
     work.path("dark.toml").write_text(RELIT)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run("animate", "@dark.toml", "-o", "@frames", "--frames", "0").status == 0
@@ -364,8 +364,8 @@ def test_actors_in_the_dark_are_told_which_option_helps(work, caplog):
     assert ls.load_animation(work.path("bright.toml")).lighting.transfer.gamma == 12.5
 
 
-def test_a_capture_without_lamps_or_surroundings_is_animated(work, caplog) -> None:
-    """No shadow, actors as bright as if there were something on all sides; lines say both, and frames are there."""
+def test_a_capture_without_lights_around_the_actors_is_animated(work, caplog) -> None:
+    """Actors cast no shadow and are brightened as if surrounded; log lines say both."""
     lamp = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
     work.path("scene.toml").write_text(RELIT.replace(lamp, ""))
     outcome = work.run("animate", "@scene.toml", "-o", "@out", "--device", "cpu")
@@ -383,8 +383,8 @@ def test_a_capture_without_lamps_or_surroundings_is_animated(work, caplog) -> No
     assert np.abs(np.asarray(one, float) - np.asarray(other, float)).max() <= 2.0 / 255.0 * np.max(one)
 
 
-def test_formats_and_stats(work):
-    """Frames of floats, and what they take."""
+def test_formats_and_statistics_of_frames(work):
+    """Frames may be written as floats, and --stats prints their times."""
     done = animate(work, "frames", "--format", "npz", "--frames", "0:2", "--stats")
     assert done.status == 0
     assert "mean of 2 frames" in done.out and "lighting" in done.out and "last frame" in done.out
@@ -403,9 +403,9 @@ def test_formats_and_stats(work):
         (("--set=animation.lighting.direct=2",), "direct is 2"),
         (("--fps", "1e9"), "frame_count is 400,000,000 at 1e+09 frames a second, expected at most 1,000,000"),
         (("--video", "@out.avi"), "/out.avi: unknown extension '.avi' of an animation"),
-        (("--video", "@out.png"), "out.png: is a picture's name"),
+        (("--video", "@out.png"), "out.png: is an image name"),
         (("--video", "@out.gif", "--fps", "60"), "fps is 60"),
-        (("--video", "@out.mp4", "--format", "exr"), "--video is made of the PNGs"),
+        (("--video", "@out.mp4", "--format", "exr"), "--video needs frames as png"),
         (("--video", "/proc/out.mp4"), "/proc/"),
         (("--cameras", "@missing.json"), "missing.json: no such file"),
         (("--camera", "left"), "no camera named 'left'"),
@@ -413,7 +413,7 @@ def test_formats_and_stats(work):
     ],
 )
 def test_mistakes_come_before_any_frame(work, options, named):
-    """Exit status 2, one line, and no folder or file is left."""
+    """Each ends with status 2 and one line, and leaves no folder or file."""
     before = work.files()
     options = tuple(str(work.path(option[1:])) if option.startswith("@") else option for option in options)
     done = animate(work, "frames", *options)
@@ -423,8 +423,8 @@ def test_mistakes_come_before_any_frame(work, options, named):
     assert work.files() == before
 
 
-def test_a_missing_package_is_said_before_any_frame(work, monkeypatch):
-    """Without PyAV there is no video, which an hour of frames would be too late to say; frames alone do not need it."""
+def test_a_missing_video_package_is_reported_before_any_frame(work, monkeypatch):
+    """Frames without a video do not need PyAV."""
     monkeypatch.setitem(sys.modules, "av", None)
     done = animate(work, "frames", "--video", "@out.mp4")
     assert done.status == 2 and "pip install 'lumisplat[video]'" in done.err
@@ -440,16 +440,16 @@ def test_a_missing_package_is_said_before_any_frame(work, monkeypatch):
         (SCENE + "\nbroken", "scene.toml: "),
     ],
 )
-def test_scene_files_that_cannot_be_animated(work, text, named):
-    """What is wrong with the scene file is about the scene file."""
+def test_scenes_that_cannot_be_animated_are_refused(work, text, named):
+    """The error names the scene file."""
     work.path("scene.toml").write_text(text)
     done = animate(work, "frames")
     assert done.status == 2 and named in done.err and done.err.count("\n") == 1
-    assert "is no scene.toml" in work.run("animate", "@ball.ply").err
+    assert "is no animated scene" in work.run("animate", "@ball.ply").err
 
 
-def test_files_that_a_scene_is_made_of(tmp_path):
-    """What scene files, glTF and OBJ name counts, folders by their files; the folder of the frames does not."""
+def test_fingerprints_cover_all_files_of_a_scene(tmp_path):
+    """Files named by scene files, glTF and OBJ count, and folders by their files; the folder of the frames does not."""
     for name in ("walk/0001.ply", "walk/0002.ply", "body.bin", "statue.mtl", "bark.png", "lone.ply", "frames/f.png"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"data")
@@ -468,8 +468,8 @@ def test_files_that_a_scene_is_made_of(tmp_path):
     assert marks["body.bin"].startswith("4 bytes, ")
 
 
-def test_what_a_killed_run_leaves_is_removed(work, monkeypatch) -> None:
-    """The file beside animate.json that is being written has the name of other temporary files, and goes like them."""
+def test_temporary_files_of_a_killed_run_are_removed(work, monkeypatch) -> None:
+    """The temporary file of animate.json has the name pattern of others, and is removed with them."""
     names: list[str] = []
     link_file = os.link
 
@@ -487,8 +487,8 @@ def test_what_a_killed_run_leaves_is_removed(work, monkeypatch) -> None:
     assert not any(".lumisplat" in name for name in work.files())
 
 
-def test_trying_a_video_leaves_nothing(work, monkeypatch) -> None:
-    """Whether a video can be written is not tried in its folder: a killed trial leaves nothing there."""
+def test_checking_a_video_leaves_no_file(work, monkeypatch) -> None:
+    """The check writes elsewhere, so that a killed check leaves nothing in the folder of the video."""
     tried: list[str] = []
 
     def save(path: Path, *args: object) -> None:

@@ -1,4 +1,4 @@
-"""``lumisplat bake``: a scene file to a capture, and its mistakes."""
+"""Tests ``lumisplat bake``: a scene file becomes a capture, and mistakes are one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIGHT = '[[lights]]\ntype = "directional"\ndirection = [0, -1, 0]\nintensity = 2
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A ball with albedo, a capture without, a mesh, and scenes of these."""
+    """Returns a folder with a ball with albedo, a capture without, a mesh, and scenes of these."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     ls.save(place.path("ball.ply"), ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 150))
@@ -31,8 +31,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 @pytest.mark.parametrize("name", ["baked.ply", "baked.compressed.ply", "baked.spz"])
-def test_a_scene_becomes_one_capture(work, name):
-    """Lit from above, placed, joined with what is kept; what is printed says so, and that meshes are not in it."""
+def test_all_captures_of_a_scene_are_baked_into_one(work, name):
+    """The result is lit from above and joined with unlit captures; the output says that meshes are missing."""
     done = work.run("bake", "@both.toml", "-o", f"@{name}", "--direct", "--samples", "2", "--device", "cpu")
     assert (done.status, done.err) == (0, "")
     assert "151 Gaussians" in done.out and "mesh" in done.out
@@ -49,7 +49,7 @@ def test_a_scene_becomes_one_capture(work, name):
 
 
 def test_albedo_of_a_capture_is_lit_by_an_environment(work):
-    """A bare capture with albedo needs no scene file: as bright as what surrounds it, times the albedo or more."""
+    """A single capture with albedo needs no scene file; its radiance is at least albedo times the environment's."""
     from lumisplat.io.images.exr import write_exr
 
     write_exr(work.path("sky.exr"), dict.fromkeys("RGB", np.full((2, 4), 0.5, np.float32)))
@@ -76,14 +76,14 @@ def test_albedo_of_a_capture_is_lit_by_an_environment(work):
         (("@both.toml", "-o", "@b.ply", "--degree", "4"), "degree is 4"),
         (
             ("@both.toml", "-o", "@b.ply", "--direct", "--set=max_bounces=3"),
-            "leaves out the bounces that --set max_bounces",
+            "--direct has no bounces for --set max_bounces",
         ),
         (("@both.toml", "-o", "@b.ply", "--samples", "0"), "samples is 0"),
         (("@both.toml", "-o", "@b.ply", "--exposure", "nan"), "exposure is nan"),
     ],
 )
 def test_mistakes_are_one_line(work, arguments, message):
-    """Status 2, the line says what is wrong, and nothing is written."""
+    """Each ends with status 2, and writes nothing."""
     done = work.run("bake", *arguments, "--device", "cpu")
     assert done.status == 2
     assert message in done.err and done.err.count("\n") == 1 and "Traceback" not in done.err

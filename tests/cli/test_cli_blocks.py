@@ -1,4 +1,4 @@
-"""Captures in blocks through the commands: made, shown view by view, planned; and mistakes, one line each."""
+"""Tests commands with captures in blocks: writing, rendering view by view, planning, and mistakes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from support.scenes.raster_scenes import random_gaussians
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
-    """A folder with a larger capture, some of it in blocks, and three cameras of which one sees no more than a part."""
+    """Returns a folder with a larger capture, some of it in blocks, and three cameras, one of which sees a part."""
     place = Workplace(tmp_path, capsys)
     capture = random_gaussians(5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0))
     ls.save(place.path("town.ply"), capture)
@@ -32,19 +32,19 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
 
 
 def made(work: Workplace, *options: str) -> str:
-    """The capture in blocks."""
+    """Returns the capture in blocks."""
     outcome = work.run("blocks", "@town.ply", "-o", "@town", "--cell", "3", *options)
     assert outcome.status == 0, outcome.err
     return outcome.out
 
 
 def pixels(path: Path) -> np.ndarray:
-    """A picture."""
+    """Returns the pixels of an image."""
     return ls.load_image(path)
 
 
-def test_made_and_described(work: Workplace) -> None:
-    """A line says what was written; info reads the index, convert all of it."""
+def test_blocks_are_written_and_described_by_info(work: Workplace) -> None:
+    """A line describes the written folder; info reads the index, and convert all blocks."""
     line = made(work, "--coarser", "1")
     index = ls.io.open_blocks(work.path("town"))
     count = len(index.blocks)
@@ -58,16 +58,16 @@ def test_made_and_described(work: Workplace) -> None:
     assert work.capture("again.ply").count == 3000
 
 
-def test_several_files_of_any_kind(work: Workplace) -> None:
-    """Streamed or not, they become one capture."""
+def test_several_files_of_any_kind_become_one_folder(work: Workplace) -> None:
+    """Streamed and loaded files become one capture."""
     ls.save(work.path("more.spz"), random_gaussians(6, count=70))
     outcome = work.run("blocks", "@town.ply", "@more.spz", "-o", "@both")
     assert outcome.status == 0, outcome.err
     assert ls.io.open_blocks(work.path("both")).count == 3070
 
 
-def test_pictures_are_those_of_the_capture(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the bit, by camera files, in tiles and from the front; each view loads what it sees, where that is less."""
+def test_images_from_blocks_equal_those_of_the_capture(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images of camera files, tiles and the front are equal bit by bit; each view loads only what it sees."""
     made(work)
     loaded: list[int] = []
     load = ls.io.load_blocks
@@ -96,8 +96,8 @@ def test_pictures_are_those_of_the_capture(work: Workplace, monkeypatch: pytest.
     np.testing.assert_array_equal(pixels(work.path("tiles/inside.png")), pixels(work.path("whole/inside.png")))
 
 
-def test_views_are_in_memory_one_at_a_time(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the last one saw is gone, from the renderer, too, before the blocks of the next are read."""
+def test_blocks_of_one_view_are_in_memory_at_a_time(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of the last view are released, also by the renderer, before those of the next are read."""
     made(work)
     held: list[Callable[[], object]] = []
     load = ls.io.load_blocks
@@ -114,8 +114,8 @@ def test_views_are_in_memory_one_at_a_time(work: Workplace, monkeypatch: pytest.
     assert len(held) == 4
 
 
-def test_coarser_where_it_is_far(work: Workplace) -> None:
-    """--lod pixels=PX takes coarser levels, and an orbit shows the same capture."""
+def test_far_blocks_load_coarser_levels(work: Workplace) -> None:
+    """--lod pixels=PX loads coarser levels, and an orbit shows the same capture."""
     made(work, "--coarser", "2")
     for tolerance, out in (("0", "fine"), ("12", "coarse")):
         outcome = work.run(
@@ -133,21 +133,21 @@ def test_coarser_where_it_is_far(work: Workplace) -> None:
     np.testing.assert_array_equal(pixels(work.path("a/frame_0001.png")), pixels(work.path("b/frame_0001.png")))
 
 
-def test_light_needs_all_of_it(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
-    """Other pipelines and scenes of several things load the whole capture, and say so."""
+def test_lit_frames_load_the_whole_capture(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Other pipelines and scenes of several files do so, too, with a log line."""
     made(work)
     outcome = work.run(
         "render", "@town", "--pipeline", "trace", "--cameras", "@views.json", "--frames", "far", "-o", "@a.png",
         "--width", "16", "--device", "cpu",
     )  # fmt: skip
     assert outcome.status == 0
-    assert "town: all of it is loaded, for --pipeline trace: only unlit, rasterised pictures" in caplog.text
+    assert "town: the whole capture is loaded for --pipeline trace: only unlit, rasterised images" in caplog.text
     outcome = work.run("render", "@town", "@mesh.obj", "-o", "@b.png", "--width", "16", "--device", "cpu")
-    assert "all of it is loaded, for other files of the scene" in caplog.text
+    assert "the whole capture is loaded for other files of the scene" in caplog.text
 
 
-def test_what_workers_hold(work: Workplace) -> None:
-    """A row a worker, and their sum, of the plan of the library."""
+def test_plan_prints_the_memory_and_loads_of_workers(work: Workplace) -> None:
+    """The table has a row for each worker and their sum, equal to the library's plan."""
     made(work)
     outcome = work.run("blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "2", "--memory", "0.00006")
     assert outcome.status == 0, outcome.err
@@ -175,18 +175,18 @@ def test_what_workers_hold(work: Workplace) -> None:
         (["blocks", "@town.ply", "@flat.ply", "-o", "@a"], "differ in SH degree or antialiasing"),
         (["blocks", "@town.ply", "-o", "@town.ply"], "is a file, expected a folder"),
         (["blocks", "@town.ply", "-o", "@."], "holds other files ("),
-        (["blocks", "@town.ply", "--plan"], "--plan is of one folder"),
+        (["blocks", "@town.ply", "--plan"], "--plan needs one folder"),
         (["blocks", "@town", "--plan"], "--plan needs --cameras FILE"),
         (["blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "0"], "workers is 0"),
         (["blocks", "@town", "--plan", "--cameras", "@views.json", "--memory", "0"], "--memory is 0"),
         (["blocks", "@town.ply", "-o", "@town"], "holds a complete capture in blocks: give another folder"),
-        (["render", "@town.ply", "--lod", "pixels=1", "-o", "@a.png"], "--lod pixels= is of captures in blocks"),
+        (["render", "@town.ply", "--lod", "pixels=1", "-o", "@a.png"], "--lod pixels= needs a capture in blocks"),
         (["render", "@town", "--lod", "pixels=-1", "-o", "@a.png"], "--lod is pixels=-1, expected pixels=N of 0"),
         (["render", "@town", "--lod", "pixels=1", "--aov", "deep", "-o", "@a.exr"], "--lod pixels= and --aov deep"),
     ],
 )  # fmt: skip
-def test_mistakes(work: Workplace, arguments: list[str], message: str) -> None:
-    """One line, status 2, and nothing is left."""
+def test_mistakes_are_one_line(work: Workplace, arguments: list[str], message: str) -> None:
+    """Each ends with status 2, and leaves no file."""
     made(work)
     ls.save(work.path("flat.ply"), random_gaussians(1, count=20, degree=2))
     before = work.files()
@@ -196,8 +196,8 @@ def test_mistakes(work: Workplace, arguments: list[str], message: str) -> None:
     assert work.files() == before
 
 
-def test_a_disk_without_room(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Said before anything is written."""
+def test_a_disk_without_room_is_refused_before_writing(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line names needed and free bytes."""
     from collections import namedtuple
 
     usage = namedtuple("usage", "total used free")

@@ -1,4 +1,4 @@
-"""``lumisplat completion``: what the scripts complete, in the shells that are here."""
+"""Tests ``lumisplat completion`` in the installed shells."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _CASES = (
 
 @pytest.fixture(scope="module")
 def scripts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The script of each shell, as the command prints it."""
+    """Returns the script of each shell, as the command prints it."""
     folder = tmp_path_factory.mktemp("scripts")
     for shell in FILES:
         command = [sys.executable, "-m", "lumisplat", "completion", shell]
@@ -40,13 +40,13 @@ def scripts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def needs(shell: str) -> None:
-    """Skips a test where a shell is not installed."""
+    """Skips a test if a shell is not installed."""
     if shutil.which(shell) is None:
         pytest.skip(f"{shell} is not installed")
 
 
 def completed_by_bash(words: tuple[str, ...], script: Path) -> list[str]:
-    """What bash completes the last word to; nothing: it completes file names."""
+    """Returns the completions of the last word in bash; empty if bash completes file names."""
     quoted = " ".join(f"'{word}'" for word in ("lumisplat", *words))
     line = f"source {script}; COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; _lumisplat; "
     line += 'printf "%s\\n" "${COMPREPLY[@]}"; complete -p lumisplat >&2'
@@ -56,45 +56,45 @@ def completed_by_bash(words: tuple[str, ...], script: Path) -> list[str]:
 
 
 def completed_by_fish(words: tuple[str, ...], script: Path) -> list[str]:
-    """What fish completes the last word to."""
+    """Returns the completions of the last word in fish."""
     line = f"source {script}; complete -C 'lumisplat {' '.join(words)}'"
     done = subprocess.run(["fish", "-c", line], capture_output=True, text=True, check=True).stdout
     return [one.split("\t")[0] for one in done.splitlines()]
 
 
 @pytest.mark.parametrize(("shell", "completed"), [("bash", completed_by_bash), ("fish", completed_by_fish)])
-def test_commands_options_and_values(scripts: dict[str, Path], shell: str, completed) -> None:
-    """Of each command its own."""
+def test_shells_complete_commands_options_and_values(scripts: dict[str, Path], shell: str, completed) -> None:
+    """Each command completes its own options."""
     needs(shell)
     for words, expected in _CASES:
         assert sorted(completed(words, scripts[shell])) == expected
 
 
 @pytest.mark.parametrize("before", [("render",), ("render", "--cameras"), ("info", "a.ply"), ("animate",)])
-def test_files_complete_as_the_shell_does(scripts: dict[str, Path], before: tuple[str, ...]) -> None:
-    """Where a file is meant, also at an empty word: bash has the names of tyro, or none and its own then."""
+def test_shells_complete_file_names(scripts: dict[str, Path], before: tuple[str, ...]) -> None:
+    """An empty word completes file names, too."""
     needs("bash")
     start = str(scripts["bash"])[:-2]
     assert completed_by_bash((*before, start), scripts["bash"]) in ([], [str(scripts["bash"])])
     assert not [one for one in completed_by_bash((*before, ""), scripts["bash"]) if one.startswith("-")]
 
 
-def test_zsh_reads_it(scripts: dict[str, Path]) -> None:
-    """Without a mistake of grammar."""
+def test_zsh_accepts_its_script(scripts: dict[str, Path]) -> None:
+    """Zsh reports no syntax error."""
     needs("zsh")
     done = subprocess.run(["zsh", "-n", scripts["zsh"]], capture_output=True, text=True, check=True)
     assert not done.stderr
 
 
-def test_all_commands_are_there(scripts: dict[str, Path]) -> None:
-    """In the script of every shell."""
+def test_scripts_contain_all_commands(scripts: dict[str, Path]) -> None:
+    """The script of each shell has every command."""
     for script in scripts.values():
         text = script.read_text()
         assert all(name in text for name in ("render", "doctor", "camera-path", "hybrid"))
 
 
 def options_with_values(command: dict[str, Any], name: str) -> Iterator[tuple[str, str, bool]]:
-    """Command, option, and whether a value follows it, as tyro knows them."""
+    """Yields each command and option of tyro's specification, and whether a value follows the option."""
     for option in command["options"]:
         yield from ((name, flag, option["type"] != "flag") for flag in option["flags"])
     for inner, found in command["subcommands"].items():
@@ -102,7 +102,7 @@ def options_with_values(command: dict[str, Any], name: str) -> Iterator[tuple[st
 
 
 def test_files_may_stand_between_options(scripts: dict[str, Path]) -> None:
-    """In every command: what follows a flag is a file, what follows another option is its value."""
+    """In each command, the word behind a flag is a file, and the word behind another option its value."""
     kinds = cli._commands(cli._Command)
     farmed = cli._commands(get_args(get_type_hints(kinds.pop("farm"), include_extras=True)["what"])[0])
     kinds |= {f"farm {name}": kind for name, kind in farmed.items()}

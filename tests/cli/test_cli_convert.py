@@ -1,4 +1,4 @@
-"""``lumisplat convert``: what is done on the way, in which order, and what it prints."""
+"""Tests ``lumisplat convert``: its edits, their order, and its output."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from support.files.cli_files import Workplace
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
-    """A folder with a capture of 60 Gaussians."""
+    """Returns a folder with a capture of 60 Gaussians."""
     return Workplace(tmp_path, capsys)
 
 
 def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
-    """All arrays, to the rounding of a PLY."""
+    """Asserts that all arrays are equal within the rounding of a PLY."""
     assert first.arrays().keys() == second.arrays().keys()
     for name, values in first.arrays().items():
         np.testing.assert_allclose(values, second.arrays()[name], rtol=2e-6, atol=2e-6)
@@ -53,17 +53,17 @@ def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
         ),
     ],
 )
-def test_each_option_is_its_function(
+def test_each_option_equals_its_function_of_the_library(
     work: Workplace, options: str, expected: Callable[[ls.Gaussians], ls.Gaussians]
 ) -> None:
-    """What is written is what the functions of the same names return."""
+    """The written capture equals the function's result."""
     outcome = work.run("convert", "@capture.ply", "@out.ply", *options.split())
     assert (outcome.status, outcome.err) == (0, "")
     same(work.capture("out.ply"), expected(work.capture("capture.ply")))
 
 
-def test_several_become_one(work: Workplace) -> None:
-    """All files before -o, in their order."""
+def test_several_captures_are_joined(work: Workplace) -> None:
+    """All files before -o are joined in their order."""
     capture = work.capture("capture.ply")
     ls.save(work.path("other.ply"), ls.transform(capture, translation=(5, 0, 0)))
     outcome = work.run("convert", "@capture.ply", "@other.ply", "@capture.ply", "-o", "@all.ply")
@@ -72,8 +72,8 @@ def test_several_become_one(work: Workplace) -> None:
     same(work.capture("all.ply").subset(np.arange(60, 120)), work.capture("other.ply"))
 
 
-def test_it_says_what_became_of_it(work: Workplace) -> None:
-    """A line for each option that changed the number, and one for the file."""
+def test_convert_prints_the_effect_of_each_edit(work: Workplace) -> None:
+    """The output has a line for each option that changed the count, and one for the file."""
     lines = work.run(
         "convert", "@capture.ply", "-o", "@a.ply", "--sphere", "0", "0", "4", "1.5", "--decimate", "10"
     ).out
@@ -83,8 +83,8 @@ def test_it_says_what_became_of_it(work: Workplace) -> None:
     assert last.startswith(str(work.path("a.ply"))) and "10 Gaussians, SH degree 0, " in last
 
 
-def test_harmonics_are_left_out(work: Workplace) -> None:
-    """--sh-degree leaves out what is above, and pads with zeros: 62 columns, for importers that want them."""
+def test_sh_degree_removes_higher_coefficients(work: Workplace) -> None:
+    """Missing degrees are padded with zeros to 62 columns, as some importers require."""
     capture = work.capture("capture.ply")
     ls.save(work.path("sh2.ply"), replace(capture, sh=np.ones((60, 9, 3))))
     assert "SH degree 1" in work.run("convert", "@sh2.ply", "@out.ply", "--sh-degree", "1").out
@@ -92,8 +92,8 @@ def test_harmonics_are_left_out(work: Workplace) -> None:
     assert (work.folder / "out.ply").read_bytes().partition(b"end_header")[0].count(b"property float") == 62
 
 
-def test_invalid_gaussians_are_counted(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
-    """--drop-invalid leaves them out and says how many; without it the file is refused."""
+def test_dropped_invalid_gaussians_are_counted(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Without --drop-invalid, the file is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -107,13 +107,13 @@ def test_invalid_gaussians_are_counted(work: Workplace, caplog: pytest.LogCaptur
 @pytest.mark.parametrize(
     ("text", "count"), [("10", 10), ("25%", 250), ("0.01%", 1), ("12.5%", 125), ("200%", 2000), ("5000", 5000)]
 )
-def test_counts(text: str, count: int) -> None:
-    """Numbers and percentages; at least one is left."""
+def test_decimate_parses_counts_and_percentages(text: str, count: int) -> None:
+    """At least one Gaussian remains."""
     assert _count_of(text, 1000) == count
 
 
-def test_ranges() -> None:
-    """Either limit may be missing; numbers of all kinds."""
+def test_keep_parses_ranges() -> None:
+    """Either limit may be missing, and numbers may have any notation."""
     assert _value_ranges(["x=-1..2", "opacity=.5..", "scale_max=..1e-3"]) == {
         "x": (-1.0, 2.0),
         "opacity": (0.5, None),
@@ -121,8 +121,8 @@ def test_ranges() -> None:
     }
 
 
-def test_columns_of_others(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
-    """Materials in R3DG's columns and back, with the incident light of theirs for those who ask."""
+def test_columns_of_relightable_3d_gaussians_are_written(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Materials are written in R3DG's columns and read back, with the incident light if asked."""
     plain = work.capture("capture.ply")
     light = np.full((plain.count, 16, 3), 0.25)
     normals, albedo = np.tile([0.0, 0.0, 1.0], (plain.count, 1)), np.full((plain.count, 3), 0.5)
@@ -140,8 +140,8 @@ def test_columns_of_others(work: Workplace, caplog: pytest.LogCaptureFixture) ->
     back = work.capture("ours.ply")
     same(replace(back, sh=back.sh[:, : plain.sh.shape[1]]), replace(made, incident=None, roughness=back.roughness))
     for options, problem in (
-        (("@made.ply", "@a.spz", "--columns", "r3dg"), "--columns r3dg is of a .ply, got"),
-        (("@made.ply", "@a.compressed.ply", "--incident"), "--incident is of a .ply, got"),
+        (("@made.ply", "@a.spz", "--columns", "r3dg"), "--columns r3dg needs a .ply, got"),
+        (("@made.ply", "@a.compressed.ply", "--incident"), "--incident needs a .ply, got"),
         (("@capture.ply", "@a.ply", "--incident"), "has no incident light: leave out --incident"),
         (("@capture.ply", "@a.ply", "--columns", "r3dg"), "the capture has no albedo"),
     ):

@@ -1,4 +1,4 @@
-"""``lumisplat dataset`` and ``lumisplat farm dataset``: views that go on, the same by anybody; mistakes in one line."""
+"""Tests ``lumisplat dataset`` and ``lumisplat farm dataset``: continued views, equal files, and mistakes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ path = "capture.ply"
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     place.path("set.toml").write_text(SETTINGS)
@@ -46,19 +46,19 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 def contents(work: Workplace, folder: str) -> dict[str, bytes]:
-    """All files of a folder."""
+    """Returns the content of all files of a folder."""
     home = work.path(folder)
     return {str(path.relative_to(home)): path.read_bytes() for path in sorted(home.rglob("[!.]*")) if path.is_file()}
 
 
 def make(work: Workplace, folder: str, *options: str, farm: bool = False):
-    """Views of the scene."""
+    """Renders views of the scene."""
     command = ("farm", "dataset") if farm else ("dataset",)
     return work.run(*command, "@scene.toml", "--settings", "@set.toml", "-o", f"@{folder}", *SIZE, *options)
 
 
-def test_views_go_on_and_are_the_same_by_parts(work, caplog) -> None:
-    """Parts make the whole, to the bit, once all are there; more views leave those that are there."""
+def test_views_rendered_in_parts_equal_the_whole(work, caplog) -> None:
+    """Files are equal bit by bit once all views exist; more views leave existing ones unchanged."""
     whole = make(work, "whole", "--views", "5", "--seed", "7", "--shards", "2")
     assert whole.status == 0, whole.err
     assert "--seed" not in caplog.text  # the poses use it in every pipeline
@@ -78,8 +78,8 @@ def test_views_go_on_and_are_the_same_by_parts(work, caplog) -> None:
 
 @pytest.mark.deep
 @pytest.mark.filterwarnings("ignore")
-def test_a_farm_makes_the_same(work) -> None:
-    """By two workers: every file, to the bit, with light and objects; the same command continues."""
+def test_views_of_a_farm_equal_those_of_one_process(work) -> None:
+    """Files of two workers are equal bit by bit, with light and objects; the same command continues."""
     if importlib.util.find_spec("ray") is None:
         pytest.skip("Ray is not installed: pip install 'lumisplat[farm]'")
     assert make(work, "whole", "--views", "4").status == 0
@@ -90,8 +90,8 @@ def test_a_farm_makes_the_same(work) -> None:
     assert contents(work, "farm") == contents(work, "whole")
 
 
-def test_cameras_and_environments_of_options(work) -> None:
-    """--cameras lets views be near them, --environment is turned, --exposure adds to that of views."""
+def test_options_set_cameras_and_environment(work) -> None:
+    """--cameras places views near them, --environment is rotated, and --exposure is added."""
     write_exr(work.path("sky.exr"), dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
     options = ("--cameras", str(work.path("cameras.json")), "--environment", str(work.path("sky.exr")))
     options = (*options, "--exposure", "1.5", "--samples", "1", "--settings", str(work.path("set.toml")))
@@ -111,17 +111,17 @@ def test_cameras_and_environments_of_options(work) -> None:
         (("--layers", "dept"), "layers has 'dept', did you mean 'depth'?"),
         (("--objects", "@lost.glb"), "lost.glb: no such file"),
         (("--settings", "@lost.toml"), "lost.toml: no such file"),
-        (("--eye", "1,2,3"), "--eye is of one camera, and views are random"),
-        (("--camera-path", "@cameras.json"), "--camera-path is of one camera"),
-        (("--pipeline", "realtime"), "--pipeline realtime is of frames that follow from each other"),
+        (("--eye", "1,2,3"), "--eye sets one camera, but views are random"),
+        (("--camera-path", "@cameras.json"), "--camera-path sets one camera"),
+        (("--pipeline", "realtime"), "--pipeline realtime needs consecutive frames"),
         (("--frames", "100"), "'100' is out of range: there are 100 views, 0-99"),
-        (("-o", "-"), "frames are many: give a folder"),
-        (("--layers", "albedo", "--lighting", "off"), "--layers has albedo, which lit views have"),
+        (("-o", "-"), "there are several frames: give a folder"),
+        (("--layers", "albedo", "--lighting", "off"), "--layers has albedo, which only lit views have"),
         (("--objects", "@cameras.json"), "cameras.json: "),
     ],
 )
-def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
-    """One line and status 2; no view is there."""
+def test_mistakes_are_one_line(work, options: tuple[str, ...], message: str) -> None:
+    """Each ends with status 2, and writes no view."""
     options = tuple(str(work.path(option[1:])) if option.startswith("@") else option for option in options)
     done = work.run("dataset", "@scene.toml", "-o", "@out", *SIZE, *options)
     assert (done.status, done.out) == (2, ""), done.err
@@ -129,8 +129,8 @@ def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
     assert not work.path("out").exists()
 
 
-def test_cameras_that_are_not_there(work) -> None:
-    """Wanted by the settings, and nobody has any."""
+def test_views_near_cameras_need_cameras(work) -> None:
+    """Settings ask for them, but no file has any."""
     work.path("set.toml").write_text('[poses]\nwhere = "cameras"\n')
     done = make(work, "out")
-    assert done.status == 2 and "there are none: give --cameras FILE" in done.err
+    assert done.status == 2 and "need cameras: give --cameras FILE" in done.err

@@ -1,4 +1,4 @@
-"""``lumisplat delight``: a capture to one with materials, and its mistakes."""
+"""Tests ``lumisplat delight``: a capture gets materials, and mistakes are one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from support.scenes.path_scenes import ball, diffuse
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A ball as a capture, and a scene file."""
+    """Returns a folder with a ball as a capture, and a scene file."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     lit = ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 700)
@@ -34,8 +34,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     return place
 
 
-def test_a_capture_gets_materials(work):
-    """The same Gaussians with albedo, roughness and normals; what is printed says what is a guess; the sky as image."""
+def test_a_capture_gets_albedo_roughness_and_normals(work):
+    """The Gaussians stay the same; remarks name guesses, and the environment is written as an image."""
     done = work.run(
         "delight", "@ball.ply", "-o", "@out.ply", "--cells", "4", "--sky", "@sky.exr", "--device", "cpu", "--up", "y-up"
     )
@@ -53,7 +53,7 @@ def test_a_capture_gets_materials(work):
     assert sky.shape[1] == 2 * sky.shape[0] and sky.min() > 0.0
 
 
-def test_scenes_of_other_programs_hold_materials(work):
+def test_materials_are_written_to_gltf_and_usd(work):
     """A .glb has the albedo, roughness and normals that a .ply has."""
     for name in ("found.glb", "found.ply"):
         done = work.run("delight", "@ball.ply", "-o", f"@{name}", "--cells", "4", "--device", "cpu")
@@ -64,19 +64,19 @@ def test_scenes_of_other_programs_hold_materials(work):
         np.testing.assert_array_equal(getattr(scene, name), getattr(capture, name))
 
 
-def test_a_room_has_no_sky(work, monkeypatch):
-    """Where it is found to be one: a line says so, where an image of black was written."""
+def test_a_room_has_no_environment_image(work, monkeypatch):
+    """A line says so, in place of a black image."""
     capture = ls.load(work.path("ball.ply"))
     assert isinstance(capture, ls.Gaussians)
     found = ls.inverse.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")
     monkeypatch.setattr(ls.inverse, "estimate_materials", lambda *_, **__: found)
     done = work.run("delight", "@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--device", "cpu")
-    assert (done.status, done.err) == (0, "") and f"{work.path('sky.exr')}: is not written: a room has" in done.out
+    assert (done.status, done.err) == (0, "") and f"{work.path('sky.exr')}: not written: a room has" in done.out
     assert work.path("out.ply").exists() and not work.path("sky.exr").exists()
 
 
-def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
-    """The system's reason; no half of a sky, and the capture, which has taken the time, is there."""
+def test_a_full_disk_for_the_environment_is_one_line(work):
+    """The line has the system's reason; no partial image is left, and the capture is written."""
     with small_disk(work.path("disk"), "4k") as disk:
         done = work.run(
             "delight", "@ball.ply", "-o", "@out.ply", "--cells", "4", "--sky", str(disk / "sky.exr"), "--device", "cpu"
@@ -102,7 +102,7 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
         (("@ball.ply", "-o", "@out.ply", "--cells", "2"), "cells is 2"),
         (
             ("@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--inside", "yes"),
-            "--inside yes says that it is a room",
+            "--inside yes means a room",
         ),
         (("@ball.ply", "-o", "/proc/lumisplat.ply"), "/proc/lumisplat.ply: cannot be written, nothing can in /proc"),
         (("@ball.ply", "-o", "@out.ply", "--up", "0,0,0"), "--up is '0,0,0', expected a direction"),
@@ -110,7 +110,7 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
             ("@point.ply", "-o", "@out.ply"),
             "point.ply: no surface to estimate materials of: all Gaussians are at one",
         ),
-        (("@ball.ply", "-o", "@out.ply", "--lod", "2"), "--lod is of streamed SOGs"),
+        (("@ball.ply", "-o", "@out.ply", "--lod", "2"), "--lod needs a streamed SOG"),
         (("@scene.toml", "-o", "@out.ply"), "is not a capture"),
         (("@none.ply", "-o", "@out.ply"), "none.ply"),
         (
@@ -121,7 +121,7 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
     ],
 )
 def test_mistakes_end_in_one_line(work, arguments, said):
-    """What, where and what was expected; nothing is written."""
+    """Each names what was expected, and writes nothing."""
     done = work.run("delight", *arguments, "--device", "cpu")
     assert done.status == 2
     assert said in done.err

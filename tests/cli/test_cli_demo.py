@@ -1,4 +1,4 @@
-"""``lumisplat demo``: which pictures it leaves, and what they show."""
+"""Tests ``lumisplat demo``: its files and images."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from support.files.image_files import read_image
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
-def test_demo(work, monkeypatch):
-    """Demo writes a picture for each of its cameras, lit ones, and on request its capture and cameras, which render."""
+def test_demo_writes_its_images(work, monkeypatch):
+    """Demo writes an image for each camera, lit images, and on request a capture and cameras that can be rendered."""
     capture = ls.SplatInstance(work.capture("capture.ply"), material=ls.MaterialPbr())
     lights = (
         ls.LightSpot((2.0, -3.0, 1.0), (-1.0, 3.0, 2.0), intensity=300.0, name="spot"),

@@ -1,4 +1,4 @@
-"""``lumisplat doctor``: tables, JSON, exit status."""
+"""Tests ``lumisplat doctor``: tables, JSON and exit status."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from support.files.cli_files import Workplace
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workplace:
-    """An empty folder."""
+    """Returns an empty folder."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
-def test_it_shows_all_there_is(work: Workplace) -> None:
-    """Versions, devices that work, the cache, extras."""
+def test_doctor_prints_the_whole_diagnosis(work: Workplace) -> None:
+    """Tables list versions, working devices, the cache and extras."""
     shown = " ".join(work.run("doctor").out.split())
     assert f"Lumisplat {ls.__version__}" in shown and "warp-lang 1." in shown
     assert " works" in shown and "compiled kernels folder" in shown and "view" in shown
 
 
-def test_json_has_the_same(work: Workplace) -> None:
-    """Under the names of `lumisplat.diagnostics.Diagnosis`."""
+def test_json_equals_the_tables(work: Workplace) -> None:
+    """Keys are the fields of `lumisplat.diagnostics.Diagnosis`."""
     facts = json.loads(work.run("doctor", "--json").out)
     assert facts["version"] == ls.__version__ and facts["problems"] == []
     assert facts["devices"][0]["name"] == "cpu" and facts["devices"][0]["problem"] is None
 
 
-def test_what_is_to_be_mended_ends_it_with_a_line(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After the tables, with exit status 2."""
+def test_problems_end_with_one_line_and_status_2(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line comes after the tables."""
 
     def broken(*_: object) -> None:
         raise RuntimeError("no compiler")
@@ -49,8 +49,8 @@ def test_what_is_to_be_mended_ends_it_with_a_line(work: Workplace, monkeypatch: 
     assert outcome.err == "error: cpu: a kernel cannot be compiled or run (no compiler)\n"
 
 
-def test_a_cache_that_cannot_be_made_ends_it_with_a_line(tmp_path: Path) -> None:
-    """Where, and what to do, after the tables: devices are tried all the same."""
+def test_an_unwritable_cache_ends_with_one_line(tmp_path: Path) -> None:
+    """The line names the folder and a remedy after the tables; devices are tested anyway."""
     (tmp_path / "file").write_text("")
     env = dict(os.environ, WARP_CACHE_PATH=str(tmp_path / "file" / "kernels"))
     command = [sys.executable, "-m", "lumisplat", "doctor"]

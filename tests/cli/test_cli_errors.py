@@ -1,4 +1,4 @@
-"""A user's mistake: exit status 2, one line that names it, nothing left behind."""
+"""Tests mistakes of users: exit status 2, one line that names the mistake, and no file left behind."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SINGULAR = [[0.0] * 4, [0.0] * 4, [0.0] * 4, [0.0, 0.0, 0.0, 1.0]]
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """The folder, and in it what a command may stumble over."""
+    """Returns a folder with files that are wrong in some way."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     place.path("a_file").write_text("in the way of a folder")
@@ -58,7 +58,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("render", "@capture.ply", "--cameras", "@broken.json"), "broken.json"),
         (("render", "@capture.ply", "--cameras", "@zero_width.json"), "zero_width.json"),
         (("render", "@capture.ply", "--cameras", "@singular.json"), "singular.json"),
-        (("render", "@capture.ply", *CAMERAS, "--frames", "middle"), "no frame is named 'middle'"),
+        (("render", "@capture.ply", *CAMERAS, "--frames", "middle"), "no camera is named 'middle'"),
         (("render", "@capture.ply", *CAMERAS, "--width", "0"), "error: --width is 0, expected a whole number from 1"),
         (("render", "@capture.ply", "--height", "-3"), "error: --height is -3, expected a whole number from 1"),
         (("orbit", "@capture.ply", "-o", "@round", "--width", "100000"), "error: --width is 100000, expected"),
@@ -103,7 +103,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("render", "@capture.ply", "--cameras", "@lost.toml"), "lost.toml: has no cameras"),
         (("render", "@capture.ply", "--environment", "@lost.hdr"), "lost.hdr: no such file"),
         (("render", "@capture.ply", "--environment", "@capture.ply"), "is neither Radiance HDR nor OpenEXR"),
-        (("render", "@capture.ply", "--environment-rotation", "90"), "--environment-rotation turns --environment"),
+        (("render", "@capture.ply", "--environment-rotation", "90"), "--environment-rotation needs --environment"),
         (("render", "@capture.ply", "--exposure", "nan", *CAMERAS), "--exposure is nan"),
         (("render", "@capture.ply", "--set=shadow_rays.offset=-1"), "offset is -1"),
         (("render", "@capture.ply", "--set=shadow_rays.transmittance_threshold=1"), "transmittance_threshold is 1"),
@@ -120,9 +120,9 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
             "mesh.obj: is not a capture: convert takes Gaussians only (Python: ls.gau",
         ),
         (("convert", "@capture.ply", "@a_file/out.ply"), "a_file"),
-        (("convert", "@capture.ply"), "convert needs what it reads and what it writes: lumisplat convert IN OUT"),
-        (("convert", "-o", "@out.ply"), "convert needs what it reads and what it writes"),
-        (("convert", "@capture.ply", "@capture.ply", "@out.ply"), "only with -o: lumisplat convert A B -o OUT"),
+        (("convert", "@capture.ply"), "convert needs a file to read and a file to write: lumisplat convert IN OUT"),
+        (("convert", "-o", "@out.ply"), "convert needs a file to read and a file to write"),
+        (("convert", "@capture.ply", "@capture.ply", "@out.ply"), "needs -o: lumisplat convert A B -o OUT"),
         (("convert", "@capture.ply", "@mesh.obj", "-o", "@out.ply"), "mesh.obj: is not a capture"),
         (("convert", "@capture.ply", "@out.ply", "--outside"), "--outside needs --box or --sphere"),
         (
@@ -150,7 +150,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     ],
 )
 def test_mistake_is_one_line(work, monkeypatch, args, named):
-    """Exit status 2, one line on standard error that names the culprit, no new file."""
+    """Each ends with status 2 and one line on standard error that names it, and writes no file."""
     monkeypatch.chdir(work.folder)
     before = work.files()
     outcome = work.run(*args)
@@ -173,8 +173,8 @@ def test_mistake_is_one_line(work, monkeypatch, args, named):
         (("-o", "/proc/lumisplat.png", "--frames", "left"), "/proc/lumisplat.png"),
     ],
 )
-def test_output_that_cannot_be_written(work, output, named):
-    """An output that cannot be written is named, and nothing appears."""
+def test_an_output_that_cannot_be_written_is_named(work, output, named):
+    """Nothing is written."""
     before = work.files()
     outcome = work.run("render", "@capture.ply", *CAMERAS, *output)
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
@@ -222,8 +222,8 @@ def test_output_that_cannot_be_written(work, output, named):
         (("convert", "x.ply", "y.ply", "--box"), "--box"),
     ],
 )
-def test_unknown_arguments(work, args, named):
-    """Arguments that do not parse are exit status 2 and one line as well."""
+def test_arguments_that_do_not_parse_are_one_line(work, args, named):
+    """The process ends with status 2."""
     outcome = work.run(*args)
     assert (outcome.status, outcome.out) == (2, "")
     assert outcome.err.startswith("error: ")
@@ -243,7 +243,7 @@ def test_unknown_arguments(work, args, named):
     ids=["framed", "coloured", "ascii", "no panel"],
 )
 def test_panels_become_one_line(panel):
-    """Whatever a terminal makes of the panel, its first paragraph is left."""
+    """The first paragraph remains, whatever frame a terminal gives the panel."""
     assert one_line(panel, "lumisplat render") == "It is wrong here. (see lumisplat render --help)"
 
 
@@ -251,8 +251,8 @@ def test_panels_become_one_line(panel):
 @pytest.mark.parametrize(
     "data", [b"\xff\xfe\x80garbage", b"[" * 100_000, b"3", b'{"frames": [1], "asset": 2}', b"x = " + b"[" * 5000]
 )
-def test_messages_are_about_the_file(work, name, data):
-    """What is said about a file of rubbish is about the file: no Python exception or object shows through."""
+def test_errors_of_broken_files_name_the_file_only(work, name, data):
+    """The message shows no Python exception or object."""
     work.path(name).write_bytes(data)
     outcome = work.run("info", f"@{name}")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
@@ -262,14 +262,14 @@ def test_messages_are_about_the_file(work, name, data):
         assert internal not in said
 
 
-def test_output_is_tried_before_loading(work):
-    """A folder that cannot be written to is said before anything is loaded."""
+def test_the_output_is_checked_before_files_are_loaded(work):
+    """A folder that cannot be written is reported before a missing input."""
     outcome = work.run("render", "@missing.ply", "-o", "/proc/lumisplat")
     assert outcome.err.startswith("error: /proc/lumisplat: cannot be written")
 
 
-def test_demo_checks_before_it_builds(work, monkeypatch):
-    """A bad width is refused before the scene is built, and leaves no folder behind."""
+def test_demo_checks_its_width_before_it_builds_the_scene(work, monkeypatch):
+    """No folder is left behind."""
     monkeypatch.setattr(ls, "demo_scene", lambda report: pytest.fail("the scene was built"))
     outcome = work.run("demo", "-o", "@demo", "--width", "0")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
@@ -277,8 +277,8 @@ def test_demo_checks_before_it_builds(work, monkeypatch):
     assert not work.path("demo").exists()
 
 
-def test_no_place_for_kernels(work):
-    """Where Warp cannot make its cache, the error says what it was for and how to move it."""
+def test_an_unwritable_kernel_cache_is_one_line(work):
+    """The line says what the cache is for and how to move it."""
     environment = {name: value for name, value in os.environ.items() if name != "WARP_CACHE_PATH"}
     command = [sys.executable, "-m", "lumisplat", "render", "mesh.obj", "-o", "a.png", "--device", "cpu"]
     done = subprocess.run(
@@ -293,8 +293,8 @@ def test_no_place_for_kernels(work):
     assert "compiled kernels cannot be stored here" in done.stderr and "WARP_CACHE_PATH" in done.stderr
 
 
-def test_names_too_long(work):
-    """A file name longer than the system takes is an error that says what could not be done."""
+def test_a_too_long_file_name_is_one_line(work):
+    """The line says what could not be done."""
     outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frames", "left", "-o", "@" + "x" * 300 + ".png")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert "cannot be written: File name too long" in outcome.err
@@ -303,14 +303,14 @@ def test_names_too_long(work):
 
 
 def test_debug_shows_the_traceback(work):
-    """--debug adds the traceback, and the status stays 2."""
+    """The status stays 2."""
     outcome = work.run("render", "@missing.ply", "--debug")
     assert outcome.status == 2
     assert "Traceback" in outcome.err
 
 
-def test_interrupt(work, monkeypatch):
-    """Ctrl-C is status 130 and one word, without a traceback."""
+def test_an_interrupt_ends_with_status_130(work, monkeypatch):
+    """Ctrl-C prints one word without a traceback."""
 
     def interrupt(*_args, **_options):
         raise KeyboardInterrupt
@@ -320,8 +320,8 @@ def test_interrupt(work, monkeypatch):
     assert (outcome.status, outcome.err) == (130, "interrupted\n")
 
 
-def test_a_reader_that_has_gone(work):
-    """Printing into a closed pipe, as before ``| head -1``, ends without a word."""
+def test_a_closed_pipe_ends_without_a_message(work):
+    """Printing into ``| head -1`` closes the pipe."""
     for arguments in ("--help", "info capture.ply", "convert capture.ply copy.ply"):
         command = [sys.executable, "-m", "lumisplat", *arguments.split()]
         environment = os.environ | {"PYTHONUNBUFFERED": "1"}  # the pipe is met inside the command, not after it
@@ -333,8 +333,8 @@ def test_a_reader_that_has_gone(work):
             assert process.wait() != 0
 
 
-def test_interrupt_while_importing():
-    """Ctrl-C while the command line is still being imported is status 130 without a traceback."""
+def test_an_interrupt_while_importing_ends_without_a_traceback():
+    """The status is 130."""
     program = (
         "import sys\n"
         "class Interrupted:\n"
@@ -348,8 +348,8 @@ def test_interrupt_while_importing():
     assert (done.returncode, done.stderr) == (130, "")
 
 
-def test_one_line_in_a_process_of_its_own(work):
-    """Seen from outside: the status is the process's, and native libraries add no line."""
+def test_a_process_prints_one_line_and_ends_with_status_2(work):
+    """Native libraries add no line."""
     command = [sys.executable, "-m", "lumisplat", "render", "short.ply", "-o", "out"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=False)
     assert done.returncode == 2

@@ -1,4 +1,4 @@
-"""``lumisplat evaluate``: a capture against photographs of itself, whose errors are known."""
+"""Tests ``lumisplat evaluate``: a capture is compared with renders of itself whose errors are known."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ CAMERAS = [front_camera(48, 36, 45.0, name=f"v{k}") for k in range(6)]
 
 
 def shown(work: Workplace, background: str = "black") -> np.ndarray:
-    """What all cameras see of the capture."""
+    """Returns the renders of all cameras."""
     config = ls.RenderConfig(background=background)  # pyright: ignore[reportArgumentType]
     return ls.render(ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], config, device="cpu").pixels_srgb()
 
 
 @pytest.fixture
 def work(tmp_path, capsys) -> Workplace:
-    """A capture, and photographs of it of which those held out, v0, v2 and v4, are more and more wrong."""
+    """Returns a folder with a capture and images of it; errors of the held-out v0, v2 and v4 increase."""
     place = Workplace(tmp_path, capsys)
     truth = shown(place)
     images = [np.clip(truth + 0.02 * k, 0.0, 1.0) for k in range(6)]
@@ -36,14 +36,14 @@ def work(tmp_path, capsys) -> Workplace:
 
 
 def evaluate(work: Workplace, *options: str, folder: str = "@photos") -> dict[str, list[str]]:
-    """The cells of the printed table by the first of each line."""
+    """Returns the cells of the printed table by the first cell of each line."""
     done = work.run("evaluate", "@capture.ply", folder, "--device", "cpu", *options)
     assert done.status == 0, done.err
     return {line[:16].strip(): line[16:].split() for line in done.out.splitlines() if line[16:].split()}
 
 
-def test_the_table_has_means_and_the_worst(work):
-    """Three views held out, the worst first; figures are those of the functions."""
+def test_the_table_has_means_and_the_worst_views(work):
+    """Three views are held out, the worst is first, and values equal those of the library."""
     table = evaluate(work, "--hold-out", "2")
     assert list(table) == ["", "mean of 3 views", "v4", "v2", "v0"]
     assert table[""] == ["psnr", "ssim", "ms-ssim", "flip"]
@@ -60,16 +60,16 @@ def test_the_table_has_means_and_the_worst(work):
     assert table["v4"][1:] == [f"{value:.4f}" for value in (*expected, ls.metrics.flip(truth, photographs[2].pixels()))]
 
 
-def test_fewer_scales_are_said(work, caplog):
-    """36 rows are enough for two scales; a line says so."""
+def test_fewer_scales_of_ms_ssim_are_logged(work, caplog):
+    """36 rows are enough for two scales."""
     evaluate(work)
-    assert "ms-ssim has 2 scales: photographs of 48 x 36 pixels are too small for 5" in caplog.messages
+    assert "ms-ssim has 2 scales: images of 48 x 36 pixels are too small for 5" in caplog.messages
 
 
-def test_pictures_and_figures_are_written(work):
-    """All figures, and for the worst views photograph, picture and difference side by side."""
+def test_metrics_and_worst_views_are_written(work):
+    """The report has all metrics, and image, render and difference side by side for the worst views."""
     done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "2", "-o", "@report")
-    assert done.status == 0 and "metrics.json, and the worst 3 views beside the photographs" in done.out
+    assert done.status == 0 and "metrics.json, and the worst 3 views beside the images" in done.out
     assert {file for file in work.files() if file.startswith("report")} == {
         "report/metrics.json", "report/v0.png", "report/v2.png", "report/v4.png",
     }  # fmt: skip
@@ -85,8 +85,8 @@ def test_pictures_and_figures_are_written(work):
     np.testing.assert_allclose(difference, np.minimum(4 * np.abs(photograph - picture), 255), atol=4)
 
 
-def test_what_is_masked_does_not_count(work):
-    """A photograph that is spoilt outside of its mask is as near as before."""
+def test_masked_pixels_are_not_compared(work):
+    """Damage outside the mask does not change the metrics."""
     before = evaluate(work, "--hold-out", "3")["v3"]
     image = np.array(Image.open(work.path("photos/images/v3.png")))
     mask = np.zeros((36, 48), np.uint8)
@@ -107,8 +107,8 @@ def test_what_is_masked_does_not_count(work):
     assert not difference[mask == 0].any() and difference[mask > 0].any()
 
 
-def test_transparent_photographs_lie_over_the_background(work):
-    """RGBA of the capture, composited by both over the same colour, agrees; over another, it would not."""
+def test_transparent_images_are_composited_over_the_background(work):
+    """RGBA renders agree if both are composited over the same colour, and not over another."""
     frame = ls.render(
         ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], ls.RenderConfig(background=None), device="cpu"
     )
@@ -124,16 +124,16 @@ def test_transparent_photographs_lie_over_the_background(work):
     assert ls.metrics.psnr(ls.load_image(work.path("white.png")), shown(work)) < 20.0
 
 
-def test_a_smaller_scale(work):
-    """The capture is rendered at the size of the photographs."""
+def test_scale_reduces_the_compared_images(work):
+    """The capture is rendered at the size of the images."""
     done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--scale", "0.5", "-o", "@half")
     assert done.status == 0
     assert ls.load_image(work.path("half/v0.png")).shape == (18, 3 * 24, 3)
     assert json.loads(work.path("half/metrics.json").read_text())["scale"] == 0.5
 
 
-def test_lenses_stay_as_they_are_along_rays(work):
-    """Photographs of a fisheye are compared with frames through it, all of their pixels."""
+def test_rays_compare_distorted_images_without_undistortion(work):
+    """All pixels of fisheye images are compared with fisheye renders."""
     lens = [replace(camera, model=ls.CameraModel.FISHEYE, distortion=(0.1, 0, 0, 0, 0, 0)) for camera in CAMERAS]
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     truth = ls.render(ls.Scene([work.capture("capture.ply")]), lens[0], config, device="cpu").pixels_srgb()
@@ -144,8 +144,8 @@ def test_lenses_stay_as_they_are_along_rays(work):
     assert float(traced["mean of 3 views"][0]) > 40.0
 
 
-def test_missing_packages_leave_their_figures_out(work, monkeypatch):
-    """A dash, and a line that says how to install them."""
+def test_metrics_of_missing_packages_are_left_out(work, monkeypatch):
+    """The table has a dash, and a line says how to install the package."""
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     table = evaluate(work)
     assert table["v0"][3] == "-" and table["v0"][0] != "-"
@@ -162,18 +162,18 @@ def test_missing_packages_leave_their_figures_out(work, monkeypatch):
         (("@capture.ply", "@nowhere"), "nowhere: no such folder"),
         (("@capture.ply", "@capture.ply"), "capture.ply: is a file, expected the folder that holds transforms.json"),
         (("@lost.ply", "@photos"), "lost.ply: no such file"),
-        (("@capture.ply", "@photos", "--hold-out", "0"), "--hold-out is 0: no photograph is left to compare"),
+        (("@capture.ply", "@photos", "--hold-out", "0"), "--hold-out is 0: no image is left to compare"),
         (("@capture.ply", "@photos", "--hold-out", "1"), "--hold-out is 1, which leaves no image to train with"),
         (("@capture.ply", "@photos", "--scale", "2"), "--scale is 2.0, expected more than 0 and at most 1"),
         (("@capture.ply", "@photos", "--background", "transparent"), "--background is transparent, expected a colour"),
         (("@capture.ply", "@photos", "--background", "mauve"), "--background is 'mauve', expected three numbers"),
         (("@capture.ply", "@photos", "-o", "@capture.ply"), "capture.ply: is a file, expected a folder"),
-        (("@capture.ply", "@photos", "-o", "@photos/images"), "photos/images has the photographs, whose places"),
+        (("@capture.ply", "@photos", "-o", "@photos/images"), "photos/images has the images, which"),
         (("@capture.ply", "@photos", "-o", "@photos/images/v0.png"), "v0.png: is a file, expected a folder"),
     ],
 )
 def test_mistakes_are_one_line(work, args, problem, caplog):
-    """Status 2, what is wrong, nothing written, and nothing told of what is not going to be done."""
+    """Each ends with status 2, writes nothing, and logs nothing about work that is not done."""
     before = work.files()
     done = work.run("evaluate", *args, "--device", "cpu") if args else work.run("evaluate")
     assert done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1

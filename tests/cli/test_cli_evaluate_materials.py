@@ -1,4 +1,4 @@
-"""``lumisplat evaluate --materials``: table, files and mistakes."""
+"""Tests ``lumisplat evaluate --materials``: table, files and mistakes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COMMAND = ("evaluate", "@ball.ply", "@set", "--materials", "--device", "cpu", "-
 
 @pytest.fixture
 def work(tmp_path, capsys) -> Workplace:
-    """A capture and the set that it has made, with a known mistake in one view."""
+    """Returns a folder with a capture, and the set that it was made from with a known error in one view."""
     place = Workplace(tmp_path, capsys)
     ball = painted_ball()
     ls.save(place.path("ball.ply"), ball)
@@ -27,13 +27,13 @@ def work(tmp_path, capsys) -> Workplace:
 
 
 def table(out: str) -> dict[str, str]:
-    """Figures by their labels."""
+    """Returns the values of the table by label."""
     rows = [line.split("  ") for line in out.splitlines() if "  " in line]
     return {row[0].strip(): next(cell for cell in row[1:] if cell.strip()).strip() for row in rows}
 
 
-def test_the_table_has_the_figures_of_the_function(work):
-    """Those of `evaluate_materials`, with units."""
+def test_the_table_equals_the_values_of_the_library(work):
+    """Values are those of `evaluate_materials`, with units."""
     done = work.run(*COMMAND)
     assert done.status == 0, done.err
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
@@ -47,8 +47,8 @@ def test_the_table_has_the_figures_of_the_function(work):
     assert "dB" in done.out and "degrees" in done.out
 
 
-def test_figures_and_pictures_are_written(work):
-    """All figures of all views, and of the worst ones a row for each thing: found, true, the difference."""
+def test_metrics_and_images_are_written(work):
+    """The report has metrics of all views, and rows of estimate, truth and difference for the worst ones."""
     done = work.run(*COMMAND, "-o", "@report")
     assert done.status == 0 and "metrics.json, and the worst views: found, true" in done.out
     assert {name for name in work.files() if name.startswith("report")} == {
@@ -66,7 +66,7 @@ def test_figures_and_pictures_are_written(work):
 
 
 def test_the_environment_beside_the_capture_is_compared(work):
-    """By its name, or the one that is given."""
+    """The file is found by its name, or given."""
     write_radiance(work.path("ball.environment.exr"), 2.0 * sky())
     beside = table(work.run(*COMMAND).out)["environment, one scale a channel"]
     assert float(beside) > 100.0
@@ -75,8 +75,8 @@ def test_the_environment_beside_the_capture_is_compared(work):
     assert float(given) < 40.0
 
 
-def test_what_is_missing_is_said_in_a_line(work, caplog):
-    """And is a dash."""
+def test_missing_inputs_are_logged_in_a_line(work, caplog):
+    """The table has a dash."""
     for path in work.path("set/truth/normal").iterdir():
         path.unlink()
     work.path("set/truth/normal").rmdir()
@@ -89,8 +89,14 @@ def test_what_is_missing_is_said_in_a_line(work, caplog):
 @pytest.mark.parametrize(
     ("args", "problem"),
     [
-        ((*COMMAND, "--scale", "0.5"), "--scale, --hold-out, --projection and --background are not for --materials"),
-        ((*COMMAND, "--hold-out", "3"), "--scale, --hold-out, --projection and --background are not for --materials"),
+        (
+            (*COMMAND, "--scale", "0.5"),
+            "--scale, --hold-out, --projection and --background cannot be used with --materials",
+        ),
+        (
+            (*COMMAND, "--hold-out", "3"),
+            "--scale, --hold-out, --projection and --background cannot be used with --materials",
+        ),
         (("evaluate", "@ball.ply", "@ball.ply", "@set", "--materials"), "2 captures given, expected one with"),
         (("evaluate", "@ball.ply", "@set", "--samples", "4"), "--environment, --samples and the pipelines hybrid and"),
         (("evaluate", "@ball.ply", "@set", "--pipeline", "path"), "--environment, --samples and the pipelines hybrid"),
@@ -99,12 +105,12 @@ def test_what_is_missing_is_said_in_a_line(work, caplog):
         ((*COMMAND, "--environment", "@lost.exr"), "lost.exr: no such file"),
         (("evaluate", "@ball.ply", "@lost", "--materials"), "lost: no such folder"),
         ((*COMMAND, "-o", "@ball.ply"), "ball.ply: is a file, expected a folder"),
-        ((*COMMAND, "-o", "@set/train"), "set/train has the photographs, whose places pictures of a report would take"),
-        ((*COMMAND, "-o", "@set/test"), "set/test has the photographs, whose places pictures of a report would take"),
+        ((*COMMAND, "-o", "@set/train"), "set/train has the images, which the report's images would replace"),
+        ((*COMMAND, "-o", "@set/test"), "set/test has the images, which the report's images would replace"),
     ],
 )
 def test_mistakes_are_one_line(work, args, problem):
-    """Status 2, what is wrong, nothing written."""
+    """Each ends with status 2, and writes nothing."""
     before = work.files()
     done = work.run(*args)
     assert done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1

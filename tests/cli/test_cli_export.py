@@ -1,4 +1,4 @@
-"""``lumisplat export`` and glTF files through the other commands."""
+"""Tests ``lumisplat export``, and glTF files in other commands."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ height = 48
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
-    """A folder with a scene."""
+    """Returns a folder with a scene."""
     place = Workplace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
     return place
 
 
-def test_a_scene_with_all_that_it_has(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
-    """Capture, mesh, lamp and camera are in the file; the lamp that is not is named."""
+def test_an_exported_scene_has_all_of_its_parts(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """The file has capture, mesh, light and camera; a log line names the light that the format lacks."""
     outcome = work.run("export", "@scene.toml", "-o", "@scene.glb")
     assert outcome.status == 0
     assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
@@ -67,8 +67,8 @@ def test_a_scene_with_all_that_it_has(work: Workplace, caplog: pytest.LogCapture
 
 
 @pytest.mark.parametrize(("name", "lights", "cameras"), [("a.glb", 1, 0), ("a.gltf", 1, 0), ("a.usda", 3, 0)])
-def test_the_summary_is_of_the_file(work: Workplace, name: str, lights: int, cameras: int) -> None:
-    """What the format has no place for is not counted: an environment, an area light, a fisheye."""
+def test_the_summary_counts_what_the_file_holds(work: Workplace, name: str, lights: int, cameras: int) -> None:
+    """Environment, area light and fisheye are not counted, as the format lacks them."""
     text = SCENE.replace("height = 48\n", 'height = 48\nmodel = "fisheye"\n') + "[environment]\nintensity = 0.5\n"
     work.path("scene.toml").write_text(text)
     if name == "a.usda":
@@ -81,8 +81,8 @@ def test_the_summary_is_of_the_file(work: Workplace, name: str, lights: int, cam
     assert len(scene.lights) == lights and len(ls.load_cameras(work.path(name))) == cameras
 
 
-def test_captures_turned_for_blender_stand_where_its_glb_does(work: Workplace) -> None:
-    """As docs/guide/gltf.md#blender says: Blender's reader of glTF turns y up to z up, its reader of PLY nothing."""
+def test_captures_rotated_for_blender_match_the_exported_glb(work: Workplace) -> None:
+    """Blender's glTF importer rotates y up to z up, its PLY importer does not (docs/guide/gltf.md#blender)."""
     assert work.run("export", "@capture.ply", "@mesh.obj", "-o", "@all.glb").status == 0
     assert work.run("convert", "@capture.ply", "--rotate", "-90", "0", "0", "-o", "@turned.ply").status == 0
     scene, turned = ls.load(work.path("all.glb")), ls.load(work.path("turned.ply"))
@@ -92,14 +92,14 @@ def test_captures_turned_for_blender_stand_where_its_glb_does(work: Workplace) -
 
 
 def test_files_and_cameras_become_a_scene(work: Workplace) -> None:
-    """Any files are one scene; --cameras are those of another file."""
+    """Files of any kind make one scene; --cameras adds cameras of another file."""
     outcome = work.run("export", "@capture.ply", "@mesh.obj", "--cameras", "@cameras.json", "-o", "@all.gltf")
     assert (outcome.status, outcome.err) == (0, "")
     assert [camera.name for camera in ls.load_cameras(work.path("all.gltf"))] == ["left", "right"]
 
 
-def test_the_picture_is_the_same(work: Workplace) -> None:
-    """A scene and its file show the same picture through the same camera."""
+def test_an_exported_scene_renders_the_same_image(work: Workplace) -> None:
+    """The images of scene and file are equal through the same camera."""
     work.run("export", "@scene.toml", "-o", "@scene.glb")
     for name in ("scene.toml", "scene.glb"):
         options = ["--cameras", f"@{name}", "--lighting", "off", "-o", f"@{name}.png"]
@@ -110,7 +110,7 @@ def test_the_picture_is_the_same(work: Workplace) -> None:
 
 
 def test_captures_are_converted_both_ways(work: Workplace) -> None:
-    """Convert writes and reads GLB without a change; the captures of a scene are joined, with y down again."""
+    """Convert writes and reads GLB without changes; captures of a scene are joined, with y down again."""
     assert work.run("convert", "@capture.ply", "-o", "@a.glb").status == 0
     before = work.capture("capture.ply")
     for name, values in work.capture("a.glb").arrays().items():
@@ -133,7 +133,7 @@ def test_captures_are_converted_both_ways(work: Workplace) -> None:
     ],
 )
 def test_mistakes_are_one_line(work: Workplace, args: tuple[str, ...], problem: str) -> None:
-    """Each names what is wrong; no file is written."""
+    """Each line names the mistake; no file is written."""
     before = work.files()
     outcome = work.run("export", *args)
     assert outcome.status == 2

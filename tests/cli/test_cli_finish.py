@@ -1,4 +1,4 @@
-"""``--denoise``, ``--aperture`` and ``--focus`` of the commands that render frames."""
+"""Tests ``--denoise``, ``--aperture`` and ``--focus`` of the commands that render frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RENDER = ("render", "@scene.toml", "--device", "cpu")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in, with a ball under a sky; what they do to Warp's log level is undone."""
+    """Returns a folder with a ball below an environment; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     place.path("scene.toml").write_text(SKY + CAMERA)
@@ -28,14 +28,14 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 def grain(work: Workplace, name: str) -> float:
-    """Mean difference of neighbours in a picture."""
+    """Returns the mean difference of neighbouring pixels."""
     picture = read_image(work.path(name))["srgb"].astype(float)
     return float(np.abs(np.diff(picture, axis=1)).mean())
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
-def test_denoised_pictures_are_smooth(work: Workplace, pipeline: str) -> None:
-    """Also without the layer that the denoiser needs being asked for, which the EXR does not get."""
+def test_denoised_images_have_less_noise(work: Workplace, pipeline: str) -> None:
+    """The layer that the denoiser needs is rendered, but not written into the EXR."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     options = (*RENDER, "--pipeline", pipeline, "--samples", "1")
     assert work.run(*options, "-o", "@noisy.png").status == 0
@@ -48,7 +48,7 @@ def test_denoised_pictures_are_smooth(work: Workplace, pipeline: str) -> None:
 
 
 def test_orbits_are_denoised(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every frame, and whether it is so belongs to what the frames were made of."""
+    """Every frame is denoised, and the stamp stores it."""
     denoised: list[ls.Frame] = []
     monkeypatch.setattr(ls.Frame, "check_denoiser", lambda: None)
     monkeypatch.setattr(ls.Frame, "denoised", lambda frame: denoised.append(frame) or frame)
@@ -59,14 +59,14 @@ def test_orbits_are_denoised(work: Workplace, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_unlit_frames_are_not_denoised(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
-    """A line says so."""
+    """A log line says so."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     assert work.run(*RENDER, "--lighting", "off", "--denoise", "-o", "@flat.png").status == 0
     assert "not used: --denoise (used in lit frames: add a light, or switch lighting on)" in caplog.text
 
 
-def test_without_the_denoiser_nothing_is_rendered(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One line says how to install it."""
+def test_a_missing_denoiser_is_reported_before_rendering(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line says how to install it."""
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     done = work.run(*RENDER, "--denoise", "-o", "@none.png")
     assert done.status == 2 and "pip install 'lumisplat[denoise]'" in done.err
@@ -74,7 +74,7 @@ def test_without_the_denoiser_nothing_is_rendered(work: Workplace, monkeypatch: 
 
 
 def cameras_of(monkeypatch: pytest.MonkeyPatch) -> list[ls.Camera]:
-    """The cameras with which frames are rendered from here on."""
+    """Records the cameras of frames that are rendered afterwards."""
     cameras: list[ls.Camera] = []
     render = ls.Renderer.render
 
@@ -86,8 +86,8 @@ def cameras_of(monkeypatch: pytest.MonkeyPatch) -> list[ls.Camera]:
     return cameras
 
 
-def test_pixels_are_focused(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ball's near side in the middle, 3 units away; the camera has the aperture."""
+def test_focus_is_on_the_surface_in_the_pixel(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The centre pixel shows the ball's near side, 3 units away; the camera has the aperture."""
     cameras = cameras_of(monkeypatch)
     options = ("--pipeline", "trace", "--samples", "1", "--aperture", "0.1", "-o", "@view.png")
     assert work.run(*RENDER, *options, "--focus", "24,16").status == 0
@@ -111,7 +111,7 @@ def test_pixels_are_focused(work: Workplace, monkeypatch: pytest.MonkeyPatch) ->
         ),
     ],
 )
-def test_what_cannot_be_focused_is_refused(work: Workplace, options: tuple[str, ...], message: str) -> None:
-    """In one line, with status 2."""
+def test_focus_without_aperture_or_surface_is_refused(work: Workplace, options: tuple[str, ...], message: str) -> None:
+    """Each prints one line, with status 2."""
     done = work.run(*RENDER, "--pipeline", "trace", *options, "-o", "@view.png")
     assert done.status == 2 and message in done.err and len(done.err.strip().splitlines()) == 1

@@ -1,4 +1,4 @@
-"""``lumisplat fit``: a scene and its photographs to the scene in their light."""
+"""Tests ``lumisplat fit``: lights of a scene are found from images of it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ enabled = false
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A room as it was thought to be, and photographs of it as it is, rendered by rasterising."""
+    """Returns a folder with a room with wrong lights, and rasterised images of it with the true ones."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     place.path("floor.obj").write_text(
@@ -89,14 +89,14 @@ FIT = ("--pipeline", "raster", "--samples", "1", "--environment-degree", "none",
 
 
 def lights_of(place: Workplace, name: str) -> dict[str, np.ndarray]:
-    """Powers of the lights of a scene file, by name."""
+    """Returns the powers of a scene file's lights by name."""
     scene = ls.load(place.path(name))
     assert isinstance(scene, ls.Scene)
     return {light.name: np.array(light.color) * light.intensity for light in scene.lights}
 
 
-def test_lights_of_a_photograph_go_into_a_scene_file(work):
-    """The written scene has the lights that were found, everything else as it was; the old file is untouched."""
+def test_fitted_lights_are_written_to_a_scene_file(work):
+    """Everything else stays the same, and the old file is unchanged."""
     before = work.path("room.toml").read_text()
     done = work.run("fit", "@room.toml", "@door.png", "-o", "@fitted.toml", *FIT)
     assert (done.status, done.err) == (0, "")
@@ -114,8 +114,8 @@ def test_lights_of_a_photograph_go_into_a_scene_file(work):
     assert ls.metrics.psnr(picture, ls.load_image(work.path("door.png"))) > 40.0
 
 
-def test_an_environment_lies_beside_the_scene_file(work):
-    """Harmonics become an image that the file names by a relative path, and that is read again."""
+def test_a_fitted_environment_is_written_beside_the_scene_file(work):
+    """SH become an image that the file names by a relative path and that can be read again."""
     sunlit = work.path("truth.toml").read_text() + "[environment]\ncolor = [0.5, 0.6, 0.8]\nvisible = false\n"
     work.path("sunlit.toml").write_text(sunlit)
     scene = ls.load(work.path("sunlit.toml"))
@@ -144,8 +144,8 @@ def test_an_environment_lies_beside_the_scene_file(work):
     assert "environment" in lights_of(work, "f.toml")
 
 
-def test_no_file_of_a_sky_that_was_not_found(work, caplog):
-    """Lamps alone shone: one line says so, and the scene names no environment, where one that is black would pass."""
+def test_no_file_is_written_for_an_environment_that_was_not_found(work, caplog):
+    """Only point lights shone: one line says so, and the scene names no black environment."""
     options = ("--environment-degree", "1", "--size", "32", "--pipeline", "raster", "--samples", "2", "--device", "cpu")
     done = work.run("fit", "@room.toml", "@door.png", *options, "-o", "@f.toml")
     assert done.status == 0, done.err
@@ -154,8 +154,8 @@ def test_no_file_of_a_sky_that_was_not_found(work, caplog):
     assert not work.path("f.assets").exists()
 
 
-def test_several_photographs_and_a_report(work):
-    """Cameras by names, or by the photographs' own; side by side in a folder, with the figures."""
+def test_several_images_are_fitted_with_a_report(work):
+    """Cameras are found by name or by image name; the report has images side by side and metrics."""
     done = work.run("fit", "@room.toml", "@door.png", "@window.png", "-o", "@a.toml", "--report", "@report", *FIT)
     assert done.status == 0, done.err
     with Image.open(work.path("report/door.png")) as picture:
@@ -171,8 +171,8 @@ def test_several_photographs_and_a_report(work):
     np.testing.assert_allclose(lights_of(work, "b.toml")["right"], (4.0, 4.0, 4.0), rtol=0.03)
 
 
-def test_base_colours_go_into_the_scene_file(work):
-    """The box's, the lights being known."""
+def test_fitted_base_colors_are_written_to_the_scene_file(work):
+    """The box's base colour is found while the lights are known."""
     done = work.run("fit", "@grey.toml", "@door.png", "-o", "@a.toml", "--base-colors", "box", "--no-intensities", *FIT)
     assert done.status == 0, done.err
     scene = ls.load(work.path("a.toml"))
@@ -180,8 +180,8 @@ def test_base_colours_go_into_the_scene_file(work):
     np.testing.assert_allclose(scene.meshes[1].mesh.material.base_color, (0.2, 0.4, 0.7), atol=0.01)
 
 
-def test_nothing_is_overwritten_unless_asked_for(work):
-    """Neither the scene itself nor another file."""
+def test_existing_files_are_overwritten_only_with_overwrite(work):
+    """Neither the scene itself nor another file is overwritten."""
     refused = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", *FIT)
     assert refused.status == 2 and "is there already" in refused.err and "--overwrite" in refused.err
     allowed = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", "--overwrite", *FIT)
@@ -192,7 +192,7 @@ def test_nothing_is_overwritten_unless_asked_for(work):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("@room.toml", "-o", "@a.toml"), "no photograph given"),
+        (("@room.toml", "-o", "@a.toml"), "no image given"),
         (("@door.png", "-o", "@a.toml"), "no scene given"),
         (("@room.toml", "@door.png", "-o", "@a.ply"), "is no .toml"),
         (
@@ -210,13 +210,13 @@ def test_nothing_is_overwritten_unless_asked_for(work):
             ("@room.toml", "@door.png", "-o", "@a.toml", "--base-colors", " ,"),
             "--base-colors is ' ,', expected all, or",
         ),
-        (("@room.toml", "@door.png", "-o", "@a.toml", "--report", "@."), "has the photographs, whose places pictures"),
+        (("@room.toml", "@door.png", "-o", "@a.toml", "--report", "@."), "has the images, which the report's images"),
         (
             ("@room.toml", "@door.png", "-o", "@folder.toml", "--overwrite"),
             "folder.toml: is a folder, expected the name",
         ),
         (("@room.toml", "@door.png", "-o", "@b.toml"), "b.assets: is a file, expected a folder"),
-        (("@room.toml", "@door.png", "-o", "@a.toml", "--keep-hues", "--no-intensities"), "give one of them"),
+        (("@room.toml", "@door.png", "-o", "@a.toml", "--keep-hues", "--no-intensities"), "leave out one of them"),
         (("@room.toml", "@door.png", "-o", "@a.toml", "--no-intensities"), "nothing to fit"),
         (
             ("@room.toml", "@door.png", "-o", "@a.toml", "--report", "@door.png"),
@@ -225,8 +225,8 @@ def test_nothing_is_overwritten_unless_asked_for(work):
         (("@room.toml", "@wide.png", "-o", "@a.toml", "--camera", "door"), "another aspect ratio"),
     ],
 )
-def test_mistakes_are_said_in_a_line(work, arguments, message):
-    """Status 2, one line, no file."""
+def test_mistakes_are_one_line(work, arguments, message):
+    """Each ends with status 2, and writes no file."""
     Image.new("RGB", (80, 40), (90, 90, 90)).save(work.path("wide.png"))
     work.path("folder.toml").mkdir()
     work.path("b.assets").write_text("in the way")
@@ -237,15 +237,15 @@ def test_mistakes_are_said_in_a_line(work, arguments, message):
     assert not work.path("a.toml").exists() and work.path("door.png").read_bytes() == before
 
 
-def test_help_says_what_it_costs(work):
-    """Of a fit, and of one that looks for places, before anybody waits for it."""
+def test_help_states_the_time_of_a_fit(work):
+    """It also states the time with --positions."""
     told = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
     assert "half a minute on a CPU core, and with --positions four" in told
     assert "directions of spots and suns; takes minutes" in told
 
 
-def test_colours_of_a_capture_go_into_a_file_beside_it(work):
-    """A capture that is darker than in the photograph: the scene that is written names one of the right colours."""
+def test_fitted_colors_of_a_capture_are_written_to_a_new_file(work):
+    """The capture is darker than in the image; the written scene names a corrected file."""
     mesh = ls.load(work.path("box.obj"))
     assert isinstance(mesh, ls.Mesh)
     gaussians = ls.gaussians_from_mesh(mesh, 150)

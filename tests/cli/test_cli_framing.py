@@ -1,4 +1,4 @@
-"""The camera of a scene that came without one, and the names of output files."""
+"""Tests the camera of scenes without cameras, and the names of output files."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from support.scenes.raster_scenes import front_camera, joined, one_gaussian, qua
 
 
 def pixels(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
-    """Where world points land, shape (N, 3): pixel and view depth."""
+    """Returns pixel and view depth of world points, shape (N, 3)."""
     x, y, z = camera.camera_from_world[:3, :3] @ points.T + camera.camera_from_world[:3, 3:]
     return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
 
 
 @pytest.mark.parametrize("up", ["y-down", "y-up", "z-up"])
 @pytest.mark.parametrize("size", [(1280, 720), (100, 400)])
-def test_whole_box_is_in_the_picture(up, size):
-    """All corners of the box are seen, and the box fills the picture in one direction."""
+def test_the_whole_bounding_box_is_in_the_image(up, size):
+    """All corners are visible, and the box fills the image in one direction."""
     scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3, center=(5.0, -2.0, 9.0))),), up=up)
     low, high = scene.bulk_bounds()
     corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
@@ -35,8 +35,8 @@ def test_whole_box_is_in_the_picture(up, size):
 
 
 @pytest.mark.parametrize(("up", "above"), [("y-down", (0, -1, 0)), ("y-up", (0, 1, 0)), ("z-up", (0, 0, 1))])
-def test_up_is_up(up, above):
-    """What is above the centre appears above it, and the eye looks down a little."""
+def test_the_up_direction_is_up_in_the_image(up, above):
+    """Points above the centre appear above it, and the camera looks down a little."""
     scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3)),), up=up)
     camera = ls.frame_camera(scene)
     center = 0.5 * np.add(*scene.bulk_bounds())
@@ -46,8 +46,8 @@ def test_up_is_up(up, above):
     assert (camera.eye - center) @ above > 0.0
 
 
-def test_up_follows_what_the_scene_holds() -> None:
-    """Without a word about it, captures are y down, also with a mesh beside them, and meshes alone y up."""
+def test_the_default_up_depends_on_the_files_of_the_scene() -> None:
+    """Without a stated direction, captures are y down, also beside meshes, and meshes alone are y up."""
     capture, mesh = random_gaussians(3), quad(1.0)
     for scene in (ls.Scene([capture]), ls.Scene([capture], [mesh])):
         np.testing.assert_array_equal(ls.frame_camera(scene).eye, ls.frame_camera(replace(scene, up="y-down")).eye)
@@ -55,23 +55,23 @@ def test_up_follows_what_the_scene_holds() -> None:
     np.testing.assert_array_equal(ls.frame_camera(alone).eye, ls.frame_camera(replace(alone, up="y-up")).eye)
 
 
-def test_strays_do_not_set_the_frame():
-    """A faint Gaussian far away leaves the framing as it was."""
+def test_stray_gaussians_do_not_affect_framing():
+    """A faint Gaussian far away leaves the camera unchanged."""
     bulk = random_gaussians(3, count=500)
     stray = joined(bulk, one_gaussian(mean=(1e4, 0.0, 0.0), opacity=0.1))
     near, far = (ls.frame_camera(ls.Scene(splats=(ls.SplatInstance(g),))) for g in (bulk, stray))
     assert np.allclose(near.eye, far.eye, atol=0.1)
 
 
-def test_empty_scene_has_no_view():
-    """An empty scene is refused."""
+def test_an_empty_scene_is_refused():
+    """There is nothing to frame."""
     with pytest.raises(ls.SceneError, match="empty"):
         ls.frame_camera(ls.Scene())
 
 
 @pytest.mark.parametrize("far", ["1e18", "1e38", "3.4e38"])
-def test_scenes_too_large_to_show(tmp_path, capsys, far):
-    """A corner beyond any camera's reach is one line that names the file, not the camera's matrix."""
+def test_too_large_scenes_are_refused(tmp_path, capsys, far):
+    """The line names the file, not the camera's matrix."""
     (tmp_path / "huge.obj").write_text(f"v 0 0 0\nv {far} 0 0\nv 0 {far} 0\nf 1 2 3\n")
     assert main(["render", str(tmp_path / "huge.obj"), "-o", str(tmp_path / "out.png"), "--device", "cpu"]) == 2
     error = capsys.readouterr().err
@@ -81,7 +81,7 @@ def test_scenes_too_large_to_show(tmp_path, capsys, far):
 
 
 def test_file_stems_are_safe_and_unique():
-    """No stem leaves its folder, is hidden, empty or too long, and no two meet even without regard to case."""
+    """No stem leaves its folder, is hidden, empty or too long, and no two are equal ignoring case."""
     names = ["a", "A", "a", "../../etc/passwd", "", "..", "über/öl 1", "x" * 400, "a_2", "."]
     names += ["\N{CJK UNIFIED IDEOGRAPH-68EE}" * 84 + end for end in ("", "b")]  # 252 bytes
     stems = file_stems(names)
@@ -92,21 +92,21 @@ def test_file_stems_are_safe_and_unique():
 
 
 def test_shots_follow_the_file_order():
-    """Asking for frames in any order keeps the camera file's."""
+    """The order of the names on the command line does not matter."""
     cameras = [front_camera(name=name) for name in ("a", "b", "c")]
     shots = plan_shots(cameras, ("c", "a"), Path("out"), "auto")
     assert [shot.path for shot in shots] == [Path("out/a.png"), Path("out/c.png")]
 
 
-def test_frames_are_picked_by_their_own_names_too():
-    """A name that is no safe file name is asked for as the camera file has it, or as its picture is called."""
+def test_frames_are_selected_by_camera_name_or_file_stem():
+    """A name that is no safe file name may be given in either form."""
     cameras = [front_camera(name="left eye"), front_camera(name="right eye")]
     for name in ("left eye", "left_eye"):
         assert [shot.path for shot in plan_shots(cameras, (name,), Path("out"), "auto")] == [Path("out/left_eye.png")]
 
 
-def test_depth_pictures_are_red_near_and_blue_far():
-    """What the guide says of the colours."""
+def test_depth_views_are_red_near_and_blue_far():
+    """The guide states these colours."""
     frame = ls.render(ls.Scene([], [quad(2.0, 0.2), quad(4.0, 4.0)]), front_camera(33, 33), device="cpu")
     picture = layer_pictures(frame, "depth")["depth"]
     near, far = picture[16, 16], picture[2, 2]

@@ -1,4 +1,4 @@
-"""``lumisplat info``: actors, placed bounds and JSON."""
+"""Tests ``lumisplat info``: actors, world bounds and JSON."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ fps = 10.0
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder with a scene file that has all there is."""
+    """Returns a folder with a scene file that has everything."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     walk = (2, "translation", [0.0, 0.5], [[0, 0, 0], [0, 1, 0]])
@@ -48,16 +48,16 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     return place
 
 
-def test_scenes_show_their_actors(work):
-    """Kind, keyframes and length of the animation, and where things stand in the world."""
+def test_info_prints_the_actors_of_a_scene(work):
+    """Tables have kind, keyframes, animation length and world bounds."""
     shown = " ".join(work.run("info", "@scene.toml").out.split())
     assert "animation 20 frames at 10 a second, 2 s" in shown
     assert "actor 0 walker" in shown and "clip walk 0.5 s" in shown and "keyframes 2, the last at 2 s" in shown
     assert "bounds (-1, -1, 4) to (1, 1, 4) placed (-2, -2, 8) to (2, 2, 8)" in shown
 
 
-def test_json_has_the_same_facts(work):
-    """For every kind of file, under the documented keys."""
+def test_json_has_the_values_of_the_tables(work):
+    """Every kind of file uses the documented keys."""
     outcome = work.run("info", "@scene.toml", "@capture.ply", "@mesh.obj", "@cameras.json", "--json")
     scene, capture, mesh, cameras = json.loads(outcome.out)
     assert [part["kind"] for part in (scene, capture, mesh, cameras)] == ["scene", "capture", "mesh", "cameras"]
@@ -76,8 +76,8 @@ def test_json_has_the_same_facts(work):
     assert cameras["count"] == 2 and cameras["names"] == ["left", "right"] and cameras["sizes"] == [[64, 48]]
 
 
-def test_media_are_shown(work):
-    """What is inside of the meshes that let light in, as a row and for programs; nothing of opaque ones."""
+def test_info_prints_interior_media(work):
+    """Transmissive meshes have a row and a JSON value, opaque ones none."""
     text = '[[meshes]]\npath = "mesh.obj"\n'
     glass = "transmission = 1, attenuation_color = [0.2, 0.5, 1], attenuation_distance = 0.7, ior = 1.33, priority = 2"
     text += f"material = {{ {glass} }}\n" + '[[meshes]]\npath = "mesh.obj"\n'
@@ -93,8 +93,8 @@ def test_media_are_shown(work):
     assert thin["thin_walled"] and thin["attenuation_distance"] is None and opaque is None
 
 
-def test_black_vertex_colours_are_seen(work):
-    """A mesh whose colours are black is black, whatever lights it: info and render say so."""
+def test_info_reports_black_vertex_colors(work):
+    """Such a mesh stays black under any light; render reports it, too."""
     rig = TubeRig()
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     rig.write(work.path("black.glb"))
@@ -104,7 +104,7 @@ def test_black_vertex_colours_are_seen(work):
 
 
 @pytest.mark.parametrize("command", ["render", "info"])
-def test_mistakes_in_the_animation_are_found(work, command):
+def test_info_reports_mistakes_in_the_animation(work, command):
     """A scene file is checked whole, also by commands that show one moment of it."""
     work.path("scene.toml").write_text(SCENE + "durations = 3.0\n")
     outcome = work.run(command, "@scene.toml", *(("-o", "@a.png") if command == "render" else ()))
@@ -112,8 +112,8 @@ def test_mistakes_in_the_animation_are_found(work, command):
     assert isinstance(ls.load(work.path("mesh.obj")), ls.Mesh)
 
 
-def test_cameras_of_colmap_and_their_lenses(work):
-    """The folder of a sparse model, or a file in it; models of lenses, and their distortion."""
+def test_info_prints_cameras_and_lenses_of_colmap(work):
+    """The folder of a sparse model or a file in it gives lens models and distortion."""
     folder = work.path("sparse")
     folder.mkdir()
     (folder / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24\n2 OPENCV 64 48 50 50 32 24 -0.1 0.02 0 0.003\n")
@@ -131,7 +131,7 @@ def test_cameras_of_colmap_and_their_lenses(work):
 
 
 def test_bounds_have_no_negative_zero(work) -> None:
-    """A bound of -0 is 0, in tables and in JSON."""
+    """Tables and JSON show 0 for -0."""
     work.path("flat.obj").write_text("v -0.0 1 -0.0\nv -1 0 -0.0\nv -0.0 0 -0.0\nf 1 2 3\n")
     assert "(-1, 0, 0) to (0, 1, 0)" in work.run("info", "@flat.obj").out
     assert "-0.0" not in work.run("info", "@flat.obj", "--json").out
@@ -139,8 +139,8 @@ def test_bounds_have_no_negative_zero(work) -> None:
     assert isinstance(mesh, ls.Mesh) and "bounds=(-1, 0, 0)..(0, 1, 0)" in repr(mesh)
 
 
-def test_a_gltf_shows_its_rig(work) -> None:
-    """Joints that move vertices, and clips with their lengths, as a table and as JSON; without either, none."""
+def test_info_prints_the_rig_of_a_gltf(work) -> None:
+    """Joints that move vertices and clips with durations are printed; a file without any prints none."""
     TubeRig(clips={"bend": BEND}).write(work.path("tube.glb"))
     shown = " ".join(work.run("info", "@tube.glb").out.split())
     assert "joints 3 clips bend 1 s" in shown

@@ -1,4 +1,4 @@
-"""Up and first view on the command line: stated by training, used by pictures, carried, levelled and said."""
+"""Tests up direction and first view: stored by training, used by renders, kept by edits, levelled and logged."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ THING = np.random.default_rng(1).uniform((-0.5, -1.5, -0.5), (0.5, 0.0, 0.5), (1
 
 
 def garden(**said: object) -> ls.Gaussians:
-    """Something on a ground, y down."""
+    """Returns objects on a ground, y down."""
     means = np.concatenate([GROUND, THING])
     count = len(means)
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -27,8 +27,8 @@ def garden(**said: object) -> ls.Gaussians:
     return replace(ls.Gaussians(means, turns, sizes, np.full(count, 0.9), colors), **said)
 
 
-def test_training_states_up_and_first_view(tmp_path: Path) -> None:
-    """From its cameras, in the capture and in its file; a picture of it is taken from there."""
+def test_trained_captures_store_up_and_first_view(tmp_path: Path) -> None:
+    """Both come from the cameras, are stored in the file, and are used by renders."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     config = ls.TrainConfig(iterations=20, cap=80, sh_degree=1, prune_below=0.0)
     result = ls.train(folder, config, output=output, device="cpu")
@@ -40,10 +40,10 @@ def test_training_states_up_and_first_view(tmp_path: Path) -> None:
     np.testing.assert_allclose(ls.frame_camera(ls.Scene([found])).eye, view.eye, atol=1e-6)
 
 
-def test_a_guessed_up_is_said_and_a_stated_one_is_not(
+def test_a_guessed_up_is_logged_and_a_stated_one_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In one line, with what to do."""
+    """The line has a remedy."""
     monkeypatch.chdir(tmp_path)
     ls.save("guess.ply", capture(20))
     ls.save("stated.ply", replace(capture(20), up="z-up"))
@@ -56,10 +56,10 @@ def test_a_guessed_up_is_said_and_a_stated_one_is_not(
     assert "y-down" in line and "--up" in line
 
 
-def test_convert_levels_a_capture_and_says_how(
+def test_convert_levels_a_capture_and_prints_the_rotation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The ground becomes level, up an axis, and both are said."""
+    """The ground becomes horizontal, and up an axis."""
     monkeypatch.chdir(tmp_path)
     ls.save("tilted.ply", ls.transform(garden(), rotation_degrees=(15.0, 0.0, 10.0)))
     assert main(["convert", "tilted.ply", "level.ply", "--level"]) == 0
@@ -73,7 +73,7 @@ def test_convert_levels_a_capture_and_says_how(
 
 
 def test_convert_carries_up_and_first_view_through_edits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cut, thinned and turned in one command, into another format."""
+    """The capture is cropped, thinned and rotated in one command, to another format."""
     monkeypatch.chdir(tmp_path)
     view = ls.Camera.look_at((0.0, -1.0, -5.0), (0.0, -0.5, 0.0), (0.0, -1.0, 0.0))
     ls.save("a.ply", garden(up="y-down", first_view=view))
@@ -84,10 +84,10 @@ def test_convert_carries_up_and_first_view_through_edits(tmp_path: Path, monkeyp
     np.testing.assert_allclose(present(turned.first_view).eye, (0.0, 5.0, -1.0), atol=1e-6)
 
 
-def test_nothing_to_level_by_is_a_users_mistake(
+def test_a_capture_that_cannot_be_levelled_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A ball has no up: one line, and no file."""
+    """A ball has no up direction: one line, and no file."""
     monkeypatch.chdir(tmp_path)
     ball = np.random.default_rng(2).normal(size=(3000, 3))
     means = ball / np.linalg.norm(ball, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""Levels of detail of streamed SOGs: options of commands, keys of scene files, and what frames of them depend on."""
+"""Tests levels of detail of streamed SOGs: options, keys of scene files, and fingerprints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from support.kinds import expect_kind
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
-    """A folder with a streamed SOG of 50, 23 and 8 Gaussians."""
+    """Returns a folder with a streamed SOG of 50, 23 and 8 Gaussians."""
     streamed(tmp_path / "city")
     return Workplace(tmp_path, capsys)
 
@@ -24,16 +24,16 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
 @pytest.mark.parametrize(
     ("options", "count"), [([], 50), (["--lod", "1"], 23), (["--lod", "budget=30"], 23), (["--lod", "budget=8"], 8)]
 )
-def test_a_level_is_converted_and_shown(work: Workplace, options: list[str], count: int) -> None:
-    """That which is asked for, of the folder or its file."""
+def test_a_level_of_detail_is_converted_and_printed(work: Workplace, options: list[str], count: int) -> None:
+    """The SOG may be given by its folder or its file."""
     assert work.run("convert", "@city", "@out.ply", *options).status == 0
     assert work.capture("out.ply").count == count
     shown = json.loads(work.run("info", "@city/lod-meta.json", "--json", *options).out)
     assert shown[0]["gaussians"] == count
 
 
-def test_a_level_is_rendered(work: Workplace) -> None:
-    """Of a file, and of an entry of a scene file that says nothing else."""
+def test_a_level_of_detail_is_rendered(work: Workplace) -> None:
+    """The option applies to a file, and to entries of a scene file without a level."""
     for scene in ("@city", "@scene.toml"):
         work.path("scene.toml").write_text('[[splats]]\npath = "city"\n')
         pictures: list[bytes] = []
@@ -45,8 +45,8 @@ def test_a_level_is_rendered(work: Workplace) -> None:
 
 
 @pytest.mark.parametrize(("keys", "count"), [("lod = 2", 8), ("lod_budget = 30", 23), ("", 23)])
-def test_entries_of_scene_files(work: Workplace, keys: str, count: int) -> None:
-    """What an entry says counts more than the option; a file is loaded once for each level."""
+def test_entries_of_scene_files_choose_levels_of_detail(work: Workplace, keys: str, count: int) -> None:
+    """An entry overrides the option; a file is loaded once for each level."""
     work.path("scene.toml").write_text(f'[[splats]]\npath = "city"\n{keys}\n[[splats]]\npath = "city"\nlod = 0\n')
     scene = expect_kind(ls.Scene, ls.load(work.path("scene.toml"), lod=1))
     assert [splat.gaussians.count for splat in scene.splats] == [count, 50]
@@ -59,10 +59,10 @@ def test_entries_of_scene_files(work: Workplace, keys: str, count: int) -> None:
     [
         (
             ["info", "@capture.ply", "--lod", "1"],
-            "--lod is of streamed SOGs (a folder with a lod-meta.json) and blocks, got ",
+            "--lod needs a streamed SOG (a folder with a lod-meta.json) or blocks, got ",
         ),
-        (["convert", "@capture.ply", "@b.ply", "--lod", "budget=9"], "--lod is of streamed SOGs"),
-        (["render", "@capture.ply", "--lod", "1"], "--lod is of streamed SOGs"),
+        (["convert", "@capture.ply", "@b.ply", "--lod", "budget=9"], "--lod needs a streamed SOG"),
+        (["render", "@capture.ply", "--lod", "1"], "--lod needs a streamed SOG"),
         (["render", "@city", "--lod", "-1"], "--lod is -1, expected a whole number of at least 0, or budget=COUNT"),
         (["view", "@city", "--lod", "budget=0"], "--lod is budget=0, expected a whole number of at least 1"),
         (["info", "@city", "--lod", "pixels=2"], "--lod is pixels=2, expected a level such as 1, or budget=N"),
@@ -72,8 +72,8 @@ def test_entries_of_scene_files(work: Workplace, keys: str, count: int) -> None:
         (["info", "@city", "--lod", "3"], "has no level 3: its levels are 0 (finest) to 2"),
     ],
 )
-def test_mistakes_are_named(work: Workplace, arguments: list[str], message: str) -> None:
-    """In one line."""
+def test_mistakes_of_lod_are_one_line(work: Workplace, arguments: list[str], message: str) -> None:
+    """Each ends with status 2."""
     outcome = work.run(*arguments)
     assert outcome.status == 2 and message in outcome.err and outcome.err.count("\n") == 1
 
@@ -88,15 +88,15 @@ def test_mistakes_are_named(work: Workplace, arguments: list[str], message: str)
         ('path = "city"\nlod = 7', r"has no level 7"),
     ],
 )
-def test_mistakes_in_entries_are_named(work: Workplace, entry: str, message: str) -> None:
-    """With their line."""
+def test_mistakes_in_entries_name_file_and_line(work: Workplace, entry: str, message: str) -> None:
+    """Each ends with status 2."""
     work.path("scene.toml").write_text(f"[[splats]]\n{entry}\n")
     with pytest.raises(ls.FormatError, match=message):
         ls.load(work.path("scene.toml"))
 
 
 def test_frames_depend_on_the_captures_of_all_levels(work: Workplace) -> None:
-    """And on the textures that a layer of text names: a change of them is a change of the scene."""
+    """Textures that a text layer names count as well."""
     work.path("stage.usda").write_text("#usda 1.0\n(\n    subLayers = [@./city/notes.usda@]\n)\n")
     work.path("city/notes.usda").write_text("#usda 1.0\n")
     work.path("scene.toml").write_text('[[splats]]\npath = "city"\n[[meshes]]\npath = "stage.usda"\n')

@@ -1,4 +1,4 @@
-"""The command line and light: scene files with cameras and settings, options that win over them, environments."""
+"""Tests light on the command line: scene files with cameras and settings, options that override them, environments."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ offset = 5
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in, with a lit scene; what they do to Warp's log level is undone."""
+    """Returns a folder with a lit scene; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
@@ -69,7 +69,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 class Stage:
-    """Stands in for a renderer: it keeps what it is asked for, and shows black."""
+    """Stands in for a renderer: records its arguments, and returns black frames."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.config = ls.RenderConfig()
@@ -105,7 +105,7 @@ FILE_CONFIG = ls.RenderConfig(
 
 
 def test_a_scene_file_brings_its_cameras_and_settings(work, monkeypatch):
-    """Without options, everything is as the file has it."""
+    """Without options, everything is that of the file."""
     stage = Stage(monkeypatch)
     assert work.run("render", "@scene.toml", "-o", "@out").status == 0
     assert stage.config == FILE_CONFIG
@@ -114,8 +114,8 @@ def test_a_scene_file_brings_its_cameras_and_settings(work, monkeypatch):
     assert isinstance(stage.scenes[0].lights[0], ls.LightPoint)
 
 
-def test_options_win_over_the_file(work, monkeypatch):
-    """Each changes its own setting, also back to the library's default, and leaves the others of the file."""
+def test_options_override_the_scene_file(work, monkeypatch):
+    """Each option changes its own setting, also back to the library's default, and no other."""
     stage = Stage(monkeypatch)
     options = ("--pipeline", "raster", "--samples", "auto", "--shadows", "hard", "--tone-map", "none")
     options += (
@@ -159,8 +159,8 @@ LIGHT_OPTIONS = (
 )
 
 
-def test_every_light_option_arrives(work, monkeypatch):
-    """At the setting of its name."""
+def test_every_light_option_reaches_the_renderer(work, monkeypatch):
+    """Each option changes the setting of its name."""
     stage = Stage(monkeypatch)
     assert work.run("render", "@mesh.obj", "-o", "@a.png", "--exposure", "0.5", *LIGHT_OPTIONS).status == 0
     assert stage.config == ls.RenderConfig(
@@ -184,8 +184,8 @@ def test_every_light_option_arrives(work, monkeypatch):
         assert stage.config.lighting is lighting
 
 
-def test_other_cameras_in_place_of_the_file_s(work, monkeypatch):
-    """--cameras wins, and takes those of another scene file as well; settings stay."""
+def test_cameras_of_an_option_replace_those_of_the_file(work, monkeypatch):
+    """--cameras may also name another scene file; settings stay."""
     stage = Stage(monkeypatch)
     work.path("views.toml").write_text("[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\nname = 'third'\n")
     assert work.run("render", "@scene.toml", "--cameras", "@views.toml", "-o", "@out", "--width", "32").status == 0
@@ -194,7 +194,7 @@ def test_other_cameras_in_place_of_the_file_s(work, monkeypatch):
 
 
 def test_a_scene_file_without_cameras_is_framed(work, monkeypatch):
-    """As a capture alone is, at the size that is asked for and with the exposure."""
+    """The framing camera has the requested size and exposure."""
     stage = Stage(monkeypatch)
     work.path("plain.toml").write_text(SCENE.partition("[[cameras]]")[0])
     args = ("render", "@plain.toml", "-o", "@a.png", "--width", "30", "--height", "20", "--exposure", "2")
@@ -202,8 +202,8 @@ def test_a_scene_file_without_cameras_is_framed(work, monkeypatch):
     assert [(camera.name, camera.width, camera.exposure) for camera in stage.cameras] == [("front", 30, 2.0)]
 
 
-def test_bench_takes_a_scene_file_whole(work, monkeypatch):
-    """Its settings and its first camera."""
+def test_bench_uses_cameras_and_settings_of_a_scene_file(work, monkeypatch):
+    """Bench renders the first camera."""
     stage = Stage(monkeypatch)
     assert work.run("bench", "@scene.toml", "--repeats", "1", "--set=trace.strategy=stochastic-hit").status == 0
     strategy = ls.config.TraceStrategy.STOCHASTIC_HIT
@@ -213,7 +213,7 @@ def test_bench_takes_a_scene_file_whole(work, monkeypatch):
 
 @pytest.fixture
 def sky(work) -> np.ndarray:
-    """An environment beside the scene, shape (2, 4, 3)."""
+    """Returns an environment image beside the scene, shape (2, 4, 3)."""
     image = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
     write_exr(work.path("sky.exr"), {name: image[..., k] for k, name in enumerate("RGB")})
     return image
@@ -224,14 +224,14 @@ AHEAD = {"y-up": (0.0, 0.0, -1.0), "y-down": (0.0, 0.0, 1.0), "z-up": (0.0, 1.0,
 
 
 def turned(wxyz: Any, vector: tuple[float, float, float]) -> np.ndarray:
-    """A vector of the environment in the world: the quaternion's product formula, v + 2 w (q x v) + 2 q x (q x v)."""
+    """Rotates an environment direction to the world by the quaternion formula v + 2 w (q x v) + 2 q x (q x v)."""
     w, q, v = wxyz[0], np.array(wxyz[1:]), np.array(vector)
     return v + 2.0 * w * np.cross(q, v) + 2.0 * np.cross(q, np.cross(q, v))
 
 
 @pytest.mark.parametrize("up", UP)
-def test_an_environment_stands_upright(work, monkeypatch, sky, up):
-    """Its zenith is up, its middle ahead of the framing camera; --environment-rotation turns it about the vertical."""
+def test_an_environment_is_rotated_to_the_up_direction(work, monkeypatch, sky, up):
+    """Its zenith is up, its centre ahead of the framing camera; --environment-rotation is about the vertical."""
     stage = Stage(monkeypatch)
     args = ("render", "@mesh.obj", "-o", "@a.png", "--up", up, "--environment", "@sky.exr")
     assert work.run(*args).status == 0
@@ -247,8 +247,8 @@ def test_an_environment_stands_upright(work, monkeypatch, sky, up):
     np.testing.assert_allclose(turned(quarter.rotation_wxyz, (0, 0, -1)), left, atol=1e-12)
 
 
-def test_an_environment_takes_the_place_of_the_scene_s(work, monkeypatch, sky):
-    """Other lights stay; up is that of the scene: y down with a capture."""
+def test_an_environment_option_replaces_that_of_the_scene(work, monkeypatch, sky):
+    """Other lights stay; up is that of the scene, y down with a capture."""
     stage = Stage(monkeypatch)
     text = SCENE + '[environment]\ncolor = [1, 0, 0]\n[[splats]]\npath = "capture.ply"\n'
     work.path("both.toml").write_text(text)
@@ -259,8 +259,8 @@ def test_an_environment_takes_the_place_of_the_scene_s(work, monkeypatch, sky):
     np.testing.assert_allclose(turned(environment.rotation_wxyz, (0, 1, 0)), UP["y-down"], atol=1e-12)
 
 
-def test_two_environments_of_two_files(work):
-    """Each of the files is right, and what is wrong with both together is said."""
+def test_environments_of_two_files_are_refused(work):
+    """Each file is correct alone."""
     work.path("red.toml").write_text("[environment]\ncolor = [1, 0, 0]\n")
     outcome = work.run("render", "@scene.toml", "@red.toml", "-o", "@a.png")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
@@ -338,8 +338,8 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
         "paths without lamps",
     ],
 )
-def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list[str]) -> None:
-    """A line for each reason; what a frame uses is not in it, and what it always uses never."""
+def test_light_options_without_effect_are_logged(settings: dict[str, Any], scene: ls.Scene, lines: list[str]) -> None:
+    """Each reason is one line; options with an effect are not in it."""
     config = changed_config(ls.RenderConfig(), settings)
     assert list(unused_options(config, scene, GIVEN, LIGHT)) == lines
     assert not list(unused_options(config, scene, {}, EnvironmentOptions()))
@@ -367,16 +367,16 @@ def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list
         ),
     ],
 )
-def test_what_paths_and_others_do_not_share(pipeline: str, lines: list[str]) -> None:
-    """Each option is listed where nothing reads it; adaptive is refused where it has no effect, and not listed."""
+def test_settings_unused_by_the_path_pipeline_are_logged(pipeline: str, lines: list[str]) -> None:
+    """Each option is listed if the pipeline does not read it; adaptive is refused instead."""
     names = ("trace.strategy", "glossy_reflections", "path.primary", "adaptive")
     given = {name: f"--set {name}" for name in names}
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
     assert list(unused_options(config, LAMP, given, EnvironmentOptions())) == lines
 
 
-def test_lit_pictures_come_out(work):
-    """From a scene file with a lamp, through all three pipelines: the mesh is lit, and brighter with more exposure."""
+def test_lit_images_are_rendered_by_each_pipeline(work):
+    """The mesh of a scene file with a light is lit, and brighter with more exposure."""
     args = ("render", "@scene.toml", "-o", "@a.png", "--frames", "far", "--device", "cpu", "--background", "black")
     for pipeline in ("raster", "trace", "hybrid"):
         pictures = []
@@ -388,7 +388,7 @@ def test_lit_pictures_come_out(work):
 
 
 def hints(options: type) -> dict[str, str]:
-    """What the help calls the defaults of the options of a group."""
+    """Returns the defaults in the help of a group's options."""
     found = {}
     for name, hint in get_type_hints(options, include_extras=True).items():
         if get_origin(hint) is Annotated:
@@ -410,15 +410,15 @@ DEFAULTS: dict[str, Any] = {
 }
 
 
-def test_the_help_tells_the_defaults_of_the_library() -> None:
-    """What an option is called to be without, is what the setting of its name is."""
+def test_defaults_in_help_equal_those_of_the_library() -> None:
+    """The default of an option is that of the setting with its name."""
     told = hints(Render) | hints(EnvironmentOptions)
     for name, value in DEFAULTS.items():
         assert told[name] == getattr(value, "value", value)
 
 
 def test_info_lists_lights_cameras_and_settings(work, sky):
-    """Of a scene file: each light with what it is, the cameras, and what is not as by default."""
+    """Info prints each light of a scene file, the cameras, and settings that are not defaults."""
     text = SCENE + '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\nouter_angle_degrees = 30\n'
     text += 'enabled = false\ncolor = [1, 0.5, 0]\n[[lights]]\ntype = "directional"\ndirection = [0, 1, 0]\n'
     text += '[environment]\npath = "sky.exr"\n'
@@ -436,8 +436,8 @@ def test_info_lists_lights_cameras_and_settings(work, sky):
     assert "kind radiance size 4 x 2 mean 10.5 11.5 12.5 largest 23" in shown
 
 
-def test_info_of_lights_alone(work):
-    """A file without anything to see has no bounds, and no traceback; materials show what they shine and carry."""
+def test_info_prints_a_scene_of_lights_alone(work):
+    """A file without objects has no bounds and no traceback; materials print emission."""
     work.path("lamp.toml").write_text('[[lights]]\ntype = "sphere"\nposition = [0, 0, 1]\nradius = 0.5\n')
     shown = " ".join(work.run("info", "@lamp.toml").out.split())
     assert "sphere 1 cd/m2 at (0, 0, 1) radius 0.5" in shown and "bounds" not in shown

@@ -1,4 +1,4 @@
-"""Messages in the words of the shell, and numbers as they are typed."""
+"""Tests messages in terms of the command line, and numbers as they are typed."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ PYTHON_NAME = re.compile(r"\b(?:[A-Z]\w*Config\.[a-z]\w*|[A-Z]\w+\.[A-Z][A-Z_]+)
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
 @pytest.mark.parametrize("command", [kind.__metadata__[0].name for kind in get_args(_Command)])
-def test_help_has_no_none_of_python(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """An option that may be left out lists what may be given."""
+def test_help_does_not_show_none(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An optional option lists the values that it accepts."""
     assert main([command, "--help"]) == 0
     told = capsys.readouterr().out
     assert f"lumisplat {command}" in told and not re.search(r"\bNone\b", told)
 
 
 def messages() -> list[str]:
-    """The texts of all errors and log lines of the library that name a setting or a choice."""
+    """Returns the texts of all errors and log lines of the library that name a setting or an enum member."""
     found: list[str] = []
     for path in SOURCES.rglob("*.py"):
         if "cli" in path.relative_to(SOURCES).parts:
@@ -51,8 +51,8 @@ def messages() -> list[str]:
     return found
 
 
-def test_no_message_names_python_in_the_shell() -> None:
-    """Whatever the library says about settings and choices has a translation."""
+def test_every_setting_and_choice_in_messages_becomes_an_option() -> None:
+    """No message of the library shows a Python name on the command line."""
     texts = messages()
     assert len(texts) >= 3
     for text in texts:
@@ -75,8 +75,8 @@ def test_no_message_names_python_in_the_shell() -> None:
         ("garden.ply: samples is 3", "garden.ply: samples is 3"),
     ],
 )
-def test_words(message: str, expected: str) -> None:
-    """Names become options; the name of a setting that was not given as an option stays."""
+def test_names_of_python_become_options(message: str, expected: str) -> None:
+    """The name of a setting whose option was not given stays."""
     setting = message.split(maxsplit=1)[0] if " is " in message else None
     assert shell_words(message, Render(samples=0), setting) == expected
 
@@ -103,14 +103,14 @@ def test_words(message: str, expected: str) -> None:
         (("--aov", "albedo", "--lighting", "off"), "only lit frames have it (--lighting on)"),
     ],
 )
-def test_errors_name_the_option(work, options, error):
-    """What was typed is what the message is about."""
+def test_errors_name_the_option_that_was_typed(work, options, error):
+    """Options with a setting's name and --set are both named."""
     outcome = work.run("render", "@mesh.obj", *options, "--width", "16", "-o", "@a.png", "--device", "cpu")
     assert outcome.status == 2 and error in outcome.err and outcome.err.count("\n") == 1
 
 
 def test_settings_of_rays_reach_the_frame(work):
-    """Acceptance, clamping and the depth's threshold, from options to the stored settings."""
+    """Acceptance, clamping and the depth threshold are stored in the settings."""
     options = (
         "--set=trace.acceptance_scale=0.5",
         "--set=response.adaptive_clamping=false",
@@ -137,13 +137,13 @@ def test_settings_of_rays_reach_the_frame(work):
         (["--json", "a.ply"], ["--json", "a.ply"]),
     ],
 )
-def test_numbers_may_have_spaces(typed: list[str], joined: list[str]) -> None:
-    """Numbers after an option become one argument; everything else stays."""
+def test_numbers_behind_an_option_are_joined(typed: list[str], joined: list[str]) -> None:
+    """Other arguments stay unchanged."""
     assert joined_numbers(typed) == joined
 
 
-def test_vectors() -> None:
-    """Commas, spaces or both."""
+def test_vectors_accept_commas_and_spaces() -> None:
+    """Both may be mixed."""
     for text in ("1,-2,3", "1 -2 3", " 1, -2,  3 "):
         assert vector("--eye", text) == (1.0, -2.0, 3.0)
     for text in ("", "1,2", "1,2,x", "1,2,3,4"):
@@ -165,26 +165,26 @@ def test_vectors() -> None:
         ("9", [9]),
     ],
 )
-def test_ranges_of_frames(text: str, frames: list[int]) -> None:
-    """Inclusive ranges with steps, lists, and Python's half-open ranges, in order and each once."""
+def test_frame_ranges_are_sorted_and_unique(text: str, frames: list[int]) -> None:
+    """Inclusive ranges with steps, lists, and half-open ranges may be mixed."""
     assert frame_numbers("--frames", text, 10) == frames
 
 
 @pytest.mark.parametrize("text", ["10", "3-12", "5-3", "4:4", "2:11"])
-def test_frames_that_are_not_there(text: str) -> None:
-    """The message says which part, and which frames there are."""
+def test_frames_out_of_range_are_refused(text: str) -> None:
+    """The message names the part, and the frames that exist."""
     with pytest.raises(ls.ConfigError, match=r"and '.*' is out of range: there are 10 frames, 0-9"):
         frame_numbers("--frames", text, 10)
 
 
-def test_every_0th_frame_is_none() -> None:
-    """A step of 0 is refused, not taken for 1."""
+def test_a_frame_step_of_0_is_refused() -> None:
+    """A step of 0 is not taken for 1."""
     with pytest.raises(ls.ConfigError, match=r"^--frames is '1-8x0', expected frames such as 1-100, 1-100x2"):
         frame_numbers("--frames", "1-8x0", 10)
 
 
-def test_folders_of_captures_are_named(work):
-    """A folder of several SOG captures, such as those of a streamed one without its lod-meta.json, names them."""
+def test_a_folder_of_several_captures_is_refused_with_their_names(work):
+    """A streamed SOG without its lod-meta.json is such a folder."""
     for name in ("1_0", "0_0"):
         (work.path("streamed") / name).mkdir(parents=True)
         (work.path("streamed") / name / "meta.json").write_text("{}")

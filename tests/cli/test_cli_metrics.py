@@ -1,4 +1,4 @@
-"""``lumisplat metrics``: pictures, folders, shadows and avatars on the command line."""
+"""Tests ``lumisplat metrics``: images, folders, shadows and avatars."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.scenes.raster_scenes import random_gaussians
 
 @pytest.fixture
 def work(tmp_path, capsys) -> Workplace:
-    """A folder with pictures, folders of them, and an avatar in a room."""
+    """Returns a folder with images, folders of them, and an avatar in a room."""
     place = Workplace(tmp_path, capsys)
     rng = np.random.default_rng(1)
     picture = rng.uniform(0.2, 0.8, (16, 20, 3))
@@ -44,12 +44,12 @@ def work(tmp_path, capsys) -> Workplace:
 
 
 def rows(text: str) -> dict[str, list[str]]:
-    """Cells of a printed table by the first of each line."""
+    """Returns the cells of a printed table by the first cell of each line."""
     return {line.split()[0]: line.split()[1:] for line in text.splitlines() if line.split()}
 
 
-def test_two_pictures(work):
-    """One line of figures, those that the functions give; 51 of 255 off is 20 log10(5) = 13.98 dB."""
+def test_two_images_are_compared(work):
+    """Values equal those of the library; an error of 51 of 255 is 20 log10(5) = 13.98 dB."""
     done = work.run("metrics", "@a.png", "@b.png")
     assert (done.status, done.err) == (0, "")
     table = rows(done.out)
@@ -59,7 +59,7 @@ def test_two_pictures(work):
 
 
 def test_folders_are_paired_by_name(work):
-    """A row each and their mean; equal pictures are infinitely near."""
+    """Each pair has a row, followed by the means; equal images have an infinite PSNR."""
     done = work.run("metrics", "@ours", "@theirs", "--metrics", "psnr,ssim")
     assert done.status == 0
     table = rows(done.out)
@@ -69,8 +69,8 @@ def test_folders_are_paired_by_name(work):
     assert float(table["mean"][1]) == pytest.approx((1.0 + sum(middle)) / 3.0, abs=1e-4)
 
 
-def test_json(work):
-    """The same figures for programs, in full; what is infinite says so."""
+def test_json_has_all_metrics(work):
+    """Values have full precision, and infinity is "inf"."""
     done = work.run("metrics", "@ours", "@theirs", "--metrics", "psnr,flip", "--json")
     told = json.loads(done.out)
     assert [image["name"] for image in told["images"]] == ["frame_0", "frame_1", "frame_2"]
@@ -81,8 +81,8 @@ def test_json(work):
     assert told["mean"]["flip"] == pytest.approx(sum(flips) / 3.0)
 
 
-def test_shadows(work):
-    """Pictures of shadow strength: a mean over what exists, and a dash where there is no shadow to compare with."""
+def test_shadow_metrics_compare_shadow_strengths(work):
+    """Means are over existing values; images without shadow have a dash."""
     for folder, strengths in (("mine", (0.6, 0.5)), ("truth", (0.4, 0.0))):
         work.path(folder).mkdir()
         for name, strength in zip("xy", strengths, strict=True):
@@ -98,16 +98,16 @@ def test_shadows(work):
     assert told["images"][1] == {"name": "y", "sae": None}
 
 
-def test_an_exr_is_compared_as_it_is_shown(work):
-    """Linear light of an EXR is encoded: the picture is that of the PNG of the same light."""
+def test_an_exr_is_compared_in_display_colors(work):
+    """An EXR equals the PNG of the same light."""
     linear = ((51 / 255 + 0.055) / 1.055) ** 2.4
     write_exr(work.path("b.exr"), dict.fromkeys("RGB", np.full((16, 20), linear)))
     done = json.loads(work.run("metrics", "@b.exr", "@b.png", "--metrics", "psnr", "--json").out)
     assert done["mean"]["psnr"] > 120.0
 
 
-def test_transparent_pictures_lie_over_black(work):
-    """Half of white over nothing is grey."""
+def test_transparent_images_are_composited_over_black(work):
+    """White with half alpha is grey."""
     pixels = np.full((16, 20, 4), 1.0)
     pixels[..., 3] = 51 / 255
     write_png(work.path("veil.png"), pixels)
@@ -115,8 +115,8 @@ def test_transparent_pictures_lie_over_black(work):
     assert done["mean"]["psnr"] == "inf" or done["mean"]["psnr"] > 120.0
 
 
-def test_an_avatar_in_a_scene(work):
-    """The three figures of the functions, and the table of the paper with an original."""
+def test_light_metrics_compare_an_avatar_with_a_scene(work):
+    """Values equal those of the library; with --before, the table has the gain."""
     avatar, relit, room = (work.capture(name) for name in ("avatar.ply", "relit.ply", "room.ply"))
     told = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)
     assert told == {name: getattr(ls.metrics, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
@@ -131,7 +131,7 @@ def test_an_avatar_in_a_scene(work):
 
 
 def test_invalid_gaussians_are_left_out(work):
-    """What is advised where a capture is refused works: the figures are those of the valid ones."""
+    """The advice for a refused capture works, and the metrics are those of its valid Gaussians."""
     data = bytearray(work.path("avatar.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -143,8 +143,8 @@ def test_invalid_gaussians_are_left_out(work):
     assert told["ncm_ab"] == ls.metrics.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
 
 
-def test_one_avatar_is_one_column(work):
-    """Without an original there is nothing to gain."""
+def test_one_avatar_prints_one_column(work):
+    """The gain needs --before."""
     table = rows(work.run("metrics", "@avatar.ply", "--scene", "@room.ply").out)
     assert table["avatar.ply"] == []
     assert [len(table[name]) for name in ("PAA-Y", "APF-Y", "NCM-ab")] == [1, 1, 1]
@@ -160,14 +160,14 @@ def test_one_avatar_is_one_column(work):
         (("@a.png", "@small.png"), "small.png: the image is 20 x 16, its reference 19 x 16"),
         (("@a.png", "@room.ply"), "room.ply: is corrupt, or not an image"),
         (("@ours", "@a.png"), "ours: is a folder and"),
-        (("@ours", "@empty"), "empty: holds no pictures"),
+        (("@ours", "@empty"), "empty: holds no images"),
         (("@a.png", "@b.png", "--metrics", "psnr,vmaf"), "--metrics has 'vmaf', expected some of psnr, ssim"),
         (("@a.png", "@b.png", "--metrics", ""), "--metrics has ''"),
-        (("@a.png", "@b.png", "--before", "@a.png"), "--before is about an avatar's light"),
-        (("@a.png", "@b.png", "--radius", "2"), "--radius is about an avatar's light"),
-        (("@a.png", "@b.png", "--drop-invalid"), "--drop-invalid is about an avatar's light"),
+        (("@a.png", "@b.png", "--before", "@a.png"), "--before needs --scene"),
+        (("@a.png", "@b.png", "--radius", "2"), "--radius needs --scene"),
+        (("@a.png", "@b.png", "--drop-invalid"), "--drop-invalid needs --scene"),
         (("@avatar.ply", "@room.ply", "--scene", "@room.ply"), "2 files given, expected one avatar"),
-        (("@avatar.ply", "--scene", "@room.ply", "--metrics", "psnr"), "--metrics chooses those of pictures"),
+        (("@avatar.ply", "--scene", "@room.ply", "--metrics", "psnr"), "--metrics selects image metrics"),
         (("@avatar.ply", "--scene", "@mesh.obj"), "mesh.obj: has no Gaussians"),
         (("@avatar.ply", "--scene", "@nowhere.ply"), "nowhere.ply: no such file"),
         (("@lost.ply", "--scene", "@room.ply"), "no Gaussian of the scene is within 1.5 of the avatar's centre"),
@@ -175,15 +175,15 @@ def test_one_avatar_is_one_column(work):
     ],
 )
 def test_mistakes_are_one_line(work, args, named):
-    """Exit status 2, one line that names the culprit."""
+    """Each ends with status 2 and names the mistake."""
     done = work.run("metrics", *args)
     assert (done.status, done.out) == (2, "")
     assert done.err.startswith("error: ") and done.err.count("\n") == 1
     assert named in done.err
 
 
-def test_missing_packages_are_said(work, monkeypatch, caplog):
-    """A metric whose package is not installed says what to install; the others do not need it."""
+def test_missing_packages_are_logged(work, monkeypatch, caplog):
+    """The line says what to install; other metrics are computed."""
     monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
     caplog.clear()
     done = work.run("metrics", "@a.png", "@b.png")
@@ -195,8 +195,8 @@ def test_missing_packages_are_said(work, monkeypatch, caplog):
     assert work.run("metrics", "@a.png", "@b.png", "--metrics", "psnr").status == 0
 
 
-def test_what_can_be_compared_is(work, caplog):
-    """A picture without a partner or of another size costs the figures of others nothing; a line names it."""
+def test_remaining_metrics_are_computed_if_some_fail(work, caplog):
+    """A log line names an image without a partner or of another size."""
     done = work.run("metrics", "@ours", "@fewer", "--metrics", "psnr")
     assert done.status == 0 and list(rows(done.out)) == ["psnr", "frame_0", "frame_2", "mean"]
     assert caplog.messages == [f"{work.path('fewer')}: has no picture 'frame_1' as the other folder does: left out"]

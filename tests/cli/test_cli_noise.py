@@ -1,4 +1,4 @@
-"""The line that says that a frame of paths is grainy, and what helps."""
+"""Tests the log line about noisy path-traced frames and its remedies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ VIEW = 'up = "y-up"\n[[cameras]]\neye = [0, 2, 3]\ntarget = [0, 0, 0]\nwidth = 2
 
 @pytest.fixture
 def lines(tmp_path, capsys, monkeypatch, caplog):
-    """Runs a command on a scene file, and returns what it says about grain."""
+    """Returns a function that runs a command on a scene file and returns its lines about noise."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     work = Workplace(tmp_path, capsys)
 
@@ -32,34 +32,34 @@ def lines(tmp_path, capsys, monkeypatch, caplog):
                 "render", "@scene.toml", "-o", "@out", "--pipeline", pipeline, "--device", "cpu", *options
             )
         assert outcome.status == 0, outcome.err
-        return [record.getMessage() for record in caplog.records if "grainy" in record.getMessage()]
+        return [record.getMessage() for record in caplog.records if "noisy" in record.getMessage()]
 
     return run
 
 
 def noise_of(line: str, samples: str) -> float:
-    """The noise that a line has, which names the samples and what helps."""
+    """Returns the noise in a line, which also has the samples and remedies."""
     found = re.fullmatch(
-        rf"light that bounces is grainy with {samples} a pixel \(about ([\d.]+) of noise\): more --samples, or "
-        "--set noise=0.02 make it smooth, and --denoise does so at once",
+        rf"indirect light is noisy with {samples} a pixel \(about ([\d.]+) of noise\): more --samples "
+        "or --set noise=0.02 reduce the noise, and --denoise removes it",
         line,
     )
     assert found, line
     return float(found[1])
 
 
-def test_few_samples_are_grainy(lines) -> None:
-    """Once for all frames, with the noise, which falls with the root of the number of samples."""
+def test_noise_of_few_samples_is_logged_with_a_remedy(lines) -> None:
+    """The line appears once for all frames; its noise falls with the square root of the samples."""
     other = "[[cameras]]\neye = [0, 2, -3]\ntarget = [0, 0, 0]\nwidth = 24\nheight = 16\n"
     (two,) = lines(FLOOR + BOX + LAMP + other, "--samples", "2")
     (eight,) = lines(FLOOR + BOX + LAMP + other, "--samples", "8")
     assert 0.2 < noise_of(eight, "8 samples") < 0.8 * noise_of(two, "2 samples")
 
 
-def test_one_sample_tells_no_noise(lines) -> None:
-    """It is grainy all the same, where there is light."""
+def test_one_sample_gives_no_noise_estimate(lines) -> None:
+    """The line appears without a number, if the frame has light."""
     (line,) = lines(FLOOR + BOX + LAMP, "--samples", "1")
-    assert line.startswith("light that bounces is grainy with 1 sample a pixel: more --samples")
+    assert line.startswith("indirect light is noisy with 1 sample a pixel: more --samples")
     assert lines('[[splats]]\npath = "capture.ply"\n', "--samples", "1") == []
 
 
@@ -73,20 +73,20 @@ def test_one_sample_tells_no_noise(lines) -> None:
     ],
     ids=["smooth", "kept capture", "noise given", "unlit"],
 )
-def test_nothing_is_said_without_grain(lines, scene: str, options: tuple[str, ...]) -> None:
-    """Nor where noise says what is left."""
+def test_frames_with_little_noise_log_nothing(lines, scene: str, options: tuple[str, ...]) -> None:
+    """The setting noise hides the line, too."""
     assert lines(scene, *options) == []
 
 
-def test_nothing_is_said_of_what_is_denoised_or_no_path(lines) -> None:
-    """What is denoised is smooth; other pipelines have a line of their own, for other light."""
+def test_denoised_and_other_frames_than_paths_log_nothing(lines) -> None:
+    """Other pipelines have their own line about random lights."""
     assert lines(FLOOR + BOX + LAMP, "--samples", "2", pipeline="trace") == []
     pytest.importorskip("mitsuba_oidn")
     assert lines(FLOOR + BOX + LAMP, "--samples", "2", "--denoise") == []
 
 
-def test_the_noise_of_few_samples_is_that_of_the_variance_layer() -> None:
-    """95 % of the pixels have a smaller relative error; without progress, nobody asks."""
+def test_the_logged_noise_equals_that_of_the_variance_layer() -> None:
+    """95 % of the pixels have a smaller relative error."""
     floor, lamp = ls.plane(6.0, 6.0), ls.LightSphere((0.0, 2.0, 0.0), 0.4, intensity=9.0)
     camera = ls.Camera.look_at((0, 2, 3), (0, 0, 0), (0, 1, 0), width=24, height=16)
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4, aovs=("variance",))

@@ -1,4 +1,4 @@
-"""Laws of the options: how many there are, how long their help is, and that --set reaches every setting."""
+"""Tests laws of the options: their number, the length of their help, and that --set reaches every setting."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from lumisplat.io import change_config
 COMMANDS = {named.name: kind for kind, named in map(get_args, get_args(_Command))}
 FARMED = _commands(get_args(get_type_hints(COMMANDS["farm"], include_extras=True)["what"])[0])
 HELP_WORDS = 15
-"""The most words that the help of an option has, without its default."""
+"""Largest number of words in an option's help, without its default."""
 
 
 def settings(config: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    """The names of all settings, with their values."""
+    """Returns the names of all settings with their values."""
     found: list[tuple[str, Any]] = []
     for field in fields(config):
         value = getattr(config, field.name)
@@ -34,7 +34,7 @@ def settings(config: Any, prefix: str = "") -> list[tuple[str, Any]]:
 
 
 def option_helps(command: str, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
-    """The help of each option of a command, from what --help prints."""
+    """Returns the help of each option of a command, from the output of --help."""
     assert main([*command.split(), "--help"]) == 0
     found: dict[str, str] = {}
     name = ""
@@ -51,13 +51,13 @@ def option_helps(command: str, capsys: pytest.CaptureFixture[str]) -> dict[str, 
 
 
 def test_render_has_at_most_40_options() -> None:
-    """Beside --help; what else a frame can be is a setting."""
+    """Everything else of a frame is a setting."""
     assert len(options_of(Render)) <= 40
 
 
 @pytest.mark.parametrize("command", sorted(COMMANDS.keys() - {"farm"} | {f"farm {name}" for name in FARMED}))
 def test_help_of_an_option_is_short(command: str, capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
-    """At most 15 words beside the default: what needs more belongs in the guide."""
+    """Help has at most 15 words besides the default; the guide has more."""
     monkeypatch.setenv("COLUMNS", "100")
     helps = option_helps(command, capsys)
     kind = FARMED[command.removeprefix("farm ")] if command.startswith("farm ") else COMMANDS[command]
@@ -71,7 +71,7 @@ def test_help_of_an_option_is_short(command: str, capsys: pytest.CaptureFixture[
     ("name", "value"), settings(ls.RenderConfig()), ids=lambda one: one if isinstance(one, str) else ""
 )
 def test_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
-    """Each may be named, by its key in a scene file, and has the value that was given."""
+    """Each setting is named by its key in a scene file, and gets the given value."""
     text = {"samples": "3", "time_limit": "2.5", "noise": "0.5", "background": "white", "aovs": "albedo"}.get(name)
     text = text or ("auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower())
     config = Render(changes=(f"{name}={text}",)).pipeline_config(ls.RenderConfig())
@@ -85,8 +85,8 @@ def test_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "value"), settings(ls.config.AvatarLightingConfig()), ids=lambda one: one if isinstance(one, str) else ""
 )
-def test_set_reaches_every_setting_of_the_light_of_actors(name: str, value: Any) -> None:
-    """By its key in the scene file, behind those of its tables."""
+def test_set_reaches_every_setting_of_avatar_lighting(name: str, value: Any) -> None:
+    """Each setting is named by its key in the scene file, with its tables before it."""
     text = "auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower()
     command = Animate(scene="a.toml", changes=(f"{LIGHTING}{name}={text}",))  # pyright: ignore[reportArgumentType]
     assert command.changed(ls.config.AvatarLightingConfig(), LIGHTING) == ls.config.AvatarLightingConfig()
@@ -94,7 +94,7 @@ def test_set_reaches_every_setting_of_the_light_of_actors(name: str, value: Any)
 
 
 def test_set_changes_one_setting_and_no_other() -> None:
-    """Those of its group stay as the scene file has them."""
+    """Other settings of the group keep the scene file's values."""
     base = ls.RenderConfig(trace=ls.TraceConfig(sh_degree=1))
     config = Render(changes=("trace.hits_per_pass=8", "render.seed=3")).pipeline_config(base)
     assert config == ls.RenderConfig(seed=3, trace=ls.TraceConfig(sh_degree=1, hits_per_pass=8))
@@ -115,15 +115,15 @@ def test_set_changes_one_setting_and_no_other() -> None:
     ],
 )
 def test_mistakes_of_set_are_one_line(text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """It names what was typed, and what is meant."""
+    """The line has the typed text, and what it may mean."""
     assert main(["render", "a.ply", "--set", text]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"error: --set {text}: ") and message in error and error.count("\n") == 1
 
 
 @pytest.mark.parametrize("option", [*FORMER_SETTINGS, *FORMER_OPTIONS])
-def test_an_option_that_moved_is_answered_by_what_is_typed_now(option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """In one line, which render or animate takes."""
+def test_a_former_option_is_answered_with_its_present_form(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The line has arguments that render or animate accept."""
     assert main(["animate" if option in ("--direct", "--gamma") else "render", "a.toml", option, "8"]) == 2
     error = capsys.readouterr().err
     assert re.match(rf"error: {option} is (a setting|now)[: ]", error) and error.count("\n") == 1
@@ -135,14 +135,14 @@ def test_an_option_that_moved_is_answered_by_what_is_typed_now(option: str, caps
         assert typed in options_of(Render)
 
 
-def test_options_of_other_commands_stay(capsys: pytest.CaptureFixture[str]) -> None:
-    """An option of the same name is not taken for one that moved."""
+def test_existing_options_are_not_taken_for_former_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    """Convert has an option with the name of a former one of render."""
     assert main(["convert", "missing.ply", "out.ply", "--sh-degree", "2"]) == 2
     assert "is a setting" not in capsys.readouterr().err
 
 
-def test_the_help_shows_all_commands_on_a_screen(capsys: pytest.CaptureFixture[str]) -> None:
-    """Each once, in a group, with the first line of its docstring."""
+def test_help_lists_all_commands_on_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each command is listed once, in a group, with the first line of its docstring."""
     assert main(["--help"]) == 0
     rows = capsys.readouterr().out.splitlines()
     assert len(rows) <= 45 and [row for row in rows if row in ("look", "light", "train", "convert", "more")]
@@ -161,8 +161,8 @@ def test_the_help_shows_all_commands_on_a_screen(capsys: pytest.CaptureFixture[s
         ("shadowmap", ls.config.DeepShadowConfig()),
     ],
 )
-def test_the_help_of_settings_says_what_their_declaration_says(command: str, config: Any) -> None:
-    """Options of settings have no value of their own; the default and the range in the help are the declared ones."""
+def test_defaults_and_ranges_in_help_equal_the_declarations(command: str, config: Any) -> None:
+    """Options of settings have no default of their own."""
     hints = get_type_hints(COMMANDS[command], include_extras=True)
     declared = {one.name: one for one in settings_of(type(config))}
     of_words = {"inside"}  # auto, yes and no stand for None, True and False

@@ -1,4 +1,4 @@
-"""``lumisplat orbit``: once round a scene."""
+"""Tests ``lumisplat orbit``."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
 def orbit(work: Workplace, *options: str) -> Outcome:
-    """Four frames into a folder."""
+    """Renders four frames into a folder."""
     return work.run("orbit", "@capture.ply", "-o", "@round", "--seconds", "0.2", "--fps", "20", *SIZE, *options)
 
 
-def test_frames_are_those_of_orbit_cameras(work) -> None:
-    """A frame for each camera, and a note of what they are made of."""
+def test_frames_equal_renders_of_orbit_cameras(work) -> None:
+    """Each camera has a frame, and a stamp stores the settings."""
     outcome = orbit(work)
     assert outcome.status == 0 and "4 frames in" in outcome.out
     scene = ls.Scene([work.capture("capture.ply")])
@@ -40,8 +40,8 @@ def test_frames_are_those_of_orbit_cameras(work) -> None:
     assert json.loads(work.path("round/orbit.json").read_text())["fps"] == "20.0"
 
 
-def test_an_orbit_goes_on_where_it_was_interrupted(work) -> None:
-    """Frames that are there stay; of other options they are refused, unless they are to be removed."""
+def test_the_same_command_continues_an_interrupted_orbit(work) -> None:
+    """Frames of other options are refused without --overwrite."""
     orbit(work)
     work.path("round/frame_0002.png").unlink()
     before = work.path("round/frame_0001.png").stat().st_mtime_ns
@@ -53,8 +53,8 @@ def test_an_orbit_goes_on_where_it_was_interrupted(work) -> None:
     assert orbit(work, "--turns", "0.5", "--overwrite").status == 0
 
 
-def test_a_video_is_made_of_the_frames(work) -> None:
-    """All of them, at the rate."""
+def test_a_video_is_written_from_the_frames(work) -> None:
+    """The video has all frames at their rate."""
     outcome = orbit(work, "--video", str(work.path("round.gif")))
     assert outcome.status == 0, outcome.err
     assert "round.gif (20 frames a second, 0.20 s)" in outcome.out
@@ -64,8 +64,8 @@ def test_a_video_is_made_of_the_frames(work) -> None:
         assert video.n_frames == 4 and video.size == (32, 24)  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_the_default_folder_follows_the_video_and_other_settings_replace_its_frames(work, caplog) -> None:
-    """Two orbits of different length in a row: the second replaces the first's frames and says so."""
+def test_the_default_folder_has_the_video_name_and_replaces_frames_of_other_settings(work, caplog) -> None:
+    """The second of two orbits replaces the frames of the first, with a log line."""
     video = ("--video", str(work.path("turn.gif")), "--fps", "10", *SIZE)
     assert work.run("orbit", "@capture.ply", "--seconds", "0.3", *video).status == 0
     assert work.path("turn/frame_0002.png").is_file()
@@ -84,8 +84,8 @@ def test_the_default_folder_follows_the_video_and_other_settings_replace_its_fra
     assert "--overwrite" in other.err and work.path("turn/frame_0001.png").is_file()
 
 
-def test_frames_that_no_orbit_made_are_never_replaced(work) -> None:
-    """A folder of images that happens to have the default name."""
+def test_frames_without_an_orbit_stamp_are_never_replaced(work) -> None:
+    """The images are in a folder with the default name."""
     work.path("turn").mkdir()
     work.path("turn/frame_0000.png").write_bytes(b"mine")
     refused = work.run("orbit", "@capture.ply", "--video", str(work.path("turn.gif")), *SIZE)
@@ -94,7 +94,7 @@ def test_frames_that_no_orbit_made_are_never_replaced(work) -> None:
 
 
 def test_an_orbit_starts_at_the_eye(work) -> None:
-    """--eye and --target say where it starts, and what it goes round."""
+    """--eye sets the start, and --target the centre."""
     assert orbit(work, "--eye", "0,-1,1", "--target", "0,0,4").status == 0
     scene = ls.Scene([work.capture("capture.ply")])
     side = ls.Camera.look_at((3.0, -1.0, 4.0), (0, 0, 4), (0, -1, 0), width=32, height=24)
@@ -110,11 +110,11 @@ def test_an_orbit_starts_at_the_eye(work) -> None:
         (("--fps", "-1"), "--fps is -1, expected a positive number"),
         (("--turns", "nan"), "--turns is nan"),
         (("--seconds", "1e9"), "more than a million frames"),
-        (("--video", "a.png"), "a.png: is a picture's name"),
+        (("--video", "a.png"), "a.png: is an image name"),
     ],
 )
 def test_mistakes_end_before_anything_is_rendered(work, options, message) -> None:
-    """In one line."""
+    """Each prints one line."""
     outcome = orbit(work, *options)
     assert outcome.status == 2 and message in outcome.err
     assert not work.path("round").exists()

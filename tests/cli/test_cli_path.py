@@ -1,4 +1,4 @@
-"""``--camera-path``: a camera that moves through the cameras of a file."""
+"""Tests ``--camera-path``: the camera moves through the cameras of a file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in, with three cameras; what they do to Warp's log level is undone."""
+    """Returns a folder with three cameras; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     work = Workplace(tmp_path, capsys)
     eyes = [(0, 0, 0), (2, -1, 1), (4, 0, 4)]
@@ -28,14 +28,14 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 def same(work: Workplace, name: str, camera: ls.Camera) -> bool:
-    """Whether a picture is what a camera sees."""
+    """Returns whether an image equals the render of a camera."""
     frame = ls.render(ls.Scene([work.capture("capture.ply")]), camera.scaled(32, 24), device="cpu")
     expected = (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     return np.array_equal(read_image(work.path(name))["srgb"], expected)
 
 
-def test_render_goes_along_a_path(work) -> None:
-    """A picture for each frame: a second from each camera to the next, at --fps."""
+def test_render_follows_a_camera_path(work) -> None:
+    """Each second at --fps moves from one camera to the next."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
     assert outcome.status == 0 and "5 pictures" in outcome.out
     way = ls.io.load_camera_path(work.path("way.json"))
@@ -43,8 +43,8 @@ def test_render_goes_along_a_path(work) -> None:
         assert same(work, f"out/frame_{k:05d}.png", way.at(k / 2))
 
 
-def test_orbit_goes_along_a_path(work) -> None:
-    """As a video, over all of its length; frames of another path are refused."""
+def test_orbit_follows_a_camera_path(work) -> None:
+    """The path is stretched to the video; frames of another path are refused."""
     args = ("orbit", "@capture.ply", "-o", "@out", "--seconds", "0.2", "--fps", "20", *SIZE)
     assert work.run(*args, "--camera-path", "@way.json").status == 0
     way = ls.io.load_camera_path(work.path("way.json"))
@@ -55,7 +55,7 @@ def test_orbit_goes_along_a_path(work) -> None:
 
 
 def test_animate_moves_the_camera_of_a_scene_file(work) -> None:
-    """By its keyframes, without actors; --width and --height hold."""
+    """Keyframes move it without actors; --width and --height apply."""
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\n[[cameras]]\ntarget = [0, 0, 5]\n[[cameras.keyframes]]\ntime = 0\n'
         "eye = [0, 0, 0]\n[[cameras.keyframes]]\ntime = 1\neye = [2, -1, 1]\n[animation]\nfps = 3\n"
@@ -67,8 +67,8 @@ def test_animate_moves_the_camera_of_a_scene_file(work) -> None:
         assert same(work, f"out/frame_{k:04d}.png", way.at(k / 3))
 
 
-def test_paths_of_nerfstudio_and_colmap_are_cameras_too(work) -> None:
-    """--cameras takes both."""
+def test_camera_paths_of_nerfstudio_and_colmap_are_read(work) -> None:
+    """--cameras reads both, too."""
     frame = {"camera_to_world": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1], "fov": 60.0}
     content = {"camera_path": [frame], "render_width": 32, "render_height": 24, "fps": 24}
     work.path("camera_path.json").write_text(json.dumps(content))
@@ -85,7 +85,7 @@ def test_paths_of_nerfstudio_and_colmap_are_cameras_too(work) -> None:
         (("--fps", "0"), "fps is 0"),
     ],
 )
-def test_contradictions_are_refused(work, options, message) -> None:
-    """In one line."""
+def test_camera_path_excludes_other_cameras(work, options, message) -> None:
+    """The error is one line."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "-o", "@out", *options)
     assert outcome.status == 2 and message in outcome.err

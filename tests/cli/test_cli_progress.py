@@ -1,4 +1,4 @@
-"""How long frames take: in the bar, and in a line before many that are slow."""
+"""Tests the time of frames: in the progress bar, and in a line before many slow ones."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ FIVE_FRAMES = ("orbit", "@capture.ply", "-o", "@round", "--seconds", "0.25", "--
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
-def test_a_bar_says_what_is_left(monkeypatch) -> None:
-    """From its first fraction on, at the pace so far: a quarter in 10 s leaves 30 s."""
+def test_a_bar_shows_the_remaining_time(monkeypatch) -> None:
+    """A quarter in 10 s leaves 30 s."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     clock = iter([100.0, 100.0, 110.0])
     monkeypatch.setattr(console.time, "monotonic", lambda: next(clock))
@@ -42,13 +42,13 @@ def test_a_bar_says_what_is_left(monkeypatch) -> None:
     ("seconds", "spoken"),
     [(0.4, "0 s"), (99.4, "99 s"), (99.6, "2 min"), (853.0, "14 min"), (3590.0, "1 h 0 min"), (7500.0, "2 h 5 min")],
 )
-def test_spoken_times(seconds: float, spoken: str) -> None:
-    """Whole seconds, then whole minutes, whose hours carry."""
+def test_durations_are_rounded_to_seconds_or_minutes(seconds: float, spoken: str) -> None:
+    """Rounded minutes carry to hours."""
     assert duration_text(seconds) == spoken
 
 
-def test_details_stay_in_the_bar_of_their_label(monkeypatch) -> None:
-    """How many samples there are, and how noisy: one bar, whose text changes, and that is gone at the end."""
+def test_text_behind_a_comma_updates_the_same_bar(monkeypatch) -> None:
+    """Samples and noise change the text of one bar, which disappears at the end."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     with progress_bars() as report:
         bars = next(cell.cell_contents for cell in report.__closure__ or () if isinstance(cell.cell_contents, Progress))
@@ -59,8 +59,8 @@ def test_details_stay_in_the_bar_of_their_label(monkeypatch) -> None:
         assert not bars.tasks
 
 
-def test_frames_of_a_time_or_a_noise_say_what_they_have(work, caplog) -> None:
-    """In the line about the picture; and in another one where the noise is not as low as it should be."""
+def test_frames_limited_by_time_or_noise_print_their_samples(work, caplog) -> None:
+    """The summary has them; a log line reports noise above the wanted one."""
     path = ("render", "@mesh.obj", *SIZE, "--pipeline", "path", "--set=max_bounces=1", "-o", "@a.png")
     timed = work.run(*path, "--set=time_limit=0.001")
     assert timed.status == 0 and timed.out.endswith("), 1 sample\n"), timed.err
@@ -74,7 +74,7 @@ def test_frames_of_a_time_or_a_noise_say_what_they_have(work, caplog) -> None:
 
 
 def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
-    """The lines about how long frames take."""
+    """Returns the lines about the time of frames."""
     return [record.getMessage() for record in caplog.records if "to go" in record.getMessage()]
 
 
@@ -89,7 +89,7 @@ def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
     ],
 )
 def test_slow_frames_are_announced_once(work, monkeypatch, caplog, options, ways) -> None:
-    """After the second, as the first may have compiled kernels, with the options that make it quicker."""
+    """The line comes after the second frame, as the first may compile kernels, and names faster options."""
     monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", 0.0)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES, *options).status == 0
@@ -98,14 +98,14 @@ def test_slow_frames_are_announced_once(work, monkeypatch, caplog, options, ways
 
 
 def test_quick_frames_are_not_announced(work, caplog) -> None:
-    """A minute passes without a word."""
+    """Frames that take less than a minute in all log nothing."""
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES).status == 0
     assert announced(caplog) == []
 
 
-def test_cameras_of_files_and_animations_are_announced_too(work, monkeypatch, caplog) -> None:
-    """By the options that those commands have."""
+def test_slow_renders_of_cameras_and_animations_are_announced(work, monkeypatch, caplog) -> None:
+    """The line names options of these commands."""
     monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", -1.0)
     work.path("move.toml").write_text('[[actors]]\npath = "mesh.obj"\n[animation]\nframes = 3\nfps = 10\n')
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -117,10 +117,10 @@ def test_cameras_of_files_and_animations_are_announced_too(work, monkeypatch, ca
     assert "1 frame to go" in animated and "(--frames)" in animated
 
 
-def test_where_there_is_no_terminal_a_line_comes_a_minute(
+def test_without_a_terminal_a_line_is_printed_each_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """So that a log tells whether the program lives, and how long it will; none if it ends before."""
+    """A log file thus shows progress; shorter work prints none."""
     clock = [0.0]
     monkeypatch.setattr("lumisplat.cli.output.console.time.monotonic", lambda: clock[0])
     with progress_bars() as report:
@@ -132,7 +132,7 @@ def test_where_there_is_no_terminal_a_line_comes_a_minute(
 
 
 def test_percentage_and_times_stay_whole_in_80_columns(monkeypatch) -> None:
-    """A long description is shortened in their place."""
+    """Only a long description is shortened."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "80")
     with progress_bars() as report:

@@ -1,4 +1,4 @@
-"""``raster.projection``: lenses that only rays can show."""
+"""Tests ``raster.projection`` with lenses that only rays can render."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ FISHEYE = {
 
 @pytest.fixture
 def work(tmp_path, capsys) -> Workplace:
-    """A folder to run commands in."""
+    """Returns a folder to run commands in."""
     return Workplace(tmp_path, capsys)
 
 
 def test_fisheyes_are_rasterised_along_rays(work):
-    """The picture is that of the library; without the option, the line names it."""
+    """The image equals the library's; without the setting, the error names it."""
     ls.save(work.folder / "a.ply", random_gaussians(3, count=30))
     (work.folder / "fisheye.json").write_text(json.dumps(FISHEYE))
     shown = ("render", "@a.ply", "--cameras", "@fisheye.json", "-o", "@a.npz", "--device", "cpu")
@@ -46,8 +46,8 @@ def test_fisheyes_are_rasterised_along_rays(work):
     assert frame.alpha.max() > 0.3
 
 
-def test_the_option_is_of_the_rasteriser(work, caplog):
-    """Rays say that they do not use it; what it does not go with is told in words of the shell."""
+def test_projection_is_refused_for_other_pipelines_than_raster(work, caplog):
+    """Traced frames log it as unused; excluded combinations are refused."""
     ls.save(work.folder / "a.ply", random_gaussians(3, count=3))
     small = ("--width", "8", "--height", "6", "--device", "cpu")
     work.run("render", "@a.ply", "-o", "@a.png", *small, "--pipeline", "trace", "--set=raster.projection=unscented")

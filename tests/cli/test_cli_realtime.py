@@ -1,4 +1,4 @@
-"""``--pipeline realtime``: frames before a picture, and what such frames do not have."""
+"""Tests ``--pipeline realtime``: warm-up frames, and unsupported options."""
 
 from __future__ import annotations
 
@@ -57,15 +57,15 @@ PASSES = ("surfaces", "direct", "indirect", "filters", "sum")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in, with a lit scene; what they do to Warp's log level is undone."""
+    """Returns a folder with a lit scene; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
     return place
 
 
-def test_a_picture_is_the_last_of_its_frames(work, monkeypatch):
-    """As many as --samples says, 32 without; the mesh is lit."""
+def test_an_image_is_the_last_frame_of_its_warm_up(work, monkeypatch):
+    """--samples sets the number of frames, 32 by default; the mesh is lit."""
     counts: list[int] = []
     render = ls.Renderer.render
 
@@ -92,8 +92,8 @@ def test_a_picture_is_the_last_of_its_frames(work, monkeypatch):
         (("--aov", "bounces,variance"), "--pipeline realtime has no bounces, variance among its aovs"),
     ],
 )
-def test_what_frames_in_real_time_do_not_have(work, options, message):
-    """One line, and no picture."""
+def test_options_unused_by_real_time_are_logged(work, options, message):
+    """Each prints one line, and writes no image."""
     outcome = work.run("render", "@scene.toml", "-o", "@out/a.exr", "--device", "cpu", *options)
     assert outcome.status == 2
     assert message in outcome.err
@@ -101,8 +101,8 @@ def test_what_frames_in_real_time_do_not_have(work, options, message):
     assert "out/a.exr" not in work.files()
 
 
-def test_qualities_differ_and_are_of_real_time(work, caplog):
-    """Previews are other pictures; other pipelines say that they have none."""
+def test_qualities_change_real_time_frames_only(work, caplog):
+    """Preview gives another image; other pipelines log the quality as unused."""
     for name in ("preview", "high"):
         options = ("--samples", "2", f"--set=realtime.quality={name}", "--device", "cpu")
         outcome = work.run("render", "@scene.toml", "-o", f"@{name}.png", *options)
@@ -117,8 +117,8 @@ def test_qualities_differ_and_are_of_real_time(work, caplog):
 
 
 @pytest.mark.parametrize("command", ["animate", "orbit"])
-def test_frames_of_sequences_have_qualities_too(work, command):
-    """Each is another picture; frames of one quality are the same again."""
+def test_qualities_apply_to_sequences(work, command):
+    """Each quality gives another image, and repeated runs equal ones."""
     options = (
         "--device",
         "cpu",
@@ -134,8 +134,8 @@ def test_frames_of_sequences_have_qualities_too(work, command):
     assert made["preview"] != made["high"] == made["again"]
 
 
-def test_stats_are_by_pass(work):
-    """In the order of the method, the stages of each below it."""
+def test_stats_list_the_passes_of_real_time_frames(work):
+    """Passes are in the order of the method, each followed by its stages."""
     work.path("scene.toml").write_text(SCENE.replace("max_bounces = 0", ""))
     out = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--stats", "--device", "cpu").out
     shown = [line.split("  ")[0] for line in out.splitlines() if line.endswith("ms") and not line.startswith("  ")]
@@ -146,8 +146,8 @@ def test_stats_are_by_pass(work):
 
 
 @pytest.mark.parametrize("view", ["motion", "history", "probes", "cache", "cache_cells", "direct_diffuse", "emission"])
-def test_views_of_frames_in_real_time(work, view):
-    """One picture each; what the colours mean is printed where they are a scale."""
+def test_views_of_real_time_layers_are_written(work, view):
+    """Each is an image; the meaning of a colour scale is printed."""
     outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--view", view, "--device", "cpu")
     assert (outcome.status, outcome.err) == (0, "")
     assert read_image(work.path("a.png"))["srgb"].shape == (16, 24, 3)
@@ -156,7 +156,7 @@ def test_views_of_frames_in_real_time(work, view):
 
 
 def test_a_view_of_another_pipeline_is_refused(work):
-    """One line says which pipeline has it."""
+    """One line names the pipeline that has it."""
     options = ("--pipeline", "hybrid", "--view", "probes", "--device", "cpu")
     outcome = work.run("render", "@scene.toml", "-o", "@out/a.png", *options)
     assert outcome.status == 2
@@ -165,7 +165,7 @@ def test_a_view_of_another_pipeline_is_refused(work):
 
 
 def test_frames_in_real_time_are_not_resumed():
-    """Their renderer goes on by itself."""
+    """Their renderer keeps its own history."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0), "cpu")
     mesh = ls.Mesh([[-1.0, -1.0, 4.0], [1.0, -1.0, 4.0], [0.0, 1.0, 4.0]], [[0, 1, 2]])
     scene = ls.Scene(meshes=[mesh], lights=[ls.LightPoint((0.0, 0.0, 2.0))])
@@ -176,7 +176,7 @@ def test_frames_in_real_time_are_not_resumed():
 
 
 def test_one_call_renders_a_sequence(monkeypatch):
-    """As long as that of the command line, or as ``frames`` says; other pipelines have one frame."""
+    """``frames`` sets its length, by default that of the command line; other pipelines render one frame."""
     counts: list[int] = []
     render = ls.Renderer.render
 
@@ -202,8 +202,8 @@ def test_one_call_renders_a_sequence(monkeypatch):
         ls.render(scene, camera, frames=2, device="cpu")
 
 
-def test_what_other_pipelines_do_not_use_is_said(work, caplog):
-    """One line, and the picture: hard shadows where they are soft."""
+def test_real_time_settings_in_other_pipelines_are_logged(work, caplog):
+    """One line is printed, and the image written; hard shadows are reported where they are soft."""
     outcome = work.run(
         "render", "@scene.toml", "-o", "@a.png", "--samples", "1", "--shadows", "hard", "--device", "cpu"
     )

@@ -1,4 +1,4 @@
-"""``lumisplat relight``: an avatar and a scene to a relit capture."""
+"""Tests ``lumisplat relight``: an avatar and a scene give a relit capture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from support.scenes.raster_scenes import flat_sh, one_gaussian
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """An avatar: a white ball without normals. A room: red light from +x, nothing else."""
+    """Returns a folder with a white ball without normals, and a room with red light from +x only."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     ball = ls.gaussians_from_mesh(shapes.sphere(0.5), 400)
@@ -32,7 +32,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 
 def lit_sides(place: Workplace, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Mean colours of the ball's half towards +x, and of the other one."""
+    """Returns mean colours of the ball's half towards +x, and of the other half."""
     loaded = ls.load(place.path(name))
     assert isinstance(loaded, ls.Gaussians)
     colors = loaded.sh[:, 0] * 0.28209479 + 0.5
@@ -41,8 +41,8 @@ def lit_sides(place: Workplace, name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["relit.ply", "relit.compressed.ply", "relit.spz"])
-def test_an_avatar_is_lit_from_where_the_light_is(work, name):
-    """In each format; what is printed says where light was looked for, and how bright it is."""
+def test_an_avatar_is_brighter_on_the_side_of_the_light(work, name):
+    """Each format works; the output has the position and brightness of the light."""
     done = work.run("relight", "@ball.ply", "@room.ply", "-o", f"@{name}", "--gamma", "4", "--device", "cpu")
     assert (done.status, done.err) == (0, "")
     assert "400 Gaussians" in done.out and "mean light there" in done.out
@@ -50,8 +50,8 @@ def test_an_avatar_is_lit_from_where_the_light_is(work, name):
     assert front[0] > back[0] + 0.3 and front[0] > front[1] + 0.2
 
 
-def test_how_it_stands_counts(work):
-    """A scene.toml places it: light comes from the other side then; its file stays where it was."""
+def test_the_avatar_s_transform_affects_its_light(work):
+    """Rotated by a scene.toml, the avatar is lit from the other side; its file is unchanged."""
     assert (
         work.run("relight", "@turned.toml", "@room.ply", "-o", "@a.ply", "--gamma", "4", "--device", "cpu").status == 0
     )
@@ -62,8 +62,8 @@ def test_how_it_stands_counts(work):
     np.testing.assert_array_equal(loaded.means, ball.means)
 
 
-def test_white_light_changes_nothing(work):
-    """Settings of a scene.toml count, and --background goes before them."""
+def test_a_constant_white_environment_leaves_colors_unchanged(work):
+    """Settings of a scene.toml apply, and --background overrides them."""
     assert work.run("relight", "@ball.ply", "@white.toml", "-o", "@same.ply", "--device", "cpu").status == 0
     assert work.path("same.ply").read_bytes() == work.path("ball.ply").read_bytes()
     dark = work.run("relight", "@ball.ply", "@white.toml", "--background", "black", "-o", "@b.ply", "--device", "cpu")
@@ -71,8 +71,8 @@ def test_white_light_changes_nothing(work):
     np.testing.assert_allclose(lit_sides(work, "b.ply"), 0.0, atol=1e-5)
 
 
-def test_options_are_those_of_the_library(work):
-    """The same probe and the same transfer, asked for in Python, give the same capture, and the same image."""
+def test_options_equal_arguments_of_the_library(work):
+    """The library gives the same capture and the same image."""
     options = ("--at", "1", "-0.5", "0.25", "--degree", "2", "--exponent", "3", "--scale-max", "0.5", "--gamma", "2")
     done = work.run(
         "relight", "@ball.ply", "@room.ply", "-o", "@a.ply", *options, "--near", "0.1", "--normals", "pca",
@@ -92,16 +92,16 @@ def test_options_are_those_of_the_library(work):
     )
 
 
-def test_a_dim_place_is_told(work):
-    """Where the avatar gets much darker, what gamma keeps it as bright is printed."""
+def test_a_dim_position_prints_a_gamma(work):
+    """The gamma preserves the avatar's brightness."""
     told = work.run("relight", "@ball.ply", "@room.ply", "-o", "@a.ply", "--device", "cpu").out
     assert "to keep the avatar about as bright as it was: --gamma" in told
 
 
-def test_darkness_is_told(work):
-    """Where no gamma would help, none is suggested."""
+def test_darkness_prints_advice(work):
+    """No gamma is suggested, as none would help."""
     told = work.run("relight", "@ball.ply", "@dust.ply", "-o", "@a.ply", "--device", "cpu").out
-    assert "there is next to no light there" in told and "--gamma" not in told
+    assert "there is almost no light" in told and "--gamma" not in told
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_darkness_is_told(work):
     ],
 )
 def test_mistakes_are_one_line(work, monkeypatch, args, named):
-    """Exit status 2, one line on standard error that names the culprit, no new file."""
+    """Each ends with status 2 and one line on standard error that names it, and writes no file."""
     monkeypatch.chdir(work.folder)
     before = work.files()
     done = work.run("relight", *args)

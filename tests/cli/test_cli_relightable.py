@@ -1,4 +1,4 @@
-"""``lumisplat train --relightable`` from the shell."""
+"""Tests ``lumisplat train --relightable``."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from support.scenes.training_scenes import folder_of
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "cpu", "--material-steps", "3")
 
 
-def test_a_capture_gets_materials_and_its_sky(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """All of which are files; the sky lights other scenes."""
+def test_a_capture_gets_materials_and_its_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All are files, and the environment lights other scenes."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT, "--relightable"]
     assert main([*command, "--stop-after", "0.01s"]) == 0
@@ -44,10 +44,10 @@ def test_a_capture_gets_materials_and_its_sky(tmp_path: Path, capsys: pytest.Cap
     assert "flatness = 0.3" in (output.with_suffix(".training") / "settings.toml").read_text()
 
 
-def test_materials_are_of_poses_that_were_refined(
+def test_materials_use_the_refined_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They are found in the photographs as these stand now; figures that there are none of are null."""
+    """The images have the refined cameras; missing values are null."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     seen: list[ls.io.TrainingImages] = []
     find = ls.inverse.find_materials
@@ -82,19 +82,21 @@ def test_materials_are_of_poses_that_were_refined(
     [
         (("-o", "a.spz"), "a.spz, expected a .ply: others have no columns for --relightable"),
         (("-o", "a.compressed.ply"), "a.compressed.ply, expected a .ply: others have no columns for --relightable"),
-        (("-o", "a.ply", "--pipeline", "trace"), "--relightable is of --pipeline raster and --projection ewa"),
-        (("-o", "a.ply", "--exposures"), "of one exposure: leave out --exposures"),
+        (("-o", "a.ply", "--pipeline", "trace"), "--relightable needs --pipeline raster and --projection ewa"),
+        (("-o", "a.ply", "--exposures"), "of equal exposure: leave out --exposures"),
         (("-o", "a.ply", "--material-steps", "-1"), "--material-steps is -1, expected 0 or more"),
     ],
 )
-def test_mistakes(options: tuple[str, ...], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Are told before anything is read."""
+def test_options_that_exclude_relightable_are_refused(
+    options: tuple[str, ...], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error comes before anything is read."""
     assert main(["train", str(tmp_path), *options, "--relightable"]) == 2
     assert problem in capsys.readouterr().err
 
 
-def test_a_weight_of_zero_is_one_that_was_given(tmp_path: Path) -> None:
-    """Then the others are 0, too, as without --relightable."""
+def test_a_weight_of_zero_overrides_the_relightable_default(tmp_path: Path) -> None:
+    """The other weights are then 0, too, as without --relightable."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--relightable", "--flatness", "0"]) == 0
     settings = (output.with_suffix(".training") / "settings.toml").read_text()

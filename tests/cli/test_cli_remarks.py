@@ -1,4 +1,4 @@
-"""Lines before a frame: surfaces that will be black for lack of light from all around."""
+"""Tests log lines before a frame about surfaces that will be black."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LAMPLIT = quad(4.0, material=ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.2,
 
 
 def remarks(scene: ls.Scene, **changes: object) -> list[str]:
-    """The lines about a scene."""
+    """Returns the log lines about a scene."""
     config = ls.RenderConfig(**changes)  # pyright: ignore[reportArgumentType]
     return list(frame_remarks(config, scene, {}, EnvironmentOptions()))
 
@@ -35,8 +35,8 @@ def remarks(scene: ls.Scene, **changes: object) -> list[str]:
         (ls.Scene([RELIT], [MIRROR, WALL], [LAMP, ls.LightEnvironment(enabled=False)]), "meshes and relit captures"),
     ],
 )
-def test_black_sides_beside_captures_are_announced(scene: ls.Scene, things: str) -> None:
-    """One line names what is black, and what lights it."""
+def test_black_sides_beside_captures_are_logged(scene: ls.Scene, things: str) -> None:
+    """One line names the black objects and a remedy."""
     (line,) = remarks(scene)
     assert line.startswith(f"sides of {things} that no light reaches are black: [environment]")
     assert "--environment FILE" in line
@@ -54,18 +54,18 @@ def test_black_sides_beside_captures_are_announced(scene: ls.Scene, things: str)
         ls.Scene([KEPT], [MIRROR, LAMPLIT], [LAMP]),
     ],
 )
-def test_nothing_is_said_of_other_scenes(scene: ls.Scene) -> None:
-    """An environment lights all sides; other sides are as they were asked for: of several lamps, of meshes alone."""
+def test_scenes_without_black_sides_log_nothing(scene: ls.Scene) -> None:
+    """An environment lights all sides; several lights, or meshes alone, are taken as intended."""
     assert remarks(scene) == []
 
 
-def test_an_albedo_that_no_material_uses_is_announced() -> None:
-    """Whoever delights a capture and sets up lights expects them to shine on it."""
+def test_an_albedo_without_a_material_is_logged() -> None:
+    """Users who delight a capture and add lights expect it to be lit."""
     found = replace(one_gaussian(), albedo=np.full((1, 3), 0.5, np.float32))
     kept = ls.SplatInstance(found)
     for lights in ([LAMP, SECOND], [SKY]):
         (line,) = remarks(ls.Scene([kept, RELIT], [], lights))
-        assert line.startswith("captures with an albedo stay as captured without a material")
+        assert line.startswith("captures with an albedo stay unlit without a material")
     assert remarks(ls.Scene([kept], [], [SKY]), lighting=False) == []
     for scene in (
         ls.Scene([kept]),
@@ -77,11 +77,11 @@ def test_an_albedo_that_no_material_uses_is_announced() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ["path", "realtime"])
-def test_captured_light_alone_is_said_to_be_clipped(pipeline: str) -> None:
-    """With the option that brightens it, until a gain is given or lights are there."""
+def test_objects_lit_by_captures_alone_are_logged(pipeline: str) -> None:
+    """The line names --capture-gain, and disappears with a gain or with lights."""
     scene = ls.Scene([KEPT], [WALL])
     (line,) = remarks(scene, pipeline=pipeline)
-    assert line.startswith("captured light alone shines on what is added") and "--capture-gain auto" in line
+    assert line.startswith("captures alone light added objects") and "--capture-gain auto" in line
     assert remarks(scene, pipeline=pipeline, capture_gain=1.0) == []
     for other in (ls.Scene([KEPT]), ls.Scene([KEPT], [WALL], [SKY]), ls.Scene([], [WALL])):
         assert remarks(other, pipeline=pipeline) == []
@@ -90,8 +90,8 @@ def test_captured_light_alone_is_said_to_be_clipped(pipeline: str) -> None:
     assert not any("tone-map" in one for one in frame_remarks(config, scene, {}, given))
 
 
-def test_the_gain_of_captured_light_is_found_by_the_command(tmp_path, capsys, monkeypatch, caplog) -> None:
-    """``--capture-gain auto`` says what it has found, and the frame is brighter by it."""
+def test_capture_gain_auto_estimates_the_gain(tmp_path, capsys, monkeypatch, caplog) -> None:
+    """The gain is logged, and the frame is brighter by it."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     work = Workplace(tmp_path, capsys)
     work.path("a.toml").write_text('[[splats]]\npath = "capture.ply"\n[[meshes]]\npath = "mesh.obj"\n')
@@ -102,8 +102,10 @@ def test_the_gain_of_captured_light_is_found_by_the_command(tmp_path, capsys, mo
 
 
 @pytest.mark.parametrize("command", ["render", "orbit"])
-def test_commands_say_it_once_and_the_environment_helps(tmp_path, capsys, monkeypatch, caplog, command) -> None:
-    """As the line says it, in a scene.toml."""
+def test_commands_log_black_sides_once_and_not_with_an_environment(
+    tmp_path, capsys, monkeypatch, caplog, command
+) -> None:
+    """The environment in a scene.toml is the remedy that the line names."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     work = Workplace(tmp_path, capsys)
     scene = '[[splats]]\npath = "capture.ply"\nshadow_catcher = true\n[[meshes]]\npath = "mesh.obj"\n'

@@ -1,4 +1,4 @@
-"""Files of reports: whole, or as they were."""
+"""Tests files of reports, which are replaced whole or not at all."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ NOISE = np.random.default_rng(0).random((60, 40, 3))
 SMALL = np.zeros((4, 4, 3))
 
 
-def test_a_full_disk_leaves_the_report_of_before(tmp_path: Path) -> None:
-    """No half of a file, and nothing beside it."""
+def test_a_full_disk_keeps_the_former_report(tmp_path: Path) -> None:
+    """No partial or temporary file is left."""
     with small_disk(tmp_path / "disk", "16k") as disk:
         write_json(disk / "report.json", {"psnr": 31.0})
         write_comparison(disk / "door.png", [(SMALL, SMALL)])
@@ -34,8 +34,8 @@ def test_a_full_disk_leaves_the_report_of_before(tmp_path: Path) -> None:
             assert picture.size == (12, 4)
 
 
-def test_reports_that_are_written_are_no_leftovers_of_others(tmp_path: Path) -> None:
-    """The first file that another process writes into a folder removes what killed ones have left there."""
+def test_temporary_files_of_other_runs_are_not_removed(tmp_path: Path) -> None:
+    """Other processes remove temporary files of killed runs in the same folder."""
     with comparisons._replaced(tmp_path / "report.json") as temporary:
         temporary.write_text("{}")
         ls.save(tmp_path / "other.ply", ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4))
@@ -43,7 +43,7 @@ def test_reports_that_are_written_are_no_leftovers_of_others(tmp_path: Path) -> 
 
 
 def test_reports_are_replaced(tmp_path: Path) -> None:
-    """By those that are written after them; a folder that is none is said."""
+    """Later reports replace earlier ones; a path that is no folder is reported."""
     for psnr in (31.0, 32.0):
         write_json(tmp_path / "report.json", {"psnr": psnr})
     assert json.loads((tmp_path / "report.json").read_text()) == {"psnr": 32.0}

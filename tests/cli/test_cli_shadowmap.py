@@ -1,4 +1,4 @@
-"""``lumisplat shadowmap``: captures in shadow, maps in files, and what is refused."""
+"""Tests ``lumisplat shadowmap``: captures with shadows, maps as files, and mistakes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIGHT = "0,0,-6"
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workplace:
-    """A folder with a capture around z = 4 and a small mesh before it."""
+    """Returns a folder with a capture around z = 4 and a small mesh before it."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     (tmp_path / "mesh.obj").write_text("v -0.3 -0.3 1\nv 0.3 -0.3 1\nv 0 0.3 1\nf 1 2 3\n")
@@ -31,8 +31,8 @@ def run(work: Workplace, *args: str) -> tuple[int, str, str]:
     return outcome.status, outcome.out, outcome.err
 
 
-def test_capture_is_saved_in_shadow(work: Workplace) -> None:
-    """What lies behind the mesh is darker, the rest keeps its bits; the casters are not part of it."""
+def test_a_capture_is_saved_with_shadows(work: Workplace) -> None:
+    """Gaussians behind the mesh are darker, others unchanged; the casters are not part of the result."""
     status, out, err = run(work, "--light", LIGHT, "--direct", "1", "-o", "@dark.ply")
     assert (status, err) == (0, "")
     before, after = ls.load(work.path("capture.ply")), ls.load(work.path("dark.ply"))
@@ -46,8 +46,8 @@ def test_capture_is_saved_in_shadow(work: Workplace) -> None:
     assert f"{(light < 1.0).sum()} of {before.count} Gaussians are in shadow" in out
 
 
-def test_map_is_saved(work: Workplace) -> None:
-    """An .npz is the map, for Python, with the settings that were given."""
+def test_a_shadow_map_is_saved(work: Workplace) -> None:
+    """The .npz is the library's map with the given settings."""
     status, out, err = run(work, "--sun", "0,0,1", "--resolution", "128", "--strength", "2", "-o", "@sun.npz")
     assert (status, err) == (0, "")
     assert "bins of" in out
@@ -59,7 +59,7 @@ def test_map_is_saved(work: Workplace) -> None:
 
 
 def test_invalid_gaussians_are_left_out(work: Workplace) -> None:
-    """What is advised where a file is refused works: for the capture and for what casts."""
+    """The advice for a refused file works for the capture and for casters."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -80,14 +80,14 @@ def test_invalid_gaussians_are_left_out(work: Workplace) -> None:
         (("--sun", "0,0,0", "-o", "@a.ply"), "needs a direction or a target"),
         (("--sun", "0,0,1", "--light", LIGHT, "-o", "@a.ply"), "choose one"),
         (("--light", LIGHT, "-o", "@a.png"), "a.png: expected .ply"),
-        (("--light", LIGHT, "--light", "0,0,9", "-o", "@a.npz"), "a map is of one light, got 2"),
-        (("--light", LIGHT, "--direct", "0.5", "-o", "@a.npz"), "--direct is about the capture"),
+        (("--light", LIGHT, "--light", "0,0,9", "-o", "@a.npz"), "a map needs one light, got 2"),
+        (("--light", LIGHT, "--direct", "0.5", "-o", "@a.npz"), "--direct needs a capture as output"),
         (("--light", LIGHT, "--resolution", "100", "-o", "@a.ply"), "resolution is 100"),
         (("--light", LIGHT, "--onto", "@mesh.obj", "-o", "@a.ply"), "mesh.obj: is not a capture"),
     ],
 )
-def test_mistakes_are_told_in_one_line(work: Workplace, args: tuple[str, ...], problem: str) -> None:
-    """A mistake leaves no file, and ends with status 2 and one line."""
+def test_mistakes_are_one_line(work: Workplace, args: tuple[str, ...], problem: str) -> None:
+    """Each ends with status 2, and leaves no file."""
     before = work.files()
     status, out, err = run(work, *args)
     assert (status, out) == (2, "")
@@ -95,8 +95,8 @@ def test_mistakes_are_told_in_one_line(work: Workplace, args: tuple[str, ...], p
     assert work.files() == before
 
 
-def test_casters_of_a_scene_file_stand_in_the_capture(work: Workplace) -> None:
-    """What stands upright does so by the capture's up, unless the file says another; a line says which it was."""
+def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workplace) -> None:
+    """A stated up direction of the file has precedence; a line reports which is used."""
     (work.folder / "up.obj").write_text("v -0.3 0 1\nv 0.3 0 1\nv 0 2 1\nf 1 2 3\n")
     entry = '[[meshes]]\npath = "up.obj"\nupright = true\n'
     shadows: dict[str, np.ndarray] = {}
@@ -116,8 +116,8 @@ def test_casters_of_a_scene_file_stand_in_the_capture(work: Workplace) -> None:
     assert (shadows["own"] != shadows["up"]).any()
 
 
-def test_meshes_that_cast_are_put_onto_the_capture(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
-    """Where `render` puts them beside it; --keep-coordinates leaves them in their files' places."""
+def test_casting_meshes_are_inserted_onto_the_capture(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """Their position is that of `render`; --keep-coordinates leaves them at their coordinates."""
     args = ("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
     put = work.run(*args, "-o", "@put.ply")
     assert put.status == 0 and "mesh.obj has no position, and is put upright on the ground" in caplog.text

@@ -1,4 +1,4 @@
-"""``-o -``: the file goes to standard output, whole or not at all, and messages to standard error."""
+"""Tests ``-o -``: the file goes to standard output, whole or not at all, and messages to standard error."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def run(tmp_path: Path):
     return of
 
 
-def test_a_picture(run, tmp_path: Path) -> None:
-    """A PNG of the same pixels as in a file; what is printed goes to standard error; no file is left."""
+def test_an_image_is_written_to_standard_output(run, tmp_path: Path) -> None:
+    """The PNG equals that in a file; messages go to standard error, and no file is left."""
     piped = run("render", "mesh.obj", "--width", "32", "--device", "cpu", "-o", "-", "--stats")
     assert piped.returncode == 0
     assert piped.stderr.startswith(b"last frame")
@@ -44,7 +44,7 @@ def test_a_picture(run, tmp_path: Path) -> None:
     np.testing.assert_array_equal(pixels[0], pixels[1])
 
 
-def test_a_capture(run, tmp_path: Path) -> None:
+def test_a_capture_is_written_to_standard_output(run, tmp_path: Path) -> None:
     """Convert writes a PLY."""
     piped = run("convert", "capture.ply", "-")
     assert piped.returncode == 0
@@ -56,7 +56,7 @@ def test_a_capture(run, tmp_path: Path) -> None:
 
 
 def test_mistakes_write_nothing(run) -> None:
-    """One line, and no byte of a picture."""
+    """Each prints one line on standard error."""
     for args, named in ((("missing.ply",), b"missing.ply"), (("mesh.obj", "--aov", "depth"), b"-o - is one picture")):
         done = run("render", *args, "-o", "-")
         assert (done.returncode, done.stdout) == (2, b"")
@@ -64,8 +64,8 @@ def test_mistakes_write_nothing(run) -> None:
         assert done.stderr.count(b"\n") == 1
 
 
-def test_info_shows_what_is_used_often_once(tmp_path: Path, capsys) -> None:
-    """3,000 instances of a mesh are one table, and their bounds take no memory of their own."""
+def test_info_prints_repeated_instances_once(tmp_path: Path, capsys) -> None:
+    """3,000 instances of a mesh have one table, and need no memory for their bounds."""
     (tmp_path / "mesh.obj").write_text("v -1 -1 4\nv 1 -1 4\nv 0 1 4\nf 1 2 3\n")
     entry = '[[meshes]]\npath = "mesh.obj"\nposition = [{}, 0, 0]\n'
     (tmp_path / "many.toml").write_text("".join(entry.format(k) for k in range(500)))
@@ -85,10 +85,10 @@ def test_info_shows_what_is_used_often_once(tmp_path: Path, capsys) -> None:
     ],
     ids=["relight", "shadowmap"],
 )
-def test_captures_of_other_commands(
+def test_other_commands_write_captures_to_standard_output(
     run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
-    """A PLY, the same as in a file; what is printed goes to standard error, and no file is left."""
+    """The PLY equals that in a file; messages go to standard error, and no file is left."""
     piped = run(*command, "--device", "cpu", "-o", "-")
     assert piped.returncode == 0, piped.stderr
     assert b"standard output: " in piped.stderr
@@ -99,8 +99,8 @@ def test_captures_of_other_commands(
 
 
 @pytest.mark.parametrize("command", [("orbit", "capture.ply"), ("animate", "scene.toml")])
-def test_frames_do_not_fit(run, command: tuple[str, ...]) -> None:
-    """Commands that write many files say so in one line."""
+def test_several_frames_on_standard_output_are_refused(run, command: tuple[str, ...]) -> None:
+    """Commands that write several files print one line."""
     done = run(*command, "-o", "-")
     assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (2, b"", 1)
-    assert b"-o - is one file, and frames are many: give a folder" in done.stderr
+    assert b"-o - is one file, but there are several frames: give a folder" in done.stderr

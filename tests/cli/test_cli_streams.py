@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full or no longer read: no traceback, and the pictures are written all the same."""
+"""Tests closed, full and unread standard streams: no traceback, and images are still written."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def shell(tmp_path: Path):
     ("command", "closed"),
     [*((INFO, closed) for closed in (">&-", "2>&-", "<&-", "<&- >&- 2>&-")), (HELP, ">&-"), (HELP, "2>&-")],
 )
-def test_closed_streams(shell, command: str, closed: str) -> None:
-    """The caller does not want to hear: what is said there is lost, and nothing else."""
+def test_commands_run_with_closed_streams(shell, command: str, closed: str) -> None:
+    """Only the output to closed streams is lost."""
     done = shell(f"{command} {closed}")
     assert (done.returncode, done.stderr) == (0, "")
     assert bool(done.stdout) == (">&-" not in closed.split())
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-"])
-def test_closed_streams_keep_the_status(shell, closed: str) -> None:
-    """A mistake is one line and status 2, if there is somebody to read the line."""
+def test_closed_streams_do_not_change_the_status(shell, closed: str) -> None:
+    """A mistake ends with status 2."""
     done = shell(f"{WRONG} {closed}")
     assert done.returncode == 2
     assert done.stderr == ("" if "2" in closed else "error: missing.ply: no such file\n")
@@ -45,8 +45,8 @@ def test_closed_streams_keep_the_status(shell, closed: str) -> None:
 
 @pytest.mark.parametrize("command", [INFO, HELP])
 @pytest.mark.parametrize("pipe", ["| head -0", "2>&1 | head -0"])
-def test_pipes_that_are_not_read(shell, command: str, pipe: str) -> None:
-    """Ends silently with the status of a broken pipe, tables as well as lines."""
+def test_unread_pipes_end_the_command(shell, command: str, pipe: str) -> None:
+    """The command ends silently with the status of a broken pipe."""
     done = shell(f"{command} {pipe}")
     assert (done.returncode, done.stdout, done.stderr) == (141, "", "")
 
@@ -55,7 +55,7 @@ def test_pipes_that_are_not_read(shell, command: str, pipe: str) -> None:
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("command", [INFO, HELP])
 def test_a_full_disk_is_named(shell, monkeypatch, command: str, unbuffered: str) -> None:
-    """One line that says that it is standard output that is full."""
+    """One line says that standard output is full."""
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     done = shell(f"{command} > /dev/full")
     assert done.returncode == 2
@@ -65,13 +65,13 @@ def test_a_full_disk_is_named(shell, monkeypatch, command: str, unbuffered: str)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
-def test_a_full_disk_for_errors_keeps_the_status(shell) -> None:
-    """Nobody can be told."""
+def test_a_full_disk_for_standard_error_keeps_the_status(shell) -> None:
+    """The message is lost."""
     assert shell(f"{WRONG} 2> /dev/full").returncode == 2
 
 
-def test_a_render_without_standard_error(shell, tmp_path: Path) -> None:
-    """Kernels are loaded, which once duplicated the descriptor, and the picture is written."""
+def test_render_works_without_standard_error(shell, tmp_path: Path) -> None:
+    """Loading kernels once duplicated the descriptor of standard error."""
     done = shell("render mesh.obj --width 32 --device cpu -o seen.png 2>&-")
     assert (done.returncode, done.stdout) == (0, "seen.png (32 x 18)\n")
     assert (tmp_path / "seen.png").stat().st_size > 0

@@ -1,4 +1,4 @@
-"""``lumisplat train`` from the shell."""
+"""Tests ``lumisplat train``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,8 @@ from support.scenes.training_scenes import folder_of
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--prune-below", "0", "--device", "cpu")
 
 
-def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It says how near it is, and what it made; begun again, there is nothing left to do."""
+def test_a_folder_is_trained_and_the_same_command_continues(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The output has scores and the file; a finished training has nothing left to do."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s", "--overwrite"]) == 0
@@ -34,8 +32,8 @@ def test_a_folder_becomes_a_capture_and_the_same_command_goes_on(
     assert isinstance(asset, ls.Gaussians) and asset.count == 120
 
 
-def test_rays_learn_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The file says its degree, and is measured by rays."""
+def test_rays_train_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file stores the degree, and evaluation uses rays."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     rays = ("--pipeline", "trace", "--kernel-degree", "4", "--iterations", "3", "--cap", "60", "--sh-degree", "1")
     assert main(["train", str(folder), "-o", str(output), *rays, "--device", "cpu"]) == 0
@@ -71,7 +69,7 @@ def test_mistakes_are_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In the words of the shell, and nothing is written."""
+    """Messages name options, and nothing is written."""
     monkeypatch.chdir(tmp_path)
     folder = folder_of(tmp_path / "set", 3)
     before = sorted(tmp_path.rglob("*"))
@@ -82,15 +80,15 @@ def test_mistakes_are_one_line(
 
 
 def test_a_folder_without_poses_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With what it should hold."""
+    """The message says what the folder should have."""
     assert main(["train", str(tmp_path), "-o", str(tmp_path / "a.ply"), "--device", "cpu"]) == 2
     assert "transforms.json" in capsys.readouterr().err
 
 
-def test_poses_are_asked_of_an_extra(
+def test_missing_poses_need_an_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Whose pip line is told where it is absent."""
+    """The message has the pip command."""
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     folder = folder_of(tmp_path / "set", 3)
     (folder / "transforms.json").unlink()
@@ -99,6 +97,6 @@ def test_poses_are_asked_of_an_extra(
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90", 90.0), ("90s", 90.0), ("10m", 600.0), ("1.5 h", 5400.0)])
-def test_times_are_as_people_write_them(text: str, seconds: float) -> None:
-    """With a unit, or without one in seconds."""
+def test_stop_after_parses_durations(text: str, seconds: float) -> None:
+    """A number without unit is in seconds."""
     assert seconds_of("--stop-after", text) == seconds

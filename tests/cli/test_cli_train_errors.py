@@ -1,4 +1,4 @@
-"""``lumisplat train`` on what cannot be: one line each, and nothing that was made is lost."""
+"""Tests failures of ``lumisplat train``: one line each, and no work is lost."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHORT = ("--iterations", "60", "--cap", "120", "--sh-degree", "1", "--device", "
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line of standard error."""
+    """Returns the single line of standard error."""
     text = capsys.readouterr().err
     assert text.startswith("error: ") and text.count("\n") == 1, text
     return text
@@ -30,13 +30,13 @@ def told(capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system that is full soon."""
+    """Returns a small file system that is soon full."""
     with small_disk(tmp_path / "disk", "200k") as folder:
         yield folder
 
 
-def test_a_single_photograph_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Depth shows between photographs only."""
+def test_a_single_image_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Depth needs several images."""
     folder = folder_of(tmp_path / "set", 1)
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
     assert "transforms.json: has a single image, expected two or more" in told(capsys)
@@ -44,7 +44,7 @@ def test_a_single_photograph_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It is named."""
+    """The message names the mask."""
     folder = folder_of(tmp_path / "set", 3)
     (folder / "masks").mkdir()
     Image.fromarray(np.zeros((40, 40), np.uint8)).save(folder / "masks" / "01.png")
@@ -54,7 +54,7 @@ def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The first setting that differs is named, and all files stay as they are."""
+    """The message names the first different setting, and all files stay unchanged."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT]
     assert main(command) == 0
@@ -75,7 +75,7 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytes
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of photographs, and beside it what a training of them leaves that comes to its end."""
+    """Returns a folder of images, and the files of a finished training of them."""
     place = tmp_path_factory.mktemp("whole")
     assert main(["train", str(folder_of(place / "set")), "-o", str(place / "a.ply"), *SHORT]) == 0
     return place
@@ -92,7 +92,7 @@ def test_a_disk_that_fills_up_loses_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Whichever file finds it full: one line names it, what was there stays, and the same command continues."""
+    """One line names the file that finds it full; existing files stay, and the same command continues."""
     folder, output, written = whole / "set", tmp_path / "a.ply", 0
     capsys.readouterr()
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
@@ -121,7 +121,7 @@ def test_a_disk_that_fills_up_loses_nothing(
 def test_a_full_disk_is_one_line(
     disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of a file system that is really full; with room, the same command continues."""
+    """The file system is really full; with room, the same command continues."""
     folder, output = folder_of(tmp_path / "set"), disk / "a.ply"
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
     command = ["train", str(folder), "-o", str(output), *SHORT]

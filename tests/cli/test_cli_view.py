@@ -36,7 +36,7 @@ def mesh_scene(work: Workplace) -> ls.Scene:
 
 
 @pytest.mark.parametrize("view", ["normal", "depth", "index", "transmittance"])
-def test_a_view_takes_the_place_of_the_picture(work, view):
+def test_a_view_replaces_the_image(work, view):
     """--view writes what the library's view of the same frame is, under the picture's name, and nothing else."""
     assert work.run(*ARGS, "--frames", "left", "--view", view, "-o", "@out").status == 0
     scene, camera = mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0]
@@ -47,7 +47,7 @@ def test_a_view_takes_the_place_of_the_picture(work, view):
     )
 
 
-def test_views_of_one_run_compare(work):
+def test_views_of_one_run_share_their_color_scale(work):
     """The range of depth of the first frame is that of all, and is printed: the same colour is the same distance."""
     back = np.eye(4)
     back[2, 3] = 2.0
@@ -65,7 +65,7 @@ def test_views_of_one_run_compare(work):
     np.testing.assert_array_equal(read_image(work.path("out/right.png"))["srgb"], expected)
 
 
-def test_shadows_of_a_lit_scene(work):
+def test_the_shadow_view_shows_a_lit_scene(work):
     """The renderer is asked for lights: the lit side of the triangle is white, what no light can reach is blue."""
     work.path("scene.toml").write_text(
         '[[meshes]]\npath = "mesh.obj"\n'
@@ -87,17 +87,17 @@ def test_shadows_of_a_lit_scene(work):
     [
         (("--view", "shadow", "--lighting", "off"), "no 'lights'"),
         (("--aov", "albedo", "--lighting", "off"), "no 'albedo'"),
-        (("--view", "depth", "--aov", "depth"), "--view and --aov do not go together"),
-        (("--view", "depth", "--format", "exr"), "--view is a picture to look at, expected .png"),
+        (("--view", "depth", "--aov", "depth"), "--view and --aov exclude each other"),
+        (("--view", "depth", "--format", "exr"), "--view writes an image in colours, expected .png"),
         (
             ("--aov", "cryptomatte"),
-            "--aov cryptomatte is written into an EXR",
+            "--aov cryptomatte needs an EXR",
         ),
         (("--view", "shadows"), "'shadows'"),
         (("--aov", "depth,shadow"), "--aov has 'shadow', did you mean shadow_ratio? expected some of depth, normal"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(work, options, error):
+def test_views_that_cannot_be_written_are_refused(work, options, error):
     """One line says why, nothing is written, and the status is 2."""
     outcome = work.run(*ARGS, "--frames", "left", *options, "-o", "@out")
     assert outcome.status == 2 and error in outcome.err
@@ -105,7 +105,7 @@ def test_what_cannot_be_shown_is_refused(work, options, error):
     assert not list(work.path("out").glob("*"))
 
 
-def test_renderers_are_asked_for_what_is_needed():
+def test_views_request_the_layers_that_they_need():
     """Views and layers name the images that they are made of, each once."""
     assert FrameWriter(Layers.of("depth, albedo,lights").names, None).aovs == ("albedo", "lights")
     assert FrameWriter((), "shadow").aovs == ("lights",)
@@ -113,7 +113,7 @@ def test_renderers_are_asked_for_what_is_needed():
     assert FrameWriter((), "depth").aovs == () and FrameWriter((), None).aovs == ()
 
 
-def test_depth_can_be_measured(work):
+def test_16_bit_depth_stores_its_range(work):
     """--aov depth also writes 16-bit grey; the range in its text, which is printed too, gives the depths back."""
     outcome = work.run(*ARGS, "--frames", "left", "--aov", "depth", "-o", "@a.png")
     assert outcome.status == 0 and work.path("a.depth.png").exists()
@@ -131,7 +131,7 @@ def test_depth_can_be_measured(work):
     np.testing.assert_allclose(depth[hit], frame.depth[hit], atol=0.51 / 65534 * (far - near) + 1e-6)
 
 
-def test_depth_of_nothing_and_of_one_plane(work):
+def test_16_bit_depth_of_no_surface_and_of_one_plane(work):
     """No surface is 0 everywhere; a range of no length divides by nothing."""
     frame = ls.render(ls.Scene(), front_camera(8, 6), device="cpu")
     assert frame.depth_range is None
@@ -142,7 +142,7 @@ def test_depth_of_nothing_and_of_one_plane(work):
     assert (np.asarray(Image.open(work.path("flat.depth16.png"))) == 1).all()
 
 
-def test_crease_angle(work) -> None:
+def test_set_crease_angle_changes_normals(work) -> None:
     """Of OBJs without normals: a wide one shades a folded sheet smoothly, 0 leaves it flat; in degrees."""
     sheet = "v -1 -1 5\nv 0 -1 4\nv 0 1 4\nv -1 1 5\nv 1 -1 5\nv 1 1 5\nf 1 2 3 4\nf 2 5 6 3\n"
     work.path("sheet.obj").write_text(sheet)
@@ -158,7 +158,7 @@ def test_crease_angle(work) -> None:
     assert outcome.status == 2 and "--set meshes.crease_angle_degrees=200: expected 0 to 180 degrees" in outcome.err
 
 
-def test_mattes_go_into_the_exr(work: Workplace) -> None:
+def test_mattes_are_written_into_the_exr(work: Workplace) -> None:
     """As parts of their own, with the names of files; the picture stays the first part."""
     outcome = work.run("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "cryptomatte", "-o", "@out.exr")
     assert outcome.status == 0
@@ -169,11 +169,11 @@ def test_mattes_go_into_the_exr(work: Workplace) -> None:
     assert "capture" in manifest and "mesh" in manifest
 
 
-def test_deep_frames_lie_beside_the_picture(work: Workplace) -> None:
+def test_deep_samples_are_written_beside_the_image(work: Workplace) -> None:
     """As NAME.deep.exr; standard output has room for one file only."""
     args = ("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "deep")
     assert work.run(*args, "-o", "@out.png").status == 0
     file: Any
     with OpenEXR.File(str(work.path("out.deep.exr")), separate_channels=True) as file:
         assert file.channels().keys() == {"R", "G", "B", "A", "Z", "ZBack"}
-    assert "--aov deep writes a file beside it" in work.run(*args, "-o", "-").err
+    assert "--aov deep writes another beside it" in work.run(*args, "-o", "-").err

@@ -54,7 +54,7 @@ def status(address: str) -> int:
             return error.code
 
 
-def test_it_prints_its_address_serves_and_ends_when_interrupted(capture: Path) -> None:
+def test_view_prints_its_address_and_serves_until_interrupted(capture: Path) -> None:
     """One line on standard output and no more; the address opens the page, and without its token nothing does."""
     with serving(str(capture)) as (process, address):
         assert address.startswith("http://127.0.0.1:") and "/?token=" in address
@@ -64,7 +64,7 @@ def test_it_prints_its_address_serves_and_ends_when_interrupted(capture: Path) -
         assert not rest and "Traceback" not in errors and process.returncode in (0, 130)
 
 
-def test_files_that_cannot_be_read_are_left_out(capture: Path) -> None:
+def test_unreadable_files_are_left_out(capture: Path) -> None:
     """Of several; the page is served with the others, and standard error names the one."""
     with serving(str(capture), str(capture.with_name("gone.obj"))) as (process, address):
         assert status(address) == 200
@@ -72,7 +72,7 @@ def test_files_that_cannot_be_read_are_left_out(capture: Path) -> None:
         assert "gone.obj" in process.communicate(timeout=PATIENCE_S)[1]
 
 
-def test_other_machines_are_let_in_only_if_that_is_said(capture: Path) -> None:
+def test_other_machines_are_admitted_only_by_host(capture: Path) -> None:
     """Then standard error says so, and the token is still needed."""
     with serving(str(capture), "--host", "0.0.0.0") as (process, address):
         assert status(address) == 200 and status(address.partition("?")[0]) == 401

@@ -37,7 +37,7 @@ def expected(work: Workplace, camera: ls.Camera) -> np.ndarray:
 SIZE: Any = {"width": 48, "height": 32}
 
 
-def test_sides_are_those_of_frame_camera(work) -> None:
+def test_sides_equal_those_of_frame_camera(work) -> None:
     """Degrees on the command line, radians in Python."""
     scene = ls.Scene([work.capture("capture.ply")])
     camera = ls.frame_camera(scene, azimuth=math.radians(30), elevation=math.radians(-10), distance=6.0, **SIZE)
@@ -47,7 +47,7 @@ def test_sides_are_those_of_frame_camera(work) -> None:
     np.testing.assert_array_equal(shown(work, "--fov", "20", "--target", "0.2 0.1 4"), expected(work, lens))
 
 
-def test_eye_and_target_are_those_of_look_at(work) -> None:
+def test_eye_and_target_equal_those_of_look_at(work) -> None:
     """Up is the scene's own, y down of a capture; a number may be negative and come first."""
     camera = ls.Camera.look_at((-1, -0.5, 0), (0, 0, 4), (0, -1, 0), fov_y=math.radians(50), **SIZE)
     near = min(camera.near, 1e-3 * math.dist((-1, -0.5, 0), (0, 0, 4)))
@@ -57,14 +57,14 @@ def test_eye_and_target_are_those_of_look_at(work) -> None:
 
 
 @pytest.mark.parametrize("up", ["y-up", "z-up", "0.3,-1,0"])
-def test_up_turns_the_picture(work, up) -> None:
+def test_up_rotates_the_image(work, up) -> None:
     """--up is that of the scene, an axis or any direction."""
     direction = up if up[0] in "yz" else (0.3, -1, 0)
     scene = ls.Scene([work.capture("capture.ply")], up=direction)
     np.testing.assert_array_equal(shown(work, "--up", up), expected(work, ls.frame_camera(scene, **SIZE)))
 
 
-def test_straight_from_above(work) -> None:
+def test_a_view_straight_from_above_is_oriented(work) -> None:
     """An eye above the target has an up in its image too: where the front camera looks."""
     camera = ls.Camera.look_at((0, -5, 4), (0, 0, 4), (0, 0, 1), **SIZE)
     np.testing.assert_array_equal(shown(work, "--eye", "0,-5,4", "--target", "0,0,4"), expected(work, camera))
@@ -95,20 +95,20 @@ def test_a_viewpoint_replaces_the_cameras_of_a_scene_file(work) -> None:
         (("--eye", "0,0,1", "--target", "0,0,1"), "--eye is 0,0,1, which is the target"),
     ],
 )
-def test_contradictions_are_refused(work, options, message) -> None:
+def test_contradicting_viewpoint_options_are_refused(work, options, message) -> None:
     """In one line, in the words of the shell."""
     outcome = work.run("render", "@capture.ply", "-o", "@a.png", "--device", "cpu", *options)
     assert outcome.status == 2
     assert message in outcome.err and len(outcome.err.splitlines()) == 1
 
 
-def test_bench_takes_a_viewpoint(work) -> None:
+def test_bench_uses_the_viewpoint_options(work) -> None:
     """Every command that renders has these options."""
     outcome = work.run("bench", "@capture.ply", "--azimuth", "45", "--width", "32", "--repeats", "1", "--device", "cpu")
     assert outcome.status == 0 and "32 x 18" in outcome.out
 
 
-def test_a_scene_of_another_program_is_seen_by_its_own_cameras(work) -> None:
+def test_a_single_gltf_or_usd_file_is_rendered_by_its_own_cameras(work) -> None:
     """One image a camera, named after it; a viewpoint replaces them, and beside a capture they are not its cameras."""
     mesh = ls.MeshInstance(ls.box(1.0), name="box")
     cameras = [ls.Camera.look_at(eye, (0, 0, 0), **SIZE, name=name) for name, eye in SIDES.items()]

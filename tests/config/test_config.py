@@ -145,16 +145,16 @@ def test_wrong_settings_are_refused(kind: type, settings: dict[str, object], mes
     assert "\n" not in str(caught.value)
 
 
-def test_the_same_images_asked_for_otherwise_are_equal_settings() -> None:
-    """Further images count once, in any order and from any iterable."""
+def test_equal_layers_in_other_forms_are_equal_settings() -> None:
+    """Layers count once, in any order and from any iterable."""
     names: Any = (name for name in ("hits", "albedo", "hits"))
     asked = ls.RenderConfig(aovs=names)
     assert asked == ls.RenderConfig(aovs=("albedo", "hits"))
     assert asked.aovs == ("albedo", "hits")
 
 
-def test_numbers_of_numpy_are_settings() -> None:
-    """They give the frame that Python's give, and a background is a tuple whatever it came as."""
+def test_numpy_numbers_are_accepted() -> None:
+    """They give the frame of Python numbers, and a background becomes a tuple."""
     one, two = np.int64(1), np.int32(2)
     trace: dict[str, Any] = {
         "hits_per_pass": np.int64(8),
@@ -230,8 +230,8 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("settings", "name", "kind"), CHOICES)
-def test_choices_are_taken_by_their_values(settings: type[Any], name: str, kind: type[Enum]) -> None:
-    """Each value is accepted as a string, and becomes the member, so that settings compare and are read as before."""
+def test_choices_are_accepted_by_value(settings: type[Any], name: str, kind: type[Enum]) -> None:
+    """Each value as text becomes the enum member, so that settings compare equal."""
     for member in kind:
         if (settings, member) in REFUSED:
             continue
@@ -264,12 +264,12 @@ def test_every_choice_of_the_settings_is_listed() -> None:
         ("none", None),
     ],
 )
-def test_backgrounds_are_taken_as_text(text: str, color: tuple[float, float, float] | None) -> None:
-    """As the command line takes them."""
+def test_backgrounds_are_accepted_as_text(text: str, color: tuple[float, float, float] | None) -> None:
+    """The command line passes them as text."""
     assert ls.RenderConfig(background=cast(Any, text)) == ls.RenderConfig(background=color)
 
 
-def test_single_names_of_images_are_taken() -> None:
-    """One name needs no tuple, several may be one text."""
+def test_a_single_layer_name_is_accepted() -> None:
+    """One name needs no tuple, and several may be one text."""
     assert ls.RenderConfig(aovs=cast(Any, "hits")).aovs == ("hits",)
     assert ls.RenderConfig(aovs=cast(Any, "hits, albedo")).aovs == ("albedo", "hits")

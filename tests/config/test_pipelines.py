@@ -16,7 +16,7 @@ SOURCES = Path(lumisplat.__file__).parent
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_each_pipeline_is_its_own_pair_of_visibility_and_integrator(pipeline: ls.Pipeline) -> None:
+def test_each_pipeline_has_a_unique_visibility_and_integrator(pipeline: ls.Pipeline) -> None:
     """No two pipelines render the same way."""
     pair = pipeline.visibility, pipeline.integrator
     assert [one for one in ls.Pipeline if (one.visibility, one.integrator) == pair] == [pipeline]
@@ -29,8 +29,8 @@ def test_raster_and_trace_differ_from_hybrid_in_one_thing_each() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_light_that_bounces_lights_scenes_without_lights(pipeline: ls.Pipeline) -> None:
-    """Others light a scene by default if it asks for it; whoever sets lighting decides."""
+def test_pipelines_with_bounces_light_scenes_without_lights(pipeline: ls.Pipeline) -> None:
+    """Other pipelines light a scene by default if it asks for it; the setting lighting has precedence."""
     config = ls.RenderConfig(pipeline=pipeline)
     assert config.is_lit(by_default=True)
     assert config.is_lit(by_default=False) == (pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME))
@@ -62,7 +62,7 @@ def test_a_frame_that_is_exact_with_one_sample_reads_no_random_numbers() -> None
     assert "trace.strategy" in replace(exact, pipeline=ls.Pipeline.PATH).unused_settings(lit=True)
 
 
-def test_no_other_code_asks_which_pipeline_it_is() -> None:
+def test_no_other_code_compares_pipelines() -> None:
     """Code asks for the property that it depends on: `rasterises`, `bounces_light` and so on."""
     asking: list[str] = []
     for path in SOURCES.rglob("*.py"):

@@ -72,8 +72,8 @@ def good(one: Setting) -> float:
 
 
 @pytest.mark.parametrize(("kind", "one"), list(numeric()))
-def test_numbers_of_every_kind_become_plain_ones(kind: Any, one: Setting) -> None:
-    """Scalars of NumPy, arrays without dimensions, and whole numbers for fractions; a bool is no number."""
+def test_numbers_of_every_type_become_python_numbers(kind: Any, one: Setting) -> None:
+    """NumPy scalars, zero-dimensional arrays, and integers for floats are accepted; bools are refused."""
     plain_kind = int if one.kind == "whole" else float
     value = float(np.float32(one.default)) if one.name.endswith("_angle") else good(one)
     if one.name in RELATED and one.default is not None and not one.name.endswith("_angle"):
@@ -89,7 +89,7 @@ def test_numbers_of_every_kind_become_plain_ones(kind: Any, one: Setting) -> Non
 
 @pytest.mark.parametrize(("kind", "one"), list(numeric()))
 def test_ranges_end_where_they_are_declared(kind: Any, one: Setting) -> None:
-    """The ends are accepted, unless they are excluded; what is just outside is refused."""
+    """Ends are accepted unless excluded, and the next number outside is refused."""
     limits = one.range
     whole = one.kind == "whole"
     for end, out, excluded in ((one.low, -1, limits.above), (one.high, 1, limits.below)):
@@ -106,7 +106,7 @@ def test_ranges_end_where_they_are_declared(kind: Any, one: Setting) -> None:
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
 def test_every_setting_has_help(kind: Any) -> None:
-    """The docstring below it says what it is; ranges and units are declared, and not repeated there."""
+    """The docstring does not repeat ranges and units, which are declared."""
     undocumented = {"position", "color", "enabled", "casts_shadow", "name", "wrap_v", "scene", "subject", "gaussians",
                     "actors", "cameras", "alpha", "alpha_mode", "alpha_cutoff"}  # fmt: skip
     for one in settings_of(kind):
@@ -116,7 +116,7 @@ def test_every_setting_has_help(kind: Any) -> None:
 
 @pytest.mark.parametrize(("kind", "one"), list(numeric()))
 def test_an_error_names_the_refused_setting(kind: Any, one: Setting) -> None:
-    """Its ``setting`` is the field, also where a prefix such as camera stands before it in the message."""
+    """``setting`` is the field, also behind a prefix such as camera in the message."""
     with pytest.raises(ERRORS) as caught:
         made(kind, one, "many")
     assert caught.value.setting == one.name
@@ -125,7 +125,7 @@ def test_an_error_names_the_refused_setting(kind: Any, one: Setting) -> None:
 
 @pytest.mark.parametrize("kind", CONFIGS, ids=lambda kind: kind.__name__)
 def test_help_of_a_class_describes_each_field(kind: Any) -> None:
-    """With the docstring below the field, its values and its default."""
+    """Help has the docstring below the field, and its range."""
     text = " ".join(pydoc.plain(pydoc.render_doc(kind)).replace("|", "").split())
     for one in settings_of(kind):
         described = " ".join(f"{one.name}: {one.help} {one.limits}".split())
@@ -133,8 +133,8 @@ def test_help_of_a_class_describes_each_field(kind: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
-def test_defaults_are_what_they_would_become(kind: Any) -> None:
-    """They are not checked when an object is made: each passes the checks here, and stays what it is."""
+def test_defaults_pass_their_checks_unchanged(kind: Any) -> None:
+    """New objects do not check defaults, so that this test does."""
     for one, field in zip(settings_of(kind), fields(kind), strict=True):
         if field.default is MISSING or one.kind == "other":
             continue
@@ -180,8 +180,8 @@ SCALARS = st.one_of(
 
 
 @drawn(SCALARS)
-def test_a_value_is_taken_if_and_only_if_it_is_in_the_range(value: Any) -> None:
-    """As stated here once more; else it is one line with name and value."""
+def test_a_value_is_accepted_if_and_only_if_it_is_in_the_range(value: Any) -> None:
+    """The range is stated here independently; the error is one line with name and value."""
     number = plain(value)
     is_whole, is_number = type(number) is int, type(number) in (int, float)
     taken = {
@@ -201,15 +201,15 @@ def test_a_value_is_taken_if_and_only_if_it_is_in_the_range(value: Any) -> None:
 
 
 @drawn(st.floats(0.0, 1.0, exclude_min=True, exclude_max=True))
-def test_numbers_are_taken_to_the_bit(value: float) -> None:
-    """Whatever carries them."""
+def test_numbers_are_stored_exactly(value: float) -> None:
+    """The type that carries a number does not change it."""
     every: tuple[Any, ...] = (value, np.float64(value), np.array(value))
     for carried in every:
         assert Numbers(share=carried).share == value
 
 
-def test_what_arrays_of_other_packages_hold_is_a_number() -> None:
-    """By DLPack alone, as of packages that NumPy does not know."""
+def test_zero_dimensional_arrays_of_other_packages_are_numbers() -> None:
+    """Such packages support DLPack only."""
 
     class Alien:
         shape = ()
@@ -229,8 +229,8 @@ def test_what_arrays_of_other_packages_hold_is_a_number() -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in GIVEN if kind.__name__.startswith("Light")])
-def test_intensities_have_the_unit_of_their_light(kind: Any) -> None:
-    """As tables of lights show it."""
+def test_intensity_units_depend_on_the_light(kind: Any) -> None:
+    """Tables of lights show them."""
     assert next(one for one in settings_of(kind) if one.name == "intensity").range.unit == kind.unit
 
 
@@ -244,8 +244,8 @@ def test_settings_of_groups_have_dotted_names() -> None:
     assert named["capture_gain"].limits == "Takes -16.0 to 16.0, in stops."
 
 
-def test_a_field_may_accept_more_than_it_becomes() -> None:
-    """Its converter is called with the value and the name, and its errors are the field's."""
+def test_a_converter_accepts_more_types_than_the_field_stores() -> None:
+    """The converter gets the value and the field's name, and its errors are those of the field."""
 
     def doubled(value: str | float, name: str = "number") -> float:
         if value == "no":
@@ -263,16 +263,16 @@ def test_a_field_may_accept_more_than_it_becomes() -> None:
         Taken("no")
 
 
-def test_the_page_of_settings_is_that_of_the_declarations() -> None:
-    """It is written by a tool, and as it would write it now."""
+def test_the_settings_page_equals_the_declarations() -> None:
+    """The tool writes the page without changes."""
     from tools.make_settings_page import PAGE, page
 
     assert PAGE.read_text(encoding="utf-8") == page(), "run tools/make_settings_page.py"
 
 
 @pytest.mark.parametrize("stops", [np.float32(0.5), np.array(0.5), [0.5, np.float64(0.5)], np.array([0.5, 0.5])])
-def test_exposures_of_photographs_are_numbers_of_any_kind(stops: Any) -> None:
-    """One for all, or one for each."""
+def test_exposures_of_images_are_numbers_of_any_type(stops: Any) -> None:
+    """One number applies to all images, or each has its own."""
     from lumisplat.relighting.fitting.parameters import _stops
 
     assert _stops(stops, [1.0, 2.0]).tolist() == [0.5, 0.5]

@@ -1,6 +1,7 @@
-"""The command line: ``lumisplat COMMAND``, whose commands ``lumisplat --help`` shows in groups.
+"""Command line ``lumisplat COMMAND``; ``lumisplat --help`` lists the commands in groups.
 
-It uses public names of the package only. A user's mistake ends as one line on standard error and exit status 2.
+The command line uses public names of the package only. A user's mistake prints one line on standard error, and the
+process ends with status 2.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ _GROUPS: dict[str, dict[str, type[Any]]] = {
 """Classes of the commands by name, in the groups of ``lumisplat --help``."""
 
 _RENAMED_COMMANDS = {"frames": "extract-frames"}
-"""New names of commands by their former names."""
+"""Former name of a command -> present name."""
 
 _Command: Any = Union[  # noqa: UP007, as its members are computed
     tuple(Annotated[kind, subcommand(name)] for kinds in _GROUPS.values() for name, kind in kinds.items())
@@ -87,10 +88,10 @@ def main(args: Sequence[str] | None = None) -> int:
     """Runs one command.
 
     Args:
-        args: The arguments after the program's name; None: the process's own.
+        args: Arguments behind the program's name; None takes those of the process.
 
     Returns:
-        Exit status: 0, 2 after a user's mistake, 3 if some frames could not be made, 130 when interrupted.
+        Exit status: 0, 2 after a user's mistake, 3 if some frames failed, 130 after an interruption.
 
     Raises:
         BrokenPipeError: The reader of standard output has closed it.
@@ -122,12 +123,12 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _parsed(args: Sequence[str]) -> Any:
-    """The command that arguments ask for; leaves the process by SystemExit after a help or a mistake."""
+    """Returns the command that the arguments describe. Raises SystemExit after printing a help or a mistake."""
     return tyro.cli(_Command, args=args, prog="lumisplat", description=_DESCRIPTION, config=(FlagCreatePairsOff,))
 
 
 def _help() -> str:
-    """The screen that shows all commands in groups, each with the first line of its docstring."""
+    """Returns the text of ``lumisplat --help``: all commands in groups, each with the first line of its docstring."""
     rows = [f"usage: lumisplat COMMAND ...\n\n{_DESCRIPTION}\n"]
     for group, kinds in _GROUPS.items():
         lines = (f"  {name:<16}{(inspect.getdoc(kind) or '').splitlines()[0]}" for name, kind in kinds.items())
@@ -174,12 +175,12 @@ def _arguments(args: Sequence[str]) -> tuple[list[str], str]:
 
 
 def _commands(union: Any) -> dict[str, type[Any]]:
-    """Commands of a union by their names."""
+    """Returns the commands of a union by name."""
     return {named.name: command for command, named in map(get_args, get_args(union))}
 
 
 def _run(command: Command) -> int:
-    """Runs a command; its exit status."""
+    """Runs a command and returns its exit status."""
     try:
         with logging_in_shell_words(command):
             command.run()

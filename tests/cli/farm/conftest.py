@@ -1,4 +1,4 @@
-"""Ray for the tests of farms."""
+"""Ray cluster for the tests of farms."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lumisplat.cli.farm.cluster import connected
 
 @pytest.fixture(scope="session")
 def ray() -> Iterator[Any]:
-    """A cluster on this machine for all tests of a process, whose commands use it: to start it takes seconds."""
+    """Yields a cluster on this machine for all tests of a process, as starting one takes seconds."""
     if importlib.util.find_spec("ray") is None:  # not imported: it reads its settings then
         pytest.skip("Ray is not installed: pip install 'lumisplat[farm]'")
     with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""A texture beside a file of a scene that has changed: frames of before are not gone on with in silence."""
+"""Tests that frames are not continued after a texture of the scene has changed."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ SIZE = ("--width", "24", "--height", "16", "--device", "cpu")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
 def write_texture(path: Path, red: int) -> None:
-    """A picture of one colour, of a time of its own."""
+    """Writes a texture of one colour with its own modification time."""
     path.parent.mkdir(exist_ok=True)
     Image.fromarray(np.full((4, 4, 3), (red, 90, 30), np.uint8)).save(path)
     os.utime(path, ns=(10**18 + red, 10**18 + red))
 
 
 def write_gltf(path: Path, uri: str) -> None:
-    """A textured triangle, whose picture is a file beside it."""
+    """Writes a textured triangle whose texture is a file beside it."""
     positions = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], np.float32).tobytes()
     document = {
         "asset": {"version": "2.0"},
@@ -66,8 +66,8 @@ def write_gltf(path: Path, uri: str) -> None:
 
 @pytest.mark.parametrize("name", ["body.gltf", "body.glb"])
 @pytest.mark.parametrize("uri", ["tex/bark.png", "tex/old%20bark.png"])
-def test_of_gltf(work, name: str, uri: str) -> None:
-    """Also by names with signs that stand for others, and from binary files: refused, by the name of the texture."""
+def test_a_changed_gltf_texture_changes_the_fingerprint(work, name: str, uri: str) -> None:
+    """Percent-encoded names and binary files count, too; the error names the texture."""
     texture = work.path(uri.replace("%20", " "))
     write_texture(texture, 200)
     write_gltf(work.path(name), uri)
@@ -80,8 +80,8 @@ def test_of_gltf(work, name: str, uri: str) -> None:
     assert f"holds frames of other settings or files ({uri.replace('%20', ' ')}): " in refused.err
 
 
-def test_of_binary_usd(work) -> None:
-    """Layers and textures that a .usdc names, as values of any time, and those of a layer that it refers to."""
+def test_a_changed_texture_of_binary_usd_changes_the_fingerprint(work) -> None:
+    """Layers and textures of a .usdc count at all times, and those of referenced layers."""
     sdf = pytest.importorskip("pxr.Sdf")
     usd = pytest.importorskip("pxr.Usd")
     for name in ("one.usdc", "other.usd"):
@@ -103,8 +103,8 @@ def test_of_binary_usd(work) -> None:
     }  # fmt: skip
 
 
-def test_a_changed_texture_of_usd_is_refused(work) -> None:
-    """By the command, of a mesh whose texture lies beside its .usdc."""
+def test_frames_of_a_changed_usd_texture_are_refused(work) -> None:
+    """The command refuses frames of a mesh whose texture lies beside its .usdc."""
     pytest.importorskip("pxr")
     write_texture(work.path("tex/bark.png"), 200)
     write_gltf(work.path("body.gltf"), "tex/bark.png")

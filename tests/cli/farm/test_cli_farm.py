@@ -1,4 +1,4 @@
-"""``lumisplat farm`` before it has workers: its help, and mistakes in one line."""
+"""Tests ``lumisplat farm`` before workers start: its help, and mistakes in one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TWO = ("--workers", "2")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
@@ -26,13 +26,13 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     [
         (("orbit", "@capture.ply", "--workers", "0"), "--workers is 0, expected 1 or more"),
         (("orbit", "@capture.ply", "--cores", "0"), "--cores is 0, expected 1 or more"),
-        (("orbit", "@capture.ply", "--stats"), "--stats is of one process"),
-        (("orbit", "@capture.ply", "-o", "-"), "frames are many: give a folder"),
+        (("orbit", "@capture.ply", "--stats"), "--stats needs one process"),
+        (("orbit", "@capture.ply", "-o", "-"), "there are several frames: give a folder"),
         (("dance",), "'dance' is no command (see lumisplat farm --help)"),
     ],
 )
-def test_mistakes(work, monkeypatch, options: tuple[str, ...], message: str) -> None:
-    """One line and status 2, wherever they are found; no frame is there."""
+def test_mistakes_are_reported_before_workers_start(work, monkeypatch, options: tuple[str, ...], message: str) -> None:
+    """Each prints one line with status 2, and writes no frame."""
     monkeypatch.chdir(work.folder)
     done = work.run("farm", *options, *(("--device", "cpu") if len(options) > 1 else ()))
     assert (done.status, done.out) == (2, ""), done.err
@@ -40,16 +40,16 @@ def test_mistakes(work, monkeypatch, options: tuple[str, ...], message: str) -> 
     assert not [name for name in work.files() if name.endswith(".png")]
 
 
-def test_without_ray_its_extra_is_named(work, monkeypatch) -> None:
-    """And what serves without it."""
+def test_without_ray_the_error_names_the_extra(work, monkeypatch) -> None:
+    """The error also names what works without Ray."""
     monkeypatch.setitem(sys.modules, "ray", None)
     for address in ("local", "auto", "ray://farm:10001"):
         done = work.run("farm", "orbit", "@capture.ply", "-o", "@out", *SIZE, "--address", address)
         assert done.status == 2 and "pip install 'lumisplat[farm]'" in done.err and "--frames" in done.err
 
 
-def test_help_teaches(capsys) -> None:
-    """What it is, an example, the statuses."""
+def test_help_has_an_example_and_the_exit_statuses(capsys) -> None:
+    """The help names commands, an example and how to continue."""
     assert main(["farm", "--help"]) == 0
     out = capsys.readouterr().out
     for words in ("animate", "orbit", "render", "Exit status", "--workers 2", "The same command continues"):

@@ -1,4 +1,4 @@
-"""``--tiles samples``: one frame's samples shared by workers; killed ones lose nothing."""
+"""Tests ``--tiles samples``: workers share the samples of a frame, and killed ones lose nothing."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ TWO = ("--workers", "2")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
 def assert_same(one: Path, other: Path) -> None:
-    """All channels of two EXRs, to the bit."""
+    """Asserts that all channels of two EXRs are equal bit by bit."""
     channels, others = read_exr(one), read_exr(other)
     assert channels.keys() == others.keys()
     for name, image in channels.items():
         np.testing.assert_array_equal(image, others[name], name)
 
 
-def test_a_frame_in_blocks(work) -> None:
-    """It is nearly that of the plain command, whose sums are added in another order. Parts are gone then."""
+def test_an_image_merged_from_sample_blocks_equals_a_whole_render(work) -> None:
+    """Only rounding differs, as sums are added in another order; the parts are removed."""
     options = ("@capture.ply", *OPTIONS, "--samples", "70", "--aov", "albedo,depth")
     assert work.run("render", *options, "-o", "@plain.exr").status == 0
     assert work.run("render", *options, "-o", "@shared.exr", "--tiles", "samples", "--resume").status == 0
@@ -47,8 +47,8 @@ def test_a_frame_in_blocks(work) -> None:
     assert again.status == 0 and again.out.strip() == str(work.path("shared.exr"))
 
 
-def test_samples_of_tiles(work) -> None:
-    """Blocks of tiles, and blocks of the whole: to the bit. No part is left."""
+def test_tiles_merged_from_sample_blocks_equal_a_whole_render(work) -> None:
+    """Blocks of tiles equal blocks of the whole image bit by bit; no part is left."""
     options = ("@capture.ply", *OPTIONS, "--samples", "40", "--aov", "albedo,depth")
     assert work.run("render", *options, "-o", "@alone.exr", "--tiles", "samples").status == 0
     done = work.run("render", *options, "-o", "@shared.exr", "--tiles", "2x1,samples")
@@ -59,8 +59,8 @@ def test_samples_of_tiles(work) -> None:
     assert not work.path("shared.tiles").exists()
 
 
-def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Interrupted in the second tile: the first is there without its blocks; the rest alone is made then."""
+def test_sample_blocks_are_removed_once_their_tile_exists(work, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an interruption in the second tile, the first exists without its blocks, and only the rest is rendered."""
     options = ("@capture.ply", *OPTIONS, "--samples", "40", "-o", "@out.exr", "--tiles", "2x1,samples")
     made: list[range] = []
     render = ls.farm.render_samples
@@ -84,8 +84,8 @@ def test_blocks_of_tiles_go_when_their_tile_is_there(work, monkeypatch: pytest.M
 
 
 @pytest.mark.deep
-def test_a_killed_process(work, tmp_path: Path) -> None:
-    """Blocks that are there stay; the picture is that of one process."""
+def test_sample_blocks_survive_a_killed_process(work, tmp_path: Path) -> None:
+    """Existing blocks stay, and the image equals that of one process."""
     options = ["capture.ply", *OPTIONS, "--width", "96", "--height", "64", "--samples", "320"]
     assert work.run("render", "@capture.ply", *options[1:], "-o", "@alone.exr", "--tiles", "samples").status == 0
     command = [
@@ -113,27 +113,27 @@ def test_a_killed_process(work, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--tiles", "2x2,samples", "--denoise"), "--denoise and --tiles do not go together"),
+        (("--tiles", "2x2,samples", "--denoise"), "--denoise and --tiles exclude each other"),
         (("--tiles", "2x1,samples", "--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
         (("--set=noise=0.1",), "to split them, set samples"),
         (("--pipeline", "realtime"), "drawn in one go"),
         (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
     ],
 )
-def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
-    """One line, status 2, and no picture."""
+def test_options_that_need_whole_images_are_refused(work, options: tuple[str, ...], message: str) -> None:
+    """Each prints one line with status 2, and writes no image."""
     done = work.run("render", "@capture.ply", "-o", "@out", *OPTIONS, "--tiles", "samples", *options)
     assert done.status == 2 and message in done.err, done.err
     assert done.err.strip().count("\n") == 0 and not list(work.folder.rglob("*.png"))
 
 
 def blocks(work: Workplace) -> int:
-    """Blocks that are there."""
+    """Returns the existing blocks."""
     return len(list(work.path("shared.samples").glob("[!.]*.npz")))
 
 
 def wait_for(condition) -> None:
-    """Waits until something is so."""
+    """Waits until a condition holds."""
     for _ in range(2400):
         if condition():
             return

@@ -1,4 +1,4 @@
-"""``--tiles``: pictures in parts, by one process and by workers, are those that are made at once."""
+"""Tests ``--tiles``: images rendered in parts, by one process or by workers, equal whole renders."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ CAMERAS = ("--cameras", "@cameras.json")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
 def pixels(path: Path) -> np.ndarray:
-    """Of a PNG."""
+    """Returns the pixels of a PNG."""
     with Image.open(path) as image:
         return np.asarray(image)
 
 
-def test_parts_make_the_picture(work) -> None:
-    """All pictures of a command, in PNG and, with layers, in EXR; the tiles are gone, and nothing is made twice."""
+def test_joined_tiles_equal_a_whole_render(work) -> None:
+    """All images are joined, as PNG and with layers as EXR; tiles are removed, and nothing is rendered twice."""
     for options in (("--format", "png"), ("--format", "exr", "--aov", "depth,gaussian_index", "--overwrite")):
         again = [option for option in options if option != "--overwrite"]
         assert work.run("render", "@capture.ply", *CAMERAS, "-o", "@whole", *SIZE, *again).status == 0
         done = work.run("render", "@capture.ply", *CAMERAS, "-o", "@tiled", *SIZE, *again, "--tiles", "2x3")
-        assert done.status == 0 and "2 pictures in" in done.out, done.err
+        assert done.status == 0 and "2 images in" in done.out, done.err
     for name in ("left", "right"):
         np.testing.assert_array_equal(pixels(work.path(f"tiled/{name}.png")), pixels(work.path(f"whole/{name}.png")))
         tiled, whole = read_exr(work.path(f"tiled/{name}.exr")), read_exr(work.path(f"whole/{name}.exr"))
@@ -60,8 +60,8 @@ def test_parts_make_the_picture(work) -> None:
     assert work.path("tiled/left.exr").stat().st_mtime_ns == before
 
 
-def test_tiles_of_one_file(work) -> None:
-    """They are joined; the same command continues, and is of no other settings."""
+def test_tiles_of_a_single_image_file_are_joined(work) -> None:
+    """The same command continues, and other settings are refused."""
     options = ("@capture.ply", "-o", "@huge.png", *SIZE)
     assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
     done = work.run("render", *options, "--tiles", "2x2", "--resume")
@@ -74,16 +74,16 @@ def test_tiles_of_one_file(work) -> None:
     assert refused.status == 2 and "other settings or files (background" in refused.err
 
 
-def test_random_light_is_that_of_the_picture(work) -> None:
-    """Tiles of paths."""
+def test_random_numbers_of_tiles_equal_those_of_the_whole_image(work) -> None:
+    """Tiles of path-traced images show it."""
     options = ("@capture.ply", "--pipeline", "path", "--samples", "2", "--lighting", "on", *SIZE)
     assert work.run("render", *options, "-o", "@whole.png").status == 0
     assert work.run("render", *options, "-o", "@tiled.png", "--tiles", "2x2").status == 0
     np.testing.assert_array_equal(pixels(work.path("tiled.png")), pixels(work.path("whole.png")))
 
 
-def test_a_killed_command_goes_on(work, tmp_path: Path) -> None:
-    """Its tiles stay; those that are missing are made, and the picture is the same."""
+def test_the_same_command_continues_tiles_after_a_kill(work, tmp_path: Path) -> None:
+    """Existing tiles stay, missing ones are rendered, and the image is the same."""
     command = ["render", str(work.path("capture.ply")), "-o", str(work.path("huge.png")), *SIZE, "--tiles", "1x4"]
     assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
     killing = (
@@ -113,17 +113,17 @@ def test_a_killed_command_goes_on(work, tmp_path: Path) -> None:
         (("--tiles", "2x9"), "--tiles 2x9: rows is 9, expected 1 to 4"),
         (("--tiles", "2x2", "--format", "npz"), "--tiles writes pictures by rows, .png or .exr"),
         (("--tiles", "2x2", "--aov", "depth"), "write the layers into an EXR: give --format exr"),
-        (("--tiles", "2x2", "--aov", "deep", "--format", "exr"), "--aov deep and --tiles do not go together"),
+        (("--tiles", "2x2", "--aov", "deep", "--format", "exr"), "--aov deep and --tiles exclude each other"),
         (
             ("--tiles", "2x2", "--aov", "cryptomatte", "--format", "exr"),
-            "--aov cryptomatte and --tiles do not go together",
+            "--aov cryptomatte and --tiles exclude each other",
         ),
         (("--tiles", "2x2", "--pipeline", "realtime"), "needs the whole image"),
         (("--tiles", "2x2", "--pipeline", "path", "--set=noise=0.1"), "choose samples by the whole image"),
     ],
 )
-def test_mistakes(work, options: tuple[str, ...], message: str) -> None:
-    """One line, status 2, and no picture."""
+def test_options_that_exclude_tiles_are_refused(work, options: tuple[str, ...], message: str) -> None:
+    """Each prints one line with status 2, and writes no image."""
     done = work.run("render", "@capture.ply", "-o", "@out", *SIZE, *options)
     assert done.status == 2 and message in done.err, done.err
     assert done.err.strip().count("\n") == 0

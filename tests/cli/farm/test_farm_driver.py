@@ -1,4 +1,4 @@
-"""The driver of a farm, over a Ray that does as it is told: no frame is lost, none is made twice without need."""
+"""Tests the driver of a farm with a simulated Ray: no frame is lost, and none is made twice without need."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Trouble = Callable[[int, int | None], Answer | Exception | str | None]
 
 
 class Farm:
-    """A driver of workers that make files, but for the trouble that a test makes."""
+    """Driver of workers that write files, with the failures that a test injects."""
 
     def __init__(self, folder: Path, count: int, trouble: Trouble = lambda *_: None, **changes: Any) -> None:
         self.frames = FakeMaker(folder / "out", count=count).open_frames(lambda *_: None).frames
@@ -82,23 +82,23 @@ def _host(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def once(frame: int, what: Answer | Exception | str) -> Trouble:
-    """Trouble with a frame, the first time."""
+    """Returns a failure of the first attempt at a frame."""
     left = [what]
     return lambda _, index: left.pop() if index == frame and left else None
 
 
 def always(frame: int, what: Answer | Exception | str) -> Trouble:
-    """Trouble with a frame."""
+    """Returns a failure of every attempt at a frame."""
     return lambda _, index: what if index == frame else None
 
 
 def failed(error: BaseException, *, is_mistake: bool = False) -> Answer:
-    """A frame that cannot be made."""
+    """Returns the answer about a failed frame."""
     return answer(error=error, is_mistake=is_mistake)
 
 
-def test_each_frame_is_given_out_once(tmp_path: Path) -> None:
-    """A worker has one at a time; the line says what it took; no worker stays."""
+def test_each_frame_is_assigned_once(tmp_path: Path) -> None:
+    """A worker has one frame at a time; the summary has the time, and no worker remains."""
     farm = Farm(tmp_path, 9)
     assert farm.run().startswith(f"9 frames in {tmp_path / 'out'}\n9 frames by 2 workers in ")
     assert farm.tries == dict.fromkeys(range(9), 1) and farm.finished == list(range(9))
@@ -106,8 +106,8 @@ def test_each_frame_is_given_out_once(tmp_path: Path) -> None:
     assert {worker for worker, _ in farm.ray.given} == {0, 1}
 
 
-def test_frames_that_are_there_are_not_given_out(tmp_path: Path) -> None:
-    """Only the missing ones are; with none missing, nothing is done."""
+def test_existing_frames_are_not_assigned(tmp_path: Path) -> None:
+    """Only missing frames are made; without any, nothing is done."""
     Farm(tmp_path, 5).run()
     for index in (1, 3):
         (tmp_path / "out" / f"frame_{index:04d}.png").unlink()
@@ -118,16 +118,16 @@ def test_frames_that_are_there_are_not_given_out(tmp_path: Path) -> None:
     assert again.run() == f"5 frames in {tmp_path / 'out'}, 5 of them were there" and not again.ray.given
 
 
-def test_a_lost_worker_is_replaced_and_its_frame_is_tried_again(tmp_path: Path, caplog: Any) -> None:
-    """Once: all frames are there, and only that one was begun twice."""
+def test_a_lost_worker_is_replaced_and_its_frame_retried(tmp_path: Path, caplog: Any) -> None:
+    """All frames exist, and only that frame was started twice."""
     farm = Farm(tmp_path, 9, once(4, died("killed\nby somebody")))
     assert farm.run().endswith("1 worker lost and replaced")
     assert farm.tries == dict.fromkeys(range(9), 1) | {4: 2} and farm.ray.started == 3
     assert "a worker was lost (killed by somebody), at frame 4" in caplog.messages
 
 
-def test_a_frame_that_kills_twice_is_left_and_named(tmp_path: Path) -> None:
-    """The others are there; the status tells schedulers that a second try may help."""
+def test_a_frame_that_kills_two_workers_is_given_up_and_named(tmp_path: Path) -> None:
+    """The other frames exist; the exit status tells schedulers that another try may help."""
     farm = Farm(tmp_path, 6, always(3, died()))
     with pytest.raises(FramesMissingError) as error:
         farm.run()
@@ -139,7 +139,7 @@ def test_a_frame_that_kills_twice_is_left_and_named(tmp_path: Path) -> None:
 
 
 def test_failures_in_a_row_end_the_job(tmp_path: Path) -> None:
-    """As of a full disk: a hundred frames are not tried. One that succeeds between them lets it go on."""
+    """A full disk does not fail a hundred frames; a success in between lets the job continue."""
     farm = Farm(tmp_path, 100, lambda _, index: failed(FULL) if index else None, workers=1)
     with pytest.raises(FramesMissingError, match=r"4 failures in a row, the last: .* holds 1 of 100 frames"):
         farm.run()
@@ -151,15 +151,15 @@ def test_failures_in_a_row_end_the_job(tmp_path: Path) -> None:
 
 
 def test_a_mistake_in_the_first_frame_ends_the_job(tmp_path: Path) -> None:
-    """It would come again in all."""
+    """The mistake would be repeated in all frames."""
     farm = Farm(tmp_path, 9, always(0, failed(ls.ConfigError("samples is 0"), is_mistake=True)))
     with pytest.raises(ls.ConfigError, match="samples is 0"):
         farm.run()
     assert len(farm.ray.given) <= 2 and not farm.ray.living
 
 
-def test_workers_that_cannot_start(tmp_path: Path, caplog: Any) -> None:
-    """If none can, the last error is the job's, and lines say the others, once; if some can, they do the work."""
+def test_the_job_continues_without_workers_that_cannot_start(tmp_path: Path, caplog: Any) -> None:
+    """If no worker can start, the last error is the job's, and the others are logged once."""
     lost, full = ls.errors.MissingFileError("lost.ply", "no such file"), ls.DeviceError("no GPU")
     refused: list[BaseException] = [full, lost, full, lost]
     with pytest.raises(ls.errors.MissingFileError, match="no such file"):
@@ -170,16 +170,16 @@ def test_workers_that_cannot_start(tmp_path: Path, caplog: Any) -> None:
     assert len(farm.finished) == 9 and "one worker fewer: lost.ply: no such file" in caplog.messages
 
 
-def test_workers_that_die_before_they_are_ready_are_not_replaced_for_ever(tmp_path: Path) -> None:
-    """Two in a row are enough."""
+def test_workers_that_die_while_starting_are_replaced_a_limited_number_of_times(tmp_path: Path) -> None:
+    """Two failed starts in a row end the replacements."""
     farm = Farm(tmp_path, 9, lambda *_: died("it could not start"), workers=1)
     with pytest.raises(ls.DeviceError, match="a worker ended before it was ready: it could not start"):
         farm.run()
     assert farm.ray.started == 2
 
 
-def test_when_a_file_vanishes_the_living_workers_go_on(tmp_path: Path, caplog: Any) -> None:
-    """A successor that cannot load the scene is done without; with nobody left, the rest of the frames say why."""
+def test_running_workers_continue_if_a_file_vanishes(tmp_path: Path, caplog: Any) -> None:
+    """A replacement that cannot load the scene is not used; without workers, the other frames fail with its error."""
     gone = ls.errors.MissingFileError("garden.ply", "no such file")
 
     def trouble(worker: int, index: int | None) -> Answer | Exception | None:
@@ -193,8 +193,8 @@ def test_when_a_file_vanishes_the_living_workers_go_on(tmp_path: Path, caplog: A
     assert len(farm.finished) >= 5
 
 
-def test_a_worker_that_sees_other_files_is_not_used(tmp_path: Path, caplog: Any) -> None:
-    """A mixed film is worse than a slow one; the line says what differs."""
+def test_a_worker_with_different_files_is_not_used(tmp_path: Path, caplog: Any) -> None:
+    """The log line names the difference, as mixed frames would be worse than fewer workers."""
     farm = Farm(tmp_path, 9)
     other = replace(farm.frames, provenance=farm.frames.provenance | {"needs": "older.ply"})
     farm.ray.does = farm._does(lambda worker, index: answer(frames=other) if index is None and worker == 1 else None)
@@ -203,8 +203,8 @@ def test_a_worker_that_sees_other_files_is_not_used(tmp_path: Path, caplog: Any)
     assert "a worker sees other needs than the first one" in caplog.text
 
 
-def test_sequences_are_not_shared(tmp_path: Path) -> None:
-    """Frames in real time follow from each other; a single worker makes them."""
+def test_realtime_sequences_are_refused_for_several_workers(tmp_path: Path) -> None:
+    """Real-time frames depend on each other, so that one worker makes them."""
     with pytest.raises(ls.ConfigError, match="workers cannot share them"):
         Farm(tmp_path, 9, in_sequence=True).run()
     farm = Farm(tmp_path, 9, in_sequence=True, workers=1)
@@ -212,8 +212,8 @@ def test_sequences_are_not_shared(tmp_path: Path) -> None:
     assert [index for _, index in farm.ray.given] == list(range(9))
 
 
-def test_lines_of_workers_are_said_once(tmp_path: Path, caplog: Any) -> None:
-    """Whichever say them; an error says on which machine it was, if that is another one."""
+def test_log_lines_of_workers_are_logged_once(tmp_path: Path, caplog: Any) -> None:
+    """An error names its machine if that is another one."""
     farm = Farm(tmp_path, 2)
     farm.ray.does = farm._does(
         lambda worker, index: answer(frames=farm.frames, lines=["grainy"]) if index is None else None
@@ -226,8 +226,8 @@ def test_lines_of_workers_are_said_once(tmp_path: Path, caplog: Any) -> None:
     assert raised.value.__notes__ == ["on node-3"]
 
 
-def test_how_far_it_is_is_shown(tmp_path: Path) -> None:
-    """How many of how many, and what one takes of a worker."""
+def test_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None:
+    """The label also has the time of a worker for a frame."""
     farm = Farm(tmp_path, 4)
     farm.run()
     of_frames = [told for told in farm.shown if told[0].startswith("frames, ")]
@@ -235,8 +235,8 @@ def test_how_far_it_is_is_shown(tmp_path: Path) -> None:
     assert of_frames[0][0] == "frames, 0 of 4" and of_frames[-1][0] == "frames, 4 of 4, 2 s of a worker each"
 
 
-def test_frames_of_others_come_after_these(tmp_path: Path) -> None:
-    """What a frame is made of is there before it is begun; if it has failed, so does the frame."""
+def test_frames_wait_for_the_frames_that_they_need(tmp_path: Path) -> None:
+    """A frame fails if a frame that it needs has failed."""
     needs = {2: (0, 1), 4: (3,)}
     farm = Farm(tmp_path, 5, needs=needs)
     farm.run()
@@ -248,8 +248,8 @@ def test_frames_of_others_come_after_these(tmp_path: Path) -> None:
     assert farm.finished == [1, 3, 4] and 2 not in farm.tries
 
 
-def test_a_worker_that_hangs_is_ended(tmp_path: Path, caplog: Any) -> None:
-    """Its frame is tried once more; after the second time it is named. Workers that load or wait have time."""
+def test_a_hanging_worker_is_ended_after_the_frame_timeout(tmp_path: Path, caplog: Any) -> None:
+    """Its frame is tried once more, then reported; loading and waiting have no limit."""
 
     def first(_: int, index: int | None) -> str | None:
         return "hangs" if index == 1 and farm.tries[1] == 1 else None
@@ -287,8 +287,10 @@ def test_a_worker_that_hangs_is_ended(tmp_path: Path, caplog: Any) -> None:
         ({"cpus": 16, "workers": 2, "address": LOCAL}, {"num_cpus": 8}, 2),
     ],
 )
-def test_what_workers_have(tmp_path: Path, changes: dict[str, Any], needs: dict[str, float], count: int) -> None:
-    """A GPU each where there are any, which on one machine they share if they are more; else their cores."""
+def test_workers_get_gpus_or_cores_by_what_the_cluster_has(
+    tmp_path: Path, changes: dict[str, Any], needs: dict[str, float], count: int
+) -> None:
+    """Each worker has a GPU if there are any, shared on one machine if there are fewer; otherwise it has cores."""
     farm = Farm(tmp_path, 9, **changes)
     farm.run()
     assert farm.ray.needs == {"max_restarts": 0, "max_task_retries": 0} | needs and farm.ray.started == count
@@ -301,8 +303,8 @@ def test_what_workers_have(tmp_path: Path, changes: dict[str, Any], needs: dict[
     workers=st.integers(1, 4),
     trouble=st.floats(0.0, 0.3),
 )
-def test_no_frame_is_lost_whatever_happens(tmp_path_factory: Any, seed, count: int, workers: int, trouble) -> None:
-    """Each is there or named; none is given out after it is there, nor more often than twice."""
+def test_no_frame_is_lost_in_random_failures(tmp_path_factory: Any, seed, count: int, workers: int, trouble) -> None:
+    """Each frame exists or is reported; none is assigned once it exists, or more than twice."""
 
     def happens(worker: int, index: int | None) -> Answer | Exception | None:
         if index is None or seed.random() >= trouble:
@@ -320,8 +322,10 @@ def test_no_frame_is_lost_whatever_happens(tmp_path_factory: Any, seed, count: i
 
 
 @pytest.mark.parametrize("text", ["soon", "0s", "-3"])
-def test_a_limit_that_is_no_time(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """One line, before anything is started."""
+def test_a_frame_timeout_that_is_no_duration_is_refused(
+    tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line is printed before anything is started."""
     command = ["farm", "orbit", str(tmp_path / "garden.ply"), "-o", str(tmp_path / "out"), f"--frame-timeout={text}"]
     assert main(command) == 2
     assert f"--frame-timeout is '{text}', expected a time such as 90s, 10m or 1.5h" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Workers as actors of Ray: they die, their driver dies, and all frames are there; nobody else hears of it."""
+"""Tests workers as Ray actors: after deaths of workers and driver all frames exist, and nothing else is affected."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ bins = 16
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch, ray) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     place = Workplace(tmp_path, capsys)
     ls.save(place.path("ball.ply"), random_gaussians(2, count=20))
@@ -75,25 +75,27 @@ def work(tmp_path, capsys, monkeypatch, ray) -> Workplace:
 
 
 def wait_for(condition: Callable[[], object]) -> None:
-    """Waits until something is so."""
+    """Waits until a condition holds."""
     while not condition():
         time.sleep(0.02)
 
 
 def farm(ray: Any, maker: FakeMaker, workers: int = 2) -> str:
-    """Makes frames; the lines that say so."""
+    """Makes frames by workers, and returns the summary lines."""
     options = FarmOptions(workers=workers, cores=1)
     order = Order(maker, os.getcwd())
     return Driver(ray, order, options, "cpu", lambda *_: None, overwrite=False, video=None).run()
 
 
 def expected(count: int) -> dict[str, str]:
-    """The frames that are to be there."""
+    """Returns the expected frames."""
     return {f"frame_{index:04d}.png": f"{index}" for index in range(count)}
 
 
-def test_frames_of_workers_that_die(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One is killed, one exits, each in mid-frame: all frames are there, and only what was at hand was begun twice."""
+def test_frames_of_killed_workers_are_made_by_others(
+    ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One worker is killed and one exits during a frame; all frames exist, and only these two were started twice."""
     maker = FakeMaker(tmp_path / "out", count=12, wrong={2: "kill", 7: "exit"})
     lines = farm(ray, maker)
     assert maker.contents == expected(12) and maker.begun == sorted([*range(12), 2, 7])
@@ -102,8 +104,8 @@ def test_frames_of_workers_that_die(ray: Any, tmp_path: Path, caplog: pytest.Log
     assert len({path.name.split("_")[1] for path in (tmp_path / "made").iterdir()}) <= 4
 
 
-def test_errors_cross_to_the_driver(ray: Any, tmp_path: Path) -> None:
-    """A missing package and a mistake are said whole, once; an error of ours by its kind, its words and its place."""
+def test_errors_of_workers_reach_the_driver(ray: Any, tmp_path: Path) -> None:
+    """A missing package and a mistake are reported once; unexpected errors with their type, message and line."""
     with pytest.raises(
         ls.errors.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"
     ):
@@ -116,7 +118,7 @@ def test_errors_cross_to_the_driver(ray: Any, tmp_path: Path) -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """What a job has left, but times and texts that say how long it took."""
+    """Returns the files of a job, except times and texts with durations."""
     told = (".txt", "curve.json", "curve.png", ".toml")
     found = {str(path.relative_to(folder)): path for path in folder.rglob("[!.]*") if path.is_file()}
     return {name: path.read_bytes() for name, path in found.items() if not name.endswith(told)}
@@ -141,8 +143,8 @@ PATH = ("--pipeline", "path", "--lighting", "on", "--samples", "40")
         pytest.param("dataset", ("@mesh.obj", "-o", "@OUT/set", "--views", "6", *SIZE), marks=pytest.mark.deep),
     ],
 )
-def test_files_are_those_of_one_process(work: Workplace, name: str, options: tuple[str, ...]) -> None:
-    """To the bit, whatever is shared: frames, tiles, samples, samples of tiles, a data set."""
+def test_files_of_workers_equal_those_of_one_process(work: Workplace, name: str, options: tuple[str, ...]) -> None:
+    """Frames, tiles, samples, samples of tiles and data sets are equal bit by bit."""
     alone, farmed = ([option.replace("OUT", folder) for option in options] for folder in ("alone", "farm"))
     resume = ["--resume"] if name == "render" and "--tiles" not in options else []
     assert work.run(name, *alone, *resume).status == 0
@@ -158,13 +160,15 @@ def test_files_are_those_of_one_process(work: Workplace, name: str, options: tup
         pytest.param(("orbit", "@capture.ply", "--samples", "0"), "samples is 0, expected", marks=pytest.mark.deep),
         pytest.param(
             ("render", "@capture.ply", "--view", "normal"),
-            "--view colours all pictures by the first",
+            "--view colours all images by the first",
             marks=pytest.mark.deep,
         ),
     ],
 )
-def test_mistakes_that_workers_find(work: Workplace, monkeypatch, options: tuple[str, ...], message: str) -> None:
-    """One line and status 2; no frame is there."""
+def test_mistakes_found_by_workers_end_in_one_line(
+    work: Workplace, monkeypatch, options: tuple[str, ...], message: str
+) -> None:
+    """Each ends with status 2, and writes no frame."""
     monkeypatch.chdir(work.folder)
     done = work.run("farm", *options, "--device", "cpu", "--workers", "1")
     assert (done.status, done.out) == (2, ""), done.err
@@ -192,7 +196,7 @@ except KeyboardInterrupt as stop:
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.deep)])
-def test_a_driver_that_is_stopped(ray: Any, tmp_path: Path, sent: signal.Signals) -> None:
+def test_an_interrupted_driver_ends_its_workers(ray: Any, tmp_path: Path, sent: signal.Signals) -> None:
     """Ctrl-C says how far it is; killed, too, its workers end, half-made frames leave nothing, and the next goes on.
 
     Modules in the folder in which all this happens are not run.
@@ -220,15 +224,15 @@ def test_a_driver_that_is_stopped(ray: Any, tmp_path: Path, sent: signal.Signals
 
 
 def is_running(process: int) -> bool:
-    """Whether a process has not ended."""
+    """Returns whether a process has not ended."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     return False
 
 
 @pytest.mark.deep
-def test_nodes_join_and_die(tmp_path: Path) -> None:
-    """Two workers at a time, on three nodes: all frames are there, and at most what was at hand came twice."""
+def test_frames_are_finished_while_nodes_join_and_die(tmp_path: Path) -> None:
+    """Two workers at a time use three nodes; all frames exist, and only unfinished ones were started twice."""
     environment = os.environ | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     command = [sys.executable, "-c", NODES]
@@ -273,14 +277,14 @@ assert len(joined) == 2, "nothing has happened"
 
 
 def strangers_modules(folder: Path) -> None:
-    """Writes modules that leave a file ``hostile`` where they are run; Python would look for its own there first."""
+    """Writes modules that create a file ``hostile`` when imported, in a folder that Python could search first."""
     for name in ("multiprocessing.py", "numpy.py", "sitecustomize.py"):
         (folder / name).write_text("open('hostile', 'w').close()")
 
 
 @pytest.mark.deep
-def test_a_stranger_s_folder_runs_nothing(work: Workplace) -> None:
-    """Nor by the installed command; and the ports are open to this machine alone."""
+def test_modules_in_the_working_folder_are_not_imported(work: Workplace) -> None:
+    """The installed command does not import them either, and its ports are open to this machine only."""
     strangers_modules(work.folder)
     ls.save(work.path("one.ply"), one_gaussian())
     command = [str(Path(sys.executable).with_name("lumisplat")), "farm", "render", "one.ply", "--width", "16"]
@@ -292,8 +296,8 @@ def test_a_stranger_s_folder_runs_nothing(work: Workplace) -> None:
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "auto"])
-def test_no_cluster_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, address: str) -> None:
-    """Within seconds, where Ray would try for minutes, also for one that it remembers, and that has died."""
+def test_a_missing_cluster_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, address: str) -> None:
+    """The error comes within seconds, where Ray would try for minutes, also for a remembered cluster that has died."""
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     (tmp_path / "current").write_text("127.0.0.1:1")
     monkeypatch.setattr(cluster, "_CURRENT", tmp_path / "current")
@@ -301,13 +305,13 @@ def test_no_cluster_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch, tmp_path:
     with pytest.raises(ls.ConfigError) as raised, connected(address, 1):
         pass
     place = "at 127.0.0.1:1" if address == "auto" else "there"
-    assert str(raised.value).startswith(f"--address {address}: nobody listens {place}: ")
+    assert str(raised.value).startswith(f"--address {address}: nothing listens {place}: ")
     assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("where", ["", " on Ray Client", " on node 127.0.0.1"])
-def test_another_ray_on_the_other_side_is_said(monkeypatch: pytest.MonkeyPatch, where: str) -> None:
-    """An older one refuses us: a line that has both versions. The words are those of Ray 2.60 about a head of 2.40."""
+def test_a_version_mismatch_with_the_cluster_is_one_line(monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    """The line has both versions; the message is that of Ray 2.60 about a head of 2.40."""
     module = importlib.import_module("ray")
 
     def refused(**_: object) -> None:

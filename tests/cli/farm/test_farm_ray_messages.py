@@ -1,4 +1,4 @@
-"""What is said of actors of Ray that end or refuse, in the words of their place. Ray itself is not needed."""
+"""Tests messages about Ray actors that end or refuse; Ray itself is not needed."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from lumisplat.cli.farm.cluster import actor_failure
 
 
 class RayTaskError(Exception):
-    """As Ray's: the cause is at hand."""
+    """Stands in for Ray's error, which has the cause."""
 
     cause = ValueError("shapes\ndiffer")
 
 
 class OutOfMemoryError(Exception):
-    """As Ray's."""
+    """Stands in for Ray's error."""
 
 
 HEAD = "The actor died unexpectedly before finishing this task.\n\tclass_name: RayWorker\n\tpid: 7\n\tip: 10.0.0.3\n"
@@ -44,6 +44,6 @@ HEAD = "The actor died unexpectedly before finishing this task.\n\tclass_name: R
         (Exception("something\nelse"), "something else"),
     ],
 )
-def test_ends_of_actors(error: Exception, words: str) -> None:
-    """In a few words, of what Ray 2.60 says in pages."""
+def test_errors_of_ray_become_short_descriptions(error: Exception, words: str) -> None:
+    """Ray 2.60 prints pages for each."""
     assert actor_failure(error) == words

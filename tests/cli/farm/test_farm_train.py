@@ -1,4 +1,4 @@
-"""``lumisplat farm train``: several captures, the same as those of one process; mistakes in one line."""
+"""Tests ``lumisplat farm train``: captures equal those of one process, and mistakes are one line."""
 
 from __future__ import annotations
 
@@ -24,13 +24,15 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's
 
 @pytest.fixture(autouse=True)
 def _log_level(monkeypatch) -> None:
-    """What commands do to Warp's log level is undone."""
+    """Restores Warp's log level after a test."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
 
 
 @pytest.mark.deep
-def test_captures_are_the_same(ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """By two workers, to the bit; what came of each is printed; the same command finds all there."""
+def test_captures_equal_those_of_separate_trainings(
+    ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two workers give equal bits and print the reports; the same command finds all captures."""
     folders = [str(folder_of(tmp_path / name)) for name in ("one", "two")]
     assert main(["train", folders[1], "-o", str(tmp_path / "two.ply"), *SHORT, "--seed", "5"]) == 0
     command = ["farm", "train", *folders, "-o", str(tmp_path / "captures"), *SHORT, "--seed", "5", "--workers", "2"]
@@ -56,7 +58,7 @@ def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys,
     assert main(["train", two, "-o", str(tmp_path / "two.ply"), *SHORT, "--cap", "60", "--antialiased"]) == 0
     command = ["farm", "train", "-o", str(tmp_path / "out"), *SHORT, "--settings", str(own), "--workers", "1"]
     assert main([*command, one]) == 0
-    assert "[two] is of no folder that is given: there are one" in caplog.text
+    assert "[two] belongs to no given folder: there are one" in caplog.text
     assert main([*command, one, two]) == 0
     assert (tmp_path / "out/two.ply").read_bytes() == (tmp_path / "two.ply").read_bytes()
     told = capsys.readouterr().out
@@ -72,10 +74,10 @@ def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys,
     assert [path.read_text() for path in others] == ["mine", "mine"]
 
 
-def test_trainings_that_end_before_their_time_go_on(
+def test_the_same_command_continues_stopped_trainings(
     ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--stop-after: a capture that is not finished, and says so; the same command continues, to the same bits."""
+    """--stop-after leaves an unfinished capture and says so; the same command continues to equal bits."""
     folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
     command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *long, "--workers", "1"]
@@ -99,12 +101,12 @@ def test_trainings_that_end_before_their_time_go_on(
         ("[a]\ncap = [3]\n", "own.toml: [a] cap is [3], expected a number or a word"),
         ("[a]\nexposures = 1\n", "own.toml: [a] exposures is 1, expected true or false"),
         ("[a]\ncap = 0\n", "own.toml: [a] cap is 0"),
-        ("cap = 3\n", "own.toml: cap stands in no table: begin one by the name of a folder, [a]"),
+        ("cap = 3\n", "own.toml: cap is in no table: begin a table with the name of a folder, [a]"),
         ("[a\n", "own.toml: cannot be read as TOML"),
     ],
 )
-def test_mistakes_of_settings(tmp_path, monkeypatch, capsys, content: str, message: str) -> None:
-    """One line and status 2, before anything is made."""
+def test_mistakes_in_the_settings_file_are_one_line(tmp_path, monkeypatch, capsys, content: str, message: str) -> None:
+    """Each ends with status 2, before anything is written."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a").mkdir()
     (tmp_path / "own.toml").write_text(content)
@@ -118,7 +120,7 @@ def test_mistakes_of_settings(tmp_path, monkeypatch, capsys, content: str, messa
     ("options", "message"),
     [
         (("lost",), "lost: no such folder"),
-        ((), "no photographs given: name one folder or more"),
+        ((), "no images given: name one folder or more"),
         (("a/fox", "b/fox"), "a/fox and b/fox would both become fox.ply"),
         (("a", "--stop-after", "soon"), "--stop-after is 'soon', expected a time such as 90s, 10m or 1.5h"),
         (("a", "--relightable", "--exposures"), "leave out --exposures"),
@@ -126,8 +128,10 @@ def test_mistakes_of_settings(tmp_path, monkeypatch, capsys, content: str, messa
         (("a", "--workers", "0"), "--workers is 0, expected 1 or more"),
     ],
 )
-def test_mistakes(tmp_path, monkeypatch, capsys, options: tuple[str, ...], message: str) -> None:
-    """One line and status 2."""
+def test_mistakes_in_options_are_one_line(
+    tmp_path, monkeypatch, capsys, options: tuple[str, ...], message: str
+) -> None:
+    """Each ends with status 2."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a").mkdir()
     assert main(["farm", "train", *options, "--device", "cpu"]) == 2
@@ -137,8 +141,8 @@ def test_mistakes(tmp_path, monkeypatch, capsys, options: tuple[str, ...], messa
 
 
 @pytest.mark.deep
-def test_a_killed_worker_loses_no_training(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """SIGKILL in the middle: another worker goes on from the checkpoint, to the same bits."""
+def test_a_training_survives_a_killed_worker(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """After SIGKILL another worker continues from the checkpoint to equal bits."""
     folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "600", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
 

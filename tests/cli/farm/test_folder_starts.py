@@ -1,4 +1,4 @@
-"""Runs that begin in one empty folder at the same moment: of one origin they share it, of others one alone has it."""
+"""Tests simultaneous runs in an empty folder: equal settings share it, and of others only one run starts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.frame_makers import FakeMaker
 
 
 def at_once(tasks: list[Callable[[], None]]) -> list[Exception]:
-    """Runs tasks at the same moment; what they have raised."""
+    """Runs tasks simultaneously, and returns their errors."""
     errors: list[Exception] = []
     barrier = threading.Barrier(len(tasks))
 
@@ -38,12 +38,12 @@ def at_once(tasks: list[Callable[[], None]]) -> list[Exception]:
 
 
 def starts(folder: FrameFolder, seeds: list[int], *, overwrite: bool = False) -> list[Callable[[], None]]:
-    """Runs that begin, each of an origin."""
+    """Returns runs with the given settings that start."""
     return [lambda seed=seed: folder.prepare({"seed": f"{seed}"}, overwrite) for seed in seeds]
 
 
-def test_one_of_several_begins(tmp_path: Path) -> None:
-    """Eight of different origins: seven are refused, by a line that says what differs; the stamp is whole."""
+def test_one_of_several_simultaneous_runs_with_different_settings_starts(tmp_path: Path) -> None:
+    """Seven of eight are refused with a line that names the differences; the stamp is whole."""
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
         errors = at_once(starts(folder, list(range(8))))
@@ -54,16 +54,16 @@ def test_one_of_several_begins(tmp_path: Path) -> None:
         assert [path.name for path in folder.folder.iterdir()] == ["animate.json"]
 
 
-def test_those_of_one_origin_share_the_folder(tmp_path: Path) -> None:
-    """As the tasks of an array do, which begin together."""
+def test_runs_with_equal_settings_share_the_folder(tmp_path: Path) -> None:
+    """Tasks of a job array start like this."""
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
         assert at_once(starts(folder, [3] * 8)) == []
         folder.check_current({"seed": "3"})
 
 
-def test_of_those_that_overwrite_one_stays(tmp_path: Path) -> None:
-    """The others find at their next frame that the folder is no longer theirs."""
+def test_one_of_several_overwriting_runs_remains(tmp_path: Path) -> None:
+    """The others notice at their next frame that another run uses the folder."""
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
         folder.prepare({"seed": "0"}, False)
@@ -79,8 +79,8 @@ def test_of_those_that_overwrite_one_stays(tmp_path: Path) -> None:
         assert current == 1 and not (folder.folder / "frame_0000.png").exists()
 
 
-def test_a_run_that_has_made_no_frame_is_not_overrun(tmp_path: Path) -> None:
-    """Its first frame may take hours. One that has ended without any is named as such."""
+def test_a_run_without_frames_yet_is_not_overwritten(tmp_path: Path) -> None:
+    """Its first frame may take hours; the message offers --overwrite if the run has ended."""
     folder = FrameFolder(tmp_path, "png")
     folder.prepare({"seed": "1", "samples": "8"}, False)
     with pytest.raises(ls.ConfigError) as raised:
@@ -94,8 +94,8 @@ def test_a_run_that_has_made_no_frame_is_not_overrun(tmp_path: Path) -> None:
     folder.check_current({"seed": "2", "samples": "8"})
 
 
-def test_without_links_the_last_one_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some file systems have none."""
+def test_without_hard_links_the_last_run_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some file systems have no hard links."""
     monkeypatch.setattr("os.link", lambda *_: (_ for _ in ()).throw(OSError(1, "Operation not permitted")))
     folder = FrameFolder(tmp_path, "png")
     folder.prepare({"seed": "1"}, False)
@@ -106,8 +106,8 @@ def test_without_links_the_last_one_begins(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.deep
-def test_two_processes_that_begin_together(tmp_path: Path) -> None:
-    """Of other origins: the frames of one, all of them; the other one has status 2 and a line."""
+def test_one_of_two_simultaneous_processes_starts(tmp_path: Path) -> None:
+    """With different settings, all frames are of one process; the other ends with one line and status 2."""
     for number in range(3):
         folder = tmp_path / f"{number}" / "out"
         folder.parent.mkdir()

@@ -1,4 +1,4 @@
-"""What schedulers rely on: ranges of frames, frames that are whole or absent and of one origin, and exit statuses."""
+"""Tests what schedulers rely on: frame ranges, whole frames of one provenance, and exit statuses."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workplace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workplace(tmp_path, capsys)
 
 
 def orbit(work: Workplace, folder: str, *options: str):
-    """Six frames into a folder."""
+    """Renders six frames into a folder."""
     return work.run("orbit", "@capture.ply", "-o", f"@{folder}", "--seconds", "0.3", "--fps", "20", *SIZE, *options)
 
 
 def images(work: Workplace, folder: str) -> dict[str, bytes]:
-    """The frames of a folder."""
+    """Returns the frames of a folder."""
     return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("*.png"))}
 
 
-def test_parts_of_an_orbit_make_the_whole(work) -> None:
-    """In any order, by numbers, ranges and steps; a part says how many of its own frames there are."""
+def test_frame_ranges_of_an_orbit_make_the_whole(work) -> None:
+    """Numbers, ranges and steps may come in any order; a part counts its own frames."""
     assert orbit(work, "whole").status == 0
     for part, count in (("1-5x2", 3), ("0,4", 2), ("2", 1)):
         assert f"{count} frame{'s' * (count > 1)} in" in orbit(work, "parts", "--frames", part).out
@@ -50,13 +50,13 @@ def test_parts_of_an_orbit_make_the_whole(work) -> None:
 
 
 def render(work: Workplace, folder: str, *options: str):
-    """A picture for each of two cameras."""
+    """Renders an image for each of two cameras."""
     options = (*SIZE, "--cameras", str(work.path("cameras.json")), *options)
     return work.run("render", "@capture.ply", "-o", f"@{folder}", *options)
 
 
-def test_pictures_are_resumed(work) -> None:
-    """With --resume those that are there stay, of the same scene and settings alone; without it, all are made anew."""
+def test_resume_keeps_images_of_the_same_settings_only(work) -> None:
+    """Without --resume, all images are rendered anew."""
     assert render(work, "whole").status == 0
     assert render(work, "out", "--resume", "--frames", "1").status == 0
     assert [*images(work, "out")] == ["right.png"] and work.path("out/render.json").exists()
@@ -71,8 +71,8 @@ def test_pictures_are_resumed(work) -> None:
     assert "holds frames, but no render.json" in render(work, "out", "--resume").err
 
 
-def test_layers_come_before_the_picture_that_says_that_all_is_there(work, monkeypatch) -> None:
-    """A run that is cut off between them leaves no finished frame."""
+def test_layers_are_written_before_the_image_that_marks_completion(work, monkeypatch) -> None:
+    """A run that ends in between leaves no finished frame."""
     module = sys.modules[ls.Frame.__module__]
     written: list[str] = []
     write = module.write_png
@@ -89,21 +89,24 @@ def test_layers_come_before_the_picture_that_says_that_all_is_there(work, monkey
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--resume", "--view", "normal"), "--view colours all pictures by the first of a run"),
-        (("--resume", "-o", "out.png", "--frames", "left"), "is one picture, and frames are many: give a folder"),
+        (("--resume", "--view", "normal"), "--view colours all images by the first of a run"),
+        (
+            ("--resume", "-o", "out.png", "--frames", "left"),
+            "is one image, but there are several frames: give a folder",
+        ),
         (("--frames", "2"), "there are 2 cameras, 0-1"),
     ],
 )
-def test_what_cannot_be_resumed_is_said(work, options: tuple[str, ...], message: str) -> None:
-    """One line, status 2, and nothing is written."""
+def test_outputs_that_cannot_be_resumed_are_refused(work, options: tuple[str, ...], message: str) -> None:
+    """Each prints one line with status 2, and writes nothing."""
     before = work.files()
     refused = render(work, "out", *options)
     assert refused.status == 2 and message in refused.err and refused.err.count("\n") == 1
     assert work.files() == before
 
 
-def test_another_run_that_begins_in_the_folder_stops_this_one(tmp_path: Path) -> None:
-    """Before and after its frame is written: no frame of its own is left among the others."""
+def test_a_run_stops_if_another_starts_in_its_folder(tmp_path: Path) -> None:
+    """The check comes before and after writing a frame, so that no frames mix."""
     job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
     other = replace(job.frames, provenance={"kind": "other"})
 
@@ -122,8 +125,8 @@ def test_another_run_that_begins_in_the_folder_stops_this_one(tmp_path: Path) ->
         assert not list((tmp_path / "out").glob("*.png"))
 
 
-def test_a_run_that_was_overtaken_leaves_the_frames_of_the_other(tmp_path: Path) -> None:
-    """It does not write over one that the other has made in the meantime."""
+def test_a_stopped_run_leaves_the_frames_of_the_other(tmp_path: Path) -> None:
+    """It does not overwrite a frame that the other run has written."""
     job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
     theirs = replace(job.frames, provenance={"kind": "other"})
 
@@ -138,8 +141,8 @@ def test_a_run_that_was_overtaken_leaves_the_frames_of_the_other(tmp_path: Path)
     assert theirs.folder.path(3).read_text() == "theirs"
 
 
-def test_a_kill_while_frames_are_removed_leaves_nothing_to_go_on_with(tmp_path: Path, monkeypatch) -> None:
-    """The stamp goes first, so that old frames are not taken for new ones."""
+def test_a_kill_while_frames_are_removed_leaves_no_stamp(tmp_path: Path, monkeypatch) -> None:
+    """The stamp is removed first, so that old frames are not taken for new ones."""
     maker = FakeMaker(tmp_path / "out")
     make_frames(maker.open_frames(lambda *_: None), lambda *_: None, overwrite=False, video=None, fewer="")
     frames = replace(maker.open_frames(lambda *_: None).frames, provenance={"kind": "other"})
@@ -159,7 +162,7 @@ def test_a_kill_while_frames_are_removed_leaves_nothing_to_go_on_with(tmp_path: 
 
 
 def alone(job: FrameJob) -> str:
-    """The frames of a job, in this process."""
+    """Makes the frames of a job in this process."""
     return make_frames(job, lambda *_: None, overwrite=False, video=None, fewer="--frames")
 
 
@@ -174,8 +177,10 @@ def alone(job: FrameJob) -> str:
         ({5: "full"}, FramesMissingError),
     ],
 )
-def test_mistakes_and_failed_frames_differ(tmp_path: Path, wrong: dict[int, str], kind: type[Exception]) -> None:
-    """What will be wrong of all frames is a mistake (2); of one frame, or of the disk, a failure (3): it says which."""
+def test_failed_frames_have_another_exit_status_than_mistakes(
+    tmp_path: Path, wrong: dict[int, str], kind: type[Exception]
+) -> None:
+    """Errors that all frames share are mistakes (2); errors of one frame or of the disk are failures (3)."""
     with pytest.raises(ls.LumisplatError) as raised:
         alone(FakeMaker(tmp_path / "out", wrong=wrong).open_frames(lambda *_: None))
     assert isinstance(raised.value, kind)
@@ -187,7 +192,7 @@ def test_mistakes_and_failed_frames_differ(tmp_path: Path, wrong: dict[int, str]
 
 
 def test_a_full_disk_ends_with_status_3(work) -> None:
-    """A real one: files may have 8,000 bytes, as a limit of the process; no half file is left."""
+    """A process limit of 8,000 bytes a file stands for the disk; no partial file is left."""
     program = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000)); "
         "from lumisplat.cli import main; sys.exit(main())"
@@ -201,8 +206,8 @@ def test_a_full_disk_ends_with_status_3(work) -> None:
     assert not list(work.path("out").glob("*.png")) and not list(work.path("out").glob(".*"))
 
 
-def test_every_option_of_pictures_is_in_their_manifest(work) -> None:
-    """But those that change none; so that an option that is new is not forgotten."""
+def test_the_stamp_stores_every_option_that_images_depend_on(work) -> None:
+    """The test fails for a new option that is in neither list."""
     assert render(work, "out", "--resume", "--format", "exr").status == 0
     stamp = json.loads(work.path("out/render.json").read_text())
     options = {field.name for field in fields(Render) if not is_dataclass(field.default_factory)}

@@ -1,4 +1,4 @@
-"""The scripts that submit frames to schedulers, run here as those would run them: every frame is made, once."""
+"""Tests the scripts that submit frames to schedulers by running them here: every frame is made once."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def launch(job, use_pycuerun):
 
 
 class Farmyard:
-    """A folder with a program ``lumisplat`` and those of schedulers."""
+    """Folder with programs that stand in for ``lumisplat`` and schedulers."""
 
     def __init__(self, folder: Path, is_real: bool) -> None:
         self.folder = folder
@@ -84,18 +84,18 @@ class Farmyard:
         (self.bin / "outline/cuerun.py").write_text(CUERUN)
 
     def program(self, name: str, text: str) -> None:
-        """Makes a program."""
+        """Writes a program."""
         (self.bin / name).write_text(text)
         (self.bin / name).chmod(0o755)
 
     def run(self, *command: str, **variables: str) -> None:
-        """Runs a command in the folder; it must succeed."""
+        """Runs a command in the folder, which has to succeed."""
         paths = {"PATH": f"{self.bin}{os.pathsep}{os.environ['PATH']}"}
         paths["PYTHONPATH"] = f"{self.bin}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
         subprocess.run(command, check=True, cwd=self.folder, env=os.environ | paths | variables)
 
     def submit(self, scheduler: str, *arguments: str) -> None:
-        """Submits a job of `COUNT` frames, three of them a task, or to three tasks."""
+        """Submits a job of `COUNT` frames, three a task or to three tasks."""
         if scheduler == "slurm":
             for task in range(10, 16, 2):  # --array=10-14:2
                 array = {"COUNT": "3", "MIN": "10", "MAX": "14", "STEP": "2", "ID": str(task)}
@@ -108,8 +108,8 @@ class Farmyard:
 
 
 @pytest.mark.parametrize("scheduler", ["slurm", "deadline", "opencue"])
-def test_tasks_make_each_frame_once(tmp_path: Path, scheduler: str) -> None:
-    """By ranges that the command takes, with the arguments as they were given, spaces included."""
+def test_array_tasks_render_each_frame_once(tmp_path: Path, scheduler: str) -> None:
+    """Each task gets a valid range, and the arguments unchanged, including spaces."""
     yard = Farmyard(tmp_path, is_real=False)
     yard.submit(scheduler, "animate", "my scene.toml", "-o", "frames")
     commands = [re.findall(r'"([^"]*)"', line) for line in yard.log.read_text().splitlines()]
@@ -121,8 +121,8 @@ def test_tasks_make_each_frame_once(tmp_path: Path, scheduler: str) -> None:
     assert sorted(made) == list(range(COUNT))
 
 
-def test_tasks_beyond_the_last_frame_have_nothing_to_do(tmp_path: Path) -> None:
-    """An array that is larger than the film."""
+def test_array_tasks_beyond_the_last_frame_do_nothing(tmp_path: Path) -> None:
+    """The array is larger than the animation."""
     yard = Farmyard(tmp_path, is_real=False)
     variables = {"COUNT": "9", "MIN": "0", "MAX": "8", "STEP": "1", "ID": "8"}
     array = {f"SLURM_ARRAY_TASK_{name}": value for name, value in variables.items()}
@@ -131,8 +131,8 @@ def test_tasks_beyond_the_last_frame_have_nothing_to_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.deep
-def test_schedulers_make_the_same_frames_as_one_process(tmp_path: Path) -> None:
-    """With the command itself, to the bit, and of one manifest: the whole command then finds all of them there."""
+def test_frames_of_schedulers_equal_those_of_one_process(tmp_path: Path) -> None:
+    """Frames are equal bit by bit with one stamp, so that the whole command finds all of them."""
     yard = Farmyard(tmp_path, is_real=True)
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=60))
     orbit = "orbit", "capture.ply", "--seconds", "0.35", "--fps", "20", "--width", "16", "--height", "12", "-o"

@@ -1,1 +1,1 @@
-"""The commands, one a file: options as the fields of a dataclass, and `run`."""
+"""Commands, one a file: a dataclass whose fields are the options, with a method `run`."""

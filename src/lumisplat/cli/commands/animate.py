@@ -59,30 +59,28 @@ class Animate(FrameCommand):
     """Write this format; a video needs png."""
 
     def run(self) -> None:
-        """Renders the frames that are missing, then the video."""
+        """Renders the missing frames, then the video."""
         with progress_bars() as report:
             job = self.open_frames(report)
             lines = make_frames(job, report, overwrite=self.overwrite, video=self.video, fewer="--frames")
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks all that can be checked, and loads the scene.
+        """Checks options and files, and loads the scene.
 
         Args:
-            report: Shows the progress.
+            report: Receives the progress.
 
         Raises:
-            LumisplatError: Something is wrong with the options or a file.
+            LumisplatError: An option or a file is wrong.
         """
         folder = FrameFolder.named_after(self.output, self.video, "frames", self.format, "animate.json")
         refuse_standard_output(folder.folder)
         suffix = self.scene.suffix.lower()
         if suffix not in WITH_CAMERAS:
-            raise ls.FormatError(
-                self.scene, "is no scene.toml, no OpenUSD and no glTF: a scene file says what moves, and how"
-            )
+            raise ls.FormatError(self.scene, "is no animated scene: expected a scene.toml, OpenUSD or glTF")
         if self.video is not None and self.format != "png":
-            raise ls.ConfigError(f"--video is made of the PNGs of frames, --format is {self.format}")
+            raise ls.ConfigError(f"--video needs frames as png, but --format is {self.format}")
         config = self.frame_config(scene_settings(self.scene if suffix == ".toml" else None))
         check_writable(folder.folder)
         environment = self.light.environment_light()
@@ -104,7 +102,7 @@ class Animate(FrameCommand):
         return FrameJob(frames=frames, render=maker.render, write=maker.write, summarise=summarise)
 
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
-        """The animation of the scene file, with what was given in place of its own."""
+        """Returns the animation of the scene file with the changes of options."""
         report(f"loading {self.scene.name}", 0.0)
         animation = ls.load_animation(
             self.scene,
@@ -118,7 +116,7 @@ class Animate(FrameCommand):
         return animation if self.fps is None else _at_rate(animation, self.fps)
 
     def _cameras(self, animation: ls.Animation) -> list[ls.Camera]:
-        """One camera for each frame."""
+        """Returns one camera for each frame."""
         count, source = animation.frame_count, self.cameras or self.scene
         cameras = self.load_cameras(self.cameras, self.scene)
         if self.camera is not None:
@@ -144,7 +142,7 @@ class Animate(FrameCommand):
     def _provenance(
         self, animation: ls.Animation, config: ls.RenderConfig, device: str, folder: Path
     ) -> dict[str, str]:
-        """All that a frame follows from, except its number."""
+        """Returns everything that a frame depends on, except its number."""
         files = [
             self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
@@ -162,30 +160,30 @@ class Animate(FrameCommand):
 
 
 def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
-    """The animation at another rate, of the same duration."""
+    """Returns the animation with another frame rate and the same duration."""
     if not 0.0 < fps < math.inf:
         raise ls.ConfigError(f"--fps is {fps}, expected a positive number")
     length = animation.duration * fps
     if length == math.inf:
-        raise ls.ConfigError(f"--fps is {fps}, of an animation of {animation.duration:g} s: too many frames")
+        raise ls.ConfigError(f"--fps is {fps}, too many frames for an animation of {animation.duration:g} s")
     return replace(animation, fps=fps, frame_count=max(1, round(length)))
 
 
 _log = logging.getLogger("lumisplat")
 
 _SURROUNDED_STOPS = 1.4
-"""Largest `estimate_capture_gain` of a place that captures surround: they cover three quarters of all directions."""
+"""Largest `estimate_capture_gain` at a position that captures surround, covering three quarters of all directions."""
 
 
 class _AnimationFrames:
     """Renders frames of an animation to files.
 
     Args:
-        animation: The scene, its actors, and how they are lit.
+        animation: Scene, actors and their lighting.
         cameras: One for each frame.
-        source: Renders them.
-        folder: The folder of the frames.
-        remarks: Gives the lines to log about the settings, from the first scene that is rendered.
+        source: Renders the frames.
+        folder: Folder of the frames.
+        remarks: Returns log lines about the settings for the first rendered scene.
     """
 
     def __init__(
@@ -227,13 +225,13 @@ class _AnimationFrames:
             frame.save(self._folder.path(index))
 
     def summarise(self, frame: ls.Frame, count: int) -> None:
-        """Prints what so many frames took, of which the given one is the last."""
+        """Prints the mean time of ``count`` frames, and the statistics of the last one."""
         rows = [(name, f"{1e3 * taken / count:8.1f} ms") for name, taken in self._seconds.items()]
         print_table(f"mean of {count} frames", rows)
         print_stats(frame, self._source.renderer.config.pipeline)
 
     def _start_lighter(self, report: Report) -> None:
-        """Finds the lights around the actors of frame 0, whichever frame is rendered first; none: no shadows."""
+        """Estimates the lights around the actors at frame 0, for all frames; without any, disables shadows."""
         self._lighter = ls.AvatarLighter(
             self._animation.scene,
             config=self._exposed_lighting(),
@@ -250,7 +248,10 @@ class _AnimationFrames:
             self._lighter.config = replace(self._lighter.config, shadows=False)
 
     def _exposed_lighting(self) -> ls.config.AvatarLightingConfig:
-        """The settings, with a gamma if captures alone light the actors, do not surround them, and none is given."""
+        """Returns the lighting settings, with a gamma that compensates for captures that do not surround the actors.
+
+        The gamma is added only if none is given, and captures are the only light.
+        """
         config, scene = self._animation.lighting, self._animation.scene
         start = float(self._animation.times[0])
         relit = [one for actor in self._animation.actors if actor.relight for one in actor.at(start)]
@@ -260,7 +261,7 @@ class _AnimationFrames:
         if stops <= _SURROUNDED_STOPS:
             return config
         _log.warning(
-            "the captures do not surround the actors: their light is brightened by %g stops, as if they did (gamma in "
+            "the captures do not surround the actors: their light is brightened by %g stops to compensate (gamma in "
             "[animation.lighting.transfer] of the scene.toml is then %.3g)",
             stops,
             2.0**stops,
@@ -268,7 +269,7 @@ class _AnimationFrames:
         return replace(config, transfer=replace(config.transfer, gamma=2.0**stops))
 
     def _lit_scene(self, index: int) -> ls.Scene:
-        """The scene of a frame: with its actors, their shadows and their light."""
+        """Returns the scene of a frame with its actors, their shadows and their light."""
         animation, now = self._animation, float(self._animation.times[index])
         placed = [(instance, actor) for actor in animation.actors for instance in actor.at(now)]
         instances = [instance for instance, _ in placed]
@@ -281,14 +282,14 @@ class _AnimationFrames:
         )
 
     def _light_remarks(self) -> Iterable[str]:
-        """Lines about the light of the first frame: which lights were found."""
+        """Yields a log line about the estimated lights of the first frame."""
         found = found_light(self._lighter) if self._lighter is not None else None
         if found is not None:
-            yield f"no lights are given, shadows fall from what was found: {found}"
+            yield f"no lights are given; shadows use those that were found: {found}"
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:
-        """Adds the seconds of a block to those of its name."""
+        """Adds the duration of the block to the seconds of ``name``."""
         begun = time.perf_counter()
         try:
             yield
@@ -297,7 +298,7 @@ class _AnimationFrames:
 
 
 def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance], device: str) -> float:
-    """Stops by which captured light exposes actors as their surroundings; 0 where nothing is as captured."""
+    """Returns the stops that captured light lacks at the actors; 0 without captures that are shown as captured."""
     around = ls.Scene(splats=tuple(one for one in scene.splats if one.material is None or one.shadow_catcher))
     if not around.splats:
         return 0.0
@@ -307,7 +308,7 @@ def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshIn
 
 
 def with_actors(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance]) -> ls.Scene:
-    """The scene and actors, without their light and shadows."""
+    """Returns the scene with actors, without their light and shadows."""
     splats = [actor for actor in actors if isinstance(actor, ls.SplatInstance)]
     meshes = [actor for actor in actors if isinstance(actor, ls.MeshInstance)]
     return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))

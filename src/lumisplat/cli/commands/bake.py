@@ -1,4 +1,4 @@
-"""``lumisplat bake``: a lit scene as a capture that every viewer shows."""
+"""``lumisplat bake``: writes a lit scene as a capture that every viewer shows."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
     """Set the up direction: y-up, y-down, z-up ..., or a vector."""
 
     def run(self) -> None:
-        """Loads, bakes, joins, writes."""
+        """Loads the scene, bakes its light, and writes all captures as one."""
         if self.output == STANDARD_OUTPUT:
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
@@ -90,12 +90,12 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
         size = byte_size(self.output.stat().st_size)
         print(f"{self.output}: {joined.count:,} Gaussians, SH degree {joined.sh_degree}, {size}")
         if scene.meshes:
-            print(f"{counted(len(scene.meshes), 'mesh instance')} cast shadows and light, and are not in the result")
+            print(f"{counted(len(scene.meshes), 'mesh instance')} cast shadows and light, but are not in the result")
 
     def _config(self) -> ls.RenderConfig:
-        """The settings: those of a scene.toml, and the options."""
+        """Returns the settings of a scene.toml with the changes of options."""
         if self.direct and "max_bounces" in self.set_values():
-            raise ls.ConfigError("--direct leaves out the bounces that --set max_bounces counts: give one of them")
+            raise ls.ConfigError("--direct has no bounces for --set max_bounces to count: leave out one of them")
         base = scene_settings(scene_file(self.scene))
         pipeline = ls.Pipeline.TRACE if self.direct else ls.Pipeline.PATH
         whole = {"pipeline": pipeline, "samples": self.samples, "lighting": None}
@@ -103,20 +103,20 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
 
 
 def _with_material(instance: ls.SplatInstance) -> ls.SplatInstance:
-    """A capture with albedo, of which its file says how it reflects."""
+    """Returns a capture with a default material if its file has an albedo but the scene no material."""
     if instance.material is None and not instance.shadow_catcher and instance.gaussians.albedo is not None:
         return replace(instance, material=ls.MaterialPbr())
     return instance
 
 
 def _joined(scene: ls.Scene) -> ls.Gaussians:
-    """All sets as one, in the coordinates of the scene."""
+    """Returns all sets as one, in world coordinates."""
     placed = [_placed(instance) for instance in scene.splats]
     return placed[0] if len(placed) == 1 else ls.merge(placed)
 
 
 def _placed(instance: ls.SplatInstance) -> ls.Gaussians:
-    """A set where its instance places it."""
+    """Returns a set transformed by its instance."""
     gaussians = ls.editing.limit_sh_degree(instance.gaussians, instance.sh_degree)
     matrix = instance.transform
     return gaussians if (matrix == ls.SplatInstance(gaussians).transform).all() else ls.transform(gaussians, matrix)

@@ -1,4 +1,4 @@
-"""``lumisplat bench``: how fast a scene renders on this machine."""
+"""``lumisplat bench``: times the frames of a scene on this machine."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _log = logging.getLogger("lumisplat")
 
 @dataclass(frozen=True)
 class _SteadyFrames:
-    """What the frames after the first took, milliseconds: each as a whole, and stage by stage."""
+    """Times of the frames after the first in milliseconds: of each frame, and of its stages."""
 
     last: ls.Frame
     frame_ms: list[float]
     stage_ms: list[dict[str, float]]
 
     def stage_medians(self) -> dict[str, float]:
-        """The median of each stage."""
+        """Returns the median of each stage."""
         return {name: statistics.median(row[name] for row in self.stage_ms) for name in self.stage_ms[0]}
 
 
@@ -71,7 +71,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     """Replace the cameras of files, as for render."""
 
     def run(self) -> None:
-        """Measures and prints a table."""
+        """Times the scene and prints a table."""
         if self.repeats < 1:
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
         self.viewpoint.check(self.cameras)
@@ -108,7 +108,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
         print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
 
     def _load(self, report: Report) -> ls.Scene:
-        """The scene of the files; without any, that of the demo."""
+        """Returns the scene of the files; the demo scene without files."""
         if not self.scene:
             return ls.demo_scene(report)
         return self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
@@ -133,7 +133,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     def _profiled_stages(
         self, report: Report, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera
     ) -> dict[str, float]:
-        """Stages of a frame that waits after each, as a GPU has to for their times: together they take longer."""
+        """Returns stage times of a frame that waits after each stage, as GPUs need; their sum exceeds a frame."""
         renderer = self.start_renderer(report, config, profile=True)
         renderer.render(scene, camera)
         return stage_times(renderer.render(scene, camera))
@@ -145,7 +145,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
 
 
 def _peak_bytes() -> int | None:
-    """The largest resident size so far; None where the system does not report it (Windows)."""
+    """Returns the peak resident memory of the process; None where the system does not report it (Windows)."""
     status = Path("/proc/self/status")
     if status.exists():  # ru_maxrss would include what started this process
         found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())

@@ -1,4 +1,4 @@
-"""``lumisplat blocks``: captures larger than memory, as a folder of which a view loads what it sees."""
+"""``lumisplat blocks``: writes captures larger than memory as a folder from which views load what they see."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lumisplat.cli.options.command import Flag, LoadingCommand, own_options_firs
 from lumisplat.cli.output.console import Report, byte_size, counted, print_columns, progress_bars
 
 _LEVEL_SHARE = 1.34
-"""Of what is written, that of the finest level is 1, that of each coarser one a quarter of the one before."""
+"""Size of all levels in finest levels: each coarser level has a quarter of the one before."""
 
 
 @own_options_first
@@ -70,13 +70,13 @@ class Blocks(LoadingCommand):
         )
 
     def _checked_output(self) -> Path:
-        """The folder to write."""
+        """Returns the folder to write, after checking the options."""
         if not self.files:
             raise ls.ConfigError("no file given: lumisplat blocks IN.ply -o FOLDER")
         if self.output is None:
             raise ls.ConfigError("-o is missing, the folder to write: lumisplat blocks IN.ply -o FOLDER")
         if self.cameras is not None:
-            raise ls.ConfigError("--cameras is of --plan")
+            raise ls.ConfigError("--cameras needs --plan")
         if self.cell is not None and not 0.0 < self.cell < math.inf:
             raise ls.ConfigError(f"--cell is {self.cell:g}, expected the edge of a cube in scene units")
         if not 0 <= self.coarser <= 16:
@@ -88,18 +88,18 @@ class Blocks(LoadingCommand):
         return self.output
 
     def _part(self, path: Path, report: Report) -> ls.io.PlyStream | ls.Gaussians:
-        """A capture, which is read later if it can be."""
+        """Returns a capture, as a stream that is read later if its format allows."""
         if ls.io.can_stream(path):
             return ls.io.stream_ply(
                 path, drop_invalid=self.drop_invalid, progress=partial(report, f"reading {path.name}")
             )
         loaded = self.load_asset(path, report)
         if not isinstance(loaded, ls.Gaussians):
-            raise ls.FormatError(path, "is not one capture: lumisplat convert makes one of a scene's")
+            raise ls.FormatError(path, "is not one capture: lumisplat convert joins those of a scene")
         return loaded
 
     def _check_room(self, output: Path, parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> None:
-        """Refuses what the disk has no room for."""
+        """Refuses captures for which the disk has no room."""
         count = sum(part.count for part in parts)
         sh_count = max(part.sh_count if isinstance(part, ls.io.PlyStream) else part.sh.shape[1] for part in parts)
         needed = 4 * (11 + 3 * sh_count) * count * (_LEVEL_SHARE if self.coarser else 1.0)
@@ -109,10 +109,10 @@ class Blocks(LoadingCommand):
             raise ls.FormatError(output, f"needs {byte_size(needed)}, of which the disk has {byte_size(free)} free")
 
     def _plan(self) -> None:
-        """Prints a row a worker."""
+        """Prints a table with a row for each worker."""
         folder = block_folder(self.files[0]) if len(self.files) == 1 else None
         if folder is None:
-            raise ls.ConfigError("--plan is of one folder that lumisplat blocks has made")
+            raise ls.ConfigError("--plan needs one folder that lumisplat blocks has written")
         if self.cameras is None or self.output is not None:
             raise ls.ConfigError("--plan needs --cameras FILE, the views that workers share, and no -o")
         if not 0.0 < self.memory < math.inf:
@@ -144,7 +144,7 @@ class Blocks(LoadingCommand):
 
 
 def _pieces(parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaussians]:
-    """All captures, a piece at a time."""
+    """Yields all captures, a piece at a time."""
     for part in parts:
         if isinstance(part, ls.Gaussians):
             yield part
@@ -153,7 +153,7 @@ def _pieces(parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaus
 
 
 def _cell(part: ls.io.PlyStream | ls.Gaussians) -> float:
-    """An edge of cubes that suits a capture."""
+    """Returns an edge length of cubes that suits a capture."""
     if isinstance(part, ls.io.PlyStream):
         return part.cell()
     low, high = part.bounds()

@@ -1,4 +1,4 @@
-"""``lumisplat completion``: commands, options and values that a shell completes."""
+"""``lumisplat completion``: prints the script that completes commands, options and values in a shell."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ complete -o bashdefault -o default -F _lumisplat lumisplat
 complete --command lumisplat --force-files
 """,
 }
-"""What is added to the script of each shell, so that it completes files where no word is known."""
+"""Additions to the script of each shell, which complete files where no word matches."""
 
 
 @own_options_first
@@ -48,5 +48,5 @@ class Completion(Command):
     """Write for this shell."""
 
     def run(self) -> None:
-        """Prints what is added to the script of tyro, which `lumisplat.cli.main` prints before it."""
+        """Prints the additions to the script of tyro, which `lumisplat.cli.main` prints before."""
         print(FILES[self.shell], end="")

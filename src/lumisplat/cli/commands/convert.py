@@ -1,4 +1,4 @@
-"""``lumisplat convert``: captures in another file format, cut, moved, joined or thinned on the way."""
+"""``lumisplat convert``: converts captures to another format, and crops, moves, joins or thins them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Convert(LevelsCommand):
     """Sort along a Morton curve, so that neighbours are stored together."""
 
     def run(self) -> None:
-        """Loads, edits, writes, and prints what became of it."""
+        """Loads, edits and writes captures, and prints what each edit did."""
         if STANDARD_OUTPUT in (self.output, *self.files[1:]):
             sources = self.files if self.output == STANDARD_OUTPUT else self.files[:-1]
             with standard_output(".ply") as file:
@@ -94,30 +94,30 @@ class Convert(LevelsCommand):
         print("\n".join(done))
 
     def _sources_and_target(self) -> tuple[tuple[Path, ...], Path]:
-        """What is read, and what is written."""
+        """Returns the files to read and the file to write."""
         sources, target = self.files, self.output
         if target is None and len(sources) == 2:
             sources, target = sources[:1], sources[1]
         if target is None and len(sources) > 2:
-            raise ls.ConfigError("several captures are joined only with -o: lumisplat convert A B -o OUT")
+            raise ls.ConfigError("joining several captures needs -o: lumisplat convert A B -o OUT")
         if target is None or not sources:
-            raise ls.ConfigError("convert needs what it reads and what it writes: lumisplat convert IN OUT")
+            raise ls.ConfigError("convert needs a file to read and a file to write: lumisplat convert IN OUT")
         ls.io.check_format(target)  # found now, rather than after the work
         for option, given in (
             (f"--columns {self.columns}", self.columns != "lumisplat"),
             ("--incident", self.incident),
         ):
             if given and not holds_all_columns(target):
-                raise ls.ConfigError(f"{option} is of a .ply, got {target}")
+                raise ls.ConfigError(f"{option} needs a .ply, got {target}")
         return sources, target
 
     @property
     def keeps_incident(self) -> bool:
-        """Whether it is asked for."""
+        """True if ``--incident`` is given."""
         return self.incident
 
     def _loaded(self, source: Path, report: Report) -> ls.Gaussians:
-        """One capture."""
+        """Loads one capture."""
         loaded = self.load_asset(source, report)
         if isinstance(loaded, ls.Scene) and loaded.splats and not loaded.meshes:
             turn = (180.0, 0.0, 0.0) if loaded.up == (0.0, 1.0, 0.0) else (0.0, 0.0, 0.0)  # captures have y down
@@ -132,7 +132,7 @@ class Convert(LevelsCommand):
         return loaded
 
     def _edits(self, report: Report, done: list[str]) -> Iterator[tuple[str, _Edit]]:
-        """What is to be done, in order: the options that ask for it, and how; ``done`` receives what is to be said."""
+        """Yields the edits in order, each with the options that ask for it; lines to print are appended to ``done``."""
         if self.box is not None or self.sphere is not None:
             box = None if self.box is None else _halves(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
             sphere = None
@@ -171,11 +171,11 @@ _BY = {
     "axes": "by the axes of the capture itself, as no ground is found: look whether it is right",
     "stated": "as the file states it, as no ground is found",
 }
-"""How up was found, but for a ground."""
+"""Descriptions of how the up direction was found without a ground."""
 
 
 def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
-    """A capture whose up is an axis; what was found and turned is a line of ``done``."""
+    """Returns a capture rotated so that its up is an axis; appends a line about it to ``done``."""
     found = ls.editing.find_up(ls.Scene([gaussians]))
     level = ls.editing.level(gaussians, found.up)
     assert level.up is not None
@@ -189,12 +189,12 @@ def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
 
 
 def _halves(values: tuple[float, ...], first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The first values, and the others."""
+    """Returns the first values, and the others."""
     return values[:first], values[first:]
 
 
 def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
-    """The edited capture; an error names the option that asked for it."""
+    """Returns the edited capture; errors name the option that asked for the edit."""
     try:
         return edit(gaussians)
     except ls.SceneError as error:
@@ -202,7 +202,7 @@ def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
 
 
 def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
-    """Reads ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` as arguments of `lumisplat.editing.select`."""
+    """Parses ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` to arguments of `lumisplat.editing.select`."""
     known = [name for name, p in inspect.signature(ls.editing.select).parameters.items() if p.kind is p.KEYWORD_ONLY]
     ranges: dict[str, _Range] = {}
     for text in texts:
@@ -222,7 +222,7 @@ def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
 
 
 def _count_of(text: str, whole: int) -> int:
-    """Reads a number of Gaussians, or a percentage of those that there are."""
+    """Parses a number of Gaussians, or a percentage of ``whole``."""
     try:
         count = round(whole * float(text[:-1]) / 100.0) if text.endswith("%") else int(text)
         positive = float(text.removesuffix("%")) > 0.0

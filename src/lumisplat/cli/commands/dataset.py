@@ -1,4 +1,4 @@
-"""``lumisplat dataset``: many views of a scene, from random places, in random light, as training data."""
+"""``lumisplat dataset``: renders random views of a scene in random light, as training data."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from lumisplat.cli.output.images import check_folder, refuse_standard_output
 _log = logging.getLogger("lumisplat")
 
 _NOT_IN_PROVENANCE = ("views", "shard_views")
-"""Settings of which the views that are there do not depend."""
+"""Settings that existing views do not depend on."""
 
 
 @own_options_first
@@ -73,7 +73,7 @@ class Dataset(FrameCommand, InsertingCommand):
     """Remove existing views first."""
 
     def run(self) -> None:
-        """Renders the views that are missing, then what follows from all of them."""
+        """Renders the missing views, then writes the files about all views."""
         with progress_bars() as report:
             job = self.open_frames(report)
             lines = make_frames(job, report, overwrite=self.overwrite, video=None, fewer="--views")
@@ -81,10 +81,10 @@ class Dataset(FrameCommand, InsertingCommand):
         self.finish()
 
     def settings(self) -> ls.config.DatasetConfig:
-        """The settings of the file, with those that were given in their place.
+        """Returns the settings of the file with the changes of options.
 
         Raises:
-            ConfigError: A value is out of its range, or options do not go together.
+            ConfigError: A value is out of range, or options exclude each other.
             FormatError: The file cannot be read, or a setting is wrong.
         """
         refuse_standard_output(self.output)
@@ -93,7 +93,7 @@ class Dataset(FrameCommand, InsertingCommand):
         single += ["--camera-path"] * (self.camera_path is not None)
         if single:
             raise ls.ConfigError(
-                f"{single[0]} is of one camera, and views are random: [poses] of --settings says where"
+                f"{single[0]} sets one camera, but views are random: set [poses] in the file of --settings"
             )
         config = ls.config.DatasetConfig() if self.file is None else ls.io.load_dataset_config(self.file)
         given = {
@@ -115,13 +115,13 @@ class Dataset(FrameCommand, InsertingCommand):
         return config
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks all that can be checked, and loads the scene.
+        """Checks options and files, and loads the scene.
 
         Args:
-            report: Shows the progress.
+            report: Receives the progress.
 
         Raises:
-            LumisplatError: Something is wrong with the options or a file.
+            LumisplatError: An option or a file is wrong.
         """
         settings = self.settings()
         names = tuple(f"views/view_{index:06d}.json" for index in range(settings.views))
@@ -131,7 +131,7 @@ class Dataset(FrameCommand, InsertingCommand):
         config = self.frame_config(base, {"aovs": (*base.aovs, *albedo)}, without_none({"seed": self.seed}))
         if config.pipeline.is_sequence:
             raise ls.ConfigError(
-                "--pipeline realtime is of frames that follow from each other, and views do not: path or hybrid"
+                "--pipeline realtime needs consecutive frames, but views are unrelated: use path or hybrid"
             )
         cameras = self._cameras(settings)
         check_folder(self.output)
@@ -147,8 +147,8 @@ class Dataset(FrameCommand, InsertingCommand):
             device=renderer.device,
         )
         if albedo and not (views.are_lit if config.lighting is None else config.lighting):
-            raise ls.ConfigError("--layers has albedo, which lit views have: give lights, or --lighting on")
-        given = {name: option for name, option in given_settings(self) if name != "seed"}  # the poses always use it
+            raise ls.ConfigError("--layers has albedo, which only lit views have: give lights, or --lighting on")
+        given = {name: option for name, option in given_settings(self) if name != "seed"}  # poses always use the seed
         for line in frame_remarks(config, views.view(wanted[0]).scene, given, self.light, device=self.device):
             _log.warning("%s", line)
         maker = _ViewMaker(self, views, self.frame_source(renderer))
@@ -165,7 +165,7 @@ class Dataset(FrameCommand, InsertingCommand):
         )
 
     def finish(self) -> None:
-        """Writes what follows from all views, once they are there, and prints what there is."""
+        """Writes the files about all views once these exist, and prints a summary."""
         summary = ls.dataset.finish_dataset(self.output, self.settings())
         if summary.missing:
             are, them = ("is", "it") if summary.missing == 1 else ("are", "them")
@@ -184,17 +184,17 @@ class Dataset(FrameCommand, InsertingCommand):
         )
 
     def _cameras(self, settings: ls.config.DatasetConfig) -> list[ls.Camera]:
-        """The cameras near which views are."""
+        """Returns the cameras near which views are placed."""
         if settings.poses.where is not ls.config.PosePlaces.CAMERAS:
             return []
         cameras = self.load_cameras(self.cameras, camera_file(self.scene))
         if not cameras:
-            raise ls.ConfigError("views are to be near cameras, and there are none: give --cameras FILE")
+            raise ls.ConfigError("views near cameras need cameras: give --cameras FILE")
         return cameras
 
     def _provenance(self, settings: ls.config.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
-        """All that a view follows from, except its number."""
-        # Not the settings file: what it says is among the settings, and some of that may change.
+        """Returns everything that a view depends on, except its number."""
+        # The settings file itself is left out: its values are in the settings, and some may change.
         files = [*self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
         files += [Path(name) for name in (*settings.objects.files, *settings.lights.environments)]
         return {
@@ -216,9 +216,9 @@ class _ViewMaker:
     """Renders and writes views.
 
     Args:
-        command: Whose views they are.
-        views: The views.
-        source: Renders frames.
+        command: The command.
+        views: Views of the data set.
+        source: Renders the frames.
     """
 
     def __init__(self, command: Dataset, views: ls.dataset.DatasetViews, source: FrameSource) -> None:
@@ -237,6 +237,6 @@ class _ViewMaker:
         self._views.save(self._view, frame, self._command.output)
 
     def _exposed(self, camera: ls.Camera) -> ls.Camera:
-        """The camera, exposed by as much more as --exposure says."""
+        """Returns the camera with ``--exposure`` added to its own exposure."""
         more = self._command.light.exposure
         return camera if more is None else replace(camera, exposure=camera.exposure + more)

@@ -1,4 +1,4 @@
-"""``lumisplat delight``: a capture without the light in which it was taken."""
+"""``lumisplat delight``: finds the materials of a capture, without the light in which it was taken."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Delight(LevelsCommand, DeviceCommand):
     """Draw other random numbers."""
 
     def run(self) -> None:
-        """Loads, finds, writes."""
+        """Loads the capture, estimates its materials and environment, and writes them."""
         if self.output == STANDARD_OUTPUT:
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
@@ -79,11 +79,11 @@ class Delight(LevelsCommand, DeviceCommand):
         for remark in found.remarks:
             print(remark)
         if self.sky is not None:
-            outcome = "the sky as an image" if not found.is_inside else "is not written: a room has no sky"
+            outcome = "the environment as an image" if not found.is_inside else "not written: a room has no environment"
             print(f"{self.sky}: {outcome}")
 
     def _save_environment(self, found: ls.inverse.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
-        """Writes the image of the sky."""
+        """Writes the image of the environment."""
         try:
             scene = upright(ls.Scene([capture]), self.up)
             warn_if_up_is_guessed(scene)
@@ -93,12 +93,10 @@ class Delight(LevelsCommand, DeviceCommand):
             raise
 
     def _check_outputs(self) -> None:
-        """Refuses what cannot be written, before anything slow is done."""
+        """Refuses outputs that cannot be written, before anything slow is done."""
         parse_up(self.up)
         if self.sky is not None and self.inside == "yes":
-            raise ls.ConfigError(
-                "--sky is the sky around an object, and --inside yes says that it is a room: leave one"
-            )
+            raise ls.ConfigError("--sky needs an object outdoors, but --inside yes means a room: leave out one of them")
         if not holds_materials(self.output):
             raise ls.FormatError(
                 self.output,
@@ -106,13 +104,13 @@ class Delight(LevelsCommand, DeviceCommand):
             )
         ls.io.check_format(self.output)  # whether what writes it is installed
         if self.sky is not None and self.sky.suffix.lower() != ".exr":
-            raise ls.FormatError(self.sky, "unknown extension for the image of a sky, expected .exr")
+            raise ls.FormatError(self.sky, "unknown extension for an environment image, expected .exr")
         for path in (self.output, self.sky):
             if path is not None:
                 check_folder(path.absolute().parent, path)
 
     def _loaded(self, report: Report) -> ls.Gaussians:
-        """The capture."""
+        """Loads the capture."""
         asset = self.load_asset(self.capture, report)
         if not isinstance(asset, ls.Gaussians):
             raise ls.FormatError(self.capture, "is not a capture: delight takes a file of Gaussians")

@@ -1,4 +1,4 @@
-"""``lumisplat demo``: images of a scene that the package makes itself, lit ones for each pipeline among them."""
+"""``lumisplat demo``: renders a scene that the package makes itself, unlit and lit by each pipeline."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Demo(DeviceCommand):
     """Write demo.ply and transforms.json too, to try other commands."""
 
     def run(self) -> None:
-        """Builds, renders, writes."""
+        """Builds the scene, and renders and writes its images."""
         cameras = ls.demo_cameras()
         shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
         check_writable(self.output)
@@ -55,7 +55,7 @@ class Demo(DeviceCommand):
             self._write_lit_images(scene, shots[0].camera, report)
 
     def _write_lit_images(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
-        """Writes the lit pictures, and prints the path of each as soon as it is written."""
+        """Writes the lit images, and prints the path of each as soon as it is written."""
 
         def start(config: ls.RenderConfig) -> ls.Renderer:
             return self.start_renderer(report, config)
@@ -69,18 +69,18 @@ class Demo(DeviceCommand):
 
 
 _SAMPLES = 16
-"""Samples of each picture: noise remains visible in dark corners, and a frame takes seconds."""
+"""Samples of each lit image: dark corners stay noisy, and a frame takes seconds."""
 _SWING_FRAMES = 24
-"""Frames of the animation: one swing, there and back."""
+"""Frames of the animation: one swing of the light, there and back."""
 _SWING_SAMPLES = 8
-"""Half of what its lights need without grain: 88 instead of 156 s of one core."""
+"""Half of the samples that its lights need without noise: 88 instead of 156 s of one core."""
 _SWING_FPS = 12.0
 _SWING_MIDDLE = 0.2
-"""x of the plane through the room about which the spot swings, metres."""
+"""x of the plane through the room about which the spot light swings, metres."""
 
 
 def _lit_config() -> ls.RenderConfig:
-    """Settings of lit pictures."""
+    """Returns the settings of lit images."""
     return ls.RenderConfig(
         pipeline=ls.Pipeline.HYBRID,
         shadows=ls.Shadows.SOFT,
@@ -93,7 +93,7 @@ def _lit_config() -> ls.RenderConfig:
 
 
 _Start = Callable[["ls.RenderConfig"], "ls.Renderer"]
-"""Makes a renderer."""
+"""Function that makes a renderer."""
 
 
 def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, report: Report) -> Iterator[Path]:
@@ -101,13 +101,13 @@ def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, 
 
     Args:
         scene: The lit scene.
-        camera: The view; lit pictures are half as wide, those of the animation a quarter.
+        camera: The camera; lit images have half its width, the animation a quarter.
         folder: An existing folder.
         start: Makes renderers.
-        report: Called with the progress.
+        report: Receives the progress.
 
     Yields:
-        The path of each, once it is written.
+        The path of each image, once it is written.
     """
     view = camera.scaled(max(1, camera.width // 2))
     for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID):
@@ -129,7 +129,7 @@ def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, 
 
 @contextmanager
 def _few_samples() -> Generator[None]:
-    """Inside the block, nothing warns of few samples: the demo has chosen them."""
+    """Hides warnings about few samples inside the block, as the demo has chosen them."""
     log = logging.getLogger("lumisplat.noise")
     level = log.level
     log.setLevel(logging.ERROR)
@@ -140,7 +140,7 @@ def _few_samples() -> Generator[None]:
 
 
 def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) -> list[npt.NDArray[np.float32]]:
-    """Pictures of one swing of the spot, from right to left and back."""
+    """Returns the images of one swing of the spot light, from right to left and back."""
     spot, *others = scene.lights
     assert isinstance(spot, ls.LightSpot)
     renderer = start(replace(_lit_config(), samples=_SWING_SAMPLES))
@@ -158,16 +158,16 @@ def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) ->
 
 
 def _labelled(report: Report, label: str) -> Report:
-    """Reports fractions under another label."""
+    """Returns a report function that replaces the label."""
     return lambda _, share: report(label, share)
 
 
 _COLUMNS = 4
 _LAYERS = ("albedo", "normal", "depth", "position", "gaussian_index", "instance_index", "emission", "reflection")
-"""The first rows; two of the lights follow, which end with Gaussians a ray and the picture itself."""
+"""Layers in the first rows of the sheet. Two rows of lights follow, which end with hits a ray and the image itself."""
 
 _SHEET_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
-"""What a frame needs for it."""
+"""Layers of a frame that the sheet needs."""
 
 
 def _write_sheet(frame: ls.Frame, path: Path) -> None:
@@ -187,7 +187,7 @@ def _write_sheet(frame: ls.Frame, path: Path) -> None:
 
 
 def _tiles(frame: ls.Frame) -> dict[str, Image.Image]:
-    """The pictures by name, in order."""
+    """Returns the images of the sheet by name, in order."""
     from PIL import Image
 
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""``lumisplat doctor``: what this machine has for Lumisplat, what is missing, and how to get it."""
+"""``lumisplat doctor``: reports what this machine has for Lumisplat, what is missing, and how to get it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class Doctor(Command):
     """Print JSON instead of tables."""
 
     def run(self) -> None:
-        """Prints what was found.
+        """Prints the diagnosis.
 
         Raises:
-            DeviceError: Something has to be mended.
+            DeviceError: Something has to be fixed.
         """
         if not self.debug:
             quiet_warp()
@@ -72,7 +72,7 @@ def _memory(count: int) -> list[str]:
 
 
 def _state(extra: ExtraFacts) -> str:
-    """What is there of an extra, or how to get it."""
+    """Returns the installed packages of an extra, or the command that installs it."""
     if extra.is_installed:
         return ", ".join(f"{package.name} {package.installed}" for package in extra.packages)
     return extra.install

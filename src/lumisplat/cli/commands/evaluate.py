@@ -1,4 +1,4 @@
-"""``lumisplat evaluate``: how near a capture is to photographs that were held out."""
+"""``lumisplat evaluate``: compares a capture with held-out images."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from lumisplat.cli.output.images import check_folder, file_stems, make_folder
 _log = logging.getLogger("lumisplat")
 
 _HOLD_OUT = 8
-"""Unless told otherwise."""
+"""Default of ``--hold-out``."""
 _WORST = 3
-"""How many of the worst views are named, and shown."""
+"""Number of the worst views that are listed and written."""
 
 
 @own_options_first
@@ -71,7 +71,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
     """With --materials: average N samples a pixel of relit images."""
 
     def run(self) -> None:
-        """Renders, compares, prints, and writes what is asked for."""
+        """Renders and compares the views, prints a table, and writes a report if asked."""
         if len(self.files) < 2:
             raise ls.ConfigError(f"{counted(len(self.files), 'file')} given, expected a capture and a folder")
         *scene_files, folder = self.files
@@ -79,7 +79,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             self._compare_materials(scene_files, folder)
             return
         if self.environment or self.samples is not None or self.pipeline in ("hybrid", "path"):
-            raise ls.ConfigError("--environment, --samples and the pipelines hybrid and path are for --materials")
+            raise ls.ConfigError("--environment, --samples and the pipelines hybrid and path need --materials")
         config = scene_settings(scene_file(scene_files))
         if self.background is not None:
             config = replace(config, background=self.background)  # pyright: ignore[reportArgumentType]
@@ -88,7 +88,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if self.projection is not None:
             config = replace(config, raster=replace(config.raster, projection=ls.config.Projection(self.projection)))
         if config.background is None:
-            raise ls.ConfigError("--background is transparent, expected a colour over which pictures are compared")
+            raise ls.ConfigError("--background is transparent, expected a colour behind the compared images")
         keeps_lenses = not config.pipeline.rasterises or config.raster.projection is ls.config.Projection.UNSCENTED
         if self.output is not None:
             check_folder(self.output)
@@ -118,17 +118,17 @@ class Evaluate(LoadingCommand, DeviceCommand):
         )
         for one, stem in zip(worst, file_stems([one.view.name for one in worst]), strict=True):
             write_view_comparison(one.view, renderer.render(scene, one.view.camera), self.output / f"{stem}.png")
-        print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the photographs")
+        print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the images")
 
     def _compare_materials(self, captures: Sequence[Path], folder: Path) -> None:
-        """Compares what is known of materials and light, prints, and writes what is asked for."""
+        """Compares materials and environment with the true ones, prints a table, and writes a report if asked."""
         if (
             self.scale != 1.0
             or self.hold_out != _HOLD_OUT
             or self.projection is not None
             or self.background is not None
         ):
-            raise ls.ConfigError("--scale, --hold-out, --projection and --background are not for --materials")
+            raise ls.ConfigError("--scale, --hold-out, --projection and --background cannot be used with --materials")
         if len(captures) != 1:
             raise ls.ConfigError(f"{counted(len(captures), 'capture')} given, expected one with --materials")
         if self.output is not None:
@@ -161,7 +161,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
     ) -> Sequence[ls.io.TrainingImage]:
-        """The photographs that are held out."""
+        """Returns the held-out images."""
         images = ls.io.load_training_images(
             folder,
             scale=self.scale,
@@ -171,24 +171,24 @@ class Evaluate(LoadingCommand, DeviceCommand):
             allow_outside=self.allow_outside,
         )
         if not images.held_out:
-            raise ls.ConfigError(f"--hold-out is {self.hold_out}: no photograph is left to compare, expected 2 or more")
+            raise ls.ConfigError(f"--hold-out is {self.hold_out}: no image is left to compare, expected 2 or more")
         if self.output is not None:
             check_report(self.output, _files_of(images))
         return images.held_out
 
 
 def _files_of(images: ls.io.TrainingImages) -> list[Path]:
-    """Of all: those of a folder for training may have the names of those that are held out in another."""
+    """Returns all image files: training and held-out images of different folders may share names."""
     return [view.path for view in (*images.training, *images.held_out)]
 
 
 def _common_scales(views: Sequence[ls.io.TrainingImage]) -> int:
-    """How many scales of MS-SSIM suit all photographs; fewer than five are said."""
+    """Returns the number of MS-SSIM scales that suits all images; fewer than five are logged."""
     smallest = min((view.camera for view in views), key=lambda camera: min(camera.width, camera.height))
     scales = ls.metrics.ms_ssim_scales(smallest.height, smallest.width)
     if 0 < scales < 5:
         size = f"{smallest.width} x {smallest.height}"
-        _log.warning("ms-ssim has %d scales: photographs of %s pixels are too small for 5", scales, size)
+        _log.warning("ms-ssim has %d scales: images of %s pixels are too small for 5", scales, size)
     return max(1, scales)
 
 
@@ -200,7 +200,7 @@ _FIGURES = {
     "roughness_rmse": ("roughness, rmse", "", 4),
     "environment_psnr": ("environment, one scale a channel", "dB", 2),
 }
-"""Of the table: label, unit, digits."""
+"""Label, unit and digits of each row of the table."""
 _VIEW_FIGURES = (
     "coverage",
     "albedo_psnr",
@@ -213,7 +213,7 @@ _VIEW_FIGURES = (
 
 
 def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list[list[str]]]:
-    """The table of all figures."""
+    """Returns the table of all metrics."""
     rows: list[list[str]] = []
     for name, (label, unit, digits) in _FIGURES.items():
         rows.append([label, _number(getattr(result, name), digits), unit])
@@ -226,7 +226,7 @@ def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list
 
 
 def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) -> None:
-    """Writes metrics.json and, for the worst views, a picture with a row for each thing that was found."""
+    """Writes metrics.json, and for each of the worst views an image with a row for each estimated quantity."""
     overall: Figures = {name: getattr(result, name) for name in (*_FIGURES, "albedo_psnr_linear")}
     figures = plain(overall) | {"relit": _relit(result.relit), "albedo_scale": list(result.albedo_scale)}
     views = [
@@ -241,7 +241,7 @@ def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) 
 
 
 def _quality(view: ls.inverse.MaterialView) -> float:
-    """By which the worst views are found: PSNR of relit pictures, else of albedo, else nearness of normals."""
+    """Returns the value by which views are ranked: PSNR of relit images, else of albedo, else negative normal error."""
     relit = mean([figures.psnr for figures in view.relit.values()])
     others = [value for value in (relit, view.albedo_psnr, -view.normal_mean) if not math.isnan(value)]
     return others[0] if others else 0.0

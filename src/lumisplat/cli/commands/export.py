@@ -1,4 +1,4 @@
-"""``lumisplat export``: whole scenes as files of other programs."""
+"""``lumisplat export``: writes whole scenes for other programs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Export(InsertingCommand):
     """Set the up direction: y-up, y-down, z-up ..., or a vector."""
 
     def run(self) -> None:
-        """Loads, writes, and prints what is in the file."""
+        """Loads the scene, writes it, and prints what the file holds."""
         ls.io.check_format(self.output, scene=True)  # found now, rather than after the work
         check_folder(self.output.absolute().parent, self.output)
         cameras = self._cameras()
@@ -66,7 +66,7 @@ class Export(InsertingCommand):
         print(f"{self.output}: {byte_size(size_on_disk(self.output))}, of {held}")
 
     def _animation(self, report: Report) -> ls.Animation | None:
-        """What moves, if the file can hold it: of one scene.toml with actors or a camera with keyframes."""
+        """Returns the animation of a scene.toml with actors or moving cameras, if the format can hold it; else None."""
         if self.output.suffix.lower() not in USD or [file.suffix.lower() for file in self.scene] != [".toml"]:
             return None
         (file,) = self.scene
@@ -76,7 +76,7 @@ class Export(InsertingCommand):
         return ls.load_animation(file, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
 
     def _cameras(self) -> list[ls.Camera]:
-        """The cameras that are given, else those of the scene's files."""
+        """Returns the given cameras, else those of the scene's files."""
         if self.cameras is not None:
             return ls.load_cameras(self.cameras)
         files = (file for file in self.scene if file.suffix.lower() in WITH_CAMERAS)
@@ -84,7 +84,7 @@ class Export(InsertingCommand):
 
 
 def _held(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, int]:
-    """Counts the lights and the cameras of a scene that are in its file: formats lack some, which log lines name."""
+    """Returns the number of lights and cameras in the written file; log lines name those that the format lacks."""
     if path.suffix.lower() in USD:
         return len(scene.lights), sum(camera.model is not ls.CameraModel.FISHEYE for camera in cameras)
     file = path / "scene.glb" if path.is_dir() else path
@@ -94,7 +94,7 @@ def _held(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, i
 
 
 def _moves(file: Path) -> bool:
-    """Whether a scene file has actors or cameras with keyframes; one that cannot be read says so later."""
+    """Returns whether a scene file has actors or moving cameras; False if it cannot be read, which fails later."""
     values: dict[str, Any] = {}
     with suppress(OSError, ValueError):
         values = toml_values(file)
@@ -102,5 +102,5 @@ def _moves(file: Path) -> bool:
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
-    """The tables of a list; whatever else is in the place of them is none."""
+    """Returns the tables of a list; empty for other values."""
     return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []  # pyright: ignore[reportUnknownVariableType]

@@ -1,4 +1,4 @@
-"""``lumisplat farm``: the frames of animate, orbit, render and dataset, and trainings, made by workers."""
+"""``lumisplat farm``: renders frames of animate, orbit, render and dataset, or trains, by several workers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FarmAnimate(Animate):
     """Frames equal those of one process bit by bit."""
 
     def run(self) -> None:
-        """Renders the frames that are missing, then the video."""
+        """Renders the missing frames, then the video."""
         run_farm(self, overwrite=self.overwrite, video=self.video)
 
 
@@ -46,7 +46,7 @@ class FarmOrbit(Orbit):
     """Frames equal those of one process bit by bit."""
 
     def run(self) -> None:
-        """Renders the frames that are missing, then the video."""
+        """Renders the missing frames, then the video."""
         run_farm(self, overwrite=self.overwrite, video=self.video)
 
 
@@ -65,7 +65,7 @@ class FarmRender(Render):
     """Images equal those of one process bit by bit."""
 
     def run(self) -> None:
-        """Renders the pictures that are missing."""
+        """Renders the missing images."""
         run_farm(self, overwrite=self.overwrite, video=None)
 
 
@@ -82,7 +82,7 @@ class FarmDataset(Dataset):
     """Files equal those of one process bit by bit."""
 
     def run(self) -> None:
-        """Renders the views that are missing, then what follows from all of them."""
+        """Renders the missing views, then writes the files about all views."""
         self.settings()  # its mistakes are found before workers start
         run_farm(self, overwrite=self.overwrite, video=None)
         self.finish()

@@ -1,6 +1,6 @@
-"""``lumisplat farm train``: captures of several folders of photographs, a training a worker.
+"""``lumisplat farm train``: trains captures from several folders of images, one by each worker.
 
-What is other for single folders is in a table for each of a settings file, with options of train as keys::
+A settings file has a table for each folder with other options, whose keys are options of train::
 
     [fox]
     cap = 200_000
@@ -38,9 +38,9 @@ from lumisplat.cli.output.images import make_folder
 _log = logging.getLogger("lumisplat")
 
 _SHARED_OPTIONS = ("folder", "output", "overwrite", "stop_after", "device", "debug")
-"""Options that are none of single folders, and on which captures do not depend."""
+"""Options that no table of a settings file may have, and that captures do not depend on."""
 _SETTINGS = "settings of "
-"""Begins the names by which an origin has the settings of single captures."""
+"""Prefix of the names under which the provenance has the settings of each capture."""
 
 
 @own_options_first
@@ -68,7 +68,7 @@ class FarmTrain(Train):
     """Captures equal those of one process bit by bit."""
 
     def run(self) -> None:
-        """Makes the captures that are missing, and prints what came of each."""
+        """Trains the missing captures, and prints the report of each."""
         self._trainings()
         for folder in self.folder:
             if not folder.is_dir():
@@ -82,13 +82,13 @@ class FarmTrain(Train):
             print(f"{'the same command without --overwrite' if self.overwrite else 'the same command'} continues")
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks all that can be checked.
+        """Checks options and folders.
 
         Args:
-            report: Shows the progress.
+            report: Receives the progress.
 
         Raises:
-            LumisplatError: Something is wrong with the options or a folder.
+            LumisplatError: An option or a folder is wrong.
         """
         trainings = self._trainings()
         self.quiet_warp()
@@ -104,23 +104,25 @@ class FarmTrain(Train):
         return CaptureFolder(self.output, "txt", "train.json", tuple(f"{name}.txt" for name in self._names()))
 
     def _names(self) -> list[str]:
-        """The names of the captures.
+        """Returns the names of the captures.
 
         Raises:
-            ConfigError: There is none, or two would have the same.
+            ConfigError: No folder is given, or two have the same name.
         """
         if not self.folder:
-            raise ls.ConfigError("no photographs given: name one folder or more")
+            raise ls.ConfigError("no images given: name one folder or more")
         named: dict[str, Path] = {}
         for folder in self.folder:
             name = folder.resolve().name
             if name in named:
-                raise ls.ConfigError(f"{named[name]} and {folder} would both become {name}.ply: give them apart")
+                raise ls.ConfigError(
+                    f"{named[name]} and {folder} would both become {name}.ply: train them in separate commands"
+                )
             named[name] = folder
         return list(named)
 
     def _trainings(self) -> list[Train]:
-        """The trainings, each with its own settings.
+        """Returns the trainings, each with its own settings.
 
         Raises:
             LumisplatError: An option or a setting is wrong.
@@ -135,7 +137,7 @@ class FarmTrain(Train):
         return trainings
 
     def _train(self, index: int, report: Report) -> Any:
-        """Trains; what the command prints, and whether it has come to its end."""
+        """Trains one capture; returns the printed report, and whether the training has finished."""
         training = self._trainings()[index]
         make_folder(self.output)
         result, found = training.make(report)
@@ -145,12 +147,12 @@ class FarmTrain(Train):
         return printed.getvalue(), result.is_finished
 
     def _write(self, made: Any, index: int) -> None:
-        """Writes what came of a training, which says that it is done."""
+        """Writes the report of a training, whose file marks it as done."""
         text, is_finished = made
         self._folder().write_report(index, text, is_finished=is_finished)
 
     def _provenance(self) -> dict[str, str]:
-        """All that captures follow from, but their photographs."""
+        """Returns everything that captures depend on, except their images."""
         own = {entry.name: f"{getattr(self, entry.name)}" for entry in fields(Train)}
         settings = TrainSettings.read(self.settings, self._names())
         return {
@@ -162,22 +164,22 @@ class FarmTrain(Train):
 
 @dataclass(frozen=True)
 class CaptureFolder(FrameFolder):
-    """Captures, each with a text that says what came of its training: ``NAME.txt``, or ``NAME.unfinished.txt``."""
+    """Folder of captures, each with the report of its training: ``NAME.txt``, or ``NAME.unfinished.txt``."""
 
     def is_stopped(self, index: int) -> bool:
-        """As of `FrameFolder.is_stopped`."""
+        """Returns whether a training is unfinished because its time was over."""
         return self._unfinished(index).is_file()
 
     def report(self, index: int) -> str:
-        """What came of a training."""
+        """Returns the report of a training."""
         path = self.path(index)
         return (path if path.is_file() else self._unfinished(index)).read_text(encoding="utf-8")
 
     def write_report(self, index: int, text: str, *, is_finished: bool) -> None:
-        """Writes what came of a training.
+        """Writes the report of a training.
 
         Raises:
-            FormatError: It cannot be written.
+            FormatError: The file cannot be written.
         """
         path = self.path(index) if is_finished else self._unfinished(index)
         temporary = path.with_name(f".{path.name}.lumisplat")
@@ -196,7 +198,7 @@ class CaptureFolder(FrameFolder):
         return self.path(index).with_suffix(".unfinished.txt")
 
     def _clear(self, stamp: Path) -> None:
-        """Removes also what the trainings have left: they begin anew."""
+        """Removes stamp, reports and checkpoints, so that trainings start anew."""
         stamp.unlink(missing_ok=True)
         for index in range(len(self.names or ())):
             ls.training.forget_training(self.path(index).with_suffix(".ply"))
@@ -204,12 +206,12 @@ class CaptureFolder(FrameFolder):
         super()._clear(stamp)
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
-        """Captures of other commands stay in the stamp, if what all share is the same."""
+        """Returns the content of the stamp, with the captures of other commands that share all other settings."""
         others = {name: value for name, value in (stored_provenance(stamp) or {}).items() if name.startswith(_SETTINGS)}
         return others | dict(provenance)
 
     def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
-        """Captures may be added to those that are there, each with settings of its own."""
+        """Returns differing names; captures that only one side has do not count, as captures may be added."""
         return [
             name
             for name in super()._differing(stored, provenance)
@@ -219,7 +221,7 @@ class CaptureFolder(FrameFolder):
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """The tables of a file, by names of folders."""
+    """Tables of a settings file, by names of folders."""
 
     path: Path | None
     names: list[str]
@@ -227,14 +229,14 @@ class TrainSettings:
 
     @staticmethod
     def read(path: Path | None, names: list[str]) -> TrainSettings:
-        """Reads them.
+        """Reads a settings file.
 
         Args:
-            path: The file; None: there is none.
-            names: Of the folders that there are.
+            path: The file; None for no settings.
+            names: Names of the given folders.
 
         Raises:
-            FormatError: The file cannot be read, or holds something else than tables.
+            FormatError: The file cannot be read, or has values outside of tables.
         """
         if path is None:
             return TrainSettings(None, names, {})
@@ -247,25 +249,25 @@ class TrainSettings:
         for name, table in document.items():
             if not isinstance(table, dict):
                 raise ls.FormatError(
-                    path, f"{name} stands in no table: begin one by the name of a folder, [{names[0]}]"
+                    path, f"{name} is in no table: begin a table with the name of a folder, [{names[0]}]"
                 )
         return TrainSettings(path, names, cast(dict[str, dict[str, Any]], document))
 
     def warn_of_unused(self) -> None:
-        """Logs which table is of no folder, if one is."""
+        """Logs a table that belongs to no given folder."""
         if others := [name for name in self.tables if name not in self.names]:
             given = ", ".join(self.names)
-            _log.warning("%s: [%s] is of no folder that is given: there are %s", self.path, others[0], given)
+            _log.warning("%s: [%s] belongs to no given folder: there are %s", self.path, others[0], given)
 
     def text(self, name: str) -> str:
-        """The settings of a folder as a text, the same for the same settings."""
+        """Returns the settings of a folder as text, which is equal for equal settings."""
         return ", ".join(f"{key} = {value!r}" for key, value in sorted(self.tables.get(name, {}).items()))
 
     def applied(self, name: str, training: Train) -> Train:
-        """A training with the settings of its folder.
+        """Returns a training with the settings of its folder.
 
         Raises:
-            FormatError: A key is no option of single folders, or a value is none of it.
+            FormatError: A key is no option of single folders, or a value is wrong.
         """
         known = [entry.name for entry in fields(Train) if entry.name not in _SHARED_OPTIONS]
         args: list[str] = []

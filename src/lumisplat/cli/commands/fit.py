@@ -1,4 +1,4 @@
-"""``lumisplat fit``: from a scene and images of it to the scene in their light, with a report beside."""
+"""``lumisplat fit``: finds the lights of a scene from images of it, and writes the lit scene and a report."""
 
 from __future__ import annotations
 
@@ -86,13 +86,13 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
     """Compare images of this longer side."""
 
     def run(self) -> None:
-        """Fits, writes, prints."""
+        """Fits the lights, and writes the scene and the report."""
         if self.no_intensities and self.keep_hues:
-            raise ls.ConfigError("--no-intensities keeps what --keep-hues is to find: give one of them")
+            raise ls.ConfigError("--no-intensities keeps the intensities that --keep-hues finds: leave out one of them")
         scenes = [file for file in self.files if file.suffix.lower() not in _IMAGE_EXTENSIONS]
         images = [file for file in self.files if file.suffix.lower() in _IMAGE_EXTENSIONS]
         if not scenes or not images:
-            missing = "scene" if not scenes else "photograph"
+            missing = "scene" if not scenes else "image"
             raise ls.ConfigError(f"no {missing} given: lumisplat fit room.toml photo.jpg -o fitted.toml")
         self._check_output(images)
         cameras = self._cameras(camera_file(scenes), images)
@@ -133,9 +133,9 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         print(f"{self.output}: residual {residuals} (1 is white)")
 
     def _check_output(self, images: list[Path]) -> None:
-        """Refuses what cannot be written, before anything slow is done."""
+        """Refuses outputs that cannot be written, before anything slow is done."""
         if self.output.suffix.lower() != ".toml":
-            raise ls.FormatError(self.output, "is no .toml: the scene in the light that is found is saved as one")
+            raise ls.FormatError(self.output, "is no .toml: the fitted scene is saved as .toml")
         if self.output.exists() and not self.overwrite:
             raise ls.FormatError(self.output, "is there already: choose another name, or give --overwrite")
         if self.output.is_dir():
@@ -145,18 +145,16 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             check_report(self.report, images)
 
     def _cameras(self, file: Path | None, images: list[Path]) -> list[ls.Camera]:
-        """The camera of each photograph."""
+        """Returns the camera of each image."""
         path = self.cameras or file
         if path is None:
             raise ls.ConfigError("no cameras given: --cameras FILE, or a scene.toml with cameras")
         known = ls.load_cameras(path)
         if not known:
-            raise ls.FormatError(
-                path, "has no cameras: say by [[cameras]], or by --cameras FILE, who took the photographs"
-            )
+            raise ls.FormatError(path, "has no cameras: add those of the images as [[cameras]], or give --cameras FILE")
         if self.camera and len(self.camera) != len(images):
             raise ls.ConfigError(
-                f"--camera names {len(self.camera)} and there are {len(images)} photographs: name one for each"
+                f"--camera names {len(self.camera)} and there are {len(images)} images: name one for each"
             )
         if self.camera:
             return [_named(path, known, name) for name in self.camera]
@@ -165,7 +163,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return [_named(path, known, image.stem) for image in images]
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """How light behaves: by paths, unless another pipeline is given."""
+        """Returns the settings of the renders: path tracing, unless another pipeline is given."""
         config = replace(base, pipeline=ls.Pipeline(self.pipeline or "path"), samples=self.samples, tone_map="none")
         return self.changed(config if self.shadows is None else replace(config, shadows=ls.Shadows(self.shadows)))
 
@@ -175,7 +173,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return None if self.environment_degree == "none" else int(self.environment_degree)
 
     def _base_colors(self) -> bool | list[str]:
-        """Those that were asked for."""
+        """Returns the materials of ``--base-colors``: all, none, or their names."""
         if self.base_colors is None or self.base_colors == "all":
             return self.base_colors is not None
         names = [name.strip() for name in self.base_colors.split(",") if name.strip()]
@@ -184,7 +182,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return names
 
     def _exposure(self) -> float | Literal["fit"] | None:
-        """The exposure that was given."""
+        """Returns the value of ``--exposure``."""
         if self.exposure is None or self.exposure == "fit":
             return "fit" if self.exposure else None
         try:
@@ -194,26 +192,26 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
 
 
 def _named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
-    """The camera of a name, or of an image of that name."""
+    """Returns the camera of a name, or of an image file of that name."""
     for camera in cameras:
         if name in (camera.name, Path(camera.name).stem):
             return camera
     listed = ", ".join(camera.name for camera in cameras[:8]) + (", ..." if len(cameras) > 8 else "")
-    raise ls.ConfigError(f"{path} has no camera '{name}', only {listed}: give --camera NAME for each photograph")
+    raise ls.ConfigError(f"{path} has no camera '{name}', only {listed}: give --camera NAME for each image")
 
 
 def _fitted_document(
     document: ls.io.SceneDocument, fit: ls.inverse.LightFit, output: Path
 ) -> tuple[ls.io.SceneDocument, list[str]]:
-    """The document in the light that was found, and a line for each base colour that it cannot hold.
+    """Returns the document with the lights that were found, and a line for each base colour that it cannot store.
 
-    An environment of harmonics is written as ``NAME.assets/environment.exr``, captures of other base colours beside it
-    as ``.ply``.
+    An SH environment is written as ``NAME.assets/environment.exr``, and captures with new base colours beside it as
+    ``.ply``.
 
     Args:
-        document: Of the scene that was fitted.
-        fit: What was found.
-        output: The scene file that is to be written.
+        document: Document of the fitted scene.
+        fit: Result of the fit.
+        output: The scene file to write.
     """
     document, remarks = _with_colors(document, fit)
     document, more = _with_captures(document, fit, output)
@@ -238,13 +236,13 @@ def _fitted_document(
 
 
 def _environment_table(light: ls.LightEnvironment) -> dict[str, Any]:
-    """The table of an environment, but for its image."""
+    """Returns the table of an environment without its image."""
     (entry,) = ls.io.SceneDocument.of(ls.Scene(lights=[light])).entries
     return {key: value for key, value in entry.table.items() if key != "path"}
 
 
 def _written(fit: ls.inverse.LightFit, output: Path) -> Path:
-    """The file of the harmonics' image."""
+    """Writes the SH environment as an image, and returns its file."""
     assert fit.environment is not None
     path = _made_assets(output) / "environment.exr"
     fit.environment.save(path, rotation_wxyz=fit.scene.upright_wxyz, height=32)
@@ -252,12 +250,12 @@ def _written(fit: ls.inverse.LightFit, output: Path) -> Path:
 
 
 def _assets_of(output: Path) -> Path:
-    """The folder for what a scene file names."""
+    """Returns the folder for the files that a scene file refers to."""
     return output.with_name(f"{output.stem}.assets").absolute()
 
 
 def _relative_name(document: ls.io.SceneDocument, path: Path) -> str:
-    """The name of a file from the folder of a document; its whole path, if that is on another drive."""
+    """Returns a file's path from the folder of a document; the absolute path if it is on another drive."""
     try:
         return Path(os.path.relpath(path, document.file.absolute().parent)).as_posix()
     except ValueError:
@@ -265,7 +263,7 @@ def _relative_name(document: ls.io.SceneDocument, path: Path) -> str:
 
 
 def _made_assets(output: Path) -> Path:
-    """The same, which is there."""
+    """Makes and returns the folder for the files that a scene file refers to."""
     folder = _assets_of(output)
     make_folder(folder)
     return folder
@@ -274,7 +272,7 @@ def _made_assets(output: Path) -> Path:
 def _with_captures(
     document: ls.io.SceneDocument, fit: ls.inverse.LightFit, output: Path
 ) -> tuple[ls.io.SceneDocument, list[str]]:
-    """The document with captures of the base colours that were found, each a file of its own."""
+    """Returns the document with captures of new base colours, each in a file of its own, and lines about others."""
     before, after = document.scene(), fit.scene
     entries = [document.owner(number) for number in range(len(before.splats))]
     changed = [n for n, (old, new) in enumerate(zip(before.splats, after.splats, strict=True)) if old is not new]
@@ -283,7 +281,7 @@ def _with_captures(
     for number, stem in zip(changed, stems, strict=True):
         entry = entries[number]
         if entry.kind != "splats" or sum(one.id == entry.id for one in entries) > 1:
-            remarks.append(f"{entry.name} is no file of one capture: its colours stay")
+            remarks.append(f"{entry.name} is not a file of one capture: its colours are not written")
             continue
         path = _made_assets(output) / f"{stem}.ply"
         ls.save(path, after.splats[number].gaussians)
@@ -292,7 +290,7 @@ def _with_captures(
 
 
 def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tuple[ls.io.SceneDocument, list[str]]:
-    """The document with the base colours."""
+    """Returns the document with the new base colours of meshes, and lines about those that it cannot store."""
     before, after = document.scene(), fit.scene
     owned: dict[int, list[int]] = {}
     for number in range(len(before.meshes)):
@@ -306,7 +304,9 @@ def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tup
             continue
         entry = document.entry(entry_id)
         if len(new) > 1 or entry.kind != "meshes":
-            remarks.append(f"{entry.name} has several materials, and one entry holds one: its base colours stay")
+            remarks.append(
+                f"{entry.name} has several materials, but its entry can hold one: its base colours are not written"
+            )
             continue
         material = dict(document.material(entry_id)) | {"base_color": list(next(iter(new)))}
         document = document.changed(entry_id, material=material)
@@ -314,11 +314,11 @@ def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tup
 
 
 _WIDTH = 480
-"""Of each picture, pixels, at most."""
+"""Largest width of images in the report, pixels."""
 
 
 def _light_rows(fit: ls.inverse.LightFit) -> tuple[list[str], list[list[str]]]:
-    """The table of the lights: power, its standard error, place, and share of the light."""
+    """Returns the table of the lights: power, standard error, position, and fraction of the light."""
     header = ["light", "red", "green", "blue", "+-", "position", "+-", "share"]
     rows: list[list[str]] = []
     for number, light in enumerate(fit.lights):
@@ -345,7 +345,7 @@ def _write_report(
     images: Sequence[Path],
     renderer: ls.Renderer,
 ) -> None:
-    """Writes report.json and a picture for each photograph: it, the scene in the light that was found, the difference.
+    """Writes report.json, and for each image a picture with the image, the lit render and their difference.
 
     Raises:
         FormatError: A file cannot be written.
@@ -388,7 +388,7 @@ def _name(fit: ls.inverse.LightFit, number: int) -> str:
 
 
 def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
-    """Colour times intensity of a light, of harmonics their mean radiance."""
+    """Returns colour times intensity of a light, or the mean radiance of an SH environment."""
     light = fit.lights[number]
     if fit.environment is not None and number == len(fit.lights) - 1:
         return [float(x) / (2.0 * math.sqrt(math.pi)) for x in fit.environment.coefficients[0]]
@@ -396,7 +396,7 @@ def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
 
 
 def _beside(image: Any, frame: ls.Frame) -> tuple[Any, Any]:
-    """A photograph at the size of a frame, and that, display colours, shape (H, W, 3)."""
+    """Returns an image at the size of a frame, and the frame, in display colours, shape (H, W, 3)."""
     import numpy as np
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""``lumisplat info``: what is in a file."""
+"""``lumisplat info``: prints what is in a file."""
 
 from __future__ import annotations
 
@@ -38,7 +38,11 @@ _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 @own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Info(LevelsCommand):
-    """Show what is in captures, meshes, scenes, cameras and images."""
+    """Show what is in captures, meshes, scenes, cameras and images.
+
+    Guide: docs/guide/captures.md.
+    First try: lumisplat info garden.ply
+    """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
     """Read captures, meshes, scenes, camera files or environment images."""
@@ -46,7 +50,7 @@ class Info(LevelsCommand):
     """Print JSON instead of tables, an object for each file."""
 
     def run(self) -> None:
-        """Prints a table for each asset, or all as JSON; what is wrong with files that cannot be read comes last."""
+        """Prints a table for each asset, or all as JSON; errors of unreadable files come last."""
         if not self.files:
             raise ls.ConfigError("no file given")
         self.check_levels(self.files)
@@ -85,7 +89,7 @@ class Info(LevelsCommand):
                 print_table(str(path), radiance_rows(held))
 
     def _facts(self, path: Path) -> dict[str, Any]:
-        """What is in a file, as plain values."""
+        """Returns the content of a file as JSON values."""
         kind, held = self._load(path)
         head = {"file": str(path), "kind": kind, "bytes": size_on_disk(path)}
         match held:
@@ -107,7 +111,7 @@ class Info(LevelsCommand):
                 return head | radiance_facts(held)
 
     def _load(self, path: Path) -> tuple[str, Held]:
-        """What kind of file it is, and what is in it."""
+        """Loads a file; returns its kind and content."""
         suffix = path.suffix.lower()
         if _holds_cameras(path):
             return "cameras", ls.load_cameras(path)
@@ -122,27 +126,27 @@ class Info(LevelsCommand):
 
 
 def _holds_cameras(path: Path) -> bool:
-    """Whether a path is a camera file, or the folder or a file of a sparse model of COLMAP."""
-    if os.path.isdir(path):  # Path.is_dir raises on names that are too long; the reader says so
+    """Returns whether a path is a camera file, or the folder or a file of a sparse COLMAP model."""
+    if os.path.isdir(path):  # Path.is_dir raises on too long names, which the reader reports
         return any((path / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
     of_colmap = path.stem in ("cameras", "images") and path.suffix in (".bin", ".txt")
     return of_colmap or (path.suffix.lower() == ".json" and path.name not in ("meta.json", "lod-meta.json", BLOCKS))
 
 
 def _cameras(path: Path) -> list[ls.Camera]:
-    """The cameras that a scene's file has."""
+    """Returns the cameras of a scene's file."""
     return ls.load_cameras(path) if path.suffix.lower() in WITH_CAMERAS else []
 
 
 def _animation(path: Path) -> ls.Animation | None:
-    """The animation of a scene file; None: it has no actors."""
+    """Returns the animation of a scene file; None without actors."""
     if path.suffix.lower() != ".toml" or not toml_values(path).get("actors"):
         return None
     return ls.load_animation(path)
 
 
 def _rig(path: Path) -> ls.avatars.Rig | None:
-    """The rig of a glTF file; None: it has neither joints nor clips, or none that can be played."""
+    """Returns the rig of a glTF file; None without joints and clips, or if it cannot be played."""
     if path.suffix.lower() not in (".glb", ".gltf"):
         return None
     document = gltf_document(path)
@@ -150,12 +154,12 @@ def _rig(path: Path) -> ls.avatars.Rig | None:
         return None
     try:
         return ls.avatars.load_rig(path)
-    except ls.SceneError:  # what is shown is what a scene shows of it, at rest
+    except ls.SceneError:  # the scene is then shown at rest
         return None
 
 
 def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
-    """Tables of a scene as a whole, of its captures and meshes, actors, lights and cameras."""
+    """Prints tables of a scene, its captures, meshes, actors, lights and cameras."""
     cameras, animation = _cameras(path), _animation(path)
     counts = f"{counted(len(scene.splats), 'capture')}, {counted(len(scene.meshes), 'mesh', 'meshes')}"
     counts += f", {counted(len(scene.lights), 'light')}" * bool(scene.lights)
@@ -184,7 +188,7 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
 
 
 def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object]) -> list[tuple[int, _Instance, int]]:
-    """The first instance of each kind, with its number and how many of the kind there are."""
+    """Returns the first instance of each kind, with its index and the number of instances of the kind."""
     groups: dict[object, list[int]] = {}
     for index, instance in enumerate(instances):
         groups.setdefault(kind(instance), []).append(index)
@@ -192,7 +196,7 @@ def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object
 
 
 def _times(count: int) -> str:
-    """How often something is there, if more than once."""
+    """Returns a count as text, if it is above 1."""
     return f"   ({count:,} times)" if count > 1 else ""
 
 
@@ -203,7 +207,7 @@ Rows = list[tuple[str, str]]
 
 
 def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
-    """A capture."""
+    """Returns the table rows of a capture."""
     import numpy as np
 
     arrays = gaussians.arrays()
@@ -236,12 +240,12 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
 
 
 def _origin(origin: tuple[float, float, float]) -> str:
-    """Where a file's zero is placed, if it is in map coordinates."""
+    """Returns the position of a file's origin in map coordinates as text."""
     return "{:.12g} {:.12g} {:.12g}, which bounds are about".format(*origin)
 
 
 def block_rows(index: ls.io.BlockIndex) -> Rows:
-    """A capture in blocks."""
+    """Returns the table rows of a capture in blocks."""
     known = block_facts(index)
     counts = [f"{count:,}" for count in known["level_gaussians"]]
     low, high = index.bounds
@@ -256,7 +260,7 @@ def block_rows(index: ls.io.BlockIndex) -> Rows:
 
 
 def splat_rows(splat: ls.SplatInstance) -> Rows:
-    """A capture in a scene, with its material."""
+    """Returns the table rows of a capture in a scene, with its material."""
     rows = _placed(gaussian_rows(splat.gaussians), splat)
     if splat.material is not None:
         rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
@@ -268,29 +272,29 @@ def splat_rows(splat: ls.SplatInstance) -> Rows:
 
 
 def placed_mesh_rows(instance: ls.MeshInstance) -> Rows:
-    """A mesh in a scene."""
+    """Returns the table rows of a mesh in a scene."""
     return _placed(mesh_rows(instance.mesh), instance)
 
 
 def _placed(rows: Rows, instance: ls.SplatInstance | ls.MeshInstance) -> Rows:
-    """Rows with the box in the world after that of the asset itself."""
+    """Inserts the world bounding box behind that of the asset."""
     after = next(index for index, (name, _) in enumerate(rows) if name == "bounds") + 1
     return [*rows[:after], ("placed", box(*instance.bounds())), *rows[after:]]
 
 
 def rig_rows(rig: ls.avatars.Rig) -> Rows:
-    """A rig: its joints, and its clips with their lengths."""
+    """Returns the table rows of a rig: joints, and clips with their durations."""
     clips = ", ".join(f"{name} {rig.duration(name):.4g} s" for name in rig.clips)
     return [("joints", f"{_joint_count(rig):,}"), ("clips", clips or "none")]
 
 
 def _joint_count(rig: ls.avatars.Rig) -> int:
-    """Number of nodes that move vertices."""
+    """Returns the number of nodes that move vertices."""
     return len({int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes})
 
 
 def actor_rows(actor: ls.Actor) -> Rows:
-    """An actor: what it is, how it moves by itself, and how through the scene."""
+    """Returns the table rows of an actor: kind, clip and keyframes."""
     subject, rig, motion = actor.subject, actor.rig, actor.motion
     rows = [("kind", type(subject).__name__)]
     if isinstance(subject, ls.io.GaussianSequence):
@@ -313,7 +317,7 @@ def actor_rows(actor: ls.Actor) -> Rows:
 
 
 def mesh_rows(mesh: ls.Mesh) -> Rows:
-    """A mesh and its material."""
+    """Returns the table rows of a mesh and its material."""
     material = mesh.material
     has = [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None]
     rows = [
@@ -338,7 +342,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
 
 
 def light_row(light: Light) -> tuple[str, str]:
-    """A light: what kind, how bright, and where."""
+    """Returns the table row of a light: kind, intensity and position."""
     kind = type(light).__name__.removeprefix("Light").lower()
     texts = [f"{light.intensity:.4g} {light.unit}"]
     if light.color != (1.0, 1.0, 1.0):
@@ -361,7 +365,7 @@ def light_row(light: Light) -> tuple[str, str]:
 
 
 def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
-    """All cameras of a file."""
+    """Returns the table rows of the cameras of a file."""
     import numpy as np
 
     sizes = sorted({(camera.width, camera.height) for camera in cameras})
@@ -381,7 +385,7 @@ def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
 
 
 def _lenses(cameras: Sequence[ls.Camera]) -> Iterator[str]:
-    """The models of cameras, and the coefficients of the first that distorts."""
+    """Yields the models of cameras, and the coefficients of the first distorting one."""
     yield ", ".join(dict.fromkeys(camera.model.value for camera in cameras))
     distorted = [camera for camera in cameras if camera.is_distorted]
     if distorted:
@@ -393,7 +397,7 @@ def _lenses(cameras: Sequence[ls.Camera]) -> Iterator[str]:
 
 
 def radiance_rows(image: Array) -> Rows:
-    """An image of radiance, such as an environment."""
+    """Returns the table rows of a radiance image, such as an environment."""
     import numpy as np
 
     return [
@@ -405,7 +409,7 @@ def radiance_rows(image: Array) -> Rows:
 
 
 def changed_settings(config: ls.RenderConfig) -> str:
-    """The settings of a scene file that differ from the library's defaults."""
+    """Returns the settings of a scene file that differ from the library's defaults, as text."""
     default = ls.RenderConfig()
     texts: list[str] = []
     for field in fields(config):
@@ -419,27 +423,27 @@ def changed_settings(config: ls.RenderConfig) -> str:
 
 
 def image_size(image: Array) -> str:
-    """Width and height."""
+    """Returns width and height as text."""
     return f"{image.shape[1]} x {image.shape[0]}"
 
 
 def box(low: Array, high: Array) -> str:
-    """A box by two of its corners."""
+    """Returns a box as text, by two of its corners."""
     return f"{_point(low)} to {_point(high)}"
 
 
 def _point(values: Iterable[float]) -> str:
-    """A point or a direction; -0 is 0."""
+    """Returns a point or direction as text, with 0 for -0."""
     return f"({', '.join(f'{value:z.4g}' for value in values)})"
 
 
 def _setting(value: object) -> str:
-    """A setting as TOML names it."""
+    """Returns a value as TOML names it."""
     return str(getattr(value, "value", value))
 
 
 def _surface(material: Material) -> str:
-    """The factors of a material."""
+    """Returns the factors of a material as text."""
     if isinstance(material, ls.MaterialPbr):
         names = ("metallic", "roughness", "specular", "ior", "transmission")
         texts = [f"{name} {getattr(material, name):.3g}" for name in names]
@@ -453,7 +457,7 @@ def _surface(material: Material) -> str:
 
 
 def _inside(material: Material) -> Rows:
-    """The medium of a mesh, if it lets light in."""
+    """Returns the table row of a mesh's interior medium; empty for opaque materials."""
     if not isinstance(material, ls.MaterialPbr) or material.transmission <= 0.0:
         return []
     if material.thin_walled:
@@ -466,7 +470,7 @@ def _inside(material: Material) -> Rows:
 
 
 def _histogram(opacities: Array) -> str:
-    """Bars for how many opacities there are in each tenth of 0..1."""
+    """Returns bars for the number of opacities in each tenth of 0..1."""
     import numpy as np
 
     counts, edges = np.histogram(opacities, bins=10, range=(0.0, 1.0))
@@ -480,7 +484,7 @@ Facts = dict[str, Any]
 
 
 def capture_facts(gaussians: ls.Gaussians) -> Facts:
-    """A capture, in its own coordinates."""
+    """Returns the values of a capture, in its own coordinates."""
     import numpy as np
 
     arrays = gaussians.arrays()
@@ -502,7 +506,7 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
 
 
 def block_facts(index: ls.io.BlockIndex) -> Facts:
-    """A capture in blocks, from its index alone."""
+    """Returns the values of a capture in blocks, from its index alone."""
     low, high = index.bounds
     levels = max(len(block.levels) for block in index.blocks)
     return {
@@ -519,7 +523,7 @@ def block_facts(index: ls.io.BlockIndex) -> Facts:
 
 
 def mesh_facts(mesh: ls.Mesh) -> Facts:
-    """A mesh, in its own coordinates."""
+    """Returns the values of a mesh, in its own coordinates."""
     return {
         "vertices": mesh.vertex_count,
         "faces": mesh.face_count,
@@ -533,7 +537,7 @@ def mesh_facts(mesh: ls.Mesh) -> Facts:
 
 
 def _inside_facts(material: Material) -> Facts | None:
-    """The medium of a mesh that lets light in; None: it has none."""
+    """Returns the interior medium of a transmissive mesh; None for others."""
     if getattr(material, "transmission", 0.0) <= 0.0:
         return None
     names = ("thin_walled", "attenuation_color", "attenuation_distance", "ior", "priority")
@@ -541,12 +545,12 @@ def _inside_facts(material: Material) -> Facts | None:
 
 
 def black_share(mesh: ls.Mesh) -> float:
-    """Share of the vertices whose colour is black, 0..1: such a mesh is black, whatever lights it."""
+    """Returns the fraction of black vertices, 0..1; black vertices stay black under any light."""
     return 0.0 if mesh.colors is None else float((mesh.colors.max(axis=1) < 0.5 / 255.0).mean())
 
 
 def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
-    """A scene: instances with their boxes in the world, lights and cameras."""
+    """Returns the values of a scene: instances with their world bounding boxes, lights and cameras."""
     return {
         "bounds": _box(scene.bounds()) if scene.splats or scene.meshes else None,
         "captures": [
@@ -562,13 +566,13 @@ def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
 
 
 def rig_facts(rig: ls.avatars.Rig) -> Facts:
-    """A rig: the number of its joints, and its clips with their lengths, seconds."""
+    """Returns the values of a rig: number of joints, and clips with their durations in seconds."""
     clips = [{"name": name, "duration": rig.duration(name)} for name in rig.clips]
     return {"joints": _joint_count(rig), "clips": clips}
 
 
 def animation_facts(animation: ls.Animation) -> Facts:
-    """The actors of a scene and the length of their animation, seconds."""
+    """Returns the actors of a scene, and the length of their animation in seconds."""
     return {
         "fps": animation.fps,
         "frames": animation.frame_count,
@@ -578,7 +582,7 @@ def animation_facts(animation: ls.Animation) -> Facts:
 
 
 def actor_facts(actor: ls.Actor) -> Facts:
-    """An actor: what it is, and how it moves."""
+    """Returns the values of an actor: kind and motion."""
     rig, motion, subject = actor.rig, actor.motion, actor.subject
     is_sequence = isinstance(subject, ls.io.GaussianSequence)
     return {
@@ -600,13 +604,13 @@ def actor_facts(actor: ls.Actor) -> Facts:
 
 
 def light_facts(light: Light) -> Facts:
-    """A light: its kind and all its settings but images."""
+    """Returns the values of a light: kind, and all fields but images."""
     named = {field.name: getattr(light, field.name) for field in fields(light) if field.name != "image"}
     return {"kind": type(light).__name__.removeprefix("Light").lower(), **{k: _plain(v) for k, v in named.items()}}
 
 
 def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
-    """All cameras of a file."""
+    """Returns the values of the cameras of a file."""
     import numpy as np
 
     eyes = np.array([camera.eye for camera in cameras])
@@ -621,7 +625,7 @@ def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
 
 
 def radiance_facts(image: Any) -> Facts:
-    """An image of radiance."""
+    """Returns the values of a radiance image."""
     return {
         "width": int(image.shape[1]),
         "height": int(image.shape[0]),
@@ -631,12 +635,12 @@ def radiance_facts(image: Any) -> Facts:
 
 
 def _box(corners: tuple[Any, Any]) -> list[list[float]]:
-    """Two corners; -0 becomes 0."""
+    """Returns two corners as lists, with 0 for -0."""
     return [[float(value) + 0.0 for value in corner] for corner in corners]
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON holds it; infinity is None."""
+    """Returns a value as JSON can store it, with None for infinity."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return [*cast("tuple[Any, ...]", value)] if isinstance(value, tuple) else value

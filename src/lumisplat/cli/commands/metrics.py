@@ -1,4 +1,4 @@
-"""``lumisplat metrics``: images compared with references, and the light of captures."""
+"""``lumisplat metrics``: compares images with references, or the light of captures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _IMAGE_METRICS = {"psnr": "psnr", "ssim": "ssim", "ms-ssim": "ms_ssim", "flip": 
 _USUAL = ("psnr", "ssim", "flip")
 _SHADOW_METRICS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
 METRICS = (*_IMAGE_METRICS, *_SHADOW_METRICS)
-"""What ``--metrics`` may hold."""
+"""Names that ``--metrics`` accepts."""
 _LIGHT_METRICS = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
 
 
@@ -59,14 +59,14 @@ class Metrics(LoadingCommand):
     """Print JSON instead of a table."""
 
     def run(self) -> None:
-        """Prints the figures."""
+        """Prints the metrics."""
         if self.scene is not None:
             self._compare_light(self.scene)
             return
         about_light = {"--before": self.before, "--radius": self.radius, "--drop-invalid": self.drop_invalid or None}
         for option, value in about_light.items():
             if value is not None:
-                raise ls.ConfigError(f"{option} is about an avatar's light: give the --scene that it stands in")
+                raise ls.ConfigError(f"{option} needs --scene, the scene around the avatar")
         if len(self.files) != 2:
             raise ls.ConfigError(
                 f"{_counted(self.files)}, expected an image and its reference, or an avatar and --scene"
@@ -74,7 +74,7 @@ class Metrics(LoadingCommand):
         self._compare_images(*self.files)
 
     def _compare_images(self, image: Path, reference: Path) -> None:
-        """Prints the figures of each pair of pictures, and their means."""
+        """Prints the metrics of each pair of images, and their means."""
         names = _wanted(self.metrics)
         pairs = image_pairs(image, reference)
         with progress_bars() as report:
@@ -90,9 +90,9 @@ class Metrics(LoadingCommand):
         print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *cells(means)]])
 
     def _compare_light(self, scene: Path) -> None:
-        """Prints the figures of an avatar, or of two and the gain."""
+        """Prints the light metrics of an avatar, or of two avatars and the gain."""
         if self.metrics is not None:
-            raise ls.ConfigError("--metrics chooses those of pictures: with --scene, all three of light are computed")
+            raise ls.ConfigError("--metrics selects image metrics: with --scene, all three light metrics are computed")
         if len(self.files) != 1:
             raise ls.ConfigError(f"{_counted(self.files)}, expected one avatar to compare with --scene")
         paths = [path for path in (self.before, self.files[0]) if path is not None]
@@ -113,21 +113,21 @@ class Metrics(LoadingCommand):
             print_columns(["", paths[0].name], rows)
 
     def _capture(self, path: Path, report: Report) -> _Capture:
-        """A capture, or a scene with one."""
+        """Loads a capture, or a scene with a capture."""
         asset = self.load_asset(path, report)
         if isinstance(asset, ls.Mesh) or (isinstance(asset, ls.Scene) and not asset.splats):
             raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
         return asset
 
     def _light_figures(self, avatar: _Capture, scene: _Capture) -> Figures:
-        """The figures of light, by name."""
+        """Returns the light metrics by name."""
         points = ls.metrics.LitPoints.of(avatar)
         options = {} if self.radius is None else {"radius": self.radius}
         return {name: _metric(name)(points, scene, **options) for name in _LIGHT_METRICS}
 
 
 def _print_gain(before: Figures, after: Figures, *, as_json: bool) -> None:
-    """Prints the figures of an avatar before and after it was relit, and by how much they fell."""
+    """Prints the light metrics of an avatar before and after relighting, and their decrease."""
     table = {
         name: {"original": before[name], "relit": after[name], "delta": before[name] - after[name]}
         for name in _LIGHT_METRICS
@@ -140,7 +140,7 @@ def _print_gain(before: Figures, after: Figures, *, as_json: bool) -> None:
 
 
 def _wanted(names: str | None) -> list[str]:
-    """Names of metrics from a list with commas; None: the usual ones of pictures."""
+    """Returns the names of metrics in a list with commas; None selects the usual image metrics."""
     chosen = [*_USUAL] if names is None else [name.strip() for name in names.split(",") if name.strip()]
     for name in chosen or [names]:
         if name not in METRICS:
@@ -149,7 +149,7 @@ def _wanted(names: str | None) -> list[str]:
 
 
 def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tuple[list[Figures], list[str]]:
-    """The figures of each pair, NaN for those that cannot be computed, and why they cannot, each reason once."""
+    """Returns the metrics of each pair, NaN for failed ones, and the reasons for failures, each once."""
     rows: list[Figures] = []
     problems: dict[str, ls.LumisplatError] = {}
     for index, pair in enumerate(pairs):
@@ -170,7 +170,7 @@ def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tu
 
 
 def _figure(name: str, pair: Pair) -> float:
-    """One figure of one pair."""
+    """Returns one metric of one pair."""
     load = _loaded_image if name in _IMAGE_METRICS else _shadow_strength
     image, reference = load(pair.image), load(pair.reference)
     try:
@@ -181,24 +181,24 @@ def _figure(name: str, pair: Pair) -> float:
 
 @lru_cache(maxsize=2)
 def _loaded_image(path: Path) -> npt.NDArray[np.float32]:
-    """A picture in display colours; the last two are kept for the next metric."""
+    """Loads an image in display colours; the last two are cached for the next metric."""
     return ls.load_image(path)
 
 
 def _metric(name: str) -> Callable[..., float]:
-    """The library's function of a metric."""
+    """Returns the library's function of a metric."""
     return getattr(ls.metrics, name)
 
 
 @lru_cache(maxsize=2)
 def _shadow_strength(path: Path) -> npt.NDArray[np.float32]:
-    """The mean of the channels: of linear files as it is, of others as they are shown."""
+    """Returns the mean of the channels: linear for .exr and .hdr files, else in display colours."""
     linear = path.suffix.lower() in (".exr", ".hdr")
     return (ls.io.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
 
 
 def _counted(files: Sequence[Path]) -> str:
-    """How many files were given."""
+    """Returns the number of given files as text."""
     return "no file given" if not files else f"{len(files)} file{'s' * (len(files) > 1)} given"
 
 
@@ -207,7 +207,7 @@ _EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
 @dataclass(frozen=True)
 class Pair:
-    """A picture and its reference."""
+    """An image and its reference."""
 
     name: str
     image: Path
@@ -215,15 +215,14 @@ class Pair:
 
 
 def image_pairs(image: Path, reference: Path) -> list[Pair]:
-    """The pairs of two files or two folders, in the order of their names.
+    """Returns the pairs of two files, or of two folders in the order of their names.
 
-    Pictures of folders are paired by their names without the extension: a PNG may have an EXR as reference.
-
-    Pictures without a partner are left out, and a log line says which.
+    Images of folders are paired by name without extension, so that a PNG may have an EXR as reference. A log line names
+    images without a partner, which are left out.
 
     Raises:
-        FormatError: One is missing, only one is a folder, a folder has no pictures or two of the same name, or no
-            picture has a partner.
+        FormatError: A path is missing, only one is a folder, a folder has no images or two of the same name, or no
+            image has a partner.
     """
     for path in (image, reference):
         if not path.exists():
@@ -237,8 +236,8 @@ def image_pairs(image: Path, reference: Path) -> list[Pair]:
     both = sorted({*ours} & {*theirs})
     for folder, missing in ((reference, sorted({*ours} - {*theirs})), (image, sorted({*theirs} - {*ours}))):
         if missing:
-            count = f" ({len(missing)} pictures of the other folder are missing)" if len(missing) > 1 else ""
-            problem = ls.FormatError(folder, f"has no picture '{missing[0]}' as the other folder does{count}")
+            count = f" ({len(missing)} images of the other folder are missing)" if len(missing) > 1 else ""
+            problem = ls.FormatError(folder, f"lacks an image '{missing[0]}', which the other folder has{count}")
             if not both:
                 raise problem
             _log.warning("%s: left out", problem)
@@ -246,13 +245,13 @@ def image_pairs(image: Path, reference: Path) -> list[Pair]:
 
 
 def _pictures(folder: Path) -> dict[str, Path]:
-    """The pictures of a folder by their names without the extension."""
+    """Returns the images of a folder by name without extension."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in _EXTENSIONS and not path.name.startswith("."):
             if path.stem in found:
-                raise ls.FormatError(path, f"has the name of {found[path.stem].name}: which of them is to be compared?")
+                raise ls.FormatError(path, f"has the same name as {found[path.stem].name}: remove one of them")
             found[path.stem] = path
     if not found:
-        raise ls.FormatError(folder, f"holds no pictures ({', '.join(_EXTENSIONS)})")
+        raise ls.FormatError(folder, f"holds no images ({', '.join(_EXTENSIONS)})")
     return found

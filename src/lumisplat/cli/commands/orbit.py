@@ -1,4 +1,4 @@
-"""``lumisplat orbit``: once round a scene, as frames and a video."""
+"""``lumisplat orbit``: renders a turntable of a scene, or a camera path, as frames and a video."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Orbit(ViewsCommand, FrameCommand):
     """Remove existing frames first."""
 
     def run(self) -> None:
-        """Renders the frames that are missing, then the video."""
+        """Renders the missing frames, then the video."""
         if self.video is not None:
             check_video(self.video, self.fps)
         with progress_bars() as report:
@@ -65,13 +65,13 @@ class Orbit(ViewsCommand, FrameCommand):
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks all that can be checked, and loads the scene.
+        """Checks options and files, and loads the scene.
 
         Args:
-            report: Shows the progress.
+            report: Receives the progress.
 
         Raises:
-            LumisplatError: Something is wrong with the options or a file.
+            LumisplatError: An option or a file is wrong.
         """
         folder = FrameFolder.named_after(self.output, self.video, "orbit", "png", "orbit.json")
         refuse_standard_output(folder.folder)
@@ -112,12 +112,12 @@ class Orbit(ViewsCommand, FrameCommand):
         )
 
     def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
-        """The cameras round the scene."""
+        """Returns the cameras around the scene."""
         start, target = self.viewpoint_camera(scene, all_around=True), self.viewpoint.target_point(scene)
         return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)
 
     def _frame_count(self) -> int:
-        """Number of frames."""
+        """Returns the number of frames."""
         for option, value in (("--seconds", self.seconds), ("--fps", self.fps)):
             if not 0.0 < value < math.inf:
                 raise ls.ConfigError(f"{option} is {value:g}, expected a positive number")
@@ -128,7 +128,7 @@ class Orbit(ViewsCommand, FrameCommand):
         return max(1, round(self.seconds * self.fps))
 
     def _provenance(self, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
-        """All that a frame follows from, except its number."""
+        """Returns everything that a frame depends on, except its number."""
         files = [*self.scene, *(path for path in (self.camera_path, self.light.environment) if path is not None)]
         chosen = (
             "seconds",

@@ -1,4 +1,4 @@
-"""``lumisplat relight``: an avatar in the light of a scene, as a capture again."""
+"""``lumisplat relight``: relights an avatar by the light of a scene, and writes it as a capture."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 _SH_Y00 = 0.5 / math.sqrt(math.pi)
-"""A probe's first coefficient times this is its mean radiance."""
+"""SH basis function of degree 0: a probe's first coefficient times this is its mean radiance."""
 _GAMMA_MAX = 1000.0
 """Largest ``gamma`` of `RelightConfig`."""
 
@@ -69,7 +69,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     """Set the up direction in the image of --probe."""
 
     def run(self) -> None:
-        """Loads, gathers the light, relights, writes."""
+        """Gathers the light of the scene, relights the avatar and writes it."""
         if self.output == STANDARD_OUTPUT:
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
@@ -98,13 +98,13 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
         self._print_summary(relit, probe, position)
 
     def _check_outputs(self) -> None:
-        """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
+        """Raises a FormatError for outputs that cannot be written, before anything slow is done."""
         ls.io.check_format(self.output)
         if self.probe is not None and self.probe.suffix.lower() != ".exr":
             raise ls.FormatError(self.probe, "unknown extension for the image of a probe, expected .exr")
 
     def _loaded_avatar(self, report: Report) -> ls.SplatInstance:
-        """The avatar, where its file places it."""
+        """Loads the avatar, at the position that its file gives."""
         asset = self.load_asset(self.avatar, report)
         if isinstance(asset, ls.Gaussians):
             return ls.SplatInstance(asset)
@@ -118,7 +118,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     def _print_summary(
         self, relit: ls.Gaussians, probe: ls.avatars.EnvironmentProbe, position: tuple[float, float, float]
     ) -> None:
-        """Prints what was written, how bright the light is, and which --gamma keeps the avatar's brightness."""
+        """Prints the written file, the brightness of the light, and a ``--gamma`` that preserves the avatar's."""
         mean = _SH_Y00 * probe.coefficients[0]
         print(
             f"{self.output}: {counted(relit.count, 'Gaussian')} in the light at "
@@ -127,7 +127,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
         print(f"mean light there, red green blue, 1 is display white: {' '.join(f'{x:.3f}' for x in mean)}")
         brightness = float(mean.mean())
         if brightness * _GAMMA_MAX < 1.0:
-            print("there is next to no light there: look for it elsewhere by --at, or give a --background")
+            print("there is almost no light: choose another position by --at, or give a --background")
         elif self.gamma in (None, 1.0) and not 0.5 < brightness < 2.0:
             print(f"to keep the avatar about as bright as it was: --gamma {1.0 / brightness:.2g}")
         if self.probe is not None:
@@ -135,7 +135,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
 
 
 def _middle(avatar: ls.SplatInstance) -> tuple[float, float, float]:
-    """The middle of the bulk of an avatar."""
+    """Returns the centre of the bulk of an avatar."""
     low, high = ls.Scene(splats=(avatar,)).bulk_bounds()
     x, y, z = (float(value) for value in 0.5 * (low + high))
     return x, y, z

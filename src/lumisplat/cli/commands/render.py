@@ -1,4 +1,4 @@
-"""``lumisplat render``: pictures of a scene."""
+"""``lumisplat render``: renders images of a scene."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ _log = logging.getLogger("lumisplat")
 _STAMP = "render.json"
 _NUMBERS = re.compile(r"[\d:x\s-]+")
 _NOT_IN_PROVENANCE = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device", "changes")
-"""Options of which the pictures that are there do not depend."""
+"""Options that existing images do not depend on."""
 
 
 @dataclass(frozen=True)
 class _ImageJob:
-    """What the pictures of a command are made of."""
+    """Scene, cameras and renderer of the images of a command."""
 
     scene: ls.Scene
     shots: list[Shot]
@@ -94,13 +94,15 @@ class Render(ViewsCommand, FrameCommand):
     """Render in parts: 4x4, auto, samples (blocks of 32), or 4x4,samples."""
 
     def run(self) -> None:
-        """Renders and writes the pictures."""
+        """Renders and writes the images."""
         if self.output == STANDARD_OUTPUT:
             format_name = "png" if self.format == "auto" else self.format
             if self._layers.names and format_name == "png":
-                raise ls.ConfigError("-o - is one picture, --aov writes more beside a PNG: give --format exr or npz")
+                raise ls.ConfigError(
+                    "-o - is one file, but --aov writes more files beside a PNG: give --format exr or npz"
+                )
             if self._layers.deep:
-                raise ls.ConfigError("-o - is one picture, --aov deep writes a file beside it: give -o a name")
+                raise ls.ConfigError("-o - is one file, but --aov deep writes another beside it: give -o a name")
             with standard_output(f".{format_name}") as file:
                 replace(self, output=file).run()
             return
@@ -118,19 +120,17 @@ class Render(ViewsCommand, FrameCommand):
             print(job.writer.legend)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks all that can be checked, and loads the scene, to render pictures that are missing.
+        """Checks options and files, and loads the scene, to render missing images.
 
         Args:
-            report: Shows the progress.
+            report: Receives the progress.
 
         Raises:
-            LumisplatError: Something is wrong with the options or a file.
+            LumisplatError: An option or a file is wrong.
         """
         refuse_standard_output(self.output)
         if self.view:
-            raise ls.ConfigError(
-                "--view colours all pictures by the first of a run: pictures that are there stay wrong"
-            )
+            raise ls.ConfigError("--view colours all images by the first of a run, so existing ones would not match")
         tiles_text, splits_samples = self._parts
         if tiles_text:
             self._check_tiles()
@@ -152,7 +152,7 @@ class Render(ViewsCommand, FrameCommand):
             unit = "part" if splits_samples else "tile"
             frames = replace(frames, folder=parts.folder, wanted=parts.wanted, needs=parts.needs, unit=unit)
         elif folder != self.output:
-            raise ls.ConfigError(f"-o {self.output} is one picture, and frames are many: give a folder")
+            raise ls.ConfigError(f"-o {self.output} is one image, but there are several frames: give a folder")
 
         def write(made: ls.Frame | ls.farm.SamplePart, index: int) -> None:
             if isinstance(made, ls.farm.SamplePart):
@@ -170,12 +170,12 @@ class Render(ViewsCommand, FrameCommand):
         )
 
     def _open(self, report: Report) -> _ImageJob:
-        """Checks all that can be checked, and loads the scene."""
+        """Checks options and files, and loads the scene."""
         writer = FrameWriter(self._layers.names, self.view)
         base = scene_settings(scene_file(self.scene))
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)})
         if config.pipeline.is_sequence and self.samples is not None:
-            config = replace(config, samples=base.samples)  # they are frames before the picture
+            config = replace(config, samples=base.samples)  # --samples counts warm-up frames here
         # What fails fast comes first: cameras, environment and device before a capture of a gigabyte.
         cameras = self._cameras(camera_file(self.scene))
         shots = self._shots(cameras) if cameras else None
@@ -192,7 +192,7 @@ class Render(ViewsCommand, FrameCommand):
         return _ImageJob(scene, shots, self.frame_source(renderer, self._warm_up(), blocks), writer)
 
     def _blocks(self, config: ls.RenderConfig, *, lit: bool) -> BlockViews | None:
-        """What shows a capture in blocks, view by view; None: scenes are loaded whole."""
+        """Returns the capture in blocks that is loaded view by view; None if scenes are loaded whole."""
         given = {
             "--aov deep": self._layers.deep,
             "--aov cryptomatte": self._layers.cryptomatte,
@@ -204,7 +204,7 @@ class Render(ViewsCommand, FrameCommand):
         return block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=self.viewpoint.upright)
 
     def _check_tiles(self) -> None:
-        """Refuses what is not made of parts of a picture."""
+        """Refuses outputs that need the whole image."""
         layers = self._layers
         given = {
             "--aov deep": layers.deep,
@@ -212,7 +212,7 @@ class Render(ViewsCommand, FrameCommand):
             "--denoise": self.light.denoise,
         }
         if whole := " and ".join(name for name, is_given in given.items() if is_given):
-            raise ls.ConfigError(f"{whole} and --tiles do not go together: it is of the whole picture")
+            raise ls.ConfigError(f"{whole} and --tiles exclude each other: it needs the whole image")
 
     @property
     def _layers(self) -> Layers:
@@ -220,18 +220,18 @@ class Render(ViewsCommand, FrameCommand):
 
     @property
     def _parts(self) -> tuple[str, bool]:
-        """The tiles of --tiles, and whether samples are rendered in parts, too."""
+        """Grid of ``--tiles``, and whether samples are rendered in parts, too."""
         parts = [part.strip() for part in self.tiles.split(",")]
         return ",".join(part for part in parts if part != "samples"), "samples" in parts
 
     def _wanted(self, shots: list[Shot]) -> list[int]:
-        """The numbers of the pictures that are asked for; those that --frames names are all that there are."""
+        """Returns the numbers of the images to render, among those that were planned."""
         is_chosen = self._is_one_file or self._names([shot.camera for shot in shots])
         return frame_numbers("--frames", "" if is_chosen else self.frames, len(shots), self._unit)
 
     @property
     def _is_one_file(self) -> bool:
-        """Whether ``-o`` is an image file."""
+        """True if ``-o`` is an image file."""
         return self.output.suffix.lower().removeprefix(".") in FORMATS
 
     @property
@@ -239,7 +239,7 @@ class Render(ViewsCommand, FrameCommand):
         return "camera" if self.camera_path is None else "frame"
 
     def _names(self, cameras: Sequence[ls.Camera]) -> list[str]:
-        """The cameras that --frames names; none: it has numbers."""
+        """Returns the cameras that ``--frames`` names; empty if it has numbers."""
         names = {camera.name for camera in cameras}
         parts = [part.strip() for part in self.frames.split(",") if part.strip()]
         is_named = any(
@@ -248,11 +248,11 @@ class Render(ViewsCommand, FrameCommand):
         return parts if is_named else []
 
     def _render(self, job: _ImageJob, report: Report) -> str:
-        """Renders and writes the pictures; what was written, in a line."""
+        """Renders and writes the images; returns a summary line."""
         shots = [job.shots[index] for index in self._wanted(job.shots)]
         make_folder(shots[0].path.parent)
         with suppress(OSError):
-            (shots[0].path.parent / _STAMP).unlink()  # what it said of these pictures is no longer true
+            (shots[0].path.parent / _STAMP).unlink()  # it no longer describes the images
         fewer = "--frames" if self.camera_path is None else "--frames, --fps"
         progress = FrameProgress(report, "rendering", len(shots), fewer)
         frame: ls.Frame | None = None
@@ -266,7 +266,7 @@ class Render(ViewsCommand, FrameCommand):
         return _summary(shots, frame)
 
     def _provenance(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
-        """All that a picture follows from, except its number."""
+        """Returns everything that an image depends on, except its number."""
         files = [
             *self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
@@ -283,7 +283,7 @@ class Render(ViewsCommand, FrameCommand):
         }
 
     def _write(self, job: _ImageJob, frame: ls.Frame, shot: Shot) -> None:
-        """Writes a picture, with its mattes; its samples in depth come first, as a picture says that it is done."""
+        """Writes an image with its mattes; deep samples come first, as the image marks it as done."""
         if self._layers.deep:
             renderer = job.source.renderer
             camera = job.source.focused(job.scene, shot.camera)
@@ -293,18 +293,18 @@ class Render(ViewsCommand, FrameCommand):
         job.writer.write(frame, shot.path, mattes)
 
     def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.layers.Mattes | None:
-        """Mattes of a picture, if they are asked for."""
+        """Returns the mattes of an image, if they are asked for."""
         if not self._layers.cryptomatte:
             return None
         return ls.layers.render_mattes(scene, camera, renderer.config, device=renderer.device)
 
     def _warm_up(self) -> WarmUp:
-        """How frames in real time come to a picture; --samples counts them."""
+        """Returns the warm-up of real-time images, whose frames ``--samples`` counts."""
         frames = self.samples if isinstance(self.samples, int) else REALTIME_FRAMES
         return WarmUp(frames=frames, each=self.camera_path is None)
 
     def _cameras(self, file: Path | None) -> list[ls.Camera]:
-        """The cameras that are given, those along --camera-path among them; none: one has to be made."""
+        """Returns the cameras of files or of ``--camera-path``; empty if one has to be made."""
         if self.camera_path is None:
             if self.cameras is None and not self.viewpoint.is_given:
                 warn_of_unused_cameras(self.scene)
@@ -313,32 +313,30 @@ class Render(ViewsCommand, FrameCommand):
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
-        """The pictures of cameras."""
+        """Returns cameras and files of the images."""
         names = self._names(cameras)
         if self._is_one_file and not names:
             cameras = [cameras[index] for index in frame_numbers("--frames", self.frames, len(cameras), self._unit)]
         shots = plan_shots(cameras, names, self.output, self.format)
         if self.view and shots[0].path.suffix.lower() != ".png":
-            raise ls.ConfigError(f"{shots[0].path}: --view is a picture to look at, expected .png")
+            raise ls.ConfigError(f"{shots[0].path}: --view writes an image in colours, expected .png")
         if self._layers.cryptomatte and shots[0].path.suffix.lower() != ".exr":
-            raise ls.ConfigError(
-                f"{shots[0].path}: --aov cryptomatte is written into an EXR: name one, or give --format exr"
-            )
+            raise ls.ConfigError(f"{shots[0].path}: --aov cryptomatte needs an EXR: name one, or give --format exr")
         if self.background is not None and shots[0].path.suffix.lower() == ".exr":
-            _log.warning("--background is not used: an EXR holds premultiplied colour and alpha, without a background")
+            _log.warning("--background is not used: an EXR stores premultiplied colour and alpha, without a background")
         return shots
 
 
 def _summary(shots: list[Shot], frame: ls.Frame) -> str:
-    """What was written, in a line; ``frame`` is that of the last picture."""
+    """Returns a line about the written images; ``frame`` is the last one."""
     first = shots[0]
     if len(shots) == 1:
         return f"{first.path} ({first.camera.width} x {first.camera.height}){_samples(frame)}"
-    return f"{len(shots)} pictures in {first.path.parent}"
+    return f"{len(shots)} images in {first.path.parent}"
 
 
 def _samples(frame: ls.Frame) -> str:
-    """How many samples a frame has, and their noise, if their number was not given."""
+    """Returns the number of samples and their noise as text, if the number was not given."""
     config, noise = frame.config, frame.stats.noise if frame.stats else None
     if config is None or (config.time_limit is None and config.noise is None) or not frame.samples:
         return ""

@@ -1,4 +1,4 @@
-"""``lumisplat shadowmap``: shadows of things that were not there when a scene was captured, baked into the capture."""
+"""``lumisplat shadowmap``: bakes the shadows of added objects into a capture."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
             print(f"casters: up is {up_name(casters.up_direction)}, {whose}")
 
     def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
-        """Writes the capture with the shadows; a summary."""
+        """Writes the capture with the shadows; returns a summary."""
         config = ls.config.AvatarLightingConfig(
             shadow_map=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
@@ -92,15 +92,15 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         summary = f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow"
         found = found_light(lighter)
         if found is not None:
-            summary += f"\nno lights were given, shadows fall from those that were found: {found}"
+            summary += f"\nno lights were given; shadows use those that were found: {found}"
         return summary
 
     def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
-        """Writes the map of one light; a summary."""
+        """Writes the shadow map of one light; returns a summary."""
         if len(lights) != 1:
-            raise ls.ConfigError(f"a map is of one light, got {len(lights)}: give one --light or a --sun")
+            raise ls.ConfigError(f"a map needs one light, got {len(lights)}: give one --light or a --sun")
         if self.direct is not None:
-            raise ls.ConfigError("--direct is about the capture: a map holds how much of a light passes")
+            raise ls.ConfigError("--direct needs a capture as output: a map stores the transmittance of a light")
         shadow = ls.DeepShadowMap.build(
             casters, lights[0], capture, self._map_config(), device=self.device, progress=report
         )
@@ -112,7 +112,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         )
 
     def _map_config(self) -> ls.config.DeepShadowConfig:
-        """The settings of the map."""
+        """Returns the settings of the map."""
         changes = without_none({"strength": self.strength, "resolution": self.resolution})
         if self.absorption is not None:
             changes["absorption"] = ls.config.Absorption(self.absorption)
@@ -121,7 +121,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         return replace(ls.config.DeepShadowConfig(), **changes)
 
     def _lights(self) -> tuple[ls.LightPoint | ls.LightDirectional, ...]:
-        """The lights that were given."""
+        """Returns the lights that were given."""
         if self.sun is not None and self.light:
             raise ls.ConfigError("--sun and --light are both given: choose one")
         if self.sun is not None:

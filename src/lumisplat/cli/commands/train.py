@@ -1,4 +1,4 @@
-"""``lumisplat train``: from photographs with poses to a capture."""
+"""``lumisplat train``: trains a capture from images with poses."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 _CAPTURES = (".ply", ".spz")
 _POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "cameras.txt")
-"""Files that have poses, of which one is in a folder that needs none to be found."""
+"""Files with poses, one of which makes a search for poses unnecessary."""
 _WORST = 5
-"""Views that are listed."""
+"""Number of the worst views that are listed."""
 _RELIGHTABLE = (0.3, 0.05, 0.3)
-"""Weights of flatness, normals and depth spread for --relightable."""
+"""Weights of flatness, normals and depth spread for ``--relightable``."""
 _TOO_LIGHT = 0.02
-"""Share of what is seen, above which it is said that its albedo was clipped."""
+"""Fraction of visible Gaussians with a clipped albedo above which a line reports them."""
 
 
 @own_options_first
@@ -98,7 +98,7 @@ class Train(DeviceCommand):
     """Begin anew, and remove an earlier training."""
 
     def run(self) -> None:
-        """Trains, and writes the capture."""
+        """Trains and writes the capture."""
         self.check()
         self.quiet_warp()
         with progress_bars() as report:
@@ -106,10 +106,10 @@ class Train(DeviceCommand):
         self.print_results(*made)
 
     def check(self) -> None:
-        """Checks what can be checked before photographs are read.
+        """Checks the options before images are read.
 
         Raises:
-            ConfigError: An option is out of its range, or some do not go together.
+            ConfigError: An option is out of range, or two exclude each other.
         """
         refuse_standard_output(self.output)
         if self.output.suffix.lower() not in _CAPTURES:
@@ -117,26 +117,26 @@ class Train(DeviceCommand):
         if self.relightable and not holds_all_columns(self.output):
             raise ls.ConfigError(f"-o is {self.output}, expected a .ply: others have no columns for --relightable")
         if self.relightable and (self.pipeline == "trace" or self.projection == "unscented"):
-            raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
+            raise ls.ConfigError("--relightable needs --pipeline raster and --projection ewa")
         if self.relightable and self.exposures:
-            raise ls.ConfigError("--relightable finds materials of photographs of one exposure: leave out --exposures")
+            raise ls.ConfigError("--relightable needs images of equal exposure: leave out --exposures")
         if self.material_steps is not None and self.material_steps < 0:
             raise ls.ConfigError(f"--material-steps is {self.material_steps}, expected 0 or more")
         for made in (self._config, self._materials_config, self._seconds, self._checked_background):
             made()
 
     def make(self, report: Report) -> tuple[ls.training.TrainResult, ls.inverse.FoundMaterials | None]:
-        """Trains, and writes the capture.
+        """Trains and writes the capture.
 
         Args:
-            report: Shows the progress.
+            report: Receives the progress.
 
         Returns:
-            What came of it, and of --relightable.
+            Result of the training, and of ``--relightable``.
 
         Raises:
-            KeyboardInterrupt: It was interrupted; says how to go on.
-            LumisplatError: As of `lumisplat.train`.
+            KeyboardInterrupt: The training was interrupted; the message says how to continue.
+            LumisplatError: Raised by `lumisplat.train`.
         """
         if self.poses is not None and not any((self.folder / name).exists() for name in _POSES):
             ls.io.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
@@ -165,7 +165,7 @@ class Train(DeviceCommand):
         return result, self._materials(result, images, self._materials_config(), report)
 
     def print_results(self, result: ls.training.TrainResult, found: ls.inverse.FoundMaterials | None) -> None:
-        """Says what came of it."""
+        """Prints the results of the training, and of ``--relightable``."""
         self._print_results(result)
         if found is not None:
             self._print_materials(found)
@@ -177,7 +177,7 @@ class Train(DeviceCommand):
         config: ls.config.MaterialsConfig,
         report: Report,
     ) -> ls.inverse.FoundMaterials | None:
-        """Finds and writes materials, once training has come to its end."""
+        """Finds and writes materials after a finished training."""
         if not self.relightable or not result.is_finished:
             return None
         if result.cameras is not None:  # poses have moved
@@ -193,17 +193,17 @@ class Train(DeviceCommand):
         return found
 
     def _print_materials(self, found: ls.inverse.FoundMaterials) -> None:
-        """Says what is beside the capture, and what is doubtful."""
+        """Prints the files of the materials, and a doubtful result."""
         environment = self.output.with_name(self.output.stem + ".environment.exr")
-        print(f"{environment}: the sky; {self.output.with_suffix('.training')}/materials has pictures of both")
+        print(f"{environment}: the environment; {self.output.with_suffix('.training')}/materials has images of both")
         if found.too_light > _TOO_LIGHT:
             print(
-                f"{found.too_light:.0%} of what is seen is lighter than the sky that was found can make it: "
-                "highlights, or light that no photograph shows"
+                f"{found.too_light:.0%} of the surface is brighter than the environment that was found can make it: "
+                "highlights, or light that no image shows"
             )
 
     def _seconds(self) -> float | None:
-        """The time after which it ends; None: none is given."""
+        """Returns the seconds of ``--stop-after``; None without it."""
         return None if self.stop_after is None else seconds_of("--stop-after", self.stop_after)
 
     def _materials_config(self) -> ls.config.MaterialsConfig:
@@ -219,11 +219,11 @@ class Train(DeviceCommand):
 
     @property
     def _is_random(self) -> bool:
-        """Whether the background is another one in each step."""
+        """True if each step has a random background."""
         return self.background.strip().lower() == "random"
 
     def _checked_background(self) -> str:
-        """What is behind photographs that are transparent, as they are read."""
+        """Returns the background with which transparent images are read."""
         if self._is_random:
             return "black"
         try:
@@ -233,7 +233,7 @@ class Train(DeviceCommand):
         return self.background
 
     def _print_results(self, result: ls.training.TrainResult) -> None:
-        """Says what came of it."""
+        """Prints the results of the training."""
         score = result.score
         if score is not None:
             worst = sorted(score.of_views.items(), key=lambda item: item[1])[:_WORST]
@@ -252,21 +252,21 @@ class Train(DeviceCommand):
 
     @property
     def _again(self) -> str:
-        """What is to be typed to go on."""
+        """Description of the command that continues the training."""
         return "the same command without --overwrite" if self.overwrite else "the same command"
 
 
 _VIEWS = 4
-"""Photographs beside which materials are shown, at most."""
+"""Largest number of images beside which materials are written."""
 _ENVIRONMENT_PX = 16
-"""Side of a pixel of the sky's picture."""
+"""Size of an environment pixel in its PNG, pixels."""
 _ENVIRONMENT_MEAN = 0.3
-"""Mean of the sky in its picture, linear: how bright it is there is a convention, and above 1 is white."""
+"""Linear mean of the environment in its PNG: its brightness is arbitrary, and values above 1 are white."""
 _SH_C0 = 0.28209479177387814
 
 
 def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.io.TrainingImages, device: str) -> None:
-    """Writes a picture for some views, held out ones if there are any, the sky as a picture, and figures."""
+    """Writes an image for some views, preferably held-out ones, the environment as a PNG, and values as JSON."""
     import numpy as np
 
     make_folder(folder)
@@ -287,7 +287,7 @@ def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.
 
 
 def _layers(gaussians: ls.Gaussians) -> list[ls.Gaussians]:
-    """The capture with albedo, roughness and normals for colours."""
+    """Returns the capture with albedo, roughness and normals as colours."""
     import numpy as np
 
     assert gaussians.albedo is not None and gaussians.roughness is not None and gaussians.normals is not None
@@ -302,7 +302,7 @@ def _colored(gaussians: ls.Gaussians, color: npt.NDArray[np.floating]) -> ls.Gau
 
 
 def _encoded(linear: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Display-referred sRGB."""
+    """Returns display-referred sRGB values of linear ones."""
     import numpy as np
 
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1.0 / 2.4) - 0.055

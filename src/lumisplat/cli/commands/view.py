@@ -1,4 +1,4 @@
-"""``lumisplat view``: a scene in a browser, to fly through, to edit and to light."""
+"""``lumisplat view``: shows a scene in a browser, to fly through, edit and light."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
     """Start with these; the page can change them."""
 
     def run(self) -> None:
-        """Serves the page until it is interrupted."""
+        """Serves the page until interrupted."""
         if not self.scene:
             raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
         self.check_levels(self.scene)
@@ -88,12 +88,12 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
             viewer.close()
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """Settings with those that were given in their place."""
+        """Returns settings with the changes of options."""
         return self.pipeline_config(base, self.light.changes())
 
 
 def _open_browser(url: str) -> bool:
-    """Opens the page; False: there is no browser."""
+    """Opens the page in a browser; returns whether there is one."""
     try:
         return webbrowser.open(url)
     except webbrowser.Error:

@@ -1,1 +1,1 @@
-"""Frames as units of work: one after the other in this process, or by workers, here or on a Ray cluster."""
+"""Rendering of frames in this process, or by workers on this machine or a Ray cluster."""

@@ -1,4 +1,4 @@
-"""Starts Ray on this machine, or connects to a cluster of it; what goes wrong there is said in a line."""
+"""Starts Ray on this machine, or connects to a Ray cluster; failures become one-line errors."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from typing import Any
 import lumisplat as ls
 
 LOCAL = "local"
-"""The address of a Ray that is started here for one job."""
+"""Address of a Ray instance that is started here for one job."""
 _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
-"""At 0, Ray takes 127.0.0.1 for its node, as it does on Windows and macOS, and its ports are open there alone. Else
-they are open on all interfaces, whatever ``_node_ip_address`` says (measured with ``ss``, Ray 2.60)."""
+"""Environment variable. At 0, Ray uses 127.0.0.1 for its node, as on Windows and macOS, and opens its ports there
+only. Otherwise it opens them on all interfaces, whatever ``_node_ip_address`` is (measured with ``ss``, Ray 2.60)."""
 _CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
-"""Where Ray keeps the address of the cluster that was started last on this machine."""
+"""File in which Ray stores the address of the cluster that was started last on this machine."""
 _CONNECT_S = 10.0
-"""How long an address may take to answer, seconds."""
+"""Timeout of a connection, seconds."""
 _IP = re.compile(r"^\s*ip: (\S+)", re.MULTILINE)
-"""In what Ray says of an actor."""
+"""Pattern of an address in Ray's description of an actor."""
 _VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
-"""In what Ray says of two sides that differ."""
+"""Pattern of two versions in Ray's message about a mismatch."""
 _ERROR_CHARS = 300
-"""Characters of what Ray says that are passed on."""
+"""Characters of Ray's messages that are passed on."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @contextlib.contextmanager
 def connected(address: str, cpus: int) -> Generator[Any]:
-    """Connects to a cluster of Ray, or starts one here, and says so in a line; yields the module ``ray``.
+    """Connects to a Ray cluster, or starts Ray here, logs a line about it, and yields the module ``ray``.
 
-    Where the program is connected already, it stays so.
+    An existing connection of the process is kept.
 
     Args:
-        address: ``local``: one is started here, for as long as the job takes; ``auto``: that which runs here;
-            ``ray://host:port`` or ``host:port``: that one.
-        cpus: CPUs of one that is started here.
+        address: ``local`` starts Ray here for the time of the job; ``auto`` uses the cluster that runs here;
+            ``ray://host:port`` or ``host:port`` uses that cluster.
+        cpus: Number of CPUs if Ray is started here.
 
     Raises:
-        ConfigError: There is none, or it is of another version.
+        ConfigError: There is no cluster, or it has another version.
         MissingExtraError: Ray is not installed.
     """
     if address == LOCAL:
@@ -78,15 +78,15 @@ def connected(address: str, cpus: int) -> Generator[Any]:
 
 
 def usable_cores() -> int:
-    """Returns how many CPU cores this process may run on."""
+    """Returns the number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _load_ray() -> Any:
-    """Imports Ray, without its reports of usage.
+    """Imports Ray without its usage reports.
 
     Raises:
-        MissingExtraError: It is not installed.
+        MissingExtraError: Ray is not installed.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("PYTHONSAFEPATH", "1")
@@ -98,16 +98,16 @@ def _load_ray() -> Any:
 
 
 def _has_token() -> bool:
-    """Whether there is a token to show to a cluster, where Ray looks for it."""
+    """Returns whether an authentication token exists where Ray looks for it."""
     named = os.environ.get("RAY_AUTH_TOKEN_PATH")
     path = Path(named) if named else Path.home() / ".ray" / "auth_token"
     return "RAY_AUTH_TOKEN" in os.environ or path.is_file()
 
 
 def _check_reachable(address: str) -> None:
-    """Raises ConfigError if nothing listens at an address: Ray itself would try for minutes.
+    """Raises a ConfigError if nothing listens at an address, for which Ray would try for minutes.
 
-    A cluster that listens on 127.0.0.1 alone is sought there, where Ray would try another address of this machine.
+    If a cluster listens on 127.0.0.1 only, Ray is told so, as it would try another address of this machine.
     """
     named = address
     if address == "auto":  # Ray remembers clusters that have died
@@ -121,13 +121,13 @@ def _check_reachable(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
     except (OSError, OverflowError) as error:
         place = "there" if named == address else f"at {named}"
-        raise ls.ConfigError(f"--address {address}: nobody listens {place}: {error}") from None
+        raise ls.ConfigError(f"--address {address}: nothing listens {place}: {error}") from None
     if host in ("127.0.0.1", "localhost") and not _listens(_own_address(), int(port)):
         os.environ.setdefault(_LOOPBACK, "0")
 
 
 def _own_address() -> str:
-    """The address of this machine by which others reach it; no packet is sent to find it."""
+    """Returns this machine's address in its network; sends no packet."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("8.8.8.8", 53))
@@ -137,7 +137,7 @@ def _own_address() -> str:
 
 
 def _listens(host: str, port: int) -> bool:
-    """Whether somebody listens."""
+    """Returns whether a server listens at an address."""
     try:
         socket.create_connection((host, port), _CONNECT_S).close()
     except OSError:
@@ -146,7 +146,7 @@ def _listens(host: str, port: int) -> bool:
 
 
 def _connection_problem(error: BaseException) -> str:
-    """Why a cluster cannot be used, of an error of Ray's."""
+    """Returns why a cluster cannot be used, from an error of Ray."""
     if "Version mismatch" in str(error) and len(sides := _VERSIONS.findall(str(error))) == 2:
         there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
         return f"the cluster is of {there}, this process of {here}: install the same on both sides"
@@ -154,7 +154,7 @@ def _connection_problem(error: BaseException) -> str:
 
 
 def actor_failure(error: BaseException) -> str:
-    """How an actor has ended, of an error of Ray's, in a few words."""
+    """Returns a short description of an actor's end, from an error of Ray."""
     text, cause = str(error), getattr(error, "cause", None)
     where = f" on {found[1]}" if (found := _IP.search(text)) else ""
     if isinstance(cause, BaseException):  # an error of ours that was not caught
@@ -169,6 +169,6 @@ def actor_failure(error: BaseException) -> str:
 
 
 def _short(error: BaseException) -> str:
-    """The beginning of what Ray says, which goes on for pages."""
+    """Returns the beginning of Ray's message, which may have pages."""
     words = " ".join(str(error).split()) or type(error).__name__
     return words if len(words) <= _ERROR_CHARS else f"{words[:_ERROR_CHARS]} ..."

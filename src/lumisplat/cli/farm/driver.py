@@ -1,9 +1,8 @@
-"""Gives frames to workers on Ray until each is there or has failed.
+"""Assigns frames to workers on Ray until each exists or has failed.
 
-Ray places workers, gives each a GPU of its own where there are any, and tells when one has ended. It repeats nothing by
-itself: a worker that is lost is replaced here, and the frame that it was at is tried once more, as is one that has
-failed; after the second time it is left. Failures one after the other, with no frame done between them, end the job:
-then the disk is full, or the like.
+Ray starts workers, gives each a GPU of its own if there are any, and reports their ends. The driver replaces lost
+workers, and tries failed frames once more. Several failures in a row, without a finished frame between them, end the
+job, as a full disk and the like affect all frames.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ from lumisplat.cli.output.images import refuse_standard_output
 _log = logging.getLogger("lumisplat")
 
 CORES = 4
-"""CPU cores of a worker, unless told otherwise."""
+"""Default number of CPU cores of a worker."""
 TRIES = 2
-"""How often a frame is tried: what kills a worker twice would kill the third."""
+"""Attempts for a frame: a frame that kills two workers would kill a third."""
 FAILURES_IN_A_ROW = 4
-"""Failures of frames, none done between them, after which the job ends."""
+"""Failures of frames in a row after which the job ends."""
 STARTS_IN_A_ROW = 2
-"""Workers that end before they are ready, none ready between them, after which none is started in their place."""
+"""Failed starts of workers in a row after which no worker is replaced."""
 _WAIT_S = 1.0
-"""For an answer, before workers that are at a frame for too long are looked for, seconds."""
+"""Time to wait for an answer before checking for workers that exceed their time, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FarmOptions:
-    """What makes the frames."""
+    """Options of the workers."""
 
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a GPU, or one for 4 cores)")] = (
         None
@@ -62,51 +61,51 @@ class FarmOptions:
 
 
 FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]
-"""A field of a command that shows its options in a group of their own."""
+"""Type of a command's field that shows these options as a group."""
 
 
 class FarmCommand(FrameMaker, Protocol):
-    """A command whose frames workers make."""
+    """Command whose frames are made by workers."""
 
     @property
     def output(self) -> Path | None:
-        """As of ``-o``."""
+        """Value of ``-o``."""
         ...
 
     @property
     def device(self) -> str:
-        """As of ``--device``."""
+        """Value of ``--device``."""
         ...
 
     @property
     def debug(self) -> bool:
-        """As of ``--debug``."""
+        """Value of ``--debug``."""
         ...
 
     @property
     def farm(self) -> FarmOptions:
-        """What makes them."""
+        """Options of the workers."""
         ...
 
 
 def run_farm(command: FarmCommand, *, overwrite: bool, video: Path | None) -> None:
-    """Makes the frames of a command that are missing, by workers, then the video, and prints what there is.
+    """Makes the missing frames of a command by workers, then the video, and prints a summary.
 
     Args:
-        command: Whose frames they are.
-        overwrite: Whether to make those that are there anew.
-        video: A video of them; None: none.
+        command: The command.
+        overwrite: Make existing frames anew.
+        video: Video of the frames; None for none.
 
     Raises:
         ConfigError: An option is wrong, or there is no cluster.
-        KeyboardInterrupt: It was interrupted; says how many frames there are.
-        FramesMissingError: Some frames could not be made.
-        LumisplatError: Something is wrong with the settings or the scene.
+        KeyboardInterrupt: The command was interrupted; the message counts the existing frames.
+        FramesMissingError: Some frames failed.
+        LumisplatError: A setting or the scene is wrong.
     """
     refuse_standard_output(command.output)
     options = command.farm
     if getattr(command, "stats", False):
-        raise ls.ConfigError("--stats is of one process: give it to the command without farm")
+        raise ls.ConfigError("--stats needs one process: run the command without farm")
     for name, value in (("workers", options.workers), ("cores", options.cores)):
         if value is not None and value < 1:
             raise ls.ConfigError(f"--{name} is {value}, expected 1 or more")
@@ -121,21 +120,21 @@ def run_farm(command: FarmCommand, *, overwrite: bool, video: Path | None) -> No
 
 @dataclass
 class _Task:
-    """What a worker is at."""
+    """Current task of a worker."""
 
     worker: Any
     frame: int | None
-    """None: it loads the scene."""
+    """Number of the frame; None while the worker loads the scene."""
     since: float
-    """When it was asked, seconds."""
+    """Start time of the task, seconds."""
 
 
 @dataclass
 class Driver:
-    """Makes frames by workers; arguments are as of `run_farm`."""
+    """Makes frames by workers; its arguments are those of `run_farm`."""
 
     ray: Any
-    """The module, which is connected to a cluster."""
+    """The module, connected to a cluster."""
     order: Order
     options: FarmOptions
     device: str
@@ -146,31 +145,31 @@ class Driver:
 
     def __post_init__(self) -> None:
         self._frames: FrameList | None = None
-        """The frames as the first worker sees them; None: none was ready yet."""
+        """Frames as the first worker sees them; None before it is ready."""
         self._wanted = 0
         self._waiting: deque[int] = deque()
         self._tasks: dict[Any, _Task] = {}
         self._idle: list[Any] = []
         self._done: dict[int, float] = {}
-        """Frames that are there since, and what each took of a worker, seconds."""
+        """Seconds of a worker for each frame that has been made."""
         self._failed: dict[int, BaseException] = {}
         self._tries: dict[int, int] = {}
         self._lost = self._failures = self._bad_starts = 0
         self._refusals: list[BaseException] = []
-        """Why workers could not start, of which no line has told: if none can, the last one is the job's error."""
+        """Errors of workers that could not start, not yet logged; the last is the job's error if no worker can."""
         self._refusal: BaseException | None = None
         self._logged: set[str] = set()
 
     def run(self) -> str:
-        """Makes the frames that are missing, then the video.
+        """Makes the missing frames, then the video.
 
         Returns:
-            What there is now, and what it took, in lines.
+            Lines about the frames and their time.
 
         Raises:
-            KeyboardInterrupt: It was interrupted; says how many frames there are.
-            FramesMissingError: Some frames could not be made.
-            LumisplatError: No worker can work, or the first frame shows a mistake that comes again in all.
+            KeyboardInterrupt: The command was interrupted; the message counts the existing frames.
+            FramesMissingError: Some frames failed.
+            LumisplatError: No worker can work, or the first frame has a mistake that all frames share.
         """
         begun = self.clock()
         count, needs, threads = self._resources()
@@ -194,10 +193,10 @@ class Driver:
         return self._summary(begun)
 
     def _resources(self) -> tuple[int, dict[str, float], int]:
-        """Returns how many workers there are, what each needs of the cluster, and its threads.
+        """Returns the number of workers, the resources that each needs of the cluster, and its threads.
 
-        One has a GPU to itself where there are any, else its cores. Those that a cluster has no room for wait until
-        nodes join; on one machine, for which none will, they share its GPUs.
+        A worker has a GPU to itself if there are any, else its cores. Workers without room in a cluster wait for new
+        nodes; on one machine, they share its GPUs.
         """
         here = self.options.address == LOCAL
         resources = self.ray.cluster_resources()
@@ -209,7 +208,7 @@ class Driver:
         return count, {"num_gpus": share, "num_cpus": 1} if gpus else {"num_cpus": cores}, cores
 
     def _summary(self, begun: float) -> str:
-        """Returns what there is now, once nothing is left to do; raises what stands against it."""
+        """Returns lines about the finished job; raises its error if frames are missing."""
         why = self._refusal or ls.DeviceError(
             "no worker could be started" if self._frames is None else "all workers were lost"
         )
@@ -221,7 +220,7 @@ class Driver:
         for index in self._done:
             if not frames.folder.is_finished(index) and not frames.folder.is_stopped(index):
                 missing[index] = ls.SceneError(
-                    "it is not there, though a worker has made it: do all see the same folder?"
+                    "it is missing, though a worker has made it: do all workers see the same folder?"
                 )
         if missing:
             raise frames.missing_error(missing, self.overwrite)
@@ -236,7 +235,7 @@ class Driver:
 
     @property
     def _mean_seconds(self) -> float:
-        """Mean of what a frame takes of a worker, seconds; 0 if that is not known."""
+        """Mean time of a worker for a frame, seconds; 0 if it is unknown."""
         made = [seconds for seconds in self._done.values() if seconds > 0.0]
         return sum(made) / len(made) if made else 0.0
 
@@ -250,7 +249,7 @@ class Driver:
         self._tasks[worker.open.remote()] = _Task(worker, None, self.clock())
 
     def _receive(self, ref: Any) -> None:
-        """Takes the answer of a worker, or that it is gone."""
+        """Handles the answer of a worker, or its end."""
         task = self._tasks.pop(ref)
         try:
             answer: Answer = self.ray.get(ref)
@@ -268,7 +267,7 @@ class Driver:
         self._assign_frames()
 
     def _worker_ready(self, worker: Any, answer: Answer) -> None:
-        """Takes a worker that is ready, if it sees the same frames as the first one."""
+        """Accepts a worker that has loaded the scene, if it has the same frames as the first one."""
         if answer.frames is None:
             assert answer.error is not None
             self._refuse(worker, answer.error)
@@ -279,14 +278,14 @@ class Driver:
             ours, theirs = self._frames.provenance, answer.frames.provenance
             others = {name for name in ours | theirs if ours.get(name) != theirs.get(name)}
             named = ", ".join(sorted(others)[:3]) or "frames"
-            self._refuse(worker, ls.SceneError(f"a worker sees other {named} than the first one, and is not used"))
+            self._refuse(worker, ls.SceneError(f"a worker has other {named} than the first one, and is not used"))
             return
         self._idle.append(worker)
         self._bad_starts = 0
         self._log_refusals()
 
     def _begin(self, frames: FrameList) -> None:
-        """Makes the folder ready for the frames that the first worker sees."""
+        """Prepares the folder for the frames of the first worker."""
         self.report("starting", 1.0)
         if self.video is not None:
             check_video(self.video, frames.fps or 0.0)
@@ -295,12 +294,12 @@ class Driver:
         self._report_progress()
         if frames.in_sequence and self._waiting and self._count > 1:
             raise ls.ConfigError(
-                "frames of --pipeline realtime follow from those before them: workers cannot share them; render "
-                "them by --workers 1 or without farm, or choose another --pipeline"
+                "frames of --pipeline realtime depend on those before them, so workers cannot share them: render "
+                "with --workers 1 or without farm, or choose another --pipeline"
             )
 
     def _refuse(self, worker: Any, error: BaseException) -> None:
-        """Lets a worker go that cannot work; the others go on."""
+        """Ends a worker that cannot work; the others continue."""
         self.ray.kill(worker)
         self._refusal = error
         self._refusals.append(error)
@@ -308,14 +307,14 @@ class Driver:
             self._log_refusals()
 
     def _log_refusals(self, reported: str = "") -> None:
-        """Logs each reason, but for the one that is told as the job's error."""
+        """Logs each reason, except the one that is reported as the job's error."""
         for reason in map(one_line, self._refusals):
             if reason != reported:
                 self._log_once(f"one worker fewer: {reason}")
         self._refusals.clear()
 
     def _frame_done(self, worker: Any, frame: int, answer: Answer) -> None:
-        """Takes a frame that is done or has failed; its worker goes on."""
+        """Handles a finished or failed frame, and frees its worker."""
         self._idle.append(worker)
         if answer.error is None:
             self._failures = 0
@@ -327,7 +326,7 @@ class Driver:
             self._count_failure(frame, answer.error)
 
     def _replace_worker(self, task: _Task, how: str, error: BaseException | None = None) -> None:
-        """Starts another worker in place of a lost one, and counts the frame that it was at as failed, by its end."""
+        """Replaces a lost worker, and counts its frame as failed."""
         self.ray.kill(task.worker)
         self._lost += 1
         unit = "frame" if self._frames is None else self._frames.unit
@@ -341,7 +340,7 @@ class Driver:
             self._start()
 
     def _end_hung(self) -> None:
-        """Ends workers that are at a frame for longer than --frame-timeout."""
+        """Ends workers that take longer for a frame than ``--frame-timeout``."""
         if (timeout := self.options.frame_timeout) is None:
             return
         limit = seconds_of("--frame-timeout", timeout)
@@ -353,7 +352,7 @@ class Driver:
         self._assign_frames()
 
     def _count_failure(self, frame: int, error: BaseException) -> None:
-        """Tries a frame again, later, or leaves it."""
+        """Schedules a frame for another attempt, or gives it up."""
         self._failures += 1
         self._tries[frame] = self._tries.get(frame, 0) + 1
         if self._tries[frame] < TRIES:
@@ -367,13 +366,13 @@ class Driver:
             self._waiting.clear()
 
     def _assign_frames(self) -> None:
-        """Gives a frame to each worker that has none."""
+        """Assigns a frame to each idle worker."""
         while self._idle and (frame := self._next()) is not None:
             worker = self._idle.pop(0)
             self._tasks[worker.make.remote(frame)] = _Task(worker, frame, self.clock())
 
     def _next(self) -> int | None:
-        """Returns the first frame that waits, and for no other; those that wait for one that has failed, fail."""
+        """Removes and returns the first frame whose needed frames exist; frames that need a failed frame fail, too."""
         if not self._waiting or self._frames is None or not self._frames.needs:
             return self._waiting.popleft() if self._waiting else None
         undone = {*self._waiting, *(task.frame for task in self._tasks.values())}
@@ -388,7 +387,7 @@ class Driver:
         return None
 
     def _report_progress(self) -> None:
-        """Shows how far it is, and what a frame costs."""
+        """Reports the number of finished frames, and their time."""
         if self._wanted == 0 or self._frames is None:
             return
         ended = len(self._done) + len(self._failed)
@@ -397,7 +396,7 @@ class Driver:
         self.report(f"{self._frames.unit}s, {ended} of {self._wanted}{cost}{failed}", ended / self._wanted)
 
     def _log_once(self, line: str) -> None:
-        """Logs a line, once, whichever worker says it."""
+        """Logs a line once, whichever worker sends it."""
         if line not in self._logged:
             self._logged.add(line)
             _log.warning("%s", line)

@@ -1,4 +1,4 @@
-"""The error of frames that could not be made. It stands alone, as errors need NumPy, and help does not."""
+"""Error about frames that failed, in a module of its own, as errors import NumPy and help must not."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import lumisplat as ls
 
 
 class FramesMissingError(ls.LumisplatError):
-    """Some frames could not be made; the others are there, and the same command tries again."""
+    """Raised if some frames failed; the others exist, and the same command tries again."""
 
     status = 3
-    """Exit status of the process, so that schedulers tell it from a mistake (2), which comes again."""
+    """Exit status of the process, which lets schedulers distinguish failures from mistakes (2), which would be
+    repeated."""

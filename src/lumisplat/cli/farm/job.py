@@ -1,4 +1,4 @@
-"""Frames as units of work: which there are to be, where, how one is made, and all of them in this process."""
+"""Frames as units of work: which are wanted, where they are written, and how to make them in this process."""
 
 from __future__ import annotations
 
@@ -14,48 +14,48 @@ from lumisplat.cli.output.console import FrameProgress, Report, counted, one_lin
 from lumisplat.cli.output.frame_folder import FrameFolder, check_video, write_video
 
 NAMED_REASONS = 3
-"""Reasons why frames failed that a message names, each with its first frame; the others are counted."""
+"""Number of reasons for failures that a message names, each with its first frame."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameList:
-    """The frames of a command."""
+    """Frames of a command."""
 
     folder: FrameFolder
-    """Where they go."""
+    """Folder of the frames."""
     provenance: dict[str, str]
-    """All that they are made of, by name."""
+    """Everything that the frames depend on, by name."""
     wanted: tuple[int, ...]
-    """Their numbers."""
+    """Numbers of the frames."""
     fps: float | None = None
-    """Frames a second, if they are those of a film."""
+    """Frames a second of an animation; None for single images."""
     in_sequence: bool = False
-    """Whether a frame follows from those before it."""
+    """True if each frame depends on those before it."""
     needs: Mapping[int, tuple[int, ...]] = field(default_factory=dict[int, tuple[int, ...]])
-    """Frames that others are made of, which come after them."""
+    """Frame -> the frames that it is made from, which have to exist before."""
     unit: str = "frame"
-    """What one of them is called."""
+    """Noun for one frame."""
     go_on: str = "without --overwrite"
-    """How a command that has begun anew is changed to go on."""
+    """Change of the command that continues a run."""
 
     def begin(self, overwrite: bool) -> list[int]:
-        """Makes the folder ready; the frames that are missing.
+        """Prepares the folder, and returns the missing frames.
 
         Raises:
-            ConfigError: There are frames of another origin.
-            FormatError: The folder cannot be written to.
+            ConfigError: There are frames of another provenance.
+            FormatError: The folder cannot be written.
         """
         self.folder.prepare(self.provenance, overwrite)
         return [index for index in self.wanted if not self.folder.is_finished(index)]
 
     def count_line(self, overwrite: bool = False) -> str:
-        """How many of the frames are there, and how to go on."""
+        """Returns the number of existing frames, and how to continue, as text."""
         count = sum(map(self.folder.is_finished, self.wanted))
         again = f"the same command {self.go_on}" if overwrite else "the same command"
         return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} continues"
 
     def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> ls.LumisplatError:
-        """A `FramesMissingError` that says which frames failed, why, and how to go on."""
+        """Returns a `FramesMissingError` with the failed frames, their reasons, and how to continue."""
         from lumisplat.cli.farm.failed_frames import FramesMissingError
 
         reasons: dict[str, list[int]] = {}
@@ -74,26 +74,26 @@ class FrameList:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameJob:
-    """The frames of a command, ready to be made: what can be checked is checked, and the scene is loaded."""
+    """Frames of a command that are ready to be made: options are checked, and the scene is loaded."""
 
     frames: FrameList
     render: Callable[[int, Report], Any]
-    """Renders one of them: a `lumisplat.Frame`, or a part of one."""
+    """Renders one frame: a `lumisplat.Frame`, or a part of one."""
     write: Callable[[Any, int], None]
-    """Writes it."""
+    """Writes a frame."""
     summarise: Callable[[Any, int], None] | None = None
-    """Prints what so many frames took, of which the given one is the last."""
+    """Prints the time of a number of frames; the first argument is the last frame."""
 
     def make(self, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart | None:
-        """Renders a frame and writes it whole, unless it is there.
+        """Renders a frame and writes it whole, unless it exists.
 
         Returns:
-            The frame; None: it was there, for another process has made it.
+            The frame; None if another process has made it.
 
         Raises:
-            ConfigError: Another run with other settings has begun in the folder.
-            LumisplatError: As of ``render`` and ``write``.
-            OSError: Likewise.
+            ConfigError: Another run with other settings has started in the folder.
+            LumisplatError: Raised by ``render`` or ``write``.
+            OSError: Raised by ``render`` or ``write``.
         """
         folder, provenance = self.frames.folder, self.frames.provenance
         if folder.is_finished(index):
@@ -117,37 +117,37 @@ class FrameJob:
 
 
 class FrameMaker(Protocol):
-    """A command whose result are frames."""
+    """Command whose result is a set of frames."""
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks all that can be checked, and loads the scene."""
+        """Checks options and files, and loads the scene."""
         ...
 
 
 def is_mistake(error: BaseException, frames: FrameList) -> bool:
-    """Whether an error of the first frame that is made will come of all: a setting, a file or a package."""
+    """Returns whether an error of the first frame would occur in all: a wrong setting, file or package."""
     if isinstance(error, ls.FormatError):
         return not frames.folder.holds(error.path)
     return isinstance(error, ls.ConfigError | ls.SceneError | ls.errors.MissingExtraError)
 
 
 def make_frames(job: FrameJob, report: Report, *, overwrite: bool, video: Path | None, fewer: str) -> str:
-    """Makes the frames that are missing, then the video.
+    """Makes the missing frames in this process, then the video.
 
     Args:
-        job: Makes them.
-        report: Shows the progress.
-        overwrite: Whether to make those that are there anew.
-        video: A video of them; None: none.
-        fewer: The options that make frames fewer, as they are typed.
+        job: Makes the frames.
+        report: Receives the progress.
+        overwrite: Make existing frames anew.
+        video: Video of the frames; None for none.
+        fewer: Options that reduce the number of frames, as typed.
 
     Returns:
-        What there is now, in lines.
+        Lines about the frames.
 
     Raises:
-        KeyboardInterrupt: It was interrupted; says how many frames there are.
-        FramesMissingError: A frame could not be made.
-        LumisplatError: Something is wrong with the settings or the scene.
+        KeyboardInterrupt: The command was interrupted; the message counts the existing frames.
+        FramesMissingError: A frame failed.
+        LumisplatError: A setting or the scene is wrong.
     """
     frames = job.frames
     if video is not None:
@@ -182,20 +182,20 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
 
 
 def finish_frames(frames: FrameList, made: int, video: Path | None, report: Report) -> str:
-    """Joins parts, or writes the video of all frames, if there is to be one; what there is now, in lines.
+    """Joins parts or writes the video of all frames, if there is one, and returns lines about the frames.
 
     Args:
-        frames: All of them are there.
-        made: Number of those that were missing.
-        video: The file of the video; None: none.
-        report: Shows the progress.
+        frames: The frames, all of which exist.
+        made: Number of frames that were missing.
+        video: File of the video; None for none.
+        report: Receives the progress.
 
     Raises:
-        FormatError: The video or a picture of parts cannot be written.
+        FormatError: The video or a joined image cannot be written.
     """
     if isinstance(folder := frames.folder, PartFolder):
         joined = folder.join(report)
-        return f"{joined[0]}" if len(joined) == 1 else f"{len(joined)} pictures in {folder.folder}"
+        return f"{joined[0]}" if len(joined) == 1 else f"{len(joined)} images in {folder.folder}"
     reused = len(frames.wanted) - made
     were = "was" if reused == 1 else "were"
     lines = f"{counted(len(frames.wanted), frames.unit)} in {frames.folder.folder}"

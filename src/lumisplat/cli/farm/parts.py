@@ -1,7 +1,7 @@
-"""Pictures in parts, which are files until the picture is there: tiles, blocks of samples, or blocks of each tile.
+"""Parts of images as files, until the image exists: tiles, blocks of samples, or blocks of samples of each tile.
 
-Tiles are joined when all of a picture are there. Blocks of samples are merged by their sums into the picture or tile
-that they are of, which is a unit of work that comes after them.
+Tiles are joined when all of an image exist. Blocks of samples are merged by their sums to an image or tile, which is a
+unit of work that comes after them.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from lumisplat.cli.output.images import Shot
 
 AUTO = "auto"
 AUTO_PIXELS = 2**22
-"""Pixels of a tile of ``--tiles auto``, about: what a frame of 2048 x 2048 takes of memory."""
+"""Approximate pixels of a tile with ``--tiles auto``: the memory of a frame of 2048 x 2048."""
 _GRID = re.compile(r"(\d+)x(\d+)")
 
 
 @dataclass(frozen=True)
 class SplitImage:
-    """A picture, and the files of its tiles by the windows that they show; none: a unit of work writes it."""
+    """An image, and the files of its tiles by their windows; without tiles, a unit of work writes it."""
 
     path: Path
     tiles: dict[tuple[int, int, int, int], Path] = field(default_factory=dict[tuple[int, int, int, int], Path])
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is there, or all of its tiles."""
+        """True if the image or all of its tiles exist."""
         return self.path.is_file() or (bool(self.tiles) and all(map(Path.is_file, self.tiles.values())))
 
     def join(self) -> None:
-        """Joins its tiles, unless it is there.
+        """Joins the tiles, unless the image exists.
 
         Raises:
-            FormatError: A tile cannot be read, or the picture cannot be written.
+            FormatError: A tile cannot be read, or the image cannot be written.
         """
         if not self.path.is_file():
             try:
@@ -54,25 +54,25 @@ class SplitImage:
 
 @dataclass(frozen=True)
 class PartFolder(FrameFolder):
-    """Parts of one or more pictures, numbered picture after picture."""
+    """Folder of the parts of images, numbered image after image."""
 
     images: tuple[SplitImage, ...] = ()
     holders: tuple[tuple[Path, ...], ...] = ()
-    """Of each part, the files that it is a part of: once one of them is there, the part is needed no more."""
+    """Files that each part belongs to: once one of them exists, the part is no longer needed."""
 
     def is_finished(self, index: int) -> bool:
-        """Whether a part is there, or something that it is a part of."""
+        """Returns whether a part exists, or a file that it belongs to."""
         return any(path.is_file() for path in (self.path(index), *self.holders[index]))
 
     def tidy(self, index: int) -> None:
-        """As of `FrameFolder.tidy`."""
+        """Removes the parts of a frame that exists."""
         _remove_parts(self._parts.get(self.path(index), []))
 
     def join(self, report: Report) -> list[Path]:
-        """Writes the pictures whose parts are there, removes the parts, and returns the pictures that are there now.
+        """Writes the images whose parts exist, removes the parts, and returns the existing images.
 
         Raises:
-            FormatError: As of `SplitImage.join`.
+            FormatError: Raised by `SplitImage.join`.
         """
         whole = [image for image in self.images if image.is_whole]
         for number, image in enumerate(whole):
@@ -84,7 +84,7 @@ class PartFolder(FrameFolder):
 
     @cached_property
     def _parts(self) -> dict[Path, list[Path]]:
-        """The parts of each file that has any."""
+        """Parts of each file that has any."""
         parts: dict[Path, list[Path]] = {}
         for index, holders in enumerate(self.holders):
             for holder in holders:
@@ -97,25 +97,25 @@ class PartFolder(FrameFolder):
 
 @dataclass(frozen=True)
 class Parts:
-    """The units of work of a command's pictures: pictures or tiles, each after the blocks of its samples."""
+    """Units of work of a command's images: images or tiles, each preceded by the blocks of its samples."""
 
     folder: PartFolder
     shots: tuple[Shot, ...]
-    """The pictures or tiles: a camera and a file each."""
+    """Images or tiles: a camera and a file each."""
     wanted: tuple[int, ...]
-    """The numbers of units of the pictures that are to be made."""
+    """Numbers of the units of the wanted images."""
     blocks: tuple[range, ...] = ()
-    """Numbers of samples, the same of each shot; none: a shot is made at once."""
+    """Sample numbers of each block, the same for each shot; empty if shots are rendered whole."""
 
     @staticmethod
     def of(shots: list[Shot], wanted: tuple[int, ...], output: Path, stamp: str) -> Parts:
-        """Returns pictures that are not in parts yet.
+        """Returns images that are not split.
 
         Args:
-            shots: The pictures.
-            wanted: Numbers of those that are to be made.
-            output: As of ``-o``: a folder, or the file of the only picture.
-            stamp: File that says what they are made of, in a folder; of a single file it begins with its name.
+            shots: The images.
+            wanted: Numbers of the images to make.
+            output: Value of ``-o``: a folder, or the file of the only image.
+            stamp: File name of the stamp in a folder; for a single file, its name precedes.
         """
         folder = shots[0].path.parent
         name = stamp if folder == output else f"{output.stem}.{stamp}"
@@ -124,14 +124,14 @@ class Parts:
         return Parts(PartFolder(folder, "", name, names, images, ((),) * len(shots)), tuple(shots), wanted)
 
     def cut(self, grid: str, *, has_layers: bool) -> Parts:
-        """Cuts pictures into tiles.
+        """Cuts images into tiles.
 
         Args:
-            grid: ``auto``, or columns and rows, such as ``4x4``.
-            has_layers: Whether there are layers beside the colour.
+            grid: ``auto``, or columns and rows such as ``4x4``.
+            has_layers: Whether there are layers besides the colour.
 
         Raises:
-            ConfigError: There are no such tiles, or the format is none of rows.
+            ConfigError: The grid is impossible, or the format cannot be written in rows.
         """
         tiles: list[list[Shot]] = []
         images: list[SplitImage] = []
@@ -154,7 +154,7 @@ class Parts:
         )
 
     def split(self, blocks: list[range]) -> Parts:
-        """Splits the samples of pictures or tiles into blocks of these numbers."""
+        """Splits the samples of images or tiles into blocks."""
         units: list[list[Path]] = []
         holders: list[tuple[Path, ...]] = []
         for shot, wholes in zip(self.shots, self.folder.holders, strict=True):
@@ -164,7 +164,7 @@ class Parts:
         return replace(self._divided(units, tuple(holders)), blocks=tuple(blocks))
 
     def _divided(self, units: list[list[Path]], holders: tuple[tuple[Path, ...], ...]) -> Parts:
-        """The same with several files in place of each."""
+        """Returns parts with several files in place of each."""
         names = tuple(str(path.relative_to(self.folder.folder)) for files in units for path in files)
         ends = list(accumulate(map(len, units), initial=0))
         wanted = tuple(number for one in self.wanted for number in range(ends[one], ends[one + 1]))
@@ -172,21 +172,21 @@ class Parts:
 
     @property
     def needs(self) -> dict[int, tuple[int, ...]]:
-        """Units that must be there before others: blocks before their shot."""
+        """Units that have to exist before others: the blocks of a shot."""
         count = len(self.blocks)
         return {end: tuple(range(end - count, end)) for end in self.wanted if count and end % (count + 1) == count}
 
     def shot(self, index: int) -> Shot:
-        """The picture or tile that a unit is of."""
+        """Returns the image or tile of a unit."""
         return self.shots[index // (len(self.blocks) + 1)]
 
     def make(self, source: FrameSource, scene: ls.Scene, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart:
-        """Renders a block, or a picture or tile, of its blocks if it has some.
+        """Renders a block of samples, or an image or tile, which is merged from its blocks if it has any.
 
         Raises:
-            ConfigError: The samples of such frames are not shared.
+            ConfigError: Such frames cannot be split by samples.
             FormatError: A block cannot be read.
-            LumisplatError: As of `FrameSource.frame`.
+            LumisplatError: Raised by `FrameSource.frame`.
         """
         camera = self.shot(index).camera
         if not self.blocks:
@@ -198,13 +198,13 @@ class Parts:
         return source.finished(ls.farm.merge_samples(source.renderer, scene, camera, self._loaded(index)))
 
     def _loaded(self, index: int) -> Iterator[ls.farm.SamplePart]:
-        """The blocks of a shot, loaded one by one."""
+        """Loads the blocks of a shot one by one."""
         for number in range(index - len(self.blocks), index):
             yield ls.farm.SamplePart.load(self.folder.path(number))
 
 
 def _check_format(path: Path, *, has_layers: bool) -> None:
-    """Refuses pictures that are not written by rows."""
+    """Refuses images that are not written in rows."""
     if path.suffix.lower() not in (".png", ".exr"):
         raise ls.ConfigError(f"{path}: --tiles writes pictures by rows, .png or .exr")
     if has_layers and path.suffix.lower() == ".png":
@@ -212,7 +212,7 @@ def _check_format(path: Path, *, has_layers: bool) -> None:
 
 
 def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
-    """Cameras of the tiles of a picture."""
+    """Returns the cameras of the tiles of an image."""
     if grid == AUTO:  # bands as wide as the picture, which are joined in as little memory as they are made in
         return camera.windows(1, -(-camera.width * camera.height // AUTO_PIXELS))
     numbers = _GRID.fullmatch(grid)
@@ -225,7 +225,7 @@ def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
 
 
 def _remove_parts(parts: list[Path]) -> None:
-    """Removes parts, and their folders if they are empty then."""
+    """Removes parts, and their folders if these are empty."""
     for part in parts:
         with suppress(OSError):
             part.unlink(missing_ok=True)

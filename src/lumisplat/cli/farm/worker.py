@@ -1,4 +1,4 @@
-"""A worker of a farm, an actor of Ray: it loads the scene once, and makes the frames that it is given."""
+"""Worker of a farm, a Ray actor that loads the scene once and makes frames."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, FrameMaker, is_mistake
 
 THREADS_VARIABLE = "LUMISPLAT_THREADS"
-"""How many CPU threads a process may use."""
+"""Environment variable with the number of CPU threads of a process."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """What workers are to do."""
+    """Description of the workers' task."""
 
     command: FrameMaker
-    """Whose frames they make."""
+    """Command whose frames are made."""
     folder: str
-    """Where relative paths begin."""
+    """Folder to which relative paths refer."""
     debug: bool = False
-    """Whether they print their errors with tracebacks."""
+    """True if workers print their errors with tracebacks."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a worker says when it has loaded the scene, or made a frame."""
+    """Answer of a worker that has loaded the scene or made a frame."""
 
     lines: list[str]
-    """Its remarks."""
+    """Log lines of the worker."""
     host: str
-    """The name of its machine."""
+    """Name of its machine."""
     frames: FrameList | None = None
-    """The frames as it sees them, once it has loaded the scene."""
+    """Frames of the command as the worker sees them, after loading the scene."""
     error: BaseException | None = None
-    """Why it could not do it."""
+    """Error of the task; None if it succeeded."""
     is_mistake: bool = False
-    """Whether the same is wrong of all frames."""
+    """True if the error would occur in all frames."""
     seconds: float = 0.0
-    """What the frame took; 0: it was there."""
+    """Time of the frame, seconds; 0 if it existed."""
 
 
 class Worker:
     """Makes frames of a command.
 
     Args:
-        order: What it is to do.
-        threads: CPU threads that it may use, which is set before anything is loaded.
+        order: The task.
+        threads: Number of CPU threads, which is set before anything is loaded.
     """
 
     def __init__(self, order: Order, threads: int) -> None:
@@ -71,7 +71,7 @@ class Worker:
         """Loads the scene."""
         try:
             if not Path(self._order.folder).is_dir():
-                what = "is no folder where a worker runs: the scene and the frames lie where all see them"
+                what = "is no folder on a worker's machine: scene and frames need a folder that all machines see"
                 raise ls.FormatError(self._order.folder, what)
             os.chdir(self._order.folder)
             self._job = self._order.command.open_frames(_no_progress)
@@ -104,7 +104,7 @@ class Worker:
         return Answer(lines=lines, host=host, frames=frames, error=error, is_mistake=is_mistake, seconds=seconds)
 
     def _portable_error(self, error: Exception) -> BaseException:
-        """Returns an error as one that crosses to the driver, and prints it if all of it is wanted."""
+        """Returns an error that can be sent to the driver, and prints it with ``--debug``."""
         if not isinstance(error, ls.LumisplatError | OSError | MemoryError):  # a mistake of ours
             at = traceback.extract_tb(error.__traceback__)[-1]
             described = ls.LumisplatError(f"{type(error).__name__}: {error}, in {at.filename}, line {at.lineno}")
@@ -115,16 +115,16 @@ class Worker:
 
 
 class _Collected(logging.Handler):
-    """Keeps what is logged for the driver, which says it once for all workers."""
+    """Log handler that stores lines for the driver, which logs each once for all workers."""
 
     def __init__(self, lines: list[str]) -> None:
         super().__init__(logging.WARNING)
         self._lines = lines
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keeps a line."""
+        """Stores a line."""
         self._lines.append(record.getMessage())
 
 
 def _no_progress(label: str, fraction: float) -> None:
-    """Shows no progress: that of single frames is not the driver's."""
+    """Ignores the progress of single frames, which the driver does not show."""

@@ -1,1 +1,1 @@
-"""What commands read: files of a scene, cameras, pairs of pictures."""
+"""Input of commands: arguments, numbers, and files of a scene."""

@@ -1,8 +1,8 @@
-"""Puts arguments into the form that the parser takes, and messages into the words of the shell.
+"""Converts arguments to the form of the parser, and messages to the options of the command line.
 
-The library speaks of ``Pipeline.TRACE`` and ``RenderConfig.trace.strategy``, and begins with the name of a setting that
-is out of its range, ``samples is 0``: ``--pipeline trace``, ``--set trace.strategy``, ``--samples is 0``. What the
-parser refuses becomes one line.
+Messages of the library name ``Pipeline.TRACE``, ``RenderConfig.trace.strategy``, or a refused setting: ``samples is
+0``. On the command line they become ``--pipeline trace``, ``--set trace.strategy`` and ``--samples is 0``. Errors of
+the parser become one line.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
 
 
 def joined_numbers(args: Sequence[str]) -> list[str]:
-    """Arguments with the numbers after an option in one: ``--at 1 2 3`` and ``--at -1,2,3`` become ``--at=1,2,3``.
+    """Joins the numbers behind an option to one argument: ``--at 1 2 3`` and ``--at -1,2,3`` become ``--at=1,2,3``.
 
-    So every option that takes several numbers takes them with commas or spaces, and may begin with a minus.
+    Options of several numbers thus accept commas or spaces, and may begin with a minus.
     """
     joined: list[str] = []
     waiting = list(args)
@@ -52,11 +52,11 @@ def joined_numbers(args: Sequence[str]) -> list[str]:
 
 
 def gathered_positionals(args: Sequence[str], command: type[Any]) -> list[str]:
-    """Returns the arguments of a command with its files together, as the parser takes them: at the first of them.
+    """Returns the arguments of a command with its files moved together, to the first of them, as the parser requires.
 
     Args:
-        args: What follows the name of the command; numbers after an option are joined to it.
-        command: The dataclass of its options.
+        args: Arguments behind the name of the command; numbers are joined to their option.
+        command: Dataclass of the command.
     """
     if "--" in args:
         return list(args)
@@ -77,7 +77,7 @@ def gathered_positionals(args: Sequence[str], command: type[Any]) -> list[str]:
 
 
 def _values(command: Any) -> Iterator[tuple[str, float]]:
-    """The options of a dataclass that are not followed by one value, and by how many they are."""
+    """Yields the options of a dataclass that are not followed by exactly one value, and the number of their values."""
     yield from (("--help", 0.0), ("-h", 0.0))
     for field in fields(command):
         kind = str(field.type)
@@ -90,7 +90,7 @@ def _values(command: Any) -> Iterator[tuple[str, float]]:
 
 
 def options_of(command: type[Any]) -> list[str]:
-    """Returns the options of a command's dataclass, as they are typed."""
+    """Returns the options of a command's dataclass, such as ``--tone-map``."""
     found: list[str] = []
     for field in fields(command):
         group = _group(field)
@@ -103,31 +103,31 @@ def options_of(command: type[Any]) -> list[str]:
 
 
 def _group(field: Field[Any]) -> Any:
-    """A group of options that a field holds; None: it is one option."""
+    """Returns the group of options that a field holds; None if it is a single option."""
     made = None if field.default_factory is MISSING else field.default_factory()
     return made if is_dataclass(made) else None
 
 
 _OPTION_OF = {"aovs": "--aov"}
-"""Setting -> its option, of those whose option has another name."""
+"""Setting -> its option, of settings whose option has another name."""
 _OPTION_OF_ENUM = {"NormalEstimate": "--normals", "Absorption": "--absorption", "ReceiverSampling": "--sampling"}
-"""Enum -> the option of a command that takes its values."""
+"""Enum -> the option of a command that accepts its values."""
 _SETTINGS_WITH_OPTION = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")
-"""Settings that have an option of their own."""
+"""Settings of a frame that have an option of their own."""
 
 _MEMBER = re.compile(r"\b([A-Z]\w+)\.([A-Z][A-Z_]*)\b")
 _FIELD = re.compile(r"\b([A-Z]\w*Config)\.((?:\w+\.)*[a-z]\w*)\b(?:=(True|False)\b)?")
 
 
 _NAMED = re.compile(r"(?:camera )?(\w+) is ")
-"""Beginning of a message about a refused value."""
+"""Beginning of a message about a refused value, with the setting's name."""
 
 
 def shell_words(message: str, command: Command, setting: str | None = None) -> str:
-    """Returns a message of the library as the user of a command understands it.
+    """Returns a message of the library with settings and enum members replaced by options.
 
     Args:
-        message: One line.
+        message: Message of one line.
         command: The command that runs.
         setting: `lumisplat.LumisplatError.setting`, whose name at the start of the message becomes its option if that
             option was given. None: the first word of a message about a refused value.
@@ -143,7 +143,7 @@ def shell_words(message: str, command: Command, setting: str | None = None) -> s
 
 @contextmanager
 def logging_in_shell_words(command: Command) -> Generator[None]:
-    """Puts the lines that the library logs while a command runs into the words of the shell."""
+    """Replaces settings and enum members by options in the log lines of the block."""
 
     def translate(record: logging.LogRecord) -> bool:
         record.msg, record.args = shell_words(record.getMessage(), command), ()
@@ -159,7 +159,7 @@ def logging_in_shell_words(command: Command) -> Generator[None]:
 
 @lru_cache(maxsize=1)
 def _settings() -> tuple[dict[str, str], dict[str, str]]:
-    """The settings of a frame that enums are the values of, and the groups, each by the names of their classes."""
+    """Returns the settings by class names of their enums, and the prefixes of groups by class name."""
     enums: dict[str, str] = {}
     groups: dict[str, str] = {"RenderConfig": ""}
 
@@ -177,7 +177,7 @@ def _settings() -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _member(found: re.Match[str]) -> str:
-    """A value of a setting as it is typed."""
+    """Returns an enum member as an option with its value."""
     kind, setting = getattr(ls.config, found[1], None), _settings()[0].get(found[1])
     if not (isinstance(kind, type) and issubclass(kind, Enum)) or found[2] not in kind.__members__:
         return found[0]
@@ -188,7 +188,7 @@ def _member(found: re.Match[str]) -> str:
 
 
 def _field(found: re.Match[str]) -> str:
-    """A setting as it is typed, with its value if the message has one."""
+    """Returns a setting as an option, with the value that the message may have."""
     group = _settings()[1].get(found[1])
     value = {"True": "on", "False": "off"}.get(found[3] or "", "")
     if group is None:  # of another command's settings
@@ -197,14 +197,14 @@ def _field(found: re.Match[str]) -> str:
 
 
 def _typed(setting: str, value: str) -> str:
-    """A setting and its value, which may be empty, as they are typed."""
+    """Returns a setting and its value, which may be empty, as an option."""
     if setting in _SETTINGS_WITH_OPTION:
         return f"{_OPTION_OF.get(setting, '--' + setting.replace('_', '-'))} {value}".rstrip()
     return f"--set {setting}={value}" if value else f"--set {setting}"
 
 
 def _given(options: Any) -> Iterator[str]:
-    """The options of a command and of its groups that were given, as they are typed."""
+    """Yields the options of a command and of its groups that were given."""
     for field in fields(options):
         value = getattr(options, field.name)
         if is_dataclass(value):

@@ -1,6 +1,6 @@
-"""Loads the files of a scene, the settings that come with them, and captures in blocks view by view.
+"""Loads the files of a scene and their settings, and captures in blocks view by view.
 
-`file_fingerprints` tells whether a file of a scene, or one that it refers to, has changed: by size and time.
+`file_fingerprints` detects changed files, and changed files that these refer to, by size and time.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ import lumisplat as ls
 _log = logging.getLogger("lumisplat")
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
-"""Extensions of OpenUSD."""
+"""Extensions of OpenUSD files."""
 WITH_CAMERAS = (".toml", ".glb", ".gltf", *USD)
 """Extensions of scenes, which may have cameras."""
 _SCENES = (".glb", ".gltf", *USD)
-"""Extensions of scenes of other programs."""
+"""Extensions of scenes that other programs write."""
 
 BLOCKS = "blocks.json"
-"""The index of a capture in blocks."""
+"""Index file of a capture in blocks."""
 
 
 def load_scene(
@@ -41,14 +41,14 @@ def load_scene(
     keep_coordinates: bool = False,
     around: ls.Scene | None = None,
 ) -> ls.Scene:
-    """Loads files of any kind into one scene. Meshes beside captures are put into these, as of `lumisplat.insert`.
+    """Loads files of any kind into one scene, and inserts meshes into captures beside them: `lumisplat.insert`.
 
     Args:
         paths: The files.
-        load: Reads one of them.
-        up: Up of the scene; None: as the files say.
-        keep_coordinates: Whether meshes stay as they are in their files.
-        around: What is there already, and not part of the result; None: nothing.
+        load: Loads one file.
+        up: Up direction of the scene; None takes that of the files.
+        keep_coordinates: Leave meshes at the coordinates of their files.
+        around: Scene that exists already and is not part of the result; None for none.
 
     Raises:
         ConfigError: No file was given.
@@ -78,9 +78,9 @@ def load_scene(
 
 
 def _stated_up(scenes: Mapping[Path, ls.Scene], around: ls.Scene) -> tuple[float, float, float] | None:
-    """Up as a scene.toml says it, else as the first capture does; None: both say nothing.
+    """Returns the up direction of a scene.toml, else of the first capture; None if the files do not state one.
 
-    That of a file of meshes is its own, unless there is no capture.
+    Files of meshes determine the up direction only if there is no capture.
     """
     for path, scene in scenes.items():
         if path.suffix.lower() == ".toml" and "up" in toml_values(path):
@@ -91,7 +91,7 @@ def _stated_up(scenes: Mapping[Path, ls.Scene], around: ls.Scene) -> tuple[float
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:
-    """A scene as it is; one of a single asset has it at the origin."""
+    """Returns a scene with a single asset at the origin, or a given scene itself."""
     if isinstance(asset, ls.Scene):
         return asset
     if isinstance(asset, ls.Mesh):
@@ -100,7 +100,7 @@ def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:
 
 
 def scene_file(paths: Sequence[Path]) -> Path | None:
-    """The ``scene.toml`` among the files of a scene, which brings cameras and settings; None: there is none.
+    """Returns the ``scene.toml`` among the files of a scene, which has cameras and settings; None without one.
 
     Raises:
         ConfigError: There are two.
@@ -112,9 +112,9 @@ def scene_file(paths: Sequence[Path]) -> Path | None:
 
 
 def camera_file(paths: Sequence[Path]) -> Path | None:
-    """Returns the file that brings the cameras of a scene: its scene.toml, or the only file, if that is a scene.
+    """Returns the file that has the cameras of a scene: its scene.toml, or the only file if that is a scene.
 
-    A scene beside other files is put among them, where its cameras would look past it.
+    A scene beside other files is inserted among them, so that its own cameras would not show it.
 
     Raises:
         ConfigError: There are two scene files.
@@ -139,7 +139,7 @@ def warn_of_unused_cameras(paths: Sequence[Path]) -> None:
 
 
 def scene_settings(file: Path | None) -> ls.RenderConfig:
-    """The settings of a ``scene.toml``; None: the library's defaults.
+    """Returns the settings of a ``scene.toml``; the library's defaults for None.
 
     Raises:
         FormatError: The file cannot be read, or a setting is wrong.
@@ -148,14 +148,17 @@ def scene_settings(file: Path | None) -> ls.RenderConfig:
 
 
 def size_on_disk(path: Path) -> int:
-    """Bytes of a file, or of all in the folder of an unpacked or streamed SOG or of blocks, or of its list's folder."""
+    """Returns the bytes of a file, or of the folder of an unpacked or streamed SOG or of blocks.
+
+    A folder may be given itself or by its index file.
+    """
     path = path.parent if path.name in ("meta.json", "lod-meta.json", BLOCKS) else path
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files)
 
 
 def block_folder(path: Path) -> Path | None:
-    """The folder of a capture in blocks, given by itself or by its index; None: it is something else."""
+    """Returns the folder of a capture in blocks, given itself or by its index; None for other paths."""
     if path.name == BLOCKS:
         return path.parent
     return path if os.path.isfile(path / BLOCKS) else None
@@ -163,25 +166,25 @@ def block_folder(path: Path) -> Path | None:
 
 @dataclass
 class BlockViews:
-    """A capture in blocks, of which each view loads what it sees; what the last one saw is kept."""
+    """Capture in blocks, of which each view loads the visible part; the part of the last view stays in memory."""
 
     index: ls.io.BlockIndex
     pixels: float
-    """As of `lumisplat.io.visible_blocks`."""
+    """Argument of `lumisplat.io.visible_blocks`."""
     preview: ls.Scene
-    """Some of its Gaussians, to see where it is."""
+    """Scene of a few of its Gaussians, from which cameras are chosen."""
     _parts: list[ls.io.BlockPart] = field(default_factory=list["ls.io.BlockPart"], init=False)
     _scene: ls.Scene | None = field(default=None, init=False)
 
     def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
-        """What a camera sees; of lenses other than pinholes, everything.
+        """Returns the part that a camera sees; the whole capture for cameras other than pinholes.
 
         Args:
-            camera: The view.
-            release: Lets go of what the last view saw, before something else is loaded.
+            camera: The camera.
+            release: Releases the part of the last view before another is loaded.
 
         Raises:
-            FormatError: A block cannot be read, or all of them do not fit into memory.
+            FormatError: A block cannot be read, or all blocks do not fit into memory.
         """
         parts = self._seen(camera)
         if self._scene is None or parts != self._parts:
@@ -207,26 +210,26 @@ def block_views(
     whole: str = "",
     upright: Callable[[ls.Scene], ls.Scene],
 ) -> BlockViews | None:
-    """What shows a capture in blocks view by view; None: there is none, or all of it is needed, which a line says.
+    """Returns the capture in blocks among the files; None without one, or with a log line if all of it is needed.
 
     Args:
-        paths: The files of the scene.
-        config: The settings of frames.
-        pixels: Of ``--lod pixels=``.
+        paths: Files of the scene.
+        config: Settings of the frames.
+        pixels: Value of ``--lod pixels=``.
         lit: Whether lights are added to the scene.
-        whole: An option that needs the whole capture, if it is given.
-        upright: Gives a scene its up.
+        whole: Given option that needs the whole capture; empty without one.
+        upright: Sets the up direction of a scene.
 
     Raises:
         ConfigError: ``pixels`` is given without a capture in blocks, or is negative.
-        FormatError: Its index cannot be read.
+        FormatError: The index cannot be read.
     """
     folders = [folder for path in paths if (folder := block_folder(path)) is not None]
     if pixels is not None and not pixels >= 0.0:
         raise ls.ConfigError(f"--lod pixels={pixels:g}, expected 0 or more")
     if not folders:
         if pixels is not None:
-            raise ls.ConfigError("--lod pixels= is of captures in blocks, which lumisplat blocks makes")
+            raise ls.ConfigError("--lod pixels= needs a capture in blocks, which lumisplat blocks makes")
         return None
     needs = [
         "other files of the scene" * (len(paths) > 1),
@@ -238,9 +241,9 @@ def block_views(
     needed = next((one for one in needs if one), "")
     if needed:
         if pixels is not None:
-            raise ls.ConfigError(f"--lod pixels= and {needed} do not go together: all of the capture is loaded")
+            raise ls.ConfigError(f"--lod pixels= and {needed} exclude each other: the latter needs the whole capture")
         _log.warning(
-            "%s: all of it is loaded, for %s: only unlit, rasterised pictures of it alone load what they see",
+            "%s: the whole capture is loaded for %s: only unlit, rasterised images of it alone load what they see",
             folders[0],
             needed,
         )
@@ -251,31 +254,31 @@ def block_views(
 
 
 def holds_all_columns(path: Path) -> bool:
-    """Whether a capture of that name has room for any columns: a .ply that is not compressed."""
+    """Returns whether a capture of that name can store any columns: an uncompressed .ply."""
     name = path.name.lower()
     return name.endswith(".ply") and not name.endswith(".compressed.ply")
 
 
 def holds_materials(path: Path) -> bool:
-    """Whether a capture of that name has room for albedo, roughness and normals: scenes of other programs have."""
+    """Returns whether a capture of that name can store albedo, roughness and normals, as .ply, glTF and OpenUSD can."""
     return holds_all_columns(path) or path.suffix.lower() in _SCENES
 
 
 _OBJ_REFERENCE = re.compile(r"^(?:mtllib|map_\w+|norm|bump)\s+(?:.*\s)?(\S+)\s*$", re.MULTILINE)
 _USDA_REFERENCE = re.compile(r"@([^@\n]+)@")
 _OBJ_HEAD = 2**20
-"""Bytes of an OBJ that are searched for its material library."""
+"""Bytes at the start of an OBJ file that are searched for its material library."""
 
 
 def file_fingerprints(paths: list[Path], excluded: Path) -> dict[str, str]:
-    """Size and time of files and of all files that they refer to, by their paths from the first one's folder.
+    """Returns size and time of files, and of all files that they refer to, by their path relative to the first one.
 
-    A text in a file refers to a file if it is its path from the folder of the file that holds the text; the path of a
+    A text in a file refers to a file if it is that file's path from the folder of the file with the text. The path of a
     folder refers to the files in it.
 
     Args:
-        paths: The files to begin with; the first is the scene file.
-        excluded: A folder that is left out, that of the frames.
+        paths: Files to start with; the first is the scene file.
+        excluded: Folder that is ignored: that of the frames.
     """
     found: dict[Path, str] = {}
     waiting = list(paths)
@@ -300,7 +303,7 @@ def toml_values(path: Path) -> dict[str, Any]:
     """Parses a TOML file.
 
     Raises:
-        ValueError: It is not TOML; of a file that cannot be read, a FormatError, which is one, too.
+        ValueError: The file is not TOML; a FormatError, which is a ValueError, if it cannot be read.
     """
     from lumisplat.io.files.source import read_text  # at last, as help comes without NumPy
 
@@ -308,13 +311,13 @@ def toml_values(path: Path) -> dict[str, Any]:
 
 
 def _paths(text: str) -> set[str]:
-    """The paths that a text may be, with slashes or Windows' backslashes; none for this folder and those around it."""
+    r"""Returns the paths that a text may be, with ``/`` or Windows' ``\\``; none for this folder and its parents."""
     is_path = 0 < len(text) < 1024 and "\0" not in text and bool(set(Path(text).parts) - {".", "..", "/"})
     return {text, text.replace("\\", "/")} if is_path else set()
 
 
 def _texts(path: Path) -> Iterator[str]:
-    """The texts of a file that may refer to others."""
+    """Yields the texts of a file that may refer to other files."""
     suffix = path.suffix.lower()
     if suffix == ".toml":
         yield from _strings(toml_values(path))
@@ -333,7 +336,7 @@ def _texts(path: Path) -> Iterator[str]:
 
 
 def gltf_document(path: Path) -> Any:
-    """Reads the JSON of a .gltf or a .glb, without its buffers; None if a .glb does not begin with it."""
+    """Returns the JSON of a .gltf or .glb without its buffers; None if a .glb does not begin with JSON."""
     if path.suffix.lower() == ".gltf":
         return json.loads(path.read_bytes())
     with path.open("rb") as stream:
@@ -342,7 +345,7 @@ def gltf_document(path: Path) -> Any:
 
 
 def _usd_references(path: Path) -> list[str]:
-    """The files that a binary layer of OpenUSD refers to: layers, and the values of all attributes and times."""
+    """Returns the files that a binary OpenUSD layer refers to: layers, and values of attributes at all times."""
     try:
         library: Any = importlib.import_module("pxr.UsdUtils")
     except ImportError:  # then nothing reads it
@@ -351,7 +354,7 @@ def _usd_references(path: Path) -> list[str]:
 
 
 def _strings(value: object) -> Iterator[str]:
-    """All texts in the values of a document."""
+    """Yields all texts in the values of a document."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):

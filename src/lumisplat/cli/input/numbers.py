@@ -1,4 +1,4 @@
-"""Numbers as they are typed: with commas or spaces between, ranges of frames, and times."""
+"""Numbers on the command line: with commas or spaces, ranges of frames, and durations."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import lumisplat as ls
 
 _BETWEEN = re.compile(r"[,\s]+")
 _INCLUSIVE = re.compile(r"(\d+)(?:-(\d+)(?:x(\d+))?)?")
-"""``5``, ``1-100``, ``1-100x2``."""
+"""Ranges ``5``, ``1-100`` and ``1-100x2``."""
 _HALF_OPEN = re.compile(r"(\d*):(\d*)")
-"""``0:48``, ``48:``, ``:10``."""
+"""Ranges ``0:48``, ``48:`` and ``:10``."""
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
@@ -20,16 +20,16 @@ _COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbe
 
 
 def numbers(option: str, text: str, count: int, example: str) -> tuple[float, ...]:
-    """Finite numbers with commas or spaces between.
+    """Returns finite numbers from a text with commas or spaces.
 
     Args:
-        option: As it is typed, for messages.
-        text: What was given.
-        count: How many numbers there must be.
-        example: A right value, for messages.
+        option: Option as typed, for messages.
+        text: Its value.
+        count: Required number of numbers.
+        example: Correct value, for messages.
 
     Raises:
-        ConfigError: It is something else.
+        ConfigError: The text is anything else.
     """
     try:
         values = tuple(float(part) for part in _BETWEEN.split(text.strip().strip(",")))
@@ -45,26 +45,26 @@ def numbers(option: str, text: str, count: int, example: str) -> tuple[float, ..
 
 
 def vector(option: str, text: str, example: str = "0,-2.5,1") -> tuple[float, float, float]:
-    """Three finite numbers, ``x,y,z`` or ``x y z``.
+    """Returns three finite numbers from ``x,y,z`` or ``x y z``.
 
     Raises:
-        ConfigError: It is something else.
+        ConfigError: The text is anything else.
     """
     x, y, z = numbers(option, text, 3, example)
     return x, y, z
 
 
 def frame_numbers(option: str, text: str, count: int, unit: str = "frame") -> list[int]:
-    """The frames of ``1-100``, ``1-100x2``, ``1,5,9`` or ``A:B``, in order, each once; of an empty text all.
+    """Returns the sorted frame numbers of ``1-100``, ``1-100x2``, ``1,5,9`` or ``A:B``; all of them for an empty text.
 
     Args:
-        option: As it is typed, for messages.
-        text: What was given; parts have commas or spaces between.
-        count: Number of frames that there are.
-        unit: What one of them is called, for messages.
+        option: Option as typed, for messages.
+        text: Its value; parts are separated by commas or spaces.
+        count: Number of frames that exist.
+        unit: Noun for one frame, for messages.
 
     Raises:
-        ConfigError: A part is none of these, or names a frame that the animation does not have.
+        ConfigError: A part is no range, or names a frame that does not exist.
     """
     if not text.strip():
         return list(range(count))
@@ -83,7 +83,7 @@ def frame_numbers(option: str, text: str, count: int, unit: str = "frame") -> li
 
 
 def _frames_of(part: str, count: int) -> range | None:
-    """The frames of one part; None: it is no range."""
+    """Returns the frames of one part; None if it is no range."""
     if found := _INCLUSIVE.fullmatch(part):
         first, step = int(found[1]), int(found[3] or 1)
         return range(first, int(found[2] or first) + 1, step) if step else None
@@ -93,14 +93,14 @@ def _frames_of(part: str, count: int) -> range | None:
 
 
 def seconds_of(option: str, text: str) -> float:
-    """A time as people write it, in seconds.
+    """Returns a duration in seconds.
 
     Args:
-        option: Whose value it is, for messages.
-        text: Such as ``90s``, ``10m`` or ``1.5h``.
+        option: Option as typed, for messages.
+        text: Duration such as ``90s``, ``10m`` or ``1.5h``.
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: The text is no duration.
     """
     match = _DURATION.fullmatch(text.strip().lower())
     if match is None or float(match[1]) <= 0.0:

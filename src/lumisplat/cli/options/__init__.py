@@ -1,1 +1,1 @@
-"""Options that several commands share: as classes that commands derive from, and as groups that they hold."""
+"""Options that several commands share: base classes of commands, and groups of options."""

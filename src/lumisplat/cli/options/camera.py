@@ -1,4 +1,4 @@
-"""Options of a camera: where it stands, what it looks at, which way is up, and its lens."""
+"""Options of a camera: position, target, up direction and lens."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _log = logging.getLogger("lumisplat")
 _WIDTH, _HEIGHT = 1280, 720
 
 UpOption = Annotated[str, arg(metavar="AXIS|X,Y,Z", help_behavior_hint="(default: auto)")]
-"""An axis such as ``y-down``, a direction, or ``auto``."""
+"""Up direction: an axis such as ``y-down``, a vector, or ``auto``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewpointOptions:
-    """Arguments of `lumisplat.Camera.look_at` and `lumisplat.frame_camera`."""
+    """Options for the arguments of `lumisplat.Camera.look_at` and `lumisplat.frame_camera`."""
 
     eye: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Look from this point."""
@@ -44,17 +44,17 @@ class ViewpointOptions:
 
     @property
     def is_given(self) -> bool:
-        """Whether a camera of one's own is asked for."""
+        """True if an option describes a camera."""
         return bool(self._given())
 
     def check(self, cameras: Path | None) -> None:
-        """Refuses what contradicts itself, before anything is loaded.
+        """Refuses contradicting options before files are loaded.
 
         Args:
-            cameras: The camera file that was given.
+            cameras: Camera file of ``--cameras``; None without one.
 
         Raises:
-            ConfigError: Options do not go together, or are not numbers.
+            ConfigError: Two options exclude each other, or a value is no number or out of range.
         """
         given = self._given()
         if given and cameras is not None:
@@ -63,9 +63,7 @@ class ViewpointOptions:
             )
         around = [option for option in given if option in ("--azimuth", "--elevation", "--distance")]
         if self.eye is not None and around:
-            raise ls.ConfigError(
-                f"--eye and {around[0]} are both given: one says from where, the other from which side"
-            )
+            raise ls.ConfigError(f"--eye and {around[0]} are both given: choose the position or the side")
         for option, text in (("--eye", self.eye), ("--target", self.target)):
             if text is not None:
                 vector(option, text)
@@ -79,20 +77,20 @@ class ViewpointOptions:
         parse_up(self.up)
 
     def upright(self, scene: ls.Scene) -> ls.Scene:
-        """The scene, with up as --up says."""
+        """Returns the scene with the up direction of ``--up``."""
         return upright(scene, self.up)
 
     def camera(self, scene: ls.Scene, width: int | None, height: int | None, *, all_around: bool = False) -> ls.Camera:
-        """The camera; without options, as of `lumisplat.frame_camera`.
+        """Returns the camera that the options describe; without options, that of `lumisplat.frame_camera`.
 
         Args:
-            scene: What it looks at, upright.
-            width: Image width, pixels; None: that of 1280 x 720, or of its aspect ratio.
-            height: Image height, pixels.
-            all_around: As of `lumisplat.frame_camera`.
+            scene: Scene to look at, with its up direction.
+            width: Image width in pixels; None keeps the aspect ratio, or 1280 x 720 if both are None.
+            height: Image height in pixels, likewise.
+            all_around: Argument of `lumisplat.frame_camera`.
 
         Raises:
-            ConfigError: --eye is at --target.
+            ConfigError: ``--eye`` equals the target.
             SceneError: The scene is empty.
         """
         given = (width, height) if width is not None and height is not None else None
@@ -107,7 +105,7 @@ class ViewpointOptions:
         return {} if self.fov is None else {"fov_y": math.radians(self.fov)}
 
     def _looking(self, scene: ls.Scene, size: tuple[int, int]) -> ls.Camera:
-        """The camera at --eye."""
+        """Returns the camera at ``--eye``."""
         assert self.eye is not None
         eye = vector("--eye", self.eye)
         target = self.target_point(scene)
@@ -123,7 +121,7 @@ class ViewpointOptions:
         return replace(camera, near=min(camera.near, 1e-3 * distance))
 
     def _framing(self, scene: ls.Scene, size: tuple[int, int], all_around: bool) -> ls.Camera:
-        """The camera at --azimuth, --elevation and --distance."""
+        """Returns the camera at ``--azimuth``, ``--elevation`` and ``--distance``."""
         given = {"azimuth": self.azimuth, "elevation": self.elevation}
         angles: dict[str, Any] = {name: math.radians(value) for name, value in given.items() if value is not None}
         return ls.frame_camera(
@@ -138,7 +136,7 @@ class ViewpointOptions:
         )
 
     def target_point(self, scene: ls.Scene) -> tuple[float, float, float]:
-        """The point in the middle of the image: --target, else that of `lumisplat.frame_camera`."""
+        """Returns the point in the image centre: ``--target``, or the target of `lumisplat.frame_camera`."""
         if self.target is not None:
             return vector("--target", self.target)
         camera = ls.frame_camera(scene, distance=1.0)
@@ -147,12 +145,12 @@ class ViewpointOptions:
 
 
 ViewpointGroup = Annotated[ViewpointOptions, arg(name="camera"), OmitArgPrefixes]
-"""A field of a command that shows its options in a group of their own."""
+"""Type of a command's field that shows these options as a group."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions(ViewpointOptions):
-    """A viewpoint, with the aperture of `lumisplat.Camera` and the pixel of `lumisplat.rays.focused`."""
+    """Options of a viewpoint, of the aperture, and of the pixel for `lumisplat.rays.focused`."""
 
     aperture: Annotated[float | None, setting("UNITS", "the camera's, or 0")] = None
     """Set the lens radius; what is out of focus blurs."""
@@ -160,10 +158,10 @@ class CameraOptions(ViewpointOptions):
     """Focus on what this pixel shows; 0,0 is the upper left."""
 
     def pixel(self) -> tuple[int, int] | None:
-        """The pixel of --focus; None: none was given.
+        """Returns column and row of ``--focus``; None without it.
 
         Raises:
-            ConfigError: It is not two whole numbers.
+            ConfigError: The value is not two integers.
         """
         if self.focus is None:
             return None
@@ -177,31 +175,35 @@ class CameraOptions(ViewpointOptions):
 
 
 CameraGroup = Annotated[CameraOptions, arg(name="camera"), OmitArgPrefixes]
-"""The same, with the lens."""
+"""Type of a command's field that shows these options as a group."""
 
 
 def upright(scene: ls.Scene, up: str) -> ls.Scene:
-    """The scene, with up as the option says.
+    """Returns the scene with an up direction.
+
+    Args:
+        scene: The scene.
+        up: Value of ``--up``; ``auto`` keeps the scene's own.
 
     Raises:
-        ConfigError: The option is no direction.
+        ConfigError: ``up`` is no direction.
     """
     direction = parse_up(up)
     return scene if direction is None else replace(scene, up=direction)
 
 
 def warn_if_up_is_guessed(scene: ls.Scene) -> None:
-    """Logs a line if which way is up in a scene with captures is a guess, for those who use it."""
+    """Logs a line if the up direction of a scene with captures is a guess; call it where the direction matters."""
     if scene.splats and scene.up_source == "guess":
-        message = "which way is up, no file says: %s is a guess; --up says it, lumisplat convert --level finds it"
+        message = "up is guessed as %s, as no file states it: --up sets it, lumisplat convert --level finds it"
         _log.warning(message, up_name(scene.up_direction))
 
 
 def parse_up(text: str) -> str | tuple[float, float, float] | None:
-    """Up as `lumisplat.Scene` takes it; None: the scene's own.
+    """Returns the value of ``--up`` for `lumisplat.Scene`; None for ``auto``.
 
     Raises:
-        ConfigError: It is no direction.
+        ConfigError: The value is no direction.
     """
     if text == "auto":
         return None

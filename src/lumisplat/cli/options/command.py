@@ -1,6 +1,6 @@
-"""Defines what commands derive from: options that several of them share, and how they begin.
+"""Base classes of commands, with the options that several commands share.
 
-Settings of a frame are ``--pipeline``, ``--samples``, and ``--set`` for all others.
+``--pipeline`` and ``--samples`` set their settings of a frame, ``--set`` all others.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 
 Flag = Annotated[bool, arg(help_behavior_hint="")]
-"""An option without a value, off unless given."""
+"""Type of an option without a value, which is off by default."""
 
 
 _Command = TypeVar("_Command", bound=type[Any])
 
 
 def own_options_first(command: _Command) -> _Command:
-    """Puts the options that a command itself declares before inherited ones in its help, and ``--debug`` last.
+    """Lists a command's own options before inherited ones in its help, and ``--debug`` last.
 
-    Fields are keyword-only, so that their order has no other effect.
+    All fields are keyword-only, so their order has no other effect.
     """
     declared: dict[str, Any] = command.__dataclass_fields__
     own = [name for name in inspect.get_annotations(command) if name in declared]
@@ -44,19 +44,19 @@ def own_options_first(command: _Command) -> _Command:
 
 @dataclass(frozen=True, kw_only=True)
 class Command(ABC):
-    """Options of every command."""
+    """Base class of all commands."""
 
     debug: Flag = False
     """Show the traceback of an error."""
 
     @abstractmethod
     def run(self) -> None:
-        """Does what the command is for."""
+        """Runs the command."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceCommand(Command):
-    """Options of the commands that compute."""
+    """Base class of commands that compute on a device."""
 
     device: Annotated[str, arg(metavar="auto|cpu|cuda:N")] = "auto"
     """Compute on this device; auto prefers a CUDA GPU."""
@@ -64,23 +64,23 @@ class DeviceCommand(Command):
     def start_renderer(
         self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
     ) -> ls.Renderer:
-        """Returns a renderer on the device; its first frame compiles its kernels.
+        """Returns a renderer on the device, which compiles its kernels in the first frame.
 
         Raises:
-            DeviceError: There is no such device, or the compiled kernels cannot be stored.
+            DeviceError: The device does not exist, or compiled kernels cannot be stored.
         """
         self.quiet_warp()
         return ls.create_renderer(config, self.device, profile=profile, progress=report, compiles=False)
 
     def quiet_warp(self) -> None:
-        """Keeps what Warp itself says off the terminal, but for --debug."""
+        """Hides messages of Warp, unless ``--debug`` is given."""
         if not self.debug:
             quiet_warp()
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadingCommand(Command):
-    """Options of the commands that load captures."""
+    """Base class of commands that load captures."""
 
     drop_invalid: Flag = False
     """Leave out Gaussians with NaN or infinite values."""
@@ -89,34 +89,34 @@ class LoadingCommand(Command):
 
     @property
     def crease_radians(self) -> float | None:
-        """``crease_angle`` of `lumisplat.load`; None: its default."""
+        """Argument ``crease_angle`` of `lumisplat.load`; None for its default."""
         return None
 
     @property
     def keeps_incident(self) -> bool:
-        """``incident`` of `lumisplat.load`."""
+        """Argument ``incident`` of `lumisplat.load`."""
         return False
 
     @property
     def keeps_coordinates(self) -> bool:
-        """Whether meshes beside captures stay as they are in their files."""
+        """True if meshes beside captures stay at the coordinates of their files."""
         return False
 
     @property
     def levels(self) -> dict[str, int | None]:
-        """``lod`` and ``budget`` of `lumisplat.load`, if a command has options for them."""
+        """Arguments ``lod`` and ``budget`` of `lumisplat.load`, of commands that have an option for them."""
         return {}
 
     def load_asset(
         self, path: Path, report: Report, up: tuple[float, float, float] | None = None, **levels: int | None
     ) -> ls.Gaussians | ls.Mesh | ls.Scene:
-        """Loads one file, and reports the progress under its name.
+        """Loads one file, and reports the progress with its name.
 
         Args:
             path: The file.
-            report: Shows the progress.
-            up: As of `lumisplat.load`.
-            **levels: ``lod`` and ``budget`` of `lumisplat.load`, in place of those of the command.
+            report: Receives the progress.
+            up: Argument of `lumisplat.load`.
+            **levels: Arguments ``lod`` and ``budget`` of `lumisplat.load`, in place of `levels`.
 
         Raises:
             FormatError: The file cannot be read.
@@ -144,10 +144,10 @@ class LoadingCommand(Command):
 
         Args:
             paths: The files.
-            report: Shows the progress.
-            up: As of `lumisplat.load`.
-            given_up: Up of the scene that an option gives; None: none does.
-            around: What is there already, and not part of the result: meshes are put into its captures, too.
+            report: Receives the progress.
+            up: Argument of `lumisplat.load`.
+            given_up: Up direction of the scene from an option; None without one.
+            around: Scene that exists already and is not part of the result; meshes are inserted into its captures, too.
 
         Raises:
             ConfigError: No file was given.
@@ -164,30 +164,30 @@ class LoadingCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class InsertingCommand(LoadingCommand):
-    """Options of the commands that put meshes into captures."""
+    """Base class of commands that insert meshes into captures."""
 
     keep_coordinates: Flag = False
     """Keep meshes at their files' coordinates, not on a capture's ground."""
 
     @property
     def keeps_coordinates(self) -> bool:
-        """As the option says."""
+        """True if ``--keep-coordinates`` is given."""
         return self.keep_coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelsCommand(LoadingCommand):
-    """Options of the commands that load captures in levels of detail."""
+    """Base class of commands that load captures with levels of detail."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
     """Load level of detail N, or the finest of budget=COUNT Gaussians."""
 
     @property
     def levels(self) -> dict[str, int | None]:
-        """The level, or the most Gaussians that it may have.
+        """Level of detail, or the largest number of Gaussians that it may have, as arguments of `lumisplat.load`.
 
         Raises:
-            ConfigError: The option is neither, or negative.
+            ConfigError: The value of ``--lod`` is neither, or negative.
         """
         kind, text = self._lod()
         try:
@@ -202,7 +202,10 @@ class LevelsCommand(LoadingCommand):
         return {"lod": None, "budget": number} if kind == "budget" else {"lod": number, "budget": None}
 
     def _lod(self) -> tuple[str, str]:
-        """What --lod names, budget, pixels or nothing for a level, and its value; empty texts without the option."""
+        """Returns kind and value of ``--lod``.
+
+        The kind is ``budget``, ``pixels``, or empty for a level. Both are empty without the option.
+        """
         if self.lod == "":
             raise ls.ConfigError(f"--lod is empty, expected a level such as 1, or {self._lod_expected}")
         kind, equals, text = (self.lod or "").partition("=")
@@ -222,18 +225,18 @@ class LevelsCommand(LoadingCommand):
 
     @property
     def chooses_level(self) -> bool:
-        """Whether one level of detail is asked for, for all of a capture."""
+        """True if ``--lod`` chooses one level of detail for the whole capture."""
         return self.lod is not None and self._lod()[0] != "pixels"
 
     def check_levels(self, paths: Sequence[Path]) -> None:
-        """Refuses a level of files that have none.
+        """Refuses a level of detail for files that have none.
 
         Raises:
-            ConfigError: No file can be, or name, a streamed SOG.
+            ConfigError: No file is or names a streamed SOG or blocks.
         """
         if self.chooses_level and not any(path.is_dir() or path.suffix.lower() in (".json", ".toml") for path in paths):
             named = ", ".join(map(str, paths[:3]))
-            raise ls.ConfigError(f"--lod is of streamed SOGs (a folder with a lod-meta.json) and blocks, got {named}")
+            raise ls.ConfigError(f"--lod needs a streamed SOG (a folder with a lod-meta.json) or blocks, got {named}")
 
     def load_scene(
         self,
@@ -243,24 +246,24 @@ class LevelsCommand(LoadingCommand):
         given_up: str | tuple[float, float, float] | None = None,
         around: ls.Scene | None = None,
     ) -> ls.Scene:
-        """As `LoadingCommand.load_scene`, after `check_levels`."""
+        """Loads the scene as `LoadingCommand.load_scene`, after `check_levels`."""
         self.check_levels(paths)
         return super().load_scene(paths, report, up, given_up, around)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewsCommand(LevelsCommand, InsertingCommand):
-    """Options of the commands that show captures in blocks view by view."""
+    """Base class of commands that show captures in blocks view by view."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
     """Load level N, of budget=COUNT Gaussians, or of pixels=PX on screen."""
 
     @property
     def lod_pixels(self) -> float | None:
-        """Largest mean size of the Gaussians of far blocks, pixels; None: it is not given.
+        """Largest mean size of the Gaussians of far blocks, in pixels; None without ``--lod pixels=``.
 
         Raises:
-            ConfigError: It is no number of at least 0.
+            ConfigError: The value is no number of at least 0.
         """
         kind, text = self._lod()
         if kind != "pixels":
@@ -280,38 +283,38 @@ class ViewsCommand(LevelsCommand, InsertingCommand):
 
 PipelineName = Literal["raster", "trace", "hybrid", "path", "realtime"]
 Changes = dict[str, Any]
-"""Settings by the names of `lumisplat.RenderConfig`; those of a group are a dictionary under the group's name."""
+"""Settings by the names of `lumisplat.RenderConfig`; a group's settings are a dictionary under the group's name."""
 
 _Config = TypeVar("_Config")
 
 LIGHTING = "animation.lighting."
-"""The table of a scene file with the settings of actors' light."""
+"""Table of a scene file with the settings of avatar lighting."""
 CREASE = "meshes.crease_angle_degrees"
-"""The key of a scene file that is given for all meshes."""
+"""Key of a scene file that applies to all meshes."""
 
 
 def setting(metavar: str, default: str) -> object:
-    """Marks an option that is None unless given: then the scene file's value holds, or the library's default.
+    """Declares an option that is None unless given, so that the scene file's value or the library's default applies.
 
     Args:
-        metavar: What may be given.
-        default: The library's value, for the help.
+        metavar: Accepted values, for the help.
+        default: The library's default, for the help.
     """
     return arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetCommand(Command):
-    """The option of the commands that render."""
+    """Base class of commands with ``--set``."""
 
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="NAME=VALUE")] = ()
     """Change any setting of docs/settings.md, such as trace.hits_per_pass=8."""
 
     def set_values(self, prefix: str = "") -> dict[str, str]:
-        """Returns the values that --set gives, by name.
+        """Returns the values that ``--set`` gives, by name.
 
         Args:
-            prefix: Only of names that begin with it, and without it; empty: those of ``[render]``.
+            prefix: Return only names that begin with this, without it; empty returns those of ``[render]``.
 
         Raises:
             ConfigError: A text has no name or no value.
@@ -328,11 +331,11 @@ class SetCommand(Command):
         return found
 
     def changed(self, base: _Config, prefix: str = "") -> _Config:
-        """Returns settings with those that --set gives in their place.
+        """Returns settings with the changes of ``--set``.
 
         Args:
             base: The settings.
-            prefix: As of `set_values`.
+            prefix: Argument of `set_values`.
 
         Raises:
             ConfigError: A setting is unknown, or its value is out of range.
@@ -349,20 +352,20 @@ class SetCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineCommand(SetCommand):
-    """Options of the commands that choose a pipeline."""
+    """Base class of commands with ``--pipeline``."""
 
     pipeline: Annotated[PipelineName | None, setting("NAME", "raster")] = None
     """Render by raster, trace, hybrid, path or realtime."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings of a scene file, with those that were given in their place; --set has the last word.
+        """Returns the settings of a scene file with the changes of options; ``--set`` overrides other options.
 
         Args:
-            base: The settings of the file, or the defaults.
-            changes: What other options change.
+            base: Settings of the file, or the defaults.
+            changes: Changes of other options.
 
         Raises:
-            ConfigError: A value is out of its range.
+            ConfigError: A value is out of range.
         """
         own: Changes = {} if self.pipeline is None else {"pipeline": ls.Pipeline(self.pipeline)}
         return self.changed(changed_config(base, *changes, own))
@@ -370,22 +373,22 @@ class PipelineCommand(SetCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class SamplesCommand(PipelineCommand):
-    """Options of the commands that choose a number of samples."""
+    """Base class of commands with ``--samples``."""
 
     samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
     """Average N samples a pixel; with realtime, render N frames before each image."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings, as `PipelineCommand.pipeline_config`."""
+        """Returns the settings of `PipelineCommand.pipeline_config`, with ``--samples``."""
         own: Changes = {} if self.samples is None else {"samples": None if self.samples == "auto" else self.samples}
         return super().pipeline_config(base, *changes, own)
 
 
 def changed_config(base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-    """Returns settings with changes, one after the other.
+    """Returns settings with changes, applied one after the other.
 
     Raises:
-        ConfigError: A value is out of its range.
+        ConfigError: A value is out of range.
     """
     for change in changes:
         nested = {
@@ -397,22 +400,22 @@ def changed_config(base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
 
 
 def given_settings_of(command: Command, kind: type[DataclassInstance]) -> Changes:
-    """Returns the settings of a class that options of the same names give; the class has the others' defaults."""
+    """Returns the fields of a settings class for which the command's options of the same names are given."""
     values = {one.name: getattr(command, one.name, None) for one in fields(kind)}
     return without_none(values)
 
 
 def without_none(settings: Mapping[str, Any]) -> Changes:
-    """Returns the settings that were given."""
+    """Returns the entries that are not None."""
     return {name: value for name, value in settings.items() if value is not None}
 
 
 def given_options(options: DataclassInstance, names: Sequence[str] | None = None) -> list[str]:
-    """Returns the options that were given, as they are typed.
+    """Returns the names of the options that were given, such as ``--tone-map``.
 
     Args:
         options: A command, or a group of options.
-        names: Only these of its fields; None: all.
+        names: Consider only these fields; None considers all.
     """
     return [
         f"--{field.name.replace('_', '-')}"
@@ -422,7 +425,7 @@ def given_options(options: DataclassInstance, names: Sequence[str] | None = None
 
 
 def given_settings(command: SetCommand) -> Iterator[tuple[str, str]]:
-    """Yields the settings of a frame that were given, each with the option that gives it."""
+    """Yields the settings of a frame that options give, each with its option."""
     for name in ("pipeline", "samples"):
         if getattr(command, name, None) is not None:
             yield name, f"--{name}"

@@ -1,4 +1,4 @@
-"""Defines the options of commands that render frames: light, cameras and settings; logs which have no effect."""
+"""Options of commands that render frames: light, cameras and settings. Logs options without effect."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _LIGHTING = {"auto": None, "on": True, "off": False}
 
 @dataclass(frozen=True, kw_only=True)
 class LightOptions:
-    """Settings of light of `lumisplat.RenderConfig`."""
+    """Options for the light settings of `lumisplat.RenderConfig`."""
 
     lighting: Annotated[Literal["auto", "on", "off"] | None, setting("auto|on|off", "auto")] = None
     """Light the scene; auto: if it has lights or only meshes."""
@@ -48,7 +48,7 @@ class LightOptions:
     """Map lit colours by none (clip), neutral (true hues) or agx (filmic)."""
 
     def changes(self) -> Changes:
-        """The settings that were given."""
+        """Returns the settings that options give."""
         frame = {
             "shadows": self.shadows and ls.Shadows(self.shadows),
             "tone_map": self.tone_map and ls.ToneMap(self.tone_map),
@@ -59,7 +59,7 @@ class LightOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentOptions(LightOptions):
-    """The same, with an environment, the exposure, and what is done to the light of captures."""
+    """Options of light, with the environment, the exposure, captured light and denoising."""
 
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Light the scene by a latitude-longitude image, .hdr or .exr."""
@@ -73,20 +73,20 @@ class EnvironmentOptions(LightOptions):
     """Denoise lit frames; needs pip install 'lumisplat[denoise]'."""
 
     def changes(self) -> Changes:
-        """The settings that were given."""
+        """Returns the settings that options give."""
         gain = None if self.capture_gain == "auto" else self.capture_gain
         return super().changes() | without_none({"capture_gain": gain})
 
     def with_capture_gain(self, renderer: ls.Renderer, config: ls.RenderConfig, scene: ls.Scene) -> ls.RenderConfig:
-        """The settings with the gain of captured light that --capture-gain auto finds; the renderer has them, too.
+        """Returns settings with the gain of ``--capture-gain auto``, and reconfigures the renderer with them.
 
         Args:
-            renderer: Renders the frames.
+            renderer: Renderer of the frames.
             config: Its settings.
-            scene: What it shows.
+            scene: Scene that it renders.
 
         Raises:
-            LumisplatError: The scene has no captured light, or nothing that it lights.
+            LumisplatError: The scene has no captured light, or nothing that captured light illuminates.
         """
         if self.capture_gain != "auto":
             return config
@@ -97,7 +97,7 @@ class EnvironmentOptions(LightOptions):
         return config
 
     def exposed(self, camera: ls.Camera) -> ls.Camera:
-        """The camera, with the exposure that was given.
+        """Returns the camera with the exposure of ``--exposure``.
 
         Raises:
             SceneError: The exposure is not finite.
@@ -105,26 +105,26 @@ class EnvironmentOptions(LightOptions):
         return camera if self.exposure is None else replace(camera, exposure=self.exposure)
 
     def environment_light(self) -> ls.LightEnvironment | None:
-        """The environment that was given, not yet rotated: its image is upright for y up. None: none was given.
+        """Returns the light of ``--environment``, upright for y up and not rotated; None without the option.
 
         Raises:
-            ConfigError: --environment-rotation is not finite, or is given without --environment.
+            ConfigError: ``--environment-rotation`` is not finite, or is given without ``--environment``.
             FormatError: The image cannot be read.
         """
         if self.environment is None:
             if self.environment_rotation is not None:
-                raise ls.ConfigError("--environment-rotation turns --environment, which is missing")
+                raise ls.ConfigError("--environment-rotation needs --environment")
             return None
         if not math.isfinite(self.environment_rotation or 0.0):
             raise ls.ConfigError(f"--environment-rotation is {self.environment_rotation}, expected degrees")
         return ls.LightEnvironment(image=ls.io.load_radiance(self.environment), name=self.environment.stem)
 
     def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None) -> ls.Scene:
-        """The scene with the given environment in place of its own.
+        """Returns the scene with the given environment, rotated upright, in place of its own.
 
         Args:
-            scene: What was loaded. The environment stands upright in it.
-            environment: From `environment_light`; None: the scene stays as it is.
+            scene: The loaded scene.
+            environment: Light from `environment_light`; None leaves the scene unchanged.
         """
         if environment is None:
             return scene
@@ -139,15 +139,15 @@ class EnvironmentOptions(LightOptions):
 
 
 LightGroup = Annotated[LightOptions, arg(name="light"), OmitArgPrefixes]
-"""A field of a command that shows its options in a group of their own."""
+"""Type of a command's field that shows these options as a group."""
 
 EnvironmentGroup = Annotated[EnvironmentOptions, arg(name="light"), OmitArgPrefixes]
-"""A field of a command that shows its options in a group of their own."""
+"""Type of a command's field that shows these options as a group."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
-    """Options of the commands that render frames."""
+    """Base class of commands that render frames."""
 
     camera_path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Move the camera along the cameras of this file, one second each."""
@@ -166,10 +166,10 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
     @property
     def crease_radians(self) -> float | None:
-        """As `LoadingCommand.crease_radians`, as --set says.
+        """Crease angle of ``--set meshes.crease_angle_degrees``, radians; None without it.
 
         Raises:
-            ConfigError: It is out of range.
+            ConfigError: The angle is out of range.
         """
         text = self.set_values(CREASE).get(CREASE)
         try:
@@ -181,16 +181,16 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return None if text is None else math.radians(degrees)
 
     def frame_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """The settings of a scene file, with those that were given in their place.
+        """Returns the settings of a scene file with the changes of options.
 
         Args:
-            base: The settings of the file, or the defaults.
-            changes: What a command changes besides.
+            base: Settings of the file, or the defaults.
+            changes: Further changes of the command.
 
         Raises:
-            ConfigError: A value is out of its range, or --focus is no pixel.
-            MissingExtraError: --denoise is given, and its package is not installed.
-            SceneError: The size of the image is.
+            ConfigError: A value is out of range, or ``--focus`` is no pixel.
+            MissingExtraError: ``--denoise`` is given, and its package is not installed.
+            SceneError: The image size is out of range.
         """
         self._check_size()
         self.viewpoint.pixel()
@@ -204,34 +204,34 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
     def frame_source(
         self, renderer: ls.Renderer, warm_up: WarmUp | None = None, blocks: SceneForView | None = None
     ) -> FrameSource:
-        """What renders the frames of the command.
+        """Returns the renderer of the command's frames, with focus and denoising.
 
         Args:
-            renderer: Renders them.
-            warm_up: Of ``--pipeline realtime``; None: of a sequence.
-            blocks: In place of scenes, what each camera sees of a capture in blocks.
+            renderer: Renders the frames.
+            warm_up: Warm-up of real-time frames; None is that of a sequence.
+            blocks: Loads the part of a capture in blocks that a camera sees; None for whole scenes.
 
         Raises:
-            ConfigError: --focus is no pixel.
+            ConfigError: ``--focus`` is no pixel.
         """
         lens = self.viewpoint
         return FrameSource(renderer, lens.aperture, lens.pixel(), self.light.denoise, warm_up or WarmUp(), blocks)
 
     def _check_size(self) -> None:
-        """Refuses sizes that no camera has, before files are loaded and named as the ones to blame."""
+        """Refuses image sizes out of range, before files are loaded and the error names them."""
         given = without_none({"width": self.width, "height": self.height})
         ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), **given)
 
     def load_cameras(self, cameras: Path | None, scene_file: Path | None) -> list[ls.Camera]:
-        """The cameras of --cameras, else of a scene file; none if neither has any, or a viewpoint is given.
+        """Returns the cameras of ``--cameras``, else of the scene file; empty without any, or with a viewpoint.
 
         Args:
-            cameras: The camera file that was given.
-            scene_file: The file of the scene that may have cameras, as of `camera_file`.
+            cameras: File of ``--cameras``; None without it.
+            scene_file: File of the scene that may have cameras, from `camera_file`.
 
         Raises:
-            ConfigError: The options of the viewpoint contradict themselves.
-            FormatError: The file cannot be read, or --cameras has none.
+            ConfigError: Options of the viewpoint contradict each other.
+            FormatError: The file cannot be read, or the file of ``--cameras`` has no cameras.
         """
         path = cameras or scene_file
         self.viewpoint.check(cameras)
@@ -243,14 +243,14 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in loaded]
 
     def load_camera_path(self, path: Path, cameras: Path | None = None) -> ls.CameraPath:
-        """The way of --camera-path.
+        """Returns the camera path of ``--camera-path``.
 
         Args:
-            path: The file of --camera-path.
-            cameras: The file of --cameras.
+            path: File of ``--camera-path``.
+            cameras: File of ``--cameras``; None without it.
 
         Raises:
-            ConfigError: There are other cameras, too.
+            ConfigError: Other cameras are given, too.
             FormatError: The file cannot be read.
         """
         self.viewpoint.check(cameras)
@@ -260,24 +260,24 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return ls.io.load_camera_path(path, width=self.width, height=self.height)
 
     def cameras_on_path(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
-        """The cameras of --camera-path at the times of frames, over which all of the path is spread."""
+        """Returns the cameras of ``--camera-path`` at the times of frames; the path is stretched to the last time."""
         whole = self.load_camera_path(path)
         stretched = whole.stretched(float(times[-1])) if times[-1] > 0.0 else whole
         along = (stretched.at(float(time)) for time in times)
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def viewpoint_camera(self, scene: ls.Scene, *files: Path, all_around: bool = False) -> ls.Camera:
-        """The camera of the viewpoint; without its options, as of `lumisplat.frame_camera`.
+        """Returns the camera that the viewpoint options describe; without options, that of `lumisplat.frame_camera`.
 
         Args:
-            scene: What it looks at.
-            *files: Where it was loaded from.
-            all_around: As of `lumisplat.frame_camera`.
+            scene: Scene to look at.
+            *files: Files of the scene, for errors.
+            all_around: Argument of `lumisplat.frame_camera`.
 
         Raises:
-            SceneError: The scene is empty, or too large; names the files.
+            SceneError: The scene is empty or too large; the message names the files.
         """
-        if self.light.environment is None:  # else it is said already
+        if self.light.environment is None:  # otherwise lit_scene has logged it
             warn_if_up_is_guessed(scene)
         try:
             camera = self.viewpoint.camera(scene, self.width, self.height, all_around=all_around)
@@ -287,7 +287,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
 
 def shared_provenance(command: FrameCommand, config: ls.RenderConfig) -> dict[str, str]:
-    """What frames follow from of the options that all of these commands have."""
+    """Returns the options that frames depend on, of those that all frame commands have, by name."""
     return {
         "exposure": f"{command.light.exposure}",
         "denoise": f"{command.light.denoise}",
@@ -306,14 +306,14 @@ def frame_remarks(
     *,
     device: str = "auto",
 ) -> Iterator[str]:
-    """Yields lines about what has no effect, and what comes out black or in patches.
+    """Yields log lines about options without effect, and about frames that will be black, patchy or too dark.
 
     Args:
         config: Settings of the frame.
-        scene: What it shows.
-        given: The settings that were given, each with the option that gives it.
-        light: The options of light.
-        device: As of ``--device``.
+        scene: Scene of the frame.
+        given: Settings that were given, each with its option.
+        light: Options of light.
+        device: Value of ``--device``.
     """
     yield from unused_options(config, scene, given, light)
     yield from _unused_albedos(config, scene)
@@ -325,12 +325,12 @@ def frame_remarks(
 def unused_options(
     config: ls.RenderConfig, scene: ls.Scene, given: Mapping[str, str], light: EnvironmentOptions
 ) -> Iterator[str]:
-    """Yields a line for each reason why options are not used; arguments as of `frame_remarks`."""
+    """Yields a log line for each reason why options have no effect; the arguments are those of `frame_remarks`."""
     lit = config.is_lit(by_default=scene.is_lit_by_default)
     unused = config.unused_settings(lit=lit)
-    unused.pop("adaptive", None)  # refused by frames
+    unused.pop("adaptive", None)  # frames refuse it
     if config.pipeline.is_sequence:
-        del unused["samples"]  # --samples are frames before the picture
+        del unused["samples"]  # --samples counts warm-up frames
     if not lit:
         unused |= dict.fromkeys(("denoise", "environment", "environment_rotation"), unused["exposure"])
     options = {option.removeprefix("--").replace("-", "_"): option for option in given_options(light)} | dict(given)
@@ -345,7 +345,7 @@ def unused_options(
 
 
 def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
-    """A line for each capture that takes light or shadows, and has no surface for them."""
+    """Yields a log line for each lit or shadowed capture whose Gaussians form no surface."""
     if config.lighting is False or not any(light.enabled for light in scene.lights):
         return
     lit = {id(one.gaussians): one for one in scene.splats if one.shadow_catcher or one.material is not None}
@@ -355,24 +355,24 @@ def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: 
 
 
 def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
-    """A line if lights shine on captures that have an albedo, and show them as captured for lack of a material."""
-    kept = [one for one in scene.splats if one.gaussians.albedo is not None and one.material is None]
+    """Yields a log line if lights shine on captures with albedo that have no material, and so stay as captured."""
+    unlit = [one for one in scene.splats if one.gaussians.albedo is not None and one.material is None]
     lights = [light for light in scene.lights if light.enabled]
-    if config.lighting is not False and lights and any(not one.shadow_catcher for one in kept):
+    if config.lighting is not False and lights and any(not one.shadow_catcher for one in unlit):
         yield (
-            "captures with an albedo stay as captured without a material, whatever shines on them: material = {} of "
-            "their [[splats]] in a scene.toml lights them"
+            "captures with an albedo stay unlit without a material: material = {} of "
+            "their [[splats]] in a scene.toml lets lights light them"
         )
 
 
 def _unlit_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
-    """A line if one lamp alone lights things beside a capture, which was captured in light from everywhere.
+    """Yields a log line if a single light shines on surfaces beside a capture, whose other sides will be black.
 
-    Whoever has set up several lamps has thought of the sides.
+    Several lights are taken as a deliberate choice.
     """
     lights = [light for light in scene.lights if light.enabled]
     is_surrounded = any(isinstance(light, ls.LightEnvironment) for light in lights)
-    bounces = config.pipeline.bounces_light  # there, the capture itself lights them
+    bounces = config.pipeline.bounces_light  # captures light them there
     if config.lighting is False or len(lights) != 1 or is_surrounded or not scene.splats or bounces:
         return
     relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_catcher]
@@ -389,19 +389,19 @@ def _unlit_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
 
 
 def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: EnvironmentOptions) -> Iterator[str]:
-    """A line if captures alone light what is added, by light that is clipped at a display's white."""
+    """Yields a log line if captures alone light added objects: their light sources are clipped at display white."""
     bounces = config.pipeline.bounces_light and config.lighting is not False
     relit = [one for one in scene.splats if one.material is not None and not one.shadow_catcher]
     has_captures = len(relit) < len(scene.splats)
     asked = config.capture_gain != 0.0 or light.capture_gain is not None
     if bounces and has_captures and (scene.meshes or relit) and not scene.lights and not asked:
         yield (
-            "captured light alone shines on what is added, and is clipped at a display's white: --capture-gain auto "
-            "(capture_gain of [render] in a scene.toml, in stops) exposes it as its surroundings"
+            "captures alone light added objects, and their light is clipped at display white: --capture-gain auto "
+            "(capture_gain of [render] in a scene.toml, in stops) compensates for it"
         )
 
 
 def _needs_light(material: Material) -> bool:
-    """Whether a surface is black where no light reaches it: mirrors and glass show something else."""
+    """Returns whether a surface without light is black; mirrors, glass and emitters are not."""
     own = material.emissive + (material.ambient if isinstance(material, ls.MaterialSimple) else ())
     return not material.is_smooth and not any(own)

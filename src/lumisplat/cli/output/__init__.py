@@ -1,1 +1,1 @@
-"""What commands print and write: tables, progress, pictures, frames of an animation."""
+"""Output of commands: tables, progress, images, and frames of an animation."""

@@ -1,4 +1,4 @@
-"""Images beside what a scene shows in their place: figures, JSON, and images side by side."""
+"""Comparisons of images with renders: metrics, JSON, and images side by side."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     Picture = npt.NDArray[np.floating]
-    """Display colours, 0..1, shape (H, W, 3)."""
+    """Image in display colours, 0..1, shape (H, W, 3)."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The figures of one view."""
+    """Metrics of one view."""
 
     view: ls.io.TrainingImage
     figures: Figures
     share: float
-    """How much of the photograph was compared, 0..1."""
+    """Fraction of the image that was compared, 0..1."""
     problems: list[str]
-    """Why figures are missing."""
+    """Reasons for missing metrics."""
 
 
 def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparison:
-    """Compares a photograph with a frame of its camera, where its mask is at least half.
+    """Compares an image with a frame of its camera, in the pixels whose mask is at least half.
 
     Args:
-        view: The photograph.
-        frame: The frame, over the photograph's background.
-        scales: Of MS-SSIM.
+        view: The image.
+        frame: The frame, rendered over the image's background.
+        scales: Number of scales of MS-SSIM.
 
     Raises:
-        FormatError: The photograph cannot be read, or nothing of it counts.
+        FormatError: The image cannot be read, or its mask leaves no pixel.
     """
     pair, region = (frame.pixels_srgb(), view.pixels()), _region(view)
     if not region.any():
@@ -68,7 +68,7 @@ def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparis
 
 
 def write_view_comparison(view: ls.io.TrainingImage, frame: ls.Frame, path: Path) -> None:
-    """Writes photograph, picture and difference, from left to right; what does not count has no difference.
+    """Writes image, render and their difference from left to right; masked pixels have no difference.
 
     Raises:
         FormatError: The file cannot be written.
@@ -77,7 +77,7 @@ def write_view_comparison(view: ls.io.TrainingImage, frame: ls.Frame, path: Path
 
 
 def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
-    """Where a photograph counts, shape (H, W)."""
+    """Returns the pixels of an image that are compared, shape (H, W)."""
     import numpy as np
 
     mask = view.mask()
@@ -85,58 +85,56 @@ def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
 
 
 Figures = dict[str, float]
-"""By the names of metrics; NaN: there is none."""
+"""Values by name of their metric; NaN is a missing value."""
 
 _DIGITS = {"psnr": 2, "ncm_ab": 2}
 
 
 def mean(values: Sequence[float]) -> float:
-    """The mean of the values that are not NaN."""
+    """Returns the mean of the values that are not NaN; NaN if there is none."""
     existing = [value for value in values if not math.isnan(value)]
     return sum(existing) / len(existing) if existing else math.nan
 
 
 def plain(figures: Figures) -> dict[str, float | str | None]:
-    """Figures as JSON can hold them: NaN is null, infinity "inf"."""
+    """Returns values as JSON can store them: null for NaN, ``"inf"`` for infinity."""
     return {
         name: None if math.isnan(value) else "inf" if math.isinf(value) else value for name, value in figures.items()
     }
 
 
 def cells(figures: Figures) -> list[str]:
-    """Figures as a table shows them."""
+    """Returns values as texts of a table row."""
     return [digits(name, value) for name, value in figures.items()]
 
 
 def digits(name: str, value: float) -> str:
-    """A figure as a table shows it."""
+    """Returns a value as text of a table."""
     return "-" if math.isnan(value) else f"{value:.{_DIGITS.get(name, 4)}f}"
 
 
 _GAIN = 4.0
-"""By how much differences are shown stronger than they are."""
+"""Factor by which images of differences are amplified."""
 
 
 def check_report(folder: Path, images: Iterable[Path]) -> None:
-    """Checks whether a report can be written, without harm to photographs: its pictures have their names.
+    """Refuses report folders that cannot be written, or that hold compared images, which have the same names.
 
     Args:
-        folder: Of the report.
+        folder: Folder of the report.
         images: The images that the report compares.
 
     Raises:
-        ConfigError: It is the folder of a photograph.
-        FormatError: Nothing can be written there.
+        ConfigError: The folder holds one of the images.
+        FormatError: The folder cannot be written.
     """
     check_folder(folder)
     if any(image.absolute().parent.resolve() == folder.resolve() for image in images):
-        raise ls.ConfigError(
-            f"{folder} has the photographs, whose places pictures of a report would take: name another"
-        )
+        raise ls.ConfigError(f"{folder} has the images, which the report's images would replace: name another folder")
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Writes figures.
+    """Writes values as JSON.
 
     Raises:
         FormatError: The file cannot be written.
@@ -161,12 +159,12 @@ def write_image(path: Path, color: Picture) -> None:
 def write_comparison(
     path: Path, rows: Sequence[tuple[Picture, Picture]], region: npt.NDArray[np.bool_] | None = None
 ) -> None:
-    """Writes pairs of pictures side by side with their difference, four times as strong.
+    """Writes pairs of images side by side with their difference, amplified four times.
 
     Args:
         path: The PNG.
-        rows: From the top to the bottom.
-        region: Where differences are shown, shape (H, W); None: everywhere.
+        rows: Pairs from the top to the bottom.
+        region: Pixels whose difference is shown, shape (H, W); None shows all.
 
     Raises:
         FormatError: The file cannot be written.
@@ -180,10 +178,10 @@ def write_comparison(
 
 @contextmanager
 def _replaced(path: Path) -> Generator[Path]:
-    """A file beside ``path`` to write to, which takes its name if the block succeeds; the one of before stays if not.
+    """Yields a temporary file that replaces ``path`` if the block succeeds; otherwise ``path`` stays unchanged.
 
     Raises:
-        FormatError: It cannot be written.
+        FormatError: The file cannot be written.
     """
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}.report{path.suffix}")
     try:

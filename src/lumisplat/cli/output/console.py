@@ -1,4 +1,4 @@
-"""Tables, numbers, progress bars and statistics of frames, as commands print them."""
+"""Tables, numbers, progress bars and statistics of frames in the terminal."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LINE_EVERY_S = 60.0
-"""Between two lines where there is no terminal, seconds."""
+"""Time between two progress lines without a terminal, seconds."""
 
 _NARROW = 100
-"""Terminals of fewer columns have short bars, so that most descriptions fit beside them."""
+"""Width of terminals with short bars, columns, so that most descriptions fit beside them."""
 _BAR_NARROW, _BAR_WIDE = 10, 40
 
 Report = Callable[[str, float], None]
-"""Called with what is being done and the fraction done, 0..1."""
+"""Function that receives the progress: a label and the fraction done, 0..1."""
 
 
 @contextmanager
 def progress_bars() -> Generator[Report]:
-    """Shows a bar for each label from its first report until its fraction is 1, and again if it is reported again.
+    """Shows a bar for each label from its first report until its fraction is 1; a later report shows a bar again.
 
-    What stands after a comma in a label may change from report to report: it is shown, and the bar stays. On a
-    terminal, with the time that is left at the pace so far; bars vanish at the end. Elsewhere, a line a minute.
+    Text behind a comma in a label may change between reports without a new bar. Bars show the remaining time at the
+    current pace, and disappear at the end. Without a terminal, a line is printed each minute.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -50,7 +50,7 @@ def progress_bars() -> Generator[Report]:
     )
     with Progress(*columns, console=console, transient=True, disable=is_hidden, expand=is_narrow) as bars:
         tasks: dict[str, tuple[TaskID, float, float]] = {}
-        """With when they were reported first, and the fraction that was done by then."""
+        """Bar of each label, with time and fraction of its first report."""
 
         last_line = 0.0 if console.is_terminal else time.monotonic()
 
@@ -76,14 +76,14 @@ def progress_bars() -> Generator[Report]:
 
 
 def quiet_warp() -> None:
-    """Keeps Warp's banner, messages and warnings off the terminal. To be called before the first use of a device."""
+    """Hides Warp's banner, messages and warnings. Call it before the first use of a device."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
 
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
-    """Prints name and value pairs. Text of files is shown as it is: no markup, no control characters."""
+    """Prints name and value pairs as they are: without markup, and with ``?`` for control characters."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
@@ -95,7 +95,7 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
 
 
 def print_columns(header: list[str], rows: list[list[str]]) -> None:
-    """Prints a table whose first column holds names, and the others figures, aligned to the right."""
+    """Prints a table of names in the first column, and right-aligned numbers in the others."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -107,7 +107,7 @@ def print_columns(header: list[str], rows: list[list[str]]) -> None:
 
 
 def _print(table: Table) -> None:
-    """Prints a table; a closed pipe is left to the process around the command line."""
+    """Prints a table; a closed pipe raises BrokenPipeError, which the caller of the command line handles."""
     from rich.console import Console
 
     class PipedConsole(Console):
@@ -118,7 +118,7 @@ def _print(table: Table) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """The message of an error without line breaks, and its notes."""
+    """Returns the message of an error, and its notes, without line breaks."""
     notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: cannot be read or written: {error.strerror}{notes}"
@@ -128,17 +128,17 @@ def one_line(error: BaseException) -> str:
 
 
 def counted(count: int, noun: str, plural: str | None = None) -> str:
-    """A count with its noun: ``1 frame``, ``2,000 frames``, or another plural than with an s."""
+    """Returns a count with its noun: ``1 frame``, ``2,000 frames``; ``plural`` is for nouns without an s."""
     return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
 
 
 def light_positions(lights: Iterable[ls.LightPoint]) -> str:
-    """Where lights are, in a line."""
+    """Returns the positions of lights as text."""
     return ", ".join(f"({', '.join(f'{x:z.3g}' for x in light.position)})" for light in lights)
 
 
 def found_light(lighter: ls.AvatarLighter) -> str | None:
-    """What was found to cast shadows where no lights are given, in a line; None: nothing had to be found."""
+    """Returns a description of the estimated shadow-casting lights; None if lights were given."""
     if lighter.estimate is not None:
         return light_positions(lighter.estimate.lights)
     if lighter.sun is not None:
@@ -148,12 +148,12 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
 
 
 def _time_left(seconds: float, first: float, fraction: float) -> str:
-    """How long the rest takes if it took so many seconds from one fraction to another; nothing before that is known."""
+    """Returns the remaining time after ``seconds`` from fraction ``first`` to ``fraction``; empty without progress."""
     return f"{duration_text(seconds * (1.0 - fraction) / (fraction - first))} left" if fraction > first else ""
 
 
 def duration_text(seconds: float) -> str:
-    """A duration as people say it: ``40 s``, ``14 min``, ``2 h 5 min``."""
+    """Returns a duration as text: ``40 s``, ``14 min``, ``2 h 5 min``."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     hours, minutes = divmod(round(seconds / 60.0), 60)
@@ -161,7 +161,7 @@ def duration_text(seconds: float) -> str:
 
 
 def byte_size(count: float) -> str:
-    """A number of bytes: ``3.6 MB`` (powers of 1000)."""
+    """Returns a number of bytes as text, in powers of 1000: ``3.6 MB``."""
     for unit in ("B", "kB", "MB"):
         if count < 1000.0:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
@@ -170,25 +170,25 @@ def byte_size(count: float) -> str:
 
 
 def up_name(direction: tuple[float, float, float]) -> str:
-    """A direction that is up by its name, ``y-down``, or as numbers."""
+    """Returns the name of an up direction, such as ``y-down``, or its numbers."""
     named = (name for name in ls.Scene.UP_NAMES if ls.Scene(up=name).up == direction)
     return next(named, ",".join(f"{value:.3g}" for value in direction))
 
 
 def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
-    """Prints times, counts and memory of a frame of ``pipeline``."""
+    """Prints times, counts and memory of a frame that ``pipeline`` rendered."""
     print_table("last frame", [*stage_rows(stage_times(frame)), *count_rows(frame, pipeline)])
 
 
 def stage_times(frame: ls.Frame) -> dict[str, float]:
-    """Milliseconds of each stage of a frame, a copy; empty on CUDA unless profiling."""
+    """Returns a copy of the milliseconds of each stage of a frame; empty on CUDA without profiling."""
     return dict(frame.stats.stage_ms) if frame.stats else {}
 
 
 def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
-    """Milliseconds of each stage, then their sum; no rows if stages were not timed.
+    """Returns table rows with the milliseconds of each stage and their sum; empty if stages were not timed.
 
-    Of a frame that is made by passes, those of each pass, and below it those of the stages in it.
+    A frame of several passes has a row for each pass, followed by the rows of its stages.
     """
     if not stage_ms:
         return []
@@ -205,7 +205,7 @@ def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
 
 
 def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
-    """Gaussians and triangles; for the rasteriser those that were visible, and their tile pairs; device memory."""
+    """Returns table rows with memory and counts: Gaussians, triangles, visible splats and tile pairs."""
     stats = frame.stats
     assert stats is not None
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
@@ -221,18 +221,18 @@ def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
 _log = logging.getLogger("lumisplat")
 
 _LONG_S = 60.0
-"""Frames that take longer than this together are announced, seconds."""
+"""Expected time of all frames above which a line announces it, seconds."""
 
 
 class FrameProgress:
-    """A bar for all frames, and a line to the log if they take more than a minute: how long, and what is quicker.
+    """Progress bar of all frames, and a log line if they take more than a minute: the time, and what is faster.
 
     Args:
-        report: Shows the bar.
-        label: What is being done.
-        count: How many frames there are.
-        fewer: The options that make them fewer, as they are typed; none: they are parts, and all are needed.
-        unit: What one of them is called.
+        report: Receives the progress.
+        label: Description of the work.
+        count: Number of frames.
+        fewer: Options that reduce the number of frames, as typed; empty if all are needed.
+        unit: Noun for one frame.
     """
 
     def __init__(self, report: Report, label: str, count: int, fewer: str, unit: str = "frame") -> None:
@@ -241,7 +241,7 @@ class FrameProgress:
         report(label, 0.0)
 
     def add(self, frame: ls.Frame | ls.farm.SamplePart | None) -> None:
-        """Counts a frame that has been rendered and written; None: another process has done that."""
+        """Counts a frame that has been rendered and written; None for a frame that another process has made."""
         before, self._since = self._since, time.monotonic()
         self._done += 1
         if self._done == 2:  # the first may have waited for kernels that compile once, and for the scene's upload
@@ -249,7 +249,7 @@ class FrameProgress:
         self._report(self._label, self._done / self._count)
 
     def _announce(self, seconds: float, samples: int) -> None:
-        """Logs how long the frames that are left take, of so many seconds each."""
+        """Logs the time of the remaining frames, of ``seconds`` each, if it is long."""
         left = self._count - self._done
         if left * seconds > _LONG_S:
             remedies = [f"fewer frames ({self._fewer})"] * bool(self._fewer) + ["--samples 1"] * (samples > 1)

@@ -1,8 +1,8 @@
-"""The folder of an animation's frames: which are there, and of which scene and settings they were made.
+"""Folder of an animation's frames: which frames exist, and which scene and settings they were made from.
 
-Frames appear whole or not at all, so that those that are there need not be rendered again. ``animate.json`` beside them
-(``orbit.json`` of an orbit, ``render.json`` of pictures) says what they were made of; frames of anything else are
-refused instead of continued. A video is made of frames that are there.
+Frames are written whole or not at all, so that existing ones need not be rendered again. A stamp file beside them,
+``animate.json`` (``orbit.json`` of an orbit, ``render.json`` of images), stores their provenance: everything that they
+depend on. Frames of another provenance are refused. A video is made from existing frames.
 """
 
 from __future__ import annotations
@@ -37,61 +37,61 @@ _FRAME = re.compile(r"frame_\d{4,}\.(png|exr|npz)")
 
 @dataclass(frozen=True)
 class FrameFolder:
-    """Frames of one animation."""
+    """Folder of the frames of one animation."""
 
     folder: Path
     extension: str
     stamp: str = "animate.json"
-    """The file that says what the frames were made of."""
+    """File name of the stamp, which stores the provenance of the frames."""
     names: tuple[str, ...] | None = None
-    """File names of the frames; None: ``frame_0000`` and so on."""
+    """File names of the frames; None is ``frame_0000`` and so on."""
     is_default: bool = field(default=False, kw_only=True)
-    """Whether nobody named the folder: frames of other settings in it are replaced, and a line says so."""
+    """True if the user has not named the folder: frames of other settings are then replaced, with a log line."""
 
     @staticmethod
     def named_after(output: Path | None, video: Path | None, otherwise: str, extension: str, stamp: str) -> FrameFolder:
         """Returns the folder that the user named, else one named after the video, else the default.
 
         Args:
-            output: As of ``-o``; None: the user named no folder.
-            video: As of ``--video``.
-            otherwise: Name of the folder if there is no video either.
-            extension: Of the frames.
-            stamp: File that says what the frames were made of.
+            output: Value of ``-o``; None if the user named no folder.
+            video: Value of ``--video``.
+            otherwise: Name of the folder without a video.
+            extension: Extension of the frames.
+            stamp: File name of the stamp.
         """
         folder = output or (Path(otherwise) if video is None else video.with_suffix(""))
         return FrameFolder(folder, extension, stamp, is_default=output is None)
 
     def path(self, index: int) -> Path:
-        """The file of a frame."""
+        """Returns the file of a frame."""
         return self.folder / (f"frame_{index:04d}.{self.extension}" if self.names is None else self.names[index])
 
     def holds(self, path: str) -> bool:
-        """Whether a path is of this folder."""
+        """Returns whether a path is the folder or lies in it."""
         folder = Path(os.path.abspath(self.folder))
         return folder in (Path(os.path.abspath(path)), *Path(os.path.abspath(path)).parents)
 
     def is_finished(self, index: int) -> bool:
-        """Whether a frame is there."""
+        """Returns whether a frame exists."""
         return self.path(index).is_file()
 
     def is_stopped(self, index: int) -> bool:
-        """Whether a frame was made as far as was asked for, though it is not finished; the same command continues."""
+        """Returns whether a frame is unfinished because its time was over; the same command then continues."""
         return False
 
     def tidy(self, index: int) -> None:
-        """Removes what a frame was made of, once it is there."""
+        """Removes the parts of a frame that exists."""
 
     def prepare(self, provenance: Mapping[str, str], overwrite: bool) -> None:
-        """Makes the folder ready for frames of an origin; frames of this origin that are there already stay.
+        """Prepares the folder for frames of a provenance; existing frames of the same provenance stay.
 
         Args:
             provenance: Everything that the frames depend on, by name.
-            overwrite: Whether to remove all frames that are there first.
+            overwrite: Remove all existing frames first.
 
         Raises:
-            ConfigError: There are frames of another origin; the message names what differs.
-            FormatError: The folder cannot be written to.
+            ConfigError: There are frames of another provenance; the message names the differences.
+            FormatError: The folder cannot be written.
         """
         stamp = self.folder / self.stamp
         if self._frames() and not overwrite:
@@ -122,18 +122,18 @@ class FrameFolder:
     def _clear(self, stamp: Path) -> None:
         """Removes the stamp, then the frames.
 
-        Without the stamp, other runs in the folder stop, and remove what they write from then on; and a kill leaves
-        nothing to go on with.
+        Other runs in the folder stop without the stamp, and remove frames that they write later. After a kill in
+        between, nothing can be continued by mistake.
         """
         stamp.unlink(missing_ok=True)
         for path in self._frames():
             path.unlink(missing_ok=True)
 
     def check_current(self, provenance: Mapping[str, str]) -> None:
-        """Checks that no run with other settings has begun in the folder.
+        """Checks that no run with other settings has started in the folder.
 
         Raises:
-            ConfigError: One has, or the stamp is gone.
+            ConfigError: Another run has started, or the stamp is gone.
         """
         stored = stored_provenance(self.folder / self.stamp)
         if stored is None or self._differing(stored, provenance):
@@ -150,13 +150,11 @@ class FrameFolder:
         return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
 
     def _check(self, stamp: Path, provenance: Mapping[str, str]) -> bool:
-        """Returns whether the frames that are there are to be replaced; raises ConfigError if they may not be."""
+        """Returns whether existing frames are to be replaced. Raises ConfigError if they may not be."""
         advice = f"give --overwrite to remove them, or another folder{' by -o' if self.is_default else ''}"
         stored = stored_provenance(stamp)
         if stored is None:
-            raise ls.ConfigError(
-                f"{self.folder} holds frames, but no {self.stamp} that says what they are of: {advice}"
-            )
+            raise ls.ConfigError(f"{self.folder} holds frames, but no {self.stamp} with their settings: {advice}")
         if not (changed := self._differing(stored, provenance)):
             return False
         if (
@@ -169,7 +167,7 @@ class FrameFolder:
         return True
 
     def _begun_by_another(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> ls.ConfigError:
-        """What to say of a run of another origin that has begun in the folder, and made no frame yet."""
+        """Returns the error about another run with other settings that has written no frame yet."""
         differing = self._differing(stored, provenance)
         return ls.ConfigError(
             f"{self.folder}: another run has begun there, which differs in {_listed(differing)}: "
@@ -177,21 +175,21 @@ class FrameFolder:
         )
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
-        """What the stamp is to say."""
+        """Returns the content of the stamp."""
         return dict(provenance)
 
     def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
-        """Names of what differs between what a stamp says and an origin."""
+        """Returns the names whose values differ between a stamp and a provenance."""
         return sorted(name for name in {*stored, *provenance} if stored.get(name) != provenance.get(name))
 
 
 def _listed(names: list[str]) -> str:
-    """The first of some names, and how many more there are."""
+    """Returns the first three names, and the number of others."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _put(temporary: Path, stamp: Path) -> bool:
-    """Makes a file the stamp, unless there is one: of two runs that begin at the same moment, one does."""
+    """Makes a file the stamp, unless one exists; returns whether it did. One of two simultaneous runs succeeds."""
     try:
         os.link(temporary, stamp)
     except FileExistsError:
@@ -202,7 +200,7 @@ def _put(temporary: Path, stamp: Path) -> bool:
 
 
 def stored_provenance(stamp: Path) -> dict[str, object] | None:
-    """What a stamp says; None: there is none, or it is none."""
+    """Returns the content of a stamp; None if it is missing or no stamp."""
     try:
         stored: Any = json.loads(stamp.read_text())
     except (OSError, ValueError):
@@ -211,7 +209,7 @@ def stored_provenance(stamp: Path) -> dict[str, object] | None:
 
 
 def flat_settings(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:
-    """Names and values of settings, groups included."""
+    """Yields names and values of settings; those of groups are named ``group.name``."""
     for entry in fields(settings):
         value = getattr(settings, entry.name)
         if is_dataclass(value) and not isinstance(value, type):
@@ -221,14 +219,14 @@ def flat_settings(prefix: str, settings: DataclassInstance) -> Iterator[tuple[st
 
 
 def check_video(path: Path, fps: float) -> None:
-    """Tries whether a video can be written, before an hour of frames: extension, rate, package and folder.
+    """Checks that a video can be written, before its frames are rendered: extension, rate, package and folder.
 
     Raises:
-        FormatError: It cannot be written.
+        FormatError: The video cannot be written.
         MissingExtraError: A package is not installed.
     """
     if path.suffix.lower() == ".png":
-        raise ls.FormatError(path, "is a picture's name, expected .mp4, .gif, .webp or .apng")
+        raise ls.FormatError(path, "is an image name, expected .mp4, .gif, .webp or .apng")
     import numpy as np
 
     if path.exists() and not path.is_file():
@@ -247,21 +245,21 @@ def check_video(path: Path, fps: float) -> None:
 
 
 def write_video(path: Path, frames: Sequence[Path], fps: float, report: Report) -> None:
-    """Writes a video of pictures.
+    """Writes image files as a video.
 
     Raises:
-        FormatError: It cannot be written.
-        SceneError: A picture cannot be read.
+        FormatError: The video cannot be written.
+        SceneError: An image cannot be read.
     """
     ls.save_animation(path, _pictures(frames, report), fps)
 
 
 def _pictures(paths: Sequence[Path], report: Report) -> Iterator[npt.NDArray[np.float32]]:
-    """Pictures one by one."""
+    """Yields the images one by one."""
     for done, path in enumerate(paths):
         report("writing the video", done / len(paths))
         try:
             yield ls.load_image(path)
         except ls.FormatError as error:
-            raise ls.SceneError(f"{error}; delete it and run the command again, which makes it anew") from None
+            raise ls.SceneError(f"{error}; delete it and run the command again") from None
     report("writing the video", 1.0)

@@ -1,4 +1,4 @@
-"""Frames as a command asks for them: focused, rendered, and denoised."""
+"""Renders the frames of a command, with focus, warm-up and denoising."""
 
 from __future__ import annotations
 
@@ -10,75 +10,75 @@ from typing import Protocol
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, counted
 
-_log = logging.getLogger("lumisplat.noise")  # as that of the noise of known lights
+_log = logging.getLogger("lumisplat.noise")  # the library logs noise there, too
 
 NOISE_MAX = 0.1
-"""Noise of a frame of paths above which a line says what helps: 5 % of the pixels are off by a tenth or more."""
+"""Noise of a path-traced frame above which a log line advises: 5 % of the pixels are off by a tenth or more."""
 
 
 REALTIME_FRAMES = 32
-"""Frames of a sequence in real time, of which the last is the first one that is shown."""
+"""Real-time frames that are rendered of the first view; the last one is the first that is shown."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WarmUp:
-    """How frames in real time come to a picture."""
+    """Warm-up of real-time frames, before the first of them is shown."""
 
     frames: int = REALTIME_FRAMES
-    """Of the same view, before what they have found is good enough to be shown: that of the last one is."""
+    """Frames that are rendered of the same view; the last one is shown."""
     each: bool = False
-    """Before every picture, which are of different places; else before the first of a sequence only."""
+    """True if each image needs a warm-up, as views are unrelated; False if only the first of a sequence does."""
 
 
 class SceneForView(Protocol):
-    """What has a scene for each view."""
+    """Provider of a scene for each view."""
 
     def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
-        """What a camera sees; ``release`` is called before something else than of the last view is loaded."""
+        """Returns the part of the scene that a camera sees; calls ``release`` before it loads another part."""
         ...
 
 
 @dataclass
 class FrameSource:
-    """Renders frames."""
+    """Renders frames with focus, warm-up and denoising."""
 
     renderer: ls.Renderer
     aperture: float | None = None
-    """Radius of the lens, scene units; None: the camera's own."""
+    """Lens radius in scene units; None keeps the camera's own."""
     focus: tuple[int, int] | None = None
-    """Column and row of the pixel that is in focus; None: the camera's focus stays."""
+    """Column and row of the pixel in focus; None keeps the camera's focus."""
     denoises: bool = False
-    """Whether the light of lit frames is denoised."""
+    """True if lit frames are denoised."""
     warm_up: WarmUp = field(default_factory=WarmUp)
     blocks: SceneForView | None = None
-    """In place of scenes, what each camera sees of a capture in blocks."""
+    """Provider of the visible part of a capture in blocks; None if whole scenes are rendered."""
     _is_warm: bool = field(default=False, init=False)
     _has_warned: bool = field(default=False, init=False)
 
     def frame(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
-        """One frame, finished.
+        """Renders and finishes one frame.
 
         Raises:
-            ConfigError: It is to be focused without a lens, or without rays.
-            DeviceError: As of `lumisplat.Renderer.render`.
-            SceneError: Likewise, or the pixel in focus shows nothing.
+            ConfigError: Focus needs an aperture, or rays.
+            DeviceError: Raised by `lumisplat.Renderer.render`.
+            SceneError: Raised by `lumisplat.Renderer.render`, or the pixel in focus shows nothing.
         """
         if self.blocks is not None:
             scene = self.blocks.scene(camera, self.renderer.release)
         return self.finished(self._rendered(scene, self.focused(scene, camera), report))
 
     def focused(self, scene: ls.Scene, camera: ls.Camera) -> ls.Camera:
-        """The camera with the lens that was asked for.
+        """Returns the camera with the aperture and the focus of the options.
 
         Raises:
-            ConfigError: It is to be focused without a lens, or without rays.
+            ConfigError: Focus needs an aperture, or rays.
             SceneError: The pixel in focus shows nothing.
         """
         camera = camera if self.aperture is None else replace(camera, aperture=self.aperture)
         return camera if self.focus is None else self._focused(scene, camera, *self.focus)
 
     def finished(self, frame: ls.Frame) -> ls.Frame:
-        """A frame that was rendered, denoised if it is to be; one that is not may have a line of advice."""
+        """Returns a rendered frame, denoised if wanted; otherwise logs advice about its noise once."""
         if self.denoises and frame.has("light"):
             return frame.denoised()
         if not self._has_warned and (line := noise_advice(frame)):
@@ -87,11 +87,11 @@ class FrameSource:
         return frame
 
     def cut(self) -> None:
-        """The next frame does not follow the last one."""
+        """Marks the next frame as unrelated to the last one."""
         self._is_warm = False
 
     def _rendered(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
-        """One frame; in real time the last of those that it takes."""
+        """Renders one frame; in real time, the last frame of the warm-up if one is needed."""
         if not self.renderer.config.pipeline.is_sequence:
             return self.renderer.render(scene, camera, progress=report)
         if self._is_warm and not self.warm_up.each:
@@ -106,26 +106,26 @@ class FrameSource:
         return frame
 
     def _focused(self, scene: ls.Scene, camera: ls.Camera, x: int, y: int) -> ls.Camera:
-        """The camera, focused on what a pixel shows."""
+        """Returns the camera focused on the surface in a pixel."""
         if camera.aperture == 0.0:
             raise ls.ConfigError("--focus needs a lens: --aperture gives its radius, in units of the scene")
         return self.renderer.focused(scene, camera, x, y)
 
 
 def noise_advice(frame: ls.Frame) -> str | None:
-    """Returns what helps against the noise of a frame of paths; None: there is little, or its noise was chosen."""
+    """Returns advice against the noise of a path-traced frame; None if there is little, or the noise was chosen."""
     config, noise = frame.config, None if frame.stats is None else frame.stats.noise
     if config is None or not config.pipeline.traces_paths or config.noise is not None:
         return None
     if frame.light is None or not frame.light.any():
-        return None  # a kept capture: what is left are its edges
+        return None  # an unlit capture: its only noise is at edges
     if noise is None and frame.samples == 1:
-        found = ""  # one sample does not tell
+        found = ""  # one sample gives no estimate
     elif noise is not None and noise > NOISE_MAX:
         found = f" (about {noise:.2g} of noise)"
     else:
         return None
     return (
-        f"light that bounces is grainy with {counted(frame.samples, 'sample')} a pixel{found}: more --samples, "
-        "or --set noise=0.02 make it smooth, and --denoise does so at once"
+        f"indirect light is noisy with {counted(frame.samples, 'sample')} a pixel{found}: more --samples "
+        "or --set noise=0.02 reduce the noise, and --denoise removes it"
     )

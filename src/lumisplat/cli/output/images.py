@@ -1,4 +1,4 @@
-"""Images that are written: which cameras to which files, with which layers and views."""
+"""Image files of cameras, with their layers and views."""
 
 from __future__ import annotations
 
@@ -20,36 +20,35 @@ import lumisplat as ls
 FORMATS = ("png", "exr", "npz")
 _UNSAFE = re.compile(r"[^\w.-]+")
 _STEM_BYTES = 150
-"""Longest file stem, UTF-8: room for layer names and suffixes below the usual limit of 255 bytes."""
+"""Longest file stem in UTF-8 bytes, so that layer names and suffixes fit below the usual limit of 255."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture to render."""
+    """Camera to render, and the image file to write."""
 
     camera: ls.Camera
     path: Path
 
 
 def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path, format_name: str) -> list[Shot]:
-    """Decides which cameras are rendered, and to which files.
+    """Decides which cameras are rendered to which files.
 
     Args:
         cameras: All cameras.
-        wanted: Names of those to render; none means all.
-        output: A folder, or for a single picture a file ``.png``, ``.exr`` or ``.npz``.
-        format_name: One of `FORMATS`, or ``auto``: that of the file's name, else PNG.
+        wanted: Names of the cameras to render; empty means all.
+        output: A folder, or for one image a file ``.png``, ``.exr`` or ``.npz``.
+        format_name: One of `FORMATS`, or ``auto``: the format of the file's name, else PNG.
 
     Raises:
-        ConfigError: A name is unknown, the output is an image of another kind, or its name and format do not go
-            together.
+        ConfigError: A name is unknown, the output is another kind of image, or its name contradicts the format.
     """
     stems = file_stems([camera.name for camera in cameras])
     chosen = [index for index in range(len(cameras)) if not wanted or {cameras[index].name, stems[index]} & {*wanted}]
     for name in wanted:
         if not any(name in (cameras[index].name, stems[index]) for index in chosen):
             listed = ", ".join(stems[:5]) + (", ..." if len(stems) > 5 else "")
-            raise ls.ConfigError(f"no frame is named '{name}': there are {len(stems)} ({listed})")
+            raise ls.ConfigError(f"no camera is named '{name}': there are {len(stems)} ({listed})")
     suffix = output.suffix.lower().removeprefix(".")
     if suffix not in FORMATS:
         if (mimetypes.guess_type(output)[0] or "").startswith(("image/", "video/")):
@@ -59,16 +58,16 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
         extension = "png" if format_name == "auto" else format_name
         return [Shot(cameras[index], output / f"{stems[index]}.{extension}") for index in chosen]
     if format_name not in ("auto", suffix):
-        raise ls.ConfigError(f"{output}: the name says {suffix}, --format says {format_name}")
+        raise ls.ConfigError(f"{output}: the name means {suffix}, but --format is {format_name}")
     if len(chosen) > 1:
         raise ls.ConfigError(
-            f"{output}: {len(chosen)} frames do not fit in one file: give a folder, or name one by --frames"
+            f"{output}: {len(chosen)} frames do not fit into one file: give a folder, or choose one by --frames"
         )
     return [Shot(cameras[index], output) for index in chosen]
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
-    """A safe file stem for each frame name, with a number where two would be equal, ignoring case."""
+    """Returns a safe file stem for each frame name, numbered where two would be equal ignoring case."""
     taken: set[str] = set()
     copies: dict[str, int] = {}
     stems: list[str] = []
@@ -85,26 +84,26 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
 
 def check_writable(output: Path) -> None:
-    """Checks whether pictures can be written, before anything slow is done; leaves nothing behind.
+    """Checks that images can be written, before anything slow is done; leaves no file behind.
 
     Args:
-        output: As for `plan_shots`.
+        output: Argument of `plan_shots`.
 
     Raises:
-        FormatError: A file is in the way, or the folder that is there already cannot be written to.
+        FormatError: A file blocks the folder, or the folder cannot be written.
     """
     check_folder(output.parent if output.suffix.lower().removeprefix(".") in FORMATS else output, output)
 
 
 def check_folder(folder: Path, output: Path | None = None) -> None:
-    """Checks whether files can be written into a folder that is there or that can be made; leaves nothing behind.
+    """Checks that files can be written into an existing or new folder; leaves no file behind.
 
     Args:
         folder: The folder.
-        output: What messages name; None: the folder.
+        output: Path that messages name; None is the folder.
 
     Raises:
-        FormatError: As of `check_writable`.
+        FormatError: A file blocks the folder, or the folder cannot be written.
     """
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing.is_dir():
@@ -121,12 +120,12 @@ def make_folder(folder: Path) -> None:
     """Makes ``folder`` and its parents.
 
     Raises:
-        FormatError: It cannot be made.
+        FormatError: The folder cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise ls.FormatError(folder, "is a file, expected a folder for the pictures") from None
+        raise ls.FormatError(folder, "is a file, expected a folder for the images") from None
     except OSError as error:
         raise ls.FormatError(folder, f"the output folder cannot be made: {error.strerror}") from None
 
@@ -143,12 +142,12 @@ _LEGENDS = {
     "probes": "refreshes of screen probes from {:.0f} (violet) to {:.0f} (yellow), logarithmic",
     "hits": "Gaussians a ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",
 }
-"""What the colours of a view mean, of views whose colours depend on the scene."""
+"""Meaning of the colours of each view whose colours depend on the scene."""
 
 
 @dataclass(frozen=True)
 class Layers:
-    """What ``--aov`` asks for: layers of a frame, mattes, and samples in depth."""
+    """Layers, mattes and deep samples that ``--aov`` asks for."""
 
     names: tuple[str, ...]
     """Layers of the frame itself."""
@@ -157,10 +156,10 @@ class Layers:
 
     @classmethod
     def of(cls, text: str) -> Layers:
-        """Reads names with commas between.
+        """Parses names with commas.
 
         Raises:
-            ConfigError: There is no such layer.
+            ConfigError: A name is no layer.
         """
         known = (*ls.Frame.LAYERS, "cryptomatte", "deep")
         given = [name.strip() for name in text.split(",") if name.strip()]
@@ -175,26 +174,26 @@ class Layers:
 
 @dataclass
 class FrameWriter:
-    """Writes frames with their layers, or a view of each; in all frames of a run the same colours mean the same.
+    """Writes frames with their layers, or one view of each, whose colours mean the same in all frames of a run.
 
     Raises:
-        ConfigError: There is both a view and layers.
+        ConfigError: Both a view and layers are given.
     """
 
     layers: tuple[str, ...]
-    """Names of layers."""
+    """Names of the layers."""
     view: ViewName | None
     legend: str | None = field(default=None, init=False)
-    """What the colours of the view or the values of the depth mean, once a frame has been written."""
+    """Meaning of the view's colours or of depth values, once a frame has been written."""
     _limits: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         if self.view and self.layers:
-            raise ls.ConfigError("--view and --aov do not go together: a view is written instead of the picture")
+            raise ls.ConfigError("--view and --aov exclude each other: a view replaces the image")
 
     @property
     def aovs(self) -> tuple[str, ...]:
-        """What ``RenderConfig.aovs`` must hold."""
+        """Layers that ``RenderConfig.aovs`` has to list."""
         names = (*self.layers, self.view or "")
         return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
 
@@ -202,8 +201,8 @@ class FrameWriter:
         """Writes one frame.
 
         Raises:
-            ConfigError: It was rendered without a layer, or without what the view needs.
-            FormatError: It cannot be written.
+            ConfigError: The frame lacks a layer, or what the view needs.
+            FormatError: The file cannot be written.
         """
         if self.view is None:
             frame.save(path, self.layers, mattes)
@@ -217,7 +216,7 @@ class FrameWriter:
 
 
 def _depth_legend(path: Path, frame: ls.Frame, *, first: bool) -> str:
-    """What the values of 16-bit depth mean: of one frame its range, of several where it is."""
+    """Returns the meaning of 16-bit depth: the range of the first frame, or where later files store theirs."""
     if not first:
         return (
             ".depth16.png: depth in scene units, from depth_near (1) to depth_far (65535) of each file's text; 0: none"
@@ -232,31 +231,31 @@ STANDARD_OUTPUT = Path("-")
 
 
 def refuse_standard_output(output: Path | None) -> None:
-    """Refuses ``-o -`` where many files are written.
+    """Refuses ``-o -`` for commands that write several files.
 
     Raises:
-        ConfigError: It is given.
+        ConfigError: ``-o -`` is given.
     """
     if output == STANDARD_OUTPUT:
-        raise ls.ConfigError("-o - is one file, and frames are many: give a folder")
+        raise ls.ConfigError("-o - is one file, but there are several frames: give a folder")
 
 
 @contextlib.contextmanager
 def standard_output(suffix: str) -> Generator[Path]:
-    """Yields a file to write, which is copied to standard output at the end, whole or not at all.
+    """Yields a temporary file that is copied to standard output at the end, whole or not at all.
 
-    What is printed in the meantime appears on standard error.
+    Text that is printed in between appears on standard error.
 
     Args:
         suffix: Extension of the file, which selects its format.
 
     Raises:
         ConfigError: Standard output is a terminal, or closed.
-        LumisplatError: The block has raised one; it names standard output instead of the file.
+        LumisplatError: Raised by the block, with standard output in place of the file in its message.
     """
     out = sys.stdout
     if sys.__stdout__ is None or out.isatty():
-        raise ls.ConfigError("-o - is standard output: send it to a file or a program, such as -o - > picture.png")
+        raise ls.ConfigError("-o - is standard output: redirect it to a file or a program, such as -o - > image.png")
     messages = io.StringIO()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"out{suffix}"
