@@ -199,7 +199,7 @@ def test_remaining_metrics_are_computed_if_some_fail(work, caplog):
     """A log line names an image without a partner or of another size."""
     done = work.run("metrics", "@ours", "@fewer", "--metrics", "psnr")
     assert done.status == 0 and list(rows(done.out)) == ["psnr", "frame_0", "frame_2", "mean"]
-    assert caplog.messages == [f"{work.path('fewer')}: has no picture 'frame_1' as the other folder does: left out"]
+    assert caplog.messages == [f"{work.path('fewer')}: lacks an image 'frame_1', which the other folder has: left out"]
     caplog.clear()
     write_png(work.path("fewer") / "frame_2.png", np.full((16, 19, 3), 0.5))
     done = work.run("metrics", "@ours", "@fewer", "--metrics", "psnr", "--json")
