@@ -108,7 +108,9 @@ def test_joint_fits_in_parts_cost_little(monkeypatch: pytest.MonkeyPatch) -> Non
     parts = baked()
     fit = joint_sh_fit.refitted_sh
     monkeypatch.setattr(
-        joint_sh_fit, "refitted_sh", lambda blend, some, sh, told: fit(blend, some, sh, np.zeros_like(told))
+        joint_sh_fit,
+        "refitted_sh",
+        lambda blend, some, sh, information: fit(blend, some, sh, np.zeros_like(information)),
     )
     heedless = baked()
     print(f"whole {whole:.2f} dB, in parts {parts:.2f} dB, if later rays undo what others have told {heedless:.2f} dB")

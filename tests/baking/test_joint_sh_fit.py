@@ -97,14 +97,14 @@ LIGHTS = [
 """Lights above the scene; the flat ones shine downwards."""
 
 
-@pytest.mark.parametrize("lamp", LIGHTS)
+@pytest.mark.parametrize("light", LIGHTS)
 def test_visible_light_behind_a_gaussian_is_not_baked_into_it(
-    lamp: ls.LightSphere | ls.LightRect | ls.LightDisk,
+    light: ls.LightSphere | ls.LightRect | ls.LightDisk,
 ) -> None:
     """Rays past the edge of a Gaussian hit the light behind it; a black body stays black."""
     black = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.0), rows=16), 60), material=diffuse(0.0))
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=2, max_bounces=0)
-    (shown,) = ls.bake(ls.Scene([black], lights=[lamp]), config, degree=0, device="cpu").splats
+    (shown,) = ls.bake(ls.Scene([black], lights=[light]), config, degree=0, device="cpu").splats
     np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
 
 

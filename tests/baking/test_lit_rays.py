@@ -37,8 +37,8 @@ def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.Monk
     found: list[Pixels] = []
     pixels = JointShFit.pixels
 
-    def noted(self: JointShFit, ways: SampleRays, count: int) -> Pixels:
-        found.append(pixels(self, ways, count))
+    def noted(self: JointShFit, rays: SampleRays, count: int) -> Pixels:
+        found.append(pixels(self, rays, count))
         return found[-1]
 
     monkeypatch.setattr(JointShFit, "pixels", noted)

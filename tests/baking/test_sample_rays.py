@@ -106,8 +106,8 @@ def test_gaussians_in_corners_get_as_many_usable_rays(monkeypatch: pytest.Monkey
     origins: list[np.ndarray] = []
     seen = JointShFit._choose_usable
 
-    def noted(self: JointShFit, lines: DrawnRays, wanted: np.ndarray) -> Any:
-        rays, kept = seen(self, lines, wanted)
+    def noted(self: JointShFit, drawn: DrawnRays, wanted: np.ndarray) -> Any:
+        rays, kept = seen(self, drawn, wanted)
         found.append(wanted - kept)
         origins.append(rays.origins)
         return rays, kept

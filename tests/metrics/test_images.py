@@ -15,7 +15,7 @@ import lumisplat as ls
 METRICS = (ls.metrics.psnr, ls.metrics.ssim, ls.metrics.flip)
 
 
-def picture(seed: int, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
+def noise_image(seed: int, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
     """A noise image, 0.1 to 0.9."""
     return np.random.default_rng(seed).uniform(0.1, 0.9, (*shape, 3))
 
@@ -94,7 +94,7 @@ def test_ssim_of_flat_images_is_the_luminance_term():
 
 def test_ssim_matches_the_definition_of_the_paper():
     """The reference evaluates the definition window by window."""
-    image, reference = picture(1), picture(2)
+    image, reference = noise_image(1), noise_image(2)
     mixed = 0.7 * reference + 0.3 * image
     assert ls.metrics.ssim(mixed, reference) == pytest.approx(ssim_by_definition(mixed, reference), abs=1e-6)
 
@@ -118,7 +118,7 @@ def test_flip_of_flat_images_matches_the_paper(color, reference):
 
 def test_flip_is_smaller_on_a_finer_display():
     """Noise is less visible there."""
-    image, reference = picture(1), picture(2)
+    image, reference = noise_image(1), noise_image(2)
     coarse, usual, fine = (ls.metrics.flip(image, reference, pixels_per_degree=density) for density in (10, 67, 300))
     assert coarse > usual > fine > 0.0
 
@@ -126,7 +126,7 @@ def test_flip_is_smaller_on_a_finer_display():
 @pytest.mark.parametrize("metric", METRICS)
 def test_equal_images_have_the_best_value(metric):
     """More noise makes the value worse."""
-    reference = picture(3)
+    reference = noise_image(3)
     noise = np.random.default_rng(4).normal(0.0, 1.0, reference.shape)
     values = [metric(np.clip(reference + size * noise, 0.0, 1.0), reference) for size in (0.0, 0.02, 0.1)]
     best, sign = {ls.metrics.psnr: (math.inf, -1), ls.metrics.ssim: (1.0, -1), ls.metrics.flip: (0.0, 1)}[metric]
@@ -137,14 +137,14 @@ def test_equal_images_have_the_best_value(metric):
 @pytest.mark.parametrize("metric", METRICS)
 def test_bytes_equal_floats_of_their_value_over_255(metric):
     """A PNG's bytes and floats give the same values."""
-    image, reference = ((255 * picture(seed)).round().astype(np.uint8) for seed in (5, 6))
+    image, reference = ((255 * noise_image(seed)).round().astype(np.uint8) for seed in (5, 6))
     assert metric(image, reference) == pytest.approx(metric(image / 255.0, reference / 255.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("metric", METRICS)
 def test_flipping_both_images_changes_nothing(metric):
     """Both images are turned upside down, or mirrored."""
-    image, reference = picture(7), picture(8)
+    image, reference = noise_image(7), noise_image(8)
     for mirror in (np.flipud, np.fliplr):
         assert metric(mirror(image), mirror(reference)) == pytest.approx(metric(image, reference), abs=1e-6)
 
@@ -152,7 +152,7 @@ def test_flipping_both_images_changes_nothing(metric):
 @pytest.mark.parametrize("metric", METRICS)
 def test_invalid_image_pairs_are_refused(metric):
     """Different sizes, shapes, ranges and NaN each have their own message of one line."""
-    image = picture(9)
+    image = noise_image(9)
     with pytest.raises(ls.SceneError, match="the image is 32 x 24, its reference 32 x 23"):
         metric(image, image[1:])
     with pytest.raises(ls.SceneError, match=r"reference has shape \(24, 32\), expected \(H, W, 3\)"):
@@ -174,9 +174,9 @@ def test_images_smaller_than_the_ssim_window_are_refused():
 def test_flip_refuses_0_pixels_per_degree():
     """The range is 1 to 1000."""
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is 0"):
-        ls.metrics.flip(picture(1), picture(2), pixels_per_degree=0)
+        ls.metrics.flip(noise_image(1), noise_image(2), pixels_per_degree=0)
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is '4K'"):
-        ls.metrics.flip(picture(1), picture(2), pixels_per_degree="4K")  # pyright: ignore[reportArgumentType]
+        ls.metrics.flip(noise_image(1), noise_image(2), pixels_per_degree="4K")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_missing_packages_are_reported_with_how_to_install_them(metric, package,
     """The error names the extra."""
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ls.errors.MissingExtraError, match=r"pip install 'lumisplat\[metrics\]'"):
-        metric(picture(1), picture(2))
+        metric(noise_image(1), noise_image(2))
 
 
 WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)

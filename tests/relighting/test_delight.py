@@ -223,8 +223,8 @@ def test_relighting_by_the_estimated_light_gives_the_capture() -> None:
     albedo = np.where(is_dark[:, None], 0.03, 0.6) * np.ones(3)
     truth = replace(both, albedo=albedo.astype(np.float32), roughness=np.full(both.count, 0.8, np.float32))
 
-    def lit(gaussians: ls.Gaussians, sky: ls.LightEnvironment) -> tuple[ls.Gaussians, np.ndarray]:
-        scene = ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[sky])
+    def lit(gaussians: ls.Gaussians, environment: ls.LightEnvironment) -> tuple[ls.Gaussians, np.ndarray]:
+        scene = ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[environment])
         baked = ls.bake(scene, degree=0, directions=16, device="cpu").splats[0].gaussians
         return baked, decode_srgb(np.clip(SH_CONSTANT * baked.sh[:, 0] + 0.5, 0.0, 1.0)).mean(axis=1)
 
@@ -384,8 +384,8 @@ def test_external_captures_are_no_haze(data_dir: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("capture", "fault"),
     [
-        (haze(3000, 0.1, 0.9), "100% of its Gaussians, by area, are round"),
-        (haze(20_000, 0.02, 0.9), "100% of its Gaussians, by area, are round"),
+        (haze(3000, 0.1, 0.9), "100% of its Gaussians, by area, are isotropic"),
+        (haze(20_000, 0.02, 0.9), "100% of its Gaussians, by area, are isotropic"),
         (flattened(haze(3000, 0.1, 0.9)), "normals of neighbouring Gaussians differ as if they were random"),
         (flattened(haze(3000, 0.03, 0.5)), "normals of neighbouring Gaussians differ as if they were random"),
         (thick_wall(), "of their transmittance away from their depth"),

@@ -42,10 +42,10 @@ def recolored(scene: ls.Scene, gains: np.ndarray) -> ls.Scene:
     return replace(scene, splats=(replace(capture, gaussians=replace(given, albedo=given.albedo * gains)),))
 
 
-def fitted(scene: ls.Scene, photograph: np.ndarray, **options) -> ls.inverse.LightFit:
+def fitted(scene: ls.Scene, image: np.ndarray, **options) -> ls.inverse.LightFit:
     """A fit without bounces."""
     options = {"config": HYBRID, "environment_degree": None, "device": "cpu"} | options
-    return ls.fit_lights(scene, SMALL, photograph, **options)
+    return ls.fit_lights(scene, SMALL, image, **options)
 
 
 @pytest.mark.parametrize("has_albedo", [True, False])

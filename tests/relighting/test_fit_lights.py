@@ -29,10 +29,10 @@ from support.scenes.light_scenes import matte
 VIEW, OTHER = view(64, 48), other_view(64, 48)
 
 
-def fitted(scene: ls.Scene, photographs, cameras=None, **options) -> ls.inverse.LightFit:
+def fitted(scene: ls.Scene, images, cameras=None, **options) -> ls.inverse.LightFit:
     """A fit without bounces, at the images' own size."""
     options = {"config": DIRECT, "environment_degree": None, "device": "cpu"} | options
-    return ls.fit_lights(scene, cameras or VIEW, photographs, **options)
+    return ls.fit_lights(scene, cameras or VIEW, images, **options)
 
 
 def test_three_lights_of_a_noiseless_image_are_exact():

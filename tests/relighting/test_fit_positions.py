@@ -32,16 +32,16 @@ SMALL = view(64, 48)
 SOFT = ls.RenderConfig(shadows=ls.Shadows.SOFT, samples=16)
 
 
-def fitted(scene: ls.Scene, cameras, photographs, **options) -> ls.inverse.LightFit:
+def fitted(scene: ls.Scene, cameras, images, **options) -> ls.inverse.LightFit:
     """A fit without bounces and without an environment."""
     return ls.fit_lights(
-        scene, cameras, photographs, **({"config": DIRECT, "environment_degree": None, "device": "cpu"} | options)
+        scene, cameras, images, **({"config": DIRECT, "environment_degree": None, "device": "cpu"} | options)
     )
 
 
-def assert_positions(found: tuple[object, ...], lamps: tuple[ls.LightPoint, ...], share: float) -> None:
+def assert_positions(found: tuple[object, ...], lights: tuple[ls.LightPoint, ...], share: float) -> None:
     """Checks that lights are at their true positions, to a fraction of the room's length."""
-    for light, lamp in zip(found, lamps, strict=True):
+    for light, lamp in zip(found, lights, strict=True):
         assert isinstance(light, ls.LightPoint)
         off = np.linalg.norm(np.subtract(light.position, lamp.position))
         assert off < share * ROOM, (light.name, off)

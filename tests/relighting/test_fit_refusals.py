@@ -13,10 +13,10 @@ from support.scenes.fit_rooms import DIRECT, closed, three_lamps, view
 GREY = np.full((72, 96, 3), 0.5)
 
 
-def refusal(*photographs, scene: ls.Scene | None = None, cameras=None, **options) -> str:
+def refusal(*images, scene: ls.Scene | None = None, cameras=None, **options) -> str:
     """Returns the message of a refusal, and checks that it is one line."""
     options = {"config": DIRECT, "device": "cpu", "environment_degree": None} | options
-    given = list(photographs) if len(photographs) != 1 else photographs[0]
+    given = list(images) if len(images) != 1 else images[0]
     with pytest.raises((ls.ConfigError, ls.SceneError)) as caught:
         ls.fit_lights(scene or closed(*three_lamps()), cameras or view(), given, **options)
     message = str(caught.value)

@@ -34,9 +34,9 @@ def three_lamps() -> ls.Gaussians:
     return room_with(*(lamp(POSITIONS[i], COLORS[i]) for i in (2, 0, 1)))
 
 
-def assert_at(light: ls.LightPoint, place: tuple[float, float, float], radius: float = 0.08) -> None:
+def assert_at(light: ls.LightPoint, position: tuple[float, float, float], radius: float = 0.08) -> None:
     """The light is inside a lamp of that radius."""
-    assert np.linalg.norm(np.subtract(light.position, place)) < radius + 1e-5, light
+    assert np.linalg.norm(np.subtract(light.position, position)) < radius + 1e-5, light
 
 
 def test_planted_lamps_are_found_in_order() -> None:

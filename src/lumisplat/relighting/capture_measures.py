@@ -64,7 +64,7 @@ class SurfaceMeasure:
 
     at_once: float
     """Fraction of a ray's alpha that comes from near its depth, 0..1: the median over rays from outside."""
-    round_share: float
+    isotropic_share: float
     """Fraction of the Gaussians by area whose two shorter axes are about equal, so that they have no normal, 0..1."""
     agreement: float
     """Mean squared cosine between normals of neighbours, 0..1; 1/3 for random normals. It is 1 if there are few
@@ -73,13 +73,13 @@ class SurfaceMeasure:
     @property
     def has_no_surface(self) -> bool:
         """True if there is surely no surface: Gaussians are isotropic, and rays lose transmittance gradually."""
-        return self.round_share >= ISOTROPIC_SHARE_MAX and self.at_once < HAZE_AT_ONCE_MAX
+        return self.isotropic_share >= ISOTROPIC_SHARE_MAX and self.at_once < HAZE_AT_ONCE_MAX
 
     @property
     def fault(self) -> str | None:
         """Clause that says what is wrong with the surface; None if nothing is."""
-        if self.round_share >= ISOTROPIC_SHARE_MAX:
-            return f"{self.round_share:.0%} of its Gaussians, by area, are round and have no normal"
+        if self.isotropic_share >= ISOTROPIC_SHARE_MAX:
+            return f"{self.isotropic_share:.0%} of its Gaussians, by area, are isotropic and have no normal"
         if self.agreement < AGREEING_LEAST:
             return "normals of neighbouring Gaussians differ as if they were random"
         if self.at_once < SURFACE_SHARP:
@@ -101,7 +101,7 @@ def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> Surf
     has_normals = gaussians.normals is not None
     return SurfaceMeasure(
         at_once=float(np.median(_lost_at_once(gaussians, weights, renderer, seed))),
-        round_share=0.0 if has_normals else float(weights[least >= ISOTROPIC_RATIO * middle].sum()),
+        isotropic_share=0.0 if has_normals else float(weights[least >= ISOTROPIC_RATIO * middle].sum()),
         agreement=_agreement(gaussians, weights, seed),
     )
 
@@ -120,8 +120,8 @@ def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
         SceneError: ``gaussians`` is of another type.
     """
     check_argument("surface_remark", gaussians, Gaussians, "Gaussians")
-    seen = np.count_nonzero(gaussians.opacities >= OPACITY_SEEN)
-    if seen < GAUSSIANS_LEAST or not np.ptp(gaussians.means, axis=0).any():
+    visible = np.count_nonzero(gaussians.opacities >= OPACITY_SEEN)
+    if visible < GAUSSIANS_LEAST or not np.ptp(gaussians.means, axis=0).any():
         return None
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device)
     fault = measure_surface(replace(gaussians, origin=(0.0, 0.0, 0.0)), renderer, 0).fault
@@ -162,10 +162,10 @@ def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, se
 def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
     """Returns the mean squared cosine between normals of sampled Gaussians and of their neighbours, 0..1."""
     rng = np.random.default_rng([seed, 12])
-    seen = np.flatnonzero(weights > 0.0)
-    if len(seen) < AGREEING_COUNT:
+    visible = np.flatnonzero(weights > 0.0)
+    if len(visible) < AGREEING_COUNT:
         return 1.0
-    others = rng.choice(seen, min(AGREEING_SET, len(seen)), replace=False)
+    others = rng.choice(visible, min(AGREEING_SET, len(visible)), replace=False)
     axes = shortest_axes(gaussians) if gaussians.normals is None else gaussians.normals.astype(np.float64)
     picks = rng.choice(gaussians.count, AGREEING_PICKS, p=weights)
     _, near = cKDTree(gaussians.means[others]).query(gaussians.means[picks], k=AGREEING_NEIGHBOURS + 1)

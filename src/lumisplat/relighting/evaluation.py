@@ -210,7 +210,7 @@ def evaluate_materials(
         config: Settings of the relit renders. None: ``Pipeline.HYBRID``, which has shadows and no bounces; if local
             lights light a room, ``Pipeline.PATH``, which has both. In any case there is no background, and samples go
             through the centres of pixels, because that is how Gaussians were trained and jitter would blur them again.
-            Rays that render antialiased captures as narrow as they are do use jitter.
+            Rays without a footprint, as for antialiased captures, do use jitter.
         samples: Samples per pixel of relit images. None: those of ``config``, or 64 if it has none, so that noise is a
             small part of the error (docs/guide/materials.md#grain).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
@@ -229,14 +229,14 @@ def evaluate_materials(
     found_environment = None if environment is None else _panorama(environment)
     truth, report = RelightableSet.open(folder), progress or no_progress
     given = with_albedo(gaussians)
-    seen = list(_compared_views(truth, given, device, report))
-    scale = albedo_scale(seen)
+    compared = list(_compared_views(truth, given, device, report))
+    scale = albedo_scale(compared)
     renderer = create_renderer(_relighting(config, samples, gaussians, has_lights=truth.has_lights), device)
     relit = _relit(truth, given, scale, renderer, report)
-    seen = [replace(view, relit=pictures) for view, pictures in zip(seen, relit, strict=True)]
-    views, problems = zip(*(measured(view, scale) for view in seen), strict=True)
+    compared = [replace(view, relit=pictures) for view, pictures in zip(compared, relit, strict=True)]
+    views, problems = zip(*(measured(view, scale) for view in compared), strict=True)
     light_psnr, environment_remarks = _environment_figure(found_environment, truth)
-    normal_mean, normal_median = normal_figures(seen)
+    normal_mean, normal_median = normal_figures(compared)
     return MaterialEvaluation(
         albedo_scale=scale,
         albedo_psnr=_mean([view.albedo_psnr for view in views]),
@@ -244,7 +244,7 @@ def evaluate_materials(
         albedo_psnr_linear=_mean([view.albedo_psnr_linear for view in views]),
         normal_mean=normal_mean,
         normal_median=normal_median,
-        roughness_rmse=roughness_rmse(seen),
+        roughness_rmse=roughness_rmse(compared),
         environment_psnr=light_psnr,
         relit={
             name: RelitFigures(*map(_mean, zip(*(view.relit[name] for view in views), strict=True)))
@@ -483,7 +483,7 @@ def measured(view: ComparedView, scale: Channels) -> tuple[MaterialView, list[st
         roughness_rmse=roughness_rmse([view]),
         relit={name: _relit_figures(pair, view.region, problems) for name, pair in view.relit.items()},
         region=view.region,
-        pictures=_pictures(view, scale),
+        pictures=_display_images(view, scale),
     )
     return result, problems
 
@@ -491,11 +491,11 @@ def measured(view: ComparedView, scale: Channels) -> tuple[MaterialView, list[st
 def _albedo_psnr(view: ComparedView, scale: Channels, *, linear: bool = False) -> float:
     if "albedo" not in view.layers:
         return math.nan
-    found, truth = _albedo_pictures(view, scale, linear=linear)
+    found, truth = _albedo_images(view, scale, linear=linear)
     return psnr(found, truth, region=view.region)
 
 
-def _albedo_pictures(view: ComparedView, scale: Channels, *, linear: bool = False) -> Pair:
+def _albedo_images(view: ComparedView, scale: Channels, *, linear: bool = False) -> Pair:
     found, truth = view.layers["albedo"]
     pair = np.clip(found * np.array(scale, np.float32), 0.0, 1.0), np.clip(truth, 0.0, 1.0)
     return pair if linear else (_displayed(pair[0]), _displayed(pair[1]))
@@ -516,20 +516,20 @@ def _relit_figures(pair: Pair, region: Flags, problems: list[str]) -> RelitFigur
     return RelitFigures(*figures)
 
 
-def _pictures(view: ComparedView, scale: Channels) -> dict[str, Pair]:
+def _display_images(view: ComparedView, scale: Channels) -> dict[str, Pair]:
     """Returns display images of layers and relit views, black outside the compared pixels."""
-    shown: dict[str, Pair] = {}
+    images: dict[str, Pair] = {}
     if "albedo" in view.layers:
-        shown["albedo"] = _albedo_pictures(view, scale)
+        images["albedo"] = _albedo_images(view, scale)
     if "normal" in view.layers:
         found, truth = view.layers["normal"]
-        shown["normal"] = 0.5 + 0.5 * found, 0.5 + 0.5 * truth
+        images["normal"] = 0.5 + 0.5 * found, 0.5 + 0.5 * truth
     if "roughness" in view.layers:
         found, truth = (np.repeat(values, 3, axis=2) for values in view.layers["roughness"])
-        shown["roughness"] = found, truth
-    shown |= {f"relit/{name}": pair for name, pair in view.relit.items()}
+        images["roughness"] = found, truth
+    images |= {f"relit/{name}": pair for name, pair in view.relit.items()}
     inside = view.region[..., None].astype(np.float32)
-    return {name: (np.clip(a, 0.0, 1.0) * inside, np.clip(b, 0.0, 1.0) * inside) for name, (a, b) in shown.items()}
+    return {name: (np.clip(a, 0.0, 1.0) * inside, np.clip(b, 0.0, 1.0) * inside) for name, (a, b) in images.items()}
 
 
 def with_albedo(gaussians: Gaussians) -> Gaussians:
