@@ -1,4 +1,4 @@
-"""Surfaces of which a share is there, to camera rays, in mirrors, and to the light, in all pipelines."""
+"""Surfaces with alpha in camera rays, mirrors and shadows, in all pipelines."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ HALVES[..., :3], HALVES[:, 8:, 3] = 255, 255
 
 
 def board(z: float, material: ls.MaterialSimple | ls.MaterialPbr, size: float = 2.0) -> ls.Mesh:
-    """An upright square about the axis of the view, u to the right."""
+    """An upright square around the view axis, with u to the right."""
     corners = size * np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]]) + [0, 0, z]
     uvs = np.array([[0, 1], [1, 1], [1, 0], [0, 0]])
     return ls.Mesh(corners, [[0, 2, 1], [0, 3, 2]], uvs=uvs, material=material)
 
 
-def shining(color: tuple[float, float, float], **alpha: Any) -> ls.MaterialSimple:
-    """Shows its colour without any light."""
+def emitting(color: tuple[float, float, float], **alpha: Any) -> ls.MaterialSimple:
+    """A material that shows its colour without light."""
     return ls.MaterialSimple(base_color=color, wrap_u=ls.TextureWrap.CLAMP, **alpha)
 
 
@@ -40,30 +40,30 @@ def render(scene: ls.Scene, pipeline: ls.Pipeline, samples: int | None = None, *
 
 @PIPELINES
 @pytest.mark.parametrize("lighting", [True, False])
-def test_a_mask_has_holes(pipeline: ls.Pipeline, lighting: bool) -> None:
-    """Where alpha is below the cutoff, the camera sees what is behind, exactly."""
-    masked = shining(GREEN, base_color_texture=HALVES, alpha_mode="mask")
-    scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, shining(RED), 4.0)])
+def test_alpha_mask_has_holes(pipeline: ls.Pipeline, lighting: bool) -> None:
+    """Below the cutoff, the camera sees exactly what is behind."""
+    masked = emitting(GREEN, base_color_texture=HALVES, alpha_mode="mask")
+    scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, emitting(RED), 4.0)])
     frame = render(scene, pipeline, 1, lighting=lighting, jitter=False)
     left, right = (RED, GREEN) if lighting else (encode_srgb(np.array(RED)), encode_srgb(np.array(GREEN)))
     np.testing.assert_allclose(frame.color[:, :15], np.broadcast_to(left, (16, 15, 3)), atol=2e-6)
     np.testing.assert_allclose(frame.color[:, 17:], np.broadcast_to(right, (16, 15, 3)), atol=2e-6)
 
 
-def test_the_cutoff_is_where_the_surface_begins() -> None:
-    """Alpha of the texture times the factor, compared with the cutoff: equal is there; above 1 nothing is."""
+def test_alpha_cutoff_is_inclusive() -> None:
+    """Texture alpha times the factor is opaque from the cutoff on; with a cutoff above 1, nothing is."""
     for alpha, cutoff, is_there in ((0.6, 0.5, True), (0.5, 0.5, True), (0.4, 0.5, False), (1.0, 1.5, False)):
-        masked = shining(GREEN, alpha_mode="mask", alpha=alpha, alpha_cutoff=cutoff)
-        scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, shining(RED), 4.0)])
+        masked = emitting(GREEN, alpha_mode="mask", alpha=alpha, alpha_cutoff=cutoff)
+        scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, emitting(RED), 4.0)])
         color = render(scene, ls.Pipeline.TRACE, 1, lighting=True).color
         np.testing.assert_allclose(color[8, 16], GREEN if is_there else RED, atol=2e-6)
 
 
 @PIPELINES
-def test_half_of_a_surface_shows_what_is_behind(pipeline: ls.Pipeline) -> None:
-    """0.25 of one surface, 0.5 of the next and the rest of the last: exactly by rays that go on, else in the mean."""
-    thin, thick = (shining(c, alpha_mode="blend", alpha=a) for c, a in ((GREEN, 0.25), (RED, 0.5)))
-    last = shining((0.0, 0.0, 1.0))
+def test_alpha_blending_weights_surfaces(pipeline: ls.Pipeline) -> None:
+    """0.25 of one surface, 0.5 of the next, and the rest of the last: exact by continued rays, else in the mean."""
+    thin, thick = (emitting(c, alpha_mode="blend", alpha=a) for c, a in ((GREEN, 0.25), (RED, 0.5)))
+    last = emitting((0.0, 0.0, 1.0))
     scene = ls.Scene(meshes=[board(0.0, thin), board(0.5, thick, 3.0), board(1.0, last, 4.0)])
     truth = 0.25 * np.array(GREEN) + 0.375 * np.array(RED) + 0.375 * np.array([0.0, 0.0, 1.0])
     exact = pipeline in (ls.Pipeline.TRACE, ls.Pipeline.HYBRID)
@@ -79,9 +79,11 @@ def test_half_of_a_surface_shows_what_is_behind(pipeline: ls.Pipeline) -> None:
         np.testing.assert_allclose(color.mean(axis=(0, 1)), truth, atol=0.01)
 
 
-def test_unlit_frames_blend_what_is_displayed() -> None:
-    """As captures are blended: encoded colours, in traced frames and, by samples, in rasterised ones."""
-    scene = ls.Scene(meshes=[board(0.0, shining(GREEN, alpha_mode="blend", alpha=0.3)), board(1.0, shining(RED), 4.0)])
+def test_unlit_alpha_blends_display_values() -> None:
+    """Encoded colours are blended, as for captures, in traced frames and, by samples, in rasterised ones."""
+    scene = ls.Scene(
+        meshes=[board(0.0, emitting(GREEN, alpha_mode="blend", alpha=0.3)), board(1.0, emitting(RED), 4.0)]
+    )
     truth = 0.3 * encode_srgb(np.array(GREEN)) + 0.7 * encode_srgb(np.array(RED))
     traced = render(scene, ls.Pipeline.TRACE, lighting=False)
     np.testing.assert_allclose(traced.color, np.broadcast_to(truth, traced.color.shape), atol=2e-6)
@@ -92,10 +94,10 @@ def test_unlit_frames_blend_what_is_displayed() -> None:
 
 @pytest.mark.parametrize("pipeline", SAMPLED)
 @pytest.mark.parametrize(("alpha", "mode"), [(0.25, ls.AlphaMode.BLEND), (1.0, ls.AlphaMode.MASK)])
-def test_shadows_are_as_dense_as_alpha(pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode) -> None:
-    """Behind the right half of a screen a lamp loses that share; behind its left half nothing."""
+def test_shadow_density_equals_alpha(pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode) -> None:
+    """Behind the right half of a screen, light is reduced by alpha; behind its left half it is not."""
     shade = replace(
-        shining((1.0, 1.0, 1.0), base_color_texture=HALVES, alpha_mode=mode, alpha=alpha), emissive=(0.0,) * 3
+        emitting((1.0, 1.0, 1.0), base_color_texture=HALVES, alpha_mode=mode, alpha=alpha), emissive=(0.0,) * 3
     )
     wall = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
     lamp = ls.LightDirectional((0.0, 0.0, 1.0), intensity=2.0)
@@ -109,20 +111,20 @@ def test_shadows_are_as_dense_as_alpha(pipeline: ls.Pipeline, alpha: float, mode
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
-def test_mirrors_show_the_same(pipeline: ls.Pipeline) -> None:
-    """A mask and a blend, seen in a mirror behind the camera's back."""
+def test_mirrors_show_alpha(pipeline: ls.Pipeline) -> None:
+    """A mask and a blended surface, seen in a mirror behind the camera."""
     mirror = board(0.0, ls.MaterialPbr(base_color=(1,) * 3, metallic=1.0, roughness=0.0), 4.0)
-    masked = board(-3.0, shining(GREEN, base_color_texture=HALVES, alpha_mode="mask"), 4.0)
-    blended = board(-4.0, shining(RED, alpha_mode="blend", alpha=0.5), 9.0)
-    far = board(-5.0, shining((0.0, 0.0, 1.0)), 9.0)
+    masked = board(-3.0, emitting(GREEN, base_color_texture=HALVES, alpha_mode="mask"), 4.0)
+    blended = board(-4.0, emitting(RED, alpha_mode="blend", alpha=0.5), 9.0)
+    far = board(-5.0, emitting((0.0, 0.0, 1.0)), 9.0)
     frame = render(ls.Scene(meshes=[mirror, masked, blended, far]), pipeline, 32, lighting=True, jitter=False)
     behind = 0.5 * np.array(RED) + 0.5 * np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(frame.color[:, :15].mean(axis=(0, 1)), behind, atol=0.02)
     np.testing.assert_allclose(frame.color[:, 17:].mean(axis=(0, 1)), GREEN, atol=1e-5)
 
 
-def test_lamps_with_holes_shine_less() -> None:
-    """A shining square of which a share is there lights as much as one that is whole and as much darker."""
+def test_emitters_with_alpha_emit_less() -> None:
+    """An emitting square with alpha lights as much as an opaque one that is darker by alpha."""
     floor = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
     settings: dict[str, Any] = {"max_bounces": 1, "background": None}
     means = []

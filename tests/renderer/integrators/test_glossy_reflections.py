@@ -1,4 +1,4 @@
-"""Rough surfaces that reflect what is around them: as paths do with one bounce, and without counting light twice."""
+"""Rough surfaces that reflect their environment: as one-bounce paths do, and without counting light twice."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ MATERIALS: dict[str, Material] = {
         emissive=(0, 0, 0), ambient=(0, 0, 0), diffuse=(0, 0, 0), specular=(0.9, 0.5, 0.2), shininess=20.0
     ),
 }
-"""Without a diffuse part, so that one bounce of a path is all in the highlight."""
+"""Materials without a diffuse part, so that one bounce of a path is all in the highlight."""
 
 
 def floor_and_box(material: Material, *lights: ls.LightPoint | ls.LightEnvironment, splats: bool = False) -> ls.Scene:
-    """A grey box that stands on a floor, which is a mesh or a set of Gaussians."""
+    """A grey box on a floor, which is a mesh or a set of Gaussians."""
     floor, box = (replace(mesh, material=of) for mesh, of in ((ls.plane(4.0), material), (ls.box(0.8), diffuse(0.6))))
     placed = ls.MeshInstance(box, position=(0.0, 0.41, -0.4))
     if splats:
@@ -42,7 +42,7 @@ def floor_and_box(material: Material, *lights: ls.LightPoint | ls.LightEnvironme
 
 
 def floors_mean(shown: ls.Scene, settings: ls.RenderConfig, seeds: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean light of the floor where it does not overlap the box, and its standard error, over seeds; (3,) each."""
+    """Mean light of the floor where the box does not cover it, and its standard error over seeds; (3,) each."""
     frames = [ls.render(shown, CAMERA, replace(settings, seed=seed), device="cpu") for seed in range(seeds)]
     beside = ndimage.binary_dilation(frames[0].instance_index == 1, np.ones((3, 3)))
     floor = (frames[0].instance_index == 0) & (np.asarray(beside) == 0)
@@ -51,7 +51,7 @@ def floors_mean(shown: ls.Scene, settings: ls.RenderConfig, seeds: int) -> tuple
 
 
 def agree(settings: ls.RenderConfig, shown: ls.Scene, bounces: int = 1) -> None:
-    """Frames show what those of paths do, within four standard errors, which are below 1 %, and more than without."""
+    """Asserts agreement with path tracing within four standard errors, below 1 %, and more light than without."""
     first = ls.PathConfig(primary=ls.config.PathPrimary.ISO)
     pathed = replace(settings, pipeline=ls.Pipeline.PATH, samples=10, max_bounces=bounces, path=first)
     (found, error), (expected, off) = floors_mean(shown, settings, 6), floors_mean(shown, pathed, 6)
@@ -66,26 +66,26 @@ GLOSSY = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=6, glossy_reflectio
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_highlights_reflect_what_paths_see_with_one_bounce(name: str) -> None:
-    """In the light of a lamp, and of a sky, neither of which is counted twice."""
+def test_highlight_reflections_equal_one_bounce_paths(name: str) -> None:
+    """Under a point light and an environment, neither of which is counted twice."""
     agree(GLOSSY, floor_and_box(MATERIALS[name], LAMP, DAYLIGHT))
 
 
-def test_gaussians_reflect_what_paths_see() -> None:
-    """A floor of Gaussians, which does not reflect itself."""
+def test_gaussian_reflections_equal_one_bounce_paths() -> None:
+    """A floor of Gaussians does not reflect itself."""
     agree(GLOSSY, floor_and_box(METAL, LAMP, splats=True))
 
 
-def test_hybrid_frames_have_the_same_rays() -> None:
-    """On meshes, where the first surface is the same."""
+def test_hybrid_and_traced_reflections_are_equal() -> None:
+    """Compares meshes, whose first hit is the same."""
     shown = floor_and_box(METAL, LAMP, DAYLIGHT)
     traced = ls.render(shown, CAMERA, replace(GLOSSY, samples=2), device="cpu")
     hybrid = ls.render(shown, CAMERA, replace(GLOSSY, samples=2, pipeline=ls.Pipeline.HYBRID), device="cpu")
     np.testing.assert_allclose(hybrid.color, traced.color, rtol=1e-3, atol=1e-5)
 
 
-def test_mirrors_in_highlights_show_the_sky() -> None:
-    """A mirror in place of the box: shadow rays do not reach the sky by it, rays in highlights do."""
+def test_mirrors_in_highlights_show_the_environment() -> None:
+    """With a mirror as the box, only reflection rays reach the environment by it; shadow rays do not."""
     shown = floor_and_box(METAL, DAYLIGHT)
     mirror = ls.MaterialPbr(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.0)
     (floor, box) = shown.meshes
@@ -94,10 +94,10 @@ def test_mirrors_in_highlights_show_the_sky() -> None:
 
 @pytest.mark.parametrize("pane", [False, True], ids=["open", "behind clear panes"])
 @pytest.mark.parametrize("light", [(DAYLIGHT,), ()], ids=["sky", "background"])
-def test_what_is_infinitely_far_is_not_counted_twice(light: tuple[ls.LightEnvironment, ...], pane: bool) -> None:
-    """Without anything that shines around them, rough metals are the same with rays in highlights, to the bit.
+def test_environment_is_not_counted_twice(light: tuple[ls.LightEnvironment, ...], pane: bool) -> None:
+    """Without other emitters around, rough metals are bit-equal with and without reflection rays.
 
-    A pane of glass that neither reflects nor bends lets all light of the sky pass, and hides nothing else.
+    A pane of glass that neither reflects nor refracts passes all environment light, and hides nothing else.
     """
     floor = replace(ls.plane(4.0), material=METAL)
     clear = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0)
@@ -109,8 +109,8 @@ def test_what_is_infinitely_far_is_not_counted_twice(light: tuple[ls.LightEnviro
     np.testing.assert_array_equal(with_rays.color, without.color)
 
 
-def test_captures_are_seen_in_highlights() -> None:
-    """A capture without a material shines as captured, and a rough floor reflects that, over no background."""
+def test_highlights_reflect_captures() -> None:
+    """A rough floor reflects an emissive capture, over no background."""
     box = ls.gaussians_from_mesh(replace(ls.box(0.8), material=diffuse(0.6)), 3000)
     kept = ls.SplatInstance(box, position=(0.0, 0.41, -0.4))
     shown = ls.Scene([kept], [replace(ls.plane(4.0), material=METAL)], [replace(LAMP, intensity=0.0)])
@@ -122,8 +122,8 @@ def test_captures_are_seen_in_highlights() -> None:
     assert (seen.color[floor] > 0.0).any()
 
 
-def test_without_bounces_there_are_none() -> None:
-    """Nor in a rasterised frame, nor by default."""
+def test_glossy_reflections_need_a_bounce() -> None:
+    """There are none with max_bounces 0, in rasterised frames, or by default."""
     shown = floor_and_box(METAL, LAMP)
     plain = ls.render(shown, CAMERA, replace(GLOSSY, glossy_reflections=False), device="cpu")
     none = ls.render(shown, CAMERA, replace(GLOSSY, max_bounces=0), device="cpu")
@@ -132,15 +132,15 @@ def test_without_bounces_there_are_none() -> None:
     assert not FramePlan.of(replace(GLOSSY, pipeline=ls.Pipeline.RASTER), shown).has_lobes
 
 
-def test_samples_follow_the_grain() -> None:
-    """Sixteen where nobody asks for a number, of a lamp alone as well."""
+def test_default_samples_follow_reflection_noise() -> None:
+    """The default is sixteen, also with only a point light."""
     shown = floor_and_box(METAL, LAMP)
     assert FramePlan.of(replace(GLOSSY, samples=None), shown).samples == 16
     assert FramePlan.of(replace(GLOSSY, samples=None, glossy_reflections=False), shown).samples == 1
 
 
-def test_the_layer_of_reflections_has_them() -> None:
-    """What rays in highlights add is in ``reflection``."""
+def test_reflection_layer_contains_highlights() -> None:
+    """The image ``reflection`` contains the light of reflection rays."""
     shown = floor_and_box(METAL, LAMP)
     settings = replace(GLOSSY, samples=4, aovs=("reflection",))
     glossy = ls.render(shown, CAMERA, settings, device="cpu")
@@ -151,7 +151,7 @@ def test_the_layer_of_reflections_has_them() -> None:
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
 def test_threads_and_schedules_change_nothing(pipeline: ls.Pipeline) -> None:
-    """The same bits on any number of threads, and nearly the same by the schedule of CUDA, with graphs."""
+    """Bit-equal for any number of threads, and nearly equal in CUDA's schedule with graphs."""
     settings = config(pipeline, samples=2, glossy_reflections=True)
     shown = scene(*LAMPS, SKY)
     frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (1, 2, 5)]

@@ -1,4 +1,4 @@
-"""Lamps in, through and around absorbing bodies, by Beer's law: the way from the eye and that to the lamp."""
+"""Lights in, through and around absorbing bodies, by Beer's law, on the paths to the eye and to the light."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from support.scenes.path_scenes import diffuse, quad, wide_sheet
 TINT = np.array([0.2, 0.5, 1.0])
 BODY = replace(CLEAR, attenuation_color=TINT, attenuation_distance=1.0)
 SLANT = np.array([0.6, 0.0, -0.8])
-"""From the origin, where the surface is, to the lamps."""
+"""Direction from the surface at the origin to the lights."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One body, in slabs across the z axis, a surface at 0, a lamp along `SLANT`; the lengths of both ways inside."""
+    """One body of slabs across the z axis, a surface at 0 and a light along `SLANT`, with the path lengths inside."""
 
     slabs: tuple[tuple[float, float], ...]
     lamp: float
@@ -45,7 +45,7 @@ def body(slabs: tuple[tuple[float, float], ...], material: ls.MaterialPbr) -> ls
 
 
 def assert_absorbed(case: Case, lamp: ls.LightPoint | ls.LightSphere, pipeline: ls.Pipeline) -> None:
-    """A mesh is as bright as without the body, times what both ways leave."""
+    """Asserts that a mesh has the brightness without the body, times the transmittance of both paths."""
     floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), diffuse(0.8))
     camera = ls.Camera.look_at((0, 0, case.eye), (0, 0, 0), width=16, height=8, fov_y=0.002)
     without, within = (
@@ -57,21 +57,21 @@ def assert_absorbed(case: Case, lamp: ls.LightPoint | ls.LightSphere, pipeline: 
 
 @TRACED
 @pytest.mark.parametrize("name", CASES)
-def test_light_is_absorbed_on_its_whole_way(pipeline: ls.Pipeline, name: str) -> None:
-    """From a lamp that rays never meet, so that its shadow rays pass glass."""
+def test_light_is_absorbed_on_both_paths(pipeline: ls.Pipeline, name: str) -> None:
+    """The light cannot be hit, so that its shadow rays pass glass."""
     assert_absorbed(CASES[name], ls.LightPoint(CASES[name].lamp * SLANT, intensity=50.0), pipeline)
 
 
 @TRACED
-def test_lamps_that_rays_meet(pipeline: ls.Pipeline) -> None:
-    """A sphere nearly as small: glass blocks the shadow rays of paths towards it."""
+def test_visible_lights_are_absorbed(pipeline: ls.Pipeline) -> None:
+    """A sphere light nearly as small: glass blocks the shadow rays of paths towards it."""
     case = CASES["both are inside"]
     assert_absorbed(case, ls.LightSphere(case.lamp * SLANT, 0.001, intensity=2e7), pipeline)
 
 
 @TRACED
-def test_gaussians_in_a_body(pipeline: ls.Pipeline) -> None:
-    """They are lit in it as meshes are."""
+def test_gaussians_in_media_are_lit_like_meshes(pipeline: ls.Pipeline) -> None:
+    """Gaussians inside of the body are lit like meshes."""
     case = CASES["both are inside"]
     without, within = (
         color(
@@ -86,8 +86,8 @@ def test_gaussians_in_a_body(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("visible", [False, True])
-def test_a_lamp_in_rough_glass(visible: bool) -> None:
-    """Sampled through the surface, whether or not rays meet it as well: its way inside is absorbed."""
+def test_light_inside_rough_glass_is_absorbed(visible: bool) -> None:
+    """The light is sampled through the surface, whether or not rays can hit it; its path inside is absorbed."""
     lamp = ls.LightSphere((0.0, 0.0, 1.0), 0.001, intensity=1e6, visible=visible)
     clear, dim = (
         color(

@@ -1,4 +1,4 @@
-"""Light inside meshes: absorption, thin walls, and media within media, against closed forms."""
+"""Light inside meshes: absorption, thin walls, and nested media, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 
 
 def reflectance(before: float, behind: float) -> float:
-    """Of a surface between two media, head on."""
+    """Fresnel reflectance at normal incidence between two media."""
     return ((before - behind) / (before + behind)) ** 2
 
 
 @TRACED
 @pytest.mark.parametrize("behind", ["sky", "mesh"])
-def test_a_slab_absorbs(pipeline: ls.Pipeline, behind: str) -> None:
-    """Without reflection, light is the colour to the power of thickness over distance: of a sky, or a lamp inside."""
+def test_slab_absorbs_by_beers_law(pipeline: ls.Pipeline, behind: str) -> None:
+    """Transmittance is the colour to the power of thickness over distance, for an environment or an emitter."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=0.7)
     if behind == "sky":
         scene = ls.Scene(meshes=[slab(0.0, 1.0, inside)], lights=[SKY])
@@ -41,8 +41,8 @@ def test_a_slab_absorbs(pipeline: ls.Pipeline, behind: str) -> None:
     np.testing.assert_allclose(color(scene, pipeline, 4), truth, rtol=2e-5)
 
 
-def test_unlit_frames_absorb_what_is_displayed() -> None:
-    """Like tints, the share that is left is encoded before it multiplies displayed colours."""
+def test_unlit_absorption_multiplies_display_values() -> None:
+    """The transmittance is encoded before it multiplies displayed colours, like tints."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     settings = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=(0.5, 0.5, 0.5), lighting=False)
     frame = ls.render(ls.Scene(meshes=[slab(0.0, 1.0, inside)]), AHEAD, settings, device="cpu")
@@ -52,8 +52,8 @@ def test_unlit_frames_absorb_what_is_displayed() -> None:
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 @pytest.mark.parametrize("place", ["beyond", "within"])
-def test_shadows_of_absorbing_glass(pipeline: ls.Pipeline, place: str) -> None:
-    """A lamp behind it, or in it, or far away: what the way through leaves."""
+def test_absorbing_glass_tints_shadows(pipeline: ls.Pipeline, place: str) -> None:
+    """With a light behind it, in it, or far away, shadow rays get the transmittance of their path."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
     lamp = ls.LightPoint((0.0, 0.0, -6.0 if place == "beyond" else -4.5), intensity=50.0)
@@ -67,8 +67,8 @@ def test_shadows_of_absorbing_glass(pipeline: ls.Pipeline, place: str) -> None:
 
 
 @TRACED
-def test_thin_walls(pipeline: ls.Pipeline) -> None:
-    """One pane: the share of one surface is mirrored, the tinted rest comes straight through, whatever the index."""
+def test_thin_wall_reflects_once_and_does_not_refract(pipeline: ls.Pipeline) -> None:
+    """One pane reflects like one surface, and transmits the tinted rest straight, whatever the index."""
     pane = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=1.0, ior=1.8, thin_walled=True)
     meshes = [
         quad((-9, -9, 0.0), (18, 0, 0), (0, 18, 0), pane),
@@ -82,8 +82,8 @@ def test_thin_walls(pipeline: ls.Pipeline) -> None:
 
 
 @TRACED
-def test_a_thin_wall_bends_nothing(pipeline: ls.Pipeline) -> None:
-    """An edge seen at an angle is where it is without the pane."""
+def test_thin_wall_does_not_shift_the_view(pipeline: ls.Pipeline) -> None:
+    """An edge seen at an angle stays in place behind the pane."""
     halves = [
         quad((-9, -9, 2.0), (9, 0, 0), (0, 18, 0), LIT),
         quad((0, -9, 2.0), (9, 0, 0), (0, 18, 0), DARK),
@@ -101,10 +101,12 @@ def test_a_thin_wall_bends_nothing(pipeline: ls.Pipeline) -> None:
 
 @TRACED
 @pytest.mark.parametrize(("water_priority", "ice_priority", "in_ice"), [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 1.0)])
-def test_ice_in_water(pipeline: ls.Pipeline, water_priority: int, ice_priority: int, in_ice: float) -> None:
-    """Ice whose half is in water: there is one of them, that of higher priority, or that was entered last.
+def test_overlapping_media_use_priorities(
+    pipeline: ls.Pipeline, water_priority: int, ice_priority: int, in_ice: float
+) -> None:
+    """Ice half in water: the overlap is the medium of higher priority, or the one entered last.
 
-    Which of the two absorbs, and over which way: a specular strength of 0 leaves no reflections.
+    The absorption shows which medium is used over which path; a specular strength of 0 removes reflections.
     """
     water = replace(CLEAR, ior=1.33, specular=0.0, attenuation_color=(0.5, 1.0, 1.0), attenuation_distance=1.0)
     ice = replace(CLEAR, ior=1.31, specular=0.0, attenuation_color=(1.0, 0.25, 1.0), attenuation_distance=1.0)
@@ -117,10 +119,10 @@ def test_ice_in_water(pipeline: ls.Pipeline, water_priority: int, ice_priority: 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, pytest.param(ls.Pipeline.PATH, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("priority", [1, pytest.param(-1, marks=pytest.mark.deep)])
-def test_surfaces_between_media_mirror_by_both(pipeline: ls.Pipeline, priority: int) -> None:
-    """Two bodies that overlap have three surfaces, each with the Fresnel reflectance of the media on its two sides.
+def test_surfaces_between_media_use_both_indices(pipeline: ls.Pipeline, priority: int) -> None:
+    """Two overlapping bodies have three surfaces, each with the Fresnel reflectance of the media on both sides.
 
-    Light to and fro between parallel surfaces: 1 over the transmitted share is 1 + sum R / (1 - R).
+    For multiple reflections between parallel surfaces, 1 over the transmitted fraction is 1 + sum R / (1 - R).
     """
     indices = (1.0, 1.31, 1.6, 1.0)
     bodies = [slab(-1.0, 1.0, replace(CLEAR, ior=1.31, priority=priority)), slab(0.0, 2.0, replace(CLEAR, ior=1.6))]
@@ -133,8 +135,8 @@ def test_surfaces_between_media_mirror_by_both(pipeline: ls.Pipeline, priority: 
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_a_bubble_in_glass_of_one_index_cannot_be_seen(pipeline: ls.Pipeline) -> None:
-    """A ball of glass within a ball of the same glass mirrors and bends nothing; one of air does."""
+def test_glass_inside_equal_glass_is_invisible(pipeline: ls.Pipeline) -> None:
+    """A ball of glass in a ball of the same glass neither reflects nor refracts; one of air does."""
     glass = replace(CLEAR, ior=1.5)
     view = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=24, height=24, fov_y=0.5)
     sky = np.zeros((16, 32, 3), np.float32)
@@ -157,8 +159,8 @@ def test_a_bubble_in_glass_of_one_index_cannot_be_seen(pipeline: ls.Pipeline) ->
 
 
 @TRACED
-def test_open_glass_is_told_of(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
-    """Once, with the mesh's name: triangles that face inwards; what is closed says nothing."""
+def test_inverted_glass_is_logged_once(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
+    """The warning names the mesh whose triangles face inwards; closed meshes log nothing."""
     good = ball(0.5, replace(CLEAR, ior=1.5), rows=12)
     bad = ball(0.5, replace(CLEAR, ior=1.5), hollow=True, rows=12)
     settings = ls.RenderConfig(pipeline=pipeline, samples=2)
@@ -172,14 +174,14 @@ def test_open_glass_is_told_of(pipeline: ls.Pipeline, caplog: pytest.LogCaptureF
 
 
 @pytest.mark.parametrize("distance", [0.0, -1.0, float("nan"), "far"])
-def test_wrong_distances_are_refused(distance: Any) -> None:
-    """In one line, with what was expected."""
+def test_invalid_attenuation_distances_are_refused(distance: Any) -> None:
+    """One message states the expected values."""
     with pytest.raises(ls.SceneError, match=r"attenuation_distance is .*, expected a number above 0, or inf"):
         ls.MaterialPbr(attenuation_distance=distance)
 
 
 @pytest.mark.parametrize("value", [(0.5, -0.1, 1.0), (float("nan"), 1.0, 1.0), (2.0, 1.0, 1.0), float("inf")])
-def test_wrong_attenuation_is_refused(value: Any) -> None:
-    """Neither negative nor above 1 nor no number at all."""
+def test_invalid_attenuation_colors_are_refused(value: Any) -> None:
+    """Negative values, values above 1 and NaN are refused."""
     with pytest.raises(ls.SceneError, match=r"attenuation_color is .*, expected three numbers in 0\.\.1"):
         ls.MaterialPbr(attenuation_color=value)

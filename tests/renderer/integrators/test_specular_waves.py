@@ -1,4 +1,4 @@
-"""Mirrors and glass among meshes, without Gaussians: geometry and energy by hand."""
+"""Mirrors and glass among meshes, without Gaussians: geometry and energy calculated by hand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LAMP = ls.MaterialPbr(base_color=WHITE)
 FORWARD = np.array([[0.0, 0.0, 1.0]])
 ORIGIN = np.zeros((1, 3))
 SCALES = [(1e-3, 0.0), (1.0, 0.0), (1e3, 0.0), (1.0, 1e3)]
-"""Sizes, and how many sizes away from the world's origin."""
+"""Scale, and distance from the world's origin in scales."""
 
 
 @pytest.fixture(params=DEVICES)
@@ -46,7 +46,7 @@ def ball(material: ls.MaterialPbr, subdivisions: int = 4) -> ls.Mesh:
 
 
 def shape(name: str, material: ls.MaterialPbr) -> ls.Mesh:
-    """A closed convex mesh of size 1; one with needles at its poles."""
+    """A closed convex mesh of size 1; one of them has needles at its poles."""
     if name == "cube":
         return cube(material)
     if name == "needles":
@@ -55,7 +55,7 @@ def shape(name: str, material: ls.MaterialPbr) -> ls.Mesh:
 
 
 def placed(scale: float, offset: float) -> np.ndarray:
-    """Turned, scaled and moved by ``offset`` times the scale."""
+    """Transform with a rotation, the scale, and an offset in units of the scale."""
     return similarity((1.0, 2.0, 0.5), 0.9, scale, (0.8 * offset * scale, -0.6 * offset * scale, 0.0))
 
 
@@ -65,7 +65,7 @@ def moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def aims(rng: np.random.Generator, mesh: ls.Mesh, count: int) -> np.ndarray:
-    """Points all over a mesh, half of them on edges."""
+    """Points on a mesh, half of them on edges."""
     weights = rng.dirichlet((1.0, 1.0, 1.0), count)
     weights[::2, 0] = 0.0
     weights /= weights.sum(axis=1, keepdims=True)
@@ -86,14 +86,14 @@ def test_rough_meshes_show_their_colour(rig: RayRig) -> None:
     assert len(rig.waves) == 1
 
 
-def test_scenes_without_meshes(rig: RayRig) -> None:
-    """The background, also where a pixel has no ray."""
+def test_scene_without_meshes_shows_the_background(rig: RayRig) -> None:
+    """Holds also where a pixel has no ray."""
     seen = rig.colors(ls.Scene(), np.zeros((2, 3)), np.eye(3)[:2], background=WHITE, t_max=np.array([np.inf, 0.0]))
     np.testing.assert_array_equal(seen, [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
 
 
-def test_a_mirror_at_45_degrees(rig: RayRig) -> None:
-    """The reflected ray has the expected origin and direction, and the colour of the mirror."""
+def test_mirror_at_45_degrees_reflects_by_90(rig: RayRig) -> None:
+    """The reflected ray has the expected origin and direction, and the mirror's colour."""
     gold = replace(MIRROR, base_color=(1.0, 0.7, 0.3))
     scene = ls.Scene([], [quad(2.0, tilt=1.0, material=gold)])
     seen = rig.colors(scene, [[0.25, 0.1, 0.0]], FORWARD, background=(0.5, 0.5, 0.5))
@@ -106,8 +106,8 @@ def test_a_mirror_at_45_degrees(rig: RayRig) -> None:
     np.testing.assert_allclose(seen[0], 0.5 * encode_srgb(head_on), atol=1e-5)
 
 
-def test_the_way_back_is_unfolded(rig: RayRig) -> None:
-    """However often a ray is reflected, its eye lies as far behind it as the path is long."""
+def test_reflected_paths_are_unfolded(rig: RayRig) -> None:
+    """After any number of reflections, the virtual eye is as far behind the ray as the path is long."""
     scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
     along = normalized(np.array([[0.3, 0.1, 1.0]]))
     rig.colors(scene, ORIGIN, along, bounces=5)
@@ -118,8 +118,8 @@ def test_the_way_back_is_unfolded(rig: RayRig) -> None:
 
 
 @pytest.mark.parametrize("bounces", [0, 1, 2, 7])
-def test_bounces_are_counted(rig: RayRig, bounces: int) -> None:
-    """Between two mirrors as many waves go out as may, and the last sees the background; fewer where rays leave."""
+def test_max_bounces_limits_the_waves(rig: RayRig, bounces: int) -> None:
+    """Between two mirrors, the last wave sees the background; fewer waves start where rays leave."""
     scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
     seen = rig.colors(scene, ORIGIN, FORWARD, bounces=bounces, background=WHITE)
     np.testing.assert_allclose(seen, 1.0, atol=1e-5)
@@ -130,8 +130,8 @@ def test_bounces_are_counted(rig: RayRig, bounces: int) -> None:
     assert len(rig.waves) == 1 + min(bounces, 1)
 
 
-def test_a_slab_shifts_rays_sideways(rig: RayRig) -> None:
-    """By d sin(a) (1 - cos(a) / (n cos(b))) from its line, and parallel to it (Snell by hand)."""
+def test_slab_shifts_rays_by_snells_law(rig: RayRig) -> None:
+    """The shift is d sin(a) (1 - cos(a) / (n cos(b))), and rays leave parallel."""
     angle, ior, thickness = np.radians(50.0), 1.5, 0.3
     along = np.array([[np.sin(angle), 0.0, np.cos(angle)]])
     rig.colors(ls.Scene([], [slab(1.0, thickness, GLASS)]), ORIGIN, along, bounces=2)
@@ -148,8 +148,8 @@ def test_a_slab_shifts_rays_sideways(rig: RayRig) -> None:
     assert origin[2] == pytest.approx(1.0 + thickness, rel=3e-5)
 
 
-def test_a_slab_splits_light(rig: RayRig) -> None:
-    """Head on: 4 % come back from each face, tinted by each crossing; a second one inside sees the background."""
+def test_slab_reflects_and_transmits_by_fresnel(rig: RayRig) -> None:
+    """Head on, each face reflects 4 %, tinted by each crossing; the second inner reflection sees the background."""
     tint = np.array([0.8, 0.5, 0.2])
     glass = replace(GLASS, base_color=tuple(tint))
     seen = rig.colors(ls.Scene([], [slab(1.0, 0.3, glass)]), ORIGIN, FORWARD, bounces=9, background=WHITE)
@@ -159,15 +159,15 @@ def test_a_slab_splits_light(rig: RayRig) -> None:
 
 
 def test_partly_transparent_glass_shows_its_colour(rig: RayRig) -> None:
-    """What is neither reflected nor let through is the base colour."""
+    """The fraction that is neither reflected nor transmitted shows the base colour."""
     paint = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), roughness=0.0, transmission=0.25)
     scene = ls.Scene([], [quad(1.0, material=paint)])
     seen = rig.colors(scene, ORIGIN, FORWARD, bounces=0)
     np.testing.assert_allclose(seen[0], 0.96 * 0.75 * encode_srgb(np.full(3, 0.5)), atol=1e-5)
 
 
-def test_a_prism_turns_light_round_the_corner(rig: RayRig) -> None:
-    """Total internal reflection at 45 degrees: all but two crossings' 4 % arrive, and none of it straight on."""
+def test_prism_reflects_totally(rig: RayRig) -> None:
+    """Total internal reflection at 45 degrees: all light but two crossings' 4 % arrives, and none goes straight."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 1, 0], [0, 1, 1]], dtype=float) - [0, 0.5, 0]
     faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [0, 2, 5], [0, 5, 3], [1, 4, 5], [1, 5, 2]]
     prism = ls.Mesh(corners, np.array(faces), material=GLASS)
@@ -176,7 +176,7 @@ def test_a_prism_turns_light_round_the_corner(rig: RayRig) -> None:
     np.testing.assert_allclose(seen[0], np.full(3, 0.96**2), atol=1e-5)
 
 
-def test_gaussians_before_each_surface_count(rig: RayRig) -> None:
+def test_gaussians_in_front_of_each_surface_are_blended(rig: RayRig) -> None:
     """Their colour and transmittance apply on every segment of the path."""
     rig.color, rig.transmittance = (0.1, 0.2, 0.3), 0.5
     fog, sky = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
@@ -185,8 +185,8 @@ def test_gaussians_before_each_surface_count(rig: RayRig) -> None:
         np.testing.assert_allclose(seen[0], fog + 0.5 * (fog + 0.5 * sky), atol=1e-6)
 
 
-def test_faint_branches_are_not_followed() -> None:
-    """Below 1/512 of the pixel, whether by reflectance, by tint or by what Gaussians leave."""
+def test_faint_branches_are_not_traced() -> None:
+    """A branch below 1/512 of the pixel ends, whether by reflectance, tint or transmittance."""
     head_on = ls.Scene([], [quad(2.0, material=ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0))])
     for specular, transmittance, waves in ((1.0, 1.0, 2), (0.05, 1.0, 2), (0.048, 1.0, 1), (1.0, 0.048, 1)):
         material = replace(head_on.meshes[0].mesh.material, specular=specular)
@@ -196,15 +196,15 @@ def test_faint_branches_are_not_followed() -> None:
 
 
 def test_weights_multiply_along_the_path(rig: RayRig) -> None:
-    """Between two surfaces that reflect 19.75 % the third reflection still counts, the fourth does not."""
+    """Between two surfaces that reflect 19.75 %, the third reflection still counts, and the fourth does not."""
     dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=2.6)
     corridor = ls.Scene([], [quad(2.0, material=dark), quad(-1.0, material=dark)])
     rig.colors(corridor, ORIGIN, FORWARD, bounces=9)
     assert len(rig.waves) == 1 + 3
 
 
-def test_branches_draw_numbers_of_their_own(rig: RayRig) -> None:
-    """No two rays of a tree share their random numbers."""
+def test_branches_have_independent_random_numbers(rig: RayRig) -> None:
+    """No two rays of a tree share random numbers."""
     rig.colors(ls.Scene([], [slab(1.0, 0.3, GLASS)]), ORIGIN, normalized(np.array([[0.5, 0.0, 1.0]])), bounces=4)
     sample_keys = np.concatenate([wave.sample_key for wave in rig.waves])
     assert len(np.unique(sample_keys)) == len(sample_keys) > 4
@@ -223,8 +223,8 @@ def test_branches_draw_numbers_of_their_own(rig: RayRig) -> None:
         ("air", 1.0, 1.0, 1e-5),
     ],
 )
-def test_white_furnace(rig: RayRig, name: str, ior: float, specular: float, lost: float) -> None:
-    """A clear ball in a white world disappears, but for the branches too faint to follow."""
+def test_clear_glass_disappears_in_a_furnace(rig: RayRig, name: str, ior: float, specular: float, lost: float) -> None:
+    """White furnace: a clear ball is invisible, except for branches too faint to trace."""
     rng = np.random.default_rng(1)
     across = rng.uniform(-0.6, 0.6, (4000, 2))
     material = replace(GLASS, ior=ior, specular=specular)
@@ -235,8 +235,8 @@ def test_white_furnace(rig: RayRig, name: str, ior: float, specular: float, lost
     assert seen.min() > 1.0 - lost
 
 
-def test_a_furnace_of_mirrors(rig: RayRig) -> None:
-    """White mirrors reflect all of a white world, however they lie."""
+def test_white_mirrors_disappear_in_a_furnace(rig: RayRig) -> None:
+    """White mirrors reflect all of a white environment, in any orientation."""
     meshes = [
         ls.MeshInstance(ball(MIRROR, 2), similarity(offset=(x, y, 6.0), scale=0.6)) for x in (-1, 1) for y in (-1, 1)
     ]
@@ -251,8 +251,8 @@ def test_a_furnace_of_mirrors(rig: RayRig) -> None:
 
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
-def test_mirrors_do_not_see_themselves(rig: RayRig, name: str, scale: float, offset: float) -> None:
-    """Convex mirrors from outside, near and far: every reflection leaves at the first try."""
+def test_convex_mirrors_do_not_hit_themselves(rig: RayRig, name: str, scale: float, offset: float) -> None:
+    """From outside, near and far, every reflection leaves at once."""
     mesh, matrix = shape(name, MIRROR), placed(scale, offset)
     rng = np.random.default_rng(3)
     inner = 0.9 * aims(rng, mesh, 8000)
@@ -268,8 +268,8 @@ def test_mirrors_do_not_see_themselves(rig: RayRig, name: str, scale: float, off
 @pytest.mark.parametrize("pose", [pytest.param("turned", marks=pytest.mark.deep), "sheared"])
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
-def test_closed_mirrors_keep_light_in(rig: RayRig, name: str, scale: float, offset: float, pose: str) -> None:
-    """From inside, at faces, edges and corners, after six reflections: nothing gets out."""
+def test_closed_mirrors_do_not_leak(rig: RayRig, name: str, scale: float, offset: float, pose: str) -> None:
+    """From inside, at faces, edges and corners, no ray is outside after six reflections."""
     mesh, matrix = shape(name, MIRROR), placed(scale, offset)
     if pose == "sheared":
         matrix = (
@@ -286,8 +286,8 @@ def test_closed_mirrors_keep_light_in(rig: RayRig, name: str, scale: float, offs
 
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
-def test_what_enters_glass_meets_it_from_inside(rig: RayRig, name: str, scale: float, offset: float) -> None:
-    """Refracted rays cross the body: they neither hit the surface they entered through nor miss the other one."""
+def test_refracted_rays_cross_the_body(rig: RayRig, name: str, scale: float, offset: float) -> None:
+    """They neither hit the surface through which they entered nor miss the other one."""
     mesh, matrix = shape(name, GLASS), placed(scale, offset)
     rng = np.random.default_rng(5)
     origins = moved(normalized(rng.normal(size=(8000, 3))) * 3.0, matrix)
@@ -301,8 +301,8 @@ def test_what_enters_glass_meets_it_from_inside(rig: RayRig, name: str, scale: f
     assert (wave.t_max[refracted] > 1e-3 * scale).mean() > 0.999
 
 
-def test_mirrored_instances_keep_their_inside(rig: RayRig) -> None:
-    """A mirroring instance of a glass body renders as the mirrored body: rays still enter it from outside."""
+def test_mirrored_glass_instances_are_entered_from_outside(rig: RayRig) -> None:
+    """A mirrored instance of a glass body renders like the mirrored body."""
     mesh = shapes.rounded_box((1.0, 2.0, 0.8), 0.2)
     lens = replace(mesh, material=replace(GLASS, base_color=(0.9, 0.7, 0.4)))
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -315,7 +315,9 @@ def test_mirrored_instances_keep_their_inside(rig: RayRig) -> None:
     rng = np.random.default_rng(6)
     pose = similarity((0.2, 1.0, 0.3), 0.7, 1.0, (0.1, 0.0, 4.0))
     along = normalized(np.append(rng.uniform(-0.25, 0.25, (3000, 2)), np.ones((3000, 1)), axis=1))
-    wall = quad(8.0, 9.0, uvs=[[0, 0], [9, 0], [9, 9], [0, 9]], material=replace(LAMP, base_color_texture=checks()))
+    wall = quad(
+        8.0, 9.0, uvs=[[0, 0], [9, 0], [9, 9], [0, 9]], material=replace(LAMP, base_color_texture=noise_texture())
+    )
     views = [
         rig.colors(ls.Scene([], [ls.MeshInstance(body, matrix), wall]), np.zeros((3000, 3)), along, bounces=4)
         for body, matrix in ((lens, pose @ flip), (by_hand, pose))
@@ -325,7 +327,7 @@ def test_mirrored_instances_keep_their_inside(rig: RayRig) -> None:
     assert views[0].std() > 0.1
 
 
-def checks() -> np.ndarray:
+def noise_texture() -> np.ndarray:
     """A soft random texture."""
     return np.random.default_rng(7).integers(0, 256, (8, 8, 3), dtype=np.uint8)
 
@@ -334,7 +336,7 @@ def checks() -> np.ndarray:
 
 
 def test_threads_do_not_change_a_bit() -> None:
-    """The same colours with one thread and with three."""
+    """Colours are bit-equal with one thread and with three."""
     rng = np.random.default_rng(8)
     along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
     scene = ls.Scene([], [ls.MeshInstance(ball(GLASS, 2), similarity(offset=(0, 0, 4))), quad(7.0, 3.0)])
@@ -342,8 +344,8 @@ def test_threads_do_not_change_a_bit() -> None:
     np.testing.assert_array_equal(one, three)
 
 
-def test_warm_buffers_are_used_again(rig: RayRig) -> None:
-    """A view with a few rays more or less in glass allocates nothing new, and old rays leave no trace in it."""
+def test_waves_reuse_buffers(rig: RayRig) -> None:
+    """A view with a few more or fewer rays in glass allocates nothing, and old rays leave no trace."""
     rng = np.random.default_rng(9)
     along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
     lens = ball(GLASS, 2)
@@ -358,7 +360,7 @@ def test_warm_buffers_are_used_again(rig: RayRig) -> None:
     np.testing.assert_array_equal(back, first)
 
 
-def test_no_rays_at_all(rig: RayRig) -> None:
-    """No rays give no colours."""
+def test_zero_rays_give_no_colours(rig: RayRig) -> None:
+    """Zero rays give empty arrays."""
     seen = rig.colors(ls.Scene([], [quad(2.0, material=MIRROR)]), np.zeros((0, 3)), np.zeros((0, 3)))
     assert seen.shape == (0, 3)

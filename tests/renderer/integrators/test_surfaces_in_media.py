@@ -1,4 +1,4 @@
-"""Opaque bodies under water: they mirror by their index over that of the water around them, and keep their light."""
+"""Opaque bodies under water reflect by the ratio of their index to the water's, and lose no energy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from support.scenes.path_scenes import ball, quad, wide_sheet
 TRACED = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
 AHEAD = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=8, fov_y=0.002)
 WATER = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, ior=1.33, specular=0.0)
-"""Its own surface mirrors nothing head on."""
+"""Water whose own surface reflects nothing at normal incidence."""
 SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 
@@ -39,8 +39,8 @@ def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 @TRACED
 @pytest.mark.parametrize("ior", [1.5, 1.33, 1.1, 1.0])
 @pytest.mark.parametrize("thin_walled", [False, True])
-def test_head_on_reflectance(pipeline: ls.Pipeline, ior: float, thin_walled: bool) -> None:
-    """Black varnish, or a black pane, under a white sky: the square of the difference over the sum of the indices."""
+def test_normal_reflectance_under_water(pipeline: ls.Pipeline, ior: float, thin_walled: bool) -> None:
+    """Black varnish, or a black pane, under a white environment: squared difference over squared sum of the indices."""
     black = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=ior)
     if thin_walled:
         black = replace(black, transmission=1.0, thin_walled=True)
@@ -51,8 +51,10 @@ def test_head_on_reflectance(pipeline: ls.Pipeline, ior: float, thin_walled: boo
 
 @TRACED
 @pytest.mark.parametrize(("kind", "roughness"), [("mesh", 0.0), ("mesh", 0.5), ("capture", 0.5)])
-def test_as_in_air_by_the_ratio_of_indices(pipeline: ls.Pipeline, kind: str, roughness: float) -> None:
-    """What a lamp behind the camera lights, highlight and what is below it: as a body in air of the indices' ratio."""
+def test_underwater_body_equals_one_in_air_with_the_relative_index(
+    pipeline: ls.Pipeline, kind: str, roughness: float
+) -> None:
+    """Compares highlight and diffuse light from a light behind the camera."""
     by_chance = pipeline is ls.Pipeline.PATH and roughness == 0.0  # mirrored, or scattered below
 
     def shown(ior: float, around: list[ls.Mesh]) -> Any:
@@ -72,8 +74,8 @@ def test_as_in_air_by_the_ratio_of_indices(pipeline: ls.Pipeline, kind: str, rou
 
 @pytest.mark.parametrize("ior", [1.6, 1.15])
 @pytest.mark.parametrize("roughness", [0.0, 0.4])
-def test_white_furnace_under_water(ior: float, roughness: float) -> None:
-    """A white body in a ball of water below a white sky cannot be seen, and neither can the water."""
+def test_white_body_under_water_disappears_in_a_furnace(ior: float, roughness: float) -> None:
+    """A white body in a ball of water is invisible, and so is the water."""
     white = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=roughness, ior=ior)
     water = ball(1.0, replace(WATER, specular=1.0), rows=16)
     camera = ls.Camera.look_at((0, 0, -4), (0, 0, 0), width=24, height=24, fov_y=0.3)

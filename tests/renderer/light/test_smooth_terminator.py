@@ -1,4 +1,4 @@
-"""The edge of light on smooth meshes of few triangles: as on many triangles, and no light where there is none."""
+"""The shadow terminator on smooth meshes of few triangles: as on many triangles, without light leaks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FRONT = ls.Camera.look_at((0.0, 0.0, 3.4), (0.0, 0.0, 0.0), width=96, height=96,
 
 
 def sphere(meridians: int, center: tuple[float, float, float] = (0.0, 0.0, 0.0), radius: float = 1.0) -> ls.Mesh:
-    """With half as many parallels, and the normals of the sphere."""
+    """A sphere with half as many parallels as meridians, and the sphere's normals."""
     angle, polar = np.meshgrid(
         np.linspace(0.0, 2.0 * np.pi, meridians + 1), np.linspace(0.0, np.pi, meridians // 2 + 1), indexing="ij"
     )
@@ -39,13 +39,13 @@ def frame_of(
     samples: int = 1,
     camera: ls.Camera = FRONT,
 ) -> ls.Frame:
-    """Lit by one light."""
+    """A frame lit by one light."""
     config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=shadows, samples=samples)
     return ls.render(ls.Scene(meshes=meshes, lights=[light]), camera, config, device="cpu")
 
 
 def misjudged(coarse: ls.Frame, fine: ls.Frame) -> tuple[float, float]:
-    """Shares of pixels that are black and should not be, and that are lit and should be black."""
+    """Fractions of pixels that are wrongly black, and wrongly lit."""
     both = (coarse.alpha > 0.0) & (fine.alpha > 0.0)
     ours, theirs = coarse.color[both][:, 0], fine.color[both][:, 0]
     return float(((ours == 0.0) & (theirs > 0.05)).mean()), float(((theirs == 0.0) & (ours > 0.05)).mean())
@@ -53,8 +53,8 @@ def misjudged(coarse: ls.Frame, fine: ls.Frame) -> tuple[float, float]:
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.OFF], ids=lambda shadows: shadows.value)
-def test_few_triangles_are_lit_as_many_are(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
-    """A sphere of 12 meridians keeps its light up to the terminator, and gets none beyond."""
+def test_coarse_sphere_is_lit_like_a_fine_one(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+    """A sphere of 12 meridians is lit up to the terminator, and not beyond."""
     coarse, fine = (frame_of([sphere(count)], SIDE, pipeline, shadows) for count in (12, 192))
     dark, lit = misjudged(coarse, fine)
     assert dark < 0.006
@@ -73,8 +73,8 @@ def test_few_triangles_are_lit_as_many_are(shadows: ls.Shadows, pipeline: ls.Pip
     ],
     ids=["sun", "lamp"],
 )
-def test_soft_light_too(light: Light) -> None:
-    """From a sun of 6 degrees, and from a lamp nearby that has an extent."""
+def test_coarse_sphere_is_lit_by_soft_light_like_a_fine_one(light: Light) -> None:
+    """Covers a sun of 6 degrees and a nearby area light."""
     coarse, fine = (frame_of([sphere(count)], light, shadows=ls.Shadows.SOFT, samples=16) for count in (12, 192))
     dark, lit = misjudged(coarse, fine)
     assert dark < 0.006
@@ -82,8 +82,8 @@ def test_soft_light_too(light: Light) -> None:
 
 
 @PIPELINES
-def test_no_light_from_behind(pipeline: ls.Pipeline) -> None:
-    """What faces away stays black: a sphere of few triangles, and a box with normals of its faces."""
+def test_back_facing_surfaces_stay_black(pipeline: ls.Pipeline) -> None:
+    """Covers a coarse smooth sphere, and a box with face normals."""
     ball = frame_of([sphere(12)], BEHIND, pipeline)
     assert ball.alpha.max() == 1.0
     # The camera, not infinitely far away, sees a little less than the dark half.
@@ -94,7 +94,7 @@ def test_no_light_from_behind(pipeline: ls.Pipeline) -> None:
 
 
 def cube(half: float = 0.7) -> ls.Mesh:
-    """Each face with its own vertices and normals."""
+    """A cube whose faces have their own vertices and normals."""
     positions, normals, faces = [], [], []
     for axis in range(3):
         for sign in (-1.0, 1.0):
@@ -107,8 +107,8 @@ def cube(half: float = 0.7) -> ls.Mesh:
     return ls.Mesh(positions, faces, normals=normals, material=matte(1.0))
 
 
-def test_a_closed_room_stays_dark() -> None:
-    """Spheres of few triangles that touch the walls get no light from outside through them."""
+def test_light_does_not_leak_into_a_closed_room() -> None:
+    """Coarse spheres that touch the walls get no light from outside."""
     room = cube(1.0)
     balls = [sphere(8, (x, y, 0.0), 0.45) for x in (-0.55, 0.55) for y in (-0.55, 0.55)]
     camera = ls.Camera.look_at((0.0, 0.0, 0.95), (0.0, 0.0, 0.0), width=96, height=96, fov_y=1.6)
@@ -119,7 +119,7 @@ def test_a_closed_room_stays_dark() -> None:
 
 
 def test_concave_creases_keep_their_shadow() -> None:
-    """A valley with smoothed normals: the slope that faces away stays black up to the bottom."""
+    """In a valley with smoothed normals, the slope that faces away stays black down to the bottom."""
     ends = np.array([[-1.0, 0.6], [0.0, 0.0], [1.0, 0.6]])
     positions = [[x, y, z] for z in (-1.0, 1.0) for x, y in ends]
     tilted = np.array([[0.6, 1.0, 0.0], [0.0, 1.0, 0.0], [-0.6, 1.0, 0.0]])
@@ -135,8 +135,8 @@ def test_concave_creases_keep_their_shadow() -> None:
     assert frame.color[x < -20.0].all()
 
 
-def test_walls_behind_a_lamp_do_not_hide_it() -> None:
-    """Ways to a lamp end at the lamp, wherever they start."""
+def test_walls_behind_a_light_do_not_block_it() -> None:
+    """Shadow rays end at the light, wherever they start."""
     lamp = ls.LightPoint((1.6, 0.0, -1.1), intensity=10.0)
     corners = [[1.66, -9.0, -9.0], [1.66, 9.0, -9.0], [1.66, 9.0, 9.0], [1.66, -9.0, 9.0]]
     wall = ls.Mesh(corners, [[0, 1, 2], [0, 2, 3]], material=matte(0.0))

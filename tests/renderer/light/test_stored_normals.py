@@ -1,4 +1,4 @@
-"""Normals that Gaussians carry, where their surface bends away from the eye."""
+"""Normals stored with Gaussians, where the surface curves away from the eye."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PAPER = ls.MaterialPbr(roughness=1.0, specular=0.0)
 
 
 def ball(count: int = 3000) -> ls.Gaussians:
-    """A white unit ball of round Gaussians, whose normals point outwards."""
+    """A white unit ball of round Gaussians with outward normals."""
     outwards = even_directions(count)
     spread = np.full((count, 3), 0.03)
     wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -29,14 +29,14 @@ def ball(count: int = 3000) -> ls.Gaussians:
 
 
 def seen(capture: ls.Gaussians, pipeline: ls.Pipeline, light: ls.LightDirectional) -> ls.Frame:
-    """It, lit without shadows."""
+    """A frame of the capture, lit without shadows."""
     scene = ls.Scene(splats=[ls.SplatInstance(capture, material=PAPER)], lights=[light])
     config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=ls.Shadows.OFF, background=None)
     return ls.render(scene, CAMERA, config, device="cpu")
 
 
 def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels whose rays just miss the ball but not its Gaussians, shape (H, W), and which way they pass, (H, W, 3)."""
+    """Pixels whose rays miss the ball but hit its Gaussians, (H, W), and the closest directions, (H, W, 3)."""
     ways = CAMERA.ray_directions().astype(np.float64) @ CAMERA.camera_from_world[:3, :3]
     nearest = EYE - (ways @ EYE)[..., None] * ways
     distance = np.linalg.norm(nearest, axis=-1, keepdims=True)
@@ -46,10 +46,10 @@ def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_a_ball_keeps_its_normals_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
-    """Gaussians from just behind the horizon show there, and must not cancel those before it.
+def test_normals_are_correct_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
+    """Gaussians from just behind the horizon are visible there, and must not cancel those in front.
 
-    Opaque ones reach 3.3 scales, 0.1 here: what shows is at most acos(0.9) = 26 degrees before the horizon.
+    Opaque ones reach 3.3 scales, 0.1 here: visible ones are at most acos(0.9) = 26 degrees from the horizon.
     """
     frame = seen(ball(), pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
     missed, outwards = silhouette(frame)
@@ -58,8 +58,8 @@ def test_a_ball_keeps_its_normals_up_to_the_silhouette(pipeline: ls.Pipeline) ->
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_a_light_from_the_side_shines_on_its_own_silhouette(pipeline: ls.Pipeline) -> None:
-    """And on no other; normals that were turned to the other side would be lit by what is behind the ball."""
+def test_side_light_reaches_only_its_own_silhouette(pipeline: ls.Pipeline) -> None:
+    """Flipped normals would be lit by light from behind the ball."""
     frame = seen(ball(), pipeline, ls.LightDirectional((-1.0, 0.0, 0.0), intensity=np.pi))
     missed, outwards = silhouette(frame)
     shown = frame.straight()[..., 0]
@@ -70,8 +70,8 @@ def test_a_light_from_the_side_shines_on_its_own_silhouette(pipeline: ls.Pipelin
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_a_sheet_from_behind_is_turned_around(pipeline: ls.Pipeline) -> None:
-    """More than 30 degrees beyond the horizon, its opposite is the normal; less, images have it bent to the horizon."""
+def test_back_facing_sheet_normals_are_flipped(pipeline: ls.Pipeline) -> None:
+    """Beyond 30 degrees behind the horizon the normal is flipped; below, it is bent to the horizon in images."""
     for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
         own = np.array([across, 0.0, along])
@@ -82,10 +82,10 @@ def test_a_sheet_from_behind_is_turned_around(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH])
-def test_a_surface_from_beyond_its_horizon_is_seen_as_from_its_own_side(pipeline: ls.Pipeline) -> None:
-    """It reflects light as it does to an eye that is as far above its horizon, whatever shines where.
+def test_slightly_back_facing_surfaces_are_shaded_from_their_side(pipeline: ls.Pipeline) -> None:
+    """A surface reflects as to an eye that is as far above its horizon, for any light.
 
-    As if seen from just above, a glossy one would be a mirror at every angle.
+    Shaded from just above the horizon, a glossy surface would be a mirror at every angle.
     """
     gloss, to_eye = ls.MaterialPbr(roughness=0.5), -CAMERA.ray_directions()[24, 24].astype(np.float64)
     to_eye = to_eye @ CAMERA.camera_from_world[:3, :3]

@@ -1,6 +1,6 @@
-"""Textures of transmission and layers, and how single textures wrap: a half of a texture is as a material of its texel.
+"""Textures of transmission and layers, and texture wrapping: each half of a texture equals a material of its texel.
 
-Walls have textures whose left half is of one texel, and whose right half is of another.
+The left half of each wall's texture has one texel value, and the right half another.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ PAINT = ls.MaterialPbr(base_color=(0.5, 0.1, 0.1), roughness=0.8, wrap_u=ls.Text
 GLASS = replace(PAINT, base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=0.8, thin_walled=True)
 SHINING = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, emissive=(1.0, 1.0, 1.0))
 LOW, HIGH = 51, 204
-"""Texels: factors of 0.2 and 0.8."""
+"""Texel values for factors of 0.2 and 0.8."""
 
 
 def halves(channel: int) -> ls.MaterialPbr | Any:
-    """A texture of 16 x 2, of LOW and HIGH in one channel and of 128 in the others."""
+    """A texture of 16 x 2 texels, with LOW and HIGH in one channel and 128 in the others."""
     texels = np.full((2, 16, 4), 128, np.uint8)
     texels[:, :8, channel], texels[:, 8:, channel] = LOW, HIGH
     return texels
 
 
 def wall(material: ls.MaterialPbr) -> ls.Mesh:
-    """A square that fills the view, textured once over the width that is seen, where x runs to the left."""
+    """A square that fills the view, textured once over the visible width, with x to the left."""
     uvs = 0.5 + np.array([[1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) * 0.5 / 0.6
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     return ls.Mesh(np.array(corners, np.float64), [[0, 2, 1], [0, 3, 2]], uvs=uvs, material=material)
 
 
 def seen(mesh: ls.Mesh, pipeline: ls.Pipeline, samples: int = 1, others: Any = (), **changes: Any) -> np.ndarray:
-    """Colour below a lamp."""
+    """Colour of a mesh under a light."""
     scene = ls.Scene(meshes=[mesh, *others], lights=[LAMP])
     settings = ls.RenderConfig(pipeline=pipeline, samples=samples, jitter=False, lighting=True, **changes)
     return ls.render(scene, VIEW, settings, device="cpu").color
 
 
 def assert_halves(textured: ls.MaterialPbr, name: str, factors: tuple[Any, Any], show: Any) -> None:
-    """What ``show`` shows of a textured material is, on either side, as with the field multiplied by a factor."""
+    """Asserts that either half of a textured material renders like the field multiplied by its factor."""
     found = show(textured)
     field = np.asarray(getattr(textured, name))
     plain = replace(textured, **{f"{name}_texture": None})
@@ -62,8 +62,8 @@ def assert_halves(textured: ls.MaterialPbr, name: str, factors: tuple[Any, Any],
 @pytest.mark.parametrize(
     ("name", "channel"), [("clearcoat", 0), ("clearcoat_roughness", 1), ("sheen_color", 0), ("sheen_roughness", 3)]
 )
-def test_texels_are_factors_of_layers(name: str, channel: int, pipeline: ls.Pipeline) -> None:
-    """Each from its own channel, sheen's colour decoded."""
+def test_texels_multiply_layer_factors(name: str, channel: int, pipeline: ls.Pipeline) -> None:
+    """Each layer reads its own channel; sheen's colour is decoded from sRGB."""
     layers: dict[str, Any] = {"clearcoat": 0.9, "clearcoat_roughness": 0.9}
     factors: Any = (0.2, 0.8)
     if name.startswith("sheen"):
@@ -83,8 +83,8 @@ def test_texels_are_factors_of_layers(name: str, channel: int, pipeline: ls.Pipe
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
 @pytest.mark.parametrize("lighting", [True, False])
-def test_texels_are_factors_of_transmission(pipeline: ls.Pipeline, lighting: bool) -> None:
-    """In smooth glass, before a wall that shines, lit and unlit."""
+def test_texels_multiply_transmission(pipeline: ls.Pipeline, lighting: bool) -> None:
+    """Smooth glass in front of an emitting wall, lit and unlit."""
     behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), SHINING)
     textured = replace(GLASS, transmission_texture=halves(0))
 
@@ -96,8 +96,8 @@ def test_texels_are_factors_of_transmission(pipeline: ls.Pipeline, lighting: boo
     assert_halves(textured, "transmission", (0.2, 0.8), show)
 
 
-def test_texels_of_transmission_in_shadows() -> None:
-    """What is lit through glass, of which each half lets its own share pass."""
+def test_transmission_texels_tint_shadows() -> None:
+    """Each half of the glass transmits its own fraction to the lit surface."""
     floor = quad((-9, -9, 0.3), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
     pane = wall(replace(GLASS, ior=1.0, transmission_texture=halves(0)))
     far = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
@@ -109,8 +109,8 @@ def test_texels_of_transmission_in_shadows() -> None:
     np.testing.assert_allclose(shown[4, 10], 0.8 * 0.8 * share, rtol=1e-4)
 
 
-def test_texels_of_transmission_in_rough_glass() -> None:
-    """In paths: noise is the same where the random numbers are."""
+def test_transmission_texels_apply_to_rough_glass() -> None:
+    """In path tracing, with equal random numbers the noise is equal."""
     behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), SHINING)
     textured = replace(GLASS, roughness=0.4, transmission_texture=halves(0))
     assert_halves(
@@ -122,8 +122,8 @@ def test_texels_of_transmission_in_rough_glass() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH])
-def test_textures_wrap_each_in_their_own_way(pipeline: ls.Pipeline) -> None:
-    """Beyond its right edge the base colour starts again, and what shines shows its last column, or the other way."""
+def test_textures_have_separate_wrap_modes(pipeline: ls.Pipeline) -> None:
+    """Beyond the right edge, the base colour repeats and the emission is clamped, or the reverse."""
     texels = np.zeros((2, 16, 3), np.uint8)
     texels[:, :8], texels[:, 8:] = LOW, HIGH
     low, high = (decode_srgb(np.array(texel / 255.0)) for texel in (LOW, HIGH))
@@ -150,8 +150,8 @@ def test_textures_wrap_each_in_their_own_way(pipeline: ls.Pipeline) -> None:
     np.testing.assert_allclose(shown, [(low, high), (high, low)], rtol=rtol)
 
 
-def test_curves_of_sheen_between_those_of_the_table() -> None:
-    """Near the albedo by quadrature, and hardly below it, for roughnesses between two entries."""
+def test_interpolated_sheen_curves_equal_quadrature() -> None:
+    """For roughnesses between two table entries, the curve is close to the albedo and hardly below it."""
     curves = albedo_curves()
     for place in np.linspace(0.5, SHEEN_CURVES - 0.5, 9):
         k = int(place)
@@ -172,7 +172,7 @@ def test_curves_of_sheen_between_those_of_the_table() -> None:
         ({"normal_texture": 3}, r"texture_wraps of normal_texture is 3, expected"),
     ],
 )
-def test_wrong_wraps_are_refused(wraps: Any, message: str) -> None:
-    """In one line, with what there is."""
+def test_invalid_wrap_modes_are_refused(wraps: Any, message: str) -> None:
+    """The message lists the wrap modes."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MaterialPbr(texture_wraps=wraps)

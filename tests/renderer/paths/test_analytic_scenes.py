@@ -1,4 +1,4 @@
-"""Paths in scenes whose light is known in closed form."""
+"""Path tracing of scenes with lighting in closed form."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ KINDS = pytest.mark.parametrize("kind", ["mesh", "gaussians"])
 
 
 def scene_of(mesh: ls.Mesh, kind: str, count: int) -> ls.Scene:
-    """A surface as a mesh, or as Gaussians."""
+    """A surface as a mesh or as Gaussians."""
     return ls.Scene(meshes=[mesh]) if kind == "mesh" else ls.Scene(splats=[as_splats(mesh, count)])
 
 
 @KINDS
 @pytest.mark.parametrize("albedo", [1.0, 0.5])
-def test_an_open_furnace(kind: str, albedo: float) -> None:
-    """A ball in even light shows its albedo times that light; a white one cannot be seen, edges included."""
+def test_ball_in_an_open_furnace_shows_its_albedo(kind: str, albedo: float) -> None:
+    """A ball in a constant environment shows albedo times its radiance; a white ball is invisible, edges included."""
     scene = scene_of(ball(0.3, diffuse(albedo)), kind, 4000)
     scene = replace(scene, lights=[ls.LightEnvironment(color=(0.7,) * 3)])
     camera = ls.Camera.look_at((0.0, 0.0, -2.0), (0.0, 0.0, 0.0), width=48, height=32, fov_y=0.1)
@@ -47,8 +47,8 @@ def test_an_open_furnace(kind: str, albedo: float) -> None:
 
 @pytest.mark.parametrize("shape", ["ball", "cube"])
 @pytest.mark.parametrize("bounces", [0, 1, 3, 64])
-def test_a_closed_furnace(bounces: int, shape: str) -> None:
-    """Everything shines with 1 and reflects half: n bounces show the first terms of a geometric series."""
+def test_closed_furnace_equals_the_geometric_series(bounces: int, shape: str) -> None:
+    """Everything emits 1 and reflects half: n bounces give the first terms of a geometric series."""
     shining = diffuse(0.5, 1.0)
     cube = [*cube_without_ceiling(shining), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), shining)]
     scene = ls.Scene(meshes=cube if shape == "cube" else [ball(1.0, shining, hollow=True, rows=16)])
@@ -59,8 +59,8 @@ def test_a_closed_furnace(bounces: int, shape: str) -> None:
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.1), (-0.6, 0.5, 0.2)])
-def test_an_integrating_sphere(place: tuple[float, float, float]) -> None:
-    """Wherever the lamp is, what has bounced is even: rho Phi / (4 pi R^2 (1 - rho))."""
+def test_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> None:
+    """For any position of the light, bounced irradiance is rho Phi / (4 pi R^2 (1 - rho))."""
     lamp = ls.LightPoint(place, intensity=1.0)
     scene = ls.Scene(meshes=[ball(1.0, diffuse(0.5), hollow=True, rows=96)], lights=[lamp])
     bounced = irradiance(paths(scene, INSIDE, 64, 64), 0.5) - irradiance(paths(scene, INSIDE, 64, 0), 0.5)
@@ -69,8 +69,8 @@ def test_an_integrating_sphere(place: tuple[float, float, float]) -> None:
 
 @pytest.mark.parametrize("lamp", ["mesh", "rect"])
 @pytest.mark.parametrize(("albedo", "truth"), [(0.5, 1.2416), (0.8, 2.8002)])
-def test_a_cube_below_a_shining_ceiling(lamp: str, albedo: float, truth: float) -> None:
-    """Irradiance at the middle of the floor, by collocation in float64; direct, by the form factor."""
+def test_cube_below_an_emitting_ceiling(lamp: str, albedo: float, truth: float) -> None:
+    """Irradiance at the middle of the floor equals float64 collocation, and direct light the form factor."""
     ceiling = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(albedo, 1.0 if lamp == "mesh" else 0.0))
     lights = [ls.LightRect((0.5, 0.99999, 0.5), (1, 0, 0), (0, 0, 1), intensity=1.0)] if lamp == "rect" else []
     scene = ls.Scene(meshes=[*cube_without_ceiling(diffuse(albedo)), ceiling], lights=lights)
@@ -79,8 +79,8 @@ def test_a_cube_below_a_shining_ceiling(lamp: str, albedo: float, truth: float) 
 
 
 @pytest.mark.parametrize("lamp", ["mesh", "rect", "sky"])
-def test_clear_panes_change_nothing(lamp: str) -> None:
-    """Glass of index 1 between a lamp and a floor: light comes through it once, by rays that are bent or by samples."""
+def test_clear_panes_count_light_once(lamp: str) -> None:
+    """Light through glass of index 1 is counted once, by refracted rays or by light samples."""
     shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if lamp == "mesh" else 0.0))
     lights: dict[str, list[Light]] = {
         "mesh": [],
@@ -101,8 +101,8 @@ def test_clear_panes_change_nothing(lamp: str) -> None:
 
 
 @pytest.mark.parametrize("shadows", ["none of the light's", "short", "off"])
-def test_light_that_passes_what_is_in_its_way(shadows: str) -> None:
-    """A sky without shadows, or without any of things so far away: a floor under a roof has all of it."""
+def test_unshadowed_environment_passes_blockers(shadows: str) -> None:
+    """Without shadows, or beyond the shadow distance, a floor under a roof has all environment light."""
     sky = ls.LightEnvironment(
         casts_shadow=shadows != "none of the light's", shadow_distance=0.5 if shadows == "short" else np.inf
     )
@@ -115,8 +115,8 @@ def test_light_that_passes_what_is_in_its_way(shadows: str) -> None:
 
 
 @KINDS
-def test_concentric_spheres(kind: str) -> None:
-    """The outer one shines; light goes to and fro between them, per channel as each reflects."""
+def test_concentric_spheres_exchange_light(kind: str) -> None:
+    """The outer one emits; light bounces between them, in each channel by its albedo."""
     inner, outer, share = 0.8, 0.5, 0.25
     matrix = np.array([[1.0, -inner], [-outer * share, 1.0 - outer * (1.0 - share)]])
     truth = np.linalg.solve(matrix, [0.0, 1.0])
@@ -135,8 +135,8 @@ def test_concentric_spheres(kind: str) -> None:
 
 
 @pytest.mark.parametrize("side", ["reflected", "transmitted"])
-def test_two_sheets(side: str) -> None:
-    """Two wide Gaussians of opacity 0.6 and albedo 0.8: light goes to and fro between them, and through both."""
+def test_two_gaussian_sheets_exchange_light(side: str) -> None:
+    """Two wide Gaussians of opacity 0.6 and albedo 0.8: light bounces between them and passes both."""
     reflectance, transmittance = 0.6 * 0.8, 0.4
     between = 1.0 / (1.0 - reflectance**2)
     truth = {
@@ -158,7 +158,7 @@ def test_two_sheets(side: str) -> None:
     assert_is(frame.color[..., 1].astype(np.float64), truth)
 
 
-def test_captures_are_lamps() -> None:
+def test_captures_emit_light() -> None:
     """A panel of captured Gaussians over a floor gives the irradiance of its form factor."""
     panel = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5))
     gaussians = ls.gaussians_from_mesh(panel, 40_000)
@@ -171,8 +171,8 @@ def test_captures_are_lamps() -> None:
     np.testing.assert_allclose(values.mean(), np.pi * 0.5 * 0.239456, rtol=0.02)
 
 
-def test_a_lamp_is_seen() -> None:
-    """A sphere of radiance 3 over a floor: its irradiance pi L (r / d)^2, and itself, unless it is not visible."""
+def test_visible_sphere_light_is_rendered() -> None:
+    """A sphere of radiance 3 over a floor has irradiance pi L (r / d)^2, and is visible unless set otherwise."""
     lamp = ls.LightSphere((0.0, 2.0, 0.0), 0.25, intensity=3.0)
     floor = quad((-5, 0, -5), (0, 0, 10), (10, 0, 0), diffuse(0.5))
     above = ls.Camera.look_at((0, 1.0, 0.01), (0, 0, 0), (0, 0, -1), width=24, height=24, fov_y=0.02)

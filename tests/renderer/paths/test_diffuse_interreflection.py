@@ -1,4 +1,4 @@
-"""Light that goes to and fro between diffuse surfaces, by conservation of energy and by form factors."""
+"""Interreflection between diffuse surfaces, compared with energy conservation and form factors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from support.scenes.raster_scenes import similarity
 
 
 def crowded_room(albedo: float) -> list[ls.Mesh]:
-    """The inside of the unit cube with a ball and a box that stands askew, all of one albedo and none touching."""
+    """The inside of the unit cube with a ball and a rotated box, all of one albedo and none touching."""
     x, y, z = np.eye(3)
     sides = ((0 * x, z, x), (y, x, z), (0 * x, x, y), (z, y, x), (0 * x, y, z), (x, z, y))
     globe = transform_mesh(ball(0.17, diffuse(albedo), rows=12), similarity(offset=(0.3, 0.2, 0.7)))
@@ -50,8 +50,8 @@ def board(albedo: float, emitted: float) -> list[ls.Mesh]:
 @pytest.mark.parametrize(
     ("lamp", "albedo"), [("point", 0.5), ("mesh", 0.5), ("rect", 0.5), ("sphere", 0.5), ("sphere", 0.8)]
 )
-def test_a_closed_room_keeps_what_its_lamp_shines(lamp: str, albedo: float) -> None:
-    """Of one albedo, whatever is in it: irradiance is Phi / (A (1 - rho)) on the mean over all surfaces."""
+def test_closed_room_conserves_energy(lamp: str, albedo: float) -> None:
+    """With one albedo, mean irradiance over all surfaces is Phi / (A (1 - rho)), whatever is inside."""
     place = (0.6, 0.75, 0.7)
     lights: dict[str, tuple[Light, float]] = {
         "point": (ls.LightPoint(place, intensity=1.0), 4.0 * np.pi),
@@ -65,8 +65,8 @@ def test_a_closed_room_keeps_what_its_lamp_shines(lamp: str, albedo: float) -> N
     assert_is(found, power / (sum(map(area_of, meshes)) * (1.0 - albedo)))
 
 
-def test_an_integrating_sphere_with_a_port() -> None:
-    """What leaves through a hole in the top is missing at every bounce: rho (1 - f) in place of rho."""
+def test_integrating_sphere_with_a_port_loses_light() -> None:
+    """Light leaves through a hole in the top at every bounce: rho (1 - f) replaces rho."""
     albedo, rows = 0.8, 96
     whole = ball(1.0, diffuse(albedo), hollow=True, rows=rows)
     open_above = whole.positions[whole.indices].mean(axis=1)[:, 1] < np.cos(0.6)
@@ -78,8 +78,8 @@ def test_an_integrating_sphere_with_a_port() -> None:
     assert_is(total, 1.0 + kept / (1.0 - kept), share=0.005)
 
 
-def test_wide_plates() -> None:
-    """Two that face each other: J1 = (M1 + rho1 M2) / (1 - rho1 rho2), each channel by itself."""
+def test_parallel_plates_exchange_light() -> None:
+    """Two facing plates: J1 = (M1 + rho1 M2) / (1 - rho1 rho2) in each channel."""
     emitted = np.array([[1.0, 0.2, 0.0], [0.0, 0.5, 2.0]])
     albedo = np.array([[0.2, 0.5, 0.8], [0.9, 0.6, 0.3]])
     materials = [
@@ -102,8 +102,8 @@ def test_wide_plates() -> None:
     ("arrangement", "factor"),
     [("opposed", opposed_squares(1.0)), ("wide", opposed_squares(10.0)), ("perpendicular", perpendicular_squares())],
 )
-def test_form_factors_of_squares(arrangement: str, factor: float, way: str) -> None:
-    """Direct light of one square on the other, on the mean over it."""
+def test_squares_light_by_their_form_factor(arrangement: str, factor: float, way: str) -> None:
+    """Mean direct light of one square on the other."""
     side = 10.0 if arrangement == "wide" else 1.0
     u, v = np.array([side, 0, 0]), np.array([0, 0, side])
     receiver = quad((0, 0, 0), v, u, diffuse(0.5))
@@ -120,8 +120,8 @@ def test_form_factors_of_squares(arrangement: str, factor: float, way: str) -> N
     assert_is(found, factor)
 
 
-def shining_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstance:
-    """A surface as Gaussians that shine with 1 and reflect ``albedo``."""
+def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstance:
+    """A surface of Gaussians that emit 1 and reflect ``albedo``."""
     gaussians = as_splats(mesh, count).gaussians
     shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # which is what shines, and what reflects
     shining = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
@@ -129,23 +129,23 @@ def shining_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstance
 
 
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.5, 1), (0.5, 32), (0.7, 64)])
-def test_a_closed_furnace_of_gaussians(albedo: float, bounces: int) -> None:
-    """A hollow ball of them in one that is a mesh, and all of it shines and reflects: whatever shines through."""
+def test_closed_furnace_of_gaussians_equals_the_series(albedo: float, bounces: int) -> None:
+    """A hollow ball of Gaussians in a mesh ball, all emitting and reflecting, so that transmitted light fits, too."""
     shell = ball(1.2, diffuse(albedo, 1.0), hollow=True, rows=24)
     inner = ball(1.0, diffuse(albedo), hollow=True, rows=24)
-    scene = ls.Scene([shining_splats(inner, albedo, 3000)], [shell])
+    scene = ls.Scene([emitting_splats(inner, albedo, 3000)], [shell])
     camera = ls.Camera.look_at((0.1, 0.2, 0.3), (0.5, 0.4, 1.0), width=32, height=24, fov_y=1.0)
     frame = paths(scene, camera, 16, bounces)
     assert_is(frame.color[..., 1].astype(np.float64), (1.0 - albedo ** (bounces + 2)) / (1.0 - albedo), share=0.005)
 
 
 @pytest.mark.parametrize("bounces", [0, 8])
-def test_gaussians_are_lit_by_walls_that_they_touch(bounces: int) -> None:
-    """The corner of a floor of wide ones in a furnace: a wall nearer than what they pass of their own layer counts."""
+def test_gaussians_are_lit_by_adjacent_walls(bounces: int) -> None:
+    """In a furnace, a floor of wide Gaussians near a wall: the wall counts although it is within their own layer."""
     albedo = 0.5
     walls = [replace(wall, material=diffuse(albedo, 1.0)) for wall in crowded_room(albedo)[:6]]
     floor = quad((0, 0.2, 0), (0, 0, 1), (1, 0, 0), diffuse(albedo))
-    scene = ls.Scene([shining_splats(floor, albedo, 300)], walls)
+    scene = ls.Scene([emitting_splats(floor, albedo, 300)], walls)
     camera = ls.Camera.look_at((0.5, 0.7, 0.5), (0.97, 0.2, 0.97), width=32, height=24, fov_y=0.08)
     seen = paths(scene, camera, 16, bounces).color[..., 1].astype(np.float64)
     assert_is(seen, (1.0 - albedo ** (bounces + 2)) / (1.0 - albedo), share=0.005)

@@ -1,4 +1,4 @@
-"""Bodies of glass in paths: of which a share is there, and which scatter what they do not let through."""
+"""Glass in path tracing: with alpha, and with scattering of the light that is not transmitted."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ GLASS = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0
 
 
 @pytest.mark.parametrize("behind", ["wall", "sky"])
-def test_a_blended_body_absorbs_on_its_way_through(behind: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Whatever its alpha: who enters leaves, and what is before and behind it absorbs nothing."""
+def test_blended_glass_absorbs_inside_only(behind: str, caplog: pytest.LogCaptureFixture) -> None:
+    """For every alpha, rays that enter also leave, and nothing in front of or behind the body absorbs."""
     caplog.set_level(logging.WARNING)
     tinted = replace(
         GLASS, ior=1.0, specular=0.0, attenuation_color=(0.8, 0.8, 0.8), attenuation_distance=1.0, alpha_mode="blend"
@@ -34,8 +34,8 @@ def test_a_blended_body_absorbs_on_its_way_through(behind: str, caplog: pytest.L
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.3])
-def test_a_blended_ball_in_a_furnace(roughness: float, caplog: pytest.LogCaptureFixture) -> None:
-    """It can hardly be seen; and it shines by the share that is there, as often as it is met."""
+def test_blended_glass_disappears_in_a_furnace(roughness: float, caplog: pytest.LogCaptureFixture) -> None:
+    """An emissive one emits by its alpha at each hit."""
     caplog.set_level(logging.WARNING)
     material = replace(GLASS, roughness=roughness, alpha_mode="blend", alpha=0.5)
     near = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=16, height=12, fov_y=0.1)
@@ -47,8 +47,8 @@ def test_a_blended_ball_in_a_furnace(roughness: float, caplog: pytest.LogCapture
     assert "without entering it" not in caplog.text
 
 
-def test_a_blended_body_shines_by_its_alpha() -> None:
-    """On a floor: as bright by samples of its triangles as by the rays that meet them."""
+def test_blended_glass_emits_by_its_alpha() -> None:
+    """On a floor, samples of its triangles and rays that hit them agree."""
     shining = replace(GLASS, ior=1.0, specular=0.0, emissive=(1.0, 1.0, 1.0), alpha_mode="blend", alpha=0.5)
     floor = quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), diffuse(0.5))
     lid = ls.MeshInstance(replace(ls.box(np.array([8.0, 8.0, 0.1])), material=shining), position=(0.0, 0.0, -1.0))
@@ -61,10 +61,10 @@ def test_a_blended_body_shines_by_its_alpha() -> None:
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_a_milky_body_is_not_grainy(inside: bool) -> None:
-    """White, in a white sky; what it scatters inside towards where it mirrors all is not looked for.
+def test_milky_glass_is_not_noisy(inside: bool) -> None:
+    """White in a white environment; light is not sampled in directions of total internal reflection.
 
-    Light that has bounced more often than paths may is missing.
+    Light beyond the bounce limit is missing.
     """
     body = ball(0.3, replace(GLASS, transmission=0.2), rows=24)
     place = ((0, 0, 0), (0, 0, 1)) if inside else ((0, 0, -2), (0, 0, 0))

@@ -1,8 +1,8 @@
-"""Direct light in closed form, by each way in which a path comes to a light.
+"""Direct light in closed form, for each sampling strategy of a path.
 
-Three ways: by samples of the light alone, which those of lights are that rays do not show; by rays of the BSDF alone,
-through a pane of index 1 that shadow rays towards visible lights end at, and that nothing else is changed by; and by
-both, weighted.
+Three strategies: light sampling only, for lights that rays cannot hit; BSDF sampling only, through a pane of index 1
+that blocks shadow rays to visible lights and changes nothing else; and both, weighted by multiple importance
+sampling.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ ALBEDO = 0.5
 FLOOR = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), diffuse(ALBEDO))
 CLEAR = ls.MaterialPbr(base_color=(1.0,) * 3, roughness=0.0, transmission=1.0, ior=1.0)
 PANE = quad((-9, 0.4, -9), (18, 0, 0), (0, 0, 18), CLEAR)
-"""Between the floor and all lights, which are above 0.5."""
+"""A pane between the floor and all lights, which are above 0.5."""
 CLOSE = ls.Camera.look_at((0, 0.3, 0.002), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.002)
-"""Looks at the origin, from below the pane."""
+"""A camera on the origin, from below the pane."""
 WAYS = ("sampled", "met", "both")
 
 
 def lit_by(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR) -> ls.Scene:
-    """A surface and a light that paths come to in one way."""
+    """A surface and a light that paths reach by one strategy."""
     meshes = [surface, PANE] if way == "met" else [surface]
     if isinstance(light, ls.Mesh):
         return ls.Scene(meshes=[*meshes, light])
@@ -45,14 +45,14 @@ def lit_by(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR) -> ls.Sce
 
 
 def found(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR, samples: int = 64) -> np.ndarray:
-    """Irradiance at the origin, a value a pixel; no light has bounced, but through the pane."""
+    """Irradiance at the origin, one value per pixel; light has not bounced, except through the pane."""
     return irradiance(paths(lit_by(light, way, surface), CLOSE, samples, 1 if way == "met" else 0), ALBEDO)
 
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("place", [(0.0, 1.0, 0.0), (0.9, 1.2, -0.5)])
-def test_a_sphere(place: tuple[float, float, float], way: str) -> None:
-    """Irradiance pi L (r / d)^2 cos."""
+def test_sphere_light_irradiance(place: tuple[float, float, float], way: str) -> None:
+    """Irradiance is pi L (r / d)^2 cos."""
     light = ls.LightSphere(place, 0.45, intensity=2.0)
     distance = np.linalg.norm(place)
     truth = np.pi * 2.0 * (0.45 / distance) ** 2 * place[1] / distance
@@ -60,8 +60,8 @@ def test_a_sphere(place: tuple[float, float, float], way: str) -> None:
 
 
 @pytest.mark.parametrize("way", ["met", "both"])
-def test_a_shining_ball(way: str) -> None:
-    """A sphere of triangles that shine: the sum of those that are seen from the front."""
+def test_emissive_ball_irradiance(way: str) -> None:
+    """A sphere of emissive triangles: the sum over the front-facing ones."""
     lamp = ball(0.45, diffuse(0.0, 2.0), rows=24)
     lamp = replace(lamp, positions=lamp.positions + np.array([0.9, 1.2, -0.5]))
     corners = lamp.positions[lamp.indices].astype(np.float64)
@@ -70,8 +70,8 @@ def test_a_shining_ball(way: str) -> None:
 
 
 @pytest.mark.parametrize("way", ["met", "both"])
-def test_a_disc(way: str) -> None:
-    """Irradiance pi L r^2 / (r^2 + h^2), of as many corners that it is round."""
+def test_emissive_disc_irradiance(way: str) -> None:
+    """Irradiance is pi L r^2 / (r^2 + h^2), with enough corners to be round."""
     angles = 2.0 * np.pi * np.arange(96) / 96
     rim = np.stack([0.6 * np.cos(angles), np.full(96, 0.8), 0.6 * np.sin(angles)], axis=1)
     fan = [[96, k, (k + 1) % 96] for k in range(96)]
@@ -83,8 +83,8 @@ def test_a_disc(way: str) -> None:
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("place", [(0.0, 0.8, 0.0), (0.7, 0.9, -0.4)])
-def test_a_disk(place: tuple[float, float, float], way: str) -> None:
-    """L / 2 times Lambert's sum over its edge, of many corners; it faces the floor at a slant."""
+def test_disk_light_irradiance(place: tuple[float, float, float], way: str) -> None:
+    """L / 2 times Lambert's sum over its edge, as a polygon of many corners, slanted to the floor."""
     light = ls.LightDisk(place, (-0.2, -1.0, 0.1), 0.35, intensity=2.0)
     u, v = (light.boundary()[k] - place for k in (0, 12))
     turn = 2.0 * np.pi * np.arange(1000)[:, None] / 1000
@@ -93,8 +93,8 @@ def test_a_disk(place: tuple[float, float, float], way: str) -> None:
 
 
 @pytest.mark.parametrize(("lamp", "way"), [("mesh", "met"), ("mesh", "both"), *(("rect", way) for way in WAYS)])
-def test_a_polygon(lamp: str, way: str) -> None:
-    """L / 2 times Lambert's sum over its edges: a slanting parallelogram."""
+def test_rectangle_light_irradiance(lamp: str, way: str) -> None:
+    """L / 2 times Lambert's sum over its edges: a slanted parallelogram."""
     corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
     light = ls.LightRect(corner + 0.5 * (u + v), u, v, intensity=2.0)
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
@@ -102,10 +102,10 @@ def test_a_polygon(lamp: str, way: str) -> None:
 
 
 @pytest.mark.parametrize(("half", "unit"), [(0.03, 1.0), (0.3, 1e3), (1.0, 1.0), (3.0, 1e-3), (3.0, 1.0), (30.0, 1e3)])
-def test_a_lamp_that_is_placed(half: float, unit: float) -> None:
-    """The same polygon: a square that is turned, stretched and sheared, far away, and was elsewhere before.
+def test_transformed_emitter_irradiance(half: float, unit: float) -> None:
+    """The same polygon as a square that is rotated, stretched and sheared, far away, and moved since the last frame.
 
-    Shadow rays end before it, from however far above a floor of any size they must start.
+    Shadow rays end in front of it, from any offset above a floor of any size.
     """
     corner, u, v = unit * np.array([[-0.2, 0.7, -0.6], [0.9, 0.4, 0.1], [0.1, 0.2, 0.8]])
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
@@ -129,15 +129,15 @@ def test_a_lamp_that_is_placed(half: float, unit: float) -> None:
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("slope", [0.0, 0.7, np.pi / 2])
-def test_a_wall_below_the_sky(slope: float, way: str) -> None:
-    """Irradiance pi L (1 + cos) / 2: half of the sky is bright, and it leans instead of the wall."""
+def test_environment_irradiance_on_a_tilted_wall(slope: float, way: str) -> None:
+    """Irradiance is pi L (1 + cos) / 2: half of the environment is bright, and it is tilted instead of the wall."""
     above = np.repeat((np.arange(256) < 128)[:, None, None], 512, axis=1) * np.full(3, 2.0, np.float32)
     sky = ls.LightEnvironment(above, rotation_wxyz=(np.cos(0.5 * slope), 0.0, 0.0, np.sin(0.5 * slope)))
     assert_is(found(sky, way), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
 
 
-def test_a_point() -> None:
-    """I cos / d^2, without any noise."""
+def test_point_light_irradiance_is_noise_free() -> None:
+    """Irradiance is I cos / d^2."""
     place = np.array([0.9, 1.2, -0.5])
     distance = np.linalg.norm(place)
     values = found(ls.LightPoint(place, intensity=3.0), "sampled", samples=1)
@@ -152,7 +152,7 @@ SIDE = ls.Camera.look_at((0, 0.35, 0.35), (0, 0, 0), width=32, height=24, fov_y=
 
 
 class Estimate(NamedTuple):
-    """What a plate shows."""
+    """Mean and standard error of a plate's radiance."""
 
     values: np.ndarray  # (H, W), independent, with one expectation
     mean: float
@@ -166,7 +166,7 @@ def plate(roughness: float) -> ls.Mesh:
 
 
 def veach(roughness: float, way: str) -> Estimate:
-    """Radiance of a plate below both lamps; rays that find them by chance need more samples."""
+    """Radiance of a plate below both lights; BSDF sampling needs more samples."""
     lights = [replace(lamp, visible=way != "sampled") for lamp in LAMPS]
     meshes = [plate(roughness), PANE] if way == "met" else [plate(roughness)]
     samples, bounces = (256, 1) if way == "met" else (64, 0)
@@ -175,8 +175,8 @@ def veach(roughness: float, way: str) -> Estimate:
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-def test_all_ways_to_the_lamps_of_plates_agree(roughness: float) -> None:
-    """The means are within four standard errors; both ways together are about as certain as the better one."""
+def test_sampling_strategies_agree_on_veach_plates(roughness: float) -> None:
+    """Means agree within four standard errors, and both combined are about as precise as the better strategy."""
     sampled, met, both = (veach(roughness, way) for way in WAYS)
     assert all(found.error < 0.01 * found.mean for found in (sampled, met, both))
     for a, b in ((sampled, met), (sampled, both), (met, both)):
@@ -185,14 +185,14 @@ def test_all_ways_to_the_lamps_of_plates_agree(roughness: float) -> None:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_plate_by_quadrature(way: str) -> None:
-    """Each way is the integral over the lamps' cones, in float64."""
+def test_veach_plate_equals_quadrature(way: str) -> None:
+    """Each strategy equals the integral over the lights' cones in float64."""
     view = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
-    truth = sum(reflected_lamp(lamp, view, 0.35) for lamp in LAMPS)
+    truth = sum(reflected_light(lamp, view, 0.35) for lamp in LAMPS)
     assert_is(veach(0.35, way).values, truth)
 
 
-def reflected_lamp(lamp: ls.LightSphere, view: np.ndarray, roughness: float) -> float:
+def reflected_light(lamp: ls.LightSphere, view: np.ndarray, roughness: float) -> float:
     """Radiance towards ``view`` of a white metal at the origin below a sphere, by quadrature over its cone."""
     distance = np.linalg.norm(lamp.position)
     axis = np.asarray(lamp.position) / distance
@@ -210,8 +210,8 @@ def reflected_lamp(lamp: ls.LightSphere, view: np.ndarray, roughness: float) -> 
 
 @pytest.mark.parametrize("setting", ["transmittance_threshold", "color_strength"])
 @pytest.mark.parametrize("lamp", ["rect", "mesh", "sky"])
-def test_shadows_that_are_stretched_or_tinted_are_so_for_all_ways(lamp: str, setting: str) -> None:
-    """Behind haze that lets half through: as a lamp that no ray shows lights it, which is not weighted."""
+def test_shadow_settings_apply_to_all_strategies(lamp: str, setting: str) -> None:
+    """Stretched or tinted shadows through haze equal those of an invisible light, which is only sampled."""
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     sheet = wide_sheet(1.0, 0.5, 0.0).gaussians
     sheet = replace(sheet, sh=np.full((1, 1, 3), -1.0) * [1.0, 0.2, -1.0])

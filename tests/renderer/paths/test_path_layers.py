@@ -1,4 +1,4 @@
-"""Layers of frames of paths: each set of them adds up to the picture, and holds what its name says."""
+"""Layers of path traced frames: they add up to the frame, and contain what their names say."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ ALL = (*PATH_PARTS, "bounces", "lights", "albedo")
 
 
 def rooms() -> ls.Scene:
-    """Gaussians that are relit and kept, meshes, a mirror, glass, a sky, lamps, and a lamp that is seen."""
+    """Relit and emissive Gaussians, meshes, a mirror, glass, an environment, lights, and a visible light."""
     lamp = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
     return scene(*LAMPS, SKY, lamp)
 
 
 @pytest.mark.parametrize("shown", ["all", "shadow-only"])
-def test_layers_add_up_to_the_picture(shown: str) -> None:
-    """The five parts; the bounces, with captures; the lights, with captures: to 1e-5."""
+def test_path_layers_add_up_to_the_frame(shown: str) -> None:
+    """The five parts; the bounces with captures; the lights with captures: to 1e-5."""
     lit = rooms()
     if shown == "shadow-only":
         lit = replace(lit, splats=[replace(one, material=None, shadow_catcher=True) for one in lit.splats])
@@ -40,14 +40,14 @@ def test_layers_add_up_to_the_picture(shown: str) -> None:
     np.testing.assert_allclose(frame.light_total.sum(0), frame.bounces.sum(0), rtol=1e-5, atol=1e-5)
 
 
-def test_layers_change_no_picture() -> None:
-    """To the bit."""
+def test_layers_do_not_change_the_frame() -> None:
+    """The frame is bit-equal with and without layers."""
     plain, layered = (paths(rooms(), camera(), 2, 3, aovs=aovs) for aovs in ((), ALL))
     np.testing.assert_array_equal(plain.color, layered.color)
 
 
-def test_parts_of_a_room() -> None:
-    """A cube of diffuse walls under a panel that shines: nothing is glossy, the floor's direct light is the panel's."""
+def test_diffuse_room_has_only_diffuse_layers() -> None:
+    """A cube of diffuse walls under a panel: nothing is glossy, and the floor's direct light is the panel's."""
     panel = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))
     room = ls.Scene(meshes=[*cube_without_ceiling(diffuse(0.5)), panel])
     down = ls.Camera.look_at((0.5, 0.5, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=16, height=16, fov_y=0.01)
@@ -59,8 +59,8 @@ def test_parts_of_a_room() -> None:
     np.testing.assert_allclose(frame.indirect_diffuse.mean(), 0.5 / np.pi * 1.2416 - direct / np.pi, rtol=0.02)
 
 
-def test_a_metal_is_glossy_and_a_lamp_shines() -> None:
-    """A rough metal floor has glossy light alone; a lamp that is looked at is emission."""
+def test_metal_is_glossy_and_visible_lights_are_emission() -> None:
+    """A rough metal floor has only glossy light; a directly visible light is emission."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.4)
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), metal)
     lamp = ls.LightSphere((0.0, 0.8, 0.0), 0.2, intensity=4.0)
@@ -73,8 +73,8 @@ def test_a_metal_is_glossy_and_a_lamp_shines() -> None:
     np.testing.assert_allclose(seen.light_total[0], seen.color)
 
 
-def test_lights_apart() -> None:
-    """Each lamp's layers are those of a frame with that lamp alone, in the mean, shadows and bounces included."""
+def test_light_layers_equal_frames_of_single_lights() -> None:
+    """In the mean, with shadows and bounces."""
     room = cube_without_ceiling(diffuse(0.7))
     screen = quad((0.4, 0.2, 0.4), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.2))
     lamps = [
@@ -94,8 +94,8 @@ def test_lights_apart() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.0])
-def test_a_lamp_that_nothing_hides_arrives_whole(roughness: float) -> None:
-    """Seen in metal: by samples of it, however few; in a mirror it is light of it that no sample of it brings."""
+def test_unblocked_light_reflected_in_metal_is_unshadowed(roughness: float) -> None:
+    """Its samples reach rough metal whole, however few; in a mirror, only hits bring its light."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=roughness)
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), metal)
     lamp = ls.LightSphere((0.0, 1.0, -1.5), 0.5, intensity=3.0)
@@ -109,16 +109,16 @@ def test_a_lamp_that_nothing_hides_arrives_whole(roughness: float) -> None:
         assert not frame.light_direct.any()
 
 
-def test_layers_that_only_paths_have_are_refused_elsewhere() -> None:
-    """By name, with the pipeline that has them; and the reverse."""
+def test_path_layers_are_refused_in_other_pipelines() -> None:
+    """The message names the pipeline that has them; the reverse is refused likewise."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.HYBRID has no bounces among its aovs: Pipeline\.PATH does"):
         ls.render(rooms(), camera(), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, aovs=("bounces",)), device="cpu")
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.PATH has no reflection among its aovs: Pipeline\.HYBRID does"):
         ls.render(rooms(), camera(), ls.RenderConfig(pipeline=ls.Pipeline.PATH, aovs=("reflection",)), device="cpu")
 
 
-def test_layers_are_resumed() -> None:
-    """Two and two samples are four, bit for bit, in all layers, and where captures only receive light."""
+def test_resumed_layers_equal_uninterrupted_ones() -> None:
+    """Two plus two samples equal four to the bit, in all layers, also with shadow catchers."""
     lit = rooms()
     lit = replace(
         lit, splats=[lit.splats[0], *(replace(one, material=None, shadow_catcher=True) for one in lit.splats[1:])]
@@ -131,8 +131,8 @@ def test_layers_are_resumed() -> None:
         np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name), err_msg=name)
 
 
-def test_saved_layers(tmp_path: Path) -> None:
-    """Channels of an EXR, by the names of layers and lamps, and pictures beside a PNG."""
+def test_layers_are_saved_by_name(tmp_path: Path) -> None:
+    """EXR channels are named by layers and lights, and a PNG has one image file per layer."""
     frame: Any = paths(rooms(), camera(), 1, 1, aovs=ALL)
     channels = {name.rsplit(".", 1)[0] for name in frame.layers()}
     assert {"direct_glossy", "emission", "bounce.0", "bounce.2", "light.ball.total", "light_other"} <= channels
@@ -142,8 +142,8 @@ def test_saved_layers(tmp_path: Path) -> None:
     assert {"a.direct_diffuse.png", "a.bounce.0.png", "a.bounce.2.png", "a.light.ball.total.png"} <= names
 
 
-def test_a_coat_is_glossy_and_what_is_below_it_diffuse() -> None:
-    """The coat takes its share of the diffuse light and adds its own highlight; both parts are as without the other."""
+def test_coat_is_glossy_and_its_base_diffuse() -> None:
+    """The coat takes its fraction of the diffuse light and adds a highlight; the parts are otherwise unchanged."""
     lamp = ls.LightPoint((0.3, 0.8, 0.0), intensity=2.0)
     above = ls.Camera.look_at((-0.3, 0.8, 0.0), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)
     parts: dict[str, Any] = {}
@@ -160,8 +160,8 @@ def test_a_coat_is_glossy_and_what_is_below_it_diffuse() -> None:
     assert 0.8 < (parts["red"][0] / whole).min() <= (parts["red"][0] / whole).max() < 0.97
 
 
-def test_what_gaussians_shine_is_no_light_of_the_sky() -> None:
-    """A sheet that is emissive, before a dim sky: its light is that of what is no light."""
+def test_gaussian_emission_is_not_environment_light() -> None:
+    """An emissive sheet in front of a dim environment adds to the light without a light source."""
     material = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(3.0, 3.0, 3.0))
     sheet = replace(wide_sheet(0.0, 0.9, 0.5), material=material)
     sky = ls.LightEnvironment(color=(1e-3, 1e-3, 1e-3))

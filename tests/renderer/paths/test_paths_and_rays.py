@@ -1,4 +1,4 @@
-"""Paths against the other pipelines, and what must not change them."""
+"""Path tracing compared with the other pipelines, and changes that must not change it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LIGHTS: dict[str, Light] = {
 
 
 def balls(kind: str) -> ls.Scene:
-    """A ball that floats over a floor."""
+    """A ball floating over a floor."""
     floor = quad((-1, -0.4, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
     shape = ball(0.3, diffuse(0.7), rows=32)
     if kind == "mesh":
@@ -32,8 +32,8 @@ def balls(kind: str) -> ls.Scene:
 
 @pytest.mark.parametrize("kind", ["mesh", "gaussians"])
 @pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS.keys())
-def test_direct_light_is_that_of_traced_rays(light: Light, kind: str) -> None:
-    """Without bounces, paths show what the trace pipeline does by stochastic hits, in the mean."""
+def test_paths_without_bounces_equal_traced_direct_light(light: Light, kind: str) -> None:
+    """In the mean, they equal the trace pipeline with stochastic hits."""
     lit = replace(balls(kind), lights=[light])
     view = ls.Camera.look_at((0.3, 0.6, -1.4), (0.0, -0.1, 0.0), width=48, height=36, fov_y=0.7)
     traced = ls.RenderConfig(
@@ -52,15 +52,15 @@ def test_direct_light_is_that_of_traced_rays(light: Light, kind: str) -> None:
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_threads_change_nothing(threads: int) -> None:
-    """The same bits, with light that bounces between Gaussians, meshes, mirrors and glass."""
+    """Bit-equal, with light that bounces between Gaussians, meshes, mirrors and glass."""
     settings = config(ls.Pipeline.PATH, samples=3, max_bounces=5)
     shown = scene(*LAMPS, SKY)
     frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (threads, 2)]
     np.testing.assert_array_equal(frames[0].color, frames[1].color)
 
 
-def test_emitters_light_by_their_area() -> None:
-    """One shining square, or the same cut into many triangles of many sizes, or as two instances: the same light."""
+def test_emitter_tessellation_does_not_change_its_light() -> None:
+    """One emissive square, cut into many triangles of many sizes, or as two instances, gives equal light."""
     room = cube_without_ceiling(diffuse(0.5))
     view = ls.Camera.look_at((0.5, 0.8, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=32, height=32, fov_y=0.03)
     shine = diffuse(0.5, 1.0)
@@ -78,8 +78,8 @@ def test_emitters_light_by_their_area() -> None:
     np.testing.assert_allclose(means, means[0], rtol=0.01)
 
 
-def test_the_near_plane_of_a_camera_counts() -> None:
-    """Small Gaussians before it are not seen, as in traced frames."""
+def test_paths_respect_the_near_plane() -> None:
+    """Small Gaussians in front of it are not visible, as in traced frames."""
     speck = one_gaussian((0.0, 0.0, 0.05), 0.002, 0.99, (0.9, 0.1, 0.1))
     wall = one_gaussian((0.0, 0.0, 2.0), (2.0, 2.0, 0.01), 0.99, (0.2, 0.4, 0.8))
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.02, near=0.2)
@@ -91,7 +91,7 @@ def test_the_near_plane_of_a_camera_counts() -> None:
 
 
 def test_relit_captures_alone_have_a_headlight() -> None:
-    """They shine nothing themselves; captures that keep their look do, and meshes that are emissive."""
+    """Relit captures emit nothing; emissive captures and meshes do, and need no headlight."""
     alone = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=32), 4000)])
     view = ls.Camera.look_at((0.0, 0.0, -1.4), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.3)
     assert paths(alone, view, 8, 2).color[10:14, 14:18].mean() > 0.4
@@ -100,8 +100,8 @@ def test_relit_captures_alone_have_a_headlight() -> None:
     assert paths(kept, view, 8, 2, lighting=True).color[10:14, 14:18].mean() > 0.4
 
 
-def test_given_rays_see_what_emitters_light() -> None:
-    """As frames do: rays through the pixels of a camera, without any light but a mesh that shines."""
+def test_ray_queries_include_light_of_emitters() -> None:
+    """Rays through a camera's pixels equal the frame, with an emissive mesh as the only light."""
     room = [*cube_without_ceiling(diffuse(0.5)), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))]
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=64, max_bounces=4)
     down = np.broadcast_to(np.array([0.0, -1.0, 0.0]), (256, 3))
@@ -112,8 +112,8 @@ def test_given_rays_see_what_emitters_light() -> None:
     np.testing.assert_allclose(hits.radiance.mean(), frame.color.mean(), rtol=0.02)
 
 
-def test_given_rays_of_an_unlit_scene_are_traced() -> None:
-    """A relit set without any light: rays see its own colours, as those of the trace pipeline do."""
+def test_ray_queries_of_unlit_scenes_are_unlit() -> None:
+    """Without any light, rays see a relit set's captured colours, as in the trace pipeline."""
     unlit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=16), 500)])
     ways = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.0]])
     seen = [
@@ -124,8 +124,8 @@ def test_given_rays_of_an_unlit_scene_are_traced() -> None:
 
 
 @pytest.mark.parametrize("kind", ["rect", "emitter"])
-def test_light_is_absorbed_on_its_way_inside_a_body(kind: str) -> None:
-    """A floor, a lamp a unit above it and the camera's way down are in a body that absorbs half of the light a unit."""
+def test_media_absorb_light_and_view_paths(kind: str) -> None:
+    """A floor, a light one unit above it and the camera's path are in a body that absorbs half per unit."""
     water = ls.MaterialPbr(
         base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0, attenuation_color=(0.5,) * 3
     )

@@ -1,7 +1,7 @@
-"""Rooms of meshes against Mitsuba's ``path``: the stored blocks of tools/make_mitsuba_path_reference.py.
+"""Rooms of meshes compared with Mitsuba's ``path``: the stored blocks of tools/make_mitsuba_path_reference.py.
 
-The same number of bounces and the same polyhedra: all that differs is chance. A quick frame has fewer pixels, and
-blocks of as many fewer, so that they show the same parts of the room.
+Bounces and polyhedra are equal, so that only noise differs. A quick frame has fewer pixels per block, and its blocks
+cover the same parts of the room.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 ROOMS = path_rooms()
 NOISY = ("metal_area", "glass_area", "rough_glass_area")
 SAME_PLACES = 0.001
-"""Relative error of a block at edges: all pixels are sampled at the same few places."""
+"""Relative error of a block at edges: all pixels are sampled at the same few sub-pixel positions."""
 
 
 def reference_of(name: str) -> Blocks:
@@ -32,9 +32,9 @@ def reference_of(name: str) -> Blocks:
 
 
 def blocks_of(room: PathRoom, samples: int, shrink: int) -> Blocks:
-    """Ours, of two frames with so many samples each, ``shrink`` times as small as the reference.
+    """Our blocks, of two frames with so many samples each, ``shrink`` times as small as the reference.
 
-    Gaussians, if there are any, are as wide as they are: they were made of surfaces, not trained on pictures.
+    Gaussians have no footprint: they were made from surfaces, not trained on images.
     """
     as_made = ls.TraceConfig(dilation=0.0)
     view = centred(room.camera.scaled(width=room.camera.width // shrink), samples)
@@ -43,7 +43,7 @@ def blocks_of(room: PathRoom, samples: int, shrink: int) -> Blocks:
 
 
 def centred(camera: ls.Camera, samples: int) -> ls.Camera:
-    """Its picture, moved by how far the mean place of so many samples is from the centre of the pixels: up to 0.1."""
+    """The camera shifted by the mean sub-pixel position of the samples, up to 0.1 pixels from the centre."""
     places = (0.5 + np.arange(samples)[:, None] * SUBPIXEL_STEPS) % 1.0
     x, y = places.mean(axis=0) - 0.5
     return replace(camera, cx=camera.cx + x, cy=camera.cy + y)
@@ -56,12 +56,12 @@ def errors_of(name: str, ours: Blocks) -> tuple[np.ndarray, np.ndarray]:
 
 
 def assert_agrees(name: str, ours: Blocks, systematic: float = SAME_PLACES) -> None:
-    """Every block within four standard errors, and the whole picture too, of which they are smaller.
+    """Asserts that every block, and the whole image, is within four standard errors.
 
     Args:
-        name: Of the room.
-        ours: Its blocks.
-        systematic: Share of a block that is allowed on top.
+        name: Name of the room.
+        ours: Our blocks.
+        systematic: Additional relative tolerance of a block.
     """
     error, chance = errors_of(name, ours)
     assert np.median(chance) < 0.01
@@ -73,29 +73,29 @@ def assert_agrees(name: str, ours: Blocks, systematic: float = SAME_PLACES) -> N
 
 
 @pytest.mark.parametrize("name", ROOMS)
-def test_rooms_are_lit_as_in_mitsuba(name: str) -> None:
-    """All that differs is chance."""
+def test_rooms_equal_mitsuba(name: str) -> None:
+    """Only noise differs."""
     assert_agrees(name, blocks_of(ROOMS[name], 32 if name in NOISY else 16, 2))
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", ROOMS)
-def test_blocks_of_rooms_differ_by_less_than_one_per_cent(name: str) -> None:
-    """Blocks of 32 x 32 pixels."""
+def test_blocks_of_rooms_are_within_one_per_cent_of_mitsuba(name: str) -> None:
+    """Compares blocks of 32 x 32 pixels."""
     error, chance = errors_of(name, blocks_of(ROOMS[name], 256 if name in NOISY else 64, 1))
     assert chance.max() < 0.006
     assert np.abs(error).max() < 0.01
 
 
-def test_a_ball_and_a_wall_of_gaussians_are_lit_as_meshes() -> None:
-    """In the room of Mitsuba's meshes, at silhouettes and where the wall meets others too."""
+def test_gaussian_ball_and_wall_equal_mitsubas_meshes() -> None:
+    """Holds at silhouettes, and where the wall touches others."""
     ours = blocks_of(with_gaussians(ROOMS["diffuse_area"], 20_000), 16, 2)
     assert_agrees("diffuse_area", ours, systematic=0.02)
 
 
 @pytest.mark.parametrize("change", ["a darker wall", "a brighter lamp"])
-def test_another_room_would_be_noticed(change: str) -> None:
-    """The comparison fails for a wall that reflects 5 % less, and for a lamp 2 % brighter."""
+def test_comparison_fails_for_a_changed_room(change: str) -> None:
+    """A wall that reflects 5 % less, and a light 2 % brighter, fail the comparison."""
     room = ROOMS["diffuse_area"]
     meshes = [instance.mesh for instance in room.scene.meshes]
     number = 1 if change == "a darker wall" else -3

@@ -1,4 +1,4 @@
-"""Paths through rough glass, as a body and as a wall, against closed forms and each other."""
+"""Paths through rough glass, as a body and as a pane, compared with closed forms and with each other."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ FROSTED = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.3, transmission
 VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=48, height=32, fov_y=0.3)
 
 
-def test_a_frosted_ball_in_a_furnace() -> None:
-    """In even light it can hardly be seen: what single scattering loses is little at this roughness."""
+def test_frosted_ball_nearly_disappears_in_a_furnace() -> None:
+    """Single scattering loses little energy at this roughness."""
     scene = ls.Scene(meshes=[ball(0.3, FROSTED, rows=24)], lights=[ls.LightEnvironment(color=(0.7, 0.7, 0.7))])
     values = paths(scene, VIEW, 64, 32).color[8:24, 12:36, 1].astype(np.float64) / 0.7
     assert values.std() / np.sqrt(values.size) < 0.004
@@ -35,15 +35,15 @@ LAMPS: dict[str, tuple[Light | ls.Mesh, Light]] = {
         ls.LightPoint((0.0, 0.0, 1.0), intensity=0.2),
     ),
 }
-"""A lamp that rays meet, and one that shines as much, and is sampled only."""
+"""A light that rays can hit, and an equal one that is only sampled."""
 
 
 @pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize(
     "lamp", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LAMPS if name != "sky")]
 )
-def test_what_comes_through_frosted_panes(lamp: str, thin: bool) -> None:
-    """By samples of lights and by rays that meet them, weighted: the same light as by the former alone."""
+def test_frosted_panes_agree_for_sampled_and_hit_lights(lamp: str, thin: bool) -> None:
+    """Multiple importance sampling of light samples and hits equals light sampling alone."""
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), diffuse(0.0)) if thin else ls.box(np.array([8.0, 8.0, 0.1]))
     glass = replace(pane, material=replace(FROSTED, roughness=0.5, thin_walled=thin))
     view = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=32, height=24, fov_y=0.05)
@@ -62,8 +62,8 @@ def test_what_comes_through_frosted_panes(lamp: str, thin: bool) -> None:
         assert 0.93 < furnace.mean() / 0.3 <= 1.003
 
 
-def test_other_pipelines_scatter_it_back() -> None:
-    """There, what rough glass does not mirror is diffuse, as it was: paths alone show what is behind."""
+def test_other_pipelines_render_rough_glass_as_diffuse() -> None:
+    """Without path tracing, transmitted light becomes diffuse reflection."""
     wall = quad((-4, -4, 1.0), (8, 0, 0), (0, 8, 0), diffuse(0.0, 1.0))
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), replace(FROSTED, thin_walled=True))
     scene = ls.Scene(meshes=[wall, pane], lights=[ls.LightEnvironment(color=(0.1, 0.1, 0.1))])

@@ -1,4 +1,4 @@
-"""What a surface receives by rays that it scatters does not depend on the eye: how far away it is is no matter."""
+"""Irradiance by scattered rays does not depend on the distance of the eye."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROUGH = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.6)
 
 
 def blob(kind: str) -> ls.SplatInstance:
-    """A round Gaussian: it shines as from the side, or is lit, and faces the eye as it has no normal."""
+    """A round Gaussian, emissive or lit, that faces the eye as it has no normal."""
     sh = np.zeros((1, 4, 3), np.float32)
     sh[0, 1] = 0.9 * (kind == "kept")
     gaussians = ls.Gaussians(
@@ -33,8 +33,8 @@ def blob(kind: str) -> ls.SplatInstance:
     [(ls.Pipeline.PATH, "kept"), (ls.Pipeline.PATH, "relit"), (ls.Pipeline.TRACE, "kept")],
     ids=["path-kept", "path-relit", "trace-kept"],
 )
-def test_a_floor_is_as_bright_from_near_and_far(pipeline: ls.Pipeline, kind: str) -> None:
-    """The same point, seen along the same direction from two distances: a diffuse one, and a highlight's rays."""
+def test_brightness_does_not_depend_on_viewing_distance(pipeline: ls.Pipeline, kind: str) -> None:
+    """One point in one direction from two distances, on a diffuse floor and in a highlight."""
     material = diffuse(0.5) if pipeline is ls.Pipeline.PATH else ROUGH
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), material)
     scene = ls.Scene(splats=[blob(kind)], meshes=[floor], lights=[ls.LightDirectional((-1, 0.05, 0.3), intensity=3.0)])

@@ -1,4 +1,4 @@
-"""Trees of a scene: which assets get one, when they are refitted, and the tree of the instances above them."""
+"""BVHs of a scene: which assets get one, when they are refitted, and the top-level tree over the instances."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index
 
 @pytest.fixture(params=WAYS)
 def way(request: pytest.FixtureRequest) -> str:
-    """One way to trace a frame."""
+    """One backend that traces a frame."""
     return request.param
 
 
@@ -37,14 +37,14 @@ def view() -> ls.Camera:
 
 
 def assert_as_new(warm: ls.Renderer, way: str, scene: ls.Scene) -> None:
-    """The image is to the bit that of a renderer that saw nothing before."""
+    """Asserts that the image equals that of a new renderer to the bit."""
     shown, fresh = (renderer.render(scene, view()) for renderer in (warm, renderer_of(way, warm.config)))
     for name in IMAGES:
         np.testing.assert_array_equal(getattr(shown, name), getattr(fresh, name), err_msg=name)
 
 
-def held(renderer: ls.Renderer) -> list[int]:
-    """Identities of the trees, by asset."""
+def bvh_ids(renderer: ls.Renderer) -> list[int]:
+    """Identities of the BVHs, by asset."""
     return [id(one.bvh) for one in renderer._scene.bvh._cached]
 
 
@@ -52,13 +52,13 @@ def held(renderer: ls.Renderer) -> list[int]:
 
 
 def test_instances_share_the_tree_of_their_asset(way: str) -> None:
-    """Three placements of two sets: two trees, built once, and rows that say where each is."""
+    """Three instances of two sets have two BVHs, built once."""
     first, second = random_gaussians(1, 50), random_gaussians(2, 30)
     places = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
     scene = ls.Scene([ls.SplatInstance(g, place) for g, place in zip((first, second, first), places, strict=True)])
     renderer = renderer_of(way, TRACE)
     renderer.render(scene, view())
-    trees = held(renderer)
+    trees = bvh_ids(renderer)
     assert len(trees) == 2
     rows = renderer._scene.splat_instances.numpy()
     assert rows["asset"].tolist() == [0, 1, 0] and rows["first"].tolist() == [0, 50, 80]
@@ -69,31 +69,31 @@ def test_instances_share_the_tree_of_their_asset(way: str) -> None:
         np.testing.assert_allclose(row["world_from_object"] @ row["world_from_object"].T, np.eye(3), atol=1e-6)
     moved = ls.Scene([ls.SplatInstance(first, places[1]), ls.SplatInstance(second, places[0])])
     assert_as_new(renderer, way, moved)
-    assert held(renderer) == trees, "poses are no reason to build"
+    assert bvh_ids(renderer) == trees, "poses are no reason to build"
 
 
-def test_an_asset_in_another_ones_place_is_followed(way: str) -> None:
-    """As many Gaussians in the same place: the tree is refitted, and its neighbour's untouched."""
+def test_replaced_asset_with_equal_count_is_refitted(way: str) -> None:
+    """The BVH of the replaced asset is refitted, and other BVHs are unchanged."""
     first, second = random_gaussians(3, 60), random_gaussians(4, 60)
     warm = renderer_of(way, TRACE)
     assert_as_new(warm, way, ls.Scene([first, second]))
-    trees = held(warm)
+    trees = bvh_ids(warm)
     second_nodes = warm._scene.bvh._cached[1].bvh.nodes.numpy().tobytes()
     moved = replace(first, means=first.means + np.float32(0.05))
     assert_as_new(warm, way, ls.Scene([moved, second]))
-    assert held(warm) == trees
+    assert bvh_ids(warm) == trees
     assert warm._scene.bvh._cached[1].bvh.nodes.numpy().tobytes() == second_nodes
 
 
 @pytest.mark.parametrize(
     "change", ["count", "degree", "other still there", "other place", "order", "one more", "one less", "none", "back"]
 )
-def test_other_changes_build_what_is_new(way: str, change: str) -> None:
-    """Trees stay with their assets through any rearrangement, and what is no successor gets a tree of its own."""
+def test_rearranged_assets_keep_their_bvhs(way: str, change: str) -> None:
+    """BVHs stay with their assets, and an asset that replaces none gets a new one."""
     first, second = random_gaussians(5, 60), random_gaussians(6, 60)
     warm = renderer_of(way, TRACE)
     warm.render(ls.Scene([first, second]), view())
-    a, b = held(warm)
+    a, b = bvh_ids(warm)
     kept = warm._scene.bvh._cached  # so that a new tree cannot have an old one's identity
     other = random_gaussians(7, 60)
     scenes: dict[str, tuple[list[ls.Gaussians], list[int | None]]] = {
@@ -109,14 +109,14 @@ def test_other_changes_build_what_is_new(way: str, change: str) -> None:
     }
     splats, expected = scenes[change]
     assert_as_new(warm, way, ls.Scene(splats))
-    for tree, known in zip(held(warm), expected, strict=True):
+    for tree, known in zip(bvh_ids(warm), expected, strict=True):
         assert tree == known if known is not None else tree not in (a, b), change
     assert_as_new(warm, way, ls.Scene([first, second]))
     assert [one.gaussians for one in kept] == [first, second]
 
 
-def test_degrees_of_captures_may_differ(way: str) -> None:
-    """Each capture responds with its own degree, unless the settings say otherwise."""
+def test_captures_have_their_own_kernel_degree(way: str) -> None:
+    """Each capture uses its own degree unless the settings replace it."""
     left, right = one_gaussian((-0.9, 0.0, 4.0), 0.2, 0.9), one_gaussian((0.9, 0.0, 4.0), 0.2, 0.9)
     sharp = replace(right, kernel_degree=5)
     mixed = renderer_of(way, TRACE).render(ls.Scene([left, sharp]), view())
@@ -127,8 +127,8 @@ def test_degrees_of_captures_may_differ(way: str) -> None:
     np.testing.assert_array_equal(renderer_of(way, forced).render(ls.Scene([left, sharp]), view()).alpha, soft.alpha)
 
 
-def test_memory_counts_the_trees() -> None:
-    """A frame's memory covers particles and nodes."""
+def test_reported_memory_includes_bvhs() -> None:
+    """It covers particles and nodes."""
     gaussians = random_gaussians(8, 3000)
     renderer = renderer_of("cpu", TRACE)
     frame = renderer.render(ls.Scene([gaussians]), view())
@@ -146,8 +146,8 @@ def test_memory_counts_the_trees() -> None:
     ],
     ids=["vast", "endless", "lost", "vast and lost"],
 )
-def test_strays_beyond_float32_hide_nothing(way: str, stray: ls.Gaussians) -> None:
-    """One Gaussian of a broken capture whose bounds overflow is drawn or not, and costs no other one its place."""
+def test_gaussians_with_overflowing_bounds_hide_no_others(way: str, stray: ls.Gaussians) -> None:
+    """A Gaussian whose bounds overflow may be drawn or not, but changes no other one."""
     gaussians = random_gaussians(13, 100)
     renderer = renderer_of(way, TRACE)
     expected = renderer_of(way, TRACE).render(ls.Scene([gaussians]), view())
@@ -162,7 +162,7 @@ def test_strays_beyond_float32_hide_nothing(way: str, stray: ls.Gaussians) -> No
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
 def test_deep_trees_get_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels with the stack that any tree fits in show the same, also in frames from graphs."""
+    """Kernels with the largest stack give equal frames, also from graphs."""
     ball = ls.gaussians_from_mesh(ls.sphere(), 900, seed=3)
     places = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
     lamp = ls.LightPoint((0.0, -3.0, 0.0), intensity=20.0)
@@ -177,8 +177,8 @@ def test_deep_trees_get_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytes
     np.testing.assert_array_equal(*frames)
 
 
-def test_the_stack_is_for_the_deepest_way() -> None:
-    """Through the tree over the instances, and the deepest tree of an asset."""
+def test_stack_size_covers_the_deepest_path() -> None:
+    """The deepest path goes through the top-level tree and the deepest asset tree."""
     renderer = renderer_of("cpu", TRACE)
     small, large = random_gaussians(1, 5), random_gaussians(2, 3000)
     needed = []
@@ -187,7 +187,7 @@ def test_the_stack_is_for_the_deepest_way() -> None:
         renderer.render(ls.Scene(places), view())
         bvh = renderer._scene.bvh
         nodes = bvh.data(renderer._scene.splat_instances).tlas_nodes
-        needed.append(waiting_in_tree(nodes.numpy()) - 1 + max(held.bvh.stack_size for held in bvh.cached))
+        needed.append(waiting_in_tree(nodes.numpy()) - 1 + max(one.bvh.stack_size for one in bvh.cached))
         assert bvh.stack >= needed[-1]
     assert needed[1] > needed[0] == 1
     assert needed[2] == needed[1] + 1
@@ -197,8 +197,8 @@ def test_the_stack_is_for_the_deepest_way() -> None:
 # --- What fails half-way ---
 
 
-def test_a_failed_upload_leaves_nothing_stale(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assets that were dropped for a scene that did not fit are elsewhere when they come back: so are their rows."""
+def test_failed_upload_leaves_no_stale_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assets that were freed for a scene that did not fit have new addresses when they return."""
     first, second = random_gaussians(9, 60), random_gaussians(10, 70)
     renderer = renderer_of("cpu", TRACE)
     renderer.render(ls.Scene([first]), view())
@@ -216,8 +216,8 @@ def test_a_failed_upload_leaves_nothing_stale(monkeypatch: pytest.MonkeyPatch) -
     assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
 
 
-def test_a_failed_build_leaves_nothing_stale(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tree that was refitted before the next one failed is not taken for what it was."""
+def test_failed_build_leaves_no_stale_bvh(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A BVH that was refitted before the next build failed is not reused."""
     first, second = random_gaussians(11, 60), random_gaussians(12, 70)
     renderer = renderer_of(way, TRACE)
     renderer.render(ls.Scene([first]), view())
@@ -244,7 +244,7 @@ def boxes(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def leaves(nodes: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Boxes of all items, by their number; asserts that each node has one parent and lies in its box."""
+    """Boxes of all items by index; asserts that each node has one parent and lies in its box."""
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     parents = np.zeros(len(nodes), int)
     for number, node in enumerate(nodes):
@@ -269,7 +269,7 @@ def leaves(nodes: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 8, 9, 17, 64, 65, 300])
 def test_tree_of_boxes_holds_each_once(count: int) -> None:
-    """All boxes, each as it is, in no more nodes than it takes."""
+    """The tree contains all boxes unchanged, in as few nodes as possible."""
     low, high = boxes(count)
     nodes = tree_of_boxes(low, high)
     found = leaves(nodes)
@@ -280,8 +280,8 @@ def test_tree_of_boxes_holds_each_once(count: int) -> None:
     assert len(nodes) <= 1 + count // 2
 
 
-def test_tree_of_boxes_leaves_out_the_inverted() -> None:
-    """Instances in which nothing counts are in no leaf; boxes in one place are in one each."""
+def test_tree_of_boxes_leaves_out_inverted_boxes() -> None:
+    """Empty instances have no leaf, and coinciding boxes have one leaf each."""
     low, high = boxes(40)
     low[::3], high[::3] = np.float32(FAR), -np.float32(FAR)
     low[1::3], high[1::3] = low[1], high[1]
@@ -289,8 +289,8 @@ def test_tree_of_boxes_leaves_out_the_inverted() -> None:
     assert leaves(tree_of_boxes(high[::3], low[::3])) != {} and leaves(tree_of_boxes(low[::3], high[::3])) == {}
 
 
-def test_tree_of_boxes_groups_what_is_near() -> None:
-    """Eight clusters of eight boxes: the root's children are the clusters."""
+def test_tree_of_boxes_groups_near_boxes() -> None:
+    """Of eight clusters of eight boxes, the root's children are the clusters."""
     corners = np.array([[x, y, z] for x in (0, 10) for y in (0, 20) for z in (0, 40)], float)
     low = (corners[None] + np.random.default_rng(0).uniform(0.0, 1.0, (8, 8, 3))).reshape(-1, 3)
     nodes = tree_of_boxes(low, low + 0.1)
@@ -299,7 +299,7 @@ def test_tree_of_boxes_groups_what_is_near() -> None:
 
 
 def baked(instance: ls.SplatInstance) -> ls.Gaussians:
-    """The Gaussians of an instance in world space; colours must not depend on the view."""
+    """Gaussians of an instance in world space, for view-independent colours."""
     gaussians, transform, scale = instance.gaussians, instance.transform, instance.scale
     turn = transform[:3, :3] / scale
     w = 0.5 * np.sqrt(1.0 + np.trace(turn))  # all turns of the tests are below 180 degrees
@@ -315,8 +315,8 @@ def baked(instance: ls.SplatInstance) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize(("count", "size"), [(9, 0.1), (200, 0.02)])
-def test_many_instances_are_one_merged_set(way: str, count: int, size: float) -> None:
-    """Whatever their size and place, they show what one set of all their Gaussians shows."""
+def test_many_instances_equal_one_merged_set(way: str, count: int, size: float) -> None:
+    """Holds for instances of any size and position."""
     random = np.random.default_rng(count)
     assets = [random_gaussians(seed, 20, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0)) for seed in (20, 21, 22)]
     scene = ls.Scene(

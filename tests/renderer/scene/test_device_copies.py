@@ -1,4 +1,4 @@
-"""What a GPU does with assets, played on the CPU: arrays are copied there, and kernels are given bare addresses."""
+"""GPU handling of assets, simulated on the CPU: arrays are copied, and kernels get addresses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from support.scenes.raster_scenes import front_camera, joined, random_gaussians
 
 
 def polished() -> ls.Scene:
-    """A relightable capture whose every attribute is an array."""
+    """A relightable capture with every attribute as an array."""
     ball = ls.gaussians_from_mesh(sphere(0.5, rows=10, columns=16), 900, seed=3)
     own: dict[str, Any] = {
         "normals": ball.means / np.linalg.norm(ball.means, axis=1, keepdims=True),
@@ -37,7 +37,7 @@ def polished() -> ls.Scene:
 
 @pytest.fixture
 def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
-    """Makes uploads copies, whose memory becomes NaN as soon as nothing owns them."""
+    """Makes uploads copy arrays, whose memory becomes NaN once it is freed."""
     kept: list[np.ndarray] = []
     share = assets.as_device_array
 
@@ -53,8 +53,8 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_a_renderer_lets_go_of_a_scene(pipeline: ls.Pipeline) -> None:
-    """On request, before its next frame, which is as that of a new renderer."""
+def test_release_frees_the_scene(pipeline: ls.Pipeline) -> None:
+    """The next frame equals that of a new renderer."""
     settings = ls.RenderConfig(pipeline=pipeline, samples=1)
     camera = front_camera(24, 16)
     renderer = ls.create_renderer(settings, "cpu")
@@ -71,7 +71,7 @@ def test_a_renderer_lets_go_of_a_scene(pipeline: ls.Pipeline) -> None:
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 def test_copies_live_while_kernels_read_them(pipeline: ls.Pipeline, copies: list[np.ndarray]) -> None:
-    """A lit capture looks the same whether its arrays are shared with the host or copied to a device."""
+    """A lit capture looks the same with shared and with copied arrays."""
     scene, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     renderer = ls.create_renderer(config(pipeline), "cpu", threads=1)
     copied = [renderer.render(scene, camera) for _ in range(2)]
@@ -86,7 +86,7 @@ def test_copies_live_while_kernels_read_them(pipeline: ls.Pipeline, copies: list
 
 
 def wavy(shown: ls.Scene, amount: float) -> ls.Scene:
-    """Its capture, with other values in all arrays."""
+    """The scene with other values in all arrays of its capture."""
     capture = shown.splats[0].gaussians
     assert capture.normals is not None and capture.albedo is not None
     assert capture.roughness is not None and capture.metallic is not None
@@ -108,15 +108,15 @@ def wavy(shown: ls.Scene, amount: float) -> ls.Scene:
 
 @pytest.fixture
 def copied(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes assets copies, as on a GPU, which renderers may write to."""
+    """Makes assets copies that renderers may overwrite, as on a GPU."""
     monkeypatch.setattr(assets, "shares_memory", lambda _: False)
 
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("lighting", [False, True], ids=["unlit", "lit"])
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_animated_sets_keep_their_memory(pipeline: ls.Pipeline, lighting: bool) -> None:
-    """New values every frame come to where the last ones were: graphs stay, and only hierarchies are refitted."""
+def test_animated_sets_reuse_their_memory(pipeline: ls.Pipeline, lighting: bool) -> None:
+    """New values overwrite the last ones: graphs stay valid, and only BVHs are refitted."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     settings, launcher = config(pipeline, lighting=lighting, samples=1), GraphLauncher()
     renderer = ls.Renderer(settings, launcher)
@@ -134,8 +134,8 @@ def test_animated_sets_keep_their_memory(pipeline: ls.Pipeline, lighting: bool) 
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("change", ["albedo", "roughness", "degree", "count"])
-def test_other_sets_get_their_own_memory(change: str) -> None:
-    """A set with other arrays than the last one, or of other sizes, is uploaded anew, and no frame sees the old one."""
+def test_sets_of_other_sizes_get_new_memory(change: str) -> None:
+    """A set with other arrays or sizes is uploaded anew, and no frame shows the old one."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     capture = shown.splats[0].gaussians
     others = {
@@ -155,8 +155,8 @@ def test_other_sets_get_their_own_memory(change: str) -> None:
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_a_set_that_comes_back_is_uploaded_again(pipeline: ls.Pipeline) -> None:
-    """Its memory has another set's values; sets that are still placed keep theirs, wherever they are."""
+def test_overwritten_set_is_uploaded_again(pipeline: ls.Pipeline) -> None:
+    """Its memory has another set's values; sets that are still used keep theirs."""
     a, b, c = (
         dataclasses.replace(random_gaussians(7, 40), opacities=np.full(40, o, np.float32)) for o in (0.3, 0.6, 0.9)
     )
@@ -171,8 +171,8 @@ def test_a_set_that_comes_back_is_uploaded_again(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.usefixtures("copied")
-def test_rebuilt_hierarchies_are_shrunk_anew() -> None:
-    """Shared draws shrink the nodes of a hierarchy level by level: one that was rebuilt has other levels."""
+def test_rebuilt_bvhs_are_shrunk_again() -> None:
+    """Shared draws shrink BVH nodes level by level, and a rebuilt BVH has other levels."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=144, height=96)
     shown = dataclasses.replace(shown, meshes=[sphere(0.1, rows=6, columns=8)])
     shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
@@ -195,7 +195,7 @@ def test_rebuilt_hierarchies_are_shrunk_anew() -> None:
 
 
 def test_renderers_do_not_write_to_captures() -> None:
-    """On the CPU, renderers read the arrays of captures where they are: the next capture does not come there."""
+    """On the CPU, renderers share the captures' arrays and never write to them."""
     first, second = random_gaussians(7, 40), random_gaussians(8, 40)
     before = first.means.copy()
     renderer = ls.create_renderer(config(ls.Pipeline.TRACE, samples=1), "cpu")
@@ -204,8 +204,8 @@ def test_renderers_do_not_write_to_captures() -> None:
     np.testing.assert_array_equal(first.means, before)
 
 
-def test_parts_of_a_block_keep_it() -> None:
-    """An array that lies in a block is valid as long as it is held itself."""
+def test_array_views_keep_their_block_alive() -> None:
+    """A view of a block is valid as long as the view exists."""
     buffers = Buffers("cpu")
     block, parts = buffers.split("pixels", [("alpha", wp.float32, 1), ("color", wp.vec3, 3)], 8)
     parts["color"].fill_(1.0)
@@ -219,7 +219,7 @@ def test_parts_of_a_block_keep_it() -> None:
 
 
 def test_coefficients_beyond_32_bit_indices_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels index spherical harmonics by one 32-bit number: 134 million Gaussians of degree 3 are too many."""
+    """SH coefficients have 32-bit indices: 134 million Gaussians of degree 3 are too many."""
     gaussians = random_gaussians(1, 9, degree=3)
     scene = ls.Scene(splats=[gaussians])
     monkeypatch.setattr(checks, "ITEMS_MAX", 9 * 16)

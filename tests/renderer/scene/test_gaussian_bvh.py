@@ -1,4 +1,4 @@
-"""Trees over Gaussians, by surface area and by Morton code: what they hold, contain and cost, and how they follow."""
+"""BVHs of Gaussians, by surface area and by Morton code: content, bounds, cost and updates."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ MORTON_LEVELS = 10
 
 @pytest.fixture(params=BUILDERS)
 def launcher(request: pytest.FixtureRequest) -> Launcher:
-    """A launcher whose trees are split in one way."""
+    """A launcher whose BVHs are split by one method."""
     if request.param in ("area", "code"):
         return Launcher("cpu", threads=2, parallel=request.param == "code")
     return Launcher(request.param)
 
 
 def tree_of(launcher: Launcher, gaussians: ls.Gaussians) -> GaussianBvh:
-    """A new tree."""
+    """A new BVH."""
     return GaussianBvh(launcher, upload_gaussians(gaussians, launcher.device), kernel_data(gaussians, TRACE))
 
 
 @dataclass
 class Walked:
-    """A tree, read back and checked."""
+    """A BVH, read back and checked."""
 
     items: np.ndarray  # Gaussian of each place in the order of the tree
     low: np.ndarray  # (N, 3), box of each Gaussian in its leaf
@@ -50,7 +50,7 @@ class Walked:
 
 
 def walked(tree: GaussianBvh, count: int) -> Walked:
-    """Follows all links; asserts that each Gaussian has one leaf and that every box is that of what lies below it."""
+    """Follows all links; asserts that each Gaussian has one leaf, and that boxes contain their subtrees."""
     nodes, particles = tree.nodes.numpy(), tree.particles.numpy()
     low = np.stack([nodes[f"low_{axis}"] for axis in "xyz"], axis=-1)
     high = np.stack([nodes[f"high_{axis}"] for axis in "xyz"], axis=-1)
@@ -83,7 +83,7 @@ def spread_over(means: np.ndarray, seed: int = 0, scale: float = 0.05) -> ls.Gau
 
 
 def inputs() -> dict[str, ls.Gaussians]:
-    """What builders may choke on."""
+    """Inputs that are difficult for builders."""
     random = np.random.default_rng(1)
     line = np.outer(np.linspace(0.0, 1.0, 1000), (1.0, 2.0, -3.0))
     faint = random_gaussians(2, 300)
@@ -120,8 +120,8 @@ INPUTS = inputs()
 
 
 @pytest.mark.parametrize("name", INPUTS)
-def test_trees_hold_every_gaussian_once(launcher: Launcher, name: str) -> None:
-    """Whatever the input: one leaf each, boxes around what lies below, bounded depth, leaves that are tight."""
+def test_bvh_contains_every_gaussian_once(launcher: Launcher, name: str) -> None:
+    """For every input: one leaf each, boxes around subtrees, bounded depth, tight leaves."""
     gaussians = INPUTS[name]
     count = gaussians.count
     tree = tree_of(launcher, gaussians)
@@ -144,15 +144,15 @@ def test_trees_hold_every_gaussian_once(launcher: Launcher, name: str) -> None:
     np.testing.assert_array_equal(high, found.high.max(axis=0))
 
 
-def test_depths_fit_the_stack() -> None:
-    """The deepest tree there can be, below the deepest tree of instances, leaves at most as many nodes waiting."""
+def test_bvh_depth_fits_the_stack() -> None:
+    """The deepest BVH under the deepest top-level tree needs at most the stack's entries."""
     most = math.ceil(math.log(2.0**31, NODE_WIDTH))
     asset = max(TREE_SURFACE_LEVELS, MORTON_LEVELS) + most
     assert (NODE_WIDTH - 1) * (asset + most) + 1 <= TRAVERSE_STACK
 
 
 def waiting_of(links: np.ndarray) -> list[int]:
-    """The most nodes that wait while a tree is traversed: siblings in their order, the other way round, at random."""
+    """Largest stack size during traversal, with children in order, reversed, and at random."""
     most = []
     for order in ("first", "last", *range(20)):
         rng = np.random.default_rng(order if isinstance(order, int) else 0)
@@ -169,8 +169,8 @@ def waiting_of(links: np.ndarray) -> list[int]:
     return most
 
 
-def test_no_more_nodes_wait_than_the_tree_says(launcher: Launcher) -> None:
-    """In any order of visits; and in the worst one, along the path that leaves most behind, as many."""
+def test_stack_size_is_a_tight_bound(launcher: Launcher) -> None:
+    """No order of visits exceeds it, and the worst path reaches it."""
     rng = np.random.default_rng(8)
     clumps = (rng.normal(size=(3000, 3)) * np.exp(-rng.uniform(0.0, 12.0, (3000, 1)))).astype(np.float32)
     for count, means in ((1, None), (2, None), (9, None), (700, None), (3000, clumps)):
@@ -183,13 +183,13 @@ def test_no_more_nodes_wait_than_the_tree_says(launcher: Launcher) -> None:
 
 
 def worst(links: np.ndarray, node: int) -> int:
-    """The most nodes that wait below a node: its children, or all of them but one and what that one leaves waiting."""
+    """Largest stack size below a node: its children, or all but one of them plus that one's subtree."""
     children = [link for link in links[node].tolist() if link >= 0 and link != NO_CHILD]
     return max([1, len(children), *(len(children) - 1 + worst(links, child) for child in children)])
 
 
-def test_trees_are_good(launcher: Launcher) -> None:
-    """A random ray visits a small share of the nodes; in a tree over items at random it would visit most of them."""
+def test_bvh_rays_visit_few_nodes(launcher: Launcher) -> None:
+    """A random ray visits a small fraction of the nodes; in a BVH over random groups it would visit most."""
     gaussians = random_gaussians(7, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))
     tree = tree_of(launcher, gaussians)
     assert tree.cost < 0.02 * tree.nodes.shape[0]
@@ -198,8 +198,8 @@ def test_trees_are_good(launcher: Launcher) -> None:
     assert tree.cost > 0.3 * tree.nodes.shape[0]
 
 
-def test_strays_do_not_spoil_a_tree(launcher: Launcher) -> None:
-    """One Gaussian a thousand extents away costs the others next to nothing."""
+def test_outlier_does_not_degrade_the_bvh(launcher: Launcher) -> None:
+    """A Gaussian a thousand extents away costs the others almost nothing."""
     gaussians = random_gaussians(8, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))
     alone = tree_of(launcher, gaussians)
     far = gaussians.means.copy()
@@ -209,8 +209,8 @@ def test_strays_do_not_spoil_a_tree(launcher: Launcher) -> None:
     assert inner_strayed < 1.1 * inner
 
 
-def test_many_gaussians_by_code() -> None:
-    """More than the means that the grid of Morton codes is sampled from; cells as fine as for few."""
+def test_morton_bvh_of_many_gaussians() -> None:
+    """More Gaussians than the samples that define the Morton grid; cells are as fine as for few."""
     gaussians = random_gaussians(9, 70_000, extent=(4.0, 4.0, 4.0), scale_range=(0.001, 0.003))
     tree = tree_of(Launcher("cpu", threads=2, parallel=True), gaussians)
     np.testing.assert_array_equal(np.sort(tree.particles.numpy()["index"]), np.arange(70_000))
@@ -219,8 +219,8 @@ def test_many_gaussians_by_code() -> None:
     assert tree.cost < 0.02 * tree.nodes.shape[0]
 
 
-def test_builds_repeat(launcher: Launcher) -> None:
-    """The same input makes the same tree, on any number of threads."""
+def test_builds_are_deterministic(launcher: Launcher) -> None:
+    """The same input gives the same BVH, on any number of threads."""
     gaussians = random_gaussians(10, 3000)
     first = tree_of(launcher, gaussians)
     again = [launcher]
@@ -236,7 +236,7 @@ def test_builds_repeat(launcher: Launcher) -> None:
 
 
 def wavy(gaussians: ls.Gaussians, amount: float = 0.1) -> ls.Gaussians:
-    """A smooth deformation: means move, axes turn, sizes and opacities change a little."""
+    """A smooth deformation: means move, axes rotate, sizes and opacities change slightly."""
     x, y, z = gaussians.means.T
     means = gaussians.means + amount * np.stack([np.sin(2.0 * y), np.cos(3.0 * z), np.sin(x + y)], axis=-1)
     turned = gaussians.rotations_wxyz + 0.5 * amount * np.stack([np.sin(x), np.cos(y), np.sin(z), np.cos(x)], axis=-1)
@@ -251,14 +251,14 @@ def wavy(gaussians: ls.Gaussians, amount: float = 0.1) -> ls.Gaussians:
 
 
 def shuffled(gaussians: ls.Gaussians) -> ls.Gaussians:
-    """Every Gaussian where another one was."""
+    """Gaussians with permuted positions."""
     order = np.random.default_rng(0).permutation(gaussians.count)
     return replace(gaussians, means=gaussians.means[order])
 
 
 @pytest.mark.parametrize("count", [1, 2, 9, 800])
-def test_refit_boxes_are_those_of_a_build(launcher: Launcher, count: int) -> None:
-    """After a smooth deformation the leaves have the boxes of a new tree's, all others contain them, nothing moved."""
+def test_refitted_boxes_equal_those_of_a_build(launcher: Launcher, count: int) -> None:
+    """After a smooth deformation, leaf boxes equal a new BVH's, inner boxes contain them, and no link changes."""
     gaussians = random_gaussians(11, count)
     tree = tree_of(launcher, gaussians)
     places, links, built = tree.particles.numpy()["index"].copy(), tree.nodes.numpy()["link"].copy(), tree.cost_built
@@ -273,8 +273,8 @@ def test_refit_boxes_are_those_of_a_build(launcher: Launcher, count: int) -> Non
     np.testing.assert_array_equal(found.high, fresh.high)
 
 
-def test_wild_moves_rebuild(launcher: Launcher) -> None:
-    """Where all Gaussians change places the old tree is worth nothing: the result is a new one's."""
+def test_large_moves_rebuild_the_bvh(launcher: Launcher) -> None:
+    """When all Gaussians swap positions, the result is that of a new BVH."""
     gaussians = random_gaussians(12, 2000, scale_range=(0.01, 0.05))
     tree = tree_of(launcher, gaussians)
     built = tree.cost_built
@@ -286,8 +286,8 @@ def test_wild_moves_rebuild(launcher: Launcher) -> None:
     assert walked(tree, 2000).items.tolist() == walked(fresh, 2000).items.tolist()
 
 
-def test_gaussians_that_appear_rebuild(launcher: Launcher) -> None:
-    """A tree over nothing that counts does not stay the tree once all of it does."""
+def test_appearing_gaussians_rebuild_the_bvh(launcher: Launcher) -> None:
+    """A BVH over invisible Gaussians is rebuilt once they become visible."""
     gaussians = random_gaussians(13, 1000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.05))
     tree = tree_of(launcher, replace(gaussians, opacities=np.zeros(1000)))
     tree.refit(upload_gaussians(gaussians, launcher.device))
@@ -296,7 +296,7 @@ def test_gaussians_that_appear_rebuild(launcher: Launcher) -> None:
 
 
 def test_refits_allocate_nothing(launcher: Launcher) -> None:
-    """Neither memory held nor the number of allocations changes, however often the Gaussians move."""
+    """Neither memory nor the number of allocations changes, however often Gaussians move."""
     gaussians = random_gaussians(14, 1000)
     tree = tree_of(launcher, gaussians)
     before = tree.bytes, tree._buffers.allocations, tree.nodes.ptr
@@ -306,8 +306,8 @@ def test_refits_allocate_nothing(launcher: Launcher) -> None:
 
 
 @pytest.mark.parametrize("way", ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())])
-def test_refitted_images_are_those_of_a_new_tree(way: str) -> None:
-    """Deformed step by step and then shuffled, each image is to the bit that of a renderer that never saw another."""
+def test_refitted_images_equal_those_of_a_new_bvh(way: str) -> None:
+    """Deformed step by step and then shuffled, each image equals a new renderer's to the bit."""
     gaussians = random_gaussians(15, 600, degree=1)
     warm, trees = renderer_of(way, TRACE), []
     steps = [gaussians, wavy(gaussians), wavy(wavy(gaussians)), shuffled(gaussians), gaussians]

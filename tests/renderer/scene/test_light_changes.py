@@ -1,4 +1,4 @@
-"""How much of what is known of light a frame keeps."""
+"""Weight of cached lighting after lights or objects change."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def with_spot(**changes: object) -> ls.Scene:
     return replace(LIT, lights=[replace(SPOT, **changes), LIT.lights[1]])  # pyright: ignore[reportArgumentType]
 
 
-def with_sky(**settings: object) -> ls.Scene:
-    """The scene with another sky."""
+def with_environment(**settings: object) -> ls.Scene:
+    """The scene with another environment."""
     sky = {"image": SKY} | settings
     return replace(LIT, lights=[SPOT, ls.LightEnvironment(**sky)])  # pyright: ignore[reportArgumentType]
 
@@ -52,8 +52,8 @@ CHANGED = {
     "its cone": with_spot(outer_angle=0.5),
     "its strength, a little": with_spot(intensity=2.0),
     "its colour, a little": with_spot(color=(1.0, 0.5, 0.3)),
-    "another sky": with_sky(image=0.5 * SKY),
-    "a sky that turns": with_sky(rotation_wxyz=(0.9, 0.1, 0.0, 0.0)),
+    "another sky": with_environment(image=0.5 * SKY),
+    "a sky that turns": with_environment(rotation_wxyz=(0.9, 0.1, 0.0, 0.0)),
     "what shines is deformed": replace(LIT, meshes=[LIT.meshes[0], octahedron((0.9, 0.1, 0.0), 0.3, material=GLOWS)]),
     "what shines has moved": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(SHINING, ELSEWHERE)]),
     "a material": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr())]),
@@ -72,8 +72,8 @@ OTHER = {
 
 
 @pytest.mark.parametrize("change", SAME | CHANGED | OTHER)
-def test_what_is_known_counts_less_when_light_changes(change: str) -> None:
-    """For some frames if it has changed a little; for next to nothing in the frame in which it is suddenly another."""
+def test_history_weight_falls_when_lights_change(change: str) -> None:
+    """For several frames after a small change, and to almost 0 in the frame of an abrupt one."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False) for _ in range(3)] == [1.0] * 3
     after = [changes.history_weight((SAME | CHANGED | OTHER)[change], False) for _ in range(CHANGED_FRAMES + 1)]
@@ -85,39 +85,39 @@ def test_what_is_known_counts_less_when_light_changes(change: str) -> None:
 
 
 @pytest.mark.parametrize("move", MOVED)
-def test_what_is_known_fades_while_things_move(move: str) -> None:
-    """More slowly, and for longer, than if a light had changed."""
+def test_history_fades_slowly_while_objects_move(move: str) -> None:
+    """It fades more slowly, and for longer, than after a change of lights."""
     changes = LightChanges()
     changes.history_weight(LIT, False)
     after = [changes.history_weight(MOVED[move], False) for _ in range(MOVED_FRAMES + 1)]
     assert after == [MOVED_HISTORY_WEIGHT] * MOVED_FRAMES + [1.0]
 
 
-def test_captures_that_are_lights_count_as_lights() -> None:
-    """One that moves changes the light, and one that becomes a light is another light."""
+def test_emitting_captures_count_as_lights() -> None:
+    """A moving one changes the lighting, and one that becomes a light is a new light."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False, (0,)) for _ in range(2)] == [1.0] * 2
     assert changes.history_weight(MOVED["a capture that moves"], False, (0,)) == CHANGED_HISTORY_WEIGHT
     assert changes.history_weight(MOVED["a capture that moves"], False) == OUTDATED_HISTORY_WEIGHT
 
 
-def test_nothing_is_outdated_at_the_beginning() -> None:
-    """In the first frame, and in the first one of another sequence."""
+def test_first_frame_has_full_history_weight() -> None:
+    """Holds for the first frame of every sequence."""
     changes = LightChanges()
     assert changes.history_weight(LIT, False) == 1.0
     changes.forget()
     assert changes.history_weight(ls.Scene(), False) == 1.0
 
 
-def test_a_headlight_is_a_light() -> None:
-    """A scene may lose its last light, and then be lit by the headlight."""
+def test_headlight_counts_as_a_light() -> None:
+    """A scene that loses its last light gets the headlight as a new light."""
     changes, dark = LightChanges(), replace(LIT, lights=())
     assert [changes.history_weight(dark, False) for _ in range(2)] == [1.0] * 2
     assert changes.history_weight(dark, True) == OUTDATED_HISTORY_WEIGHT
 
 
-def test_lights_are_in_one_order() -> None:
-    """Whatever that of the list; those that are off are left out."""
+def test_lights_are_sorted_independently_of_the_list() -> None:
+    """Disabled lights are left out."""
     lights = [*LIT.lights, ls.LightPoint((1.0, 0.0, 0.0)), ls.LightPoint((0.0, 0.0, 0.0), enabled=False)]
     assert in_order(lights) == in_order(lights[::-1])
     assert len(in_order(lights)) == 3

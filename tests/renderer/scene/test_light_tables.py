@@ -1,4 +1,4 @@
-"""The table of lights that kernels read: order, units, names, and what is uploaded when."""
+"""The light table that kernels read: order, units, names, and uploads."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ IMAGE = np.random.default_rng(0).random((4, 8, 3), dtype=np.float32)
 
 
 class Rig:
-    """A table, and the buffers that a renderer would keep with it."""
+    """A table, and the buffers that a renderer would have with it."""
 
     def __init__(self) -> None:
         self.table = LightTable()
         self.buffers = Buffers("cpu")
 
     def sync(self, *lights: Light, camera: Camera = CAMERA) -> np.ndarray:
-        """The rows for these lights."""
+        """Table rows of these lights."""
         self.table.sync(Scene(lights=lights), camera, self.buffers)
         return self.table.lights.numpy()
 
 
 @pytest.fixture
 def rig() -> Rig:
-    """A table that has seen nothing yet."""
+    """An empty table."""
     return Rig()
 
 
-def test_units(rig: Rig) -> None:
+def test_light_table_units(rig: Rig) -> None:
     """Candela, lux and radiance times colour; spheres in candela; angles as versines; normals of rectangles."""
     rows = rig.sync(
         LightPoint((1, 2, 3), (1.0, 0.5, 0.0), 8.0, range=7.0, radius=0.25),
@@ -84,8 +84,8 @@ def test_units(rig: Rig) -> None:
     assert rows["casts_shadow"].tolist() == [1, 1, 1, 1, 0, 1, 1]
 
 
-def test_order_and_names(rig: Rig) -> None:
-    """Lights that are on, in the scene's order; those without a name have their number, and no name comes twice."""
+def test_light_order_and_names(rig: Rig) -> None:
+    """Enabled lights in scene order; unnamed ones are named by their index, and names are unique."""
     point = LightPoint((0, 0, 0), intensity=1.0)
     rows = rig.sync(
         point,
@@ -103,8 +103,8 @@ def test_order_and_names(rig: Rig) -> None:
     assert len(set(names)) == 6
 
 
-def test_headlight(rig: Rig) -> None:
-    """A scene without lights has one at the eye: irradiance pi, no shadow. One whose lights are off has none."""
+def test_scene_without_lights_has_a_headlight(rig: Rig) -> None:
+    """It is at the eye, with irradiance pi and no shadow. A scene with only disabled lights has none."""
     rows = rig.sync()
     assert (rig.table.count, rig.table.names) == (1, ("headlight",))
     assert rows["kind"][0] == int(LIGHT_HEADLIGHT)
@@ -115,16 +115,16 @@ def test_headlight(rig: Rig) -> None:
     assert (rig.table.count, rig.table.names) == (0, ())
 
 
-def test_no_environment_has_arrays(rig: Rig) -> None:
-    """Kernels get arrays of one element and a flag that there is no environment."""
+def test_missing_environment_has_placeholder_arrays(rig: Rig) -> None:
+    """Kernels get arrays of one element and a flag."""
     rig.sync(LightPoint((0, 0, 0)))
     data = rig.table.environment
     assert not data.exists
     assert [data.texels.size, data.row_ends.size, data.column_ends.size, data.width, data.height] == [1] * 5
 
 
-def test_environment(rig: Rig) -> None:
-    """Image, factor, rotation and whether it is seen."""
+def test_environment_table_values(rig: Rig) -> None:
+    """Image, factor, rotation and visibility."""
     rig.sync(LightEnvironment(IMAGE, (1.0, 0.5, 0.25), 2.0, (0.0, 1.0, 0.0, 0.0), visible=False))
     data = rig.table.environment
     assert (data.exists, data.visible, data.width, data.height) == (1, 0, 8, 4)
@@ -139,8 +139,8 @@ def test_environment(rig: Rig) -> None:
     np.testing.assert_array_equal(data.texels.numpy(), [(1.0, 1.0, 1.0)])
 
 
-def test_images_are_kept(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same object is uploaded once, whatever else changes, also after it was off for a while."""
+def test_environment_images_are_uploaded_once(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same object is not uploaded again, whatever else changes, also after it was disabled."""
     uploads = []
     monkeypatch.setattr(render_lights, "environment_cdfs", lambda i: uploads.append(i) or environment_cdfs(i))
     sky = LightEnvironment(IMAGE)
@@ -155,8 +155,8 @@ def test_images_are_kept(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(rig.table.environment.texels.numpy().reshape(IMAGE.shape), IMAGE + 1.0)
 
 
-def test_large_figures_stay_finite(rig: Rig) -> None:
-    """What no float32 holds becomes what it just holds."""
+def test_large_values_are_clamped_to_float32(rig: Rig) -> None:
+    """Values beyond float32 become the largest finite ones."""
     rows = rig.sync(
         LightPoint((1e30, 0, 0), intensity=3e38, range=1e300, radius=3e38),
         LightSphere((0, 0, 0), 3e38, intensity=3e38),
@@ -170,8 +170,8 @@ def test_large_figures_stay_finite(rig: Rig) -> None:
     assert max(rig.table.environment.power) * 1e30 <= 1.01e30
 
 
-def test_shares_of_rows() -> None:
-    """By hand: one row as bright as the other has the larger share where it is the larger band of the sphere."""
+def test_row_probabilities_follow_solid_angle() -> None:
+    """Of two equally bright rows, the one with the larger solid angle has the higher probability."""
     image = np.ones((3, 2, 3), dtype=np.float32)
     rows, columns = environment_cdfs(image)
     np.testing.assert_allclose(rows, (0.25, 0.75, 1.0), rtol=1e-6)  # 1 - cos 60 degrees, halved

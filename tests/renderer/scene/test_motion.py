@@ -1,4 +1,4 @@
-"""Where what a frame shows was in the frame before: against transforms in float64."""
+"""Previous positions of a frame's surfaces, compared with float64 transforms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOVES = {
     "all three": similarity((0.0, 1.0, 0.0), 2.5, 1.4, (0.9, -0.2, 4.6)),
 }
 SHARES = np.array([[0.2, 0.3], [0.0, 0.0], [1.0, 0.0], [0.4, 0.6]])
-"""Barycentric weights of second and third corners."""
+"""Barycentric weights of the second and third corners."""
 
 
 class Sequence:
@@ -40,21 +40,21 @@ class Sequence:
         self._meshes: list[ls.MeshInstance] = []
 
     def show(self, *instances: ls.SplatInstance | ls.MeshInstance, camera: ls.Camera | None = None) -> None:
-        """The next frame."""
+        """Syncs the next frame."""
         splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
         self._meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
         scene = ls.Scene(splats, self._meshes, [LAMP])
         self.scene.sync(scene, camera or front_camera(), FramePlan.of(CONFIG, scene))
 
     def splats_before(self, number: int, points: Doubles, gaussian: int = 0) -> Doubles:
-        """Where points were that move with a Gaussian of a splat instance."""
+        """Previous positions of points that move with a Gaussian of a splat instance."""
         scene, points_in, out = self.scene, vectors(points), vectors(np.zeros_like(points))
         tables = scene.splat_instances, scene.gaussians, scene.motion.splats, out
         wp.launch(probe_splats, len(points), [number, gaussian, points_in, *tables], device="cpu")
         return out.numpy().astype(np.float64)
 
     def mesh_before(self, number: int, face: int, shares: Doubles = SHARES) -> Doubles:
-        """Where points of a mesh instance were, by weights in a triangle of it."""
+        """Previous positions of points of a mesh instance, by their weights in a triangle."""
         instance = self._meshes[number]
         points = points_of(instance, face, shares)
         distinct = {id(other.mesh): other.mesh for other in self._meshes}
@@ -68,12 +68,12 @@ class Sequence:
 
 
 def vectors(values: Doubles) -> wp.array[wp.vec3]:
-    """On the device."""
+    """A vec3 array on the device."""
     return wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu")
 
 
 def moved(transform: Doubles, points: Doubles) -> Doubles:
-    """Points by a transform, shape (4, 4)."""
+    """Points transformed by a matrix, shape (4, 4)."""
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
@@ -85,12 +85,12 @@ def points_of(instance: ls.MeshInstance, face: int, shares: Doubles = SHARES) ->
 
 
 def close(found: Doubles, truth: Doubles) -> None:
-    """To what float32 leaves of places some units away."""
+    """Asserts equality within float32 precision at some units from the origin."""
     np.testing.assert_allclose(found, truth, rtol=0.0, atol=4e-6)
 
 
 def capture(seed: int = 0, count: int = 20) -> ls.Gaussians:
-    """Some Gaussians about the origin."""
+    """Gaussians about the origin."""
     return random_gaussians(seed, count=count, center=(0.0, 0.0, 0.0), extent=(0.5, 0.5, 0.5))
 
 
@@ -100,8 +100,8 @@ def points_near(transform: Doubles, count: int = 16) -> Doubles:
 
 
 @pytest.mark.parametrize("move", MOVES)
-def test_instances_that_move(move: str) -> None:
-    """A point was where the transform of then puts what the transform of now has put here; one frame later, here."""
+def test_moving_instances_have_previous_positions(move: str) -> None:
+    """The previous transform gives a point's previous position; one frame later, it has not moved."""
     gaussians, mesh, now = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES[move]
     sequence = Sequence()
     sequence.show(ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE))
@@ -115,8 +115,8 @@ def test_instances_that_move(move: str) -> None:
     close(sequence.splats_before(0, points), points)
 
 
-def test_what_stands_still_is_where_it_was_to_the_last_bit() -> None:
-    """Whatever its transform: histories must not be resampled."""
+def test_still_instances_have_bit_equal_previous_positions() -> None:
+    """Holds for every transform, so that history is not resampled."""
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     sequence = Sequence()
     for _ in range(2):
@@ -128,8 +128,8 @@ def test_what_stands_still_is_where_it_was_to_the_last_bit() -> None:
     np.testing.assert_array_equal(sequence.mesh_before(0, 2), shown)
 
 
-def test_gaussians_that_move_on_their_own() -> None:
-    """A point keeps its place in the frame of its Gaussian, while that and the instance move and turn."""
+def test_deforming_gaussians_have_previous_positions() -> None:
+    """A point keeps its position in the Gaussian's frame while Gaussian and instance move and rotate."""
     before, now = capture(1), MOVES["all three"]
     rng = np.random.default_rng(3)
     after = replace(before, means=before.means + rng.normal(0.0, 0.2, (20, 3)), rotations_wxyz=rng.normal(size=(20, 4)))
@@ -144,20 +144,20 @@ def test_gaussians_that_move_on_their_own() -> None:
 
 
 def of_gaussian(gaussians: ls.Gaussians, i: int) -> Doubles:
-    """Object from the frame of a Gaussian, shape (4, 4)."""
+    """Transform from a Gaussian's frame to object space, shape (4, 4)."""
     w, x, y, z = np.asarray(gaussians.rotations_wxyz[i], np.float64) / np.linalg.norm(gaussians.rotations_wxyz[i])
     angle = 2.0 * np.arctan2(np.linalg.norm([x, y, z]), w)
     return similarity((x, y, z), angle, offset=tuple(gaussians.means[i]))
 
 
 def bent(mesh: ls.Mesh, seed: int = 4) -> ls.Mesh:
-    """The same with its vertices moved at random."""
+    """The mesh with randomly moved vertices."""
     rng = np.random.default_rng(seed)
     return replace(mesh, positions=mesh.positions + rng.normal(0.0, 0.1, mesh.positions.shape))
 
 
-def test_meshes_whose_vertices_move() -> None:
-    """Points keep their weights in their triangle; a mesh before it in the scene stays as it is."""
+def test_deforming_meshes_have_previous_positions() -> None:
+    """Points keep their barycentric weights; other meshes of the scene are unchanged."""
     still, mesh = octahedron((0.0, 0.3, 0.0), 0.4), octahedron((0.1, 0.0, 0.0), 0.5)
     now = MOVES["all three"]
     sequence = Sequence()
@@ -168,8 +168,8 @@ def test_meshes_whose_vertices_move() -> None:
         close(sequence.mesh_before(0, face), points_of(ls.MeshInstance(still), face))
 
 
-def test_vertices_are_those_of_the_mesh_that_was_there() -> None:
-    """Or it was nowhere: here all meshes are alike, and there are as many, but others."""
+def test_previous_vertices_belong_to_the_previous_mesh() -> None:
+    """A mesh without a matching predecessor has no previous position, even if all meshes have equal counts."""
     mesh, other, last = (octahedron((x, 0.0, 0.0), 0.4) for x in (0.0, 0.5, 1.0))
     both = bent(other)
     sequence = Sequence()
@@ -181,8 +181,8 @@ def test_vertices_are_those_of_the_mesh_that_was_there() -> None:
     assert not np.isnan(sequence.mesh_before(0, 1)).any()
 
 
-def test_what_is_new_was_nowhere() -> None:
-    """In the first frame all of it; later new instances alone, and what has taken another one's place."""
+def test_new_instances_have_no_previous_position() -> None:
+    """Holds for all of the first frame, and later for new instances and for replacements."""
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     old = ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE)
     points = points_near(HERE)
@@ -201,8 +201,8 @@ def test_what_is_new_was_nowhere() -> None:
     assert np.isnan(sequence.splats_before(0, points)).all()
 
 
-def test_instances_of_one_asset_are_the_same_in_their_order() -> None:
-    """Two that have exchanged their places count as moved; an instance removed before them changes nothing."""
+def test_instances_of_one_asset_match_in_order() -> None:
+    """Two that swap positions count as moved; removing an earlier instance changes nothing."""
     gaussians, mesh, there = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES["all three"]
     sequence = Sequence()
     sequence.show(ls.SplatInstance(gaussians, HERE), ls.SplatInstance(gaussians, there))
@@ -217,8 +217,8 @@ def test_instances_of_one_asset_are_the_same_in_their_order() -> None:
     close(sequence.mesh_before(0, 3), points_of(ls.MeshInstance(mesh, HERE), 3))
 
 
-def test_pixels_are_those_of_the_camera_before() -> None:
-    """As it projects points itself, with the distance from its eye; what is behind it is nowhere."""
+def test_previous_pixels_use_the_previous_camera() -> None:
+    """Pixel and distance equal the previous camera's projection; points behind it have none."""
     before = ls.Camera.look_at(
         (0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9, near=0.02
     )
