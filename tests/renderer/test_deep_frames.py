@@ -35,8 +35,8 @@ def triangle(depth: float) -> ls.MeshInstance:
 @pytest.fixture(scope="module")
 def scene() -> ls.Scene:
     """An emissive capture around two triangles, with a point light."""
-    lamp = ls.LightPoint((1.0, -2.0, 0.0), intensity=30.0)
-    return ls.Scene(splats=capture(), meshes=[triangle(4.0), triangle(4.6)], lights=[lamp])
+    light = ls.LightPoint((1.0, -2.0, 0.0), intensity=30.0)
+    return ls.Scene(splats=capture(), meshes=[triangle(4.0), triangle(4.6)], lights=[light])
 
 
 def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
@@ -127,8 +127,8 @@ def test_silhouette_samples_have_the_depth_of_their_gaussians() -> None:
 
 def test_environment_sample_is_behind_everything(scene: ls.Scene) -> None:
     """The environment's sample gets the remaining transmittance, and its own colour where nothing is in front."""
-    sky = ls.LightEnvironment(np.full((4, 8, 3), 0.5, np.float32))
-    lit = ls.Scene(splats=scene.splats, meshes=scene.meshes, lights=[sky])
+    environment = ls.LightEnvironment(np.full((4, 8, 3), 0.5, np.float32))
+    lit = ls.Scene(splats=scene.splats, meshes=scene.meshes, lights=[environment])
     for pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH):
         config = ls.RenderConfig(pipeline=pipeline, samples=2)
         frame = ls.render(lit, front_camera(), config, device="cpu")
@@ -166,19 +166,19 @@ def test_environment_takes_no_light_from_nearer_samples() -> None:
     assert np.quantile(error[:, :3], 0.99) < 0.03 and error[:, :3].mean() < 0.01  # of 0.2
 
 
-LAMPS = {
+LIGHTS = {
     "sphere": ls.LightSphere((0.1, 0.0, 4.0), 0.4, color=(1.0, 0.8, 0.5), intensity=6.0),
     "rect": ls.LightRect((0.1, 0.0, 3.6), (0.0, 0.9, 0.1), (0.9, 0.2, 0.0), intensity=6.0),
     "disk": ls.LightDisk((0.1, 0.0, 3.6), (0.0, 0.0, -1.0), 0.5, intensity=6.0),
 }
 
 
-@pytest.mark.parametrize("name", LAMPS)
+@pytest.mark.parametrize("name", LIGHTS)
 def test_visible_lights_are_samples_with_alpha_zero(name: str) -> None:
     """They lie at the light's depth and block nothing: an object inserted behind them does not remove their light."""
-    lamp, camera = LAMPS[name], front_camera()
+    light, camera = LIGHTS[name], front_camera()
     wall = ls.MeshInstance(ls.Mesh([(-9, -9, 6), (9, -9, 6), (0, 9, 6)], [(0, 1, 2)]))
-    scene = ls.Scene(meshes=[wall], lights=[lamp])
+    scene = ls.Scene(meshes=[wall], lights=[light])
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4)
     frame = ls.render(scene, camera, config, device="cpu")
     deep = ls.layers.render_deep(scene, camera, frame, config, device="cpu")
@@ -188,8 +188,8 @@ def test_visible_lights_are_samples_with_alpha_zero(name: str) -> None:
     assert last - first == 2
     np.testing.assert_allclose(deep.near[first:last], [3.6, 6.0], atol=0.02)
     assert deep.alpha[first:last].tolist() == [0.0, 1.0]
-    np.testing.assert_allclose(deep.color[first], 6.0 * np.array(lamp.color), rtol=0.01)
-    unlit = ls.render(replace(scene, lights=[replace(lamp, visible=False)]), camera, config, device="cpu")
+    np.testing.assert_allclose(deep.color[first], 6.0 * np.array(light.color), rtol=0.01)
+    unlit = ls.render(replace(scene, lights=[replace(light, visible=False)]), camera, config, device="cpu")
     np.testing.assert_allclose(
         deep.color[first + 1], linear(unlit)[camera.height // 2, camera.width // 2, :3], atol=0.05
     )
@@ -198,7 +198,7 @@ def test_visible_lights_are_samples_with_alpha_zero(name: str) -> None:
 @pytest.mark.parametrize(
     ("pipeline", "name"),
     [
-        *((ls.Pipeline.PATH, name) for name in LAMPS),
+        *((ls.Pipeline.PATH, name) for name in LIGHTS),
         (ls.Pipeline.REALTIME, "rect"),
         *(pytest.param(ls.Pipeline.REALTIME, name, marks=pytest.mark.deep) for name in ("sphere", "disk")),
     ],
@@ -207,7 +207,7 @@ def test_deep_samples_composite_to_frames_with_visible_lights(
     scene: ls.Scene, name: str, pipeline: ls.Pipeline
 ) -> None:
     """Lights stand among Gaussians and meshes, and in front of an empty background."""
-    lit = replace(scene, lights=[LAMPS[name], replace(LAMPS["sphere"], position=(-1.0, -0.8, 2.5), radius=0.2)])
+    lit = replace(scene, lights=[LIGHTS[name], replace(LIGHTS["sphere"], position=(-1.0, -0.8, 2.5), radius=0.2)])
     for background in ((0.0, 0.0, 0.0), None):
         config = ls.RenderConfig(
             pipeline=pipeline, samples=4 if pipeline is ls.Pipeline.PATH else 1, background=background

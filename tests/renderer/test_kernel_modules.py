@@ -15,7 +15,7 @@ from lumisplat.renderer.renderer import Renderer
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
-LAMP = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
+LIGHT = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
 MIRROR = ls.MaterialPbr(metallic=1.0, roughness=0.0)
 
 
@@ -58,14 +58,14 @@ def scene(meshes: Sequence[ls.Mesh], *lights: Any, shadow_catcher: bool = False)
 SCENES = {
     "capture": scene([]),
     "mesh": scene([icosphere(0.4)]),
-    "mirror": scene([replace(icosphere(0.4), material=MIRROR)], LAMP),
-    "shadow": scene([], LAMP),
+    "mirror": scene([replace(icosphere(0.4), material=MIRROR)], LIGHT),
+    "shadow": scene([], LIGHT),
     "no shadow": scene([], ls.LightDirectional((0.2, 0.3, 1.0), casts_shadow=False)),
-    "shadow-only": scene([icosphere(0.4)], LAMP, shadow_catcher=True),
+    "shadow-only": scene([icosphere(0.4)], LIGHT, shadow_catcher=True),
     "lit by a capture": ls.Scene([random_gaussians(3, count=60)], [icosphere(0.4)]),
-    "everything": scene([icosphere(0.4), replace(icosphere(0.3), material=MIRROR)], LAMP),
+    "everything": scene([icosphere(0.4), replace(icosphere(0.3), material=MIRROR)], LIGHT),
     "mesh catcher": ls.Scene(
-        [random_gaussians(3, count=60)], [icosphere(0.2), ls.MeshInstance(ls.box(1.0), shadow_catcher=True)], [LAMP]
+        [random_gaussians(3, count=60)], [icosphere(0.2), ls.MeshInstance(ls.box(1.0), shadow_catcher=True)], [LIGHT]
     ),
 }
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -126,19 +126,19 @@ def names_of(content: ls.Scene, **settings: Any) -> set[str]:
 def test_frames_without_blockers_trace_no_shadow_rays(soft: bool) -> None:
     """Only added objects cast shadows on catchers: a catcher alone needs no shadow rays and no BVH."""
     settings: dict[str, Any] = {"shadows": ls.Shadows.SOFT} if soft else {}
-    for lamp in (LAMP, ls.LightEnvironment()):
-        kept = ls.Scene([random_gaussians(3, count=60)], (), [lamp])
-        for content in (scene([], lamp, shadow_catcher=True), kept):
+    for light in (LIGHT, ls.LightEnvironment()):
+        kept = ls.Scene([random_gaussians(3, count=60)], (), [light])
+        for content in (scene([], light, shadow_catcher=True), kept):
             names = names_of(content, **settings)
             assert not names & {"shadow_kernel", "mesh_shadow_kernels", "gaussian_bvh_kernels", "direct_light_kernels"}
         for content in (scene([]), scene([icosphere(0.4)], shadow_catcher=True)):
-            shadowed = names_of(ls.Scene(content.splats, content.meshes, [lamp]), **settings)
+            shadowed = names_of(ls.Scene(content.splats, content.meshes, [light]), **settings)
             assert shadowed >= {"shadow_kernel", "gaussian_bvh_kernels", "direct_light_kernels"}
 
 
 def test_mesh_shadows_load_no_gaussian_kernels() -> None:
     """Frames of meshes do not wait for the kernels of Gaussians."""
-    names = names_of(ls.Scene((), [icosphere(0.4)], [LAMP]))
+    names = names_of(ls.Scene((), [icosphere(0.4)], [LIGHT]))
     assert "mesh_shadow_kernels" in names
     assert not names & {"shadow_kernel", "gaussian_bvh_kernels"}
 

@@ -134,8 +134,8 @@ def test_reflections_agree_in_the_traced_pipelines(number: int) -> None:
 )
 def test_default_samples_antialias_meshes_and_keep_captures(pipeline: ls.Pipeline) -> None:
     """The ball's edges have intermediate values; pixels of the capture only equal the unlit frame's to the bit."""
-    sky = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
-    lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [sky])
+    environment = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
+    lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [environment])
     camera = CAMERA.scaled(240)
     frame = ls.render(lit, camera, ls.RenderConfig(pipeline=pipeline), device="cpu")
     unlit = ls.Pipeline.RASTER if pipeline is ls.Pipeline.HYBRID else ls.Pipeline.TRACE

@@ -100,10 +100,10 @@ def test_shadow_density_equals_alpha(pipeline: ls.Pipeline, alpha: float, mode: 
         emitting((1.0, 1.0, 1.0), base_color_texture=HALVES, alpha_mode=mode, alpha=alpha), emissive=(0.0,) * 3
     )
     wall = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
-    lamp = ls.LightDirectional((0.0, 0.0, 1.0), intensity=2.0)
+    light = ls.LightDirectional((0.0, 0.0, 1.0), intensity=2.0)
     screen = board(-3.0, shade, 4.0)
     lit, shaded = (
-        render(ls.Scene(meshes=meshes, lights=[lamp]), pipeline, 1, jitter=False, max_bounces=0).color
+        render(ls.Scene(meshes=meshes, lights=[light]), pipeline, 1, jitter=False, max_bounces=0).color
         for meshes in ([wall], [wall, screen])
     )
     np.testing.assert_allclose(shaded[:, :14], lit[:, :14], rtol=1e-5)

@@ -16,7 +16,7 @@ from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.path_scenes import diffuse
 
 CAMERA = ls.Camera.look_at((0.0, 1.6, 2.6), (0.0, 0.1, 0.0), width=48, height=36, fov_y=0.6)
-LAMP, DAYLIGHT = ls.LightPoint((1.0, 1.5, 2.0), intensity=12.0), ls.LightEnvironment(color=(0.3, 0.5, 0.9))
+LIGHT, DAYLIGHT = ls.LightPoint((1.0, 1.5, 2.0), intensity=12.0), ls.LightEnvironment(color=(0.3, 0.5, 0.9))
 METAL = ls.MaterialPbr(base_color=(0.9, 0.8, 0.6), metallic=1.0, roughness=0.4)
 MATERIALS: dict[str, Material] = {
     "metal": METAL,
@@ -68,17 +68,17 @@ GLOSSY = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=6, glossy_reflectio
 @pytest.mark.parametrize("name", MATERIALS)
 def test_highlight_reflections_equal_one_bounce_paths(name: str) -> None:
     """Under a point light and an environment, neither of which is counted twice."""
-    agree(GLOSSY, floor_and_box(MATERIALS[name], LAMP, DAYLIGHT))
+    agree(GLOSSY, floor_and_box(MATERIALS[name], LIGHT, DAYLIGHT))
 
 
 def test_gaussian_reflections_equal_one_bounce_paths() -> None:
     """A floor of Gaussians does not reflect itself."""
-    agree(GLOSSY, floor_and_box(METAL, LAMP, splats=True))
+    agree(GLOSSY, floor_and_box(METAL, LIGHT, splats=True))
 
 
 def test_hybrid_and_traced_reflections_are_equal() -> None:
     """Compares meshes, whose first hit is the same."""
-    shown = floor_and_box(METAL, LAMP, DAYLIGHT)
+    shown = floor_and_box(METAL, LIGHT, DAYLIGHT)
     traced = ls.render(shown, CAMERA, replace(GLOSSY, samples=2), device="cpu")
     hybrid = ls.render(shown, CAMERA, replace(GLOSSY, samples=2, pipeline=ls.Pipeline.HYBRID), device="cpu")
     np.testing.assert_allclose(hybrid.color, traced.color, rtol=1e-3, atol=1e-5)
@@ -113,7 +113,7 @@ def test_highlights_reflect_captures() -> None:
     """A rough floor reflects an emissive capture, over no background."""
     box = ls.gaussians_from_mesh(replace(ls.box(0.8), material=diffuse(0.6)), 3000)
     kept = ls.SplatInstance(box, position=(0.0, 0.41, -0.4))
-    shown = ls.Scene([kept], [replace(ls.plane(4.0), material=METAL)], [replace(LAMP, intensity=0.0)])
+    shown = ls.Scene([kept], [replace(ls.plane(4.0), material=METAL)], [replace(LIGHT, intensity=0.0)])
     seen = ls.render(shown, CAMERA, replace(GLOSSY, background=(1.0, 1.0, 1.0)), device="cpu")
     floor = seen.instance_index == 1
     assert seen.light is not None
@@ -124,7 +124,7 @@ def test_highlights_reflect_captures() -> None:
 
 def test_glossy_reflections_need_a_bounce() -> None:
     """There are none with max_bounces 0, in rasterised frames, or by default."""
-    shown = floor_and_box(METAL, LAMP)
+    shown = floor_and_box(METAL, LIGHT)
     plain = ls.render(shown, CAMERA, replace(GLOSSY, glossy_reflections=False), device="cpu")
     none = ls.render(shown, CAMERA, replace(GLOSSY, max_bounces=0), device="cpu")
     np.testing.assert_array_equal(none.color, plain.color)
@@ -134,14 +134,14 @@ def test_glossy_reflections_need_a_bounce() -> None:
 
 def test_default_samples_follow_reflection_noise() -> None:
     """The default is sixteen, also with only a point light."""
-    shown = floor_and_box(METAL, LAMP)
+    shown = floor_and_box(METAL, LIGHT)
     assert FramePlan.of(replace(GLOSSY, samples=None), shown).samples == 16
     assert FramePlan.of(replace(GLOSSY, samples=None, glossy_reflections=False), shown).samples == 1
 
 
 def test_reflection_layer_contains_highlights() -> None:
     """The image ``reflection`` contains the light of reflection rays."""
-    shown = floor_and_box(METAL, LAMP)
+    shown = floor_and_box(METAL, LIGHT)
     settings = replace(GLOSSY, samples=4, aovs=("reflection",))
     glossy = ls.render(shown, CAMERA, settings, device="cpu")
     plain = ls.render(shown, CAMERA, replace(settings, glossy_reflections=False), device="cpu")

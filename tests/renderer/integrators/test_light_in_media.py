@@ -22,18 +22,18 @@ class Case:
     """One body of slabs across the z axis, a surface at 0 and a light along `SLANT`, with the path lengths inside."""
 
     slabs: tuple[tuple[float, float], ...]
-    lamp: float
+    light: float
     seen: float
     lit: float
     eye: float = -3.0
 
 
 CASES = {
-    "the lamp is inside": Case(((-2.0, -1.0),), lamp=2.0, seen=0.0, lit=0.75, eye=-0.5),
-    "both are inside": Case(((-1.5, 1.0),), lamp=1.0, seen=1.5, lit=1.0),
-    "the lamp is beyond": Case(((-1.2, 1.0),), lamp=2.5, seen=1.2, lit=1.5),
-    "left, and entered again": Case(((-0.4, 1.0), (-2.5, -1.6)), lamp=2.5, seen=0.4, lit=1.0, eye=-1.0),
-    "left, entered, and left": Case(((-0.4, 1.0), (-2.5, -1.6)), lamp=4.0, seen=0.4, lit=1.625, eye=-1.0),
+    "the lamp is inside": Case(((-2.0, -1.0),), light=2.0, seen=0.0, lit=0.75, eye=-0.5),
+    "both are inside": Case(((-1.5, 1.0),), light=1.0, seen=1.5, lit=1.0),
+    "the lamp is beyond": Case(((-1.2, 1.0),), light=2.5, seen=1.2, lit=1.5),
+    "left, and entered again": Case(((-0.4, 1.0), (-2.5, -1.6)), light=2.5, seen=0.4, lit=1.0, eye=-1.0),
+    "left, entered, and left": Case(((-0.4, 1.0), (-2.5, -1.6)), light=4.0, seen=0.4, lit=1.625, eye=-1.0),
 }
 
 
@@ -44,12 +44,12 @@ def body(slabs: tuple[tuple[float, float], ...], material: ls.MaterialPbr) -> ls
     return ls.Mesh(np.concatenate([part.positions for part in parts]), np.concatenate(indices), material=material)
 
 
-def assert_absorbed(case: Case, lamp: ls.LightPoint | ls.LightSphere, pipeline: ls.Pipeline) -> None:
+def assert_absorbed(case: Case, light: ls.LightPoint | ls.LightSphere, pipeline: ls.Pipeline) -> None:
     """Asserts that a mesh has the brightness without the body, times the transmittance of both paths."""
     floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), diffuse(0.8))
     camera = ls.Camera.look_at((0, 0, case.eye), (0, 0, 0), width=16, height=8, fov_y=0.002)
     without, within = (
-        color(ls.Scene(meshes=[floor, *bodies], lights=[lamp]), pipeline, 1, camera, max_bounces=1)
+        color(ls.Scene(meshes=[floor, *bodies], lights=[light]), pipeline, 1, camera, max_bounces=1)
         for bodies in ([], [body(case.slabs, BODY)])
     )
     np.testing.assert_allclose(within / without, TINT ** (case.seen + case.lit), rtol=3e-3)
@@ -59,14 +59,14 @@ def assert_absorbed(case: Case, lamp: ls.LightPoint | ls.LightSphere, pipeline: 
 @pytest.mark.parametrize("name", CASES)
 def test_light_is_absorbed_on_both_paths(pipeline: ls.Pipeline, name: str) -> None:
     """The light cannot be hit, so that its shadow rays pass glass."""
-    assert_absorbed(CASES[name], ls.LightPoint(CASES[name].lamp * SLANT, intensity=50.0), pipeline)
+    assert_absorbed(CASES[name], ls.LightPoint(CASES[name].light * SLANT, intensity=50.0), pipeline)
 
 
 @TRACED
 def test_visible_lights_are_absorbed(pipeline: ls.Pipeline) -> None:
     """A sphere light nearly as small: glass blocks the shadow rays of paths towards it."""
     case = CASES["both are inside"]
-    assert_absorbed(case, ls.LightSphere(case.lamp * SLANT, 0.001, intensity=2e7), pipeline)
+    assert_absorbed(case, ls.LightSphere(case.light * SLANT, 0.001, intensity=2e7), pipeline)
 
 
 @TRACED
@@ -75,7 +75,7 @@ def test_gaussians_in_media_are_lit_like_meshes(pipeline: ls.Pipeline) -> None:
     case = CASES["both are inside"]
     without, within = (
         color(
-            ls.Scene([wide_sheet(0.0, 0.9, 0.8)], meshes=bodies, lights=[ls.LightPoint(case.lamp * SLANT)]),
+            ls.Scene([wide_sheet(0.0, 0.9, 0.8)], meshes=bodies, lights=[ls.LightPoint(case.light * SLANT)]),
             pipeline,
             64,
             max_bounces=1,
@@ -88,10 +88,10 @@ def test_gaussians_in_media_are_lit_like_meshes(pipeline: ls.Pipeline) -> None:
 @pytest.mark.parametrize("visible", [False, True])
 def test_light_inside_rough_glass_is_absorbed(visible: bool) -> None:
     """The light is sampled through the surface, whether or not rays can hit it; its path inside is absorbed."""
-    lamp = ls.LightSphere((0.0, 0.0, 1.0), 0.001, intensity=1e6, visible=visible)
+    light = ls.LightSphere((0.0, 0.0, 1.0), 0.001, intensity=1e6, visible=visible)
     clear, dim = (
         color(
-            ls.Scene(meshes=[slab(0.0, 5.0, replace(glass, roughness=0.4, ior=1.5))], lights=[lamp]),
+            ls.Scene(meshes=[slab(0.0, 5.0, replace(glass, roughness=0.4, ior=1.5))], lights=[light]),
             ls.Pipeline.PATH,
             16,
             AHEAD,

@@ -18,7 +18,7 @@ LIT, GREY, BLUE, DARK = (
     ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, emissive=emissive)
     for emissive in ((1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.25, 1.0), (0.0, 0.0, 0.0))
 )
-SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
+ENVIRONMENT = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 
 
 def reflectance(before: float, behind: float) -> float:
@@ -32,11 +32,11 @@ def test_slab_absorbs_by_beers_law(pipeline: ls.Pipeline, behind: str) -> None:
     """Transmittance is the colour to the power of thickness over distance, for an environment or an emitter."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=0.7)
     if behind == "sky":
-        scene = ls.Scene(meshes=[slab(0.0, 1.0, inside)], lights=[SKY])
+        scene = ls.Scene(meshes=[slab(0.0, 1.0, inside)], lights=[ENVIRONMENT])
         truth = np.array([0.2, 0.5, 1.0]) ** (1.0 / 0.7)
     else:
-        lamp = quad((-9, -9, 0.4), (18, 0, 0), (0, 18, 0), GREY)
-        scene = ls.Scene(meshes=[slab(0.0, 1.0, inside), lamp])
+        light = quad((-9, -9, 0.4), (18, 0, 0), (0, 18, 0), GREY)
+        scene = ls.Scene(meshes=[slab(0.0, 1.0, inside), light])
         truth = 0.5 * np.array([0.2, 0.5, 1.0]) ** (0.4 / 0.7)
     np.testing.assert_allclose(color(scene, pipeline, 4), truth, rtol=2e-5)
 
@@ -56,10 +56,10 @@ def test_absorbing_glass_tints_shadows(pipeline: ls.Pipeline, place: str) -> Non
     """With a light behind it, in it, or far away, shadow rays get the transmittance of their path."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
-    lamp = ls.LightPoint((0.0, 0.0, -6.0 if place == "beyond" else -4.5), intensity=50.0)
+    light = ls.LightPoint((0.0, 0.0, -6.0 if place == "beyond" else -4.5), intensity=50.0)
     glass = slab(-5.0, -4.0, inside)
     without, within = (
-        color(ls.Scene(meshes=meshes, lights=[lamp]), pipeline, 1, max_bounces=0)
+        color(ls.Scene(meshes=meshes, lights=[light]), pipeline, 1, max_bounces=0)
         for meshes in ([floor], [floor, glass])
     )
     way = 1.0 if place == "beyond" else 0.5
@@ -112,7 +112,7 @@ def test_overlapping_media_use_priorities(
     ice = replace(CLEAR, ior=1.31, specular=0.0, attenuation_color=(1.0, 0.25, 1.0), attenuation_distance=1.0)
     sea = slab(0.0, 2.0, replace(water, priority=water_priority))
     berg = slab(-1.0, 1.0, replace(ice, priority=ice_priority))
-    found = color(ls.Scene(meshes=[sea, berg], lights=[SKY]), pipeline, 4)
+    found = color(ls.Scene(meshes=[sea, berg], lights=[ENVIRONMENT]), pipeline, 4)
     rtol = 0.01 if pipeline is ls.Pipeline.PATH else 1e-4  # roulette
     np.testing.assert_allclose(found, [0.5 ** (3.0 - in_ice), 0.25**in_ice, 1.0], rtol=rtol)
 
@@ -126,9 +126,9 @@ def test_surfaces_between_media_use_both_indices(pipeline: ls.Pipeline, priority
     """
     indices = (1.0, 1.31, 1.6, 1.0)
     bodies = [slab(-1.0, 1.0, replace(CLEAR, ior=1.31, priority=priority)), slab(0.0, 2.0, replace(CLEAR, ior=1.6))]
-    lamp = quad((-9, -9, 3.0), (18, 0, 0), (0, 18, 0), LIT)
+    light = quad((-9, -9, 3.0), (18, 0, 0), (0, 18, 0), LIT)
     is_path = pipeline is ls.Pipeline.PATH
-    found = color(ls.Scene(meshes=[*bodies, lamp]), pipeline, 1024 if is_path else 1, max_bounces=8)
+    found = color(ls.Scene(meshes=[*bodies, light]), pipeline, 1024 if is_path else 1, max_bounces=8)
     mirrored = [reflectance(before, behind) for before, behind in itertools.pairwise(indices)]
     truth = 1.0 / (1.0 + sum(r / (1.0 - r) for r in mirrored))
     np.testing.assert_allclose(found, truth, rtol=3e-3)
@@ -139,12 +139,12 @@ def test_glass_inside_equal_glass_is_invisible(pipeline: ls.Pipeline) -> None:
     """A ball of glass in a ball of the same glass neither reflects nor refracts; one of air does."""
     glass = replace(CLEAR, ior=1.5)
     view = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=24, height=24, fov_y=0.5)
-    sky = np.zeros((16, 32, 3), np.float32)
-    sky[:, ::4] = 1.0
+    environment = np.zeros((16, 32, 3), np.float32)
+    environment[:, ::4] = 1.0
     outer = ball(0.6, glass, rows=24)
     shown = [
         ls.render(
-            ls.Scene(meshes=[outer, *inner], lights=[ls.LightEnvironment(sky)]),
+            ls.Scene(meshes=[outer, *inner], lights=[ls.LightEnvironment(environment)]),
             view,
             ls.RenderConfig(pipeline=pipeline, samples=1, seed=3, max_bounces=6),
             device="cpu",
@@ -166,10 +166,10 @@ def test_inverted_glass_is_logged_once(pipeline: ls.Pipeline, caplog: pytest.Log
     settings = ls.RenderConfig(pipeline=pipeline, samples=2)
     with caplog.at_level("WARNING", logger="lumisplat"):
         renderer = ls.create_renderer(settings, "cpu")
-        renderer.render(ls.Scene(meshes=[good], lights=[SKY]), AHEAD)
+        renderer.render(ls.Scene(meshes=[good], lights=[ENVIRONMENT]), AHEAD)
         assert "without entering it" not in caplog.text
         for _ in range(2):
-            renderer.render(ls.Scene(meshes=[ls.MeshInstance(bad, name="drop")], lights=[SKY]), AHEAD)
+            renderer.render(ls.Scene(meshes=[ls.MeshInstance(bad, name="drop")], lights=[ENVIRONMENT]), AHEAD)
     assert caplog.text.count("rays leave the inside of mesh 'drop' without entering it") == 1
 
 

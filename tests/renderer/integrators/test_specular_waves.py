@@ -19,7 +19,7 @@ from support.scenes.trace_scenes import GLASS, MIRROR, slab
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 WHITE = (1.0, 1.0, 1.0)
-LAMP = ls.MaterialPbr(base_color=WHITE)
+LIGHT = ls.MaterialPbr(base_color=WHITE)
 FORWARD = np.array([[0.0, 0.0, 1.0]])
 ORIGIN = np.zeros((1, 3))
 SCALES = [(1e-3, 0.0), (1.0, 0.0), (1e3, 0.0), (1.0, 1e3)]
@@ -171,18 +171,18 @@ def test_prism_reflects_totally(rig: RayRig) -> None:
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 1, 0], [0, 1, 1]], dtype=float) - [0, 0.5, 0]
     faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [0, 2, 5], [0, 5, 3], [1, 4, 5], [1, 5, 2]]
     prism = ls.Mesh(corners, np.array(faces), material=GLASS)
-    lamp = ls.Mesh([[-2, -1, -1], [-2, 1, -1], [-2, 1, 1], [-2, -1, 1]], [[0, 1, 2], [0, 2, 3]], material=LAMP)
-    seen = rig.colors(ls.Scene([], [prism, lamp]), [[0.4, 0.1, -2.0]], FORWARD, bounces=3)
+    light = ls.Mesh([[-2, -1, -1], [-2, 1, -1], [-2, 1, 1], [-2, -1, 1]], [[0, 1, 2], [0, 2, 3]], material=LIGHT)
+    seen = rig.colors(ls.Scene([], [prism, light]), [[0.4, 0.1, -2.0]], FORWARD, bounces=3)
     np.testing.assert_allclose(seen[0], np.full(3, 0.96**2), atol=1e-5)
 
 
 def test_gaussians_in_front_of_each_surface_are_blended(rig: RayRig) -> None:
     """Their colour and transmittance apply on every segment of the path."""
     rig.color, rig.transmittance = (0.1, 0.2, 0.3), 0.5
-    fog, sky = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
+    fog, environment = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
     for material in (MIRROR, replace(GLASS, ior=1.0)):
-        seen = rig.colors(ls.Scene([], [quad(2.0, material=material)]), ORIGIN, FORWARD, background=tuple(sky))
-        np.testing.assert_allclose(seen[0], fog + 0.5 * (fog + 0.5 * sky), atol=1e-6)
+        seen = rig.colors(ls.Scene([], [quad(2.0, material=material)]), ORIGIN, FORWARD, background=tuple(environment))
+        np.testing.assert_allclose(seen[0], fog + 0.5 * (fog + 0.5 * environment), atol=1e-6)
 
 
 def test_faint_branches_are_not_traced() -> None:
@@ -316,7 +316,7 @@ def test_mirrored_glass_instances_are_entered_from_outside(rig: RayRig) -> None:
     pose = similarity((0.2, 1.0, 0.3), 0.7, 1.0, (0.1, 0.0, 4.0))
     along = normalized(np.append(rng.uniform(-0.25, 0.25, (3000, 2)), np.ones((3000, 1)), axis=1))
     wall = quad(
-        8.0, 9.0, uvs=[[0, 0], [9, 0], [9, 9], [0, 9]], material=replace(LAMP, base_color_texture=noise_texture())
+        8.0, 9.0, uvs=[[0, 0], [9, 0], [9, 9], [0, 9]], material=replace(LIGHT, base_color_texture=noise_texture())
     )
     views = [
         rig.colors(ls.Scene([], [ls.MeshInstance(body, matrix), wall]), np.zeros((3000, 3)), along, bounces=4)

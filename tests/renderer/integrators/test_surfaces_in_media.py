@@ -15,7 +15,7 @@ TRACED = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYB
 AHEAD = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=8, fov_y=0.002)
 WATER = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, ior=1.33, specular=0.0)
 """Water whose own surface reflects nothing at normal incidence."""
-SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
+ENVIRONMENT = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 
 
@@ -45,7 +45,7 @@ def test_normal_reflectance_under_water(pipeline: ls.Pipeline, ior: float, thin_
     if thin_walled:
         black = replace(black, transmission=1.0, thin_walled=True)
     is_path = pipeline is ls.Pipeline.PATH  # roulette ends most of what is so dim
-    found = color(ls.Scene(meshes=[sea(), facing(black)], lights=[SKY]), pipeline, 256 if is_path else 4)
+    found = color(ls.Scene(meshes=[sea(), facing(black)], lights=[ENVIRONMENT]), pipeline, 256 if is_path else 4)
     np.testing.assert_allclose(found, ((ior - 1.33) / (ior + 1.33)) ** 2, rtol=0.1 if is_path else 2e-3, atol=1e-9)
 
 
@@ -80,6 +80,6 @@ def test_white_body_under_water_disappears_in_a_furnace(ior: float, roughness: f
     water = ball(1.0, replace(WATER, specular=1.0), rows=16)
     camera = ls.Camera.look_at((0, 0, -4), (0, 0, 0), width=24, height=24, fov_y=0.3)
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=64, max_bounces=64, lighting=True)
-    scene = ls.Scene(meshes=[water, ball(0.7, white, rows=16)], lights=[SKY])
+    scene = ls.Scene(meshes=[water, ball(0.7, white, rows=16)], lights=[ENVIRONMENT])
     frame = ls.render(scene, camera, settings, device="cpu")
     assert frame.color.mean(dtype=np.float64) == pytest.approx(1.0, abs=0.01)

@@ -17,7 +17,7 @@ from lumisplat.renderer import captured_light
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, front_camera, octahedron, one_gaussian
 
-PLACE = np.array([0.2, -0.1, 4.0])
+POSITION = np.array([0.2, -0.1, 4.0])
 MATT = ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1), base_color=(0.5, 0.5, 0.5))
 
 
@@ -40,7 +40,7 @@ def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gau
     kept = along[:, 1] >= 1.0 - 2.0 * share
     count = int(kept.sum())
     return ls.Gaussians(
-        PLACE + radius * along[kept],
+        POSITION + radius * along[kept],
         np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
         np.full((count, 3), 0.05 * radius),
         np.ones(count),
@@ -53,7 +53,7 @@ def ball(radius: float = 0.8, **attributes: Any) -> ls.Mesh:
     import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
-    positions = sphere.vertices + PLACE
+    positions = sphere.vertices + POSITION
     return ls.Mesh(positions, sphere.faces, normals=sphere.vertex_normals, material=MATT, **attributes)
 
 
@@ -142,9 +142,9 @@ def test_mesh_outside_a_capture_gets_a_headlight(share: float) -> None:
 
 def test_explicit_lights_and_settings_disable_captured_light() -> None:
     """A light, a disabled light, and lighting=True or False take no light from the capture."""
-    capture, lamp = shell(np.array([0.2, 0.2, 0.8])), ls.LightPoint(PLACE - (0, 0, 3), intensity=5.0)
+    capture, light = shell(np.array([0.2, 0.2, 0.8])), ls.LightPoint(POSITION - (0, 0, 3), intensity=5.0)
     scene = ls.Scene([capture], [ball()])
-    for lights, lighting in (((lamp,), None), ((replace(lamp, enabled=False),), None), ((), True)):
+    for lights, lighting in (((light,), None), ((replace(light, enabled=False),), None), ((), True)):
         seen = light_on(replace(scene, lights=lights), lighting=lighting)
         np.testing.assert_allclose(seen[:, 2], seen[:, 0], atol=1e-6)  # nothing blue
     flat = ls.render(scene, front_camera(64, 48), ls.RenderConfig(lighting=False), device="cpu")

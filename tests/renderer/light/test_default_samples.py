@@ -19,7 +19,7 @@ from support.scenes.raster_scenes import front_camera, random_gaussians
 
 SUN = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
 SOFT_SUN = replace(SUN, angle=0.1)
-SKY = ls.LightEnvironment()
+ENVIRONMENT = ls.LightEnvironment()
 MANY, SOME = SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_ENVIRONMENT_ON_SPLATS
 
 
@@ -47,15 +47,15 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
         (scene(ls.LightPoint((0, 0, 0), radius=0.1)), {"shadows": ls.Shadows.SOFT}, MANY),
         (scene(ls.LightSphere((0, 0, 0), 0.1)), {"shadows": ls.Shadows.SOFT}, MANY),
         (scene(ls.LightRect((0, 0, 0), (1, 0, 0), (0, 1, 0))), {"shadows": ls.Shadows.SOFT}, MANY),
-        (scene(SKY), {}, MANY),
-        (scene(SKY), {"shadows": ls.Shadows.OFF}, MANY),
-        (scene(SKY), {"lighting": False}, 1),
-        (scene(replace(SKY, enabled=False)), {}, 1),
-        (scene(SKY, material=ls.MaterialPbr()), {}, SOME),
-        (scene(SKY, SOFT_SUN, material=ls.MaterialPbr()), {"shadows": ls.Shadows.SOFT}, MANY),
-        (scene(SKY, sh_degree=0), {}, 1),
-        (scene(SKY, shadow_catcher=True), {}, 1),
-        (scene(SKY), {"samples": 3}, 3),
+        (scene(ENVIRONMENT), {}, MANY),
+        (scene(ENVIRONMENT), {"shadows": ls.Shadows.OFF}, MANY),
+        (scene(ENVIRONMENT), {"lighting": False}, 1),
+        (scene(replace(ENVIRONMENT, enabled=False)), {}, 1),
+        (scene(ENVIRONMENT, material=ls.MaterialPbr()), {}, SOME),
+        (scene(ENVIRONMENT, SOFT_SUN, material=ls.MaterialPbr()), {"shadows": ls.Shadows.SOFT}, MANY),
+        (scene(ENVIRONMENT, sh_degree=0), {}, 1),
+        (scene(ENVIRONMENT, shadow_catcher=True), {}, 1),
+        (scene(ENVIRONMENT), {"samples": 3}, 3),
     ],
 )
 def test_default_samples_depend_on_lights_and_surfaces(
@@ -85,7 +85,7 @@ def test_default_samples_leave_no_black_pixels(pipeline: ls.Pipeline, caplog: py
 
 def test_too_few_samples_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     """The warning names the noisy light and the remedy; none by default, nor once resumed frames have enough."""
-    camera, soft = front_camera(16, 16), scene(SKY, SOFT_SUN)
+    camera, soft = front_camera(16, 16), scene(ENVIRONMENT, SOFT_SUN)
 
     def lines(content: ls.Scene, **settings: Any) -> list[str]:
         caplog.clear()
@@ -95,23 +95,23 @@ def test_too_few_samples_are_logged_once(caplog: pytest.LogCaptureFixture) -> No
         return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
 
     end = f": {MANY} or more make it smooth, and are the default"
-    assert lines(scene(SKY), samples=1) == [f"light from the environment is noisy with 1 sample a pixel{end}"]
+    assert lines(scene(ENVIRONMENT), samples=1) == [f"light from the environment is noisy with 1 sample a pixel{end}"]
     (line,) = lines(soft, samples=4, shadows=ls.Shadows.SOFT)
     assert line == f"light from the environment and lights with a size is noisy with 4 samples a pixel{end}"
-    assert not lines(scene(SKY))
+    assert not lines(scene(ENVIRONMENT))
     assert not lines(scene(SUN), samples=1)
-    assert not lines(scene(SKY, material=ls.MaterialPbr()), samples=SOME)
-    assert not lines(scene(SKY), samples=MANY)
-    half = ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(SKY), camera)
+    assert not lines(scene(ENVIRONMENT, material=ls.MaterialPbr()), samples=SOME)
+    assert not lines(scene(ENVIRONMENT), samples=MANY)
+    half = ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(ENVIRONMENT), camera)
     caplog.clear()
-    ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(SKY), camera, resume=half)
+    ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(ENVIRONMENT), camera, resume=half)
     assert not caplog.records
 
 
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 def test_default_samples_leave_captures_unchanged(pipeline: ls.Pipeline) -> None:
     """An emissive capture in front of a noisy mesh: pixels without the mesh equal the unlit frame to the bit."""
-    content = scene(replace(SKY, visible=False))
+    content = scene(replace(ENVIRONMENT, visible=False))
     pose = np.eye(4)
     pose[:3, 3] = 1.0, 0.0, 9.0
     content = replace(content, meshes=(replace(content.meshes[0], world_from_object=pose),))
@@ -133,7 +133,7 @@ def test_demo_animation_suppresses_its_noise_warning(
     monkeypatch.setattr(demo, "_lit_config", lambda: settings)
     monkeypatch.setattr(demo, "_SWING_FRAMES", 2)
     spot = ls.LightSpot((0, -2, 3), (0, 1, 0))
-    content = scene(SKY, spot)
+    content = scene(ENVIRONMENT, spot)
     content = replace(content, lights=(spot, *(light for light in content.lights if light is not spot)))
 
     def start(config: ls.RenderConfig) -> ls.Renderer:

@@ -12,7 +12,7 @@ from support.scenes.path_scenes import ball, quad
 from support.scenes.pipelines import SAMPLED
 
 VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=32, height=24, fov_y=0.35)
-LAMP = ls.LightPoint((1.0, -1.5, -2.0), intensity=10.0)
+LIGHT = ls.LightPoint((1.0, -1.5, -2.0), intensity=10.0)
 PLAIN: dict[str, Any] = {"base_color": (0.5, 0.1, 0.1), "roughness": 0.8}
 LOOKS: dict[str, dict[str, Any]] = {
     "coat": {"clearcoat": 1.0, "clearcoat_roughness": 0.4},
@@ -31,12 +31,12 @@ def frame(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 def test_pipelines_agree_on_layers_under_a_light(look: str) -> None:
     """On a ball without bounces; the layer, or multiple scattering, changes the image."""
     compensated = look == "metal"
-    scene = ls.Scene(meshes=[ball(0.3, ls.MaterialPbr(**(PLAIN | LOOKS[look])), rows=24)], lights=[LAMP])
+    scene = ls.Scene(meshes=[ball(0.3, ls.MaterialPbr(**(PLAIN | LOOKS[look])), rows=24)], lights=[LIGHT])
     shown = [frame(scene, p, max_bounces=0, energy_compensation=compensated) for p in SAMPLED]
     for other in shown[1:]:
         np.testing.assert_allclose(other, shown[0], rtol=2e-3, atol=2e-4)
     plain = ls.MaterialPbr(**(PLAIN | (LOOKS[look] if compensated else {})))
-    without = frame(ls.Scene(meshes=[ball(0.3, plain, rows=24)], lights=[LAMP]), ls.Pipeline.TRACE)
+    without = frame(ls.Scene(meshes=[ball(0.3, plain, rows=24)], lights=[LIGHT]), ls.Pipeline.TRACE)
     assert np.abs(without - shown[0]).max() > 0.02
 
 
@@ -44,7 +44,7 @@ def test_relit_gaussians_have_layers() -> None:
     """Clearcoat and sheen work on relit sets."""
     gaussians = ls.gaussians_from_mesh(ball(0.3, ls.MaterialPbr(base_color=(0.5, 0.1, 0.1))), 3000)
     shown = [
-        frame(ls.Scene(splats=[ls.SplatInstance(gaussians, material=material)], lights=[LAMP]), ls.Pipeline.HYBRID)
+        frame(ls.Scene(splats=[ls.SplatInstance(gaussians, material=material)], lights=[LIGHT]), ls.Pipeline.HYBRID)
         for material in (ls.MaterialPbr(**PLAIN), ls.MaterialPbr(**(PLAIN | LOOKS["sheen"])))
     ]
     assert shown[1].mean() > shown[0].mean() + 0.005

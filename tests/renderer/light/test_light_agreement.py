@@ -18,7 +18,7 @@ from support.scenes.light_scenes import ball_at, box, matte, parallelogram
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import random_gaussians, similarity
 
-LAMP = ls.LightPoint((-1.3, 2.4, 1.0), color=(1.0, 0.9, 0.7), intensity=20.0)
+LIGHT = ls.LightPoint((-1.3, 2.4, 1.0), color=(1.0, 0.9, 0.7), intensity=20.0)
 CAMERA = ls.Camera.look_at((0.5, 2.2, 3.2), (0.15, 0.35, -0.1), width=96, height=72, fov_y=0.5)
 RED = matte(0.8, 0.3, 0.2)
 SHINY = ls.MaterialPbr(base_color=(0.3, 0.6, 0.8), roughness=0.4)
@@ -54,13 +54,13 @@ def gaussians_of(name: str) -> ls.Gaussians:
 
 def as_mesh(name: str) -> ls.Scene:
     """The mesh object over the floor."""
-    return ls.Scene((), [FLOOR, OBJECTS[name][0]], [LAMP])
+    return ls.Scene((), [FLOOR, OBJECTS[name][0]], [LIGHT])
 
 
 def as_gaussians(name: str, **changes: object) -> ls.Scene:
     """The Gaussian object over the floor."""
     instance = ls.SplatInstance(gaussians_of(name), material=OBJECTS[name][0].material)
-    return ls.Scene([replace(instance, **changes)], [FLOOR], [LAMP])
+    return ls.Scene([replace(instance, **changes)], [FLOOR], [LIGHT])
 
 
 def overlap(first: np.ndarray, second: np.ndarray) -> float:
@@ -156,12 +156,12 @@ def test_white_gaussians_disappear_in_a_furnace(pipeline: ls.Pipeline) -> None:
     """White furnace: Gaussians of a surface lose less than 1 % to shadows on each other."""
     white = matte(1.0)
     splats = ls.gaussians_from_mesh(ball_at((0.0, 0.7, 0.0), 0.5, white), 4000)
-    sky = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
-    scene = ls.Scene([ls.SplatInstance(splats, material=white)], (), [sky])
+    environment = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
+    scene = ls.Scene([ls.SplatInstance(splats, material=white)], (), [environment])
     frame = lit(scene, CAMERA, pipeline, shadows=ls.Shadows.SOFT, samples=48)
     inside = (frame.instance_index == 0) & (frame.alpha > 0.99)
     assert inside.sum() > 500
-    np.testing.assert_allclose(frame.color[inside].mean(axis=0), sky.color, rtol=0.01)
+    np.testing.assert_allclose(frame.color[inside].mean(axis=0), environment.color, rtol=0.01)
 
 
 def capture() -> ls.Gaussians:
@@ -170,7 +170,7 @@ def capture() -> ls.Gaussians:
 
 
 @PIPELINES
-@pytest.mark.parametrize("lights", [(LAMP,), (replace(LAMP, enabled=False),), ()], ids=["lamp", "off", "headlight"])
+@pytest.mark.parametrize("lights", [(LIGHT,), (replace(LIGHT, enabled=False),), ()], ids=["lamp", "off", "headlight"])
 def test_lighting_without_reflecting_surfaces_changes_nothing(
     lights: tuple[ls.LightPoint, ...], pipeline: ls.Pipeline, tmp_path: Path
 ) -> None:
@@ -195,7 +195,7 @@ def test_lighting_without_reflecting_surfaces_changes_nothing(
 def test_capture_beside_a_lit_mesh_is_unchanged(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     """Light on a floor changes no pixel of the capture in front of it, nor of the background."""
     half = parallelogram((-3.0, 0.0, 0.2), (3.2, 0.0, 0.0), (0.0, 0.0, -1.4), matte(0.8))
-    scene = ls.Scene([capture()], [half], [LAMP])
+    scene = ls.Scene([capture()], [half], [LIGHT])
     frame = lit(scene, CAMERA, pipeline, tone_map=ls.ToneMap.NEUTRAL)
     unlit = ls.render(scene, CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False), device="cpu")
     nothing = ls.render(ls.Scene([capture()]), CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False), device="cpu")

@@ -9,7 +9,7 @@ import lumisplat as ls
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian
 
-LAMP = ls.LightPoint((0.0, 0.0, 0.0))
+LIGHT = ls.LightPoint((0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
@@ -33,7 +33,7 @@ def test_meshes_alone_are_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
         (ls.Scene([one_gaussian()]), False),
         (ls.Scene([one_gaussian()], [octahedron((0.0, 0.0, 4.0), 0.5)]), True),
         (ls.Scene([], [octahedron((0.0, 0.0, 4.0), 0.5)]), True),
-        (ls.Scene([one_gaussian()], lights=[LAMP]), True),
+        (ls.Scene([one_gaussian()], lights=[LIGHT]), True),
     ],
 )
 def test_captures_without_lights_are_unlit(scene: ls.Scene, is_lit: bool) -> None:

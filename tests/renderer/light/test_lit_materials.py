@@ -99,8 +99,8 @@ def test_smooth_texels_of_rough_materials_have_highlights() -> None:
     spotless = ls.MaterialPbr(
         base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0, metallic_roughness_texture=texture(0, 0, 255)
     )
-    sky = ls.LightEnvironment(color=(0.2, 0.3, 0.4), visible=False)
-    seen = middle(lit(ls.Scene(meshes=[wall(spotless)], lights=[sky]), shadows=ls.Shadows.OFF, samples=4))
+    environment = ls.LightEnvironment(color=(0.2, 0.3, 0.4), visible=False)
+    seen = middle(lit(ls.Scene(meshes=[wall(spotless)], lights=[environment]), shadows=ls.Shadows.OFF, samples=4))
     np.testing.assert_allclose(seen, [0.2, 0.3, 0.4], rtol=0.02)
 
 
@@ -123,10 +123,10 @@ def test_normal_texture_tilts_the_normal() -> None:
 def test_occlusion_dims_only_the_environment() -> None:
     """Occlusion scales environment light by its strength, and no other light."""
     hidden = texture(51, 0, 0)
-    sky = ls.LightEnvironment(visible=False)
+    environment = ls.LightEnvironment(visible=False)
     for strength, share in ((1.0, 0.2), (0.5, 0.6)):
         material = diffuse(occlusion_texture=hidden, occlusion_strength=strength)
-        seen = middle(lit(ls.Scene(meshes=[wall(material)], lights=[sky]), samples=64))
+        seen = middle(lit(ls.Scene(meshes=[wall(material)], lights=[environment]), samples=64))
         np.testing.assert_allclose(seen, share, rtol=0.02)
         np.testing.assert_allclose(middle(lit(ls.Scene(meshes=[wall(material)], lights=[FACING]))), 1.0, rtol=1e-4)
 

@@ -12,7 +12,7 @@ import lumisplat as ls
 from support.scenes.path_scenes import assert_is, ball, diffuse, paths, quad
 
 EMITTED = 2.0
-LAMP = replace(diffuse(0.0, EMITTED), double_sided=False)
+LIGHT = replace(diffuse(0.0, EMITTED), double_sided=False)
 DOWN_AT_FLOOR = ls.Camera.look_at((0.0, 0.4, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=16, height=16, fov_y=0.02)
 DARK = ls.LightPoint((0.0, 50.0, 0.0), intensity=1e-9)
 """A light so weak that it only makes frames lit."""
@@ -28,8 +28,8 @@ def floor_below(material: ls.MaterialPbr, *, faces_down: bool, mirrored: bool = 
     """An emitting panel over a floor."""
     place = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
     floor = quad((-4.0, 0.0, -4.0), (0.0, 0.0, 8.0), (8.0, 0.0, 0.0), diffuse(0.5))
-    lamp = ls.MeshInstance(panel(material, faces_down=faces_down), place)
-    return ls.Scene((), [ls.MeshInstance(floor), lamp], [DARK])
+    light = ls.MeshInstance(panel(material, faces_down=faces_down), place)
+    return ls.Scene((), [ls.MeshInstance(floor), light], [DARK])
 
 
 def form_factor() -> float:
@@ -44,8 +44,10 @@ def test_back_of_a_one_sided_emitter_is_black(pipeline: ls.Pipeline) -> None:
     camera = ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), width=8, height=8, fov_y=0.3)
     config = ls.RenderConfig(pipeline=pipeline, aovs=("emission",))
     for faces_down, mirrored in ((True, False), (False, False), (True, True)):
-        lamp = ls.MeshInstance(panel(LAMP, faces_down=faces_down), np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0]))
-        frame = ls.render(ls.Scene((), [lamp], [DARK]), camera, config, device="cpu")
+        light = ls.MeshInstance(
+            panel(LIGHT, faces_down=faces_down), np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
+        )
+        frame = ls.render(ls.Scene((), [light], [DARK]), camera, config, device="cpu")
         expected = EMITTED if faces_down else 0.0
         np.testing.assert_allclose(frame.color, expected, atol=1e-5)
         assert frame.emission is not None
@@ -56,11 +58,11 @@ def test_one_sided_emitter_lights_by_its_form_factor() -> None:
     """Radiance is albedo times emission times form factor below the front, and 0 below the back."""
     expected = 0.5 * EMITTED * form_factor()
     for mirrored in (False, True):
-        lit = paths(floor_below(LAMP, faces_down=True, mirrored=mirrored), DOWN_AT_FLOOR, 64, 1)
+        lit = paths(floor_below(LIGHT, faces_down=True, mirrored=mirrored), DOWN_AT_FLOOR, 64, 1)
         assert_is(lit.color[..., 0], expected)
-        back = paths(floor_below(LAMP, faces_down=False, mirrored=mirrored), DOWN_AT_FLOOR, 64, 4)
+        back = paths(floor_below(LIGHT, faces_down=False, mirrored=mirrored), DOWN_AT_FLOOR, 64, 4)
         assert back.color.max() < 1e-6
-    both = paths(floor_below(replace(LAMP, double_sided=True), faces_down=False), DOWN_AT_FLOOR, 64, 1)
+    both = paths(floor_below(replace(LIGHT, double_sided=True), faces_down=False), DOWN_AT_FLOOR, 64, 1)
     assert_is(both.color[..., 0], expected)
 
 
@@ -69,7 +71,7 @@ def test_one_and_two_sided_emitters_agree_in_front(roughness: float) -> None:
     """Bit-equal, whether samples of lights or of a highlight find the emitter."""
     shown = []
     for double_sided in (False, True):
-        scene = floor_below(replace(LAMP, double_sided=double_sided), faces_down=True)
+        scene = floor_below(replace(LIGHT, double_sided=double_sided), faces_down=True)
         floor = replace(scene.meshes[0].mesh, material=ls.MaterialPbr(metallic=1.0, roughness=roughness))
         scene = replace(scene, meshes=(ls.MeshInstance(floor), scene.meshes[1]))
         shown.append(paths(scene, DOWN_AT_FLOOR, 16, 1).color)
@@ -90,7 +92,7 @@ def test_hollow_emitting_ball_equals_the_geometric_series() -> None:
 def test_real_time_emitters_light_only_in_front() -> None:
     """In front within 3 % of path tracing, and nothing behind."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
-    lit, back = floor_below(LAMP, faces_down=True), floor_below(LAMP, faces_down=False)
+    lit, back = floor_below(LIGHT, faces_down=True), floor_below(LIGHT, faces_down=False)
     frames = [renderer.render(lit, DOWN_AT_FLOOR).color.astype(np.float64) for _ in range(24)]
     assert np.mean(frames[8:]) == pytest.approx(0.5 * EMITTED * form_factor(), rel=0.03)
     dark = [renderer.render(back, DOWN_AT_FLOOR).color.max() for _ in range(24)]

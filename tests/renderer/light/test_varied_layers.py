@@ -18,10 +18,10 @@ from support.scenes.path_scenes import quad
 from support.scenes.pipelines import DIRECT
 
 VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=16, height=8, fov_y=0.3)
-LAMP = ls.LightPoint((0.2, -0.6, -1.5), intensity=5.0)
-PAINT = ls.MaterialPbr(base_color=(0.5, 0.1, 0.1), roughness=0.8, wrap_u=ls.TextureWrap.CLAMP)
-GLASS = replace(PAINT, base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=0.8, thin_walled=True)
-SHINING = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, emissive=(1.0, 1.0, 1.0))
+LIGHT = ls.LightPoint((0.2, -0.6, -1.5), intensity=5.0)
+VARNISH = ls.MaterialPbr(base_color=(0.5, 0.1, 0.1), roughness=0.8, wrap_u=ls.TextureWrap.CLAMP)
+GLASS = replace(VARNISH, base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=0.8, thin_walled=True)
+EMITTER = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, emissive=(1.0, 1.0, 1.0))
 LOW, HIGH = 51, 204
 """Texel values for factors of 0.2 and 0.8."""
 
@@ -42,7 +42,7 @@ def wall(material: ls.MaterialPbr) -> ls.Mesh:
 
 def seen(mesh: ls.Mesh, pipeline: ls.Pipeline, samples: int = 1, others: Any = (), **changes: Any) -> np.ndarray:
     """Colour of a mesh under a light."""
-    scene = ls.Scene(meshes=[mesh, *others], lights=[LAMP])
+    scene = ls.Scene(meshes=[mesh, *others], lights=[LIGHT])
     settings = ls.RenderConfig(pipeline=pipeline, samples=samples, jitter=False, lighting=True, **changes)
     return ls.render(scene, VIEW, settings, device="cpu").color
 
@@ -70,7 +70,7 @@ def test_texels_multiply_layer_factors(name: str, channel: int, pipeline: ls.Pip
         layers = {"sheen_color": (0.9, 0.6, 0.5), "sheen_roughness": 0.9}
     if name == "sheen_color":
         factors = [decode_srgb(np.array([texel, 128, 128]) / 255.0) for texel in (LOW, HIGH)]
-    textured = replace(PAINT, **layers, **{f"{name}_texture": halves(channel)})
+    textured = replace(VARNISH, **layers, **{f"{name}_texture": halves(channel)})
     if name != "sheen_roughness":
         assert_halves(textured, name, factors, lambda material: seen(wall(material), pipeline, max_bounces=0))
         return
@@ -85,11 +85,11 @@ def test_texels_multiply_layer_factors(name: str, channel: int, pipeline: ls.Pip
 @pytest.mark.parametrize("lighting", [True, False])
 def test_texels_multiply_transmission(pipeline: ls.Pipeline, lighting: bool) -> None:
     """Smooth glass in front of an emitting wall, lit and unlit."""
-    behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), SHINING)
+    behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), EMITTER)
     textured = replace(GLASS, transmission_texture=halves(0))
 
     def show(material: ls.MaterialPbr) -> np.ndarray:
-        scene = ls.Scene(meshes=[wall(material), behind], lights=[LAMP])
+        scene = ls.Scene(meshes=[wall(material), behind], lights=[LIGHT])
         settings = ls.RenderConfig(pipeline=pipeline, jitter=False, lighting=lighting)
         return ls.render(scene, VIEW, settings, device="cpu").color
 
@@ -111,7 +111,7 @@ def test_transmission_texels_tint_shadows() -> None:
 
 def test_transmission_texels_apply_to_rough_glass() -> None:
     """In path tracing, with equal random numbers the noise is equal."""
-    behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), SHINING)
+    behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), EMITTER)
     textured = replace(GLASS, roughness=0.4, transmission_texture=halves(0))
     assert_halves(
         textured,

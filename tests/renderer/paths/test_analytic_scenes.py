@@ -61,27 +61,27 @@ def test_closed_furnace_equals_the_geometric_series(bounces: int, shape: str) ->
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.1), (-0.6, 0.5, 0.2)])
 def test_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> None:
     """For any position of the light, bounced irradiance is rho Phi / (4 pi R^2 (1 - rho))."""
-    lamp = ls.LightPoint(place, intensity=1.0)
-    scene = ls.Scene(meshes=[ball(1.0, diffuse(0.5), hollow=True, rows=96)], lights=[lamp])
+    light = ls.LightPoint(place, intensity=1.0)
+    scene = ls.Scene(meshes=[ball(1.0, diffuse(0.5), hollow=True, rows=96)], lights=[light])
     bounced = irradiance(paths(scene, INSIDE, 64, 64), 0.5) - irradiance(paths(scene, INSIDE, 64, 0), 0.5)
     assert_is(bounced, 0.5 * 4.0 * np.pi / (4.0 * np.pi * 0.5))
 
 
 @pytest.mark.parametrize("lamp", ["mesh", "rect"])
 @pytest.mark.parametrize(("albedo", "truth"), [(0.5, 1.2416), (0.8, 2.8002)])
-def test_cube_below_an_emitting_ceiling(lamp: str, albedo: float, truth: float) -> None:
+def test_cube_below_an_emitting_ceiling(light: str, albedo: float, truth: float) -> None:
     """Irradiance at the middle of the floor equals float64 collocation, and direct light the form factor."""
-    ceiling = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(albedo, 1.0 if lamp == "mesh" else 0.0))
-    lights = [ls.LightRect((0.5, 0.99999, 0.5), (1, 0, 0), (0, 0, 1), intensity=1.0)] if lamp == "rect" else []
+    ceiling = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(albedo, 1.0 if light == "mesh" else 0.0))
+    lights = [ls.LightRect((0.5, 0.99999, 0.5), (1, 0, 0), (0, 0, 1), intensity=1.0)] if light == "rect" else []
     scene = ls.Scene(meshes=[*cube_without_ceiling(diffuse(albedo)), ceiling], lights=lights)
     assert_is(irradiance(paths(scene, AT_THE_FLOOR, 64, 0), albedo), np.pi * 0.239456)
     assert_is(irradiance(paths(scene, AT_THE_FLOOR, 64, 64), albedo), truth)
 
 
 @pytest.mark.parametrize("lamp", ["mesh", "rect", "sky"])
-def test_clear_panes_count_light_once(lamp: str) -> None:
+def test_clear_panes_count_light_once(light: str) -> None:
     """Light through glass of index 1 is counted once, by refracted rays or by light samples."""
-    shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if lamp == "mesh" else 0.0))
+    shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if light == "mesh" else 0.0))
     lights: dict[str, list[Light]] = {
         "mesh": [],
         "rect": [ls.LightRect((0.0, 0.999, 0.0), (1, 0, 0), (0, 0, 1), intensity=1.0)],
@@ -91,9 +91,9 @@ def test_clear_panes_count_light_once(lamp: str) -> None:
     pane = quad((-4, 0.7, -4), (8, 0, 0), (0, 0, 8), clear)
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
     camera = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.02)
-    shining = [] if lamp == "sky" else [shine]
+    shining = [] if light == "sky" else [shine]
     open_air, behind = (
-        irradiance(paths(ls.Scene(meshes=[floor, *shining, *panes], lights=lights[lamp]), camera, 64, 16), 0.5)
+        irradiance(paths(ls.Scene(meshes=[floor, *shining, *panes], lights=lights[light]), camera, 64, 16), 0.5)
         for panes in ([], [pane])
     )
     assert behind.std() / np.sqrt(behind.size) < 0.01 * open_air.mean()
@@ -103,12 +103,12 @@ def test_clear_panes_count_light_once(lamp: str) -> None:
 @pytest.mark.parametrize("shadows", ["none of the light's", "short", "off"])
 def test_unshadowed_environment_passes_blockers(shadows: str) -> None:
     """Without shadows, or beyond the shadow distance, a floor under a roof has all environment light."""
-    sky = ls.LightEnvironment(
+    environment = ls.LightEnvironment(
         casts_shadow=shadows != "none of the light's", shadow_distance=0.5 if shadows == "short" else np.inf
     )
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
     roof = quad((-9, 1.0, -9), (18, 0, 0), (0, 0, 18), diffuse(0.0))
-    scene = ls.Scene(meshes=[floor, roof], lights=[sky])
+    scene = ls.Scene(meshes=[floor, roof], lights=[environment])
     camera = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.02)
     frame = paths(scene, camera, 64, 0, shadows=ls.Shadows.OFF if shadows == "off" else ls.Shadows.HARD)
     assert_is(irradiance(frame, 0.5), np.pi)
@@ -146,10 +146,10 @@ def test_two_gaussian_sheets_exchange_light(side: str) -> None:
     rows = 64
     around = 2.0 * np.pi * ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5)
     behind_camera = np.repeat((np.cos(around) > 0.0)[None, :, None], rows, axis=0) * np.ones(3)
-    sky = (behind_camera if side == "reflected" else 1.0 - behind_camera).astype(np.float32)
+    environment = (behind_camera if side == "reflected" else 1.0 - behind_camera).astype(np.float32)
     scene = ls.Scene(
         splats=[wide_sheet(0.0, 0.6, 0.8), wide_sheet(1.0, 0.6, 0.8)],
-        lights=[ls.LightEnvironment(sky)],
+        lights=[ls.LightEnvironment(environment)],
     )
     camera = ls.Camera.look_at((0.0, 0.0, -1.0), (0.0, 0.0, 0.0), width=32, height=32, fov_y=0.02)
     # By the rule for captures, two surfaces of such wide Gaussians would be one layer.
@@ -173,12 +173,12 @@ def test_captures_emit_light() -> None:
 
 def test_visible_sphere_light_is_rendered() -> None:
     """A sphere of radiance 3 over a floor has irradiance pi L (r / d)^2, and is visible unless set otherwise."""
-    lamp = ls.LightSphere((0.0, 2.0, 0.0), 0.25, intensity=3.0)
+    light = ls.LightSphere((0.0, 2.0, 0.0), 0.25, intensity=3.0)
     floor = quad((-5, 0, -5), (0, 0, 10), (10, 0, 0), diffuse(0.5))
     above = ls.Camera.look_at((0, 1.0, 0.01), (0, 0, 0), (0, 0, -1), width=24, height=24, fov_y=0.02)
     beside = ls.Camera.look_at((0, 1.0, 3.0), (0, 2, 0), width=16, height=16, fov_y=0.02)
     for visible in (True, False):
-        scene = ls.Scene(meshes=[floor], lights=[replace(lamp, visible=visible)])
+        scene = ls.Scene(meshes=[floor], lights=[replace(light, visible=visible)])
         below = irradiance(paths(scene, above, 16, 0), 0.5)
         np.testing.assert_allclose(below, np.pi * 3.0 * (0.25 / 2.0) ** 2, rtol=1e-3)
         frame = paths(scene, beside, 4, 0, background=None)

@@ -114,8 +114,8 @@ def test_iso_surface_and_particles_have_different_means(primary: ls.config.PathP
 @pytest.mark.parametrize("opacity", [0.3, 0.6])
 def test_light_behind_a_lit_sheet_agrees_for_both_primaries(opacity: float) -> None:
     """Also where the sheet is blended, with or without an iso-opacity surface."""
-    lamp = ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)
-    scene = ls.Scene(splats=[wide_sheet(0.0, opacity, 0.0)], lights=[lamp])
+    light = ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)
+    scene = ls.Scene(splats=[wide_sheet(0.0, opacity, 0.0)], lights=[light])
     for primary in ls.config.PathPrimary:
         frame = paths(scene, view(), 256, 0, path=ls.PathConfig(primary=primary))
         np.testing.assert_allclose(frame.color.mean(), 1.0 - opacity, rtol=0.02)
@@ -128,8 +128,8 @@ def test_stochastic_shadows_are_unbiased() -> None:
     haze = ls.SplatInstance(
         wide_sheet(1.0, 0.5, 0.0).gaussians, turn, material=ls.MaterialPbr(specular=0.0, roughness=1.0)
     )
-    lamp = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0, visible=False)
-    scene = ls.Scene(meshes=[floor], splats=[haze], lights=[lamp])
+    light = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0, visible=False)
+    scene = ls.Scene(meshes=[floor], splats=[haze], lights=[light])
     down = ls.Camera.look_at((1.5, 0.5, 0.7), (1.5, 0, 0.7), (0, 0, 1), width=16, height=16, fov_y=0.02)
     means = [
         paths(scene, down, 128, 0, shadow_rays=ls.ShadowConfig(method=method)).color.mean()

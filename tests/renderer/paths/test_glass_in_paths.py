@@ -13,7 +13,7 @@ from support.oracles.form_factors import polygon_irradiance
 from support.scenes.path_scenes import assert_is, ball, diffuse, paths, quad
 
 VIEW = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=12, fov_y=0.05)
-SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
+ENVIRONMENT = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 GLASS = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, ior=1.5)
 
 
@@ -28,7 +28,7 @@ def test_blended_glass_absorbs_inside_only(behind: str, caplog: pytest.LogCaptur
     wall = quad((-9, -9, 5), (0, 18, 0), (18, 0, 0), diffuse(0.0, 1.0))
     for alpha in (1.0, 0.5):
         body = replace(body, material=replace(tinted, alpha=alpha))
-        scene = ls.Scene(meshes=[body, wall]) if behind == "wall" else ls.Scene(meshes=[body], lights=[SKY])
+        scene = ls.Scene(meshes=[body, wall]) if behind == "wall" else ls.Scene(meshes=[body], lights=[ENVIRONMENT])
         np.testing.assert_allclose(paths(scene, VIEW, 4, 8, background=None).color, 0.8, rtol=5e-4)
     assert "without entering it" not in caplog.text
 
@@ -39,7 +39,7 @@ def test_blended_glass_disappears_in_a_furnace(roughness: float, caplog: pytest.
     caplog.set_level(logging.WARNING)
     material = replace(GLASS, roughness=roughness, alpha_mode="blend", alpha=0.5)
     near = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=16, height=12, fov_y=0.1)
-    white = paths(ls.Scene(meshes=[ball(0.3, material, rows=24)], lights=[SKY]), near, 32, 32, background=None)
+    white = paths(ls.Scene(meshes=[ball(0.3, material, rows=24)], lights=[ENVIRONMENT]), near, 32, 32, background=None)
     values = white.color[..., 1].astype(np.float64)
     error = values.std() / np.sqrt(values.size)
     assert error < 0.0025
@@ -69,7 +69,7 @@ def test_milky_glass_is_not_noisy(inside: bool) -> None:
     body = ball(0.3, replace(GLASS, transmission=0.2), rows=24)
     place = ((0, 0, 0), (0, 0, 1)) if inside else ((0, 0, -2), (0, 0, 0))
     view = ls.Camera.look_at(*place, width=32, height=24, fov_y=0.2)
-    values = paths(ls.Scene(meshes=[body], lights=[SKY]), view, 8, 32).color[..., 1].astype(np.float64)
+    values = paths(ls.Scene(meshes=[body], lights=[ENVIRONMENT]), view, 8, 32).color[..., 1].astype(np.float64)
     error = values.std() / np.sqrt(values.size)
     assert error < 0.012
     assert (0.85 if inside else 0.95) < values.mean() < 1.0 + 4.0 * error

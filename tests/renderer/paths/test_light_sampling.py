@@ -132,8 +132,8 @@ def test_transformed_emitter_irradiance(half: float, unit: float) -> None:
 def test_environment_irradiance_on_a_tilted_wall(slope: float, way: str) -> None:
     """Irradiance is pi L (1 + cos) / 2: half of the environment is bright, and it is tilted instead of the wall."""
     above = np.repeat((np.arange(256) < 128)[:, None, None], 512, axis=1) * np.full(3, 2.0, np.float32)
-    sky = ls.LightEnvironment(above, rotation_wxyz=(np.cos(0.5 * slope), 0.0, 0.0, np.sin(0.5 * slope)))
-    assert_is(found(sky, way), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
+    environment = ls.LightEnvironment(above, rotation_wxyz=(np.cos(0.5 * slope), 0.0, 0.0, np.sin(0.5 * slope)))
+    assert_is(found(environment, way), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
 
 
 def test_point_light_irradiance_is_noise_free() -> None:
@@ -147,7 +147,7 @@ def test_point_light_irradiance_is_noise_free() -> None:
 # --- Veach's plates ---
 
 ROUGHNESS = (0.2, 0.35, 0.5, 0.7)
-LAMPS = (ls.LightSphere((-0.35, 1.5, -1.5), 0.25, intensity=7.0), ls.LightSphere((0.8, 1.6, -1.4), 0.7, intensity=1.0))
+LIGHTS = (ls.LightSphere((-0.35, 1.5, -1.5), 0.25, intensity=7.0), ls.LightSphere((0.8, 1.6, -1.4), 0.7, intensity=1.0))
 SIDE = ls.Camera.look_at((0, 0.35, 0.35), (0, 0, 0), width=32, height=24, fov_y=0.002)
 
 
@@ -167,7 +167,7 @@ def plate(roughness: float) -> ls.Mesh:
 
 def veach(roughness: float, way: str) -> Estimate:
     """Radiance of a plate below both lights; BSDF sampling needs more samples."""
-    lights = [replace(lamp, visible=way != "sampled") for lamp in LAMPS]
+    lights = [replace(lamp, visible=way != "sampled") for lamp in LIGHTS]
     meshes = [plate(roughness), PANE] if way == "met" else [plate(roughness)]
     samples, bounces = (256, 1) if way == "met" else (64, 0)
     values = paths(ls.Scene(meshes=meshes, lights=lights), SIDE, samples, bounces).color[..., 1].astype(np.float64)
@@ -188,7 +188,7 @@ def test_sampling_strategies_agree_on_veach_plates(roughness: float) -> None:
 def test_veach_plate_equals_quadrature(way: str) -> None:
     """Each strategy equals the integral over the lights' cones in float64."""
     view = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
-    truth = sum(reflected_light(lamp, view, 0.35) for lamp in LAMPS)
+    truth = sum(reflected_light(lamp, view, 0.35) for lamp in LIGHTS)
     assert_is(veach(0.35, way).values, truth)
 
 
@@ -225,8 +225,11 @@ def test_shadow_settings_apply_to_all_strategies(lamp: str, setting: str) -> Non
             scene, meshes=[floor, quad((-1.5, 2, -1.5), (3, 0, 0), (0, 0, 3), diffuse(0.0, 1.0))], lights=[]
         )
     if lamp == "sky":
-        sky = ls.LightEnvironment(color=(0.7, 0.7, 0.7))
-        shown, scene = replace(scene, lights=[sky]), replace(scene, lights=[replace(sky, shadow_distance=1e6)])
+        environment = ls.LightEnvironment(color=(0.7, 0.7, 0.7))
+        shown, scene = (
+            replace(scene, lights=[environment]),
+            replace(scene, lights=[replace(environment, shadow_distance=1e6)]),
+        )
     changed = replace(ls.ShadowConfig(), **{setting: 0.4 if setting == "transmittance_threshold" else 3.0})
     down = ls.Camera.look_at((0, 0.5, 0.3), (0, 0, 0), (0, 0, 1), width=16, height=12, fov_y=0.02)
     means = [paths(one, down, 64, 0, background=None, shadow_rays=changed).color.mean((0, 1)) for one in (scene, shown)]

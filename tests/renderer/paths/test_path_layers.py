@@ -19,8 +19,8 @@ ALL = (*PATH_PARTS, "bounces", "lights", "albedo")
 
 def rooms() -> ls.Scene:
     """Relit and emissive Gaussians, meshes, a mirror, glass, an environment, lights, and a visible light."""
-    lamp = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
-    return scene(*LAMPS, SKY, lamp)
+    light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
+    return scene(*LAMPS, SKY, light)
 
 
 @pytest.mark.parametrize("shown", ["all", "shadow-only"])
@@ -63,12 +63,12 @@ def test_metal_is_glossy_and_visible_lights_are_emission() -> None:
     """A rough metal floor has only glossy light; a directly visible light is emission."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.4)
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), metal)
-    lamp = ls.LightSphere((0.0, 0.8, 0.0), 0.2, intensity=4.0)
+    light = ls.LightSphere((0.0, 0.8, 0.0), 0.2, intensity=4.0)
     above = ls.Camera.look_at((0.1, 0.5, 0.1), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.2)
-    frame: Any = paths(ls.Scene(meshes=[floor], lights=[lamp]), above, 16, 2, aovs=ALL)
+    frame: Any = paths(ls.Scene(meshes=[floor], lights=[light]), above, 16, 2, aovs=ALL)
     assert not frame.direct_diffuse.any() and frame.direct_glossy.mean() > 0.1 and not frame.emission.any()
     upwards = ls.Camera.look_at((0.0, 0.1, 0.0), (0, 1, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)
-    seen: Any = paths(ls.Scene(meshes=[floor], lights=[lamp]), upwards, 1, 2, aovs=ALL)
+    seen: Any = paths(ls.Scene(meshes=[floor], lights=[light]), upwards, 1, 2, aovs=ALL)
     np.testing.assert_allclose(seen.emission, seen.color)
     np.testing.assert_allclose(seen.light_total[0], seen.color)
 
@@ -77,15 +77,15 @@ def test_light_layers_equal_frames_of_single_lights() -> None:
     """In the mean, with shadows and bounces."""
     room = cube_without_ceiling(diffuse(0.7))
     screen = quad((0.4, 0.2, 0.4), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.2))
-    lamps = [
+    lights = [
         ls.LightPoint((0.5, 0.8, 0.5), intensity=0.4, name="top"),
         ls.LightPoint((0.2, 0.4, 0.3), intensity=0.2, color=(1.0, 0.4, 0.2), name="side"),
     ]
     view = ls.Camera.look_at((0.5, 0.6, 0.1), (0.5, 0.0, 0.6), width=24, height=18, fov_y=1.2)
-    both: Any = paths(ls.Scene(meshes=[*room, screen], lights=lamps), view, 256, 4, aovs=("lights",))
+    both: Any = paths(ls.Scene(meshes=[*room, screen], lights=lights), view, 256, 4, aovs=("lights",))
     assert both.light_names == ("top", "side")
-    for number, lamp in enumerate(lamps):
-        alone: Any = paths(ls.Scene(meshes=[*room, screen], lights=[lamp]), view, 256, 4, aovs=("lights",))
+    for number, light in enumerate(lights):
+        alone: Any = paths(ls.Scene(meshes=[*room, screen], lights=[light]), view, 256, 4, aovs=("lights",))
         direct = both.light_direct[number] * both.light_shadow[number]
         np.testing.assert_allclose(
             direct.mean((0, 1)), (alone.light_direct * alone.light_shadow)[0].mean((0, 1)), rtol=0.02
@@ -98,9 +98,9 @@ def test_unblocked_light_reflected_in_metal_is_unshadowed(roughness: float) -> N
     """Its samples reach rough metal whole, however few; in a mirror, only hits bring its light."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=roughness)
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), metal)
-    lamp = ls.LightSphere((0.0, 1.0, -1.5), 0.5, intensity=3.0)
+    light = ls.LightSphere((0.0, 1.0, -1.5), 0.5, intensity=3.0)
     view = ls.Camera.look_at((0, 0.5, 1.0), (0, 0, 0), width=16, height=12, fov_y=0.5)
-    frame: Any = paths(ls.Scene(meshes=[floor], lights=[lamp]), view, 128, 0, aovs=("lights", "bounces"))
+    frame: Any = paths(ls.Scene(meshes=[floor], lights=[light]), view, 128, 0, aovs=("lights", "bounces"))
     np.testing.assert_allclose(frame.light_shadow, 1.0, atol=1e-5)
     assert frame.light_total[0].mean() > 0.3
     if roughness > 0.0:
@@ -144,18 +144,18 @@ def test_layers_are_saved_by_name(tmp_path: Path) -> None:
 
 def test_coat_is_glossy_and_its_base_diffuse() -> None:
     """The coat takes its fraction of the diffuse light and adds a highlight; the parts are otherwise unchanged."""
-    lamp = ls.LightPoint((0.3, 0.8, 0.0), intensity=2.0)
+    light = ls.LightPoint((0.3, 0.8, 0.0), intensity=2.0)
     above = ls.Camera.look_at((-0.3, 0.8, 0.0), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)
     parts: dict[str, Any] = {}
     for name, albedo in (("red", 0.6), ("black", 0.0)):
         coated = replace(diffuse(albedo), clearcoat=1.0, clearcoat_roughness=0.5)
         floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), coated)
-        frame: Any = paths(ls.Scene(meshes=[floor], lights=[lamp]), above, 1, 0, aovs=ALL)
+        frame: Any = paths(ls.Scene(meshes=[floor], lights=[light]), above, 1, 0, aovs=ALL)
         parts[name] = np.stack([frame.direct_diffuse, frame.direct_glossy])
     assert not parts["black"][0].any() and parts["black"][1].min() > 0.0
     np.testing.assert_allclose(parts["red"][1], parts["black"][1], rtol=1e-3)
     bare = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
-    plain: Any = paths(ls.Scene(meshes=[bare], lights=[lamp]), above, 1, 0, aovs=ALL)
+    plain: Any = paths(ls.Scene(meshes=[bare], lights=[light]), above, 1, 0, aovs=ALL)
     whole = plain.direct_diffuse
     assert 0.8 < (parts["red"][0] / whole).min() <= (parts["red"][0] / whole).max() < 0.97
 
@@ -164,8 +164,8 @@ def test_gaussian_emission_is_not_environment_light() -> None:
     """An emissive sheet in front of a dim environment adds to the light without a light source."""
     material = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(3.0, 3.0, 3.0))
     sheet = replace(wide_sheet(0.0, 0.9, 0.5), material=material)
-    sky = ls.LightEnvironment(color=(1e-3, 1e-3, 1e-3))
+    environment = ls.LightEnvironment(color=(1e-3, 1e-3, 1e-3))
     ahead = ls.Camera.look_at((0, 0, -1), (0, 0, 1), width=8, height=8, fov_y=0.01)
-    frame: Any = paths(ls.Scene(splats=[sheet], lights=[sky]), ahead, 64, 0, aovs=ALL)
+    frame: Any = paths(ls.Scene(splats=[sheet], lights=[environment]), ahead, 64, 0, aovs=ALL)
     assert frame.light_total[0].mean() < 2e-3
     assert frame.light_total[1].mean() > 0.3

@@ -44,8 +44,8 @@ def blocks_of(room: PathRoom, samples: int, shrink: int) -> Blocks:
 
 def centred(camera: ls.Camera, samples: int) -> ls.Camera:
     """The camera shifted by the mean sub-pixel position of the samples, up to 0.1 pixels from the centre."""
-    places = (0.5 + np.arange(samples)[:, None] * SUBPIXEL_STEPS) % 1.0
-    x, y = places.mean(axis=0) - 0.5
+    positions = (0.5 + np.arange(samples)[:, None] * SUBPIXEL_STEPS) % 1.0
+    x, y = positions.mean(axis=0) - 0.5
     return replace(camera, cx=camera.cx + x, cy=camera.cy + y)
 
 

@@ -23,13 +23,13 @@ def test_frosted_ball_nearly_disappears_in_a_furnace() -> None:
     assert 0.97 < values.mean() < 1.003
 
 
-SHINING = quad((-0.5, -0.5, 1.0), (0, 1, 0), (1, 0, 0), diffuse(0.0, 1.0))
+EMITTER = quad((-0.5, -0.5, 1.0), (0, 1, 0), (1, 0, 0), diffuse(0.0, 1.0))
 RECT = ls.LightRect((0.0, 0.0, 1.0), (1, 0, 0), (0, -1, 0), intensity=1.0)
-SKY = ls.LightEnvironment(color=(0.3, 0.3, 0.3))
-LAMPS: dict[str, tuple[Light | ls.Mesh, Light]] = {
-    "mesh": (SHINING, replace(RECT, visible=False)),
+ENVIRONMENT = ls.LightEnvironment(color=(0.3, 0.3, 0.3))
+LIGHTS: dict[str, tuple[Light | ls.Mesh, Light]] = {
+    "mesh": (EMITTER, replace(RECT, visible=False)),
     "rect": (RECT, replace(RECT, visible=False)),
-    "sky": (SKY, replace(SKY, shadow_distance=1e6)),
+    "sky": (ENVIRONMENT, replace(ENVIRONMENT, shadow_distance=1e6)),
     "sphere": (
         ls.LightSphere((0.0, 0.0, 1.0), 0.02, intensity=0.2 / (np.pi * 0.02**2)),
         ls.LightPoint((0.0, 0.0, 1.0), intensity=0.2),
@@ -40,7 +40,7 @@ LAMPS: dict[str, tuple[Light | ls.Mesh, Light]] = {
 
 @pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize(
-    "lamp", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LAMPS if name != "sky")]
+    "lamp", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LIGHTS if name != "sky")]
 )
 def test_frosted_panes_agree_for_sampled_and_hit_lights(lamp: str, thin: bool) -> None:
     """Multiple importance sampling of light samples and hits equals light sampling alone."""
@@ -48,7 +48,7 @@ def test_frosted_panes_agree_for_sampled_and_hit_lights(lamp: str, thin: bool) -
     glass = replace(pane, material=replace(FROSTED, roughness=0.5, thin_walled=thin))
     view = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=32, height=24, fov_y=0.05)
     values = []
-    for light in LAMPS[lamp]:
+    for light in LIGHTS[lamp]:
         is_mesh = isinstance(light, ls.Mesh)
         scene = ls.Scene(meshes=[glass, light] if is_mesh else [glass], lights=[] if is_mesh else [light])
         values.append(paths(scene, view, 256, 8, background=None).color[..., 1].astype(np.float64))
@@ -58,7 +58,7 @@ def test_frosted_panes_agree_for_sampled_and_hit_lights(lamp: str, thin: bool) -
     np.testing.assert_allclose(both.mean(), sampled.mean(), atol=4.0 * error)
     if lamp == "sky":  # a furnace, but for what single scattering loses
         smoother = replace(glass, material=replace(glass.material, roughness=0.3))
-        furnace = paths(ls.Scene(meshes=[smoother], lights=[SKY]), view, 64, 8, background=None).color
+        furnace = paths(ls.Scene(meshes=[smoother], lights=[ENVIRONMENT]), view, 64, 8, background=None).color
         assert 0.93 < furnace.mean() / 0.3 <= 1.003
 
 

@@ -125,8 +125,8 @@ def test_emissive_disc_adds_light_without_environment() -> None:
 def test_clear_glass_counts_light_once(visible: bool) -> None:
     """A pane of index 1 between a light and the floor, whether or not rays can hit the light."""
     clear = ls.MaterialPbr(base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0)
-    lamp = ls.LightRect((0, 2, 0), (1, 0, 0), (0, 0, 1), intensity=20.0, visible=visible)
-    scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(clear)], lights=[lamp])
+    light = ls.LightRect((0, 2, 0), (1, 0, 0), (0, 0, 1), intensity=20.0, visible=visible)
+    scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(clear)], lights=[light])
     assert_is(factor(scene, 128), 1.0, share=0.02)
 
 

@@ -30,7 +30,7 @@ from support.scenes.raster_scenes import (
 Doubles = npt.NDArray[np.float64]
 
 MEAN = ls.RasterConfig(surface=ls.config.GaussianSurface.MEAN)
-LAMP = ls.LightDirectional((0.2, 0.1, 1.0), intensity=3.0)
+LIGHT = ls.LightDirectional((0.2, 0.1, 1.0), intensity=3.0)
 MATTE = ls.MaterialPbr(specular=0.0)
 CENTRE = (24, 32)
 
@@ -58,7 +58,7 @@ def surfaces(
 
 def relit(*sets: ls.Gaussians, **settings: Any) -> ls.Scene:
     """Sets with a material that reflects light."""
-    return ls.Scene([ls.SplatInstance(gaussians, material=MATTE, **settings) for gaussians in sets], lights=[LAMP])
+    return ls.Scene([ls.SplatInstance(gaussians, material=MATTE, **settings) for gaussians in sets], lights=[LIGHT])
 
 
 def veil(depth: float, opacity: float, **changes: Any) -> ls.Gaussians:
@@ -78,7 +78,7 @@ def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
         ls.SplatInstance(second, place, material=MATTE),
     ]
     values = [rough[0][:, None], np.zeros((50, 1)), rough[1][:, None]]
-    return ls.Scene(sets, [quad(4.6, 0.9, 0.3)], [LAMP]), [np.asarray(value, np.float64) for value in values]
+    return ls.Scene(sets, [quad(4.6, 0.9, 0.3)], [LIGHT]), [np.asarray(value, np.float64) for value in values]
 
 
 @pytest.mark.parametrize("dilation", [0.3, 3.0])
@@ -177,7 +177,7 @@ def test_mean_surface_is_not_behind_the_mesh() -> None:
 KEPT = ls.SplatInstance(random_gaussians(5), material=ls.MaterialSimple(ambient=(0.4, 0.4, 0.4)))
 UNCHANGED = {
     "unlit": (ls.Scene([random_gaussians(5)]), ls.RenderConfig()),
-    "captured": (ls.Scene([KEPT], lights=[LAMP]), ls.RenderConfig()),
+    "captured": (ls.Scene([KEPT], lights=[LIGHT]), ls.RenderConfig()),
     "traced": (relit(random_gaussians(5)), ls.RenderConfig(pipeline=ls.Pipeline.TRACE)),
     "stochastic": (
         relit(random_gaussians(5)),
@@ -199,9 +199,9 @@ def test_frames_without_mean_surface_are_unchanged(kind: str) -> None:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
 def test_mean_surface_is_lit_at_its_depth(pipeline: ls.Pipeline) -> None:
     """Light from the eye falls off with the square of the mean distance, not of the nearer layer's."""
-    lamp = ls.LightPoint((0.0, 0.0, 0.0), intensity=30.0, casts_shadow=False)
+    light = ls.LightPoint((0.0, 0.0, 0.0), intensity=30.0, casts_shadow=False)
     veils = joined(veil(3.0, 0.5), veil(5.0, 0.6))
-    scene, alone = replace(relit(veils), lights=[lamp]), replace(relit(veil(4.0, 0.8)), lights=[lamp])
+    scene, alone = replace(relit(veils), lights=[light]), replace(relit(veil(4.0, 0.8)), lights=[light])
     config = ls.RenderConfig(pipeline=pipeline, raster=MEAN)
     found, expected = (ls.render(content, front_camera(), config, device="cpu").color for content in (scene, alone))
     ratio = found[CENTRE] / expected[CENTRE]

@@ -54,20 +54,20 @@ def bvh_ids(renderer: ls.Renderer) -> list[int]:
 def test_instances_share_the_tree_of_their_asset(way: str) -> None:
     """Three instances of two sets have two BVHs, built once."""
     first, second = random_gaussians(1, 50), random_gaussians(2, 30)
-    places = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
-    scene = ls.Scene([ls.SplatInstance(g, place) for g, place in zip((first, second, first), places, strict=True)])
+    positions = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
+    scene = ls.Scene([ls.SplatInstance(g, place) for g, place in zip((first, second, first), positions, strict=True)])
     renderer = renderer_of(way, TRACE)
     renderer.render(scene, view())
     trees = bvh_ids(renderer)
     assert len(trees) == 2
     rows = renderer._scene.splat_instances.numpy()
     assert rows["asset"].tolist() == [0, 1, 0] and rows["first"].tolist() == [0, 50, 80]
-    for row, place in zip(rows, places, strict=True):
+    for row, place in zip(rows, positions, strict=True):
         inverse = np.linalg.inv(place)
         np.testing.assert_allclose(row["object_from_world"], inverse[:3, :3], rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(row["object_from_world_offset"], inverse[:3, 3], rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(row["world_from_object"] @ row["world_from_object"].T, np.eye(3), atol=1e-6)
-    moved = ls.Scene([ls.SplatInstance(first, places[1]), ls.SplatInstance(second, places[0])])
+    moved = ls.Scene([ls.SplatInstance(first, positions[1]), ls.SplatInstance(second, positions[0])])
     assert_as_new(renderer, way, moved)
     assert bvh_ids(renderer) == trees, "poses are no reason to build"
 
@@ -164,9 +164,9 @@ def test_gaussians_with_overflowing_bounds_hide_no_others(way: str, stray: ls.Ga
 def test_deep_trees_get_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels with the largest stack give equal frames, also from graphs."""
     ball = ls.gaussians_from_mesh(ls.sphere(), 900, seed=3)
-    places = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
-    lamp = ls.LightPoint((0.0, -3.0, 0.0), intensity=20.0)
-    few, many = (ls.Scene([ls.SplatInstance(ball, place) for place in places[:n]], lights=[lamp]) for n in (1, 12))
+    positions = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
+    light = ls.LightPoint((0.0, -3.0, 0.0), intensity=20.0)
+    few, many = (ls.Scene([ls.SplatInstance(ball, place) for place in positions[:n]], lights=[light]) for n in (1, 12))
     settings = ls.RenderConfig(pipeline=pipeline, samples=1)
     frames = []
     for limit in (TRAVERSE_STACK_SMALL, 0):
@@ -183,8 +183,8 @@ def test_stack_size_covers_the_deepest_path() -> None:
     small, large = random_gaussians(1, 5), random_gaussians(2, 3000)
     needed = []
     for sets in ([small], [large], [small, large], [small] * 9):
-        places = [ls.SplatInstance(one, similarity(offset=(0.1 * i, 0.0, 0.0))) for i, one in enumerate(sets)]
-        renderer.render(ls.Scene(places), view())
+        positions = [ls.SplatInstance(one, similarity(offset=(0.1 * i, 0.0, 0.0))) for i, one in enumerate(sets)]
+        renderer.render(ls.Scene(positions), view())
         bvh = renderer._scene.bvh
         nodes = bvh.data(renderer._scene.splat_instances).tlas_nodes
         needed.append(waiting_in_tree(nodes.numpy()) - 1 + max(one.bvh.stack_size for one in bvh.cached))

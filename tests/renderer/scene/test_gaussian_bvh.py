@@ -57,8 +57,8 @@ def walked(tree: GaussianBvh, count: int) -> Walked:
     links = nodes["link"]
     empty = links == NO_CHILD
     assert (low[empty] == np.float32(FAR)).all() and (high[empty] == -np.float32(FAR)).all()
-    places = ~links[links < 0]
-    np.testing.assert_array_equal(np.sort(places), np.arange(count), "not every place has one leaf")
+    positions = ~links[links < 0]
+    np.testing.assert_array_equal(np.sort(positions), np.arange(count), "not every place has one leaf")
     np.testing.assert_array_equal(np.sort(particles["index"]), np.arange(count), "not every Gaussian has one place")
     inner = (links >= 0) & ~empty
     np.testing.assert_array_equal(np.sort(links[inner]), np.arange(1, len(nodes)), "not every node has one parent")
@@ -261,12 +261,12 @@ def test_refitted_boxes_equal_those_of_a_build(launcher: Launcher, count: int) -
     """After a smooth deformation, leaf boxes equal a new BVH's, inner boxes contain them, and no link changes."""
     gaussians = random_gaussians(11, count)
     tree = tree_of(launcher, gaussians)
-    places, links, built = tree.particles.numpy()["index"].copy(), tree.nodes.numpy()["link"].copy(), tree.cost_built
+    positions, links, built = tree.particles.numpy()["index"].copy(), tree.nodes.numpy()["link"].copy(), tree.cost_built
     moved = wavy(gaussians)
     tree.refit(upload_gaussians(moved, launcher.device))
     found = walked(tree, count)
     assert tree.cost_built == built
-    np.testing.assert_array_equal(found.items, places)
+    np.testing.assert_array_equal(found.items, positions)
     np.testing.assert_array_equal(tree.nodes.numpy()["link"], links)
     fresh = walked(tree_of(launcher, moved), count)
     np.testing.assert_array_equal(found.low, fresh.low)

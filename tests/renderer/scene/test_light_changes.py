@@ -19,11 +19,13 @@ from lumisplat.renderer.scene.motion import (
 )
 from support.scenes.raster_scenes import octahedron, random_gaussians
 
-SKY = np.ones((4, 8, 3), np.float32)
+ENVIRONMENT = np.ones((4, 8, 3), np.float32)
 GLOWS = ls.MaterialPbr(emissive=(1, 1, 1))
-SHINING = octahedron((0.9, 0.0, 0.0), 0.2, material=GLOWS)
+EMITTER = octahedron((0.9, 0.0, 0.0), 0.2, material=GLOWS)
 SPOT = ls.LightSpot((0.0, 2.0, 0.0), (0.0, -1.0, 0.0), color=(1.0, 0.5, 0.2), intensity=3.0)
-LIT = ls.Scene([random_gaussians(3)], [octahedron((0.1, 0.0, 0.0), 0.5), SHINING], [SPOT, ls.LightEnvironment(SKY)])
+LIT = ls.Scene(
+    [random_gaussians(3)], [octahedron((0.1, 0.0, 0.0), 0.5), EMITTER], [SPOT, ls.LightEnvironment(ENVIRONMENT)]
+)
 ELSEWHERE = np.diag([2.0, 2.0, 2.0, 1.0])
 
 
@@ -34,8 +36,8 @@ def with_spot(**changes: object) -> ls.Scene:
 
 def with_environment(**settings: object) -> ls.Scene:
     """The scene with another environment."""
-    sky = {"image": SKY} | settings
-    return replace(LIT, lights=[SPOT, ls.LightEnvironment(**sky)])  # pyright: ignore[reportArgumentType]
+    environment = {"image": ENVIRONMENT} | settings
+    return replace(LIT, lights=[SPOT, ls.LightEnvironment(**environment)])  # pyright: ignore[reportArgumentType]
 
 
 SAME = {
@@ -52,10 +54,10 @@ CHANGED = {
     "its cone": with_spot(outer_angle=0.5),
     "its strength, a little": with_spot(intensity=2.0),
     "its colour, a little": with_spot(color=(1.0, 0.5, 0.3)),
-    "another sky": with_environment(image=0.5 * SKY),
+    "another sky": with_environment(image=0.5 * ENVIRONMENT),
     "a sky that turns": with_environment(rotation_wxyz=(0.9, 0.1, 0.0, 0.0)),
     "what shines is deformed": replace(LIT, meshes=[LIT.meshes[0], octahedron((0.9, 0.1, 0.0), 0.3, material=GLOWS)]),
-    "what shines has moved": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(SHINING, ELSEWHERE)]),
+    "what shines has moved": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(EMITTER, ELSEWHERE)]),
     "a material": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr())]),
     "a thing that is gone": replace(LIT, meshes=LIT.meshes[1:]),
 }
@@ -66,7 +68,7 @@ OTHER = {
     "a lamp that is gone": replace(LIT, lights=LIT.lights[1:]),
     "what shines is gone": replace(LIT, meshes=LIT.meshes[:1]),
     "what shines is faint": replace(
-        LIT, meshes=[LIT.meshes[0], replace(SHINING, material=replace(GLOWS, emissive=(0.1, 0.1, 0.1)))]
+        LIT, meshes=[LIT.meshes[0], replace(EMITTER, material=replace(GLOWS, emissive=(0.1, 0.1, 0.1)))]
     ),
 }
 

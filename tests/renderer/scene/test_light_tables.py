@@ -143,12 +143,17 @@ def test_environment_images_are_uploaded_once(rig: Rig, monkeypatch: pytest.Monk
     """The same object is not uploaded again, whatever else changes, also after it was disabled."""
     uploads = []
     monkeypatch.setattr(render_lights, "environment_cdfs", lambda i: uploads.append(i) or environment_cdfs(i))
-    sky = LightEnvironment(IMAGE)
-    image: Any = sky.image
-    for light in (sky, sky, LightEnvironment(image, intensity=3.0), LightEnvironment(image, enabled=False)):
+    environment = LightEnvironment(IMAGE)
+    image: Any = environment.image
+    for light in (
+        environment,
+        environment,
+        LightEnvironment(image, intensity=3.0),
+        LightEnvironment(image, enabled=False),
+    ):
         rig.sync(light)
     rig.sync(LightPoint((0, 0, 0)))
-    rig.sync(sky)
+    rig.sync(environment)
     assert len(uploads) == 1
     rig.sync(LightEnvironment(IMAGE + 1.0))
     assert len(uploads) == 2

@@ -20,7 +20,7 @@ from support.scenes.raster_scenes import front_camera, octahedron, random_gaussi
 Doubles = npt.NDArray[np.float64]
 
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
-LAMP = ls.LightPoint((0.0, 0.0, 0.0))
+LIGHT = ls.LightPoint((0.0, 0.0, 0.0))
 HERE = similarity((1.0, 2.0, 0.5), 1.1, 0.9, (-0.8, 0.1, 4.0))
 MOVES = {
     "moved": similarity(offset=(0.3, -0.2, 0.1)) @ HERE,
@@ -43,7 +43,7 @@ class Sequence:
         """Syncs the next frame."""
         splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
         self._meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
-        scene = ls.Scene(splats, self._meshes, [LAMP])
+        scene = ls.Scene(splats, self._meshes, [LIGHT])
         self.scene.sync(scene, camera or front_camera(), FramePlan.of(CONFIG, scene))
 
     def splats_before(self, number: int, points: Doubles, gaussian: int = 0) -> Doubles:

@@ -28,8 +28,8 @@ def crowd(count: int, seed: int, meshes: list[ls.Mesh]) -> list[ls.MeshInstance]
     """Instances of all sizes, with random rotations and positions in a box."""
     rng = np.random.default_rng(seed)
     size = np.exp(rng.uniform(-3.0, -1.0, count))
-    axes, places = rng.normal(size=(2, count, 3))
-    poses = [similarity(tuple(axes[i]), float(i), size[i], tuple(places[i])) for i in range(count)]
+    axes, positions = rng.normal(size=(2, count, 3))
+    poses = [similarity(tuple(axes[i]), float(i), size[i], tuple(positions[i])) for i in range(count)]
     return [ls.MeshInstance(meshes[i % len(meshes)], pose) for i, pose in enumerate(poses)]
 
 

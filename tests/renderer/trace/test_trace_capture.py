@@ -13,7 +13,7 @@ from support.oracles import trace_oracle
 from support.twins import TWINS
 
 RAYS = 60
-PLACES = {"biker.compressed.ply": (0.2, -0.1, -0.7), "logo_sog": (0.3, -0.2, -1.2)}
+EYES = {"biker.compressed.ply": (0.2, -0.1, -0.7), "logo_sog": (0.3, -0.2, -1.2)}
 """Eye position relative to each capture's centre, in units of its size."""
 
 
@@ -23,13 +23,13 @@ def view_of(data_dir: Path, name: str, width: int) -> tuple[ls.Scene, ls.Camera]
     assert isinstance(capture, ls.Gaussians)
     low, high = np.percentile(capture.means, (2, 98), axis=0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    eye = middle + size * np.array(PLACES[name])
+    eye = middle + size * np.array(EYES[name])
     camera = ls.Camera.look_at(eye, middle, (0.0, -1.0, 0.0), width=width, height=width // 2, fov_y=0.9)
     return ls.Scene([capture]), camera
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("name", EYES)
 def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
     """Mean errors of radiance and transmittance below 1e-3, and 99 % of the iso depths within a relative 1e-3."""
     scene, camera = view_of(data_dir, name, 320)
@@ -50,7 +50,7 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("name", EYES)
 def test_traced_captures_are_close_to_rasterised_ones(data_dir: Path, name: str) -> None:
     """Covered pixels have 30 dB and more, traced directly and in a mirror; without footprints far less.
 
