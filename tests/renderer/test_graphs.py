@@ -261,13 +261,13 @@ def test_adaptive_samples_replay_the_same_graphs() -> None:
 
 def test_real_time_frames_read_back_no_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """In CUDA's schedule, the host uses upper bounds and does not wait for counts."""
-    lamps = [replace(LAMPS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
+    sources = [replace(LAMPS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
     renderer = ls.Renderer(config(ls.Pipeline.REALTIME), Launcher("cpu", threads=1, parallel=True))
     used: list[str] = []
     for where, name in ((IndirectLight, "start_lobes"), (LightGrids, "of_wave")):
         work = refusing(getattr(where, name), READ_BACK)
         monkeypatch.setattr(where, name, lambda *of, work=work, name=name: used.append(name) or work(*of))
-    renderer.render(scene(*lamps), camera().scaled(24, 16))
+    renderer.render(scene(*sources), camera().scaled(24, 16))
     assert {*used} == {"start_lobes", "of_wave"}
 
 

@@ -102,9 +102,9 @@ def test_lighting_by_default_follows_the_scene() -> None:
 
 def test_soft_shadow_samples_converge_to_the_mean() -> None:
     """Samples of an area light scatter around their mean with the expected error."""
-    lamp = replace(LAMPS[0], radius=0.3)
+    source = replace(LAMPS[0], radius=0.3)
     renderers = [ls.create_renderer(config(shadows=ls.Shadows.SOFT, samples=n), "cpu") for n in (1, 16, 256)]
-    one, some, many = (renderer.render(scene(lamp), camera()).color for renderer in renderers)
+    one, some, many = (renderer.render(scene(source), camera()).color for renderer in renderers)
     errors = [np.sqrt(np.mean((image - many) ** 2)) for image in (one, some)]
     assert errors[0] > 2.5 * errors[1] > 0.0
 
@@ -152,7 +152,7 @@ def test_mirrors_show_lit_objects() -> None:
     pane = ls.Mesh(
         np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]), [[0, 1, 2], [0, 2, 3]], material=silver
     )
-    lamp = ls.LightPoint((0.5, 1.5, 2.0), intensity=8.0)
+    source = ls.LightPoint((0.5, 1.5, 2.0), intensity=8.0)
     paper = ls.MaterialPbr(base_color=(0.9, 0.5, 0.3), roughness=0.6)
     ball, floor = replace(sphere(0.4, rows=12, columns=20), material=paper), pane_below()
     things = [ls.MeshInstance(ball, similarity(offset=(0.0, 0.4, 1.6))), floor]
@@ -161,10 +161,10 @@ def test_mirrors_show_lit_objects() -> None:
     )
     eye, target = np.array([0.3, 0.9, 4.0]), np.array([0.1, 0.5, 0.0])
     view = ls.Camera.look_at(tuple(eye), tuple(target), width=40, height=30, fov_y=0.5)
-    seen = ls.render(ls.Scene([toy], [*things, pane], [lamp]), view, config(), device="cpu")
+    seen = ls.render(ls.Scene([toy], [*things, pane], [source]), view, config(), device="cpu")
     flip = np.diag([1.0, 1.0, -1.0])
     behind = ls.Camera.look_at(tuple(flip @ eye), tuple(flip @ target), width=40, height=30, fov_y=0.5)
-    direct = ls.render(ls.Scene([toy], things, [lamp]), behind, config(), device="cpu").color[:, ::-1]
+    direct = ls.render(ls.Scene([toy], things, [source]), behind, config(), device="cpu").color[:, ::-1]
     alone = np.isclose(seen.depth, ls.render(ls.Scene([], [pane]), view, config(), device="cpu").depth, rtol=1e-4)
     assert alone.sum() > 300
     difference = np.abs(seen.color - direct)[alone].max(axis=1)
@@ -197,11 +197,11 @@ def test_lit_ray_queries_equal_pixels() -> None:
 def test_overflowing_light_is_counted() -> None:
     """Values beyond float32 are dropped, and the statistics count them."""
     blinding = ls.MaterialPbr(emissive=(3e38, 3e38, 3e38), emissive_texture=None)
-    lamp = ls.LightPoint((0.0, 1.0, -1.0), intensity=1e30)
+    source = ls.LightPoint((0.0, 1.0, -1.0), intensity=1e30)
     ball = ls.MeshInstance(
         replace(sphere(0.4, rows=6, columns=8), material=blinding), similarity(offset=(0.0, 0.4, 0.5))
     )
-    frame = ls.render(ls.Scene([], [ball, ball], [lamp]), camera(), config(), device="cpu")
+    frame = ls.render(ls.Scene([], [ball, ball], [source]), camera(), config(), device="cpu")
     checked(frame.color)
     assert frame.stats is not None
     assert frame.stats.nonfinite_count > 20
@@ -241,8 +241,8 @@ def test_roughness_of_the_last_capture_is_not_reused(pipeline: ls.Pipeline) -> N
 def glossy(roughness: float) -> ls.Scene:
     """A capture whose Gaussians all have this roughness, relit by one light."""
     gaussians = random_gaussians(5, count=60, roughness=np.full(60, roughness, np.float32))
-    lamp = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0, casts_shadow=False)
-    return ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[lamp])
+    source = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0, casts_shadow=False)
+    return ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[source])
 
 
 def test_disabled_lights_add_nothing() -> None:

@@ -237,12 +237,12 @@ def test_shadows_darken_fine_detail_evenly(samples: int, pipeline: ls.Pipeline) 
         shadow_catcher=True,
     )
     sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
-    lamp = ls.LightDirectional((0.0, 0.0, 1.0), intensity=0.5 * np.pi, casts_shadow=False)
+    source = ls.LightDirectional((0.0, 0.0, 1.0), intensity=0.5 * np.pi, casts_shadow=False)
     screen = np.array([[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [9.0, 9.0, -3.0], [-9.0, 9.0, -3.0]])
     blocker = ls.Mesh(screen, [[0, 2, 1], [0, 3, 2]])
     settings = {"samples": samples, "jitter": True}
-    free = lit(ls.Scene(splats=[stripes], lights=[sun, lamp]), pipeline, **settings)
-    dark = lit(ls.Scene(splats=[stripes], meshes=[blocker], lights=[sun, lamp]), pipeline, **settings)
+    free = lit(ls.Scene(splats=[stripes], lights=[sun, source]), pipeline, **settings)
+    dark = lit(ls.Scene(splats=[stripes], meshes=[blocker], lights=[sun, source]), pipeline, **settings)
     # A third of the light passes through the blocker.
     np.testing.assert_allclose(dark.color.mean() / free.color.mean(), 1.0 / 3.0, rtol=0.03)
 

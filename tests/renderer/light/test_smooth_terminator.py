@@ -137,10 +137,10 @@ def test_concave_creases_keep_their_shadow() -> None:
 
 def test_walls_behind_a_light_do_not_block_it() -> None:
     """Shadow rays end at the light, wherever they start."""
-    lamp = ls.LightPoint((1.6, 0.0, -1.1), intensity=10.0)
+    source = ls.LightPoint((1.6, 0.0, -1.1), intensity=10.0)
     corners = [[1.66, -9.0, -9.0], [1.66, 9.0, -9.0], [1.66, 9.0, 9.0], [1.66, -9.0, 9.0]]
     wall = ls.Mesh(corners, [[0, 1, 2], [0, 2, 3]], material=matte(0.0))
-    alone, before_wall = (frame_of(meshes, lamp) for meshes in ([sphere(10)], [sphere(10), wall]))
+    alone, before_wall = (frame_of(meshes, source) for meshes in ([sphere(10)], [sphere(10), wall]))
     ball = before_wall.instance_index == 0
     assert ball.mean() > 0.2
     np.testing.assert_array_equal(alone.color[ball], before_wall.color[ball])

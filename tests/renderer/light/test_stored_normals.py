@@ -99,8 +99,8 @@ def test_slightly_back_facing_surfaces_are_shaded_from_their_side(pipeline: ls.P
         assert view @ own == pytest.approx(along, abs=0.02) and to_eye @ own < 0.0
         for light in ([0.2, 0.1, 1.0], [1.0, 0.3, 0.4], [1.0, -0.5, -0.6]):
             towards = np.array(light) / np.linalg.norm(light)
-            lamp = ls.LightDirectional(tuple(-towards))
-            scene = ls.Scene(splats=[ls.SplatInstance(carried, material=gloss)], lights=[lamp])
+            source = ls.LightDirectional(tuple(-towards))
+            scene = ls.Scene(splats=[ls.SplatInstance(carried, material=gloss)], lights=[source])
             config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.OFF, background=None, max_bounces=0)
             if pipeline is ls.Pipeline.PATH:
                 config = replace(config, samples=64, jitter=False)

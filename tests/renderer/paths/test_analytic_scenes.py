@@ -67,7 +67,7 @@ def test_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> Non
     assert_is(bounced, 0.5 * 4.0 * np.pi / (4.0 * np.pi * 0.5))
 
 
-@pytest.mark.parametrize("lamp", ["mesh", "rect"])
+@pytest.mark.parametrize("light", ["mesh", "rect"])
 @pytest.mark.parametrize(("albedo", "truth"), [(0.5, 1.2416), (0.8, 2.8002)])
 def test_cube_below_an_emitting_ceiling(light: str, albedo: float, truth: float) -> None:
     """Irradiance at the middle of the floor equals float64 collocation, and direct light the form factor."""
@@ -78,7 +78,7 @@ def test_cube_below_an_emitting_ceiling(light: str, albedo: float, truth: float)
     assert_is(irradiance(paths(scene, AT_THE_FLOOR, 64, 64), albedo), truth)
 
 
-@pytest.mark.parametrize("lamp", ["mesh", "rect", "sky"])
+@pytest.mark.parametrize("light", ["mesh", "rect", "sky"])
 def test_clear_panes_count_light_once(light: str) -> None:
     """Light through glass of index 1 is counted once, by refracted rays or by light samples."""
     shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if light == "mesh" else 0.0))

@@ -48,9 +48,9 @@ def board(albedo: float, emitted: float) -> list[ls.Mesh]:
 
 
 @pytest.mark.parametrize(
-    ("lamp", "albedo"), [("point", 0.5), ("mesh", 0.5), ("rect", 0.5), ("sphere", 0.5), ("sphere", 0.8)]
+    ("source", "albedo"), [("point", 0.5), ("mesh", 0.5), ("rect", 0.5), ("sphere", 0.5), ("sphere", 0.8)]
 )
-def test_closed_room_conserves_energy(lamp: str, albedo: float) -> None:
+def test_closed_room_conserves_energy(source: str, albedo: float) -> None:
     """With one albedo, mean irradiance over all surfaces is Phi / (A (1 - rho)), whatever is inside."""
     place = (0.6, 0.75, 0.7)
     lights: dict[str, tuple[Light, float]] = {
@@ -58,8 +58,8 @@ def test_closed_room_conserves_energy(lamp: str, albedo: float) -> None:
         "rect": (ls.LightRect(place, (0.3, 0, 0), (0, 0, 0.2), intensity=10.0), np.pi * 10.0 * 0.06),
         "sphere": (ls.LightSphere(place, 0.1, intensity=10.0), np.pi * 10.0 * 4.0 * np.pi * 0.01),
     }
-    light, power = lights.get(lamp, (None, 2.0 * np.pi * 10.0 * 0.09))
-    meshes = [*crowded_room(albedo), *board(albedo, 10.0 if lamp == "mesh" else 0.0)]
+    light, power = lights.get(source, (None, 2.0 * np.pi * 10.0 * 0.09))
+    meshes = [*crowded_room(albedo), *board(albedo, 10.0 if source == "mesh" else 0.0)]
     scene = ls.Scene(meshes=meshes, lights=[light] if light else [])
     found = irradiance_over(scene, meshes, samples=1, max_bounces=64, count=24_000)
     assert_is(found, power / (sum(map(area_of, meshes)) * (1.0 - albedo)))

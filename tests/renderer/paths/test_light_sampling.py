@@ -62,11 +62,11 @@ def test_sphere_light_irradiance(place: tuple[float, float, float], way: str) ->
 @pytest.mark.parametrize("way", ["met", "both"])
 def test_emissive_ball_irradiance(way: str) -> None:
     """A sphere of emissive triangles: the sum over the front-facing ones."""
-    lamp = ball(0.45, diffuse(0.0, 2.0), rows=24)
-    lamp = replace(lamp, positions=lamp.positions + np.array([0.9, 1.2, -0.5]))
-    corners = lamp.positions[lamp.indices].astype(np.float64)
+    source = ball(0.45, diffuse(0.0, 2.0), rows=24)
+    source = replace(source, positions=source.positions + np.array([0.9, 1.2, -0.5]))
+    corners = source.positions[source.indices].astype(np.float64)
     sums = [polygon_irradiance((0, 0, 0), (0, 1, 0), triangle) for triangle in corners]
-    assert_is(found(lamp, way), 2.0 * -sum(value for value in sums if value < 0.0))
+    assert_is(found(source, way), 2.0 * -sum(value for value in sums if value < 0.0))
 
 
 @pytest.mark.parametrize("way", ["met", "both"])
@@ -75,10 +75,10 @@ def test_emissive_disc_irradiance(way: str) -> None:
     angles = 2.0 * np.pi * np.arange(96) / 96
     rim = np.stack([0.6 * np.cos(angles), np.full(96, 0.8), 0.6 * np.sin(angles)], axis=1)
     fan = [[96, k, (k + 1) % 96] for k in range(96)]
-    lamp = ls.Mesh(np.concatenate([rim, [[0.0, 0.8, 0.0]]]), fan, material=diffuse(0.0, 2.0))
+    source = ls.Mesh(np.concatenate([rim, [[0.0, 0.8, 0.0]]]), fan, material=diffuse(0.0, 2.0))
     truth = np.pi * 2.0 * 0.36 / (0.36 + 0.64)
     np.testing.assert_allclose(2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)), truth, rtol=2e-3)
-    assert_is(found(lamp, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
+    assert_is(found(source, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -92,13 +92,13 @@ def test_disk_light_irradiance(place: tuple[float, float, float], way: str) -> N
     assert_is(found(light, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
 
 
-@pytest.mark.parametrize(("lamp", "way"), [("mesh", "met"), ("mesh", "both"), *(("rect", way) for way in WAYS)])
-def test_rectangle_light_irradiance(lamp: str, way: str) -> None:
+@pytest.mark.parametrize(("source", "way"), [("mesh", "met"), ("mesh", "both"), *(("rect", way) for way in WAYS)])
+def test_rectangle_light_irradiance(source: str, way: str) -> None:
     """L / 2 times Lambert's sum over its edges: a slanted parallelogram."""
     corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
     light = ls.LightRect(corner + 0.5 * (u + v), u, v, intensity=2.0)
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
-    assert_is(found(quad(corner, u, v, diffuse(0.0, 2.0)) if lamp == "mesh" else light, way), 2.0 * abs(seen))
+    assert_is(found(quad(corner, u, v, diffuse(0.0, 2.0)) if source == "mesh" else light, way), 2.0 * abs(seen))
 
 
 @pytest.mark.parametrize(("half", "unit"), [(0.03, 1.0), (0.3, 1e3), (1.0, 1.0), (3.0, 1e-3), (3.0, 1.0), (30.0, 1e3)])
@@ -167,7 +167,7 @@ def plate(roughness: float) -> ls.Mesh:
 
 def veach(roughness: float, way: str) -> Estimate:
     """Radiance of a plate below both lights; BSDF sampling needs more samples."""
-    lights = [replace(lamp, visible=way != "sampled") for lamp in LIGHTS]
+    lights = [replace(source, visible=way != "sampled") for source in LIGHTS]
     meshes = [plate(roughness), PANE] if way == "met" else [plate(roughness)]
     samples, bounces = (256, 1) if way == "met" else (64, 0)
     values = paths(ls.Scene(meshes=meshes, lights=lights), SIDE, samples, bounces).color[..., 1].astype(np.float64)
@@ -188,15 +188,15 @@ def test_sampling_strategies_agree_on_veach_plates(roughness: float) -> None:
 def test_veach_plate_equals_quadrature(way: str) -> None:
     """Each strategy equals the integral over the lights' cones in float64."""
     view = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
-    truth = sum(reflected_light(lamp, view, 0.35) for lamp in LIGHTS)
+    truth = sum(reflected_light(source, view, 0.35) for source in LIGHTS)
     assert_is(veach(0.35, way).values, truth)
 
 
-def reflected_light(lamp: ls.LightSphere, view: np.ndarray, roughness: float) -> float:
+def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) -> float:
     """Radiance towards ``view`` of a white metal at the origin below a sphere, by quadrature over its cone."""
-    distance = np.linalg.norm(lamp.position)
-    axis = np.asarray(lamp.position) / distance
-    edge = 1.0 - np.sqrt(1.0 - (lamp.radius / distance) ** 2)
+    distance = np.linalg.norm(source.position)
+    axis = np.asarray(source.position) / distance
+    edge = 1.0 - np.sqrt(1.0 - (source.radius / distance) ** 2)
     lift, turn = np.meshgrid(edge * (np.arange(400) + 0.5) / 400, 2.0 * np.pi * (np.arange(400) + 0.5) / 400)
     across = np.cross(axis, [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
@@ -205,12 +205,12 @@ def reflected_light(lamp: ls.LightSphere, view: np.ndarray, roughness: float) ->
     rays = (1.0 - lift)[..., None] * axis + sine * around
     white = {"alpha": roughness**2, "specular": [1.0], "grazing": 1.0}
     values = pbr_specular(white, np.array([0.0, 1.0, 0.0]), view, rays)[..., 0] * rays[..., 1]
-    return float(2.0 * np.pi * edge * lamp.intensity * values.mean())
+    return float(2.0 * np.pi * edge * source.intensity * values.mean())
 
 
 @pytest.mark.parametrize("setting", ["transmittance_threshold", "color_strength"])
-@pytest.mark.parametrize("lamp", ["rect", "mesh", "sky"])
-def test_shadow_settings_apply_to_all_strategies(lamp: str, setting: str) -> None:
+@pytest.mark.parametrize("source", ["rect", "mesh", "sky"])
+def test_shadow_settings_apply_to_all_strategies(source: str, setting: str) -> None:
     """Stretched or tinted shadows through haze equal those of an invisible light, which is only sampled."""
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     sheet = wide_sheet(1.0, 0.5, 0.0).gaussians
@@ -220,11 +220,11 @@ def test_shadow_settings_apply_to_all_strategies(lamp: str, setting: str) -> Non
     met = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0)
     scene = ls.Scene(meshes=[floor], splats=[haze], lights=[replace(met, visible=False)])
     shown = replace(scene, lights=[met])
-    if lamp == "mesh":
+    if source == "mesh":
         shown = replace(
             scene, meshes=[floor, quad((-1.5, 2, -1.5), (3, 0, 0), (0, 0, 3), diffuse(0.0, 1.0))], lights=[]
         )
-    if lamp == "sky":
+    if source == "sky":
         environment = ls.LightEnvironment(color=(0.7, 0.7, 0.7))
         shown, scene = (
             replace(scene, lights=[environment]),

@@ -129,7 +129,7 @@ def test_media_absorb_light_and_view_paths(kind: str) -> None:
     water = ls.MaterialPbr(
         base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0, attenuation_color=(0.5,) * 3
     )
-    lamp = ls.LightRect((0, 1, 0), (0.2, 0, 0), (0, 0, 0.2), intensity=20.0)
+    source = ls.LightRect((0, 1, 0), (0.2, 0, 0), (0, 0, 0.2), intensity=20.0)
     shine = quad((-0.1, 1, -0.1), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.0, 20.0))
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), diffuse(0.5))
     above = ls.Camera.look_at((0.9, 5.0, 0.0), (0.9, 0.0, 0.0), (0, 0, 1), width=16, height=16, fov_y=0.004)
@@ -137,7 +137,7 @@ def test_media_absorb_light_and_view_paths(kind: str) -> None:
     for distance in (np.inf, 1.0):
         body = ls.MeshInstance(replace(ls.box((8, 4, 8)), material=replace(water, attenuation_distance=distance)))
         things = [body, floor] if kind == "rect" else [body, floor, shine]
-        lights = [lamp] if kind == "rect" else []
+        lights = [source] if kind == "rect" else []
         means.append(float(paths(ls.Scene(meshes=things, lights=lights), above, 64, 3).color.mean()))
     ways = 2.0 + np.hypot(1.0, 0.9)
     assert means[0] > 0.0

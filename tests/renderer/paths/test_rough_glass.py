@@ -40,15 +40,15 @@ LIGHTS: dict[str, tuple[Light | ls.Mesh, Light]] = {
 
 @pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize(
-    "lamp", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LIGHTS if name != "sky")]
+    "source", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LIGHTS if name != "sky")]
 )
-def test_frosted_panes_agree_for_sampled_and_hit_lights(lamp: str, thin: bool) -> None:
+def test_frosted_panes_agree_for_sampled_and_hit_lights(source: str, thin: bool) -> None:
     """Multiple importance sampling of light samples and hits equals light sampling alone."""
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), diffuse(0.0)) if thin else ls.box(np.array([8.0, 8.0, 0.1]))
     glass = replace(pane, material=replace(FROSTED, roughness=0.5, thin_walled=thin))
     view = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=32, height=24, fov_y=0.05)
     values = []
-    for light in LIGHTS[lamp]:
+    for light in LIGHTS[source]:
         is_mesh = isinstance(light, ls.Mesh)
         scene = ls.Scene(meshes=[glass, light] if is_mesh else [glass], lights=[] if is_mesh else [light])
         values.append(paths(scene, view, 256, 8, background=None).color[..., 1].astype(np.float64))
@@ -56,7 +56,7 @@ def test_frosted_panes_agree_for_sampled_and_hit_lights(lamp: str, thin: bool) -
     error = np.hypot(both.std(), sampled.std()) / np.sqrt(both.size)
     assert error < 0.03 * sampled.mean()
     np.testing.assert_allclose(both.mean(), sampled.mean(), atol=4.0 * error)
-    if lamp == "sky":  # a furnace, but for what single scattering loses
+    if source == "sky":  # a furnace, but for what single scattering loses
         smoother = replace(glass, material=replace(glass.material, roughness=0.3))
         furnace = paths(ls.Scene(meshes=[smoother], lights=[ENVIRONMENT]), view, 64, 8, background=None).color
         assert 0.93 < furnace.mean() / 0.3 <= 1.003
