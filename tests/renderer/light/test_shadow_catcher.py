@@ -1,4 +1,4 @@
-"""Shadow catchers: one meaning in all pipelines, and layers with which other programs composite them."""
+"""Shadow catchers: one meaning in all pipelines, and layers from which other programs composite them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from support.compare.ways import WAYS, renderer_of
 
 RADIUS, HEIGHT = 0.5, 0.4
 SHARE = RADIUS**2 / (RADIUS**2 + HEIGHT**2)
-"""Of a cosine-weighted hemisphere that the disc hides from the point below it."""
+"""Fraction of a cosine-weighted hemisphere that the disc hides from the point below it."""
 SUN = ls.LightDirectional((0, -1, 0), color=(1.0, 0.8, 0.5), intensity=2.0)
 PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda one: one.value)
 
 
 def floor(color: float = 0.5, ambient: float | None = None) -> ls.SplatInstance:
-    """A level sheet at y = 0, 8 units wide, that shows a grey as captured."""
+    """A level sheet at y = 0, 8 units wide, that emits a captured grey."""
     plane = ls.Mesh([[-4, 0, 4], [4, 0, 4], [4, 0, -4], [-4, 0, -4]], [[0, 1, 2], [0, 2, 3]])
     sheet = ls.gaussians_from_mesh(plane, 6000)
     sh = np.full((6000, 1, 3), (color - 0.5) / 0.28209479177387814, np.float32)
@@ -34,7 +34,7 @@ def floor(color: float = 0.5, ambient: float | None = None) -> ls.SplatInstance:
 
 
 def disc(albedo: float = 0.0) -> ls.Mesh:
-    """A level disc above the origin, of many corners."""
+    """A level disc with many corners above the origin."""
     angles = np.linspace(0.0, 2.0 * np.pi, 129)[:-1]
     rim = np.stack([RADIUS * np.cos(angles), np.full(128, HEIGHT), RADIUS * np.sin(angles)], axis=1)
     faces = [[0, 1 + k, 1 + (k + 1) % 128] for k in range(128)]
@@ -43,12 +43,12 @@ def disc(albedo: float = 0.0) -> ls.Mesh:
 
 
 def below() -> ls.Camera:
-    """Sees the floor under the disc, where the same share of all its directions is hidden."""
+    """A camera on the floor below the disc, where an equal fraction of all directions is hidden."""
     return ls.Camera.look_at((0.0, 0.3, 0.0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.02)
 
 
 def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings: object) -> ls.Frame:
-    """A frame with its ratio; in real time the last of several, which are averaged."""
+    """A frame with its shadow ratio; in real time the last of several frames, which are averaged."""
     config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",), background=None)
     renderer = ls.create_renderer(replace(config, **settings), "cpu", threads=2)
     for _ in range(31 if pipeline is ls.Pipeline.REALTIME else 0):
@@ -58,8 +58,8 @@ def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settin
 
 @PIPELINES
 @pytest.mark.parametrize("ambient", [None, 0.2])
-def test_the_sun_leaves_ambient_light_alike_in_all_pipelines(pipeline: ls.Pipeline, ambient: float | None) -> None:
-    """Under the disc, what is left is the open share of the ambient light, over that and the sun's."""
+def test_sun_shadow_leaves_ambient_light_in_all_pipelines(pipeline: ls.Pipeline, ambient: float | None) -> None:
+    """Below the disc, the ratio is the unblocked ambient irradiance over ambient irradiance plus the sun's."""
     scene = ls.Scene([floor(0.3, ambient)], [disc()], [SUN])
     frame = rendered(scene, below(), pipeline)
     given = np.pi * (0.5 if ambient is None else ambient)
@@ -69,19 +69,19 @@ def test_the_sun_leaves_ambient_light_alike_in_all_pipelines(pipeline: ls.Pipeli
 
 
 @PIPELINES
-def test_an_environment_is_the_ambient_light(pipeline: ls.Pipeline) -> None:
-    """Nothing is guessed beside it: what is left is its open share, over it and the sun."""
-    sky = ls.LightEnvironment(color=(0.5, 0.6, 0.8), visible=False)
-    frame = rendered(ls.Scene([floor(0.3)], [disc()], [SUN, sky]), below(), pipeline)
-    given = np.pi * np.array(sky.color)
+def test_environment_replaces_default_ambient_light(pipeline: ls.Pipeline) -> None:
+    """No ambient light is assumed besides it: the ratio is its unblocked fraction, over it and the sun."""
+    environment = ls.LightEnvironment(color=(0.5, 0.6, 0.8), visible=False)
+    frame = rendered(ls.Scene([floor(0.3)], [disc()], [SUN, environment]), below(), pipeline)
+    given = np.pi * np.array(environment.color)
     expected = given * (1.0 - SHARE) / (given + SUN.intensity * np.array(SUN.color))
     assert frame.shadow_ratio is not None
     np.testing.assert_allclose(frame.shadow_ratio.mean(axis=(0, 1)), expected, rtol=0.05)
 
 
 @PIPELINES
-def test_a_bright_capture_was_lit_by_more_than_a_dim_sun(pipeline: ls.Pipeline) -> None:
-    """No surface reflects more than it receives: light that the scene does not list is there, and stays."""
+def test_catcher_is_not_darkened_below_unlisted_light(pipeline: ls.Pipeline) -> None:
+    """No surface reflects more than it receives: light that the scene does not list must exist, and remains."""
     dim = replace(SUN, color=(1, 1, 1), intensity=0.2)
     frame = rendered(ls.Scene([floor(0.9, ambient=0.0)], [disc()], [dim]), below(), pipeline)
     received = np.pi * decode_srgb(np.float32(0.9))
@@ -90,7 +90,7 @@ def test_a_bright_capture_was_lit_by_more_than_a_dim_sun(pipeline: ls.Pipeline) 
 
 
 def view() -> ls.Camera:
-    """Sees a ball on the floor, and its shadow."""
+    """A camera that sees a ball on the floor and its shadow."""
     return ls.Camera.look_at((1.2, 1.4, 2.2), (0.3, 0.1, 0), (0, 1, 0), width=96, height=72, fov_y=0.7)
 
 
@@ -101,15 +101,15 @@ def ball() -> ls.MeshInstance:
 
 
 def channels(path: Path, name: str, letters: str) -> npt.NDArray[np.float64]:
-    """Some channels of a layer, as the reference library of OpenEXR reads them."""
+    """Some channels of a layer, as read by OpenEXR's reference library."""
     with OpenEXR.File(str(path), separate_channels=True) as file:
         found = file.channels()
         return np.stack([found[f"{name}{letter}"].pixels for letter in letters], axis=-1).astype(np.float64)
 
 
 @PIPELINES
-def test_exr_layers_composite_over_the_plate(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """``matte`` over the plate is the picture, and so is the plate times ``ratio`` where only the capture is seen."""
+def test_exr_layers_composite_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+    """``matte`` over the plate equals the frame; so does the plate times ``ratio`` where only the capture shows."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3))
     captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
     scene = ls.Scene([captured], [ball()], [sun])
@@ -141,8 +141,8 @@ def test_exr_layers_composite_over_the_plate(pipeline: ls.Pipeline, tmp_path: Pa
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=lambda one: one.value
 )
-def test_the_layers_of_lights_add_up_on_catchers(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """Emission, direct light times shadow, and reflection are the picture, as OpenEXR reads it."""
+def test_light_layers_add_up_on_catchers(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+    """Emission, direct light times shadow, and reflection add up to the frame, as read by OpenEXR."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3), name="sun")
     lights = [sun, ls.LightPoint((-1, 1.5, 1), intensity=4.0, name="bulb")]
     captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
@@ -169,20 +169,20 @@ def test_the_layers_of_lights_add_up_on_catchers(pipeline: ls.Pipeline, tmp_path
 
 
 def _checkered(gaussians: ls.Gaussians) -> npt.NDArray[np.float32]:
-    """SH of a floor of two greys, in squares one unit wide."""
+    """SH coefficients of a floor of two greys, in squares one unit wide."""
     places = np.floor(gaussians.means[:, [0, 2]]).astype(int).sum(axis=1) % 2
     return np.where(places[:, None, None] == 0, -0.6, 0.8).repeat(3, axis=2).astype(np.float32)
 
 
 def _far_from(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Where no pixel of the mask is within two pixels."""
+    """Mask of pixels with no pixel of the mask within two pixels."""
     padded = np.pad(mask, 2)
     return np.logical_not(np.lib.stride_tricks.sliding_window_view(padded, (5, 5)).any(axis=(2, 3)))
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=["hybrid", "trace"])
-def test_the_shadow_at_the_edge_of_an_object_is_as_dark_as_beside_it(pipeline: ls.Pipeline) -> None:
-    """Samples that hit the object do not lighten what the others see of the catcher."""
+def test_shadow_is_not_lighter_at_object_edges(pipeline: ls.Pipeline) -> None:
+    """Samples that hit the object do not lighten the catcher in the other samples of a pixel."""
     sun = replace(SUN, color=(1, 1, 1))
     below_all = replace(disc(), positions=disc().positions * np.array([4.0, 1.0, 4.0]))
     edge = replace(disc(), positions=disc().positions * np.array([0.2, 0.5, 0.2]) + np.array([0.1, 0.0, 0.0]))
@@ -196,8 +196,8 @@ def test_the_shadow_at_the_edge_of_an_object_is_as_dark_as_beside_it(pipeline: l
     assert frame.shadow_ratio[mixed].mean() < frame.shadow_ratio[clear].max()
 
 
-def test_light_that_blocks_and_bounces_adds_up() -> None:
-    """Given ambient light bounds what was found of it; without any, all of it was found, or the least is missing."""
+def test_blocked_and_bounced_light_are_bounded_by_received_light() -> None:
+    """Given ambient light bounds the measured light; without any, all of it was measured, or the minimum is missing."""
     one = dict.fromkeys(
         ("unshadowed", "change", "emitted_unshadowed", "emitted_change", "ambient", "blocked", "least"), np.zeros(1)
     )
@@ -220,8 +220,8 @@ def test_light_that_blocks_and_bounces_adds_up() -> None:
     ) == pytest.approx(-1.5 / 3.0)
 
 
-def fog(depth: float = 0.12, seed: int = 5) -> ls.SplatInstance:
-    """A captured floor without a surface: floaters up to so far below and above y = 0, through which others show."""
+def floaters(depth: float = 0.12, seed: int = 5) -> ls.SplatInstance:
+    """A captured floor without a surface: semi-transparent floaters up to ``depth`` below and above y = 0."""
     random, count = np.random.default_rng(seed), 12000
     means = random.uniform((-0.8, -depth, -0.6), (0.8, depth, 0.6), (count, 3))
     wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -231,7 +231,7 @@ def fog(depth: float = 0.12, seed: int = 5) -> ls.SplatInstance:
 
 
 def shadow_of_a_disc(catcher: ls.SplatInstance, pipeline: ls.Pipeline) -> npt.NDArray[np.float32]:
-    """Ratios of the shadow that a slanting sun casts through a disc on y = 0, seen from above; (H, W)."""
+    """Shadow ratios of a disc in slanting sunlight on y = 0, seen from above; (H, W)."""
     sun = ls.LightDirectional((1.0, -1.0, 0.0), intensity=3.0)
     lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]) + np.array([-0.8, 0.4, 0.0]))
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=160, height=120, fov_y=0.3)
@@ -241,33 +241,33 @@ def shadow_of_a_disc(catcher: ls.SplatInstance, pipeline: ls.Pipeline) -> npt.ND
 
 
 def sharp_steps(ratio: npt.NDArray[np.float32]) -> int:
-    """How many pixels differ from the next one to the right by half of what the shadow takes."""
+    """Number of pixels whose ratio differs from the right neighbour's by half of the shadow's depth."""
     return int((np.abs(np.diff(ratio, axis=1)) > 0.3).sum())
 
 
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.PATH], ids=lambda one: one.value
 )
-def test_captures_without_a_surface_have_one_soft_shadow(pipeline: ls.Pipeline) -> None:
-    """Each floater ends the shadow elsewhere: what is seen is their mean. The middle is as dark, and far is bright."""
-    ratio = shadow_of_a_disc(fog(), pipeline)
+def test_floaters_have_one_soft_shadow(pipeline: ls.Pipeline) -> None:
+    """Each floater ends the shadow elsewhere, and their mean is visible: dark in the middle, unshadowed far away."""
+    ratio = shadow_of_a_disc(floaters(), pipeline)
     assert sharp_steps(ratio) < 20
     assert ratio[50:70, 70:90].max() < 0.5
     assert ratio[:, 130:].min() > 0.85
 
 
-def test_captures_with_a_surface_keep_the_sharp_edges_of_shadows() -> None:
-    """All pixels at the edge are in the shadow or in the light, as the rays found."""
+def test_opaque_catchers_have_sharp_shadow_edges() -> None:
+    """Pixels at the edge are fully lit or fully shadowed, as the rays found."""
     ratio = shadow_of_a_disc(floor(0.6), ls.Pipeline.HYBRID)
     rows = (ratio < 0.6).any(axis=1).sum()
     assert rows > 70 and sharp_steps(ratio) >= 2 * rows - 4
 
 
 def test_smoothed_shadows_are_the_same_in_all_schedules() -> None:
-    """To the bit for any number of threads and for graphs; that of CUDA composites with other roundings."""
+    """Bit-equal for any number of threads and for graphs; CUDA's schedule composites with other roundings."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=80, height=60, fov_y=0.3)
     lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]))
-    scene = ls.Scene([fog()], [lid], [ls.LightDirectional((0.5, -1.0, 0.0), intensity=3.0)])
+    scene = ls.Scene([floaters()], [lid], [ls.LightDirectional((0.5, -1.0, 0.0), intensity=3.0)])
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, aovs=("emission", "lights", "shadow_ratio"))
     frames = [ls.create_renderer(config, "cpu", threads=threads).render(scene, camera).arrays() for threads in (1, 3)]
     frames += [renderer_of(way, config).render(scene, camera).arrays() for way in WAYS[1:]]
