@@ -1,9 +1,9 @@
-"""What float64 twins compute, stored: they take longer than all that they are compared with.
+"""Stores the results of float64 oracles ("twins"), which take longer to compute than the kernels they check.
 
-A stored result is found by a hash of the arguments of its oracle and of the source of the oracle and of those that it
-imports. It can be stale only in what an oracle takes from the package, defaults of settings among it: therefore a tenth
-of the results, another one each day, is computed all the same and compared, and all are by `make test-deep`. A result
-that is not stored is computed; `tools/make_twins.py` stores it.
+The key of a stored result is a hash of the oracle's arguments and of its code, including imported oracles; docstrings,
+comments, formatting and imports do not count. A result can only be stale in what an oracle takes from the package, such
+as defaults of settings. Therefore a tenth of the results is recomputed and compared, a different tenth each day, and
+`make test-deep` recomputes all. A missing result is computed; `tools/make_twins.py` stores all results.
 """
 
 from __future__ import annotations
@@ -26,27 +26,30 @@ import numpy as np
 FOLDER = Path(__file__).parents[1] / "reference" / "twins"
 COMMAND = "python tools/make_twins.py"
 TENTH = date.today().toordinal() % 10
-"""Results whose hash is this modulo ten are computed anew today."""
+"""Remainder modulo ten of the hashes whose results are recomputed today."""
 
 Result = dict[str, np.ndarray]
 
 
 class Twins:
-    """The stored results, and what this run has done with them."""
+    """Reads stored results for tests, and records which results this run computed."""
 
     def __init__(self) -> None:
         self.recompute_all = False
         self.computed: dict[str, Result] = {}
-        """Every result that was computed, by its hash."""
+        """All results computed in this run, keyed by their hashes."""
         self.missing = 0
-        """Results that were not stored."""
+        """Number of results that were not stored and had to be computed."""
 
     def result(self, compute: Callable[..., Result], *arguments: Any) -> Result:
-        """What an oracle's function returns, read if it is stored.
+        """Returns the result of an oracle's function, read from its file if stored and computed otherwise.
 
         Args:
-            compute: Function of a module of `support.oracles`; returns arrays by name.
-            *arguments: Its arguments: dataclasses, arrays, numbers, text, and containers of these.
+            compute: Function of a module of `support.oracles` that returns a dictionary of arrays.
+            *arguments: Arguments of the function: dataclasses, arrays, numbers, text and containers of these.
+
+        Raises:
+            AssertionError: A recomputed result differs from the stored one.
         """
         key = hashlib.sha256(source_of(compute.__module__) + described((compute.__qualname__, *arguments))).hexdigest()
         found = stored(key[:16])
@@ -60,13 +63,13 @@ class Twins:
         assert now.keys() == found.keys()
         pixels = decided(now)
         for name, values in now.items():
-            message = f"{name} of a stored twin is not what {compute.__module__} computes: {COMMAND}"
+            message = f"{name} of a stored twin differs from what {compute.__module__} computes now; run {COMMAND}"
             np.testing.assert_allclose(found[name][pixels], values[pixels], rtol=1e-5, atol=1e-6, err_msg=message)
         return now
 
 
 def decided(result: Result) -> Any:
-    """The pixels of a result that are the same on every machine: at others its oracle leaves all room to rounding."""
+    """Returns a mask of the pixels that agree on every machine; at others the oracle's slack for rounding is infinite."""
     return np.isfinite(result["slack"]) if "slack" in result else ...
 
 
@@ -77,9 +80,9 @@ TWINS = Twins()
 
 
 def described(value: Any) -> bytes:
-    """A value as bytes, equal for equal values; fields of dataclasses that have their defaults are left out.
+    """Returns a value as bytes, equal for equal values; dataclass fields at their defaults are left out.
 
-    Doubles are rounded to single precision: they may differ in their last bits from one machine to another.
+    Doubles are rounded to single precision, since their last bits may differ between machines.
     """
     if isinstance(value, float | np.floating):
         value = np.array(value)
@@ -102,28 +105,40 @@ def described(value: Any) -> bytes:
         return f"{type(value).__name__}.{value.name}".encode()
     if value is None or isinstance(value, str | bool | int):
         return repr(value).encode()
-    raise TypeError(f"no description of a {type(value).__name__}")
+    raise TypeError(f"cannot hash a {type(value).__name__} as an oracle's argument")
 
 
-def without_imports(source: str) -> str:
-    """A module's source without its imports of the package: where that has its names may change."""
-    lines = source.splitlines()
-    for node in ast.parse(source).body:
-        names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom):
-            names = [node.module or ""]
-        if any(name.partition(".")[0] == "lumisplat" for name in names):
-            lines[node.lineno - 1 : node.end_lineno] = [""] * ((node.end_lineno or node.lineno) - node.lineno + 1)
-    return "\n".join(line for line in lines if line)
+def code_of(source: str) -> str:
+    """Returns a module's syntax tree as text, without imports, docstrings, comments and formatting.
+
+    The text is equal for every version of Python, which `ast.dump` and `ast.unparse` do not promise.
+    """
+    return _node_text(ast.parse(source))
+
+
+def _node_text(node: Any) -> str:
+    """Returns a node of a syntax tree as text; empty fields are left out, since versions of Python differ in them."""
+    if isinstance(node, list):
+        return f"[{','.join(_node_text(one) for one in node if not _is_text_or_import(one))}]"
+    if isinstance(node, ast.AST):
+        fields = (f"{name}={_node_text(value)}" for name, value in ast.iter_fields(node) if value not in (None, []))
+        return f"{type(node).__name__}({','.join(fields)})"
+    return repr(node)
+
+
+def _is_text_or_import(node: Any) -> bool:
+    """Returns True for imports, docstrings and other statements that are only a string."""
+    is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    return is_text or isinstance(node, ast.Import | ast.ImportFrom)
 
 
 @cache
 def source_of(module: str) -> bytes:
-    """Source of an oracle and of all oracles that it imports, but for what they import of the package."""
+    """Returns the code of an oracle and of all oracles that the oracle imports, directly or indirectly."""
     names, texts = [module], []
     for name in names:
         text = inspect.getsource(importlib.import_module(name))
-        texts.append(without_imports(text))
+        texts.append(code_of(text))
         others = re.findall(r"^from (support\.oracles\.\w+) import", text, re.M)
         for line in re.findall(r"^from support\.oracles import (.*)", text, re.M):
             others += [f"support.oracles.{name.strip()}" for name in line.split(",")]
@@ -131,11 +146,11 @@ def source_of(module: str) -> bytes:
     return "".join(texts).encode()
 
 
-# --- Files: one a result, its arrays by name, numbers in single precision ---
+# --- Files: one .npz for each result, floating-point arrays in single precision ---
 
 
 def stored(key: str) -> Result | None:
-    """A stored result, in double precision; None: it is not stored."""
+    """Returns a stored result in double precision, or None if there is none for this key."""
     path = FOLDER / f"{key}.npz"
     if not path.exists():
         return None
@@ -146,7 +161,7 @@ def stored(key: str) -> Result | None:
 
 
 def store(results: dict[str, Result]) -> int:
-    """Replaces all stored results; returns the size of their files, bytes."""
+    """Replaces all stored results, and returns the total size of their files in bytes."""
     FOLDER.mkdir(exist_ok=True)
     for path in FOLDER.glob("*.npz"):
         path.unlink()

@@ -1,13 +1,34 @@
-"""Stored twins are found as long as what computes them is the same."""
+"""A stored twin stays valid until the code of its oracle changes."""
 
 from __future__ import annotations
 
-from support.twins import without_imports
+from support.twins import code_of
+
+SOURCE = '''
+"""Doubles numbers."""
+import numpy as np
+from lumisplat.a import double
+
+FACTOR = 2.0
+"""Exact."""
 
 
-def test_where_the_package_has_its_names_is_no_part_of_an_oracle() -> None:
-    """Imports of the package may move; what an oracle takes from elsewhere, and what it does, may not."""
-    before = "import numpy as np\nfrom lumisplat.a import (\n    b,\n)\nimport lumisplat as ls\n\nx = np.pi\n"
-    after = "import numpy as np\nfrom lumisplat.c.d import b\n\nx = np.pi\n"
-    assert without_imports(before) == without_imports(after) == "import numpy as np\nx = np.pi"
-    assert without_imports(after.replace("pi", "e")) != without_imports(after)
+def doubled(x):
+    """Returns twice x."""
+    return FACTOR * x + double(0)  # never zero
+'''
+
+
+def test_texts_imports_and_formatting_keep_the_key_of_a_twin() -> None:
+    """Edits of docstrings, comments, imports and formatting leave an oracle's code as it was."""
+    bare = "FACTOR=2.0\ndef doubled(x):\n  return (FACTOR*x+double(0))"
+    edited = (
+        SOURCE.replace("Returns twice", "Gives 2").replace("Exact", "An even number").replace("# never", "# is not")
+    )
+    assert code_of(bare) == code_of(edited.replace("lumisplat.a", "lumisplat.b.c")) == code_of(SOURCE)
+
+
+def test_edited_code_changes_the_key_of_a_twin() -> None:
+    """A different constant, operator or name makes stored twins stale."""
+    for old, new in (("2.0", "3.0"), ("* x", "/ x"), ("def doubled", "def twice")):
+        assert code_of(SOURCE.replace(old, new)) != code_of(SOURCE)
