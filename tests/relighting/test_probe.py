@@ -122,7 +122,7 @@ def test_colors_come_from_their_directions(pipeline: ls.Pipeline) -> None:
 
 
 def test_cube_faces_are_not_mirrored() -> None:
-    """A ball off the axes is at its direction, to a pixel, in each quarter of every face."""
+    """A ball off the axes appears in its own direction, to a pixel, in each quarter of every face."""
     renderer = ls.create_renderer(ls.RenderConfig(), "cpu")
     for direction in unit(8, 24):
         ball = one_gaussian(tuple(4.0 * direction), 0.15, 1.0, (1.0, 1.0, 1.0))

@@ -38,8 +38,8 @@ _NORMALS_AT_ONCE = 1024
 """Normals whose lobes are in memory at once: 2 MB with 16 rows, which fits the cache."""
 
 _NO_LIGHT = 1e-12
-"""Epsilon of docs/method/relighting.md#transfer-scale, sr, where the weights sum to 4 pi; far below any lobe that the
-grid resolves."""
+"""Epsilon, sr, added to the lobe's normalisation (docs/method/relighting.md#transfer-scale). The weights sum to 4 pi,
+and no lobe that the grid resolves is nearly as small."""
 
 
 class _Grid(NamedTuple):
@@ -153,7 +153,7 @@ _BLOCKED_BELOW = 1e-3
 
 
 class SunOnActors:
-    """Computes the light of suns on actors that their probes do not hold.
+    """Computes the light of suns on actors, less the part that the actors' probes already hold.
 
     Args:
         scene: The scene without actors, which may block the suns.

@@ -29,7 +29,7 @@ ROUGHNESS_UNKNOWN = 0.8
 """Roughness of Gaussians whose highlights do not determine it."""
 
 ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
-"""Trial values of roughness. Below the first one, SH of degree 3 look the same."""
+"""Trial values of roughness. Below the first one, highlights in SH of degree 3 no longer change."""
 
 ROUGHNESS_ROWS = 2048
 """Gaussians processed at once, about 100 MB."""
