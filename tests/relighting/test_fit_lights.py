@@ -250,9 +250,7 @@ def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> No
 
 @pytest.mark.parametrize("room", [open_above, closed])
 def test_unused_sh_environment_is_removed(room):
-    """One remark reports that no light of the environment was found, whether it cannot enter the room or does not
-    shine.
-    """
+    """One remark reports that none of the environment's light was found, whether it is blocked or does not shine."""
     lights = three_lamps()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
     found = fitted(room(*unknown(*lights)), taken(room(*lights), VIEW), **options)
