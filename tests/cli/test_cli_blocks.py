@@ -203,5 +203,5 @@ def test_a_disk_without_room_is_refused_before_writing(work: Workplace, monkeypa
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr("shutil.disk_usage", lambda _: usage(10, 9, 1))
     outcome = work.run("blocks", "@town.ply", "-o", "@a")
-    assert outcome.status == 2 and "of which the disk has 1 B free" in outcome.err
+    assert outcome.status == 2 and "but the disk has 1 B free" in outcome.err
     assert not work.path("a").exists()

@@ -95,7 +95,7 @@ def test_a_full_disk_for_the_environment_is_one_line(work):
     [
         (
             ("@ball.ply", "-o", "@out.spz"),
-            "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others have no room for materials",
+            "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others cannot store materials",
         ),
         (("@ball.ply", "-o", "@out.compressed.ply"), "expected .ply"),
         (("@ball.ply", "-o", "@out.ply", "--sky", "@sky.png"), "expected .exr"),
@@ -104,7 +104,10 @@ def test_a_full_disk_for_the_environment_is_one_line(work):
             ("@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--inside", "yes"),
             "--inside yes means a room",
         ),
-        (("@ball.ply", "-o", "/proc/lumisplat.ply"), "/proc/lumisplat.ply: cannot be written, nothing can in /proc"),
+        (
+            ("@ball.ply", "-o", "/proc/lumisplat.ply"),
+            "/proc/lumisplat.ply: cannot be written, as /proc is not writable",
+        ),
         (("@ball.ply", "-o", "@out.ply", "--up", "0,0,0"), "--up is '0,0,0', expected a direction"),
         (
             ("@point.ply", "-o", "@out.ply"),

@@ -27,7 +27,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     return place
 
 
-def grain(work: Workplace, name: str) -> float:
+def noise(work: Workplace, name: str) -> float:
     """Returns the mean difference of neighbouring pixels."""
     picture = read_image(work.path(name))["srgb"].astype(float)
     return float(np.abs(np.diff(picture, axis=1)).mean())
@@ -40,7 +40,7 @@ def test_denoised_images_have_less_noise(work: Workplace, pipeline: str) -> None
     options = (*RENDER, "--pipeline", pipeline, "--samples", "1")
     assert work.run(*options, "-o", "@noisy.png").status == 0
     assert work.run(*options, "--denoise", "-o", "@smooth.png").status == 0
-    assert grain(work, "smooth.png") < 0.7 * grain(work, "noisy.png")
+    assert noise(work, "smooth.png") < 0.7 * noise(work, "noisy.png")
     assert work.run(*options, "--denoise", "--aov", "depth", "-o", "@layers.exr").status == 0
     assert {"depth.Z"} <= set(read_image(work.path("layers.exr"))) and "albedo.R" not in read_image(
         work.path("layers.exr")

@@ -50,9 +50,9 @@ def test_a_guessed_up_is_logged_and_a_stated_one_is_not(
     render = ["render", "-o", "a.png", "--width", "32", "--device", "cpu"]
     assert main([*render, "stated.ply"]) == 0
     assert main([*render, "guess.ply", "--up", "y-up"]) == 0
-    assert "is a guess" not in caplog.text
+    assert "up is guessed" not in caplog.text
     assert main([*render, "guess.ply"]) == 0
-    (line,) = [line for line in caplog.messages if "is a guess" in line]
+    (line,) = [line for line in caplog.messages if "up is guessed" in line]
     assert "y-down" in line and "--up" in line
 
 

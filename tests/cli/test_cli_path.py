@@ -37,7 +37,7 @@ def same(work: Workplace, name: str, camera: ls.Camera) -> bool:
 def test_render_follows_a_camera_path(work) -> None:
     """Each second at --fps moves from one camera to the next."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
-    assert outcome.status == 0 and "5 pictures" in outcome.out
+    assert outcome.status == 0 and "5 images" in outcome.out
     way = ls.io.load_camera_path(work.path("way.json"))
     for k in range(5):
         assert same(work, f"out/frame_{k:05d}.png", way.at(k / 2))

@@ -57,7 +57,7 @@ def test_a_capture_is_written_to_standard_output(run, tmp_path: Path) -> None:
 
 def test_mistakes_write_nothing(run) -> None:
     """Each prints one line on standard error."""
-    for args, named in ((("missing.ply",), b"missing.ply"), (("mesh.obj", "--aov", "depth"), b"-o - is one picture")):
+    for args, named in ((("missing.ply",), b"missing.ply"), (("mesh.obj", "--aov", "depth"), b"-o - is one file")):
         done = run("render", *args, "-o", "-")
         assert (done.returncode, done.stdout) == (2, b"")
         assert named in done.stderr

@@ -92,7 +92,7 @@ def test_a_viewpoint_replaces_the_cameras_of_a_scene_file(work) -> None:
         (("--distance", "0"), "--distance is 0, expected a positive number"),
         (("--up", "sideways"), "--up is 'sideways', expected auto, y-down"),
         (("--up", "0,0,0"), "--up is '0,0,0', expected a direction"),
-        (("--eye", "0,0,1", "--target", "0,0,1"), "--eye is 0,0,1, which is the target"),
+        (("--eye", "0,0,1", "--target", "0,0,1"), "--eye is 0,0,1, which equals the target"),
     ],
 )
 def test_contradicting_viewpoint_options_are_refused(work, options, message) -> None:

@@ -178,16 +178,16 @@ class RenderConfig:
     pipelines only. None: if ``noise`` is given."""
     glossy_reflections: bool | None = None
     """Lets rough metals and glossy surfaces reflect the scene in lit trace and hybrid frames; otherwise they reflect
-    lights and the environment only. Each sample traces one ray from the first surface, so the noise needs samples.
-    None: if the scene has a rough metal and another object. Paths always reflect the scene."""
+    lights and the environment only. Each sample traces one ray from the first surface, and several samples average its
+    noise. None: if the scene has a rough metal and another object. Paths always reflect the scene."""
     capture_gain: Annotated[float, Range(-CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX, "stops")] = 0.0
     """Brightening of the light that captures cast onto other surfaces, as captured light sources are clipped at
     display white. Captures themselves stay as they are, in mirrors as well. Applies where captures light surfaces: in
     paths, real time, glossy reflections, and on meshes in scenes without lights. `estimate_capture_gain` estimates a
     value."""
     energy_compensation: bool = False
-    """Returns the energy to rough metals in lit frames that single scattering between microfacets loses. Off as in
-    glTF's own viewer: white metal of roughness 1 then reflects half of the light."""
+    """Restores the energy that single scattering between the microfacets of rough metals loses, in lit frames. Off as
+    in glTF's own viewer: white metal of roughness 1 then reflects half of the light."""
     jitter: bool = True
     """Spreads samples after the first over their pixel, which antialiases; the first goes through its centre. Applies
     in all pipelines wherever ``samples`` does."""

@@ -111,7 +111,7 @@ def test_the_same_command_continues_tiles_after_a_kill(work, tmp_path: Path) -> 
         (("--tiles", "4"), "--tiles is '4', expected columns and rows, such as 4x4, or auto"),
         (("--tiles", "0x2"), "--tiles 0x2: columns is 0, expected 1 to 5"),
         (("--tiles", "2x9"), "--tiles 2x9: rows is 9, expected 1 to 4"),
-        (("--tiles", "2x2", "--format", "npz"), "--tiles writes pictures by rows, .png or .exr"),
+        (("--tiles", "2x2", "--format", "npz"), "--tiles needs .png or .exr"),
         (("--tiles", "2x2", "--aov", "depth"), "write the layers into an EXR: give --format exr"),
         (("--tiles", "2x2", "--aov", "deep", "--format", "exr"), "--aov deep and --tiles exclude each other"),
         (

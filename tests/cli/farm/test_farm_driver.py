@@ -200,7 +200,7 @@ def test_a_worker_with_different_files_is_not_used(tmp_path: Path, caplog: Any) 
     farm.ray.does = farm._does(lambda worker, index: answer(frames=other) if index is None and worker == 1 else None)
     farm.run()
     assert {worker for worker, _ in farm.ray.given} == {0}
-    assert "a worker sees other needs than the first one" in caplog.text
+    assert "a worker has other needs than the first one" in caplog.text
 
 
 def test_realtime_sequences_are_refused_for_several_workers(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ class Blocks(LoadingCommand):
         there = next(path for path in (output, *output.absolute().parents) if path.exists())
         free = shutil.disk_usage(there).free
         if needed > free:
-            raise ls.FormatError(output, f"needs {byte_size(needed)}, of which the disk has {byte_size(free)} free")
+            raise ls.FormatError(output, f"needs {byte_size(needed)}, but the disk has {byte_size(free)} free")
 
     def _plan(self) -> None:
         """Prints a table with a row for each worker."""

@@ -179,8 +179,8 @@ class Dataset(FrameCommand, InsertingCommand):
             )
         shards = f", {counted(len(summary.shards), 'shard')}" * bool(summary.shards)
         print(
-            f"{self.output / 'transforms.json'}: {summary.train} to train, {summary.val} to validate and "
-            f"{summary.test} to test by{shards}; {self.output / 'contact_sheet.png'} shows the first"
+            f"{self.output / 'transforms.json'}: {summary.train} for training, {summary.val} for validation and "
+            f"{summary.test} for testing{shards}; {self.output / 'contact_sheet.png'} shows the first"
         )
 
     def _cameras(self, settings: ls.config.DatasetConfig) -> list[ls.Camera]:

@@ -100,7 +100,7 @@ class Delight(LevelsCommand, DeviceCommand):
         if not holds_materials(self.output):
             raise ls.FormatError(
                 self.output,
-                "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others have no room for materials",
+                "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others cannot store materials",
             )
         ls.io.check_format(self.output)  # whether what writes it is installed
         if self.sky is not None and self.sky.suffix.lower() != ".exr":

@@ -232,7 +232,7 @@ def image_pairs(image: Path, reference: Path) -> list[Pair]:
         raise ls.FormatError(folder, f"is a folder and {file} is not: compare two files, or two folders")
     if not image.is_dir():
         return [Pair(image.stem, image, reference)]
-    ours, theirs = _pictures(image), _pictures(reference)
+    ours, theirs = _images(image), _images(reference)
     both = sorted({*ours} & {*theirs})
     for folder, missing in ((reference, sorted({*ours} - {*theirs})), (image, sorted({*theirs} - {*ours}))):
         if missing:
@@ -244,7 +244,7 @@ def image_pairs(image: Path, reference: Path) -> list[Pair]:
     return [Pair(name, ours[name], theirs[name]) for name in both]
 
 
-def _pictures(folder: Path) -> dict[str, Path]:
+def _images(folder: Path) -> dict[str, Path]:
     """Returns the images of a folder by name without extension."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):

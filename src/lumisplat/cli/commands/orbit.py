@@ -93,7 +93,7 @@ class Orbit(ViewsCommand, FrameCommand):
         scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
         config = self.light.with_capture_gain(renderer, config, scene)
-        cameras = along or self._round(scene, count)
+        cameras = along or self._turntable_cameras(scene, count)
         for line in frame_remarks(config, scene, dict(given_settings(self)), self.light, device=self.device):
             _log.warning("%s", line)
         source = self.frame_source(renderer, blocks=blocks)
@@ -111,7 +111,7 @@ class Orbit(ViewsCommand, FrameCommand):
             summarise=(lambda frame, _: print_stats(frame, config.pipeline)) if self.stats else None,
         )
 
-    def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
+    def _turntable_cameras(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
         """Returns the cameras around the scene."""
         start, target = self.viewpoint_camera(scene, all_around=True), self.viewpoint.target_point(scene)
         return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)

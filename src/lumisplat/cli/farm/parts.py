@@ -206,7 +206,7 @@ class Parts:
 def _check_format(path: Path, *, has_layers: bool) -> None:
     """Refuses images that are not written in rows."""
     if path.suffix.lower() not in (".png", ".exr"):
-        raise ls.ConfigError(f"{path}: --tiles writes pictures by rows, .png or .exr")
+        raise ls.ConfigError(f"{path}: --tiles needs .png or .exr")
     if has_layers and path.suffix.lower() == ".png":
         raise ls.ConfigError(f"{path}: --aov and --tiles write the layers into an EXR: give --format exr")
 

@@ -107,7 +107,7 @@ def scene_file(paths: Sequence[Path]) -> Path | None:
     """
     found = [path for path in paths if path.suffix.lower() == ".toml"]
     if len(found) > 1:
-        raise ls.ConfigError(f"{found[0]} and {found[1]} are both scene files: list in one what both list")
+        raise ls.ConfigError(f"{found[0]} and {found[1]} are both scene files: give one that lists the entries of both")
     return found[0] if found else None
 
 

@@ -111,7 +111,7 @@ class ViewpointOptions:
         target = self.target_point(scene)
         distance = math.dist(eye, target)
         if distance == 0.0:
-            raise ls.ConfigError(f"--eye is {self.eye}, which is the target: they must be apart")
+            raise ls.ConfigError(f"--eye is {self.eye}, which equals the target: choose another")
         vertical = sum(u * (t - e) for u, e, t in zip(scene.up_direction, eye, target, strict=True))
         up = scene.up_direction
         if abs(vertical) > (1.0 - 1e-6) * distance:  # along the vertical, up is where the front camera looks

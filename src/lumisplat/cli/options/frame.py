@@ -361,7 +361,7 @@ def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
     if config.lighting is not False and lights and any(not one.shadow_catcher for one in unlit):
         yield (
             "captures with an albedo stay unlit without a material: material = {} of "
-            "their [[splats]] in a scene.toml lets lights light them"
+            "their [[splats]] in a scene.toml lights them"
         )
 
 

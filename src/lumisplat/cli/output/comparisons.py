@@ -49,7 +49,7 @@ def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparis
     """
     pair, region = (frame.pixels_srgb(), view.pixels()), _region(view)
     if not region.any():
-        raise ls.FormatError(view.path, "has a mask under which no pixel counts at this size")
+        raise ls.FormatError(view.path, "has a mask that leaves no pixel at this size")
     metrics = {
         "psnr": ls.metrics.psnr,
         "ssim": ls.metrics.ssim,

@@ -241,7 +241,7 @@ def check_video(path: Path, fps: float) -> None:
     try:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise ls.FormatError(path, f"cannot be written, nothing can in {folder}: {error.strerror}") from None
+        raise ls.FormatError(path, f"cannot be written, as {folder} is not writable: {error.strerror}") from None
 
 
 def write_video(path: Path, frames: Sequence[Path], fps: float, report: Report) -> None:
@@ -251,10 +251,10 @@ def write_video(path: Path, frames: Sequence[Path], fps: float, report: Report) 
         FormatError: The video cannot be written.
         SceneError: An image cannot be read.
     """
-    ls.save_animation(path, _pictures(frames, report), fps)
+    ls.save_animation(path, _loaded_images(frames, report), fps)
 
 
-def _pictures(paths: Sequence[Path], report: Report) -> Iterator[npt.NDArray[np.float32]]:
+def _loaded_images(paths: Sequence[Path], report: Report) -> Iterator[npt.NDArray[np.float32]]:
     """Yields the images one by one."""
     for done, path in enumerate(paths):
         report("writing the video", done / len(paths))

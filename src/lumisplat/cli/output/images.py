@@ -112,7 +112,7 @@ def check_folder(folder: Path, output: Path | None = None) -> None:
         tempfile.TemporaryFile(dir=existing).close()
     except OSError as error:
         raise ls.FormatError(
-            output or folder, f"cannot be written, nothing can in {existing}: {error.strerror}"
+            output or folder, f"cannot be written, as {existing} is not writable: {error.strerror}"
         ) from None
 
 
