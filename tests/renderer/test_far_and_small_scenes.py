@@ -12,22 +12,22 @@ import lumisplat as ls
 
 FAR = [(5e5, -3e5, 1e5), (5e6, 5e5, 3e2)]
 PIPELINES = [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE, ls.Pipeline.PATH]
-WAYS = np.random.default_rng(1).normal(size=(200, 3))
-WAYS /= np.linalg.norm(WAYS, axis=1, keepdims=True)
+DIRECTIONS = np.random.default_rng(1).normal(size=(200, 3))
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 FLOOR = np.array([[-2.0, -0.6, -2.0], [2.0, -0.6, -2.0], [2.0, -0.6, 2.0], [-2.0, -0.6, 2.0]])
 TRIANGLES = np.array([[0, 2, 1], [0, 3, 2]])
 
 
 def ball(unit: float = 1.0) -> ls.Gaussians:
     """Coloured Gaussians on a sphere."""
-    count = len(WAYS)
+    count = len(DIRECTIONS)
     return ls.Gaussians(
-        means=0.5 * unit * WAYS,
+        means=0.5 * unit * DIRECTIONS,
         rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
         scales=np.full((count, 3), 0.06 * unit),
         opacities=np.full(count, 0.9),
         sh=np.random.default_rng(2).normal(size=(count, 1, 3)) * 0.3,
-        normals=WAYS,
+        normals=DIRECTIONS,
     )
 
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.compare.ways import WAYS, renderer_of
+from support.compare.backends import BACKENDS, renderer_of
 from support.scenes import lit_scene
 from support.scenes.lenses import LENSES, layers, lens, rolling
 from support.scenes.pipelines import SAMPLED
 from support.scenes.raster_scenes import checker_quad, front_camera, random_gaussians, similarity
 
-SCHEDULES = [way for way in WAYS if way != "cpu as graph"]
+SCHEDULES = [backend for backend in BACKENDS if backend != "cpu as graph"]
 """Both schedules on the CPU, and every GPU."""
-DEVICES = [way for way in WAYS if not way.startswith("cpu as")]
+DEVICES = [backend for backend in BACKENDS if not backend.startswith("cpu as")]
 WINDOWS = [(16, 0, 32, 16), (48, 32, 23, 21), (0, 16, 16, 37)]
 """Windows in an image of 71 x 53: at the upper edge, in the lower right corner, at the left and lower edge."""
 SIZE = 71, 53
@@ -46,9 +46,9 @@ def assert_crop(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> No
             np.testing.assert_array_equal(image, expected[part], f"{name} of {window}")
 
 
-@pytest.mark.parametrize("way", SCHEDULES)
+@pytest.mark.parametrize("backend", SCHEDULES)
 @pytest.mark.parametrize("strategy", list(ls.config.RasterStrategy))
-def test_unlit_windows_equal_crops(strategy: ls.config.RasterStrategy, way: str) -> None:
+def test_unlit_windows_equal_crops(strategy: ls.config.RasterStrategy, backend: str) -> None:
     """Sorted and stochastic, in both schedules, with Gaussians larger than windows and meshes with alpha."""
     sheet = checker_quad(0.0)
     seen_through = replace(sheet.material, alpha=0.5, alpha_mode="blend")
@@ -61,19 +61,19 @@ def test_unlit_windows_equal_crops(strategy: ls.config.RasterStrategy, way: str)
         ],
     )
     config = ls.RenderConfig(raster=ls.RasterConfig(strategy=strategy), samples=2, background=None)
-    assert_crop(renderer_of(way, config), scene, front_camera(*SIZE, cx=30.3, cy=20.1))
+    assert_crop(renderer_of(backend, config), scene, front_camera(*SIZE, cx=30.3, cy=20.1))
 
 
-@pytest.mark.parametrize("way", DEVICES)
+@pytest.mark.parametrize("backend", DEVICES)
 @pytest.mark.parametrize("pipeline", SAMPLED)
-def test_lit_windows_equal_crops(pipeline: ls.Pipeline, way: str) -> None:
+def test_lit_windows_equal_crops(pipeline: ls.Pipeline, backend: str) -> None:
     """Covers soft shadows, mirrors, glass, captures and relit sets, with light layers."""
     aovs = ("albedo", "lights", "variance", "sample_count")
     if pipeline is ls.Pipeline.PATH:
         aovs += ("direct_diffuse", "indirect_diffuse", "indirect_glossy")
     config = lit_scene.config(pipeline, samples=2, shadows=ls.Shadows.SOFT, aovs=aovs)
     scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
-    assert_crop(renderer_of(way, config), scene, lit_scene.camera(*SIZE))
+    assert_crop(renderer_of(backend, config), scene, lit_scene.camera(*SIZE))
 
 
 @pytest.mark.parametrize("name", RAY_CAMERAS)
@@ -84,13 +84,13 @@ def test_traced_windows_equal_crops_for_all_lenses(name: str) -> None:
     assert_crop(ls.create_renderer(config, "cpu"), ls.Scene([layers(camera)]), camera)
 
 
-@pytest.mark.parametrize("way", SCHEDULES)
+@pytest.mark.parametrize("backend", SCHEDULES)
 @pytest.mark.parametrize("name", ["distorted fisheye", "rolling shutter"])
-def test_unscented_windows_equal_crops(name: str, way: str) -> None:
+def test_unscented_windows_equal_crops(name: str, backend: str) -> None:
     """Covers sigma-point projection and pixel rays."""
     camera = RAY_CAMERAS[name]
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
-    assert_crop(renderer_of(way, config), ls.Scene([layers(camera)]), camera)
+    assert_crop(renderer_of(backend, config), ls.Scene([layers(camera)]), camera)
 
 
 @pytest.mark.parametrize("name", ["phone", "barrel"])

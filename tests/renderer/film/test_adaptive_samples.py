@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import NOISE_SAMPLES_MIN, SAMPLE_RATES
 from lumisplat.renderer.film.adaptive_rays import SAMPLE_RATE_MIN, rates_of
-from support.compare.ways import WAYS, renderer_of
+from support.compare.backends import BACKENDS, renderer_of
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.raster_scenes import front_camera, one_gaussian
 
@@ -75,7 +75,7 @@ def test_results_do_not_depend_on_interruptions_or_threads(threads: int) -> None
     assert_equal(frame, adaptive())
 
 
-@pytest.mark.parametrize("schedule", WAYS[1:])
+@pytest.mark.parametrize("schedule", BACKENDS[1:])
 def test_all_schedules_choose_the_same_sample_counts(schedule: str) -> None:
     """CUDA's schedule, with and without graphs, gives the same sample counts up to rounding."""
     frame = renderer_of(schedule, PATHS).render(lit_room(), view())

@@ -62,8 +62,8 @@ def test_absorbing_glass_tints_shadows(pipeline: ls.Pipeline, place: str) -> Non
         color(ls.Scene(meshes=meshes, lights=[light]), pipeline, 1, max_bounces=0)
         for meshes in ([floor], [floor, glass])
     )
-    way = 1.0 if place == "beyond" else 0.5
-    np.testing.assert_allclose(within / without, np.array([0.2, 0.5, 1.0]) ** way, rtol=1e-3)
+    backend = 1.0 if place == "beyond" else 0.5
+    np.testing.assert_allclose(within / without, np.array([0.2, 0.5, 1.0]) ** backend, rtol=1e-3)
 
 
 @TRACED

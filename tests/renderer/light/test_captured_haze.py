@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
-from support.compare.ways import WAYS, renderer_of
+from support.compare.backends import BACKENDS, renderer_of
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, front_camera
 
@@ -109,9 +109,9 @@ def test_captures_beside_relit_sets_are_unchanged(pipeline: ls.Pipeline) -> None
     assert same[:, 12:].all()
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("backend", BACKENDS)
 @PIPELINES
-def test_all_schedules_agree(pipeline: ls.Pipeline, way: str) -> None:
+def test_all_schedules_agree(pipeline: ls.Pipeline, backend: str) -> None:
     """CPU and CUDA schedules give equal frames of alternating layers of both kinds with a mesh between them."""
     splats = [ls.SplatInstance(veil(2.0 + 0.1 * k, 0.2, GREEN)) for k in range(3)]
     splats += [ls.SplatInstance(veil(2.05 + 0.1 * k, 0.2, RED), material=GLOWING) for k in range(3)]
@@ -119,5 +119,5 @@ def test_all_schedules_agree(pipeline: ls.Pipeline, way: str) -> None:
     scene = ls.Scene(splats=splats, meshes=[ls.Mesh(corners, [[0, 2, 1]])], lights=[FACING])
     config = ls.RenderConfig(pipeline=pipeline, lighting=True)
     camera = front_camera(24, 18, 30.0)
-    frame = renderer_of(way, config).render(scene, camera)
+    frame = renderer_of(backend, config).render(scene, camera)
     np.testing.assert_allclose(frame.color, renderer_of("cpu", config).render(scene, camera).color, atol=2e-6)

@@ -10,7 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
-from support.compare.ways import WAYS, renderer_of
+from support.compare.backends import BACKENDS, renderer_of
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.pipelines import DIRECT, SAMPLED
 from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaussians, similarity
@@ -57,7 +57,7 @@ def all_aovs() -> tuple[str, ...]:
 def test_backends_give_equal_lit_frames(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
     """CUDA's schedule, its graphs and any number of threads agree; a renderer repeats its frames."""
     settings = config(pipeline, shadows=shadows, samples=2, background=None)
-    frames = [renderer_of(way, settings).render(scene(*LAMPS, SKY), camera()) for way in WAYS]
+    frames = [renderer_of(backend, settings).render(scene(*LAMPS, SKY), camera()) for backend in BACKENDS]
     single = ls.create_renderer(settings, "cpu", threads=1)
     for frame in (single.render(scene(*LAMPS, SKY), camera()), single.render(scene(*LAMPS, SKY), camera())):
         np.testing.assert_array_equal(frame.color, frames[0].color)
@@ -128,7 +128,7 @@ def test_stochastic_splats_do_not_depend_on_order_or_backend() -> None:
     """Sets may be reordered, and pixels processed one by one."""
     chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     settings = config(ls.Pipeline.RASTER, raster=chance, samples=3)
-    frames = [renderer_of(way, settings).render(scene(), camera()) for way in WAYS]
+    frames = [renderer_of(backend, settings).render(scene(), camera()) for backend in BACKENDS]
     for frame in frames[1:]:
         assert np.mean(np.abs(frame.color - frames[0].color).max(axis=2) > 1e-4) < 0.01
     assert np.unique(frames[0].alpha[frames[0].depth < np.inf]).size <= 4  # each sample covers a pixel, or not

@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.baking.gaussian_views import CatcherLight
 from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
-from support.compare.ways import WAYS, renderer_of
+from support.compare.backends import BACKENDS, renderer_of
 
 RADIUS, HEIGHT = 0.5, 0.4
 SHARE = RADIUS**2 / (RADIUS**2 + HEIGHT**2)
@@ -270,7 +270,7 @@ def test_smoothed_shadows_are_the_same_in_all_schedules() -> None:
     scene = ls.Scene([floaters()], [lid], [ls.LightDirectional((0.5, -1.0, 0.0), intensity=3.0)])
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, aovs=("emission", "lights", "shadow_ratio"))
     frames = [ls.create_renderer(config, "cpu", threads=threads).render(scene, camera).arrays() for threads in (1, 3)]
-    frames += [renderer_of(way, config).render(scene, camera).arrays() for way in WAYS[1:]]
+    frames += [renderer_of(backend, config).render(scene, camera).arrays() for backend in BACKENDS[1:]]
     mixed = (frames[0]["shadow_ratio"] > 0.5) & (frames[0]["shadow_ratio"] < 0.8)
     assert mixed.sum() > 100
     for name in ("color", "shadow_ratio", "emission", "light_direct"):

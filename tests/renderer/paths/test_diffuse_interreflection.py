@@ -97,12 +97,12 @@ def test_parallel_plates_exchange_light() -> None:
         assert_is(seen[..., channel].astype(np.float64), truth[channel])
 
 
-@pytest.mark.parametrize("way", ["mesh", "rect"])
+@pytest.mark.parametrize("backend", ["mesh", "rect"])
 @pytest.mark.parametrize(
     ("arrangement", "factor"),
     [("opposed", opposed_squares(1.0)), ("wide", opposed_squares(10.0)), ("perpendicular", perpendicular_squares())],
 )
-def test_squares_light_by_their_form_factor(arrangement: str, factor: float, way: str) -> None:
+def test_squares_light_by_their_form_factor(arrangement: str, factor: float, backend: str) -> None:
     """Mean direct light of one square on the other."""
     side = 10.0 if arrangement == "wide" else 1.0
     u, v = np.array([side, 0, 0]), np.array([0, 0, side])
@@ -112,7 +112,7 @@ def test_squares_light_by_their_form_factor(arrangement: str, factor: float, way
         corner, edges = np.zeros(3), (u, np.array([0.0, 1.0, 0.0]))
     lights: Sequence[Light] = []
     meshes = [receiver]
-    if way == "mesh":
+    if backend == "mesh":
         meshes.append(quad(corner, *edges, diffuse(0.0, 1.0 / np.pi)))
     else:
         lights = [ls.LightRect(corner + 0.5 * (edges[0] + edges[1]), *edges, intensity=1.0 / np.pi)]

@@ -27,12 +27,12 @@ PANE = quad((-9, 0.4, -9), (18, 0, 0), (0, 0, 18), CLEAR)
 """A pane between the floor and all lights, which are above 0.5."""
 CLOSE = ls.Camera.look_at((0, 0.3, 0.002), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.002)
 """A camera on the origin, from below the pane."""
-WAYS = ("sampled", "met", "both")
+STRATEGIES = ("sampled", "met", "both")
 
 
-def lit_by(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR) -> ls.Scene:
+def lit_by(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR) -> ls.Scene:
     """A surface and a light that paths reach by one strategy."""
-    meshes = [surface, PANE] if way == "met" else [surface]
+    meshes = [surface, PANE] if strategy == "met" else [surface]
     if isinstance(light, ls.Mesh):
         return ls.Scene(meshes=[*meshes, light])
     if isinstance(light, ls.LightEnvironment):
@@ -41,36 +41,36 @@ def lit_by(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR) -> ls.Sce
         unmet = light
     else:
         unmet = replace(light, visible=False)
-    return ls.Scene(meshes=meshes, lights=[unmet if way == "sampled" else light])
+    return ls.Scene(meshes=meshes, lights=[unmet if strategy == "sampled" else light])
 
 
-def found(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR, samples: int = 64) -> np.ndarray:
+def found(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR, samples: int = 64) -> np.ndarray:
     """Irradiance at the origin, one value per pixel; light has not bounced, except through the pane."""
-    return irradiance(paths(lit_by(light, way, surface), CLOSE, samples, 1 if way == "met" else 0), ALBEDO)
+    return irradiance(paths(lit_by(light, strategy, surface), CLOSE, samples, 1 if strategy == "met" else 0), ALBEDO)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("place", [(0.0, 1.0, 0.0), (0.9, 1.2, -0.5)])
-def test_sphere_light_irradiance(place: tuple[float, float, float], way: str) -> None:
+def test_sphere_light_irradiance(place: tuple[float, float, float], strategy: str) -> None:
     """Irradiance is pi L (r / d)^2 cos."""
     light = ls.LightSphere(place, 0.45, intensity=2.0)
     distance = np.linalg.norm(place)
     truth = np.pi * 2.0 * (0.45 / distance) ** 2 * place[1] / distance
-    assert_is(found(light, way), float(truth))
+    assert_is(found(light, strategy), float(truth))
 
 
-@pytest.mark.parametrize("way", ["met", "both"])
-def test_emissive_ball_irradiance(way: str) -> None:
+@pytest.mark.parametrize("strategy", ["met", "both"])
+def test_emissive_ball_irradiance(strategy: str) -> None:
     """A sphere of emissive triangles: the sum over the front-facing ones."""
     source = ball(0.45, diffuse(0.0, 2.0), rows=24)
     source = replace(source, positions=source.positions + np.array([0.9, 1.2, -0.5]))
     corners = source.positions[source.indices].astype(np.float64)
     sums = [polygon_irradiance((0, 0, 0), (0, 1, 0), triangle) for triangle in corners]
-    assert_is(found(source, way), 2.0 * -sum(value for value in sums if value < 0.0))
+    assert_is(found(source, strategy), 2.0 * -sum(value for value in sums if value < 0.0))
 
 
-@pytest.mark.parametrize("way", ["met", "both"])
-def test_emissive_disc_irradiance(way: str) -> None:
+@pytest.mark.parametrize("strategy", ["met", "both"])
+def test_emissive_disc_irradiance(strategy: str) -> None:
     """Irradiance is pi L r^2 / (r^2 + h^2), with enough corners to be round."""
     angles = 2.0 * np.pi * np.arange(96) / 96
     rim = np.stack([0.6 * np.cos(angles), np.full(96, 0.8), 0.6 * np.sin(angles)], axis=1)
@@ -78,27 +78,29 @@ def test_emissive_disc_irradiance(way: str) -> None:
     source = ls.Mesh(np.concatenate([rim, [[0.0, 0.8, 0.0]]]), fan, material=diffuse(0.0, 2.0))
     truth = np.pi * 2.0 * 0.36 / (0.36 + 0.64)
     np.testing.assert_allclose(2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)), truth, rtol=2e-3)
-    assert_is(found(source, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
+    assert_is(found(source, strategy), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("place", [(0.0, 0.8, 0.0), (0.7, 0.9, -0.4)])
-def test_disk_light_irradiance(place: tuple[float, float, float], way: str) -> None:
+def test_disk_light_irradiance(place: tuple[float, float, float], strategy: str) -> None:
     """L / 2 times Lambert's sum over its edge, as a polygon of many corners, slanted to the floor."""
     light = ls.LightDisk(place, (-0.2, -1.0, 0.1), 0.35, intensity=2.0)
     u, v = (light.boundary()[k] - place for k in (0, 12))
     turn = 2.0 * np.pi * np.arange(1000)[:, None] / 1000
     rim = np.array(place) + np.cos(turn) * u + np.sin(turn) * v
-    assert_is(found(light, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
+    assert_is(found(light, strategy), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
 
 
-@pytest.mark.parametrize(("source", "way"), [("mesh", "met"), ("mesh", "both"), *(("rect", way) for way in WAYS)])
-def test_rectangle_light_irradiance(source: str, way: str) -> None:
+@pytest.mark.parametrize(
+    ("source", "strategy"), [("mesh", "met"), ("mesh", "both"), *(("rect", strategy) for strategy in STRATEGIES)]
+)
+def test_rectangle_light_irradiance(source: str, strategy: str) -> None:
     """L / 2 times Lambert's sum over its edges: a slanted parallelogram."""
     corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
     light = ls.LightRect(corner + 0.5 * (u + v), u, v, intensity=2.0)
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
-    assert_is(found(quad(corner, u, v, diffuse(0.0, 2.0)) if source == "mesh" else light, way), 2.0 * abs(seen))
+    assert_is(found(quad(corner, u, v, diffuse(0.0, 2.0)) if source == "mesh" else light, strategy), 2.0 * abs(seen))
 
 
 @pytest.mark.parametrize(("half", "unit"), [(0.03, 1.0), (0.3, 1e3), (1.0, 1.0), (3.0, 1e-3), (3.0, 1.0), (30.0, 1e3)])
@@ -127,13 +129,13 @@ def test_transformed_emitter_irradiance(half: float, unit: float) -> None:
     assert_is(irradiance(frames[1], ALBEDO), 2.0 * abs(seen))
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("slope", [0.0, 0.7, np.pi / 2])
-def test_environment_irradiance_on_a_tilted_wall(slope: float, way: str) -> None:
+def test_environment_irradiance_on_a_tilted_wall(slope: float, strategy: str) -> None:
     """Irradiance is pi L (1 + cos) / 2: half of the environment is bright, and it is tilted instead of the wall."""
     above = np.repeat((np.arange(256) < 128)[:, None, None], 512, axis=1) * np.full(3, 2.0, np.float32)
     environment = ls.LightEnvironment(above, rotation_wxyz=(np.cos(0.5 * slope), 0.0, 0.0, np.sin(0.5 * slope)))
-    assert_is(found(environment, way), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
+    assert_is(found(environment, strategy), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
 
 
 def test_point_light_irradiance_is_noise_free() -> None:
@@ -165,11 +167,11 @@ def plate(roughness: float) -> ls.Mesh:
     return parallelogram((-3, 0, 3), (6, 0, 0), (0, 0, -6), metal(roughness))
 
 
-def veach(roughness: float, way: str) -> Estimate:
+def veach(roughness: float, strategy: str) -> Estimate:
     """Radiance of a plate below both lights; BSDF sampling needs more samples."""
-    lights = [replace(source, visible=way != "sampled") for source in LIGHTS]
-    meshes = [plate(roughness), PANE] if way == "met" else [plate(roughness)]
-    samples, bounces = (256, 1) if way == "met" else (64, 0)
+    lights = [replace(source, visible=strategy != "sampled") for source in LIGHTS]
+    meshes = [plate(roughness), PANE] if strategy == "met" else [plate(roughness)]
+    samples, bounces = (256, 1) if strategy == "met" else (64, 0)
     values = paths(ls.Scene(meshes=meshes, lights=lights), SIDE, samples, bounces).color[..., 1].astype(np.float64)
     return Estimate(values, float(values.mean()), float(values.std() / np.sqrt(values.size)), samples)
 
@@ -177,19 +179,19 @@ def veach(roughness: float, way: str) -> Estimate:
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 def test_sampling_strategies_agree_on_veach_plates(roughness: float) -> None:
     """Means agree within four standard errors, and both combined are about as precise as the better strategy."""
-    sampled, met, both = (veach(roughness, way) for way in WAYS)
+    sampled, met, both = (veach(roughness, strategy) for strategy in STRATEGIES)
     assert all(found.error < 0.01 * found.mean for found in (sampled, met, both))
     for a, b in ((sampled, met), (sampled, both), (met, both)):
         assert abs(a.mean - b.mean) < 4.0 * np.hypot(a.error, b.error)
     assert both.error < 1.5 * min(sampled.error, met.error * np.sqrt(met.samples / both.samples))
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_veach_plate_equals_quadrature(way: str) -> None:
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_veach_plate_equals_quadrature(strategy: str) -> None:
     """Each strategy equals the integral over the lights' cones in float64."""
     view = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
     truth = sum(reflected_light(source, view, 0.35) for source in LIGHTS)
-    assert_is(veach(0.35, way).values, truth)
+    assert_is(veach(0.35, strategy).values, truth)
 
 
 def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) -> float:

@@ -12,8 +12,8 @@ import pytest
 import lumisplat as ls
 from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.renderer.realtime.gbuffer import SPLATS
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close, assert_close_outside_band
-from support.compare.ways import renderer_of
 from support.oracles import mean_surface_oracle as oracle, raster_oracle
 from support.scenes.path_rooms import PathRoom, path_rooms, room_camera, with_gaussians
 from support.scenes.raster_scenes import (
@@ -36,12 +36,12 @@ CENTRE = (24, 32)
 
 
 def surfaces(
-    scene: ls.Scene, camera: ls.Camera, raster: ls.RasterConfig = MEAN, way: str = "cpu"
+    scene: ls.Scene, camera: ls.Camera, raster: ls.RasterConfig = MEAN, backend: str = "cpu"
 ) -> dict[str, Doubles]:
     """Mean surface of each pixel in a real-time frame's G-buffer, and ``depth_z``; 0 without Gaussians."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, raster=raster, max_bounces=0, jitter=False)
-    renderer = renderer_of(way, config)
-    frames = 4 if way == "cpu as graph" else 1  # a graph is captured by the third and replayed by the fourth
+    renderer = renderer_of(backend, config)
+    frames = 4 if backend == "cpu as graph" else 1  # a graph is captured by the third and replayed by the fourth
     for _ in range(frames):
         ls.Renderer.render(renderer, scene, camera)
     count = camera.height * camera.width
@@ -82,11 +82,11 @@ def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
 
 
 @pytest.mark.parametrize("dilation", [0.3, 3.0])
-def test_mean_surface_equals_the_twin(way: str, dilation: float) -> None:
+def test_mean_surface_equals_the_twin(backend: str, dilation: float) -> None:
     """Compares depth, weight and roughness in each pixel, for relit sets among others and in front of a mesh."""
     scene, rough = of_many_kinds()
     camera, raster = front_camera(), replace(MEAN, dilation=dilation)
-    found = surfaces(scene, camera, raster, way)
+    found = surfaces(scene, camera, raster, backend)
     twin = oracle.mean_surface(scene, camera, raster, (0, 2), rough)
     band = raster_oracle.render(scene, camera, ls.RenderConfig(raster=raster))["band"]
     seen = twin.share > 0.0
@@ -99,17 +99,19 @@ def test_mean_surface_equals_the_twin(way: str, dilation: float) -> None:
     assert_close_outside_band(roughness, twin.values[..., 0], band, atol=1e-4, band_share=0.4, name="roughness")
 
 
-def test_two_layers_give_their_weighted_mean(way: str) -> None:
+def test_two_layers_give_their_weighted_mean(backend: str) -> None:
     """Weights are 0.5 and 0.5 x 0.6: depth, roughness, metallic and albedo are means with these weights."""
     near = veil(3.0, 0.5, roughness=[0.2], metallic=[0.0])
     far = veil(5.0, 0.6, roughness=[0.8], metallic=[1.0])
-    found = surfaces(relit(near, far), front_camera(), way=way)
+    found = surfaces(relit(near, far), front_camera(), backend=backend)
     weights = np.array([0.5, 0.3])
     assert found["share"][CENTRE] == pytest.approx(0.8, rel=1e-3)
     assert_close(found["depth_z"], np.full((48, 64), weights @ [3.0, 5.0] / 0.8), atol=0.01)
     assert found["depth_z"][CENTRE] == pytest.approx(weights @ [3.0, 5.0] / 0.8, rel=1e-4)
     assert np.sqrt(found["alpha"][CENTRE]) == pytest.approx(weights @ [0.2, 0.8] / 0.8, rel=1e-4)
-    plain = surfaces(relit(veil(3.0, 0.5, metallic=[0.0]), veil(5.0, 0.6, metallic=[0.0])), front_camera(), way=way)
+    plain = surfaces(
+        relit(veil(3.0, 0.5, metallic=[0.0]), veil(5.0, 0.6, metallic=[0.0])), front_camera(), backend=backend
+    )
     np.testing.assert_allclose(found["albedo"][CENTRE], (1.0 - 0.3 / 0.8) * plain["albedo"][CENTRE], rtol=1e-3)
 
 

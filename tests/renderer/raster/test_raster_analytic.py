@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import SH_C0
-from support.compare.ways import WAYS, renderer_of
+from support.compare.backends import BACKENDS, renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, random_gaussians, rotation
 
@@ -20,7 +20,7 @@ CENTRE = (24, 32)
 NO_DILATION = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
 
 
-@pytest.fixture(params=["twin", *WAYS])
+@pytest.fixture(params=["twin", *BACKENDS])
 def draw(request: pytest.FixtureRequest) -> Draw:
     """Draws Gaussians with the twin or with one backend of the renderer."""
 

@@ -9,8 +9,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.errors import LumisplatError
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close
-from support.compare.ways import renderer_of
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians, similarity
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -96,7 +96,7 @@ def test_gaussians_across_the_near_plane_are_finite(renderer: ls.Renderer, dista
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 15), (15, 33), (2, 300), (300, 2)])
-def test_alpha_is_continuous_across_tile_edges(way: str, size: tuple[int, int]) -> None:
+def test_alpha_is_continuous_across_tile_edges(backend: str, size: tuple[int, int]) -> None:
     """Gaussians centred on tile edges and corners, of any size, have equal alpha on every side."""
     width, height = size
     camera = front_camera(width, height, 1000.0, cx=0.0, cy=0.0)
@@ -105,7 +105,7 @@ def test_alpha_is_continuous_across_tile_edges(way: str, size: tuple[int, int]) 
     count = len(means)
     dots = ls.Gaussians(means, [[1, 0, 0, 0]] * count, [[0.8] * 3] * count, [0.9] * count, np.zeros((count, 1, 3)))
     config = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
-    frame = renderer_of(way, config).render(ls.Scene([dots]), camera)
+    frame = renderer_of(backend, config).render(ls.Scene([dots]), camera)
     corner = 0.9 * np.exp(-0.5 * 0.5 / 0.64)
     for x, y in marks:
         around = frame.alpha[max(y - 1, 0) : y + 1, max(x - 1, 0) : x + 1]

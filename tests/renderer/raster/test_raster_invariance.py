@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close, assert_close_outside_band
-from support.compare.ways import renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import (
     cases,
@@ -68,11 +68,11 @@ def test_equal_depths_keep_the_order_of_the_scene(renderer: ls.Renderer) -> None
         assert renderer.render(scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
 
 
-def test_other_kernel_degrees_are_logged_once(way: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_other_kernel_degrees_are_logged_once(backend: str, caplog: pytest.LogCaptureFixture) -> None:
     """A capture of another kernel degree is drawn as Gaussian; a renderer logs each degree once."""
     gaussian = random_gaussians(21, 30)
     quartic, linear = (replace(gaussian, kernel_degree=degree) for degree in (4, 0))
-    renderer = renderer_of(way)
+    renderer = renderer_of(backend)
     expected = renderer.render(ls.Scene([gaussian]), front_camera())
     assert not caplog.records
     for _ in range(2):
@@ -114,14 +114,14 @@ def test_hidden_splats_change_nothing(renderer: ls.Renderer, hidden: ls.Gaussian
     assert_equal(renderer.render(ls.Scene([joined(visible, hidden)]), front_camera()), frame)
 
 
-def test_frames_repeat(renderer: ls.Renderer, way: str) -> None:
+def test_frames_repeat(renderer: ls.Renderer, backend: str) -> None:
     """A frame is bit-equal after another frame, and from another renderer."""
     scene, camera = full_scene(), front_camera()
     first = renderer.render(scene, camera)
     other = renderer.render(ls.Scene([random_gaussians(77)]), front_camera(90, 70))
     for _ in range(3):
         assert_equal(renderer.render(scene, camera), first)
-    assert_equal(renderer_of(way).render(scene, camera), first)
+    assert_equal(renderer_of(backend).render(scene, camera), first)
     assert other.color.shape == (70, 90, 3)
 
 
@@ -180,12 +180,12 @@ def test_frames_do_not_depend_on_the_world_frame(renderer: ls.Renderer) -> None:
         assert_close_outside_band(undone, getattr(expected, name), twin["band"], atol=1e-3, name=name)
 
 
-def test_renderer_follows_every_rearrangement(way: str) -> None:
+def test_renderer_follows_every_rearrangement(backend: str) -> None:
     """A renderer equals a new one after the same assets change transforms, count, order or neighbours."""
     first, second = (random_gaussians(seed, 60 + seed, center=(0.0, 0.0, 0.0)) for seed in (80, 81))
     ball, wall = octahedron((0.1, 0.1, 0.0), 0.6), quad(1.5, tilt=0.3)
     left, right = similarity(offset=(-0.7, 0.0, 4.0)), similarity((0.0, 1.0, 0.0), 1.0, 0.8, (0.8, 0.2, 4.4))
-    warm = renderer_of(way)
+    warm = renderer_of(backend)
     for splats, meshes in (
         ([(first, left), (second, right)], [(ball, left), (wall, right)]),
         ([(second, left), (first, right)], [(wall, left), (ball, right)]),
@@ -195,9 +195,9 @@ def test_renderer_follows_every_rearrangement(way: str) -> None:
         ([(first, left), (second, right)], [(ball, left), (wall, right)]),
     ):
         scene = ls.Scene([ls.SplatInstance(*s) for s in splats], [ls.MeshInstance(*m) for m in meshes])
-        assert_equal(warm.render(scene, front_camera()), renderer_of(way).render(scene, front_camera()))
+        assert_equal(warm.render(scene, front_camera()), renderer_of(backend).render(scene, front_camera()))
     # Nor does it take the buffers of one size for those of another; a smaller one, as a stale graph cannot overrun it.
-    assert_equal(warm.render(scene, front_camera(40, 30)), renderer_of(way).render(scene, front_camera(40, 30)))
+    assert_equal(warm.render(scene, front_camera(40, 30)), renderer_of(backend).render(scene, front_camera(40, 30)))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -216,9 +216,9 @@ def test_sh_colours_rotate_with_the_object(renderer: ls.Renderer, degree: int) -
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.2, 0.5, 1.0), None])
-def test_empty_view_shows_only_background(way: str, background: tuple[float, float, float] | None) -> None:
+def test_empty_view_shows_only_background(backend: str, background: tuple[float, float, float] | None) -> None:
     """Without visible objects there is no alpha, surface or normal."""
-    renderer = renderer_of(way, ls.RenderConfig(lighting=False, background=background))
+    renderer = renderer_of(backend, ls.RenderConfig(lighting=False, background=background))
     behind = random_gaussians(80, 20, center=(0.0, 0.0, -5.0))
     for scene in (ls.Scene(), ls.Scene([behind]), ls.Scene([], [quad(-3.0)]), ls.Scene([behind], [quad(-3.0)])):
         frame = renderer.render(scene, front_camera(33, 17))
@@ -229,11 +229,11 @@ def test_empty_view_shows_only_background(way: str, background: tuple[float, flo
 
 
 @pytest.mark.parametrize("name", ["instances", "meshes and splats", "many small"])
-def test_background_is_composited_under_the_frame(way: str, name: str) -> None:
+def test_background_is_composited_under_the_frame(backend: str, name: str) -> None:
     """Over any background, a frame is the transparent one plus (1 - alpha) times the background."""
     case = next(case for case in cases() if case.name == name)
     bare, over = (
-        renderer_of(way, ls.RenderConfig(background=b, lighting=False)).render(case.scene, case.camera)
+        renderer_of(backend, ls.RenderConfig(background=b, lighting=False)).render(case.scene, case.camera)
         for b in (None, (0.3, 0.9, 0.6))
     )
     expected = bare.color + (1.0 - bare.alpha)[..., None] * np.array([0.3, 0.9, 0.6], np.float32)

@@ -7,8 +7,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close
-from support.compare.ways import renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import (
     checker_quad,
@@ -24,9 +24,9 @@ GREY = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1))
 
 
 @pytest.fixture
-def renderer(way: str) -> ls.Renderer:
+def renderer(backend: str) -> ls.Renderer:
     """A renderer without headlight, which shows the meshes' own colours."""
-    return renderer_of(way, ls.RenderConfig(lighting=False))
+    return renderer_of(backend, ls.RenderConfig(lighting=False))
 
 
 def plane_depth(camera: ls.Camera, point: np.ndarray, normal: np.ndarray) -> np.ndarray:

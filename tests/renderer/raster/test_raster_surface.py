@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close
-from support.compare.ways import renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import (
     front_camera,
@@ -46,11 +46,11 @@ def test_surface_is_where_transmittance_crosses_the_threshold(renderer: ls.Rende
 
 
 @pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
-def test_threshold_is_a_setting(way: str, threshold: float, index: int) -> None:
+def test_threshold_is_a_setting(backend: str, threshold: float, index: int) -> None:
     """The iso-opacity threshold selects the layer."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     config = ls.RenderConfig(raster=ls.RasterConfig(depth_iso_transmittance=threshold))
-    frame = renderer_of(way, config).render(ls.Scene([joined(*layers)]), camera())
+    frame = renderer_of(backend, config).render(ls.Scene([joined(*layers)]), camera())
     assert frame.gaussian_index[CENTRE] == index
 
 

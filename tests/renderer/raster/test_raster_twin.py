@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close_outside_band
-from support.compare.ways import renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import Case, cases
 
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
-def test_frame_equals_twin(case: Case, way: str) -> None:
+def test_frame_equals_twin(case: Case, backend: str) -> None:
     """Every image equals the twin's to float32 precision, except where rounding may flip a decision.
 
     There, one splat of alpha 1/255 more or less may change the colour, and any surface may be chosen. At an edge of a
     mesh, or in a tie of depths, the colour may be anything.
     """
-    frame = renderer_of(way, replace(case.config, lighting=False)).render(case.scene, case.camera)
+    frame = renderer_of(backend, replace(case.config, lighting=False)).render(case.scene, case.camera)
     twin = oracles.render(case.scene, case.camera, case.config)
     band = twin["band"]
     for name, atol, band_atol in (

@@ -48,21 +48,22 @@ def test_gradients_are_the_adjoint_of_the_jacobian(antialiased: bool) -> None:
     rng = np.random.default_rng(11)
     agreed = 0
     for _ in range(12):
-        way = {name: rng.normal(size=value.shape) * np.abs(getattr(start, name)) for name, value in found.items()}
+        direction = {name: rng.normal(size=value.shape) * np.abs(getattr(start, name)) for name, value in found.items()}
         moved = [
-            (loss(along(start, way, step)) - loss(along(start, way, -step))) / (2.0 * step) for step in (1e-6, 3e-7)
+            (loss(along(start, direction, step)) - loss(along(start, direction, -step))) / (2.0 * step)
+            for step in (1e-6, 3e-7)
         ]
-        expected = sum(float((found[name] * way[name]).sum()) for name in found)
-        scale = sum(float(np.abs(found[name] * way[name]).sum()) for name in found)
+        expected = sum(float((found[name] * direction[name]).sum()) for name in found)
+        scale = sum(float(np.abs(found[name] * direction[name]).sum()) for name in found)
         if abs(moved[0] - moved[1]) < 1e-6 * scale:  # no pixel crosses a threshold between the two
             agreed += 1
             assert abs(moved[1] - expected) < 1e-5 * scale
     assert agreed >= 6
 
 
-def along(start: Parameters, way: dict[str, np.ndarray], step: float) -> Parameters:
+def along(start: Parameters, direction: dict[str, np.ndarray], step: float) -> Parameters:
     """Parameters moved along a direction."""
-    return replace(start, **{name: getattr(start, name) + step * value for name, value in way.items()})
+    return replace(start, **{name: getattr(start, name) + step * value for name, value in direction.items()})
 
 
 def test_culled_gaussians_have_zero_gradients() -> None:

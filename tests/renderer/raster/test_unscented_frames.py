@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.runtime.launcher import Launcher
-from support.compare.ways import WAYS, renderer_of
+from support.compare.backends import BACKENDS, renderer_of
 from support.oracles.unscented_oracle import Parameters, Twin
 from support.scenes.lenses import FISHEYE, LENSES, large, layers, lens, needle, rolling
 from support.scenes.raster_scenes import checker_quad, random_gaussians
@@ -172,12 +172,12 @@ def test_footprint_equals_the_dilation_on_the_axis() -> None:
     assert ewa.alpha.max() > 0.3
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
-def test_all_schedules_agree(way: str, name: str) -> None:
+def test_all_schedules_agree(backend: str, name: str) -> None:
     """Compares tiles on CPUs, pixels on CUDA, and graphs."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(11, count=120, degree=1, center=(0.0, 0.0, 2.5))])
-    frame = renderer_of(way, unscented()).render(scene, camera)
+    frame = renderer_of(backend, unscented()).render(scene, camera)
     expected = ls.render(scene, camera, unscented(), device="cpu")
     np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)
     assert (frame.gaussian_index == expected.gaussian_index).mean() > 0.999

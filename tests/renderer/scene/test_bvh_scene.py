@@ -13,20 +13,20 @@ from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
 from lumisplat.renderer.scene import assets, bvh_scene
 from lumisplat.renderer.scene.bvh_scene import tree_of_boxes, waiting_in_tree
+from support.compare.backends import renderer_of
 from support.compare.graph_launcher import GraphLauncher
 from support.compare.images import assert_close, assert_images_alike
-from support.compare.ways import renderer_of
 from support.kinds import present
 from support.oracles.raster_oracle import rotation_from_quaternion
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, random_gaussians, similarity
 
-WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
+BACKENDS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
 TRACE = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
 
 
-@pytest.fixture(params=WAYS)
-def way(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> str:
     """One backend that traces a frame."""
     return request.param
 
@@ -36,9 +36,9 @@ def view() -> ls.Camera:
     return front_camera(24, 18, 22.0)
 
 
-def assert_as_new(warm: ls.Renderer, way: str, scene: ls.Scene) -> None:
+def assert_as_new(warm: ls.Renderer, backend: str, scene: ls.Scene) -> None:
     """Asserts that the image equals that of a new renderer to the bit."""
-    shown, fresh = (renderer.render(scene, view()) for renderer in (warm, renderer_of(way, warm.config)))
+    shown, fresh = (renderer.render(scene, view()) for renderer in (warm, renderer_of(backend, warm.config)))
     for name in IMAGES:
         np.testing.assert_array_equal(getattr(shown, name), getattr(fresh, name), err_msg=name)
 
@@ -51,12 +51,12 @@ def bvh_ids(renderer: ls.Renderer) -> list[int]:
 # --- Assets ---
 
 
-def test_instances_share_the_tree_of_their_asset(way: str) -> None:
+def test_instances_share_the_tree_of_their_asset(backend: str) -> None:
     """Three instances of two sets have two BVHs, built once."""
     first, second = random_gaussians(1, 50), random_gaussians(2, 30)
     positions = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
     scene = ls.Scene([ls.SplatInstance(g, place) for g, place in zip((first, second, first), positions, strict=True)])
-    renderer = renderer_of(way, TRACE)
+    renderer = renderer_of(backend, TRACE)
     renderer.render(scene, view())
     trees = bvh_ids(renderer)
     assert len(trees) == 2
@@ -68,19 +68,19 @@ def test_instances_share_the_tree_of_their_asset(way: str) -> None:
         np.testing.assert_allclose(row["object_from_world_offset"], inverse[:3, 3], rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(row["world_from_object"] @ row["world_from_object"].T, np.eye(3), atol=1e-6)
     moved = ls.Scene([ls.SplatInstance(first, positions[1]), ls.SplatInstance(second, positions[0])])
-    assert_as_new(renderer, way, moved)
+    assert_as_new(renderer, backend, moved)
     assert bvh_ids(renderer) == trees, "poses are no reason to build"
 
 
-def test_replaced_asset_with_equal_count_is_refitted(way: str) -> None:
+def test_replaced_asset_with_equal_count_is_refitted(backend: str) -> None:
     """The BVH of the replaced asset is refitted, and other BVHs are unchanged."""
     first, second = random_gaussians(3, 60), random_gaussians(4, 60)
-    warm = renderer_of(way, TRACE)
-    assert_as_new(warm, way, ls.Scene([first, second]))
+    warm = renderer_of(backend, TRACE)
+    assert_as_new(warm, backend, ls.Scene([first, second]))
     trees = bvh_ids(warm)
     second_nodes = warm._scene.bvh._cached[1].bvh.nodes.numpy().tobytes()
     moved = replace(first, means=first.means + np.float32(0.05))
-    assert_as_new(warm, way, ls.Scene([moved, second]))
+    assert_as_new(warm, backend, ls.Scene([moved, second]))
     assert bvh_ids(warm) == trees
     assert warm._scene.bvh._cached[1].bvh.nodes.numpy().tobytes() == second_nodes
 
@@ -88,10 +88,10 @@ def test_replaced_asset_with_equal_count_is_refitted(way: str) -> None:
 @pytest.mark.parametrize(
     "change", ["count", "degree", "other still there", "other place", "order", "one more", "one less", "none", "back"]
 )
-def test_rearranged_assets_keep_their_bvhs(way: str, change: str) -> None:
+def test_rearranged_assets_keep_their_bvhs(backend: str, change: str) -> None:
     """BVHs stay with their assets, and an asset that replaces none gets a new one."""
     first, second = random_gaussians(5, 60), random_gaussians(6, 60)
-    warm = renderer_of(way, TRACE)
+    warm = renderer_of(backend, TRACE)
     warm.render(ls.Scene([first, second]), view())
     a, b = bvh_ids(warm)
     kept = warm._scene.bvh._cached  # so that a new tree cannot have an old one's identity
@@ -108,23 +108,25 @@ def test_rearranged_assets_keep_their_bvhs(way: str, change: str) -> None:
         "back": ([second, first, second], [b, a]),
     }
     splats, expected = scenes[change]
-    assert_as_new(warm, way, ls.Scene(splats))
+    assert_as_new(warm, backend, ls.Scene(splats))
     for tree, known in zip(bvh_ids(warm), expected, strict=True):
         assert tree == known if known is not None else tree not in (a, b), change
-    assert_as_new(warm, way, ls.Scene([first, second]))
+    assert_as_new(warm, backend, ls.Scene([first, second]))
     assert [one.gaussians for one in kept] == [first, second]
 
 
-def test_captures_have_their_own_kernel_degree(way: str) -> None:
+def test_captures_have_their_own_kernel_degree(backend: str) -> None:
     """Each capture uses its own degree unless the settings replace it."""
     left, right = one_gaussian((-0.9, 0.0, 4.0), 0.2, 0.9), one_gaussian((0.9, 0.0, 4.0), 0.2, 0.9)
     sharp = replace(right, kernel_degree=5)
-    mixed = renderer_of(way, TRACE).render(ls.Scene([left, sharp]), view())
-    soft = renderer_of(way, TRACE).render(ls.Scene([left, right]), view())
+    mixed = renderer_of(backend, TRACE).render(ls.Scene([left, sharp]), view())
+    soft = renderer_of(backend, TRACE).render(ls.Scene([left, right]), view())
     np.testing.assert_array_equal(mixed.alpha[:, :12], soft.alpha[:, :12])
     assert np.abs(mixed.alpha[:, 12:] - soft.alpha[:, 12:]).max() > 0.1
     forced = replace(TRACE, response=ls.config.ResponseConfig(kernel_degree=2))
-    np.testing.assert_array_equal(renderer_of(way, forced).render(ls.Scene([left, sharp]), view()).alpha, soft.alpha)
+    np.testing.assert_array_equal(
+        renderer_of(backend, forced).render(ls.Scene([left, sharp]), view()).alpha, soft.alpha
+    )
 
 
 def test_reported_memory_includes_bvhs() -> None:
@@ -146,11 +148,11 @@ def test_reported_memory_includes_bvhs() -> None:
     ],
     ids=["vast", "endless", "lost", "vast and lost"],
 )
-def test_gaussians_with_overflowing_bounds_hide_no_others(way: str, stray: ls.Gaussians) -> None:
+def test_gaussians_with_overflowing_bounds_hide_no_others(backend: str, stray: ls.Gaussians) -> None:
     """A Gaussian whose bounds overflow may be drawn or not, but changes no other one."""
     gaussians = random_gaussians(13, 100)
-    renderer = renderer_of(way, TRACE)
-    expected = renderer_of(way, TRACE).render(ls.Scene([gaussians]), view())
+    renderer = renderer_of(backend, TRACE)
+    expected = renderer_of(backend, TRACE).render(ls.Scene([gaussians]), view())
     for scene in (ls.Scene([joined(gaussians, stray)]), ls.Scene([joined(stray, gaussians)])):
         frame = renderer.render(scene, view())
         assert_close(frame.alpha, expected.alpha, atol=0.021, name="alpha")
@@ -216,10 +218,10 @@ def test_failed_upload_leaves_no_stale_rows(monkeypatch: pytest.MonkeyPatch) -> 
     assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
 
 
-def test_failed_build_leaves_no_stale_bvh(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_build_leaves_no_stale_bvh(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A BVH that was refitted before the next build failed is not reused."""
     first, second = random_gaussians(11, 60), random_gaussians(12, 70)
-    renderer = renderer_of(way, TRACE)
+    renderer = renderer_of(backend, TRACE)
     renderer.render(ls.Scene([first]), view())
 
     def refuse(*_: object) -> None:
@@ -230,7 +232,7 @@ def test_failed_build_leaves_no_stale_bvh(way: str, monkeypatch: pytest.MonkeyPa
         patch.setattr(bvh_scene, "GaussianBvh", refuse)
         with pytest.raises(ls.DeviceError, match="out of memory"):
             renderer.render(ls.Scene([moved, second]), view())
-    assert_as_new(renderer, way, ls.Scene([first]))
+    assert_as_new(renderer, backend, ls.Scene([first]))
 
 
 # --- Instances ---
@@ -315,7 +317,7 @@ def baked(instance: ls.SplatInstance) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize(("count", "size"), [(9, 0.1), (200, 0.02)])
-def test_many_instances_equal_one_merged_set(way: str, count: int, size: float) -> None:
+def test_many_instances_equal_one_merged_set(backend: str, count: int, size: float) -> None:
     """Holds for instances of any size and position."""
     random = np.random.default_rng(count)
     assets = [random_gaussians(seed, 20, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0)) for seed in (20, 21, 22)]
@@ -334,7 +336,7 @@ def test_many_instances_equal_one_merged_set(way: str, count: int, size: float) 
         ]
     )
     whole = ls.Scene([joined(*(baked(instance) for instance in scene.splats))])
-    shown, expected = (renderer_of(way, TRACE).render(one, view()) for one in (scene, whole))
+    shown, expected = (renderer_of(backend, TRACE).render(one, view()) for one in (scene, whole))
     assert expected.alpha.mean() > 0.05
     for name in ("color", "alpha"):
         # Where float32 decides otherwise about a step of 1/255, it is one of a Gaussian's rim.

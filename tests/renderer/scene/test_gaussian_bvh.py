@@ -17,7 +17,7 @@ from lumisplat.renderer.scene.instance_tables import kernel_data
 from lumisplat.renderer.trees.box_tree import TREE_SURFACE_LEVELS
 from lumisplat.renderer.trees.gaussian_bvh import GaussianBvh
 from lumisplat.runtime.launcher import Launcher
-from support.compare.ways import renderer_of
+from support.compare.backends import renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
@@ -305,15 +305,15 @@ def test_refits_allocate_nothing(launcher: Launcher) -> None:
         assert (tree.bytes, tree._buffers.allocations, tree.nodes.ptr) == before
 
 
-@pytest.mark.parametrize("way", ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())])
-def test_refitted_images_equal_those_of_a_new_bvh(way: str) -> None:
+@pytest.mark.parametrize("backend", ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())])
+def test_refitted_images_equal_those_of_a_new_bvh(backend: str) -> None:
     """Deformed step by step and then shuffled, each image equals a new renderer's to the bit."""
     gaussians = random_gaussians(15, 600, degree=1)
-    warm, trees = renderer_of(way, TRACE), []
+    warm, trees = renderer_of(backend, TRACE), []
     steps = [gaussians, wavy(gaussians), wavy(wavy(gaussians)), shuffled(gaussians), gaussians]
     for step in steps:
         shown = warm.render(ls.Scene([step]), front_camera(24, 18, 22.0))
-        fresh = renderer_of(way, TRACE).render(ls.Scene([step]), front_camera(24, 18, 22.0))
+        fresh = renderer_of(backend, TRACE).render(ls.Scene([step]), front_camera(24, 18, 22.0))
         for name in ("color", "alpha", "depth", "normal", "gaussian_index"):
             np.testing.assert_array_equal(getattr(shown, name), getattr(fresh, name), err_msg=name)
         tree = warm._scene.bvh._cached[0].bvh

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.compare.ways import renderer_of
+from support.compare.backends import renderer_of
 from support.oracles.particle_oracle import hits, world_of
 from support.oracles.trace_oracle import camera_rays
 from support.scenes.raster_scenes import random_gaussians, similarity
@@ -55,19 +55,19 @@ def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np
     return weights[..., 0], weights[..., 1]
 
 
-@pytest.mark.parametrize("way", ["cpu", "cpu as cuda"])
+@pytest.mark.parametrize("backend", ["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("k", [4, 16])
-def test_each_set_has_its_own_hit_order(way: str, k: int) -> None:
+def test_each_set_has_its_own_hit_order(backend: str, k: int) -> None:
     """On one ray, captured sets are ordered by their means, and relit ones by their peaks."""
     scene, camera = mixed_scene(), small_camera(30, 22, 24.0, near=0.05)
     trace = ls.TraceConfig(hits_per_pass=k, transmittance_min=0.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=True, shadows=ls.Shadows.OFF, samples=1, trace=trace)
-    frame = renderer_of(way, config).render(scene, camera)
+    frame = renderer_of(backend, config).render(scene, camera)
     captured, through = expected_weights(scene, camera)
     assert 0.1 < captured.mean() < 0.9 and through.mean() < 0.7
     assert frame.captured_weight is not None
     # The background is shown as captured, too.
     np.testing.assert_allclose(frame.captured_weight, captured + through, atol=2e-5)
     one_order = replace(config, trace=replace(trace, hit_distance=PEAK))
-    other = renderer_of(way, one_order).render(scene, camera).captured_weight
+    other = renderer_of(backend, one_order).render(scene, camera).captured_weight
     assert other is not None and np.abs(other - frame.captured_weight).max() > 0.01

@@ -14,8 +14,8 @@ import lumisplat as ls
 from lumisplat.device.bvh.packet import PACKET_OPTIONS
 from lumisplat.renderer.trace import gaussian_trace_kernels
 from lumisplat.runtime.launcher import Launcher
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close, assert_images_alike
-from support.compare.ways import renderer_of
 from support.scenes.raster_scenes import (
     front_camera,
     joined,
@@ -26,15 +26,15 @@ from support.scenes.raster_scenes import (
     similarity,
 )
 
-WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
+BACKENDS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
 STRATEGIES = list(ls.config.TraceStrategy)
 SORTED, HIT, PASS = STRATEGIES
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
 
-@pytest.fixture(params=WAYS)
-def way(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> str:
     """One backend that traces a frame."""
     return request.param
 
@@ -46,14 +46,14 @@ def settings(strategy: ls.config.TraceStrategy = SORTED, seed: int = 0, **change
 
 
 @functools.cache
-def renderer(way: str, config: ls.RenderConfig) -> ls.Renderer:
+def renderer(backend: str, config: ls.RenderConfig) -> ls.Renderer:
     """A renderer shared by all tests with these settings."""
-    return renderer_of(way, config)
+    return renderer_of(backend, config)
 
 
-def render(way: str, scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig | None = None) -> ls.Frame:
+def render(backend: str, scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig | None = None) -> ls.Frame:
     """A traced frame."""
-    return renderer(way, config or settings()).render(scene, camera)
+    return renderer(backend, config or settings()).render(scene, camera)
 
 
 make_kernel = gaussian_trace_kernels.gaussian_trace_kernel.__wrapped__
@@ -68,11 +68,11 @@ def unfused_kernel(lanes: int, *stack: int) -> wp.Kernel:
 
 
 @functools.cache
-def unfused_renderer(way: str, config: ls.RenderConfig) -> ls.Renderer:
+def unfused_renderer(backend: str, config: ls.RenderConfig) -> ls.Renderer:
     """A renderer that traces with ``unfused_kernel``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gaussian_trace_kernels, "gaussian_trace_kernel", unfused_kernel)
-        return renderer_of(way, config)
+        return renderer_of(backend, config)
 
 
 def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
@@ -103,17 +103,17 @@ def faint_gaussians(count: int = 400, seed: int = 61) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_order_in_the_set_does_not_matter(way: str, hit_distance: ls.config.HitDistance) -> None:
+def test_order_in_the_set_does_not_matter(backend: str, hit_distance: ls.config.HitDistance) -> None:
     """Shuffled Gaussians give the same image to the bit, except for their indices, in one pass and in many.
 
     On a GPU, peaks of two faint Gaussians can round to one distance: the set's order then decides.
     """
-    swapped = 0.02**2 if way.startswith("cuda") and hit_distance is ls.config.HitDistance.PEAK else 0.0
+    swapped = 0.02**2 if backend.startswith("cuda") and hit_distance is ls.config.HitDistance.PEAK else 0.0
     for gaussians in (random_gaussians(71, 300, degree=1), faint_gaussians()):
         order = np.random.default_rng(0).permutation(gaussians.count)
         config = settings(hit_distance=hit_distance)
-        frame = render(way, ls.Scene([gaussians]), view(), config)
-        shuffled = render(way, ls.Scene([gaussians.subset(order)]), view(), config)
+        frame = render(backend, ls.Scene([gaussians]), view(), config)
+        shuffled = render(backend, ls.Scene([gaussians.subset(order)]), view(), config)
         for name in ("color", "normal"):
             np.testing.assert_allclose(getattr(shuffled, name), getattr(frame, name), rtol=0.0, atol=swapped)
         assert_equal(shuffled, frame, ("alpha", "depth", "instance_index"))
@@ -122,26 +122,26 @@ def test_order_in_the_set_does_not_matter(way: str, hit_distance: ls.config.HitD
         np.testing.assert_array_equal(order[shuffled.gaussian_index[found]], frame.gaussian_index[found])
 
 
-def test_equal_distances_keep_the_order_of_the_scene(way: str) -> None:
+def test_equal_distances_keep_the_order_of_the_scene(backend: str) -> None:
     """Among Gaussians at one distance, the first of the set, and the first instance, is in front."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     camera = front_camera(cx=32.5, cy=24.5)
     for scene in (ls.Scene([joined(red, blue)]), ls.Scene([red, blue])):
-        assert render(way, scene, camera).color[24, 32] == pytest.approx([0.9, 0.0, 0.09], abs=1e-5)
+        assert render(backend, scene, camera).color[24, 32] == pytest.approx([0.9, 0.0, 0.09], abs=1e-5)
     for scene in (ls.Scene([joined(blue, red)]), ls.Scene([blue, red])):
-        assert render(way, scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
+        assert render(backend, scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_instances_sort_together(way: str, hit_distance: ls.config.HitDistance) -> None:
+def test_instances_sort_together(backend: str, hit_distance: ls.config.HitDistance) -> None:
     """A set split into several instances gives the same image as the whole."""
     gaussians = joined(random_gaussians(72, 200, degree=1), faint_gaussians(300))
     firsts = np.array([0, 170, 330, 500])
     parts = [gaussians.subset(np.arange(*span)) for span in itertools.pairwise(firsts)]
     config = settings(hit_distance=hit_distance)
-    whole = render(way, ls.Scene([gaussians]), view(), config)
-    cut = render(way, ls.Scene(parts), view(), config)
+    whole = render(backend, ls.Scene([gaussians]), view(), config)
+    cut = render(backend, ls.Scene(parts), view(), config)
     assert_equal(cut, whole, ("color", "alpha", "depth", "normal"))
     found = whole.gaussian_index >= 0
     in_scene = firsts[cut.instance_index[found]] + cut.gaussian_index[found]
@@ -159,21 +159,21 @@ HIDDEN = {
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_hidden_gaussians_change_nothing(way: str, strategy: ls.config.TraceStrategy) -> None:
+def test_hidden_gaussians_change_nothing(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """Invisible Gaussians leave every image unchanged to the bit, although every tree differs."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
-    frame = render(way, ls.Scene([visible]), view(), settings(strategy))
+    frame = render(backend, ls.Scene([visible]), view(), settings(strategy))
     for name, hidden in HIDDEN.items():
         # The others look behind a wall with a probability; it is the sorted ray that ends there.
         if strategy is SORTED or name != "occluded":
             scene = ls.Scene([joined(visible, hidden)])
-            assert_equal(render(way, scene, view(), settings(strategy)), frame)
-            assert_equal(render(way, ls.Scene([visible, hidden]), view(), settings(strategy)), frame)
+            assert_equal(render(backend, scene, view(), settings(strategy)), frame)
+            assert_equal(render(backend, ls.Scene([visible, hidden]), view(), settings(strategy)), frame)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_empty_view_shows_only_background(way: str, strategy: ls.config.TraceStrategy) -> None:
+def test_empty_view_shows_only_background(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """Without visible objects there is no alpha, surface or normal."""
     for background in ((0.2, 0.5, 1.0), None):
         config = replace(settings(strategy), background=background, lighting=False)
@@ -185,7 +185,7 @@ def test_empty_view_shows_only_background(way: str, strategy: ls.config.TraceStr
             ls.Scene([], [quad(-3.0)]),
             ls.Scene([faint, behind], [quad(-3.0)]),
         ):
-            frame = renderer_of(way, config).render(scene, view(13, 7))
+            frame = renderer_of(backend, config).render(scene, view(13, 7))
             assert (frame.color == np.asarray(background or (0.0, 0.0, 0.0), np.float32)).all()
             assert (frame.alpha == 0.0).all() and np.isinf(frame.depth).all() and (frame.normal == 0.0).all()
             assert (frame.gaussian_index == -1).all() and (frame.instance_index == -1).all()
@@ -201,11 +201,11 @@ def discs() -> ls.Scene:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_passes_blend_every_layer_once(way: str, hit_distance: ls.config.HitDistance) -> None:
+def test_passes_blend_every_layer_once(backend: str, hit_distance: ls.config.HitDistance) -> None:
     """Of 150 discs at nearly one distance, none is lost or blended twice, with lists of any length."""
     camera = view(3, 3, 100.0)
     for k in (4, 16):
-        frame = render(way, discs(), camera, settings(hits_per_pass=k, hit_distance=hit_distance))
+        frame = render(backend, discs(), camera, settings(hits_per_pass=k, hit_distance=hit_distance))
         assert_close(frame.alpha, np.full((3, 3), 1.0 - 0.98**150), atol=1e-4, name=f"alpha in passes of {k}")
 
 
@@ -264,7 +264,7 @@ def test_packets_equal_single_rays(
     """Sixteen rays that traverse together have the hits of each ray on its own, up to rounding."""
     scene, camera = SCENES[name]
     config = settings(strategy, seed=5, hit_distance=hit_distance)
-    together, alone = (render(way, scene, camera, config) for way in ("cpu", "cpu as cuda"))
+    together, alone = (render(backend, scene, camera, config) for backend in ("cpu", "cpu as cuda"))
     for image in IMAGES:
         one, other = getattr(together, image), getattr(alone, image)
         if hit_distance is not ls.config.HitDistance.HULL:
@@ -290,7 +290,9 @@ def test_packets_equal_single_rays_bitwise_without_fusing(
     """
     config = settings(strategy, seed=5, hit_distance=hit_distance, normal_method=normal_method)
     for scene, camera in (SCENES[name] for name in ("plain", "faint_gaussians", "inside", "lens")):
-        together, alone = (unfused_renderer(way, config).render(scene, camera) for way in ("cpu", "cpu as cuda"))
+        together, alone = (
+            unfused_renderer(backend, config).render(scene, camera) for backend in ("cpu", "cpu as cuda")
+        )
         assert_equal(together, alone)
         assert together.alpha.max() > 0.0
 
@@ -304,7 +306,7 @@ def test_ellipsoid_normals_of_packets_equal_single_rays(strategy: ls.config.Trac
     ``test_packets_equal_single_rays_bitwise_without_fusing`` compares without it.
     """
     config = settings(strategy, normal_method=ls.config.NormalMethod.ELLIPSOID)
-    together, alone = (render(way, full_scene(), view(), config) for way in ("cpu", "cpu as cuda"))
+    together, alone = (render(backend, full_scene(), view(), config) for backend in ("cpu", "cpu as cuda"))
     apart = np.abs(together.normal - alone.normal).max(axis=-1)
     assert (apart <= 2e-6).mean() > 0.99 and apart.mean() < 2e-7
     assert_equal(together, render("cpu", full_scene(), view(), settings(strategy)), ("color", "alpha", "depth"))
@@ -312,13 +314,13 @@ def test_ellipsoid_normals_of_packets_equal_single_rays(strategy: ls.config.Trac
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_cropped_cameras_equal_crops(way: str, hit_distance: ls.config.HitDistance) -> None:
+def test_cropped_cameras_equal_crops(backend: str, hit_distance: ls.config.HitDistance) -> None:
     """A camera cropped anywhere shows that part of the image: other packets, the same rays."""
     config = settings(hit_distance=hit_distance)
     for scene in (full_scene(), ls.Scene([faint_gaussians()]), inside()):
-        whole = render(way, scene, view(), config)
+        whole = render(backend, scene, view(), config)
         left, top = 9, 6
-        part = render(way, scene, view(24 - left, 18 - top, cx=12.0 - left, cy=9.0 - top), config)
+        part = render(backend, scene, view(24 - left, 18 - top, cx=12.0 - left, cy=9.0 - top), config)
         for name in IMAGES:
             assert_close(getattr(part, name), getattr(whole, name)[top:, left:], atol=1e-6, name=name)
 
@@ -327,46 +329,46 @@ def test_cropped_cameras_equal_crops(way: str, hit_distance: ls.config.HitDistan
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_images_repeat(way: str, strategy: ls.config.TraceStrategy) -> None:
+def test_images_repeat(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """An image is bit-equal after another image, from another renderer and on any number of threads."""
     scene, config = full_scene(), replace(settings(strategy), samples=2)
-    warm = renderer_of(way, config)
+    warm = renderer_of(backend, config)
     first = warm.render(scene, view())
     warm.render(ls.Scene([random_gaussians(77)]), view(33, 27))
     assert_equal(warm.render(scene, view()), first)
-    if way.startswith("cpu"):
+    if backend.startswith("cpu"):
         for threads in (1, 2):
-            other = ls.Renderer(config, Launcher("cpu", threads=threads, parallel=way != "cpu"))
+            other = ls.Renderer(config, Launcher("cpu", threads=threads, parallel=backend != "cpu"))
             assert_equal(other.render(scene, view()), first)
 
 
-def test_seed_changes_only_stochastic_images(way: str) -> None:
+def test_seed_changes_only_stochastic_images(backend: str) -> None:
     """Stochastic images change with the seed, and between pixels and samples; sorted ones do not."""
     scene = ls.Scene([random_gaussians(78, 200)])
     for strategy in STRATEGIES:
-        first, second = (render(way, scene, view(), settings(strategy, seed=seed)) for seed in (0, 1))
+        first, second = (render(backend, scene, view(), settings(strategy, seed=seed)) for seed in (0, 1))
         differs = (first.color != second.color).any(axis=-1).mean()
         assert (differs == 0.0) if strategy is SORTED else (differs > 0.1)
     flat = ls.Scene([one_gaussian((0.0, 0.0, 4.0), 100.0, 0.5)])
-    accepted = render(way, flat, view(), settings(HIT)).alpha.ravel()
+    accepted = render(backend, flat, view(), settings(HIT)).alpha.ravel()
     assert set(np.unique(accepted)) == {0.0, 1.0}
     assert 0.4 < accepted.mean() < 0.6
     for lag in range(1, 300):  # of at least 132 pairs of pixels, half differ
         assert 0.25 < (accepted[lag:] != accepted[:-lag]).mean() < 0.75, f"pixels {lag} apart are alike"
 
 
-def test_returned_frames_do_not_change(way: str) -> None:
+def test_returned_frames_do_not_change(backend: str) -> None:
     """A returned frame does not change when the next one is drawn."""
-    frame = render(way, full_scene(), view())
+    frame = render(backend, full_scene(), view())
     before = {name: getattr(frame, name).copy() for name in IMAGES}
-    render(way, ls.Scene([random_gaussians(78)]), view())
+    render(backend, ls.Scene([random_gaussians(78)]), view())
     for name, image in before.items():
         np.testing.assert_array_equal(getattr(frame, name), image)
 
 
-def test_renderer_allocates_nothing_after_the_first_frame(way: str) -> None:
+def test_renderer_allocates_nothing_after_the_first_frame(backend: str) -> None:
     """Later frames of that size, or smaller, allocate nothing."""
-    warm, scene = renderer_of(way, settings()), full_scene()
+    warm, scene = renderer_of(backend, settings()), full_scene()
     warm.render(scene, view(33, 27))
     settled = warm._buffers.allocations, warm._scene.bvh.bytes
     for size in ((33, 27), (24, 18), (33, 27)):
@@ -382,7 +384,7 @@ def test_renderer_allocates_nothing_after_the_first_frame(way: str) -> None:
     ("scale", "offset"), [(1.7, (3.0, -5.0, 11.0)), (1e-3, (0.0, 0.0, 0.0)), (1e3, (1e4, 0.0, 0.0))]
 )
 def test_images_do_not_depend_on_the_world_frame(
-    way: str, hit_distance: ls.config.HitDistance, scale: float, offset: tuple[float, float, float]
+    backend: str, hit_distance: ls.config.HitDistance, scale: float, offset: tuple[float, float, float]
 ) -> None:
     """Transforming scene and camera together gives the same image; depths scale."""
     move = similarity((0.2, 1.0, -0.4), 2.2, scale, offset)
@@ -394,8 +396,8 @@ def test_images_do_not_depend_on_the_world_frame(
     pose = np.linalg.inv(move @ camera.world_from_camera)
     pose[:3, :3] /= np.cbrt(np.linalg.det(pose[:3, :3]))
     pose[:3, 3] = -pose[:3, :3] @ (move @ [*camera.eye, 1.0])[:3]
-    expected = render(way, scene, camera, config)
-    frame = render(way, moved, view(camera_from_world=pose, near=camera.near * scale), config)
+    expected = render(backend, scene, camera, config)
+    frame = render(backend, moved, view(camera_from_world=pose, near=camera.near * scale), config)
     for name in ("color", "alpha"):
         images = getattr(frame, name), getattr(expected, name)
         # A few rays run along an edge of the octahedron and see its other face.
@@ -406,29 +408,29 @@ def test_images_do_not_depend_on_the_world_frame(
     np.testing.assert_allclose(frame.depth[same] / scale, expected.depth[same], rtol=1e-4)
 
 
-def test_near_plane_hides_peaks_in_front_of_it(way: str) -> None:
+def test_near_plane_hides_peaks_in_front_of_it(backend: str) -> None:
     """A disc in front of the near plane changes no bit, and one right behind it is visible; a mesh likewise."""
     disc = one_gaussian((0.0, 0.0, 3.0), (0.5, 0.5, 1e-3), 0.8)
     rest = random_gaussians(79, 100, center=(0.0, 0.0, 6.0))
     both, alone = ls.Scene([joined(rest, disc)]), ls.Scene([rest])
     hidden = view(near=3.01)
-    assert_equal(render(way, both, hidden), render(way, alone, hidden))
+    assert_equal(render(backend, both, hidden), render(backend, alone, hidden))
     shown = view(near=2.99)
-    assert_equal(render(way, both, shown), render(way, both, view()))
-    assert (render(way, both, shown).gaussian_index == 100).sum() > 20
+    assert_equal(render(backend, both, shown), render(backend, both, view()))
+    assert (render(backend, both, shown).gaussian_index == 100).sum() > 20
     wall = ls.Scene([rest], [quad(3.0)])
-    assert_equal(render(way, wall, hidden), render(way, alone, hidden))
-    assert (render(way, wall, shown).instance_index == 1).sum() > 20
+    assert_equal(render(backend, wall, hidden), render(backend, alone, hidden))
+    assert (render(backend, wall, shown).instance_index == 1).sum() > 20
     # The plane is one of view depth: at 45 degrees off the axis the ray is longer by the square root of two.
     wide = front_camera(21, 3, 10.0, near=3.01)
     side = ls.Scene([one_gaussian((3.0, 0.0, 3.0), (0.2, 0.2, 1e-3), 0.8)])
     flat = settings(dilation=0.0)  # widened by a footprint, it is no disc
-    assert render(way, side, wide, flat).alpha.max() == 0.0
-    assert render(way, side, replace(wide, near=2.99), flat).alpha.max() > 0.7
+    assert render(backend, side, wide, flat).alpha.max() == 0.0
+    assert render(backend, side, replace(wide, near=2.99), flat).alpha.max() > 0.7
 
 
 @pytest.mark.parametrize("dilation", [0.0, 0.3])
-def test_raster_and_trace_agree_on_small_gaussians(way: str, dilation: float) -> None:
+def test_raster_and_trace_agree_on_small_gaussians(backend: str, dilation: float) -> None:
     """Near the optical axis, for Gaussians side by side, both pipelines give equal images."""
     random = np.random.default_rng(4)
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 6), np.linspace(-0.25, 0.25, 5))
@@ -441,7 +443,7 @@ def test_raster_and_trace_agree_on_small_gaussians(way: str, dilation: float) ->
     camera = front_camera(128, 96, 600.0)
     config = ls.RenderConfig(raster=ls.RasterConfig(dilation=dilation))
     raster = renderer_of("cpu", config).render(ls.Scene([gaussians]), camera)
-    trace = render(way, ls.Scene([gaussians]), camera, settings(dilation=dilation))
+    trace = render(backend, ls.Scene([gaussians]), camera, settings(dilation=dilation))
     assert raster.alpha.mean() > 0.05
     for name in ("color", "alpha"):
         assert_close(getattr(trace, name), getattr(raster, name), atol=0.006, name=name)

@@ -15,12 +15,12 @@ from lumisplat.constants import COUNT_SUM_THREADS, SAMPLES_MAX
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.runtime.launcher import Launcher
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close
-from support.compare.ways import renderer_of
 from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian, quad, random_gaussians
 from support.scenes.trace_scenes import changed_rays
 
-WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
+BACKENDS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
 STRATEGIES = list(ls.config.TraceStrategy)
 SORTED, HIT, PASS = STRATEGIES
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
@@ -28,15 +28,15 @@ BLACK = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0))
 WHITE = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0))
 
 
-@pytest.fixture(params=WAYS)
-def way(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> str:
     """One backend that traces a frame."""
     return request.param
 
 
 @functools.cache
 def renderer(
-    way: str,
+    backend: str,
     samples: int = 1,
     strategy: ls.config.TraceStrategy = SORTED,
     jitter: bool = True,
@@ -52,7 +52,7 @@ def renderer(
         jitter=jitter,
         seed=3,
     )
-    return renderer_of(way, config)
+    return renderer_of(backend, config)
 
 
 def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
@@ -74,15 +74,15 @@ def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = 
 # --- The mean ---
 
 
-def test_frames_are_means_of_samples_across_the_pixel(way: str) -> None:
+def test_frames_are_means_of_samples_across_the_pixel(backend: str) -> None:
     """A sample is the image of a camera shifted to its sub-pixel position, and the frame is their mean."""
     camera = view()
     singles = []
     for n in range(8):
         x, y = subpixel(n)
         shifted = replace(camera, cx=camera.cx + 0.5 - x, cy=camera.cy + 0.5 - y)
-        singles.append(renderer(way).render(scene(), shifted))
-    frame = renderer(way, 8).render(scene(), camera)
+        singles.append(renderer(backend).render(scene(), shifted))
+    frame = renderer(backend, 8).render(scene(), camera)
     for name in ("color", "alpha"):
         mean = np.mean([getattr(single, name) for single in singles], axis=0, dtype=np.float64)
         # A ray may just miss a triangle in one of the two, which rounds its pixels differently.
@@ -91,35 +91,37 @@ def test_frames_are_means_of_samples_across_the_pixel(way: str) -> None:
     assert np.abs(frame.color - singles[0].color).max() > 0.05
 
 
-def test_unlit_samples_average_display_values(way: str) -> None:
+def test_unlit_samples_average_display_values(backend: str) -> None:
     """Half white and half black is 0.5 in the captures' display space, not the 0.73 of a mean in linear light."""
     camera = view(8, 8, 8.0)
     meshes = [quad(4.0, 4.0, material=BLACK), quad(3.9, 1.95, material=WHITE)]  # white ends in the middle of a pixel
     shifted = replace(camera, cx=camera.cx + 0.5, cy=camera.cy + 0.5)
-    frame = renderer(way, 64).render(ls.Scene([], meshes), shifted)
+    frame = renderer(backend, 64).render(ls.Scene([], meshes), shifted)
     assert frame.color[4, 4] == pytest.approx([1.0] * 3, abs=1e-6)
     edge = frame.color[4, 0]
     assert edge == pytest.approx([0.5] * 3, abs=0.03) and (edge == edge[0]).all()
-    single = renderer(way, 64, HIT).render(ls.Scene([one_gaussian(scale=50.0, opacity=0.5, color=(1, 1, 1))]), camera)
+    single = renderer(backend, 64, HIT).render(
+        ls.Scene([one_gaussian(scale=50.0, opacity=0.5, color=(1, 1, 1))]), camera
+    )
     expected = 0.5 + 0.5 * np.array([0.1, 0.2, 0.3])
     assert single.color.mean(axis=(0, 1)) == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize("strategy", [HIT, PASS])
-def test_samples_of_a_pixel_differ(way: str, strategy: ls.config.TraceStrategy) -> None:
+def test_samples_of_a_pixel_differ(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """Each sample uses new random numbers: every pixel approaches its expectation, even without sub-pixel offsets."""
     faint = ls.Scene([one_gaussian(scale=50.0, opacity=0.3)])
-    frame = renderer(way, 64, strategy, jitter=False).render(faint, view(12, 9))
+    frame = renderer(backend, 64, strategy, jitter=False).render(faint, view(12, 9))
     assert frame.alpha.mean() == pytest.approx(0.3, abs=0.02)
     assert (np.abs(frame.alpha - 0.3) < 5.0 * np.sqrt(0.3 * 0.7 / 64.0)).all()
     assert len(np.unique(frame.alpha)) > 10
 
 
-def test_jitter_antialiases_edges(way: str) -> None:
+def test_jitter_antialiases_edges(backend: str) -> None:
     """With jitter, alpha at a mesh's edge is the covered area; without, it is 0 or 1 for any number of samples."""
     square = ls.Scene([], [quad(4.0, 1.0)])
     camera = view(16, 16, 22.3, cx=8.21, cy=8.37)  # edges at 2.635, 13.785 and 2.795, 13.945
-    smooth = renderer(way, 64).render(square, camera).alpha
+    smooth = renderer(backend, 64).render(square, camera).alpha
     pixels = np.arange(16)
     row, column = (
         np.clip(c + 0.25 * 22.3 - pixels, 0.0, 1.0) * np.clip(pixels + 1.0 - c + 0.25 * 22.3, 0.0, 1.0)
@@ -128,15 +130,15 @@ def test_jitter_antialiases_edges(way: str) -> None:
     area = row[:, None] * column
     assert ((area > 0.1) & (area < 0.9)).sum() > 30
     assert_close(smooth, area, atol=0.05, name="coverage")
-    hard = renderer(way, 64, jitter=False).render(square, camera).alpha
+    hard = renderer(backend, 64, jitter=False).render(square, camera).alpha
     assert set(np.unique(hard)) == {0.0, 1.0}
-    np.testing.assert_array_equal(hard, renderer(way).render(square, camera).alpha)
+    np.testing.assert_array_equal(hard, renderer(backend).render(square, camera).alpha)
 
 
-def test_surface_is_that_of_the_first_sample(way: str) -> None:
+def test_surface_is_that_of_the_first_sample(backend: str) -> None:
     """Depth, normal and indices are those at the pixels' centres, however many samples follow."""
     for strategy in STRATEGIES:
-        one, many = (renderer(way, samples, strategy).render(scene(), view()) for samples in (1, 8))
+        one, many = (renderer(backend, samples, strategy).render(scene(), view()) for samples in (1, 8))
         assert_equal(many, one, ("depth", "normal", "gaussian_index", "instance_index"))
         assert (many.color != one.color).any()
 
@@ -145,19 +147,19 @@ def test_surface_is_that_of_the_first_sample(way: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_resumed_frames_equal_uninterrupted_ones(way: str, strategy: ls.config.TraceStrategy) -> None:
+def test_resumed_frames_equal_uninterrupted_ones(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """Eight samples, three and then five, and one by one are bit-equal, with the same count."""
-    whole = renderer(way, 8, strategy).render(scene(), view())
+    whole = renderer(backend, 8, strategy).render(scene(), view())
     assert whole.samples == 8
-    three = renderer(way, 3, strategy).render(scene(), view())
+    three = renderer(backend, 3, strategy).render(scene(), view())
     before = three.color.copy()
-    eight = renderer(way, 5, strategy).render(scene(), view(), resume=three)
+    eight = renderer(backend, 5, strategy).render(scene(), view(), resume=three)
     assert (three.samples, eight.samples) == (3, 8)
     np.testing.assert_array_equal(three.color, before, "the frame that is resumed stays as it is")
     assert_equal(eight, whole)
     assert np.abs(three.color - whole.color).max() > 1e-3
 
-    steps = renderer(way, 1, strategy)
+    steps = renderer(backend, 1, strategy)
     frame = steps.render(scene(), view())
     for _ in range(7):
         steps.render(ls.Scene([], [quad(3.0)]), view())  # what is drawn in between leaves no trace
@@ -252,11 +254,11 @@ def test_resume_refuses_other_types() -> None:
         renderer("cpu").render(scene(), view(), resume="a.png")  # pyright: ignore[reportArgumentType]
 
 
-def test_transparent_frames_resume(way: str) -> None:
+def test_transparent_frames_resume(backend: str) -> None:
     """Frames without a background are resumed likewise."""
-    whole = renderer(way, 4, background=None).render(scene(), view())
-    half = renderer(way, 2, background=None).render(scene(), view())
-    assert_equal(renderer(way, 2, background=None).render(scene(), view(), resume=half), whole)
+    whole = renderer(backend, 4, background=None).render(scene(), view())
+    half = renderer(backend, 2, background=None).render(scene(), view())
+    assert_equal(renderer(backend, 2, background=None).render(scene(), view(), resume=half), whole)
 
 
 # --- Progress and counts ---
@@ -287,16 +289,16 @@ def test_sample_counts_do_not_overflow_on_a_gpu() -> None:
         assert total.numpy()[0] == counts.sum(dtype=np.int64)
 
 
-def test_nonfinite_samples_are_black_and_counted(way: str) -> None:
+def test_nonfinite_samples_are_black_and_counted(backend: str) -> None:
     """Each is counted once per sample and pixel; other frames do not affect the count, also when resumed."""
     broken = replace(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.9), sh=np.full((1, 16, 3), 3e38, np.float32))
     both = ls.Scene([broken], [quad(6.0, 10.0)])
-    drawn = renderer(way, 3, jitter=False).render(both, view())
+    drawn = renderer(backend, 3, jitter=False).render(both, view())
     black = (drawn.color == 0.0).all(axis=-1)
     assert drawn.stats is not None and np.isfinite(drawn.color).all()
     assert drawn.stats.nonfinite_count == 3 * black.sum() > 0
 
     clean = ls.Scene([random_gaussians(91)])
-    for one in (renderer(way, 3, jitter=False), renderer_of(way, renderer(way, 3, jitter=False).config)):
-        resumed = one.render(clean, view(), resume=renderer(way, jitter=False).render(clean, view()))
+    for one in (renderer(backend, 3, jitter=False), renderer_of(backend, renderer(backend, 3, jitter=False).config)):
+        resumed = one.render(clean, view(), resume=renderer(backend, jitter=False).render(clean, view()))
         assert resumed.stats is not None and resumed.stats.nonfinite_count == 0

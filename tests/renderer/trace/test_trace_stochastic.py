@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.compare.ways import renderer_of
+from support.compare.backends import renderer_of
 from support.oracles import raster_oracle as oracles, trace_oracle
 from support.oracles.particle_oracle import world_of
 from support.oracles.trace_oracle import background_of, camera_rays, outcomes_on, trace
@@ -213,15 +213,15 @@ def test_wrong_expectations_are_rejected(strategy: ls.config.TraceStrategy) -> N
 
 
 @strategies
-def test_backends_draw_the_same_random_numbers(strategy: ls.config.TraceStrategy, way: str) -> None:
+def test_backends_draw_the_same_random_numbers(strategy: ls.config.TraceStrategy, backend: str) -> None:
     """A seed gives the same image on every backend up to rounding; another seed does not."""
     case = random_case("instances", strategy)
     config = replace(case.config, samples=8, seed=5)
     expected = renderer_of("cpu", config).render(case.scene, case.camera)
-    actual = renderer_of(way, config).render(case.scene, case.camera)
+    actual = renderer_of(backend, config).render(case.scene, case.camera)
     off = np.abs(actual.color - expected.color).max(axis=-1) > 1e-5
     assert off.mean() < 0.02, "a random number within rounding of its alpha may decide otherwise, no more"
-    other = renderer_of(way, replace(config, seed=6)).render(case.scene, case.camera)
+    other = renderer_of(backend, replace(config, seed=6)).render(case.scene, case.camera)
     assert (np.abs(other.color - expected.color).max(axis=-1) > 1e-3).mean() > 0.3
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.compare.ways import renderer_of
+from support.compare.backends import renderer_of
 from support.oracles import trace_oracle
 from support.scenes.raster_scenes import quad
 from support.scenes.trace_scenes import Case, cases, mirror_scene, placed_scene, trace_config
@@ -29,12 +29,12 @@ def twin_of(name: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_frame_equals_twin(case: Case, way: str) -> None:
+def test_frame_equals_twin(case: Case, backend: str) -> None:
     """Every image equals the twin's within the tolerance that the twin computes for rounding.
 
     Colours, alpha and normals are compared everywhere, index and distance of the surface where it is unambiguous.
     """
-    frame = renderer_of(way, replace(case.config, lighting=False)).render(case.scene, case.camera)
+    frame = renderer_of(backend, replace(case.config, lighting=False)).render(case.scene, case.camera)
     assert_agrees(frame, twin_of(case.name), ("color", "alpha"), ("depth", "depth_z"))
 
 
@@ -48,10 +48,10 @@ def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndar
     return scene, origins, directions, TWINS.result(trace_oracle.trace_rays, scene, origins, directions, WORLD)
 
 
-def test_rays_equal_twin(way: str) -> None:
+def test_rays_equal_twin(backend: str) -> None:
     """Rays without common origin or direction equal the twin's; mirrors show the background."""
     scene, origins, directions, twin = rays_and_twin()
-    hits = renderer_of(way, WORLD).trace_rays(scene, origins, directions)
+    hits = renderer_of(backend, WORLD).trace_rays(scene, origins, directions)
     assert_agrees(hits, twin, ("radiance", "transmittance"), ("depth",))
     assert 0.2 < np.isfinite(hits.depth).mean() < 0.9
     assert len(np.unique(hits.instance_index)) == 6

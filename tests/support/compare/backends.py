@@ -1,0 +1,36 @@
+"""Backends of the renderer, which must all compute equal frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.runtime.launcher import Launcher
+from support.compare.graph_launcher import GraphLauncher
+
+BACKENDS = ["cpu", "cpu as cuda", "cpu as graph", *(device.alias for device in wp.get_cuda_devices())]
+"""The CPU with its own kernels, with CUDA's kernels, with those replayed as a graph, and every GPU."""
+
+
+class ReplayingRenderer(ls.Renderer):
+    """A renderer that repeats a frame until it is replayed: direct with new buffers, direct, captured, replayed."""
+
+    def render(self, scene: ls.Scene, camera: ls.Camera, **options: Any) -> ls.Frame:
+        """Returns the replayed frame, and asserts that the others equal it."""
+        frames = [super(ReplayingRenderer, self).render(scene, camera, **options) for _ in range(4)]
+        for frame in frames[:-1]:
+            np.testing.assert_array_equal(frame.color, frames[-1].color, "the graph's frame is not the direct one")
+        return frames[-1]
+
+
+def renderer_of(backend: str, config: ls.RenderConfig | None = None) -> ls.Renderer:
+    """Returns a renderer with one of ``BACKENDS``."""
+    renderer = ls.create_renderer(config, backend.partition(" as ")[0])
+    if backend == "cpu":
+        return renderer
+    if backend == "cpu as cuda":
+        return ls.Renderer(renderer.config, Launcher("cpu", parallel=True))
+    return ReplayingRenderer(renderer.config, GraphLauncher() if backend == "cpu as graph" else Launcher(backend))
