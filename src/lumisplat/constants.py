@@ -301,7 +301,7 @@ RIDGE = 3e-4
 weighs
 1. It keeps directions without samples smooth, and takes 4 % of degree 3 where all directions are sampled."""
 
-# --- Spatial blocks of captures (docs/adr/0073-captures-in-blocks.md) ---
+# --- Spatial blocks of captures (docs/adr/0073-out-of-core-captures-in-blocks.md) ---
 
 BLOCK_GAUSSIANS_MAX = 2**19
 """Largest number of Gaussians in a block: 29 MB at degree 0; a billion Gaussians make 2,000 blocks."""
@@ -367,7 +367,7 @@ SSIM_SIGMA_PX = 1.5
 SSIM_WINDOW_PX = 11
 """Side of SSIM's window in pixels. Wang et al. 2004."""
 
-# --- Windows of frames (docs/adr/0072-parts-of-pictures.md) ---
+# --- Windows of frames (docs/adr/0072-tiles-and-sample-blocks-match-the-frame.md) ---
 
 WINDOW_STEP = 16
 """Number of pixels whose multiples are the edges of windows, so that a window's pixels equal those of the whole image:

@@ -2,7 +2,7 @@
 
 K-means first divides the vectors into about sqrt(K) groups; then each group gets palette entries of its own. A vector
 is compared with the entries of its group only: 2 sqrt(K) comparisons instead of K. Groups with a larger error get more
-entries, which more than compensates for the coarser search; see docs/adr/0065-sog-written.md.
+entries, which more than compensates for the coarser search; see docs/adr/0065-sog-codebooks-by-k-means.md.
 """
 
 from __future__ import annotations

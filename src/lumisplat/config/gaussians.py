@@ -153,7 +153,7 @@ class ShadowMethod(Enum):
     """Blocks a ray entirely with the opacity along it as probability, independently of other rays
     (docs/method/shadows.md#stochastic-shadows). The mean is as bright as exact shadows, with noise. A blocked ray ends
     sooner: two fifths faster where light is lost gradually, elsewhere no faster
-    (docs/adr/0022-one-number-a-shadow-ray.md)."""
+    (docs/adr/0022-one-random-number-per-shadow-ray.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

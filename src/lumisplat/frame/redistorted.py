@@ -1,6 +1,6 @@
 """Frames with lens distortion, resampled from pinhole frames: the rasteriser draws only pinhole images.
 
-docs/adr/0028-cameras-and-distortion.md explains the choice and its alternatives.
+docs/adr/0028-lens-distortion-and-scene-up.md explains the choice and its alternatives.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Metrics of how well the light on an avatar agrees with the light of the scene (docs/method/relighting.md#metrics).
 
 No ground truth is needed. Avatar and scene are `LitPoints`, or Gaussians from which points are made. Only the part of
-the scene within a radius of the mean of the avatar's points counts. docs/adr/0015-lighting-metrics.md lists the choices
-that the paper leaves open.
+the scene within a radius of the mean of the avatar's points counts.
+docs/adr/0015-lighting-metrics-with-fixed-scale.md lists the choices that the paper leaves open.
 """
 
 from __future__ import annotations
@@ -333,7 +333,7 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     """Factorises luminance into scales and irradiance, ``Y_i = alpha_i E(n_i; c)``.
 
     First c is fitted robustly with all scales equal, then the scales follow. With a free scale for each point, any
-    positive E would fit exactly; docs/adr/0015-lighting-metrics.md explains this choice of c.
+    positive E would fit exactly; docs/adr/0015-lighting-metrics-with-fixed-scale.md explains this choice of c.
 
     The fit minimises Huber's loss of the residuals ``alpha_i - 1``, without the 5 % of the points that fit worst. In
     directions without normals, irradiance stays smooth. Scales that are independent of the normals change c by a factor

@@ -44,7 +44,7 @@ HIT_ALPHA_MIN = 0.5
 HAZE_AT_ONCE_MAX = 0.6
 """Median fraction of a ray's alpha near its depth below which there is no surface. It is 0.9 to 1 in others' captures
 and in baked ones, 0.39 to 0.99 in captures trained for some minutes, 0 to 0.56 in balls of haze
-(docs/adr/0079-fog-has-no-surface.md)."""
+(docs/adr/0079-delighting-refuses-captures-without-surfaces.md)."""
 
 SURFACE_SHARP = 0.8
 """Median fraction of a ray's alpha near its depth below which a capture has no clear surface. It is 0.90 to 1 in

@@ -1,7 +1,7 @@
 """Estimates the local lights of a captured scene from photometric evidence and local contrast.
 
 Mir et al. (2026, section 3.1) name the cues without formulas. Ours are in docs/method/relighting.md#light-estimation,
-and docs/adr/0014-light-estimation.md has the reasons.
+and docs/adr/0014-lights-from-bright-gaussians.md has the reasons.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Splits the samples of one frame over several processes (docs/adr/0072-parts-of-pictures.md#samples)."""
+"""Splits the samples of one frame over several processes.
+
+docs/adr/0072-tiles-and-sample-blocks-match-the-frame.md#samples explains the decisions.
+"""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ SMOOTH_HEIGHT_MIN = 1.0e-5
 SMOOTH_START_COSINE = 0.1
 """Cosine of the light on a triangle of a smooth mesh above which shadow rays start at the triangle itself.
 
-Below it, also if negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-terminators.md)."""
+Below it, also if negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-shadow-terminators.md)."""
 
 # --- Shadow rays from triangles that approximate a smooth surface (docs/method/shadows.md#smooth-meshes) ---
 #

@@ -72,7 +72,7 @@ _PALETTE_ENTRIES_MAX = 2**16
 """Largest number of SH palette entries, because labels have 16 bits."""
 
 _COMPRESSION = 1
-"""Effort of Pillow's lossless WebP encoder, 0 to 6; see docs/adr/0065-sog-written.md."""
+"""Effort of Pillow's lossless WebP encoder, 0 to 6; see docs/adr/0065-sog-codebooks-by-k-means.md."""
 
 _IMAGE_SIDE_MAX = 16_380
 """Largest width and height of a WebP image that is a multiple of 4."""

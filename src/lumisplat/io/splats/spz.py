@@ -65,7 +65,7 @@ _HEADER_V4 = struct.Struct("<IIIBBBBI12x")
 """Header of version 4: the fields of all versions, number of streams, and offset of the table of contents."""
 
 _ZSTD_LEVEL = 12
-"""Compression level of the zstd streams; see docs/adr/0064-spz-by-numpy-and-zstandard.md."""
+"""Compression level of the zstd streams; see docs/adr/0064-spz-4-by-numpy-and-zstandard.md."""
 
 _SIZE_UNKNOWN = -1
 """Size that zstandard reports for streams written without a stated size."""

@@ -30,7 +30,10 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress
 
 COMPARED_FEATURES = 2048
-"""Largest number of SIFT features per image. docs/adr/0056-poses-of-films.md has the cost of more."""
+"""Largest number of SIFT features per image.
+
+docs/adr/0056-video-poses-with-few-features-and-one-lens.md has the cost of more.
+"""
 
 COMPARED_PIXELS = 1000
 """Longer image side at which features are extracted, pixels. Larger images cost time and add nothing."""

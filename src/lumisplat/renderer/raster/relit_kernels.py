@@ -1,7 +1,7 @@
 """Splats of relit sets: composited separately where mixed with others, and their weighted-mean surface.
 
 Splats are composited a second time, with other values in place of their colours and normals. The equations are in
-docs/adr/0021-captured-and-relit.md and docs/method/rasterisation.md#weighted-mean-surface.
+docs/adr/0021-captured-or-relit-per-set.md and docs/method/rasterisation.md#weighted-mean-surface.
 """
 
 import warp as wp

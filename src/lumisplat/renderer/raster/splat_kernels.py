@@ -222,7 +222,7 @@ def composite_blocks(
 
     The threads load a batch of the tile's splats into shared memory, one each. Each thread then blends the batch into
     its pixel, so that a splat is loaded once per tile instead of once per pixel
-    (docs/adr/0025-compositing-on-shared-tiles.md).
+    (docs/adr/0025-shared-memory-compositing.md).
     """
     tile, lane = wp.tid()
     view = camera[0]

@@ -1,4 +1,4 @@
-"""Captures that real-time frames sample as lights (docs/adr/0097-captures-as-lights.md)."""
+"""Captures that real-time frames sample as lights (docs/adr/0097-emissive-captures-are-sampled-as-lights.md)."""
 
 from __future__ import annotations
 

@@ -61,7 +61,8 @@ SAMPLES_OF_PATHS = 64
 
 CAPTURED_LIGHT_DRAWS = 32
 """Directions in which each mesh pixel samples the light of a capture, over all samples of a frame. They cost little,
-since they need no shadow rays, and one sample per pixel is then enough. docs/adr/0093-meshes-put-into-captures.md."""
+since they need no shadow rays, and one sample per pixel is then enough.
+docs/adr/0093-meshes-in-captures-are-placed-automatically.md."""
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
 """Images in ``aovs`` that unlit frames support, too."""

@@ -1,6 +1,6 @@
 """Decimation: captures with fewer, larger Gaussians that look the same from a distance.
 
-Passes repeatedly merge the pairs of neighbours that lose the least (docs/adr/0027-decimation.md).
+Passes repeatedly merge the pairs of neighbours that lose the least (docs/adr/0027-decimation-by-merging.md).
 """
 
 from __future__ import annotations

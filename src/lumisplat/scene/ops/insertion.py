@@ -1,7 +1,7 @@
 """Insertion of objects into captures: upright, in a plausible size, on the ground, where there is free space.
 
 The ground is found in a grid of cells seen from above: a Gaussian covers a cell with its opacity times the area of its
-projection. docs/adr/0093-meshes-put-into-captures.md explains the decisions.
+projection. docs/adr/0093-meshes-in-captures-are-placed-automatically.md explains the decisions.
 """
 
 from __future__ import annotations

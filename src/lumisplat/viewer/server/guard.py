@@ -1,4 +1,4 @@
-"""Decides who may talk to the viewer (docs/adr/0043-who-may-open-the-viewer.md), and validates what they send.
+"""Decides who may talk to the viewer (docs/adr/0043-viewer-token-and-message-checks.md), and validates what they send.
 
 Pages of this machine may that know its token. Messages that are of no known kind, too long or not finite are dropped
 and counted.
