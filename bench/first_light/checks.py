@@ -104,7 +104,7 @@ def lit_frames(setting: Setting) -> Iterator[Finding]:
     for pipeline in ls.Pipeline:
         samples = 1 if pipeline is ls.Pipeline.REALTIME else 2
         for shadows in (ls.Shadows.HARD, ls.Shadows.SOFT):
-            scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
+            scene = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT)
             config = lit_scene.config(pipeline, shadows=shadows, samples=samples, aovs=("albedo",))
             shots.append((f"{pipeline.value}, {shadows.value}", scene, view, config))
         for method in ls.config.ShadowMethod:
@@ -207,7 +207,7 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
 
 def pictures(setting: Setting) -> Iterator[Finding]:
     """Checks bytes that the device encodes against those of the host; lit ones may differ by 1."""
-    scene, view = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY), lit_scene.camera()
+    scene, view = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT), lit_scene.camera()
     kinds: dict[str, dict[str, Any]] = {"unlit": {"lighting": False}}
     kinds |= {f"lit, {tone_map.value}": {"tone_map": tone_map} for tone_map in ls.ToneMap}
     for name, changes in kinds.items():

@@ -56,7 +56,7 @@ def test_traced_flat_gaussian_equals_the_surfel(tmp_path: Path, degrees: float) 
     hits = ls.trace_rays(ls.Scene(splats=[gaussians]), np.zeros_like(directions), directions, device="cpu")
     expected = surfel_alpha(axes, directions)
     assert (expected > 0.1).sum() > 50
-    # Alpha changes by less than 1 a standard deviation, of which a thousandth, seen aslant, is what the disc is thick.
+    # Alpha changes by less than 1 per standard deviation, and the disc is a thousandth of one thick.
     np.testing.assert_allclose(1.0 - hits.transmittance, expected, atol=0.004)
     facing = np.abs(hits.normal @ axes[:, 2])[expected > 0.3]
     np.testing.assert_allclose(facing, 1.0, atol=1e-3)

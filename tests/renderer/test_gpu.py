@@ -47,7 +47,7 @@ def test_cuda_lit_frame_equals_the_cpu_frame(pipeline: ls.Pipeline) -> None:
     """Covers soft shadows, mirrors and glass; pixels may differ where a decision is within rounding."""
     samples = 1 if pipeline is ls.Pipeline.REALTIME else 2
     config = lit_scene.config(pipeline, shadows=ls.Shadows.SOFT, samples=samples)
-    scene, camera = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY), lit_scene.camera()
+    scene, camera = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT), lit_scene.camera()
     cpu, cuda = (ls.render(scene, camera, config, device=device) for device in ("cpu", "cuda"))
     for name in ("color", "captured", "light", "alpha"):
         difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
@@ -58,7 +58,7 @@ def test_cuda_lit_frame_equals_the_cpu_frame(pipeline: ls.Pipeline) -> None:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
 def test_cuda_lighting_leaves_captures_unchanged(pipeline: ls.Pipeline) -> None:
     """Without reflecting surfaces, a lit frame equals the unlit one up to rounding of separately compiled kernels."""
-    scene, camera = ls.Scene([scenes.random_gaussians(71, 300, degree=2)], (), lit_scene.LAMPS), lit_scene.camera()
+    scene, camera = ls.Scene([scenes.random_gaussians(71, 300, degree=2)], (), lit_scene.LIGHTS), lit_scene.camera()
     config = ls.RenderConfig(pipeline=pipeline, background=(0.2, 0.3, 0.4), lighting=True)
     frame = ls.render(scene, camera, config, device="cuda")
     unlit = ls.render(scene, camera, replace(config, lighting=False), device="cuda")

@@ -19,7 +19,7 @@ from lumisplat.runtime import buffers
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
-from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, config, scene
 from support.scenes.raster_scenes import similarity
 
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "captured", "light")
@@ -80,7 +80,7 @@ SETTINGS = {
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
 def test_steady_frame_launches_only_graphs(settings: ls.RenderConfig) -> None:
     """A frame with samples, lights, mirrors and all layers launches no single kernel, and all bits are equal."""
-    pair, shown = Pair(settings), scene(*LAMPS, SKY)
+    pair, shown = Pair(settings), scene(*LIGHTS, ENVIRONMENT)
     pair.warm_up(shown, camera())
     assert pair.launches_of(shown, camera()) == 0
 
@@ -97,15 +97,15 @@ def moved(shown: ls.Scene) -> ls.Scene:
 
 def rotated_environment(shown: ls.Scene) -> ls.Scene:
     """The scene with its environment visible and rotated."""
-    turned = replace(SKY, visible=True, rotation_wxyz=(0.6, 0.0, 0.8, 0.0))
-    return replace(shown, lights=[turned if light is SKY else light for light in shown.lights])
+    turned = replace(ENVIRONMENT, visible=True, rotation_wxyz=(0.6, 0.0, 0.8, 0.0))
+    return replace(shown, lights=[turned if light is ENVIRONMENT else light for light in shown.lights])
 
 
 @pytest.mark.parametrize("change", [moved, rotated_environment], ids=["instances and lights", "environment"])
 def test_graphs_are_reused_when_objects_move(change: Callable[[ls.Scene], ls.Scene]) -> None:
     """Cameras, transforms, lights and samples are read from arrays with constant addresses."""
     settings = config(ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=2, max_bounces=0)
-    pair, shown = Pair(settings), scene(*LAMPS, SKY)
+    pair, shown = Pair(settings), scene(*LIGHTS, ENVIRONMENT)
     pair.warm_up(shown, camera())
     view = ls.Camera.look_at((0.3, 1.1, -2.1), (0.1, 0.2, 0.6), width=48, height=32, fov_y=0.9)
     assert pair.launches_of(change(shown), view) == 0
@@ -155,7 +155,7 @@ def test_graphs_are_stale_after_frozen_values_change(
     change: Callable[[ls.Scene], ls.Scene], pipeline: ls.Pipeline
 ) -> None:
     """Other lights or objects are drawn directly, then captured again; so is the first scene afterwards."""
-    pair, shown = Pair(config(pipeline, samples=1, max_bounces=2, aovs=("lights",))), scene(*LAMPS, SKY)
+    pair, shown = Pair(config(pipeline, samples=1, max_bounces=2, aovs=("lights",))), scene(*LIGHTS, ENVIRONMENT)
     pair.warm_up(shown, camera())
     other = change(shown)
     assert pair.launches_of(other, camera()) > 0
@@ -167,7 +167,7 @@ def test_graphs_are_stale_after_frozen_values_change(
 
 def test_graphs_are_stale_after_buffers_grow() -> None:
     """Graphs hold addresses, so that memory that was freed must not be written."""
-    pair, shown = Pair(config(shadows=ls.Shadows.SOFT, samples=1)), scene(*LAMPS)
+    pair, shown = Pair(config(shadows=ls.Shadows.SOFT, samples=1)), scene(*LIGHTS)
     pair.warm_up(shown, camera())
     pair.buffers.get("light.contributions", wp.vec3, 100_000)
     assert pair.launches_of(shown, camera()) > 0
@@ -178,7 +178,7 @@ def test_graphs_are_stale_after_buffers_grow() -> None:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_ray_queries_do_not_disturb_captured_frames(pipeline: ls.Pipeline) -> None:
     """Ray queries use the same arrays with other sizes; no graph of a frame reads their results."""
-    settings, shown = config(pipeline, shadows=ls.Shadows.SOFT, samples=2, max_bounces=2), scene(*LAMPS, SKY)
+    settings, shown = config(pipeline, shadows=ls.Shadows.SOFT, samples=2, max_bounces=2), scene(*LIGHTS, ENVIRONMENT)
     renderer = ls.Renderer(settings, GraphLauncher())
     frames = [renderer.render(shown, camera()) for _ in range(WARM_FRAMES)]
     along = np.random.default_rng(1).normal(size=(2500, 3))
@@ -199,7 +199,7 @@ def test_graphs_distinguish_rays_that_leave_gaussians(pipeline: ls.Pipeline) -> 
     )
     along = np.random.default_rng(1).normal(size=(300, 3)).astype(np.float32)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    rays = scene(*LAMPS, SKY), np.broadcast_to(np.array([0.0, 1.0, -2.0], np.float32), along.shape), along
+    rays = scene(*LIGHTS, ENVIRONMENT), np.broadcast_to(np.array([0.0, 1.0, -2.0], np.float32), along.shape), along
     near = np.full(len(along), 0.3, np.float32)
     given, leaving = direct.trace_rays(*rays), direct.leaving_hits(*rays, near)
     for _ in range(WARM_FRAMES):
@@ -209,7 +209,7 @@ def test_graphs_distinguish_rays_that_leave_gaussians(pipeline: ls.Pipeline) -> 
 
 def test_graphs_grow_with_the_number_of_refracted_rays() -> None:
     """Glass that fills the view needs larger arrays than the graph of a small ball, and is rendered completely."""
-    pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=2)), scene(*LAMPS)
+    pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=2)), scene(*LIGHTS)
     far = ls.Camera.look_at((0.1, 1.0, -9.0), (0.8, 0.35, 1.0), width=96, height=64, fov_y=0.8)
     near = ls.Camera.look_at((-0.3, 0.35, -0.8), (-0.3, 0.3, 0.0), width=96, height=64, fov_y=0.8)
     pair.warm_up(shown, far)
@@ -243,7 +243,7 @@ NEVER_CAPTURED = (READ_BACK, (Buffers, "_allocate"), (buffers, "assign_table"))
 def test_path_waves_only_launch_kernels(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Once buffers have grown, the waves of a sample read back, allocate and upload nothing."""
     settings = config(ls.Pipeline.PATH, samples=NOISE_SAMPLES_MIN + 2, max_bounces=2, adaptive=adaptive)
-    renderer, shown = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)), scene(*LAMPS, SKY)
+    renderer, shown = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)), scene(*LIGHTS, ENVIRONMENT)
     expected = renderer.render(shown, camera().scaled(24, 16))
     monkeypatch.setattr(PathIntegrator, "_follow", refusing(PathIntegrator._follow, *NEVER_CAPTURED))
     monkeypatch.setattr(AdaptiveRays, "list", refusing(AdaptiveRays.list, *NEVER_CAPTURED))
@@ -254,14 +254,14 @@ def test_adaptive_samples_replay_the_same_graphs() -> None:
     """The sampled pixels differ between samples, and are read from arrays with constant addresses."""
     samples = NOISE_SAMPLES_MIN + 6
     settings = config(ls.Pipeline.PATH, samples=samples, max_bounces=2, adaptive=True)
-    pair, shown, view = Pair(settings), scene(*LAMPS, SKY), camera().scaled(24, 16)
+    pair, shown, view = Pair(settings), scene(*LIGHTS, ENVIRONMENT), camera().scaled(24, 16)
     pair.warm_up(shown, view)
     assert pair.launches_of(shown, view) < 3 * samples, "lists of rays are launched, and nothing else"
 
 
 def test_real_time_frames_read_back_no_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """In CUDA's schedule, the host uses upper bounds and does not wait for counts."""
-    sources = [replace(LAMPS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
+    sources = [replace(LIGHTS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
     renderer = ls.Renderer(config(ls.Pipeline.REALTIME), Launcher("cpu", threads=1, parallel=True))
     used: list[str] = []
     for where, name in ((IndirectLight, "start_lobes"), (LightGrids, "of_wave")):
@@ -273,7 +273,7 @@ def test_real_time_frames_read_back_no_counts(monkeypatch: pytest.MonkeyPatch) -
 
 def test_truncated_tile_list_is_redrawn_before_storing() -> None:
     """The camera moves so close that splats exceed the allocated tile list, in a frame of two samples."""
-    shown = replace(scene(*LAMPS), meshes=())
+    shown = replace(scene(*LIGHTS), meshes=())
     pair = Pair(config(ls.Pipeline.RASTER, shadows=ls.Shadows.OFF, samples=2))
     far, near = (ls.Camera.look_at((0.1, 0.3, z), (-0.7, 0.4, 0.9), width=400, height=300) for z in (-40.0, 0.4))
     pair.warm_up(shown, far)

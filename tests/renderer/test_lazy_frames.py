@@ -24,7 +24,7 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.downloads import DeviceCopies, Downloads
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
-from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, config, scene
 
 ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
 SETTINGS = {
@@ -44,7 +44,7 @@ def lazy_renderer(settings: ls.RenderConfig, launcher: Launcher | None = None) -
 
 def eager_frame(settings: ls.RenderConfig, view: ls.Camera) -> ls.Frame:
     """Returns the frame as a CPU downloads it."""
-    return ls.Renderer(settings, Launcher("cpu", parallel=True)).render(scene(*LAMPS, SKY), view)
+    return ls.Renderer(settings, Launcher("cpu", parallel=True)).render(scene(*LIGHTS, ENVIRONMENT), view)
 
 
 def other_camera() -> ls.Camera:
@@ -73,7 +73,7 @@ def assert_same(frame: Any, expected: ls.Frame) -> None:
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
 def test_later_frames_do_not_change_earlier_ones(settings: ls.RenderConfig) -> None:
     """Frames are read after later frames were rendered, whether their images waited on the device or were evicted."""
-    renderer, shown = lazy_renderer(settings), scene(*LAMPS, SKY)
+    renderer, shown = lazy_renderer(settings), scene(*LIGHTS, ENVIRONMENT)
     views = [camera(), other_camera()] * 3
     frames = [renderer.render(shown, view) for view in views]
     assert unread(frames[0]) and not unread(frames[-1])
@@ -84,7 +84,7 @@ def test_later_frames_do_not_change_earlier_ones(settings: ls.RenderConfig) -> N
 
 def test_unread_images_stay_on_the_device() -> None:
     """The frame's repr and list of layers do not download images, either."""
-    frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
+    frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     everything = unread(frame)
     assert {"color", "depth", "albedo", "light_shadow", "captured", "hits"} <= everything
     assert "lit" in repr(frame) and frame.has("light")
@@ -99,7 +99,7 @@ def test_copies_of_frames_have_all_images() -> None:
     """Frames are pickled, copied and deep-copied."""
     expected = eager_frame(SETTINGS["lit"], camera())
     for duplicate in (lambda frame: pickle.loads(pickle.dumps(frame)), copy.copy, copy.deepcopy):
-        frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
+        frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
         assert_same(duplicate(frame), expected)
 
 
@@ -114,7 +114,7 @@ def test_device_memory_of_frames_is_reused() -> None:
     """Memory is returned when a frame is dropped, or when all of its images are read."""
     renderer = lazy_renderer(SETTINGS["lit"])
     downloads = renderer._buffers.downloads
-    frame = renderer.render(scene(*LAMPS), camera())
+    frame = renderer.render(scene(*LIGHTS), camera())
     assert downloads.lent == {"host": 0, "device": 1}
     for name in unread(frame):
         getattr(frame, name)
@@ -122,14 +122,14 @@ def test_device_memory_of_frames_is_reused() -> None:
     del frame
     gc.collect()
     assert downloads.lent == {"host": 0, "device": 0}
-    memory = [renderer.render(scene(*LAMPS), camera()).stats for _ in range(3)]
+    memory = [renderer.render(scene(*LIGHTS), camera()).stats for _ in range(3)]
     assert len({stats.memory_bytes for stats in memory if stats}) == 1
 
 
 def test_lazy_frames_can_be_resumed() -> None:
     """Their images are uploaded again."""
     settings = config(ls.Pipeline.HYBRID, samples=2)
-    renderer, shown = lazy_renderer(settings), scene(*LAMPS, SKY)
+    renderer, shown = lazy_renderer(settings), scene(*LIGHTS, ENVIRONMENT)
     resumed = renderer.render(shown, camera(), resume=renderer.render(shown, camera()))
     eager = ls.Renderer(settings, Launcher("cpu", parallel=True))
     assert_same(resumed, eager.render(shown, camera(), resume=eager.render(shown, camera())))
@@ -138,7 +138,7 @@ def test_lazy_frames_can_be_resumed() -> None:
 def test_threads_can_read_a_frame_concurrently() -> None:
     """Six threads read all images concurrently."""
     frame, expected = (
-        lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera()),
+        lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera()),
         eager_frame(SETTINGS["lit"], camera()),
     )
     problems: list[BaseException] = []
@@ -157,7 +157,7 @@ def test_threads_can_read_a_frame_concurrently() -> None:
     assert not problems
 
 
-# --- Pictures ---
+# --- Encoded bytes ---
 
 
 def pictures(color: np.ndarray, alpha: np.ndarray, *, transparent: bool) -> tuple[np.ndarray | None, np.ndarray]:
@@ -273,7 +273,7 @@ def test_only_the_8_bit_image_is_downloaded(name: str, tmp_path: Path, monkeypat
         return part
 
     monkeypatch.setattr(DeviceCopies, "words", counting)
-    frame = renderer.render(scene(*LAMPS, SKY), view)
+    frame = renderer.render(scene(*LIGHTS, ENVIRONMENT), view)
     everything = unread(frame)
     frame.save(tmp_path / "a.png")
     np.asarray(frame, dtype=np.uint8)
@@ -292,7 +292,7 @@ def assert_same_picture(picture: np.ndarray, expected: np.ndarray, name: str) ->
 
 def test_changed_colours_show_in_the_8_bit_image() -> None:
     """Writing to a frame's colours changes its 8-bit image, though the device has encoded one."""
-    frame = lazy_renderer(SETTINGS["unlit"]).render(scene(*LAMPS, SKY), camera())
+    frame = lazy_renderer(SETTINGS["unlit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     before = np.asarray(frame, dtype=np.uint8)
     frame.color[...] = 0.25
     frame.alpha[...] = 1.0
@@ -305,7 +305,7 @@ def test_changed_colours_show_in_the_8_bit_image() -> None:
 @pytest.mark.parametrize("name", SETTINGS.keys())
 def test_lazy_and_eager_frames_save_the_same_files(name: str, kind: str, tmp_path: Path) -> None:
     """Files are equal byte by byte; 8-bit lit images differ by at most 1."""
-    frame = lazy_renderer(SETTINGS[name]).render(scene(*LAMPS, SKY), camera())
+    frame = lazy_renderer(SETTINGS[name]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     lazy, eager = tmp_path / f"lazy.{kind}", tmp_path / f"eager.{kind}"
     frame.save(lazy)
     eager_frame(SETTINGS[name], camera()).save(eager)
@@ -317,7 +317,7 @@ def test_lazy_and_eager_frames_save_the_same_files(name: str, kind: str, tmp_pat
 
 def test_changed_light_shows_in_the_8_bit_image() -> None:
     """Writing to the light of a lit frame changes its 8-bit image."""
-    frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
+    frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     before = np.asarray(frame, dtype=np.uint8)
     assert frame.light is not None
     frame.light[...] = 100.0
@@ -328,8 +328,8 @@ def test_changed_light_shows_in_the_8_bit_image() -> None:
 def test_a_cpu_encodes_frames_on_request(name: str) -> None:
     """With ``encode``, the frame comes with its bytes, which equal those encoded later."""
     renderer = ls.Renderer(SETTINGS[name], Launcher("cpu", threads=3))
-    plain = renderer.render(scene(*LAMPS, SKY), camera())
-    encoded = renderer.render(scene(*LAMPS, SKY), camera(), encode=True)
+    plain = renderer.render(scene(*LIGHTS, ENVIRONMENT), camera())
+    encoded = renderer.render(scene(*LIGHTS, ENVIRONMENT), camera(), encode=True)
     assert "picture" not in plain._fetches() and "picture" in encoded._fetches()
     assert encoded._picture().dtype == np.uint8
     difference = np.abs(np.asarray(encoded, np.uint8).astype(int) - np.asarray(plain, np.uint8))

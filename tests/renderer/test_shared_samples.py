@@ -60,7 +60,7 @@ def test_merged_sums_equal_the_sums_of_all_samples() -> None:
 def test_a_merged_frame_has_the_bits_of_one_renderer(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     """Two renderers in any order, through files, give the bits of one; a frame rendered at once is nearly equal."""
     config = settings(pipeline, shadows=ls.Shadows.SOFT, aovs=("albedo", "lights", "variance", "sample_count"))
-    scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
+    scene = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT)
     one, other = (ls.create_renderer(config, "cpu") for _ in range(2))
     blocks = ls.farm.sample_blocks(one, scene)
     assert [len(block) for block in blocks] == [32, 6]

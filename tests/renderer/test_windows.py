@@ -72,7 +72,7 @@ def test_lit_windows_equal_crops(pipeline: ls.Pipeline, backend: str) -> None:
     if pipeline is ls.Pipeline.PATH:
         aovs += ("direct_diffuse", "indirect_diffuse", "indirect_glossy")
     config = lit_scene.config(pipeline, samples=2, shadows=ls.Shadows.SOFT, aovs=aovs)
-    scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
+    scene = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT)
     assert_crop(renderer_of(backend, config), scene, lit_scene.camera(*SIZE))
 
 

@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.constants import NOISE_SAMPLES_MIN, SAMPLE_RATES
 from lumisplat.renderer.film.adaptive_rays import SAMPLE_RATE_MIN, rates_of
 from support.compare.backends import BACKENDS, renderer_of
-from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, config, scene
 from support.scenes.raster_scenes import front_camera, one_gaussian
 
 LAYERS = ("variance", "sample_count", "albedo")
@@ -28,7 +28,7 @@ def view() -> ls.Camera:
 
 def lit_room() -> ls.Scene:
     """Returns meshes, Gaussians, mirrors and glass under lights and an environment."""
-    return scene(*LAMPS, SKY)
+    return scene(*LIGHTS, ENVIRONMENT)
 
 
 @functools.cache

@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.scene.materials import Material
 from support.compare.graph_launcher import GraphLauncher
-from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, config, scene
 from support.scenes.path_scenes import diffuse
 
 CAMERA = ls.Camera.look_at((0.0, 1.6, 2.6), (0.0, 0.1, 0.0), width=48, height=36, fov_y=0.6)
@@ -153,7 +153,7 @@ def test_reflection_layer_contains_highlights() -> None:
 def test_threads_and_schedules_change_nothing(pipeline: ls.Pipeline) -> None:
     """Bit-equal for any number of threads, and nearly equal in CUDA's schedule with graphs."""
     settings = config(pipeline, samples=2, glossy_reflections=True)
-    shown = scene(*LAMPS, SKY)
+    shown = scene(*LIGHTS, ENVIRONMENT)
     frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (1, 2, 5)]
     for frame in frames[1:]:
         np.testing.assert_array_equal(frame.color, frames[0].color)

@@ -29,9 +29,9 @@ class Case:
 
 
 CASES = {
-    "the lamp is inside": Case(((-2.0, -1.0),), light=2.0, seen=0.0, lit=0.75, eye=-0.5),
+    "the light is inside": Case(((-2.0, -1.0),), light=2.0, seen=0.0, lit=0.75, eye=-0.5),
     "both are inside": Case(((-1.5, 1.0),), light=1.0, seen=1.5, lit=1.0),
-    "the lamp is beyond": Case(((-1.2, 1.0),), light=2.5, seen=1.2, lit=1.5),
+    "the light is beyond": Case(((-1.2, 1.0),), light=2.5, seen=1.2, lit=1.5),
     "left, and entered again": Case(((-0.4, 1.0), (-2.5, -1.6)), light=2.5, seen=0.4, lit=1.0, eye=-1.0),
     "left, entered, and left": Case(((-0.4, 1.0), (-2.5, -1.6)), light=4.0, seen=0.4, lit=1.625, eye=-1.0),
 }

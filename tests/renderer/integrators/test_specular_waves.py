@@ -73,7 +73,7 @@ def aims(rng: np.random.Generator, mesh: ls.Mesh, count: int) -> np.ndarray:
     return np.einsum("nk,nkc->nc", weights, mesh.positions[faces].astype(float))
 
 
-# --- What is seen ---
+# --- Colours ---
 
 
 def test_rough_meshes_show_their_colour(rig: RayRig) -> None:

@@ -177,7 +177,7 @@ def test_disk_over_a_plane() -> None:
     assert np.abs(blocks(ours) / blocks(expected) - 1.0).max() < 0.02
 
 
-# --- Materials under a point light and in even light ---
+# --- Materials under a point light and in a constant environment ---
 
 
 def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
@@ -233,7 +233,7 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
     value = spread * smith_g1(alpha, facing) * smith_g1(alpha, shone) / (4.0 * facing * shone)
     value = schlick(material, (view * half).sum(-1)) * value[..., None]
     nodes = (np.arange(64) + 0.5) / 64
-    left = 1.0 - highlight_albedo(replace(material, metallic=0.0), nodes, 96)  # metal keeps to its own share
+    left = 1.0 - highlight_albedo(replace(material, metallic=0.0), nodes, 96)  # metal has no diffuse part
     mean = (2.0 * nodes[:, None] * left).mean(axis=0)
     enters, leaves = (
         np.stack([np.interp(cosine, nodes, left[:, c]) for c in range(3)], axis=-1) for cosine in (shone, facing)

@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
 from support.compare.backends import BACKENDS, renderer_of
-from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, config, scene
 from support.scenes.pipelines import DIRECT, SAMPLED
 from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaussians, similarity
 
@@ -28,7 +28,7 @@ def test_light_layers_add_up_to_the_frame(pipeline: ls.Pipeline) -> None:
     """Colour is captured radiance plus light; light is emission, shadowed light of each light, and reflections."""
     # Of one sample: means of display-referred and of linear colours do not add up.
     settings = config(pipeline, samples=1, aovs=all_aovs(), background=(0.0, 0.0, 0.0))
-    frame = ls.render(scene(*LAMPS, SKY), camera(), settings, device="cpu")
+    frame = ls.render(scene(*LIGHTS, ENVIRONMENT), camera(), settings, device="cpu")
     weight = checked(frame.captured_weight)[..., None]
     straight = np.divide(checked(frame.captured), weight, out=np.zeros_like(frame.color), where=weight > 0.0)
     captured = weight * decode_srgb(straight)
@@ -57,9 +57,12 @@ def all_aovs() -> tuple[str, ...]:
 def test_backends_give_equal_lit_frames(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
     """CUDA's schedule, its graphs and any number of threads agree; a renderer repeats its frames."""
     settings = config(pipeline, shadows=shadows, samples=2, background=None)
-    frames = [renderer_of(backend, settings).render(scene(*LAMPS, SKY), camera()) for backend in BACKENDS]
+    frames = [renderer_of(backend, settings).render(scene(*LIGHTS, ENVIRONMENT), camera()) for backend in BACKENDS]
     single = ls.create_renderer(settings, "cpu", threads=1)
-    for frame in (single.render(scene(*LAMPS, SKY), camera()), single.render(scene(*LAMPS, SKY), camera())):
+    for frame in (
+        single.render(scene(*LIGHTS, ENVIRONMENT), camera()),
+        single.render(scene(*LIGHTS, ENVIRONMENT), camera()),
+    ):
         np.testing.assert_array_equal(frame.color, frames[0].color)
     for frame in frames[1:]:
         assert np.abs(frame.color - frames[0].color).max(axis=2).mean() < 1e-4
@@ -71,10 +74,10 @@ def test_resumed_lit_frames_equal_uninterrupted_ones() -> None:
     """2 + 3 samples equal 5 in every image of every pipeline."""
     for pipeline in SAMPLED:
         settings = config(pipeline, shadows=ls.Shadows.SOFT, samples=5)
-        at_once = ls.render(scene(*LAMPS, SKY), camera(), settings, device="cpu")
-        first = ls.render(scene(*LAMPS, SKY), camera(), replace(settings, samples=2), device="cpu")
+        at_once = ls.render(scene(*LIGHTS, ENVIRONMENT), camera(), settings, device="cpu")
+        first = ls.render(scene(*LIGHTS, ENVIRONMENT), camera(), replace(settings, samples=2), device="cpu")
         renderer = ls.create_renderer(replace(settings, samples=3), "cpu")
-        resumed = renderer.render(scene(*LAMPS, SKY), camera(), resume=first)
+        resumed = renderer.render(scene(*LIGHTS, ENVIRONMENT), camera(), resume=first)
         assert resumed.samples == at_once.samples == 5
         for name in ("color", "captured", "captured_weight", "light", "alpha", "depth", "normal"):
             np.testing.assert_array_equal(getattr(resumed, name), getattr(at_once, name), name)
@@ -102,7 +105,7 @@ def test_lighting_by_default_follows_the_scene() -> None:
 
 def test_soft_shadow_samples_converge_to_the_mean() -> None:
     """Samples of an area light scatter around their mean with the expected error."""
-    source = replace(LAMPS[0], radius=0.3)
+    source = replace(LIGHTS[0], radius=0.3)
     renderers = [ls.create_renderer(config(shadows=ls.Shadows.SOFT, samples=n), "cpu") for n in (1, 16, 256)]
     one, some, many = (renderer.render(scene(source), camera()).color for renderer in renderers)
     errors = [np.sqrt(np.mean((image - many) ** 2)) for image in (one, some)]
@@ -249,10 +252,10 @@ def test_disabled_lights_add_nothing() -> None:
     """Disabled lights only replace the headlight."""
     rect = ls.LightRect((0.0, 2.0, 0.5), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), intensity=3.0)
     ball = ls.LightSphere((0.5, 2.0, 0.5), 0.2, intensity=5.0)
-    kinds = (*LAMPS, SKY, rect, ball)
+    kinds = (*LIGHTS, ENVIRONMENT, rect, ball)
     off = [replace(light, enabled=False) for light in kinds]
-    without = ls.render(scene(LAMPS[0]), camera(), config(), device="cpu")
-    with_them = ls.render(scene(*off[1:4], LAMPS[0], *off[4:]), camera(), config(), device="cpu")
+    without = ls.render(scene(LIGHTS[0]), camera(), config(), device="cpu")
+    with_them = ls.render(scene(*off[1:4], LIGHTS[0], *off[4:]), camera(), config(), device="cpu")
     np.testing.assert_allclose(with_them.color, without.color, atol=1e-6)
 
 

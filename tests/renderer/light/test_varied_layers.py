@@ -146,7 +146,7 @@ def test_textures_have_separate_wrap_modes(pipeline: ls.Pipeline) -> None:
             for light in (replace(far, enabled=False), far)
         )
         shown.append((both - emitted, emitted))
-    rtol = 0.03 if pipeline is ls.Pipeline.PATH else 1e-3  # wall or lamp, by chance
+    rtol = 0.03 if pipeline is ls.Pipeline.PATH else 1e-3  # a random choice of wall or light
     np.testing.assert_allclose(shown, [(low, high), (high, low)], rtol=rtol)
 
 

@@ -54,7 +54,7 @@ def test_closed_furnace_equals_the_geometric_series(bounces: int, shape: str) ->
     scene = ls.Scene(meshes=cube if shape == "cube" else [ball(1.0, shining, hollow=True, rows=16)])
     inside = ls.Camera.look_at((0.4, 0.5, 0.6), (0.9, 0.3, 0.8), width=48, height=32, fov_y=1.0)
     frame = paths(scene, inside, 16, bounces)
-    truth = (1.0 - 0.5 ** (bounces + 2)) / 0.5  # direct light is one bounce of what shines
+    truth = (1.0 - 0.5 ** (bounces + 2)) / 0.5  # direct light is one bounce of the emitted light
     assert_is(frame.color[..., 1].astype(np.float64), truth, share=0.005)
 
 

@@ -123,7 +123,7 @@ def test_squares_light_by_their_form_factor(arrangement: str, factor: float, bac
 def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstance:
     """A surface of Gaussians that emit 1 and reflect ``albedo``."""
     gaussians = as_splats(mesh, count).gaussians
-    shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # which is what shines, and what reflects
+    shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # both the emitting and the reflecting surface
     shining = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
     return ls.SplatInstance(replace(gaussians, sh=shown), material=shining)
 

@@ -27,12 +27,12 @@ PANE = quad((-9, 0.4, -9), (18, 0, 0), (0, 0, 18), CLEAR)
 """A pane between the floor and all lights, which are above 0.5."""
 CLOSE = ls.Camera.look_at((0, 0.3, 0.002), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.002)
 """A camera on the origin, from below the pane."""
-STRATEGIES = ("sampled", "met", "both")
+STRATEGIES = ("sampled", "hit", "both")
 
 
 def lit_by(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR) -> ls.Scene:
     """A surface and a light that paths reach by one strategy."""
-    meshes = [surface, PANE] if strategy == "met" else [surface]
+    meshes = [surface, PANE] if strategy == "hit" else [surface]
     if isinstance(light, ls.Mesh):
         return ls.Scene(meshes=[*meshes, light])
     if isinstance(light, ls.LightEnvironment):
@@ -46,7 +46,7 @@ def lit_by(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR) -> l
 
 def found(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR, samples: int = 64) -> np.ndarray:
     """Irradiance at the origin, one value per pixel; light has not bounced, except through the pane."""
-    return irradiance(paths(lit_by(light, strategy, surface), CLOSE, samples, 1 if strategy == "met" else 0), ALBEDO)
+    return irradiance(paths(lit_by(light, strategy, surface), CLOSE, samples, 1 if strategy == "hit" else 0), ALBEDO)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -59,7 +59,7 @@ def test_sphere_light_irradiance(place: tuple[float, float, float], strategy: st
     assert_is(found(light, strategy), float(truth))
 
 
-@pytest.mark.parametrize("strategy", ["met", "both"])
+@pytest.mark.parametrize("strategy", ["hit", "both"])
 def test_emissive_ball_irradiance(strategy: str) -> None:
     """A sphere of emissive triangles: the sum over the front-facing ones."""
     source = ball(0.45, diffuse(0.0, 2.0), rows=24)
@@ -69,7 +69,7 @@ def test_emissive_ball_irradiance(strategy: str) -> None:
     assert_is(found(source, strategy), 2.0 * -sum(value for value in sums if value < 0.0))
 
 
-@pytest.mark.parametrize("strategy", ["met", "both"])
+@pytest.mark.parametrize("strategy", ["hit", "both"])
 def test_emissive_disc_irradiance(strategy: str) -> None:
     """Irradiance is pi L r^2 / (r^2 + h^2), with enough corners to be round."""
     angles = 2.0 * np.pi * np.arange(96) / 96
@@ -93,7 +93,7 @@ def test_disk_light_irradiance(place: tuple[float, float, float], strategy: str)
 
 
 @pytest.mark.parametrize(
-    ("source", "strategy"), [("mesh", "met"), ("mesh", "both"), *(("rect", strategy) for strategy in STRATEGIES)]
+    ("source", "strategy"), [("mesh", "hit"), ("mesh", "both"), *(("rect", strategy) for strategy in STRATEGIES)]
 )
 def test_rectangle_light_irradiance(source: str, strategy: str) -> None:
     """L / 2 times Lambert's sum over its edges: a slanted parallelogram."""
@@ -170,8 +170,8 @@ def plate(roughness: float) -> ls.Mesh:
 def veach(roughness: float, strategy: str) -> Estimate:
     """Radiance of a plate below both lights; BSDF sampling needs more samples."""
     lights = [replace(source, visible=strategy != "sampled") for source in LIGHTS]
-    meshes = [plate(roughness), PANE] if strategy == "met" else [plate(roughness)]
-    samples, bounces = (256, 1) if strategy == "met" else (64, 0)
+    meshes = [plate(roughness), PANE] if strategy == "hit" else [plate(roughness)]
+    samples, bounces = (256, 1) if strategy == "hit" else (64, 0)
     values = paths(ls.Scene(meshes=meshes, lights=lights), SIDE, samples, bounces).color[..., 1].astype(np.float64)
     return Estimate(values, float(values.mean()), float(values.std() / np.sqrt(values.size)), samples)
 
@@ -179,11 +179,11 @@ def veach(roughness: float, strategy: str) -> Estimate:
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 def test_sampling_strategies_agree_on_veach_plates(roughness: float) -> None:
     """Means agree within four standard errors, and both combined are about as precise as the better strategy."""
-    sampled, met, both = (veach(roughness, strategy) for strategy in STRATEGIES)
-    assert all(found.error < 0.01 * found.mean for found in (sampled, met, both))
-    for a, b in ((sampled, met), (sampled, both), (met, both)):
+    sampled, hit, both = (veach(roughness, strategy) for strategy in STRATEGIES)
+    assert all(found.error < 0.01 * found.mean for found in (sampled, hit, both))
+    for a, b in ((sampled, hit), (sampled, both), (hit, both)):
         assert abs(a.mean - b.mean) < 4.0 * np.hypot(a.error, b.error)
-    assert both.error < 1.5 * min(sampled.error, met.error * np.sqrt(met.samples / both.samples))
+    assert both.error < 1.5 * min(sampled.error, hit.error * np.sqrt(hit.samples / both.samples))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -219,9 +219,9 @@ def test_shadow_settings_apply_to_all_strategies(source: str, setting: str) -> N
     sheet = replace(sheet, sh=np.full((1, 1, 3), -1.0) * [1.0, 0.2, -1.0])
     haze = ls.SplatInstance(sheet, turn, material=diffuse(1.0))
     floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), metal(roughness=0.4))
-    met = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0)
-    scene = ls.Scene(meshes=[floor], splats=[haze], lights=[replace(met, visible=False)])
-    shown = replace(scene, lights=[met])
+    light = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0)
+    scene = ls.Scene(meshes=[floor], splats=[haze], lights=[replace(light, visible=False)])
+    shown = replace(scene, lights=[light])
     if source == "mesh":
         shown = replace(
             scene, meshes=[floor, quad((-1.5, 2, -1.5), (3, 0, 0), (0, 0, 3), diffuse(0.0, 1.0))], lights=[]

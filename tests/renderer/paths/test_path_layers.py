@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.config.render import PATH_PARTS
-from support.scenes.lit_scene import LAMPS, SKY, camera, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, scene
 from support.scenes.path_scenes import cube_without_ceiling, diffuse, paths, quad, wide_sheet
 
 ALL = (*PATH_PARTS, "bounces", "lights", "albedo")
@@ -20,7 +20,7 @@ ALL = (*PATH_PARTS, "bounces", "lights", "albedo")
 def rooms() -> ls.Scene:
     """Relit and emissive Gaussians, meshes, a mirror, glass, an environment, lights, and a visible light."""
     light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
-    return scene(*LAMPS, SKY, light)
+    return scene(*LIGHTS, ENVIRONMENT, light)
 
 
 @pytest.mark.parametrize("shown", ["all", "shadow-only"])

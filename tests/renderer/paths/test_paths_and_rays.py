@@ -9,11 +9,11 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.scene.lights import Light
-from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, config, scene
 from support.scenes.path_scenes import as_splats, ball, cube_without_ceiling, diffuse, paths, quad
 from support.scenes.raster_scenes import one_gaussian
 
-LIGHTS: dict[str, Light] = {
+LIGHTS_BY_NAME: dict[str, Light] = {
     "point": ls.LightPoint((0.4, 0.8, -0.5), intensity=0.6),
     "sphere": ls.LightSphere((0.4, 0.8, -0.5), 0.1, intensity=20.0, visible=False),
     "rect": ls.LightRect((0.4, 0.9, -0.2), (0.3, 0, 0), (0, 0, 0.3), intensity=9.0),
@@ -31,7 +31,7 @@ def balls(kind: str) -> ls.Scene:
 
 
 @pytest.mark.parametrize("kind", ["mesh", "gaussians"])
-@pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS.keys())
+@pytest.mark.parametrize("light", LIGHTS_BY_NAME.values(), ids=LIGHTS_BY_NAME.keys())
 def test_paths_without_bounces_equal_traced_direct_light(light: Light, kind: str) -> None:
     """In the mean, they equal the trace pipeline with stochastic hits."""
     lit = replace(balls(kind), lights=[light])
@@ -54,7 +54,7 @@ def test_paths_without_bounces_equal_traced_direct_light(light: Light, kind: str
 def test_threads_change_nothing(threads: int) -> None:
     """Bit-equal, with light that bounces between Gaussians, meshes, mirrors and glass."""
     settings = config(ls.Pipeline.PATH, samples=3, max_bounces=5)
-    shown = scene(*LAMPS, SKY)
+    shown = scene(*LIGHTS, ENVIRONMENT)
     frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (threads, 2)]
     np.testing.assert_array_equal(frames[0].color, frames[1].color)
 

@@ -69,7 +69,7 @@ def assert_agrees(name: str, ours: Blocks, systematic: float = SAME_PLACES) -> N
     shares = reference_of(name).means / reference_of(name).means.sum(axis=(0, 1))
     whole, its_chance = (shares * error).sum(axis=(0, 1)), np.sqrt(np.square(shares * chance).sum(axis=(0, 1)))
     assert (its_chance < 0.005).all()
-    assert (np.abs(whole) < 4.0 * its_chance + 0.5 * systematic).all(), f"the picture is off by {whole}"
+    assert (np.abs(whole) < 4.0 * its_chance + 0.5 * systematic).all(), f"the image is off by {whole}"
 
 
 @pytest.mark.parametrize("name", ROOMS)
@@ -93,7 +93,7 @@ def test_gaussian_ball_and_wall_equal_mitsubas_meshes() -> None:
     assert_agrees("diffuse_area", ours, systematic=0.02)
 
 
-@pytest.mark.parametrize("change", ["a darker wall", "a brighter lamp"])
+@pytest.mark.parametrize("change", ["a darker wall", "a brighter light"])
 def test_comparison_fails_for_a_changed_room(change: str) -> None:
     """A wall that reflects 5 % less, and a light 2 % brighter, fail the comparison."""
     room = ROOMS["diffuse_area"]
@@ -105,5 +105,5 @@ def test_comparison_fails_for_a_changed_room(change: str) -> None:
     for name in ("base_color",) if number == 1 else ("emissive",):
         material = replace(material, **{name: [factor * value for value in getattr(material, name)]})
     meshes[number] = replace(meshes[number], material=material)
-    with pytest.raises(AssertionError, match=r"standard errors|picture"):
+    with pytest.raises(AssertionError, match=r"standard errors|image"):
         assert_agrees("diffuse_area", blocks_of(replace(room, scene=ls.Scene((), meshes)), 16, 2))

@@ -80,7 +80,7 @@ def test_disc_reflects_the_floors_light() -> None:
         meshes=[disc(diffuse(0.8))],
         lights=[ls.LightEnvironment(color=(1, 1, 1), visible=False)],
     )
-    # From below, the disc sees the wide floor alone, only its captured light, and some of the sky behind.
+    # From below, the disc sees only the captured light of the wide floor, and some of the environment behind.
     assert_is(factor(scene, 128), 1.0 - SHARE + SHARE * 0.8 * shines, share=0.02)
 
 
@@ -142,7 +142,7 @@ def test_silhouette_pixels_composite_object_and_floor() -> None:
     )
     view = ls.Camera.look_at((0.0, 0.3, 0.0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.3)
     frame = paths(scene, view, 64, 0)
-    # As little sky as that is less than what the floor must have received: all of it is lost, and not more.
+    # So little environment light is less than the floor must have received: all of it is lost, and no more.
     captured = paths(ls.Scene(scene.splats), below(), 1, 0).color.mean()
     left = 1.0 - np.pi * 0.1 / (np.pi * captured)
     floor = paths(scene, below(), 64, 0).color.mean()

@@ -137,7 +137,7 @@ def test_antialiasing_preserves_summed_alpha(draw: Draw) -> None:
     variance = (120.0 * scale / depth) ** 2
     compensated = opacity * variance / (variance + 0.3)
     assert frame.alpha.max() < compensated
-    reach = 1.0 - 1.0 / 255.0 / compensated  # the share of the integral inside alpha = 1/255
+    reach = 1.0 - 1.0 / 255.0 / compensated  # the fraction of the integral inside alpha = 1/255
     assert frame.alpha.sum() == pytest.approx(2.0 * np.pi * opacity * variance * reach, rel=0.03)
 
 

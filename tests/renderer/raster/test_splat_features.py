@@ -129,7 +129,7 @@ def test_instance_features_equal_those_of_transformed_sets() -> None:
     assert placed.camera_from_world is not None and baked.camera_from_world is not None
     np.testing.assert_allclose(placed.camera_from_world, baked.camera_from_world, rtol=2e-4, atol=2e-3)
     aside = np.eye(4)
-    aside[0, 3] = 100.0  # out of sight
+    aside[0, 3] = 100.0  # not visible
     both = ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(gaussians, aside)])
     assert len(ls.gradients.SurfaceFeatures.of(both, camera).values) == 2 * gaussians.count
     _, twice = with_features(both, camera)

@@ -11,7 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.config.render import PATH_PARTS
 from lumisplat.scene.lights import Light
-from support.scenes.lit_scene import LAMPS, SKY, camera, scene
+from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, scene
 from support.scenes.path_scenes import (
     assert_is,
     cube_without_ceiling,
@@ -85,7 +85,7 @@ def test_a_dim_environment_beside_a_bright_light_makes_no_fireflies() -> None:
 def test_layers_sum_to_the_frame() -> None:
     """The five layers, one of them with captured colours, sum to the frame, and requesting them does not change it."""
     light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
-    lit = scene(*LAMPS, SKY, light)
+    lit = scene(*LIGHTS, ENVIRONMENT, light)
     frame, plain = (sequence(lit, camera(), 3, 3, aovs=aovs) for aovs in (PATH_PARTS, ()))
     np.testing.assert_array_equal(frame.color, plain.color)
     parts = [getattr(frame, name).astype(np.float64) for name in PATH_PARTS]

@@ -86,7 +86,7 @@ def test_replaced_asset_with_equal_count_is_refitted(backend: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", ["count", "degree", "other still there", "other place", "order", "one more", "one less", "none", "back"]
+    "change", ["count", "degree", "other still there", "other index", "order", "one more", "one less", "none", "back"]
 )
 def test_rearranged_assets_keep_their_bvhs(backend: str, change: str) -> None:
     """BVHs stay with their assets, and an asset that replaces none gets a new one."""
@@ -100,7 +100,7 @@ def test_rearranged_assets_keep_their_bvhs(backend: str, change: str) -> None:
         "count": ([random_gaussians(7, 61), second], [None, b]),
         "degree": ([replace(other, kernel_degree=3), second], [None, b]),
         "other still there": ([other, first], [None, a]),
-        "other place": ([second, other], [b, None]),
+        "other index": ([second, other], [b, None]),
         "order": ([second, first], [b, a]),
         "one more": ([first, other, second], [a, None, b]),
         "one less": ([second], [b]),
@@ -196,7 +196,7 @@ def test_stack_size_covers_the_deepest_path() -> None:
     assert needed[3] == 9, "seven beside a pair"
 
 
-# --- What fails half-way ---
+# --- Failures half-way ---
 
 
 def test_failed_upload_leaves_no_stale_rows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -204,7 +204,7 @@ def test_failed_upload_leaves_no_stale_rows(monkeypatch: pytest.MonkeyPatch) -> 
     first, second = random_gaussians(9, 60), random_gaussians(10, 70)
     renderer = renderer_of("cpu", TRACE)
     renderer.render(ls.Scene([first]), view())
-    freed = renderer._scene.assets[0].data  # kept, so that its successor lies elsewhere
+    freed = renderer._scene.assets[0].data  # kept alive, so that its successor has another address
 
     def refuse(*_: object) -> None:
         raise RuntimeError("out of memory")
@@ -304,7 +304,7 @@ def baked(instance: ls.SplatInstance) -> ls.Gaussians:
     """Gaussians of an instance in world space, for view-independent colours."""
     gaussians, transform, scale = instance.gaussians, instance.transform, instance.scale
     turn = transform[:3, :3] / scale
-    w = 0.5 * np.sqrt(1.0 + np.trace(turn))  # all turns of the tests are below 180 degrees
+    w = 0.5 * np.sqrt(1.0 + np.trace(turn))  # all rotations of the tests are below 180 degrees
     x, y, z = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (4.0 * w)
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     np.testing.assert_allclose(rotation_from_quaternion(np.array([[w, x, y, z]]))[0], turn, atol=1e-9)

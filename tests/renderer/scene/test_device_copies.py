@@ -225,5 +225,5 @@ def test_coefficients_beyond_32_bit_indices_are_refused(monkeypatch: pytest.Monk
     monkeypatch.setattr(checks, "ITEMS_MAX", 9 * 16)
     checks.check_scene(scene)
     monkeypatch.setattr(checks, "ITEMS_MAX", 9 * 16 - 1)
-    with pytest.raises(ls.SceneError, match=r"9 Gaussians with 16 spherical harmonics.*cut it in two"):
+    with pytest.raises(ls.SceneError, match=r"9 Gaussians with 16 SH coefficients.*split it"):
         checks.check_scene(scene)

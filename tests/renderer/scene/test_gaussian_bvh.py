@@ -43,7 +43,7 @@ def tree_of(launcher: Launcher, gaussians: ls.Gaussians) -> GaussianBvh:
 class Walked:
     """A BVH, read back and checked."""
 
-    items: np.ndarray  # Gaussian of each place in the order of the tree
+    items: np.ndarray  # Gaussian index in the order of the BVH
     low: np.ndarray  # (N, 3), box of each Gaussian in its leaf
     high: np.ndarray
     depth: int  # levels
@@ -58,8 +58,8 @@ def walked(tree: GaussianBvh, count: int) -> Walked:
     empty = links == NO_CHILD
     assert (low[empty] == np.float32(FAR)).all() and (high[empty] == -np.float32(FAR)).all()
     positions = ~links[links < 0]
-    np.testing.assert_array_equal(np.sort(positions), np.arange(count), "not every place has one leaf")
-    np.testing.assert_array_equal(np.sort(particles["index"]), np.arange(count), "not every Gaussian has one place")
+    np.testing.assert_array_equal(np.sort(positions), np.arange(count), "not every entry has one leaf")
+    np.testing.assert_array_equal(np.sort(particles["index"]), np.arange(count), "not every Gaussian has one entry")
     inner = (links >= 0) & ~empty
     np.testing.assert_array_equal(np.sort(links[inner]), np.arange(1, len(nodes)), "not every node has one parent")
     if count > 1:
@@ -94,7 +94,7 @@ def inputs() -> dict[str, ls.Gaussians]:
     clusters = np.repeat(random.normal(size=(5, 3)) * 100.0, 200, axis=0)
     return {
         **{f"{count}": random_gaussians(count, count) for count in (1, 2, 3, 7, 8, 9, 15, 16, 17, 63, 64, 65, 1000)},
-        "one place": spread_over(np.full((1000, 3), 0.3)),
+        "one position": spread_over(np.full((1000, 3), 0.3)),
         "one box": replace(
             random_gaussians(0, 500),
             **{name: np.repeat(values[:1], 500, axis=0) for name, values in random_gaussians(0, 500).arrays().items()},
@@ -103,7 +103,7 @@ def inputs() -> dict[str, ls.Gaussians]:
         "line along an axis": spread_over(line * (1.0, 0.0, 0.0)),
         "stray": spread_over(stray),
         "exponential": replace(spread_over(exponential), scales=np.full((300, 3), 1e-18)),
-        "five places": spread_over(clusters),
+        "five positions": spread_over(clusters),
         "grid": spread_over(np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3)),
         "faint among others": replace(faint, opacities=np.where(np.arange(300) % 3 == 0, 0.0039, faint.opacities)),
         "all faint": replace(faint, opacities=np.full(300, 0.0039)),

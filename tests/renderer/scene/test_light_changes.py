@@ -49,25 +49,25 @@ MOVED = {
     "a capture that moves": replace(LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians, ELSEWHERE)]),
 }
 CHANGED = {
-    "a lamp's place": with_spot(position=(0.0, 2.1, 0.0)),
-    "where it shines": with_spot(direction=(0.1, -1.0, 0.0)),
+    "a light's position": with_spot(position=(0.0, 2.1, 0.0)),
+    "a light's direction": with_spot(direction=(0.1, -1.0, 0.0)),
     "its cone": with_spot(outer_angle=0.5),
     "its strength, a little": with_spot(intensity=2.0),
     "its colour, a little": with_spot(color=(1.0, 0.5, 0.3)),
-    "another sky": with_environment(image=0.5 * ENVIRONMENT),
-    "a sky that turns": with_environment(rotation_wxyz=(0.9, 0.1, 0.0, 0.0)),
-    "what shines is deformed": replace(LIT, meshes=[LIT.meshes[0], octahedron((0.9, 0.1, 0.0), 0.3, material=GLOWS)]),
-    "what shines has moved": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(EMITTER, ELSEWHERE)]),
+    "another environment": with_environment(image=0.5 * ENVIRONMENT),
+    "a rotated environment": with_environment(rotation_wxyz=(0.9, 0.1, 0.0, 0.0)),
+    "a deformed emitter": replace(LIT, meshes=[LIT.meshes[0], octahedron((0.9, 0.1, 0.0), 0.3, material=GLOWS)]),
+    "a moved emitter": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(EMITTER, ELSEWHERE)]),
     "a material": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr())]),
-    "a thing that is gone": replace(LIT, meshes=LIT.meshes[1:]),
+    "a removed object": replace(LIT, meshes=LIT.meshes[1:]),
 }
 OTHER = {
-    "a lamp that has gone out": with_spot(intensity=0.0),
-    "a lamp of another colour": with_spot(color=(1.0, 0.5, 1.0)),
-    "a lamp that is off": with_spot(enabled=False),
-    "a lamp that is gone": replace(LIT, lights=LIT.lights[1:]),
-    "what shines is gone": replace(LIT, meshes=LIT.meshes[:1]),
-    "what shines is faint": replace(
+    "a light of intensity 0": with_spot(intensity=0.0),
+    "a light of another colour": with_spot(color=(1.0, 0.5, 1.0)),
+    "a disabled light": with_spot(enabled=False),
+    "a removed light": replace(LIT, lights=LIT.lights[1:]),
+    "a removed emitter": replace(LIT, meshes=LIT.meshes[:1]),
+    "a faint emitter": replace(
         LIT, meshes=[LIT.meshes[0], replace(EMITTER, material=replace(GLOWS, emissive=(0.1, 0.1, 0.1)))]
     ),
 }
@@ -83,7 +83,7 @@ def test_history_weight_falls_when_lights_change(change: str) -> None:
         1.0 if change in SAME else CHANGED_HISTORY_WEIGHT if change in CHANGED else OUTDATED_HISTORY_WEIGHT
     )
     assert after[1:CHANGED_FRAMES] == [1.0 if change in SAME else CHANGED_HISTORY_WEIGHT] * (CHANGED_FRAMES - 1)
-    assert after[CHANGED_FRAMES] in (1.0, MOVED_HISTORY_WEIGHT)  # what is gone may have moved
+    assert after[CHANGED_FRAMES] in (1.0, MOVED_HISTORY_WEIGHT)  # a removed object may have moved
 
 
 @pytest.mark.parametrize("move", MOVED)

@@ -66,7 +66,7 @@ def test_each_set_has_its_own_hit_order(backend: str, k: int) -> None:
     captured, through = expected_weights(scene, camera)
     assert 0.1 < captured.mean() < 0.9 and through.mean() < 0.7
     assert frame.captured_weight is not None
-    # The background is shown as captured, too.
+    # The background is display-referred, too.
     np.testing.assert_allclose(frame.captured_weight, captured + through, atol=2e-5)
     one_order = replace(config, trace=replace(trace, hit_distance=PEAK))
     other = renderer_of(backend, one_order).render(scene, camera).captured_weight

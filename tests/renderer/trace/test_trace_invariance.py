@@ -376,7 +376,7 @@ def test_renderer_allocates_nothing_after_the_first_frame(backend: str) -> None:
     assert (warm._buffers.allocations, warm._scene.bvh.bytes) == settled
 
 
-# --- Place ---
+# --- Coordinate frame ---
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))

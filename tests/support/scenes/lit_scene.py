@@ -11,12 +11,12 @@ from lumisplat.demo.shapes import sphere
 from lumisplat.scene.lights import Light
 from support.scenes.raster_scenes import similarity
 
-LAMPS = (
+LIGHTS = (
     ls.LightPoint((0.8, 1.6, -0.4), color=(1.0, 0.8, 0.6), intensity=6.0, radius=0.1, name="bulb"),
     ls.LightSpot((-1.2, 1.8, -0.5), (0.8, -1.6, 0.8), intensity=8.0, outer_angle=0.6),
     ls.LightDirectional((0.2, -1.0, 0.4), intensity=0.5, casts_shadow=False),
 )
-SKY = ls.LightEnvironment(color=(0.2, 0.3, 0.5), name="sky", visible=False)
+ENVIRONMENT = ls.LightEnvironment(color=(0.2, 0.3, 0.5), name="sky", visible=False)
 
 
 def scene(*lights: Light) -> ls.Scene:
@@ -40,7 +40,7 @@ def scene(*lights: Light) -> ls.Scene:
             ls.MeshInstance(replace(ball, material=mirror), similarity(offset=(0.8, 0.35, 1.0))),
             ls.MeshInstance(replace(ball, material=glass), similarity(offset=(-0.3, 0.3, 0.0), scale=0.8)),
         ],
-        lights=lights or LAMPS,
+        lights=lights or LIGHTS,
     )
 
 
