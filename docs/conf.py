@@ -36,6 +36,10 @@ _sentences: dict[str, list[str]] = {}
 def put_aside(app, what, name, obj, options, lines):
     if what in ("attribute", "property"):
         _sentences[name] = list(lines)
+    # The list of fields in the help of settings: autodoc describes each field itself.
+    written = vars(obj).get("__doc__") if what == "class" else None
+    if type(written).__name__ == "FieldDocs" and "Attributes:" in lines:
+        del lines[lines.index("Attributes:") :]
 
 
 def put_back(app, what, name, obj, options, lines):
