@@ -207,9 +207,9 @@ def _dilated(image: FloatArray, known: Flags) -> FloatArray:
     values, known = np.where(known[..., None], image, np.float32(0.0)), known.copy()
     filled = image.copy()
     for _ in range(CATCHER_FILL_PX):
-        shares = _around(known.astype(np.float32)[..., None])
-        means = _around(values) / np.maximum(shares, 1.0)
-        fresh = ~known & (shares[..., 0] > 0.0)
+        counts = _around(known.astype(np.float32)[..., None])
+        means = _around(values) / np.maximum(counts, 1.0)
+        fresh = ~known & (counts[..., 0] > 0.0)
         values[fresh] = filled[fresh] = means[fresh]
         known |= fresh
     return filled

@@ -289,9 +289,9 @@ class _DeepTracer:
         first = np.maximum.accumulate(np.where(is_apart, np.arange(len(is_apart)), 0))  # first layer of each depth
         step = np.minimum((1.0 - through[first]) * _STEPS, _STEPS - 1).astype(np.int32)
         changes = np.diff(layers.is_mesh, prepend=False) | (np.diff(step, prepend=-1) != 0)
-        goes_on = layers.is_mesh & ~np.diff(layers.is_mesh, prepend=False)
+        continues = layers.is_mesh & ~np.diff(layers.is_mesh, prepend=False)
         ends_surface = farther > _SURFACE_PX * self._pixel_widths(layers.depth)
-        return np.flatnonzero(is_other | (is_apart & np.where(goes_on, ends_surface, changes)))
+        return np.flatnonzero(is_other | (is_apart & np.where(continues, ends_surface, changes)))
 
     def _pixel_widths(self, depth: FloatArray) -> FloatArray:
         """Returns the width of a pixel at each depth, scene units."""

@@ -48,15 +48,15 @@ def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = No
     config = replace(config, pipeline=pipeline, lighting=False, aovs=(), samples=None)
     renderer = create_renderer(config, device)
     instances: list[IntArray] = []
-    shares: list[FloatArray] = []
+    coverage: list[FloatArray] = []
     steps = (np.arange(_SIDE) + 0.5) / _SIDE - 0.5
     for down in steps:
         for right in steps:
             moved = replace(camera, cx=camera.cx - right, cy=camera.cy - down, aperture=0.0)
             frame = renderer.render(scene, moved)
             instances.append(np.asarray(frame.instance_index))
-            shares.append(frame.alpha * np.float32(1.0 / _SIDE**2))
-    shown, weights = np.stack(instances), np.stack(shares)
+            coverage.append(frame.alpha * np.float32(1.0 / _SIDE**2))
+    shown, weights = np.stack(instances), np.stack(coverage)
     objects, materials = _names(scene)
     return Mattes(_matte("CryptoObject", objects, shown, weights), _matte("CryptoMaterial", materials, shown, weights))
 
@@ -88,11 +88,11 @@ def _matte(kind: str, names: Sequence[str], shown: IntArray, weights: FloatArray
     sums = np.zeros_like(weights)
     sums[0] = weights[0]
     for point in range(1, len(found)):  # the last entry of a run of equal names gets their sum
-        goes_on = found[point] == found[point - 1]
-        sums[point] = weights[point] + np.where(goes_on, sums[point - 1], 0.0)
-        sums[point - 1] = np.where(goes_on, 0.0, sums[point - 1])
+        continues = found[point] == found[point - 1]
+        sums[point] = weights[point] + np.where(continues, sums[point - 1], 0.0)
+        sums[point - 1] = np.where(continues, 0.0, sums[point - 1])
     sums[found < 0] = 0.0
     largest = np.argsort(-sums, axis=0, kind="stable")[:_RANKS]
-    shares = np.minimum(np.take_along_axis(sums, largest, 0), 1.0).astype(np.float32)
-    ranks = np.where(shares > 0.0, np.take_along_axis(found, largest, 0), -1).astype(np.int32)
-    return Matte(kind, distinct, ranks, shares)
+    coverage = np.minimum(np.take_along_axis(sums, largest, 0), 1.0).astype(np.float32)
+    ranks = np.where(coverage > 0.0, np.take_along_axis(found, largest, 0), -1).astype(np.int32)
+    return Matte(kind, distinct, ranks, coverage)

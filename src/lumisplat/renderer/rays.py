@@ -505,13 +505,13 @@ class RayProfiles:
     def _rows(self, scene: DeviceScene, rays: RayData, first: Rows) -> dict[str, npt.NDArray[Any]]:
         """Returns the hits of rays whose first rows are known, by the field names of `HitProfiles`."""
         count = int(first[-1])
-        held = self._buffers.struct("profile.rows", HitProfiles, grown_capacity(count), ("first",))
-        held.first = self._buffers.get("profile.first", wp.int32, len(rays.t_max) + 1)
-        device_array(held.first)[: len(first)].assign(first.astype(np.int32))
-        table: DeviceArray = self._buffers.table("profile.table", HitProfiles, [held])
+        profiles = self._buffers.struct("profile.rows", HitProfiles, grown_capacity(count), ("first",))
+        profiles.first = self._buffers.get("profile.first", wp.int32, len(rays.t_max) + 1)
+        device_array(profiles.first)[: len(first)].assign(first.astype(np.int32))
+        table: DeviceArray = self._buffers.table("profile.table", HitProfiles, [profiles])
         self._find(scene, rays, table)
         names = ("t", "alpha", "transmittance", "gaussian")
-        return {name: device_array(getattr(held, name)).numpy()[:count].copy() for name in names}
+        return {name: device_array(getattr(profiles, name)).numpy()[:count].copy() for name in names}
 
 
 def profile_ranges(counts: IntArray) -> Generator[tuple[int, int]]:

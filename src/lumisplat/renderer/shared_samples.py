@@ -60,14 +60,14 @@ def render_samples(
         raise ConfigError(f"samples is {samples}, expected a block of sample_blocks, such as range(0, 32)")
     part = SamplePart(samples.start, len(samples), camera.image_size, {}, {})
     frame = renderer.render_part(scene, camera, part, progress=progress)
-    held = {name: np.array(words) for name, words in (frame.accumulated or {}).items()}
-    seen = {
+    accumulated = {name: np.array(words) for name, words in (frame.accumulated or {}).items()}
+    surfaces = {
         "depth": frame.depth,
         "normal": frame.normal,
         "gaussian": frame.gaussian_index,
         "instance": frame.instance_index,
     }
-    return replace(part, accumulated=held, surfaces=seen if samples.start == 0 else {})
+    return replace(part, accumulated=accumulated, surfaces=surfaces if samples.start == 0 else {})
 
 
 def merge_samples(renderer: Renderer, scene: Scene, camera: Camera, parts: Iterable[SamplePart]) -> Frame:

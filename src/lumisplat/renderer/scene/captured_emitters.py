@@ -92,11 +92,11 @@ class CapturedEmitters:
 
     def _receivers(self, scene: Scene) -> Doubles:
         """Returns sample points on lit surfaces in world space, and the area that each represents, shape (N, 4)."""
-        placed = [(instance.mesh, instance.transform) for instance in scene.meshes]
-        placed += [(instance.gaussians, instance.transform) for instance in scene.splats if is_relit(instance)]
-        points = self._points.of([asset for asset, _ in placed])
+        assets = [(instance.mesh, instance.transform) for instance in scene.meshes]
+        assets += [(instance.gaussians, instance.transform) for instance in scene.splats if is_relit(instance)]
+        points = self._points.of([asset for asset, _ in assets])
         rows = [np.zeros((0, 4))]
-        for (_, world_from_object), local in zip(placed, points, strict=True):
+        for (_, world_from_object), local in zip(assets, points, strict=True):
             linear = world_from_object[:3, :3]
             stretch = abs(float(np.linalg.det(linear))) ** (2.0 / 3.0)
             rows.append(np.column_stack([local[:, :3] @ linear.T + world_from_object[:3, 3], stretch * local[:, 3]]))

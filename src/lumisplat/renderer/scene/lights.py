@@ -245,7 +245,7 @@ def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
 
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Barycentric weights of the points at which emissive textures are averaged."""
-_DARK_SHARE = 0.05
+_DARK_FRACTION = 0.05
 """Lowest luminance of a textured triangle, as a fraction of the brightest triangle of the texture."""
 
 
@@ -259,8 +259,8 @@ class Emitters:
     def sync(self, scene: Scene, buffers: Buffers) -> None:
         """Writes the table of a scene."""
         emitters = [(number, instance) for number, instance in enumerate(scene.meshes) if is_emitter(instance)]
-        placed = [(number, id(instance.mesh), instance.transform.tobytes()) for number, instance in emitters]
-        key = placed, len(scene.meshes)
+        transforms = [(number, id(instance.mesh), instance.transform.tobytes()) for number, instance in emitters]
+        key = transforms, len(scene.meshes)
         if key == self._key:
             return
         self._key, data = None, self.data  # a failed upload does not count as finished
@@ -283,7 +283,9 @@ class Emitters:
             data.center = wp.vec3(*center)
             spread = np.average(((centers - center) ** 2).sum(axis=1), weights=power)
             data.radius = float(np.sqrt(spread + _mean_area(emitters)))
-        self._held = [instance for _, instance in emitters]  # kept alive, so that no other mesh gets one of their ids
+        self._emitters = [
+            instance for _, instance in emitters
+        ]  # kept alive, so that no other mesh gets one of their ids
         self._key = key
 
 
@@ -352,7 +354,7 @@ def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: WrapPair) 
     )
     luminance = decode_srgb(texture[rows, columns, :3].astype(np.float64) / 255.0) @ np.array(LUMINANCE)
     means: Doubles = luminance.mean(axis=1)
-    return np.maximum(means, _DARK_SHARE * means.max(initial=0.0))
+    return np.maximum(means, _DARK_FRACTION * means.max(initial=0.0))
 
 
 def _corners(instance: MeshInstance) -> Doubles:
