@@ -91,7 +91,7 @@ def test_mismatched_parts_are_refused() -> None:
         ls.farm.merge_samples(renderer, scene, CAMERA, [replace(part, first=2)])
     with pytest.raises(ls.ConfigError, match="begins at sample 0, expected 2"):
         ls.farm.merge_samples(renderer, scene, CAMERA, [part, part])
-    with pytest.raises(ls.ConfigError, match="a frame needs a part"):
+    with pytest.raises(ls.ConfigError, match="there are no parts to merge"):
         ls.farm.merge_samples(renderer, scene, CAMERA, [])
     with pytest.raises(ls.ConfigError, match="expected 2 of 24 x 16"):
         ls.farm.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2)])
