@@ -68,8 +68,8 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytes
     ):
         assert main([*command, *option]) == 2
         file = tmp_path / "a.training" / "checkpoint.npz"
-        advice = "use the settings of before, or overwrite it"
-        assert told(capsys) == f"error: {file}: is of a training {problem}: {advice}\n"
+        advice = "use the earlier settings, or overwrite it"
+        assert told(capsys) == f"error: {file}: was trained {problem}: {advice}\n"
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
