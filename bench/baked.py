@@ -35,7 +35,7 @@ from lumisplat.math.sh import sh_basis
 from lumisplat.math.tone_map import apply_tone_map
 from lumisplat.scene.ops.views import world_rays
 from support.scenes.light_scenes import matte, metal, parallelogram
-from support.scenes.path_rooms import BOUNCES, closed_room, faceted_ball, sky_light, turned_box
+from support.scenes.path_rooms import BOUNCES, closed_room, environment_light, faceted_ball, turned_box
 
 WIDTH, HEIGHT = 48, 36
 VIEWS = 16
@@ -284,7 +284,7 @@ def statue(count: int) -> Case:
     sun = ls.LightDirectional((-0.5, -1.0, -0.4), intensity=1.5, angle=0.02)
     glossy = as_splats(replace(mesh, material=replace(mesh.material, roughness=0.4)), 5 * count)
     scene = ls.Scene(
-        [glossy, as_splats(floor, 4 * count)], lights=[sun, replace(sky_light(), intensity=0.5, visible=False)]
+        [glossy, as_splats(floor, 4 * count)], lights=[sun, replace(environment_light(), intensity=0.5, visible=False)]
     )
 
     def camera(rng: np.random.Generator) -> ls.Camera:

@@ -89,7 +89,7 @@ def room(device: str) -> Case:
 
     sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests")]
     from support.scenes.light_scenes import matte
-    from support.scenes.path_rooms import behind, ceiling, faceted_ball, floor_and_walls, lamp, turned_box
+    from support.scenes.path_rooms import behind, ceiling, ceiling_light, faceted_ball, floor_and_walls, turned_box
 
     meshes = [*floor_and_walls(), *ceiling(), behind(), faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))]
     areas = np.array([_area(mesh) for mesh in meshes])
@@ -99,8 +99,8 @@ def room(device: str) -> Case:
     albedo = np.concatenate([one.albedo for one in sets if one.albedo is not None]).astype(np.float64)
     albedo[np.floor(plain.means / 0.35).astype(int).sum(axis=1) % 2 == 1] *= 0.55
     truth = painted(plain, albedo)
-    lamps = ls.gaussians_from_mesh(lamp(), 400)
-    lit = ls.Scene([ls.SplatInstance(truth, material=MATT)], [lamp()])
+    lamps = ls.gaussians_from_mesh(ceiling_light(), 400)
+    lit = ls.Scene([ls.SplatInstance(truth, material=MATT)], [ceiling_light()])
     captured = ls.merge([_baked(lit, device), colored(lamps, np.ones((lamps.count, 3)))])
     turns = 2.0 * np.pi * np.arange(8) / 8
     cameras = [

@@ -57,7 +57,7 @@ def found_lights(capture: LitCapture) -> dict:
         problem = ""
     except ls.SceneError as error:
         positions, shares, problem = np.zeros((0, 3)), [], str(error)
-    gaps = np.linalg.norm(positions[:, None] - capture.lamps[None], axis=-1) / capture.unit
+    gaps = np.linalg.norm(positions[:, None] - capture.lights[None], axis=-1) / capture.unit
     sun = ls.inverse.estimate_sun(capture.scene, capture.center)
     off = None
     if sun is not None and capture.sun is not None:
@@ -65,7 +65,7 @@ def found_lights(capture: LitCapture) -> dict:
         off = round(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), 1)
     return {
         "name": capture.name,
-        "lamps": len(capture.lamps),
+        "lamps": len(capture.lights),
         "lamps_found": int((gaps <= NEAR).any(axis=0).sum()),
         "lights": len(positions),
         "lights_right": int((gaps <= NEAR).any(axis=1).sum()),

@@ -24,7 +24,7 @@ sys.path[:0] = [str(REPOSITORY / "tests")]
 
 import lumisplat as ls  # noqa: E402
 from support.oracles.raster_oracle import rotation_from_quaternion  # noqa: E402
-from support.scenes.light_scenes import SUN, LightScene, directions_of, light_scenes, sky  # noqa: E402
+from support.scenes.light_scenes import SUN, LightScene, directions_of, environment_radiance, light_scenes  # noqa: E402
 
 SAMPLES = 16384
 """Stratified samples of random light, which leave about 0.2 % of noise."""
@@ -116,7 +116,7 @@ def material_of(material: Any) -> dict:
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(material.base_color)}}
 
 
-def light_of(mi: Any, light: Any, radiance_of: Callable[[np.ndarray], np.ndarray] = sky) -> dict:
+def light_of(mi: Any, light: Any, radiance_of: Callable[[np.ndarray], np.ndarray] = environment_radiance) -> dict:
     """Returns Mitsuba's emitter for a light; the image of an environment is that of ``radiance_of``."""
     power = {"type": "rgb", "value": [light.intensity * c for c in light.color]}
     if isinstance(light, ls.LightPoint):
@@ -174,7 +174,7 @@ def check_sky(mi: Any, scene: Any, one: LightScene) -> None:
         interaction = mi.SurfaceInteraction3f()
         interaction.wi = mi.Vector3f(*(-direction))
         seen = np.array(scene.environment().eval(interaction))
-        meant = sky(direction @ world_from_sky(light)) * light.color * light.intensity
+        meant = environment_radiance(direction @ world_from_sky(light)) * light.color * light.intensity
         np.testing.assert_allclose(seen, meant, rtol=0.01, atol=1e-3)
 
 

@@ -23,8 +23,8 @@ sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "tests"), str(REPOSITORY / "to
 from bench.mitsuba_peer import load_mitsuba  # noqa: E402
 from make_mitsuba_light_reference import light_of, mesh_of, sensor_of  # noqa: E402
 
-from support.compare.blocks import block_means  # noqa: E402
-from support.scenes.path_rooms import BLOCK, BOUNCES, PathRoom, mild_sky, path_rooms  # noqa: E402
+from support.compare.tile_means import tile_means  # noqa: E402
+from support.scenes.path_rooms import BOUNCES, TILE, PathRoom, mild_environment, path_rooms  # noqa: E402
 
 FRAMES = 16
 SAMPLES = 256
@@ -39,7 +39,7 @@ def main(names: list[str]) -> None:
             continue
         scene = mi.load_dict(describe(mi, name, room))
         frames = [mi.render(scene, seed=mi.UInt32(seed)).numpy()[..., :3] for seed in range(FRAMES)]
-        blocks = np.stack([block_means(frame.astype(np.float64), BLOCK) for frame in frames])
+        blocks = np.stack([tile_means(frame.astype(np.float64), TILE) for frame in frames])
         stored = {"blocks": blocks.mean(axis=0), "errors": blocks.std(axis=0, ddof=1) / np.sqrt(FRAMES)}
         path = REPOSITORY / "tests" / "reference" / f"mitsuba_path_{name}.npz"
         np.savez_compressed(path, **stored, made_with=f"mitsuba {mi.__version__}")
@@ -56,7 +56,7 @@ def describe(mi: Any, name: str, room: PathRoom, samples: int = SAMPLES) -> dict
         return mi.cornell_box() | seen
     parts: dict = {"type": "scene"} | seen
     parts |= {f"mesh{i}": mesh_of(mi, instance.mesh) for i, instance in enumerate(room.scene.meshes)}
-    return parts | {f"light{i}": light_of(mi, light, mild_sky) for i, light in enumerate(room.scene.lights)}
+    return parts | {f"light{i}": light_of(mi, light, mild_environment) for i, light in enumerate(room.scene.lights)}
 
 
 if __name__ == "__main__":

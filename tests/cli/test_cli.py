@@ -18,16 +18,16 @@ from rich.progress import Progress
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.cli.output.console import progress_bars
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 def test_render_writes_an_image_for_each_camera(work):
@@ -155,7 +155,7 @@ TRACE_OPTIONS = (
 )
 
 
-def configured(work: Workplace, monkeypatch: pytest.MonkeyPatch, *args: str) -> ls.RenderConfig:
+def configured(work: Workspace, monkeypatch: pytest.MonkeyPatch, *args: str) -> ls.RenderConfig:
     """Returns the settings with which a command asks for its renderer; nothing is rendered."""
     asked = []
 

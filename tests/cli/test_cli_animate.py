@@ -20,7 +20,7 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import file_fingerprints
 from lumisplat.cli.output.frame_folder import check_video
 from lumisplat.renderer.renderer import Renderer
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 STAMP = "animate.json"
 
@@ -93,10 +93,10 @@ def disc_gaussians(means: np.ndarray, scales: tuple[float, float, float], color:
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball that moves over a floor below a light."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     across = np.linspace(-1.5, 1.5, 16)
     floor = np.stack(np.meshgrid(across, [0.0], across), axis=-1).reshape(-1, 3)
     ls.save(place.path("floor.ply"), disc_gaussians(floor, (0.12, 0.01, 0.12), 0.7))
@@ -108,12 +108,12 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     return place
 
 
-def animate(work: Workplace, folder: str, *options: str):
+def animate(work: Workspace, folder: str, *options: str):
     """Runs the command on the scene."""
     return work.run("animate", "@scene.toml", "-o", f"@{folder}", *options)
 
 
-def frames(work: Workplace, folder: str) -> dict[str, bytes]:
+def frames(work: Workspace, folder: str) -> dict[str, bytes]:
     """Returns the frames of a folder by name."""
     return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("frame_*"))}
 

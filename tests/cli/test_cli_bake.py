@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.scenes.path_scenes import ball, diffuse
 from support.scenes.raster_scenes import one_gaussian
 
@@ -15,10 +15,10 @@ LIGHT = '[[lights]]\ntype = "directional"\ndirection = [0, -1, 0]\nintensity = 2
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball with albedo, a capture without, a mesh, and scenes of these."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     ls.save(place.path("ball.ply"), ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 150))
     ls.save(place.path("plain.ply"), one_gaussian())
     place.path("flag.obj").write_text("v 0 2 0\nv 1 2 0\nv 0 2 1\nf 1 2 3\n")

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.scenes.raster_scenes import random_gaussians
 
 
 @pytest.fixture
-def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """Returns a folder with a larger capture, some of it in blocks, and three cameras, one of which sees a part."""
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     capture = random_gaussians(5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0))
     ls.save(place.path("town.ply"), capture)
     up = (0.0, -1.0, 0.0)
@@ -31,7 +31,7 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
     return place
 
 
-def made(work: Workplace, *options: str) -> str:
+def made(work: Workspace, *options: str) -> str:
     """Returns the capture in blocks."""
     outcome = work.run("blocks", "@town.ply", "-o", "@town", "--cell", "3", *options)
     assert outcome.status == 0, outcome.err
@@ -43,7 +43,7 @@ def pixels(path: Path) -> np.ndarray:
     return ls.load_image(path)
 
 
-def test_blocks_are_written_and_described_by_info(work: Workplace) -> None:
+def test_blocks_are_written_and_described_by_info(work: Workspace) -> None:
     """A line describes the written folder; info reads the index, and convert all blocks."""
     line = made(work, "--coarser", "1")
     index = ls.io.open_blocks(work.path("town"))
@@ -58,7 +58,7 @@ def test_blocks_are_written_and_described_by_info(work: Workplace) -> None:
     assert work.capture("again.ply").count == 3000
 
 
-def test_several_files_of_any_kind_become_one_folder(work: Workplace) -> None:
+def test_several_files_of_any_kind_become_one_folder(work: Workspace) -> None:
     """Streamed and loaded files become one capture."""
     ls.save(work.path("more.spz"), random_gaussians(6, count=70))
     outcome = work.run("blocks", "@town.ply", "@more.spz", "-o", "@both")
@@ -66,7 +66,7 @@ def test_several_files_of_any_kind_become_one_folder(work: Workplace) -> None:
     assert ls.io.open_blocks(work.path("both")).count == 3070
 
 
-def test_images_from_blocks_equal_those_of_the_capture(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_from_blocks_equal_those_of_the_capture(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Images of camera files, tiles and the front are equal bit by bit; each view loads only what it sees."""
     made(work)
     loaded: list[int] = []
@@ -96,7 +96,7 @@ def test_images_from_blocks_equal_those_of_the_capture(work: Workplace, monkeypa
     np.testing.assert_array_equal(pixels(work.path("tiles/inside.png")), pixels(work.path("whole/inside.png")))
 
 
-def test_blocks_of_one_view_are_in_memory_at_a_time(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_of_one_view_are_in_memory_at_a_time(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks of the last view are released, also by the renderer, before those of the next are read."""
     made(work)
     held: list[Callable[[], object]] = []
@@ -114,7 +114,7 @@ def test_blocks_of_one_view_are_in_memory_at_a_time(work: Workplace, monkeypatch
     assert len(held) == 4
 
 
-def test_far_blocks_load_coarser_levels(work: Workplace) -> None:
+def test_far_blocks_load_coarser_levels(work: Workspace) -> None:
     """--lod pixels=PX loads coarser levels, and an orbit shows the same capture."""
     made(work, "--coarser", "2")
     for tolerance, out in (("0", "fine"), ("12", "coarse")):
@@ -133,7 +133,7 @@ def test_far_blocks_load_coarser_levels(work: Workplace) -> None:
     np.testing.assert_array_equal(pixels(work.path("a/frame_0001.png")), pixels(work.path("b/frame_0001.png")))
 
 
-def test_lit_frames_load_the_whole_capture(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+def test_lit_frames_load_the_whole_capture(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
     """Other pipelines and scenes of several files do so, too, with a log line."""
     made(work)
     outcome = work.run(
@@ -146,7 +146,7 @@ def test_lit_frames_load_the_whole_capture(work: Workplace, caplog: pytest.LogCa
     assert "the whole capture is loaded for other files of the scene" in caplog.text
 
 
-def test_plan_prints_the_memory_and_loads_of_workers(work: Workplace) -> None:
+def test_plan_prints_the_memory_and_loads_of_workers(work: Workspace) -> None:
     """The table has a row for each worker and their sum, equal to the library's plan."""
     made(work)
     outcome = work.run("blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "2", "--memory", "0.00006")
@@ -185,7 +185,7 @@ def test_plan_prints_the_memory_and_loads_of_workers(work: Workplace) -> None:
         (["render", "@town", "--lod", "pixels=1", "--aov", "deep", "-o", "@a.exr"], "--lod pixels= and --aov deep"),
     ],
 )  # fmt: skip
-def test_mistakes_are_one_line(work: Workplace, arguments: list[str], message: str) -> None:
+def test_mistakes_are_one_line(work: Workspace, arguments: list[str], message: str) -> None:
     """Each ends with status 2, and leaves no file."""
     made(work)
     ls.save(work.path("flat.ply"), random_gaussians(1, count=20, degree=2))
@@ -196,7 +196,7 @@ def test_mistakes_are_one_line(work: Workplace, arguments: list[str], message: s
     assert work.files() == before
 
 
-def test_a_disk_without_room_is_refused_before_writing(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_without_room_is_refused_before_writing(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The line names needed and free bytes."""
     from collections import namedtuple
 

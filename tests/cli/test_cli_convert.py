@@ -11,13 +11,13 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli.commands.convert import _count_of, _value_ranges
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 
 @pytest.fixture
-def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """Returns a folder with a capture of 60 Gaussians."""
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
@@ -54,7 +54,7 @@ def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
     ],
 )
 def test_each_option_equals_its_function_of_the_library(
-    work: Workplace, options: str, expected: Callable[[ls.Gaussians], ls.Gaussians]
+    work: Workspace, options: str, expected: Callable[[ls.Gaussians], ls.Gaussians]
 ) -> None:
     """The written capture equals the function's result."""
     outcome = work.run("convert", "@capture.ply", "@out.ply", *options.split())
@@ -62,7 +62,7 @@ def test_each_option_equals_its_function_of_the_library(
     same(work.capture("out.ply"), expected(work.capture("capture.ply")))
 
 
-def test_several_captures_are_joined(work: Workplace) -> None:
+def test_several_captures_are_joined(work: Workspace) -> None:
     """All files before -o are joined in their order."""
     capture = work.capture("capture.ply")
     ls.save(work.path("other.ply"), ls.transform(capture, translation=(5, 0, 0)))
@@ -72,7 +72,7 @@ def test_several_captures_are_joined(work: Workplace) -> None:
     same(work.capture("all.ply").subset(np.arange(60, 120)), work.capture("other.ply"))
 
 
-def test_convert_prints_the_effect_of_each_edit(work: Workplace) -> None:
+def test_convert_prints_the_effect_of_each_edit(work: Workspace) -> None:
     """The output has a line for each option that changed the count, and one for the file."""
     lines = work.run(
         "convert", "@capture.ply", "-o", "@a.ply", "--sphere", "0", "0", "4", "1.5", "--decimate", "10"
@@ -83,7 +83,7 @@ def test_convert_prints_the_effect_of_each_edit(work: Workplace) -> None:
     assert last.startswith(str(work.path("a.ply"))) and "10 Gaussians, SH degree 0, " in last
 
 
-def test_sh_degree_removes_higher_coefficients(work: Workplace) -> None:
+def test_sh_degree_removes_higher_coefficients(work: Workspace) -> None:
     """Missing degrees are padded with zeros to 62 columns, as some importers require."""
     capture = work.capture("capture.ply")
     ls.save(work.path("sh2.ply"), replace(capture, sh=np.ones((60, 9, 3))))
@@ -92,7 +92,7 @@ def test_sh_degree_removes_higher_coefficients(work: Workplace) -> None:
     assert (work.folder / "out.ply").read_bytes().partition(b"end_header")[0].count(b"property float") == 62
 
 
-def test_dropped_invalid_gaussians_are_counted(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+def test_dropped_invalid_gaussians_are_counted(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
     """Without --drop-invalid, the file is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
@@ -121,7 +121,7 @@ def test_keep_parses_ranges() -> None:
     }
 
 
-def test_columns_of_relightable_3d_gaussians_are_written(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+def test_columns_of_relightable_3d_gaussians_are_written(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
     """Materials are written in R3DG's columns and read back, with the incident light if asked."""
     plain = work.capture("capture.ply")
     light = np.full((plain.count, 16, 3), 0.25)

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 from lumisplat.io.images.exr import write_exr
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 SIZE = ("--width", "24", "--height", "16", "--device", "cpu")
 SETTINGS = """
@@ -35,23 +35,23 @@ path = "capture.ply"
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("set.toml").write_text(SETTINGS)
     place.path("scene.toml").write_text(SCENE)
     place.path("cone.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
     return place
 
 
-def contents(work: Workplace, folder: str) -> dict[str, bytes]:
+def contents(work: Workspace, folder: str) -> dict[str, bytes]:
     """Returns the content of all files of a folder."""
     home = work.path(folder)
     return {str(path.relative_to(home)): path.read_bytes() for path in sorted(home.rglob("[!.]*")) if path.is_file()}
 
 
-def make(work: Workplace, folder: str, *options: str, farm: bool = False):
+def make(work: Workspace, folder: str, *options: str, farm: bool = False):
     """Renders views of the scene."""
     command = ("farm", "dataset") if farm else ("dataset",)
     return work.run(*command, "@scene.toml", "--settings", "@set.toml", "-o", f"@{folder}", *SIZE, *options)

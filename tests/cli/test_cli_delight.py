@@ -9,16 +9,16 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.small_disks import small_disk
 from support.scenes.path_scenes import ball, diffuse
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball as a capture, and a scene file."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     lit = ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 700)
     ls.save(place.path("ball.ply"), replace(lit, albedo=None, roughness=None, normals=None))
     ls.save(

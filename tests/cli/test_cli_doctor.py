@@ -13,31 +13,31 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.runtime.launcher import Launcher
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 
 @pytest.fixture
-def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workplace:
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workspace:
     """Returns an empty folder."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
-def test_doctor_prints_the_whole_diagnosis(work: Workplace) -> None:
+def test_doctor_prints_the_whole_diagnosis(work: Workspace) -> None:
     """Tables list versions, working devices, the cache and extras."""
     shown = " ".join(work.run("doctor").out.split())
     assert f"Lumisplat {ls.__version__}" in shown and "warp-lang 1." in shown
     assert " works" in shown and "compiled kernels folder" in shown and "view" in shown
 
 
-def test_json_equals_the_tables(work: Workplace) -> None:
+def test_json_equals_the_tables(work: Workspace) -> None:
     """Keys are the fields of `lumisplat.diagnostics.Diagnosis`."""
     facts = json.loads(work.run("doctor", "--json").out)
     assert facts["version"] == ls.__version__ and facts["problems"] == []
     assert facts["devices"][0]["name"] == "cpu" and facts["devices"][0]["problem"] is None
 
 
-def test_problems_end_with_one_line_and_status_2(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_problems_end_with_one_line_and_status_2(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The line comes after the tables."""
 
     def broken(*_: object) -> None:

@@ -11,7 +11,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.input.arguments import one_line
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 CAMERAS = ("--cameras", "@cameras.json")
 
@@ -19,10 +19,10 @@ SINGULAR = [[0.0] * 4, [0.0] * 4, [0.0] * 4, [0.0, 0.0, 0.0, 1.0]]
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with files that are wrong in some way."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("a_file").write_text("in the way of a folder")
     place.path("empty.ply").write_bytes(b"")
     place.path("short.ply").write_bytes(place.path("capture.ply").read_bytes()[:-7])

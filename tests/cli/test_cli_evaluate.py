@@ -12,30 +12,30 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.io.images.texture import write_png
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.training_image_files import change_frame, write_blender_images, write_nerfstudio_images
 from support.scenes.raster_scenes import front_camera
 
 CAMERAS = [front_camera(48, 36, 45.0, name=f"v{k}") for k in range(6)]
 
 
-def shown(work: Workplace, background: str = "black") -> np.ndarray:
+def shown(work: Workspace, background: str = "black") -> np.ndarray:
     """Returns the renders of all cameras."""
     config = ls.RenderConfig(background=background)  # pyright: ignore[reportArgumentType]
     return ls.render(ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], config, device="cpu").pixels_srgb()
 
 
 @pytest.fixture
-def work(tmp_path, capsys) -> Workplace:
+def work(tmp_path, capsys) -> Workspace:
     """Returns a folder with a capture and images of it; errors of the held-out v0, v2 and v4 increase."""
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     truth = shown(place)
     images = [np.clip(truth + 0.02 * k, 0.0, 1.0) for k in range(6)]
     write_nerfstudio_images(place.path("photos"), CAMERAS, images)
     return place
 
 
-def evaluate(work: Workplace, *options: str, folder: str = "@photos") -> dict[str, list[str]]:
+def evaluate(work: Workspace, *options: str, folder: str = "@photos") -> dict[str, list[str]]:
     """Returns the cells of the printed table by the first cell of each line."""
     done = work.run("evaluate", "@capture.ply", folder, "--device", "cpu", *options)
     assert done.status == 0, done.err

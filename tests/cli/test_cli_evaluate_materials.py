@@ -9,16 +9,16 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
-from support.files.relightable_files import painted_ball, sky, write_layer, write_radiance, write_relightable_set
+from support.files.cli_files import Workspace
+from support.files.relightable_files import painted_ball, panorama, write_layer, write_radiance, write_relightable_set
 
 COMMAND = ("evaluate", "@ball.ply", "@set", "--materials", "--device", "cpu", "--samples", "4")
 
 
 @pytest.fixture
-def work(tmp_path, capsys) -> Workplace:
+def work(tmp_path, capsys) -> Workspace:
     """Returns a folder with a capture, and the set that it was made from with a known error in one view."""
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     ball = painted_ball()
     ls.save(place.path("ball.ply"), ball)
     write_relightable_set(place.path("set"), ball)
@@ -67,10 +67,10 @@ def test_metrics_and_images_are_written(work):
 
 def test_the_environment_beside_the_capture_is_compared(work):
     """The file is found by its name, or given."""
-    write_radiance(work.path("ball.environment.exr"), 2.0 * sky())
+    write_radiance(work.path("ball.environment.exr"), 2.0 * panorama())
     beside = table(work.run(*COMMAND).out)["environment, one scale a channel"]
     assert float(beside) > 100.0
-    write_radiance(work.path("other.exr"), sky(-1.0))
+    write_radiance(work.path("other.exr"), panorama(-1.0))
     given = table(work.run(*COMMAND, "--environment", "@other.exr").out)["environment, one scale a channel"]
     assert float(given) < 40.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 SCENE = """
 up = "y-down"
@@ -41,14 +41,14 @@ height = 48
 
 
 @pytest.fixture
-def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """Returns a folder with a scene."""
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
     return place
 
 
-def test_an_exported_scene_has_all_of_its_parts(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_exported_scene_has_all_of_its_parts(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
     """The file has capture, mesh, light and camera; a log line names the light that the format lacks."""
     outcome = work.run("export", "@scene.toml", "-o", "@scene.glb")
     assert outcome.status == 0
@@ -67,7 +67,7 @@ def test_an_exported_scene_has_all_of_its_parts(work: Workplace, caplog: pytest.
 
 
 @pytest.mark.parametrize(("name", "lights", "cameras"), [("a.glb", 1, 0), ("a.gltf", 1, 0), ("a.usda", 3, 0)])
-def test_the_summary_counts_what_the_file_holds(work: Workplace, name: str, lights: int, cameras: int) -> None:
+def test_the_summary_counts_what_the_file_holds(work: Workspace, name: str, lights: int, cameras: int) -> None:
     """Environment, area light and fisheye are not counted, as the format lacks them."""
     text = SCENE.replace("height = 48\n", 'height = 48\nmodel = "fisheye"\n') + "[environment]\nintensity = 0.5\n"
     work.path("scene.toml").write_text(text)
@@ -81,7 +81,7 @@ def test_the_summary_counts_what_the_file_holds(work: Workplace, name: str, ligh
     assert len(scene.lights) == lights and len(ls.load_cameras(work.path(name))) == cameras
 
 
-def test_captures_rotated_for_blender_match_the_exported_glb(work: Workplace) -> None:
+def test_captures_rotated_for_blender_match_the_exported_glb(work: Workspace) -> None:
     """Blender's glTF importer rotates y up to z up, its PLY importer does not (docs/guide/gltf.md#blender)."""
     assert work.run("export", "@capture.ply", "@mesh.obj", "-o", "@all.glb").status == 0
     assert work.run("convert", "@capture.ply", "--rotate", "-90", "0", "0", "-o", "@turned.ply").status == 0
@@ -91,14 +91,14 @@ def test_captures_rotated_for_blender_match_the_exported_glb(work: Workplace) ->
     np.testing.assert_allclose(turned.means, np.stack([x, -z, y], axis=1), atol=1e-5)
 
 
-def test_files_and_cameras_become_a_scene(work: Workplace) -> None:
+def test_files_and_cameras_become_a_scene(work: Workspace) -> None:
     """Files of any kind make one scene; --cameras adds cameras of another file."""
     outcome = work.run("export", "@capture.ply", "@mesh.obj", "--cameras", "@cameras.json", "-o", "@all.gltf")
     assert (outcome.status, outcome.err) == (0, "")
     assert [camera.name for camera in ls.load_cameras(work.path("all.gltf"))] == ["left", "right"]
 
 
-def test_an_exported_scene_renders_the_same_image(work: Workplace) -> None:
+def test_an_exported_scene_renders_the_same_image(work: Workspace) -> None:
     """The images of scene and file are equal through the same camera."""
     work.run("export", "@scene.toml", "-o", "@scene.glb")
     for name in ("scene.toml", "scene.glb"):
@@ -109,7 +109,7 @@ def test_an_exported_scene_renders_the_same_image(work: Workplace) -> None:
     np.testing.assert_allclose(pictures[1], pictures[0], atol=1.001 / 255)
 
 
-def test_captures_are_converted_both_ways(work: Workplace) -> None:
+def test_captures_are_converted_both_ways(work: Workspace) -> None:
     """Convert writes and reads GLB without changes; captures of a scene are joined, with y down again."""
     assert work.run("convert", "@capture.ply", "-o", "@a.glb").status == 0
     before = work.capture("capture.ply")
@@ -132,7 +132,7 @@ def test_captures_are_converted_both_ways(work: Workplace) -> None:
         (("@scene.toml", "--up", "sideways", "-o", "@a.glb"), "--up is 'sideways'"),
     ],
 )
-def test_mistakes_are_one_line(work: Workplace, args: tuple[str, ...], problem: str) -> None:
+def test_mistakes_are_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
     """Each line names the mistake; no file is written."""
     before = work.files()
     outcome = work.run("export", *args)

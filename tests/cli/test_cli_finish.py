@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 
 SKY = '[environment]\nintensity = 0.5\nvisible = false\n[[meshes]]\nshape = "sphere"\nposition = [0, 0, 4]\nsize = 2\n'
@@ -19,22 +19,22 @@ RENDER = ("render", "@scene.toml", "--device", "cpu")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball below an environment; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("scene.toml").write_text(SKY + CAMERA)
     return place
 
 
-def noise(work: Workplace, name: str) -> float:
+def noise(work: Workspace, name: str) -> float:
     """Returns the mean difference of neighbouring pixels."""
     picture = read_image(work.path(name))["srgb"].astype(float)
     return float(np.abs(np.diff(picture, axis=1)).mean())
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
-def test_denoised_images_have_less_noise(work: Workplace, pipeline: str) -> None:
+def test_denoised_images_have_less_noise(work: Workspace, pipeline: str) -> None:
     """The layer that the denoiser needs is rendered, but not written into the EXR."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     options = (*RENDER, "--pipeline", pipeline, "--samples", "1")
@@ -47,7 +47,7 @@ def test_denoised_images_have_less_noise(work: Workplace, pipeline: str) -> None
     )
 
 
-def test_orbits_are_denoised(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_orbits_are_denoised(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame is denoised, and the stamp stores it."""
     denoised: list[ls.Frame] = []
     monkeypatch.setattr(ls.Frame, "check_denoiser", lambda: None)
@@ -58,14 +58,14 @@ def test_orbits_are_denoised(work: Workplace, monkeypatch: pytest.MonkeyPatch) -
     assert "denoise" in work.run("orbit", "@scene.toml", *options).err
 
 
-def test_unlit_frames_are_not_denoised(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+def test_unlit_frames_are_not_denoised(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
     """A log line says so."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     assert work.run(*RENDER, "--lighting", "off", "--denoise", "-o", "@flat.png").status == 0
     assert "not used: --denoise (used in lit frames: add a light, or switch lighting on)" in caplog.text
 
 
-def test_a_missing_denoiser_is_reported_before_rendering(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_denoiser_is_reported_before_rendering(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The line says how to install it."""
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     done = work.run(*RENDER, "--denoise", "-o", "@none.png")
@@ -86,7 +86,7 @@ def cameras_of(monkeypatch: pytest.MonkeyPatch) -> list[ls.Camera]:
     return cameras
 
 
-def test_focus_is_on_the_surface_in_the_pixel(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_focus_is_on_the_surface_in_the_pixel(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The centre pixel shows the ball's near side, 3 units away; the camera has the aperture."""
     cameras = cameras_of(monkeypatch)
     options = ("--pipeline", "trace", "--samples", "1", "--aperture", "0.1", "-o", "@view.png")
@@ -111,7 +111,7 @@ def test_focus_is_on_the_surface_in_the_pixel(work: Workplace, monkeypatch: pyte
         ),
     ],
 )
-def test_focus_without_aperture_or_surface_is_refused(work: Workplace, options: tuple[str, ...], message: str) -> None:
+def test_focus_without_aperture_or_surface_is_refused(work: Workspace, options: tuple[str, ...], message: str) -> None:
     """Each prints one line, with status 2."""
     done = work.run(*RENDER, "--pipeline", "trace", *options, "-o", "@view.png")
     assert done.status == 2 and message in done.err and len(done.err.strip().splitlines()) == 1

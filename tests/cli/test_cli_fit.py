@@ -11,7 +11,7 @@ import warp as wp
 from PIL import Image
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 ROOM = """
 [render]
@@ -63,10 +63,10 @@ enabled = false
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a room with wrong lights, and rasterised images of it with the true ones."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("floor.obj").write_text(
         "v -4 0 -3\nv 4 0 -3\nv 4 0 5\nv -4 0 5\nv -4 4 -3\nv 4 4 -3\nf 4 3 2 1\nf 1 2 6 5\n"
     )
@@ -88,7 +88,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 FIT = ("--pipeline", "raster", "--samples", "1", "--environment-degree", "none", "--device", "cpu")
 
 
-def lights_of(place: Workplace, name: str) -> dict[str, np.ndarray]:
+def lights_of(place: Workspace, name: str) -> dict[str, np.ndarray]:
     """Returns the powers of a scene file's lights by name."""
     scene = ls.load(place.path(name))
     assert isinstance(scene, ls.Scene)

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.rig_files import BEND, TubeRig
 
 SCENE = """
@@ -38,10 +38,10 @@ fps = 10.0
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a scene file that has everything."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     walk = (2, "translation", [0.0, 0.5], [[0, 0, 0], [0, 1, 0]])
     TubeRig(clips={"walk": [walk]}).write(tmp_path / "tube.glb")
     place.path("scene.toml").write_text(SCENE)

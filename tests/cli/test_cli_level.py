@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.cli import main
 from support.files.splat_files import capture, load_gaussians
 from support.kinds import present
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 GROUND = np.random.default_rng(0).uniform((-3.0, -0.01, -3.0), (3.0, 0.01, 3.0), (2000, 3))
 THING = np.random.default_rng(1).uniform((-0.5, -1.5, -0.5), (0.5, 0.0, 0.5), (1000, 3))
@@ -29,7 +29,7 @@ def garden(**said: object) -> ls.Gaussians:
 
 def test_trained_captures_store_up_and_first_view(tmp_path: Path) -> None:
     """Both come from the cameras, are stored in the file, and are used by renders."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = ls.TrainConfig(iterations=20, cap=80, sh_degree=1, prune_below=0.0)
     result = ls.train(folder, config, output=output, device="cpu")
     found = load_gaussians(output)

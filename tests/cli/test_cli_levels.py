@@ -9,22 +9,22 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import file_fingerprints
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.splat_files import streamed
 from support.kinds import expect_kind
 
 
 @pytest.fixture
-def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """Returns a folder with a streamed SOG of 50, 23 and 8 Gaussians."""
     streamed(tmp_path / "city")
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 @pytest.mark.parametrize(
     ("options", "count"), [([], 50), (["--lod", "1"], 23), (["--lod", "budget=30"], 23), (["--lod", "budget=8"], 8)]
 )
-def test_a_level_of_detail_is_converted_and_printed(work: Workplace, options: list[str], count: int) -> None:
+def test_a_level_of_detail_is_converted_and_printed(work: Workspace, options: list[str], count: int) -> None:
     """The SOG may be given by its folder or its file."""
     assert work.run("convert", "@city", "@out.ply", *options).status == 0
     assert work.capture("out.ply").count == count
@@ -32,7 +32,7 @@ def test_a_level_of_detail_is_converted_and_printed(work: Workplace, options: li
     assert shown[0]["gaussians"] == count
 
 
-def test_a_level_of_detail_is_rendered(work: Workplace) -> None:
+def test_a_level_of_detail_is_rendered(work: Workspace) -> None:
     """The option applies to a file, and to entries of a scene file without a level."""
     for scene in ("@city", "@scene.toml"):
         work.path("scene.toml").write_text('[[splats]]\npath = "city"\n')
@@ -45,7 +45,7 @@ def test_a_level_of_detail_is_rendered(work: Workplace) -> None:
 
 
 @pytest.mark.parametrize(("keys", "count"), [("lod = 2", 8), ("lod_budget = 30", 23), ("", 23)])
-def test_entries_of_scene_files_choose_levels_of_detail(work: Workplace, keys: str, count: int) -> None:
+def test_entries_of_scene_files_choose_levels_of_detail(work: Workspace, keys: str, count: int) -> None:
     """An entry overrides the option; a file is loaded once for each level."""
     work.path("scene.toml").write_text(f'[[splats]]\npath = "city"\n{keys}\n[[splats]]\npath = "city"\nlod = 0\n')
     scene = expect_kind(ls.Scene, ls.load(work.path("scene.toml"), lod=1))
@@ -72,7 +72,7 @@ def test_entries_of_scene_files_choose_levels_of_detail(work: Workplace, keys: s
         (["info", "@city", "--lod", "3"], "has no level 3: its levels are 0 (finest) to 2"),
     ],
 )
-def test_mistakes_of_lod_are_one_line(work: Workplace, arguments: list[str], message: str) -> None:
+def test_mistakes_of_lod_are_one_line(work: Workspace, arguments: list[str], message: str) -> None:
     """Each ends with status 2."""
     outcome = work.run(*arguments)
     assert outcome.status == 2 and message in outcome.err and outcome.err.count("\n") == 1
@@ -88,14 +88,14 @@ def test_mistakes_of_lod_are_one_line(work: Workplace, arguments: list[str], mes
         ('path = "city"\nlod = 7', r"has no level 7"),
     ],
 )
-def test_mistakes_in_entries_name_file_and_line(work: Workplace, entry: str, message: str) -> None:
+def test_mistakes_in_entries_name_file_and_line(work: Workspace, entry: str, message: str) -> None:
     """Each ends with status 2."""
     work.path("scene.toml").write_text(f"[[splats]]\n{entry}\n")
     with pytest.raises(ls.FormatError, match=message):
         ls.load(work.path("scene.toml"))
 
 
-def test_frames_depend_on_the_captures_of_all_levels(work: Workplace) -> None:
+def test_frames_depend_on_the_captures_of_all_levels(work: Workspace) -> None:
     """Textures that a text layer names count as well."""
     work.path("stage.usda").write_text("#usda 1.0\n(\n    subLayers = [@./city/notes.usda@]\n)\n")
     work.path("city/notes.usda").write_text("#usda 1.0\n")

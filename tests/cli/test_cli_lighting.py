@@ -14,7 +14,7 @@ from lumisplat.cli.commands.render import Render
 from lumisplat.cli.options.command import changed_config
 from lumisplat.cli.options.frame import EnvironmentOptions, unused_options
 from lumisplat.io.images.exr import write_exr
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 
 SCENE = """
@@ -60,10 +60,10 @@ offset = 5
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a lit scene; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
     return place
 

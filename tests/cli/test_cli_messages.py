@@ -15,7 +15,7 @@ from lumisplat.cli import _Command, main
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.input.arguments import joined_numbers, shell_words
 from lumisplat.cli.input.numbers import frame_numbers, vector
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 SOURCES = Path(ls.__file__).parent
 PYTHON_NAME = re.compile(r"\b(?:[A-Z]\w*Config\.[a-z]\w*|[A-Z]\w+\.[A-Z][A-Z_]+)\b")
@@ -23,10 +23,10 @@ PYTHON_NAME = re.compile(r"\b(?:[A-Z]\w*Config\.[a-z]\w*|[A-Z]\w+\.[A-Z][A-Z_]+)
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 @pytest.mark.parametrize("command", [kind.__metadata__[0].name for kind in get_args(_Command)])

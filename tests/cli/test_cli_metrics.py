@@ -12,14 +12,14 @@ import pytest
 import lumisplat as ls
 from lumisplat.io.images.exr import write_exr
 from lumisplat.io.images.texture import write_png
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.scenes.raster_scenes import random_gaussians
 
 
 @pytest.fixture
-def work(tmp_path, capsys) -> Workplace:
+def work(tmp_path, capsys) -> Workspace:
     """Returns a folder with images, folders of them, and an avatar in a room."""
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     rng = np.random.default_rng(1)
     picture = rng.uniform(0.2, 0.8, (16, 20, 3))
     for folder, change in (("ours", 0.1), ("theirs", 0.0)):

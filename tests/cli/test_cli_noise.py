@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 LAMP = '[[lights]]\ntype = "rect"\nposition = [0, 2, 1]\ntarget = [0, 0, 0]\nsize = [0.3, 0.3]\nintensity = 30\n'
 SKY = "[environment]\ncolor = [1, 1, 1]\n"
@@ -22,7 +22,7 @@ VIEW = 'up = "y-up"\n[[cameras]]\neye = [0, 2, 3]\ntarget = [0, 0, 0]\nwidth = 2
 def lines(tmp_path, capsys, monkeypatch, caplog):
     """Returns a function that runs a command on a scene file and returns its lines about noise."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    work = Workplace(tmp_path, capsys)
+    work = Workspace(tmp_path, capsys)
 
     def run(scene: str, *options: str, pipeline: str = "path") -> list[str]:
         work.path("scene.toml").write_text(VIEW + scene)

@@ -9,20 +9,20 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Outcome, Workplace
+from support.files.cli_files import Outcome, Workspace
 from support.files.image_files import read_image
 
 SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
-def orbit(work: Workplace, *options: str) -> Outcome:
+def orbit(work: Workspace, *options: str) -> Outcome:
     """Renders four frames into a folder."""
     return work.run("orbit", "@capture.ply", "-o", "@round", "--seconds", "0.2", "--fps", "20", *SIZE, *options)
 

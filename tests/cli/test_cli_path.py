@@ -9,17 +9,17 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 
 SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with three cameras; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    work = Workplace(tmp_path, capsys)
+    work = Workspace(tmp_path, capsys)
     eyes = [(0, 0, 0), (2, -1, 1), (4, 0, 4)]
     ls.save_cameras(
         work.path("way.json"), [ls.Camera.look_at(eye, (0, 0, 5), (0, -1, 0), width=64, height=48) for eye in eyes]
@@ -27,7 +27,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     return work
 
 
-def same(work: Workplace, name: str, camera: ls.Camera) -> bool:
+def same(work: Workspace, name: str, camera: ls.Camera) -> bool:
     """Returns whether an image equals the render of a camera."""
     frame = ls.render(ls.Scene([work.capture("capture.ply")]), camera.scaled(32, 24), device="cpu")
     expected = (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

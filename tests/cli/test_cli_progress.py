@@ -12,17 +12,17 @@ from rich.progress import Progress
 
 from lumisplat.cli.output import console
 from lumisplat.cli.output.console import duration_text, progress_bars
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 SIZE = ("--width", "16", "--height", "12", "--device", "cpu")
 FIVE_FRAMES = ("orbit", "@capture.ply", "-o", "@round", "--seconds", "0.25", "--fps", "20", *SIZE)
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 def test_a_bar_shows_the_remaining_time(monkeypatch) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.kinds import expect_kind
 from support.scenes.raster_scenes import random_gaussians
 
@@ -20,9 +20,9 @@ FISHEYE = {
 
 
 @pytest.fixture
-def work(tmp_path, capsys) -> Workplace:
+def work(tmp_path, capsys) -> Workspace:
     """Returns a folder to run commands in."""
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 def test_fisheyes_are_rasterised_along_rays(work):

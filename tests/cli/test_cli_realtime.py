@@ -8,7 +8,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.output.frame_source import WarmUp
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 
 SCENE = """
@@ -56,10 +56,10 @@ PASSES = ("surfaces", "direct", "indirect", "filters", "sum")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a lit scene; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
     return place
 

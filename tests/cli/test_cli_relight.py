@@ -8,15 +8,15 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.demo import shapes
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.scenes.raster_scenes import flat_sh, one_gaussian
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a white ball without normals, and a room with red light from +x only."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     ball = ls.gaussians_from_mesh(shapes.sphere(0.5), 400)
     white = flat_sh(np.ones((400, 3)))
     ls.save(place.path("ball.ply"), ls.Gaussians(ball.means, ball.rotations_wxyz, ball.scales, ball.opacities, white))
@@ -31,7 +31,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     return place
 
 
-def lit_sides(place: Workplace, name: str) -> tuple[np.ndarray, np.ndarray]:
+def lit_sides(place: Workspace, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Returns mean colours of the ball's half towards +x, and of the other half."""
     loaded = ls.load(place.path(name))
     assert isinstance(loaded, ls.Gaussians)

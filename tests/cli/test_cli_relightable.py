@@ -13,14 +13,14 @@ from PIL import Image
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.math.color import decode_srgb
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "cpu", "--material-steps", "3")
 
 
 def test_a_capture_gets_materials_and_its_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """All are files, and the environment lights other scenes."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "out" / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT, "--relightable"]
     assert main([*command, "--stop-after", "0.01s"]) == 0
     plain = ls.load(output)
@@ -48,7 +48,7 @@ def test_materials_use_the_refined_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The images have the refined cameras; missing values are null."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     seen: list[ls.io.TrainingImages] = []
     find = ls.inverse.find_materials
 
@@ -97,7 +97,7 @@ def test_options_that_exclude_relightable_are_refused(
 
 def test_a_weight_of_zero_overrides_the_relightable_default(tmp_path: Path) -> None:
     """The other weights are then 0, too, as without --relightable."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--relightable", "--flatness", "0"]) == 0
     settings = (output.with_suffix(".training") / "settings.toml").read_text()
     assert "flatness = 0.0" in settings and "depth_spread = 0.0" in settings

@@ -11,7 +11,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.options.frame import EnvironmentOptions, frame_remarks
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.scenes.raster_scenes import one_gaussian, quad
 
 LAMP, SECOND, SKY = ls.LightPoint((0, 0, 1)), ls.LightPoint((1, 0, 1)), ls.LightEnvironment()
@@ -93,7 +93,7 @@ def test_objects_lit_by_captures_alone_are_logged(pipeline: str) -> None:
 def test_capture_gain_auto_estimates_the_gain(tmp_path, capsys, monkeypatch, caplog) -> None:
     """The gain is logged, and the frame is brighter by it."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    work = Workplace(tmp_path, capsys)
+    work = Workspace(tmp_path, capsys)
     work.path("a.toml").write_text('[[splats]]\npath = "capture.ply"\n[[meshes]]\npath = "mesh.obj"\n')
     options = ("--width", "16", "--device", "cpu", "--pipeline", "path", "--samples", "2", "--capture-gain", "auto")
     with caplog.at_level(logging.INFO, "lumisplat"):
@@ -107,7 +107,7 @@ def test_commands_log_black_sides_once_and_not_with_an_environment(
 ) -> None:
     """The environment in a scene.toml is the remedy that the line names."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    work = Workplace(tmp_path, capsys)
+    work = Workspace(tmp_path, capsys)
     scene = '[[splats]]\npath = "capture.ply"\nshadow_catcher = true\n[[meshes]]\npath = "mesh.obj"\n'
     scene += '[[lights]]\ntype = "point"\nposition = [0, 0, 9]\n'
     sky = "[environment]\nintensity = 0.3\nvisible = false\n"

@@ -9,21 +9,21 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 LIGHT = "0,0,-6"
 
 
 @pytest.fixture
-def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workplace:
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workspace:
     """Returns a folder with a capture around z = 4 and a small mesh before it."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     (tmp_path / "mesh.obj").write_text("v -0.3 -0.3 1\nv 0.3 -0.3 1\nv 0 0.3 1\nf 1 2 3\n")
     return place
 
 
-def run(work: Workplace, *args: str) -> tuple[int, str, str]:
+def run(work: Workspace, *args: str) -> tuple[int, str, str]:
     """Casts the mesh's shadow onto the capture."""
     outcome = work.run(
         "shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--keep-coordinates", "--device", "cpu", *args
@@ -31,7 +31,7 @@ def run(work: Workplace, *args: str) -> tuple[int, str, str]:
     return outcome.status, outcome.out, outcome.err
 
 
-def test_a_capture_is_saved_with_shadows(work: Workplace) -> None:
+def test_a_capture_is_saved_with_shadows(work: Workspace) -> None:
     """Gaussians behind the mesh are darker, others unchanged; the casters are not part of the result."""
     status, out, err = run(work, "--light", LIGHT, "--direct", "1", "-o", "@dark.ply")
     assert (status, err) == (0, "")
@@ -46,7 +46,7 @@ def test_a_capture_is_saved_with_shadows(work: Workplace) -> None:
     assert f"{(light < 1.0).sum()} of {before.count} Gaussians are in shadow" in out
 
 
-def test_a_shadow_map_is_saved(work: Workplace) -> None:
+def test_a_shadow_map_is_saved(work: Workspace) -> None:
     """The .npz is the library's map with the given settings."""
     status, out, err = run(work, "--sun", "0,0,1", "--resolution", "128", "--strength", "2", "-o", "@sun.npz")
     assert (status, err) == (0, "")
@@ -58,7 +58,7 @@ def test_a_shadow_map_is_saved(work: Workplace) -> None:
     assert shadow.transmittance_of(capture).min() < 0.5
 
 
-def test_invalid_gaussians_are_left_out(work: Workplace) -> None:
+def test_invalid_gaussians_are_left_out(work: Workspace) -> None:
     """The advice for a refused file works for the capture and for casters."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
@@ -86,7 +86,7 @@ def test_invalid_gaussians_are_left_out(work: Workplace) -> None:
         (("--light", LIGHT, "--onto", "@mesh.obj", "-o", "@a.ply"), "mesh.obj: is not a capture"),
     ],
 )
-def test_mistakes_are_one_line(work: Workplace, args: tuple[str, ...], problem: str) -> None:
+def test_mistakes_are_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
     """Each ends with status 2, and leaves no file."""
     before = work.files()
     status, out, err = run(work, *args)
@@ -95,7 +95,7 @@ def test_mistakes_are_one_line(work: Workplace, args: tuple[str, ...], problem: 
     assert work.files() == before
 
 
-def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workplace) -> None:
+def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workspace) -> None:
     """A stated up direction of the file has precedence; a line reports which is used."""
     (work.folder / "up.obj").write_text("v -0.3 0 1\nv 0.3 0 1\nv 0 2 1\nf 1 2 3\n")
     entry = '[[meshes]]\npath = "up.obj"\nupright = true\n'
@@ -116,7 +116,7 @@ def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workplace) -> N
     assert (shadows["own"] != shadows["up"]).any()
 
 
-def test_casting_meshes_are_inserted_onto_the_capture(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+def test_casting_meshes_are_inserted_onto_the_capture(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
     """Their position is that of `render`; --keep-coordinates leaves them at their coordinates."""
     args = ("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
     put = work.run(*args, "-o", "@put.ply")

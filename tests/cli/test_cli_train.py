@@ -10,14 +10,14 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.cli.input.numbers import seconds_of
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--prune-below", "0", "--device", "cpu")
 
 
 def test_a_folder_is_trained_and_the_same_command_continues(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The output has scores and the file; a finished training has nothing left to do."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "out" / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "out" / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s", "--overwrite"]) == 0
     assert "the same command without --overwrite continues" in capsys.readouterr().out
@@ -34,7 +34,7 @@ def test_a_folder_is_trained_and_the_same_command_continues(tmp_path: Path, caps
 
 def test_rays_train_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The file stores the degree, and evaluation uses rays."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     rays = ("--pipeline", "trace", "--kernel-degree", "4", "--iterations", "3", "--cap", "60", "--sh-degree", "1")
     assert main(["train", str(folder), "-o", str(output), *rays, "--device", "cpu"]) == 0
     asset = ls.load(output)
@@ -71,7 +71,7 @@ def test_mistakes_are_one_line(
 ) -> None:
     """Messages name options, and nothing is written."""
     monkeypatch.chdir(tmp_path)
-    folder = folder_of(tmp_path / "set", 3)
+    folder = write_training_folder(tmp_path / "set", 3)
     before = sorted(tmp_path.rglob("*"))
     assert main(["train", str(folder), "--device", "cpu", *options]) == 2
     told = capsys.readouterr().err
@@ -90,7 +90,7 @@ def test_missing_poses_need_an_extra(
 ) -> None:
     """The message has the pip command."""
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    folder = folder_of(tmp_path / "set", 3)
+    folder = write_training_folder(tmp_path / "set", 3)
     (folder / "transforms.json").unlink()
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), "--poses", "colmap", "--device", "cpu"]) == 2
     assert "lumisplat[poses]" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from PIL import Image
 from lumisplat.cli import main
 from lumisplat.training import train
 from support.files.small_disks import small_disk
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 SHORT = ("--iterations", "60", "--cap", "120", "--sh-degree", "1", "--device", "cpu")
 
@@ -37,7 +37,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 def test_a_single_image_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Depth needs several images."""
-    folder = folder_of(tmp_path / "set", 1)
+    folder = write_training_folder(tmp_path / "set", 1)
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
     assert "transforms.json: has a single image, expected two or more" in told(capsys)
     assert not (tmp_path / "a.training").exists()
@@ -45,7 +45,7 @@ def test_a_single_image_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The message names the mask."""
-    folder = folder_of(tmp_path / "set", 3)
+    folder = write_training_folder(tmp_path / "set", 3)
     (folder / "masks").mkdir()
     Image.fromarray(np.zeros((40, 40), np.uint8)).save(folder / "masks" / "01.png")
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
@@ -55,7 +55,7 @@ def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The message names the first different setting, and all files stay unchanged."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT]
     assert main(command) == 0
     capsys.readouterr()
@@ -77,7 +77,7 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytes
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Returns a folder of images, and the files of a finished training of them."""
     place = tmp_path_factory.mktemp("whole")
-    assert main(["train", str(folder_of(place / "set")), "-o", str(place / "a.ply"), *SHORT]) == 0
+    assert main(["train", str(write_training_folder(place / "set")), "-o", str(place / "a.ply"), *SHORT]) == 0
     return place
 
 
@@ -122,7 +122,7 @@ def test_a_full_disk_is_one_line(
     disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The file system is really full; with room, the same command continues."""
-    folder, output = folder_of(tmp_path / "set"), disk / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), disk / "a.ply"
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
     command = ["train", str(folder), "-o", str(output), *SHORT]
     assert main([*command, "--stop-after", "0.01"]) == 0

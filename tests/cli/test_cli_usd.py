@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.usd_files import usd_core, validation_messages
 from support.kinds import expect_kind
 
@@ -50,16 +50,16 @@ duration = 1.0
 
 
 @pytest.fixture
-def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """A folder with a scene."""
     usd_core()
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
     return place
 
 
 @pytest.mark.parametrize("name", ["scene.usda", "scene.usdc", "scene.usdz", "scene.usd"])
-def test_a_scene_in_usd_renders_the_same_image(work: Workplace, name: str) -> None:
+def test_a_scene_in_usd_renders_the_same_image(work: Workspace, name: str) -> None:
     """A lit scene and its file show the same picture, each through its own camera; validators are content."""
     outcome = work.run("export", "@scene.toml", "-o", f"@{name}")
     assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
@@ -71,7 +71,7 @@ def test_a_scene_in_usd_renders_the_same_image(work: Workplace, name: str) -> No
     np.testing.assert_allclose(after, before, atol=1.001 / 255)
 
 
-def test_captures_are_converted_both_ways(work: Workplace) -> None:
+def test_captures_are_converted_both_ways(work: Workspace) -> None:
     """Convert writes and reads .usdz without a change; several fields are joined, with y down again."""
     assert work.run("convert", "@capture.ply", "-o", "@a.usdz").status == 0
     before = work.capture("capture.ply")
@@ -83,7 +83,7 @@ def test_captures_are_converted_both_ways(work: Workplace) -> None:
     np.testing.assert_allclose(work.capture("two.ply").means, expected, rtol=0, atol=1e-5)
 
 
-def test_animation_is_written_to_usd(work: Workplace) -> None:
+def test_animation_is_written_to_usd(work: Workspace) -> None:
     """An actor of a scene file has a sample a frame, upright; glTF has it where it is at time 0."""
     work.path("scene.toml").write_text(SCENE + ACTOR)
     outcome = work.run("export", "@scene.toml", "-o", "@walk.usdz")
@@ -96,7 +96,7 @@ def test_animation_is_written_to_usd(work: Workplace) -> None:
 
 
 @pytest.mark.parametrize("name", ["found.usd", "found.usdz"])
-def test_estimated_materials_are_written_to_usd(work: Workplace, name: str) -> None:
+def test_estimated_materials_are_written_to_usd(work: Workspace, name: str) -> None:
     """Whichever extension of OpenUSD it has."""
     ls.save(
         work.path("ball.ply"),
@@ -107,7 +107,7 @@ def test_estimated_materials_are_written_to_usd(work: Workplace, name: str) -> N
     assert work.capture(name).albedo is not None
 
 
-def test_info_prints_the_content_of_usd(work: Workplace) -> None:
+def test_info_prints_the_content_of_usd(work: Workspace) -> None:
     """Info counts a scene's parts and its cameras; the viewer lists it under meshes, and a capture under splats."""
     work.run("export", "@scene.toml", "-o", "@scene.usdz")
     assert "1 capture, 1 mesh, 1 light, 1 camera" in work.run("info", "@scene.usdz").out
@@ -116,7 +116,7 @@ def test_info_prints_the_content_of_usd(work: Workplace) -> None:
     assert ls.io.SceneDocument.kind_of(work.path("a.usdc")) == "splats"
 
 
-def test_animation_is_refused_by_formats_that_cannot_hold_it(work: Workplace) -> None:
+def test_animation_is_refused_by_formats_that_cannot_hold_it(work: Workspace) -> None:
     """An animation cannot be saved as anything else."""
     work.path("scene.toml").write_text(SCENE + ACTOR)
     animation = ls.load_animation(work.path("scene.toml"))
@@ -124,7 +124,7 @@ def test_animation_is_refused_by_formats_that_cannot_hold_it(work: Workplace) ->
         ls.save(work.path("a.glb"), animation)
 
 
-def test_animated_usd_is_rendered(work: Workplace) -> None:
+def test_animated_usd_is_rendered(work: Workspace) -> None:
     """Each frame is the picture of its time: of the actor where it is then, by the camera that moves."""
     usd_core()
     ball = ls.Actor(ls.sphere(0.5), ls.Keyframes([0.0, 1.0], [(-1.0, 0.0, 4.0), (1.0, 0.0, 4.0)]), name="ball")

@@ -14,7 +14,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.cli.output.images import FrameWriter, Layers
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 from support.scenes.raster_scenes import front_camera
 
@@ -22,13 +22,13 @@ ARGS = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--device", "cpu")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """A folder to run commands in; what they do to Warp's log level is undone."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
-def mesh_scene(work: Workplace) -> ls.Scene:
+def mesh_scene(work: Workspace) -> ls.Scene:
     """What the commands render."""
     mesh = ls.load(work.path("mesh.obj"))
     assert isinstance(mesh, ls.Mesh)
@@ -158,7 +158,7 @@ def test_set_crease_angle_changes_normals(work) -> None:
     assert outcome.status == 2 and "--set meshes.crease_angle_degrees=200: expected 0 to 180 degrees" in outcome.err
 
 
-def test_mattes_are_written_into_the_exr(work: Workplace) -> None:
+def test_mattes_are_written_into_the_exr(work: Workspace) -> None:
     """As parts of their own, with the names of files; the picture stays the first part."""
     outcome = work.run("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "cryptomatte", "-o", "@out.exr")
     assert outcome.status == 0
@@ -169,7 +169,7 @@ def test_mattes_are_written_into_the_exr(work: Workplace) -> None:
     assert "capture" in manifest and "mesh" in manifest
 
 
-def test_deep_samples_are_written_beside_the_image(work: Workplace) -> None:
+def test_deep_samples_are_written_beside_the_image(work: Workspace) -> None:
     """As NAME.deep.exr; standard output has room for one file only."""
     args = ("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "deep")
     assert work.run(*args, "-o", "@out.png").status == 0

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.scenes.raster_scenes import random_gaussians
 
 pytest.importorskip("viser", reason="the extra view is not installed")
@@ -82,7 +82,7 @@ def test_other_machines_are_admitted_only_by_host(capture: Path) -> None:
 
 def test_mistakes_are_one_line(tmp_path: Path, capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No scene, no such file, a port in use, two scene files."""
-    work = Workplace(tmp_path, capsys)
+    work = Workspace(tmp_path, capsys)
     for name in ("a.toml", "b.toml"):
         (tmp_path / name).write_text("")
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -10,25 +10,25 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """A folder to run commands in; what they do to Warp's log level is undone."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
-def shown(work: Workplace, *options: str, scene: str = "@capture.ply") -> np.ndarray:
+def shown(work: Workspace, *options: str, scene: str = "@capture.ply") -> np.ndarray:
     """The picture that the options give."""
     outcome = work.run("render", scene, "-o", "@a.png", "--width", "48", "--height", "32", "--device", "cpu", *options)
     assert outcome.status == 0, outcome.err
     return read_image(work.path("a.png"))["srgb"]
 
 
-def expected(work: Workplace, camera: ls.Camera) -> np.ndarray:
+def expected(work: Workspace, camera: ls.Camera) -> np.ndarray:
     """The picture of a camera of the library."""
     frame = ls.render(ls.Scene([work.capture("capture.ply")]), camera, device="cpu")
     return (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

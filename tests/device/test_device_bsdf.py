@@ -15,7 +15,7 @@ from lumisplat.device.structs.shading import BSDF_PBR, BSDF_SIMPLE, Bsdf
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.compare.chi_square import LIMIT, chi_square_z
-from support.oracles.bsdf_oracle import Array, Material, density, evaluate, fresnel, ggx, mirrored, mirrored_share
+from support.oracles.bsdf_oracle import Array, Material, evaluate, fresnel, ggx, mirrored, mirrored_share, pdf
 from support.probes import probe_light_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
@@ -149,12 +149,12 @@ def test_values_and_pdfs_match_the_oracle(number: int, device: str) -> None:
     material = MATERIALS[number]
     normals, views, lights = pairs(3000, material["alpha"], number)
     values, pdfs = on_device(material, normals, views, lights, device)
-    expected = evaluate(material, normals, views, lights), density(material, normals, views, lights)
+    expected = evaluate(material, normals, views, lights), pdf(material, normals, views, lights)
     spread = [np.zeros_like(part) for part in expected]
     rng = np.random.default_rng(1)
     for _ in range(12):
         moved = [unit(vectors + 1.2e-7 * rng.normal(size=vectors.shape)) for vectors in (normals, views, lights)]
-        for i, part in enumerate((evaluate(material, *moved), density(material, *moved))):
+        for i, part in enumerate((evaluate(material, *moved), pdf(material, *moved))):
             spread[i] = np.maximum(spread[i], np.abs(part - expected[i]))
     for found, wanted, rounding in zip((values, pdfs), expected, spread, strict=True):
         assert np.isfinite(found).all()

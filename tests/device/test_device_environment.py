@@ -17,7 +17,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
 from support.compare.chi_square import LIMIT, chi_square_z
-from support.oracles.light_oracle import Array, cell_density, cell_sizes, direction_at, image_coordinates, lookup
+from support.oracles.light_oracle import Array, cell_pdf, cell_sizes, direction_at, image_coordinates, lookup
 from support.probes import probe_light_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
@@ -164,7 +164,7 @@ def test_pdf_is_proportional_to_mean_cell_brightness(shape: tuple[int, int], dev
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     vectors = direction_at(ROTATED, u, v).reshape(-1, 3)
     pdfs = DeviceEnvironment(image, device, rotation_wxyz=ROTATED).evaluate(vectors)[1].reshape(shape)
-    np.testing.assert_allclose(pdfs, cell_density(image), rtol=1e-4)
+    np.testing.assert_allclose(pdfs, cell_pdf(image), rtol=1e-4)
     assert np.sum(pdfs * cell_sizes(height, width)) == pytest.approx(1.0, abs=1e-6)
 
 

@@ -15,7 +15,7 @@ FOUND = [(0.0, 2.0, 0.0), (3.0, 2.0, 0.0)]
 """Positions of the estimated lights."""
 
 
-def searched(monkeypatch: pytest.MonkeyPatch, lamps: list[tuple[float, float, float]], unit: float) -> dict:
+def searched(monkeypatch: pytest.MonkeyPatch, light_positions: list[tuple[float, float, float]], unit: float) -> dict:
     """Returns the score of a capture with two estimated lights and a sun from +x; the true sun is 30 degrees off."""
     lights = [ls.LightPoint(place) for place in FOUND]
     estimate = SimpleNamespace(lights=lights, evidence=np.array([0.3, 0.2]))
@@ -23,7 +23,9 @@ def searched(monkeypatch: pytest.MonkeyPatch, lamps: list[tuple[float, float, fl
     monkeypatch.setattr(ls.inverse, "estimate_lights", lambda *_: estimate)
     monkeypatch.setattr(ls.inverse, "estimate_sun", lambda *_: sun)
     towards = np.array([np.cos(np.pi / 6.0), np.sin(np.pi / 6.0), 0.0])
-    return lights_found.found_lights(LitCapture("room 1", ls.Scene(), np.zeros(3), np.array(lamps), towards, unit))
+    return lights_found.found_lights(
+        LitCapture("room 1", ls.Scene(), np.zeros(3), np.array(light_positions), towards, unit)
+    )
 
 
 def test_lights_count_only_near_a_true_light(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,8 +21,8 @@ from lumisplat.scene.lights import Light
 from lumisplat.scene.ops.mesh_sampling import sample_surface
 from lumisplat.shadow_maps import casters_and_receivers
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
-from support.scenes.light_room import captured, lamp
-from support.scenes.lit_places import meadow
+from support.scenes.known_light_captures import meadow
+from support.scenes.light_room import captured, light_ball
 
 SHADOW = ls.config.DeepShadowConfig(resolution=128, bins=32)
 LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
@@ -223,7 +223,7 @@ def test_mesh_actors_cast_shadows_and_stay_meshes() -> None:
 
 def test_captures_do_not_shadow_mesh_actors() -> None:
     """Shadow rays from inside a lamp's own Gaussians, or through walls that a probe saw, would block all light."""
-    shade = lamp(LIGHT.position, (0.9, 0.9, 0.9), radius=0.1, count=400)
+    shade = light_ball(LIGHT.position, (0.9, 0.9, 0.9), radius=0.1, count=400)
     ceiling = captured(np.array([0.0, 4.0, 0.0]) + floor().means, np.full(3, 0.5), opacity=1.0, scale=0.2)
     pose = np.eye(4)
     pose[1, 3] = 1.0
@@ -292,7 +292,7 @@ def test_lit_scene_keeps_its_lights_and_ray_traced_shadows(caplog: pytest.LogCap
 
 def test_lights_are_estimated_once_around_the_first_actors() -> None:
     """The planted lamp is found, with the direct part of the irradiance at the position."""
-    scene = ls.Scene(splats=[floor(), lamp((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
+    scene = ls.Scene(splats=[floor(), light_ball((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
     # The lamp does not light the floor: it is found by its score alone.
     looks = ls.config.LightEstimationConfig(evidence=0.0)
     stage = lighter(scene, None, light_count=1, direct=0.8, estimation=looks)

@@ -7,7 +7,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.relighting.delight import MaterialEstimate
-from support.scenes.captured_box import LAMP, PAINTS, CapturedBox, captured_box
+from support.scenes.captured_box import ALBEDOS, LIGHT, CapturedBox, captured_box
 
 FACTOR = 3.0
 """Factor by which one Gaussian is brighter than the others: more than the light that reaches it."""
@@ -15,18 +15,18 @@ FACTOR = 3.0
 
 def too_light(box: CapturedBox) -> int:
     """Index of a Gaussian of the lighter colour, where most light is the emitter's."""
-    return int((box.by_lamp[:, 0] * (box.albedo[:, 0] == PAINTS[0, 0])).argmax())
+    return int((box.direct[:, 0] * (box.albedo[:, 0] == ALBEDOS[0, 0])).argmax())
 
 
 @pytest.fixture(scope="module")
 def box() -> CapturedBox:
     """The box, with one Gaussian that is far too light."""
     plain = captured_box()
-    radiance = plain.albedo * plain.irradiance + plain.is_emitter[:, None] * LAMP
+    radiance = plain.albedo * plain.irradiance + plain.is_emitter[:, None] * LIGHT
     radiance[too_light(plain)] *= FACTOR
     assert radiance[too_light(plain)].max() < 0.9
     return CapturedBox(
-        plain.shown(radiance), plain.normals, plain.albedo, plain.irradiance, plain.by_lamp, plain.is_emitter
+        plain.with_radiance(radiance), plain.normals, plain.albedo, plain.irradiance, plain.direct, plain.is_emitter
     )
 
 
@@ -43,22 +43,22 @@ def test_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: Mate
     assert not estimate.sky_image().any()
     np.testing.assert_array_equal(estimate.emitter_of == 0, box.is_emitter)
     assert estimate.emitters.shape == (1, 3)
-    assert (estimate.emitters > 1.5).all() and (estimate.emitters < 2.0 * LAMP).all()
+    assert (estimate.emitters > 1.5).all() and (estimate.emitters < 2.0 * LIGHT).all()
     assert np.einsum("ij,ij->i", np.asarray(estimate.gaussians.normals), box.normals).min() > 0.9
 
 
 def test_albedo_of_a_room_is_separated_from_its_light(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """Two colours differ by their ratio, while captured colours of one differ by more between walls."""
-    albedo, light = np.asarray(estimate.gaussians.albedo, np.float64), box.albedo[:, 0] == PAINTS[0, 0]
+    albedo, light = np.asarray(estimate.gaussians.albedo, np.float64), box.albedo[:, 0] == ALBEDOS[0, 0]
     medians = [np.median(albedo[rows & ~box.is_emitter], axis=0) for rows in (light, ~light)]
-    np.testing.assert_allclose(medians[0] / medians[1], PAINTS[0] / PAINTS[1], rtol=0.07)
+    np.testing.assert_allclose(medians[0] / medians[1], ALBEDOS[0] / ALBEDOS[1], rtol=0.07)
     spread = [np.log(values / box.albedo)[~box.is_emitter].std() for values in (albedo, box.albedo * box.irradiance)]
     assert spread[0] < 0.5 * spread[1]
 
 
 def test_confidence_is_the_observed_fraction_of_irradiance(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """Right below the unknown emitter it is small, and where the emitter does not shine it is 1."""
-    seen = 1.0 - box.by_lamp.mean(axis=1) / box.irradiance.mean(axis=1)
+    seen = 1.0 - box.direct.mean(axis=1) / box.irradiance.mean(axis=1)
     walls = ~box.is_emitter
     assert np.corrcoef(estimate.confidence[walls], seen[walls])[0, 1] > 0.9
     assert abs(float(estimate.confidence[walls].mean() - seen[walls].mean())) < 0.1
@@ -73,5 +73,5 @@ def test_unexplained_gaussian_is_flagged(box: CapturedBox, estimate: MaterialEst
     assert estimate.out_of_range[one] and not estimate.out_of_range[box.is_emitter].any()
     albedo = np.asarray(estimate.gaussians.albedo)[one]
     assert albedo.max() == 1.0
-    np.testing.assert_allclose(albedo / albedo[0], PAINTS[0] / PAINTS[0, 0], rtol=0.1)  # clipped: 1, 1, 0.9
+    np.testing.assert_allclose(albedo / albedo[0], ALBEDOS[0] / ALBEDOS[0, 0], rtol=0.1)  # clipped: 1, 1, 0.9
     assert 0.3 < estimate.residual[one] < 0.8

@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.io.images.texture import write_png
 from lumisplat.relighting.evaluation import over_black, relit_scene
-from support.files.relightable_files import painted_ball, sky, write_radiance, write_relightable_set
+from support.files.relightable_files import painted_ball, panorama, write_radiance, write_relightable_set
 
 LIGHTS_TOML = """
 [[lights]]
@@ -86,7 +86,7 @@ def test_lights_of_a_scene_file_relight_the_capture(folder, ball):
 
 def test_environment_is_not_compared_under_local_lights(folder, ball):
     """A remark gives the reason, and the other metrics exist."""
-    result = ls.inverse.evaluate_materials(ball, folder, environment=sky(), samples=1, device="cpu")
+    result = ls.inverse.evaluate_materials(ball, folder, environment=panorama(), samples=1, device="cpu")
     assert np.isnan(result.environment_psnr) and result.albedo_psnr > 100.0
     assert result.remarks == (f"the estimated environment is not compared: local lights lit the images of {folder}",)
 

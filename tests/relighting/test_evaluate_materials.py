@@ -14,8 +14,8 @@ from lumisplat.math.color import decode_srgb, encode_srgb
 from support.files.relightable_files import (
     CONFIG,
     painted_ball,
+    panorama,
     read_layer,
-    sky,
     write_layer,
     write_radiance,
     write_relightable_set,
@@ -51,7 +51,7 @@ def region(folder: Path, view: str) -> np.ndarray:
 
 def test_ground_truth_has_no_error(folder, ball):
     """The test checks all metrics and images."""
-    result = evaluate(ball, folder, sky())
+    result = evaluate(ball, folder, panorama())
     np.testing.assert_allclose(result.albedo_scale, 1.0, atol=1e-6)
     assert result.albedo_psnr > 100.0 and result.albedo_psnr_unscaled > 100.0 and result.albedo_psnr_linear > 100.0
     assert result.normal_mean < 1e-3 and result.normal_median < 1e-3 and result.roughness_rmse < 1e-6
@@ -239,7 +239,7 @@ def test_incomplete_data_sets_are_refused(folder, ball, spoil, name, problem):
     """The message is one line that names the file."""
     spoil(folder, name)
     with pytest.raises(ls.FormatError) as caught:
-        evaluate(ball, folder, sky())
+        evaluate(ball, folder, panorama())
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -260,13 +260,13 @@ def test_folders_that_are_no_data_set_are_refused(tmp_path, ball, folder):
     with pytest.raises(ls.SceneError, match="gaussians is str"):
         ls.inverse.evaluate_materials("capture.ply", folder)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="environment has negative values"):
-        evaluate(ball, folder, -sky())
+        evaluate(ball, folder, -panorama())
     with pytest.raises(ls.SceneError, match=r"environment has shape \(4, 4\)"):
         evaluate(ball, folder, np.zeros((4, 4)))
 
 
 def test_environment_is_compared_after_scaling_channels(folder, ball):
     """Twice as bright and redder is equally good; another environment is not."""
-    assert evaluate(ball, folder, sky() * (2.5, 2.0, 2.0)).environment_psnr > 100.0
-    write_radiance(folder / "environment.exr", np.roll(sky(), 8, axis=1))
-    assert evaluate(ball, folder, sky()).environment_psnr < 30.0
+    assert evaluate(ball, folder, panorama() * (2.5, 2.0, 2.0)).environment_psnr > 100.0
+    write_radiance(folder / "environment.exr", np.roll(panorama(), 8, axis=1))
+    assert evaluate(ball, folder, panorama()).environment_psnr < 30.0

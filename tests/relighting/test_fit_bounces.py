@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.relighting.fitting.light_layers import SurfaceAverage
-from support.scenes.fit_rooms import DIRECT, assert_powers, closed, power, taken, three_lamps, unknown, view
+from support.scenes.fit_rooms import DIRECT, assert_powers, closed, image_of, initial_lights, power, three_lights, view
 
 VIEW = view(48, 36)
 PATHS = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=16, max_bounces=4)
@@ -18,22 +18,24 @@ PATHS = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=16, max_bounces=4)
 @pytest.fixture(scope="module")
 def bounced() -> np.ndarray:
     """An image of a closed room, half of whose light is indirect."""
-    return taken(closed(*three_lamps()), VIEW, replace(PATHS, samples=96, seed=5))
+    return image_of(closed(*three_lights()), VIEW, replace(PATHS, samples=96, seed=5))
 
 
 def test_path_traced_fit_of_a_closed_room(bounced):
     """Lights are within 5 % with a quarter of the default samples."""
-    lights = three_lamps()
-    found = ls.fit_lights(closed(*unknown(*lights)), VIEW, bounced, config=PATHS, environment_degree=None, device="cpu")
+    lights = three_lights()
+    found = ls.fit_lights(
+        closed(*initial_lights(*lights)), VIEW, bounced, config=PATHS, environment_degree=None, device="cpu"
+    )
     assert_powers(found.lights, lights, 0.05)
     assert not found.remarks
 
 
 def test_fit_without_bounces_is_biased(bounced):
     """Some light is wrong by a fifth and more, which is why path tracing is the default."""
-    lights = three_lamps()
+    lights = three_lights()
     found = ls.fit_lights(
-        closed(*unknown(*lights)), VIEW, bounced, config=DIRECT, environment_degree=None, device="cpu"
+        closed(*initial_lights(*lights)), VIEW, bounced, config=DIRECT, environment_degree=None, device="cpu"
     )
     off = [
         np.abs(power(one) - power(light)).max() / power(light).max()
@@ -48,11 +50,11 @@ def test_few_samples_do_not_bias_powers(bounced):
     Squares of noisy renders would make powers too weak. Robust weights, which take fireflies for objects that the scene
     lacks, would make them 8 % too strong.
     """
-    lights = three_lamps()
+    lights = three_lights()
     ratios = []
     for seed in range(2):
         found = ls.fit_lights(
-            closed(*unknown(*lights)),
+            closed(*initial_lights(*lights)),
             VIEW,
             bounced,
             config=replace(PATHS, samples=8, seed=seed),
@@ -93,7 +95,9 @@ def test_averaging_window_ends_at_the_image_border():
 @pytest.mark.parametrize("width", [64, 96])
 def test_path_traced_fit_with_default_samples(width):
     """Each channel of each light is within 2 % if the image has little noise."""
-    lights, camera, many = three_lamps(), view(width, 3 * width // 4), replace(PATHS, samples=64)
-    image = taken(closed(*lights), camera, replace(PATHS, samples=256, seed=5))
-    found = ls.fit_lights(closed(*unknown(*lights)), camera, image, config=many, environment_degree=None, device="cpu")
+    lights, camera, many = three_lights(), view(width, 3 * width // 4), replace(PATHS, samples=64)
+    image = image_of(closed(*lights), camera, replace(PATHS, samples=256, seed=5))
+    found = ls.fit_lights(
+        closed(*initial_lights(*lights)), camera, image, config=many, environment_degree=None, device="cpu"
+    )
     assert_powers(found.lights, lights, 0.02)

@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
 from lumisplat.scene.ops.colors import base_colors
-from support.scenes.fit_rooms import DIRECT, assert_powers, closed, noisy, taken, three_lamps, unknown, view
+from support.scenes.fit_rooms import DIRECT, assert_powers, closed, image_of, initial_lights, noisy, three_lights, view
 
 HYBRID = replace(DIRECT, pipeline=ls.Pipeline.HYBRID)
 GAINS = np.array([0.5, 0.9, 1.4])
@@ -21,7 +21,7 @@ SMALL = view(64, 48)
 
 def room_with_capture(*, has_albedo: bool = True) -> ls.Scene:
     """The closed room, with its ball a capture, orange on one side and blue on the other."""
-    room = closed(*three_lamps())
+    room = closed(*three_lights())
     ball = ls.gaussians_from_mesh(room.meshes[-2].mesh, 250)
     left = ball.means[:, :1] < ball.means[:, 0].mean()
     colors = np.where(left, (0.6, 0.4, 0.2), (0.2, 0.3, 0.6))
@@ -52,10 +52,10 @@ def fitted(scene: ls.Scene, image: np.ndarray, **options) -> ls.inverse.LightFit
 def test_capture_color_is_one_factor_per_channel(has_albedo):
     """A capture that starts half as red and more blue gets its own two colours back, and the lights are found."""
     truth = room_with_capture(has_albedo=has_albedo)
-    image = taken(truth, SMALL, HYBRID)
-    thought = replace(recolored(truth, GAINS), lights=unknown(*three_lamps()))
+    image = image_of(truth, SMALL, HYBRID)
+    thought = replace(recolored(truth, GAINS), lights=initial_lights(*three_lights()))
     found = fitted(thought, image, base_colors=["ball"])
-    assert_powers(found.lights, three_lamps(), 0.01)
+    assert_powers(found.lights, three_lights(), 0.01)
     own, expected = (base_colors(scene.splats[0].gaussians) for scene in (found.scene, truth))
     np.testing.assert_allclose(own, expected, atol=0.01)
     np.testing.assert_allclose(found.base_colors["ball"], expected.mean(axis=0), atol=0.01)
@@ -69,7 +69,7 @@ def test_captures_are_among_all_base_colors():
     """If all are fitted, only products are determined; a capture without a material has no colour to fit."""
     truth = room_with_capture()
     kept = replace(truth, splats=(*truth.splats, replace(truth.splats[0], material=None, name="kept")))
-    found = fitted(kept, taken(kept, SMALL, HYBRID), base_colors=True, size=24)
+    found = fitted(kept, image_of(kept, SMALL, HYBRID), base_colors=True, size=24)
     assert "ball" in found.base_colors and "kept" not in found.base_colors
     assert any("up to one factor" in line for line in found.remarks)
     assert found.scene.splats[1] is kept.splats[1]
@@ -78,7 +78,7 @@ def test_captures_are_among_all_base_colors():
 def test_capture_colors_stay_below_white():
     """The image shows more than it can reflect: Gaussians end at 1, and a remark counts them."""
     truth = room_with_capture()
-    bright = replace(truth, lights=[replace(light, intensity=3.0 * light.intensity) for light in three_lamps()])
+    bright = replace(truth, lights=[replace(light, intensity=3.0 * light.intensity) for light in three_lights()])
     linear = ls.render(bright, SMALL, HYBRID, device="cpu").color
     found = fitted(truth, linear, linear=True, intensities=False, base_colors=["ball"])
     albedo = found.scene.splats[0].gaussians.albedo
@@ -91,9 +91,9 @@ def test_relit_captures_count_and_unlit_ones_do_not():
     truth = room_with_capture()
     box = ls.gaussians_from_mesh(truth.meshes[-1].mesh, 300)
     shown = replace(truth, splats=(*truth.splats, ls.SplatInstance(box)), meshes=truth.meshes[:-1])
-    image = noisy(taken(shown, SMALL, HYBRID), 0.01)
-    found = fitted(replace(shown, lights=unknown(*three_lamps())), image)
-    assert_powers(found.lights, three_lamps(), 0.05)
+    image = noisy(image_of(shown, SMALL, HYBRID), 0.01)
+    found = fitted(replace(shown, lights=initial_lights(*three_lights())), image)
+    assert_powers(found.lights, three_lights(), 0.05)
     kept = ls.render(shown, SMALL, HYBRID, device="cpu").captured_weight
     assert kept is not None and (kept > 0.5).mean() > 0.02
     assert (found.views[0].weights[kept > 0.5] == 0.0).all()

@@ -14,15 +14,15 @@ from support.scenes.fit_rooms import (
     DIRECT,
     assert_powers,
     closed,
+    image_of,
+    initial_lights,
     noisy,
     open_above,
     other_view,
     power,
-    taken,
-    three_lamps,
-    unknown,
+    three_lights,
     view,
-    with_strangers,
+    with_unmodelled_objects,
 )
 from support.scenes.light_scenes import matte
 
@@ -37,8 +37,8 @@ def fitted(scene: ls.Scene, images, cameras=None, **options) -> ls.inverse.Light
 
 def test_three_lights_of_a_noiseless_image_are_exact():
     """Nothing is left to explain."""
-    lights = three_lamps()
-    found = fitted(closed(*unknown(*lights)), taken(closed(*lights), VIEW))
+    lights = three_lights()
+    found = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), VIEW))
     assert_powers(found.lights, lights, 1e-3)
     assert found.scene.lights == found.lights
     assert found.views[0].residual < 1e-3
@@ -48,8 +48,8 @@ def test_three_lights_of_a_noiseless_image_are_exact():
 
 def test_three_lights_with_noise_are_within_their_standard_errors():
     """Errors with noise and 8 bits are below 5 %."""
-    lights = three_lamps()
-    found = fitted(closed(*unknown(*lights)), noisy(taken(closed(*lights), VIEW)))
+    lights = three_lights()
+    found = fitted(closed(*initial_lights(*lights)), noisy(image_of(closed(*lights), VIEW)))
     assert_powers(found.lights, lights, 0.05)
     off = np.array([np.abs(power(one) - power(light)) for one, light in zip(found.lights, lights, strict=True)])
     assert (found.standard_errors > 0.0).all() and (found.standard_errors < 0.1).all()
@@ -58,11 +58,11 @@ def test_three_lights_with_noise_are_within_their_standard_errors():
 
 def test_light_that_is_off_gets_power_0():
     """No power is negative, nor taken from another light."""
-    lights = three_lamps()
+    lights = three_lights()
     dark = replace(lights[1], intensity=0.0)
-    found = fitted(closed(*unknown(*lights)), noisy(taken(closed(lights[0], dark, lights[2]), VIEW)))
+    found = fitted(closed(*initial_lights(*lights)), noisy(image_of(closed(lights[0], dark, lights[2]), VIEW)))
     assert power(found.lights[1]).max() < 0.02 * power(lights[0]).max()
-    exact = fitted(closed(*unknown(*lights)), taken(closed(lights[0], dark, lights[2]), VIEW))
+    exact = fitted(closed(*initial_lights(*lights)), image_of(closed(lights[0], dark, lights[2]), VIEW))
     assert power(exact.lights[1]).max() < 1e-6
     assert exact.remarks == ("warm: the fit turned it off",)
 
@@ -71,36 +71,36 @@ def test_keep_hues_fits_one_power_per_light():
     """A blue light stays blue, and is about as strong as the white one in its position."""
     lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 1.0, 1.0), 3.0)
     tinted = replace(lamp, color=(0.5, 0.5, 1.0), intensity=0.1)
-    found = fitted(closed(tinted), taken(closed(lamp), VIEW), keep_hues=True)
+    found = fitted(closed(tinted), image_of(closed(lamp), VIEW), keep_hues=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightPoint) and light.color == (0.5, 0.5, 1.0)
     assert 3.0 < light.intensity < 6.0
-    exact = fitted(closed(tinted), taken(closed(replace(tinted, intensity=4.0)), VIEW), keep_hues=True)
+    exact = fitted(closed(tinted), image_of(closed(replace(tinted, intensity=4.0)), VIEW), keep_hues=True)
     assert exact.lights[0].intensity == pytest.approx(4.0, rel=1e-3)
 
 
 def test_second_image_determines_a_hidden_light():
     """Only the second camera sees the light behind the box."""
-    lights = three_lamps()
+    lights = three_lights()
     cameras = [VIEW, OTHER]
-    images = [taken(closed(*lights), camera) for camera in cameras]
-    found = fitted(closed(*unknown(*lights)), images, cameras)
+    images = [image_of(closed(*lights), camera) for camera in cameras]
+    found = fitted(closed(*initial_lights(*lights)), images, cameras)
     assert_powers(found.lights, lights, 1e-3)
     assert len(found.views) == 2
     noisy_images = [noisy(one, seed=number) for number, one in enumerate(images)]
-    both = fitted(closed(*unknown(*lights)), noisy_images, cameras)
-    one = fitted(closed(*unknown(*lights)), noisy_images[0], cameras[0])
+    both = fitted(closed(*initial_lights(*lights)), noisy_images, cameras)
+    one = fitted(closed(*initial_lights(*lights)), noisy_images[0], cameras[0])
     assert both.standard_errors.sum() < one.standard_errors.sum()
 
 
 def test_objects_missing_from_the_scene_do_not_bias_the_fit():
     """A black ball and a lit picture on the wall hide a sixth of the image: lights are within 5 %."""
-    lights = three_lamps()
+    lights = three_lights()
     room = closed(*lights)
-    image = noisy(taken(with_strangers(room), VIEW))
-    clean = noisy(taken(room, VIEW))
+    image = noisy(image_of(with_unmodelled_objects(room), VIEW))
+    clean = noisy(image_of(room, VIEW))
     assert (np.abs(image.astype(int) - clean) > 12).any(axis=2).mean() > 0.1
-    found = fitted(closed(*unknown(*lights)), image)
+    found = fitted(closed(*initial_lights(*lights)), image)
     assert_powers(found.lights, lights, 0.05)
     # Hidden pixels have weight 0.
     changed = (np.abs(image.astype(int) - clean) > 60).any(axis=2)
@@ -109,11 +109,11 @@ def test_objects_missing_from_the_scene_do_not_bias_the_fit():
 
 def test_clipped_pixels_are_left_out_and_counted():
     """An image with three stops more exposure is partly white; the lights are right."""
-    lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lamps()]
-    image = taken(closed(*lights), VIEW)
+    lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lights()]
+    image = image_of(closed(*lights), VIEW)
     white = (image >= 0.995).any(axis=2)
     assert 0.1 < white.mean() < 0.7
-    found = fitted(closed(*unknown(*lights)), image)
+    found = fitted(closed(*initial_lights(*lights)), image)
     assert_powers(found.lights, tuple(lights), 1e-3)
     assert found.views[0].clipped == np.count_nonzero(white | (image <= 0.0).any(axis=2))
     assert (found.views[0].weights[image >= 0.995] == 0.0).all()
@@ -122,12 +122,12 @@ def test_clipped_pixels_are_left_out_and_counted():
 
 def test_masked_pixels_are_left_out():
     """Half of the image is painted over."""
-    lights = three_lamps()
-    image = taken(closed(*lights), VIEW)
+    lights = three_lights()
+    image = image_of(closed(*lights), VIEW)
     mask = np.ones(image.shape[:2])
     image[:, :20] = (0.9, 0.1, 0.9)
     mask[:, :20] = 0.0
-    found = fitted(closed(*unknown(*lights)), image, masks=mask)
+    found = fitted(closed(*initial_lights(*lights)), image, masks=mask)
     assert_powers(found.lights, lights, 1e-3)
     assert found.views[0].masked == 20 * image.shape[0]
     # Shares are relative to all modelled light.
@@ -139,20 +139,20 @@ def test_masked_pixels_are_left_out():
 
 def test_exposure_of_the_camera_is_applied():
     """A camera with two stops less gives the same lights."""
-    lights = three_lamps()
+    lights = three_lights()
     darker = replace(VIEW, exposure=-2.0)
-    found = fitted(closed(*unknown(*lights)), taken(closed(*lights), darker), darker)
+    found = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), darker), darker)
     assert_powers(found.lights, lights, 2e-3)
-    given = fitted(closed(*unknown(*lights)), taken(closed(*lights), darker), VIEW, exposure=-2.0)
+    given = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), darker), VIEW, exposure=-2.0)
     assert_powers(given.lights, lights, 2e-3)
 
 
 def test_exposures_are_fitted_relative_to_the_first():
     """The first exposure is held, with a remark, if the scene emits no light; the second is found."""
-    lights = three_lamps()
+    lights = three_lights()
     cameras = [VIEW, replace(OTHER, exposure=-1.3)]
-    images = [taken(closed(*lights), camera) for camera in cameras]
-    found = fitted(closed(*unknown(*lights)), images, [VIEW, OTHER], exposure="fit")
+    images = [image_of(closed(*lights), camera) for camera in cameras]
+    found = fitted(closed(*initial_lights(*lights)), images, [VIEW, OTHER], exposure="fit")
     np.testing.assert_allclose(found.exposures, [0.0, -1.3], atol=5e-3)
     assert_powers(found.lights, lights, 5e-3)
     assert "the exposure of image 0 stays 0 stops" in found.remarks[0]
@@ -160,7 +160,7 @@ def test_exposures_are_fitted_relative_to_the_first():
 
 def test_emission_determines_the_exposure():
     """The scene has a sign of known radiance."""
-    lights = three_lamps()
+    lights = three_lights()
     shining = replace(matte(0.0), emissive=(0.5, 0.4, 0.3))
     sign = ls.Mesh(
         [[0.6, 0.8, 0.02], [2.0, 0.8, 0.02], [2.0, 2.0, 0.02], [0.6, 2.0, 0.02]],
@@ -171,8 +171,8 @@ def test_emission_determines_the_exposure():
     def with_sign(scene: ls.Scene) -> ls.Scene:
         return replace(scene, meshes=(*scene.meshes, ls.MeshInstance(sign)))
 
-    image = taken(with_sign(closed(*lights)), replace(VIEW, exposure=-0.8))
-    found = fitted(with_sign(closed(*unknown(*lights))), image, exposure="fit")
+    image = image_of(with_sign(closed(*lights)), replace(VIEW, exposure=-0.8))
+    found = fitted(with_sign(closed(*initial_lights(*lights))), image, exposure="fit")
     np.testing.assert_allclose(found.exposures, [-0.8], atol=5e-3)
     assert_powers(found.lights, lights, 5e-3)
 
@@ -180,24 +180,24 @@ def test_emission_determines_the_exposure():
 @pytest.mark.parametrize("tone_map", ["neutral", "agx"])
 def test_tone_maps_are_inverted(tone_map):
     """Lights of a tone-mapped image are wrong without ``tone_map``."""
-    lights = three_lamps()
-    image = taken(closed(*lights), VIEW, replace(DIRECT, tone_map=tone_map))
-    found = fitted(closed(*unknown(*lights)), image, tone_map=tone_map)
+    lights = three_lights()
+    image = image_of(closed(*lights), VIEW, replace(DIRECT, tone_map=tone_map))
+    found = fitted(closed(*initial_lights(*lights)), image, tone_map=tone_map)
     assert_powers(found.lights, lights, 0.01)
-    wrong = fitted(closed(*unknown(*lights)), image)
+    wrong = fitted(closed(*initial_lights(*lights)), image)
     with pytest.raises(AssertionError):
         assert_powers(wrong.lights, lights, 0.01)
 
 
 def test_exr_images_are_linear_and_png_images_are_not(tmp_path):
     """An EXR may have any brightness."""
-    lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lamps()]
+    lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lights()]
     frame = ls.render(closed(*lights), VIEW, DIRECT, device="cpu")
     frame.save(tmp_path / "photo.exr")
-    found = fitted(closed(*unknown(*lights)), tmp_path / "photo.exr")
+    found = fitted(closed(*initial_lights(*lights)), tmp_path / "photo.exr")
     assert_powers(found.lights, tuple(lights), 1e-4)
     assert found.views[0].clipped == 0
-    array = fitted(closed(*unknown(*lights)), frame.color, linear=True)
+    array = fitted(closed(*initial_lights(*lights)), frame.color, linear=True)
     assert_powers(array.lights, tuple(lights), 1e-4)
 
 
@@ -216,7 +216,7 @@ def sh_environment(degree: int = 2) -> EnvironmentProbe:
 def test_sh_environment_is_recovered():
     """The irradiance is right with degree 1 and few samples, and no radiance is negative."""
     truth, camera = sh_environment(1), view(48, 36)
-    image = taken(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
+    image = image_of(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
     config = ls.RenderConfig(samples=32, seed=77)
     found = fitted(open_above(), image, camera, config=config, environment_degree=1)
     check_environment(found, truth)
@@ -227,9 +227,9 @@ def test_sh_environment_and_a_light_are_recovered():
     """Beside an environment of degree 2, the light is within 3 %."""
     light = ls.LightPoint((3.0, 2.0, 3.2), (1.0, 0.7, 0.4), 1.5, name="lamp")
     truth, camera = sh_environment(2), view(64, 48)
-    image = taken(open_above(light, truth.light()), camera, ls.RenderConfig(samples=256))
+    image = image_of(open_above(light, truth.light()), camera, ls.RenderConfig(samples=256))
     config = ls.RenderConfig(samples=128, seed=77)
-    found = fitted(open_above(*unknown(light)), image, camera, config=config, environment_degree=2)
+    found = fitted(open_above(*initial_lights(light)), image, camera, config=config, environment_degree=2)
     assert_powers(found.lights[:1], (light,), 0.03)
     check_environment(found, truth)
 
@@ -251,9 +251,9 @@ def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> No
 @pytest.mark.parametrize("room", [open_above, closed])
 def test_unused_sh_environment_is_removed(room):
     """One remark reports that none of the environment's light was found, whether it is blocked or does not shine."""
-    lights = three_lamps()
+    lights = three_lights()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
-    found = fitted(room(*unknown(*lights)), taken(room(*lights), VIEW), **options)
+    found = fitted(room(*initial_lights(*lights)), image_of(room(*lights), VIEW), **options)
     assert found.environment is None and found.scene.lights == found.lights and len(found.lights) == 3
     assert len(found.shares) == len(found.standard_errors) == len(found.position_errors) == 3
     assert found.remarks[0] == "environment: none of its light was found in the images, so the scene has none"
@@ -264,7 +264,7 @@ def test_red_environment_is_recovered():
     """Two channels are black everywhere, and so left out."""
     red, camera = ls.LightEnvironment(color=(1.0, 0.0, 0.0), intensity=0.4), view(32, 24)
     config = ls.RenderConfig(samples=16)
-    found = fitted(open_above(), taken(open_above(red), camera, config), camera, config=config, environment_degree=0)
+    found = fitted(open_above(), image_of(open_above(red), camera, config), camera, config=config, environment_degree=0)
     assert found.environment is not None and found.shares == pytest.approx([1.0], abs=1e-6)
     np.testing.assert_allclose(found.environment.radiance(np.eye(3))[:, 0], 0.4, rtol=0.05)
 
@@ -274,7 +274,7 @@ def test_environment_with_an_image_keeps_it():
     image = sh_environment().image(16)
     truth = ls.LightEnvironment(image, (1.0, 0.8, 0.6), 1.4, visible=False, name="sky")
     many = ls.RenderConfig(samples=64)
-    photograph = taken(open_above(truth), view(48, 36), many)
+    photograph = image_of(open_above(truth), view(48, 36), many)
     found = ls.fit_lights(
         open_above(replace(truth, color=(1, 1, 1), intensity=1.0)), view(48, 36), photograph, config=many, device="cpu"
     )
@@ -287,17 +287,17 @@ def test_lights_at_one_position_are_reported_as_indistinguishable():
     """The sum of their powers is right."""
     light = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
     twin = replace(light, name="right")
-    found = fitted(closed(*unknown(light, twin)), taken(closed(light), VIEW))
+    found = fitted(closed(*initial_lights(light, twin)), image_of(closed(light), VIEW))
     assert found.remarks == ("left and right cannot be distinguished in the images: only their sum is determined",)
     np.testing.assert_allclose(power(found.lights[0]) + power(found.lights[1]), power(light), rtol=1e-3)
 
 
 def test_invisible_light_is_unchanged():
     """One light shines into a box, and one is disabled."""
-    lights = three_lamps()
+    lights = three_lights()
     hidden = ls.LightPoint((2.75, 0.85, 1.3), (1.0, 0.2, 0.1), 9.0, name="hidden")
     switched = replace(hidden, enabled=False, name="switched off")
-    found = fitted(closed(*unknown(*lights), hidden, switched), taken(closed(*lights), VIEW))
+    found = fitted(closed(*initial_lights(*lights), hidden, switched), image_of(closed(*lights), VIEW))
     assert found.scene.lights[3].intensity == 9.0 and found.scene.lights[3].color == hidden.color
     assert found.scene.lights[4] is switched and len(found.lights) == 4
     assert found.remarks == ("hidden: none of its light appears in the images, so it is unchanged",)
@@ -305,9 +305,9 @@ def test_invisible_light_is_unchanged():
 
 def test_parameters_that_no_light_has_are_reported():
     """Each parameter has its own remark."""
-    lights = three_lamps()
+    lights = three_lights()
     small = view(32, 24)
-    found = fitted(closed(*unknown(*lights)), taken(closed(*lights), small), small, radii=True, angles=True)
+    found = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), small), small, radii=True, angles=True)
     assert found.remarks == (
         "radii is set, but no light has any: none were fitted",
         "angles is set, but no light has any: none were fitted",
@@ -316,8 +316,8 @@ def test_parameters_that_no_light_has_are_reported():
 
 def test_base_colors_of_two_materials_are_recovered():
     """The lights and the walls' colours are known."""
-    lights = three_lamps()
-    image = taken(closed(*lights), VIEW)
+    lights = three_lights()
+    image = image_of(closed(*lights), VIEW)
     room = closed(*lights)
     grey = [
         replace(instance, name=name, mesh=replace(instance.mesh, material=matte(0.4)))
@@ -328,18 +328,18 @@ def test_base_colors_of_two_materials_are_recovered():
     np.testing.assert_allclose(found.base_colors["ball"], (0.8, 0.5, 0.2), atol=2e-3)
     np.testing.assert_allclose(found.base_colors["box"], (0.2, 0.5, 0.8), atol=2e-3)
     assert [power(light).tolist() for light in found.lights] == [power(lamp).tolist() for lamp in lights]
-    both = fitted(replace(scene, lights=unknown(*lights)), image, base_colors=["ball", "box"])
+    both = fitted(replace(scene, lights=initial_lights(*lights)), image, base_colors=["ball", "box"])
     np.testing.assert_allclose(both.base_colors["box"], (0.2, 0.5, 0.8), atol=4e-3)
     assert_powers(both.lights, lights, 5e-3)
 
 
 def test_product_of_all_base_colors_is_held():
     """Lights and surfaces are determined up to a factor, and a remark says so."""
-    lights = three_lamps()
+    lights = three_lights()
     room, camera = closed(*lights), view(32, 24)
-    image = taken(room, camera)
+    image = image_of(room, camera)
     grey = [replace(one, mesh=replace(one.mesh, material=matte(0.5))) for one in room.meshes]
-    found = fitted(replace(room, meshes=grey, lights=unknown(*lights)), image, camera, base_colors=True)
+    found = fitted(replace(room, meshes=grey, lights=initial_lights(*lights)), image, camera, base_colors=True)
     assert any("up to one factor" in line for line in found.remarks)
     assert found.views[0].residual < 0.01
     colors = np.array(list(found.base_colors.values()))

@@ -19,12 +19,12 @@ from support.scenes.fit_rooms import (
     ROOM,
     assert_powers,
     closed,
+    image_of,
     moved,
     noisy,
     open_above,
     other_view,
-    taken,
-    three_lamps,
+    three_lights,
     view,
 )
 
@@ -49,10 +49,10 @@ def assert_positions(found: tuple[object, ...], lights: tuple[ls.LightPoint, ...
 
 def test_position_of_a_light_is_recovered():
     """A light 0.3 of the room away, with noise and 8 bits: within 2 % of the room, and 5 % of its power."""
-    light = three_lamps()[1]
+    light = three_lights()[1]
     start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
     assert math.dist(start.position, light.position) > 0.28 * ROOM
-    found = fitted(closed(start), view(), noisy(taken(closed(light), view())), positions=True, size=48)
+    found = fitted(closed(start), view(), noisy(image_of(closed(light), view())), positions=True, size=48)
     assert_positions(found.lights, (light,), 0.02)
     assert_powers(found.lights, (light,), 0.05)
     assert (found.position_errors < 0.02 * ROOM).all()
@@ -60,11 +60,11 @@ def test_position_of_a_light_is_recovered():
 
 def test_progress_is_reported_for_every_render(monkeypatch):
     """The fraction never falls, and ends at 1."""
-    light, rendered, reports = three_lamps()[1], [], []
+    light, rendered, reports = three_lights()[1], [], []
     both = LightLayers._both
     monkeypatch.setattr(LightLayers, "_both", lambda *args: rendered.append(len(reports)) or both(*args))
     start = replace(light, position=(1.9, 1.5, 3.3), intensity=1.0)
-    image = taken(closed(light), view(32, 24))
+    image = image_of(closed(light), view(32, 24))
     fitted(closed(start), view(32, 24), image, positions=True, progress=lambda *now: reports.append(now))
     assert max(np.diff(rendered)) <= 2 and min(np.diff(rendered)) >= 1 and len(rendered) > 100
     labels, shares = zip(*reports, strict=True)
@@ -75,8 +75,8 @@ def test_progress_is_reported_for_every_render(monkeypatch):
 
 def test_position_is_recovered_between_unfitted_pixels():
     """Black dots leave no downscaled pixel whole, so the search runs at the full size."""
-    light = three_lamps()[1]
-    image = taken(closed(light), view(48, 36))
+    light = three_lights()[1]
+    image = image_of(closed(light), view(48, 36))
     image[::2, ::2] = 0.0
     start = replace(light, position=(1.9, 1.5, 3.3), intensity=1.0)
     found = fitted(closed(start), view(48, 36), image, positions=True)
@@ -88,7 +88,7 @@ def test_lights_stay_in_the_box_of_the_scene():
     light = ls.LightPoint((2.0, 9.0, 2.5), (1.0, 1.0, 1.0), 40.0)
     start = replace(light, position=(2.0, 2.0, 2.5), intensity=2.0)
     small = view(48, 36)
-    found = fitted(open_above(start), small, taken(open_above(light), small), positions=True)
+    found = fitted(open_above(start), small, image_of(open_above(light), small), positions=True)
     height = expect_kind(ls.LightPoint, found.lights[0]).position[1]
     assert height == pytest.approx(3.0, abs=1e-5)  # as high as the walls
 
@@ -97,9 +97,9 @@ def test_lights_stay_in_the_box_of_the_scene():
 @pytest.mark.parametrize("count", [1, 2])
 def test_positions_of_three_lights_are_recovered(count):
     """Lights displaced by 0.3 of the room are found from one and two images, with noise and 8 bits. They may swap."""
-    lamps = three_lamps()
+    lamps = three_lights()
     cameras = [view(), other_view()][:count]
-    images = [noisy(taken(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
+    images = [noisy(image_of(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
     found = fitted(closed(*moved(lamps, 0.3)), cameras, images, positions=True, size=64)
     positions = np.array([expect_kind(ls.LightPoint, light).position for light in found.lights])
     order = [int(np.linalg.norm(positions - lamp.position, axis=1).argmin()) for lamp in lamps]
@@ -112,9 +112,9 @@ def test_positions_of_three_lights_are_recovered(count):
 @pytest.mark.deep
 def test_position_with_a_soft_shadow_is_recovered():
     """The penumbra adds noise."""
-    light = replace(three_lamps()[1], radius=0.1)
+    light = replace(three_lights()[1], radius=0.1)
     start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
-    image = noisy(taken(closed(light), view(), SOFT))
+    image = noisy(image_of(closed(light), view(), SOFT))
     found = fitted(closed(start), view(), image, positions=True, config=SOFT, size=64)
     assert_positions(found.lights, (light,), 0.02)
     assert_powers(found.lights, (light,), 0.05)
@@ -124,7 +124,7 @@ def test_radius_is_recovered_from_the_penumbra():
     """A sphere light that starts at a third of its radius is within a seventh, its power within 3 %."""
     lamp = ls.LightSphere((2.6, 2.2, 3.4), 0.35, (1.0, 0.9, 0.8), 12.0, name="ball")
     small = view(48, 36)
-    image = taken(closed(lamp), small, replace(SOFT, samples=64))
+    image = image_of(closed(lamp), small, replace(SOFT, samples=64))
     found = fitted(closed(replace(lamp, radius=0.12, intensity=50.0)), small, image, radii=True, config=SOFT)
     (light,) = found.lights
     assert isinstance(light, ls.LightSphere)
@@ -137,7 +137,7 @@ def test_direction_and_cone_of_a_spot_are_recovered():
     """The edge of its light determines both."""
     spot = ls.LightSpot((2.0, 2.8, 2.6), (0.2, -1.0, -0.3), (1.0, 0.9, 0.7), 8.0, inner_angle=0.35, outer_angle=0.6)
     start = replace(spot, direction=(0.05, -1.0, -0.1), inner_angle=0.25, outer_angle=0.75, intensity=3.0)
-    image = taken(closed(spot), SMALL)
+    image = image_of(closed(spot), SMALL)
     found = fitted(closed(start), SMALL, image, positions=True, angles=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightSpot)
@@ -150,7 +150,7 @@ def test_direction_of_a_sun_is_recovered():
     """Shadows determine the direction."""
     sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
     start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
-    image = taken(open_above(sun), SMALL)
+    image = image_of(open_above(sun), SMALL)
     found = fitted(open_above(start), SMALL, image, positions=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightDirectional)
@@ -160,8 +160,8 @@ def test_direction_of_a_sun_is_recovered():
 
 def test_derivatives_do_not_depend_on_the_step():
     """Away from shadow edges, half the step gives the same derivative of each pixel by each coordinate."""
-    light = replace(three_lamps()[0], intensity=1.0)
-    scene, images = closed(light), read_images(view(), taken(closed(light), view()))
+    light = replace(three_lights()[0], intensity=1.0)
+    scene, images = closed(light), read_images(view(), image_of(closed(light), view()))
     task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)
     fitter = PowerFitter(task, images, LightLayers(DIRECT, "cpu"))
     candidate = fitter.begin(task.scene, task.gains)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.scenes.fit_rooms import DIRECT, closed, three_lamps, view
+from support.scenes.fit_rooms import DIRECT, closed, three_lights, view
 
 GREY = np.full((72, 96, 3), 0.5)
 
@@ -18,7 +18,7 @@ def refusal(*images, scene: ls.Scene | None = None, cameras=None, **options) -> 
     options = {"config": DIRECT, "device": "cpu", "environment_degree": None} | options
     given = list(images) if len(images) != 1 else images[0]
     with pytest.raises((ls.ConfigError, ls.SceneError)) as caught:
-        ls.fit_lights(scene or closed(*three_lamps()), cameras or view(), given, **options)
+        ls.fit_lights(scene or closed(*three_lights()), cameras or view(), given, **options)
     message = str(caught.value)
     assert "\n" not in message and len(message) < 300
     return message
@@ -37,7 +37,7 @@ def test_image_size_may_differ_from_the_cameras():
     """The image is larger or smaller, with the same aspect ratio."""
     for width in (48, 192):
         fit = ls.fit_lights(
-            closed(*three_lamps()),
+            closed(*three_lights()),
             view(width, width * 3 // 4),
             GREY,
             config=DIRECT,
@@ -61,13 +61,13 @@ def test_images_without_usable_pixels_are_refused():
 def test_scenes_without_anything_to_fit_are_refused():
     """No lights, none enabled, nothing visible, nothing asked for."""
     assert "no lights to fit" in refusal(GREY, scene=closed())
-    off = [replace(light, enabled=False) for light in three_lamps()]
+    off = [replace(light, enabled=False) for light in three_lights()]
     assert "no lights to fit" in refusal(GREY, scene=closed(*off))
     assert "nothing to fit" in refusal(GREY, intensities=False)
     away = ls.Camera.look_at((2, 1.5, -9), (2, 1.5, -20), width=96, height=72)
     assert "no pixel of the images can be fitted" in refusal(GREY, cameras=away)
     assert "no pixel of the images can be fitted" in refusal(GREY, cameras=away, positions=True)
-    assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lamps()))
+    assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lights()))
 
 
 def test_settings_out_of_range_are_refused_by_name():

@@ -18,7 +18,7 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.relighting.light_estimation import surrounding_scores
 from lumisplat.scene.lights import facing_irradiance
 from lumisplat.scene.ops.colors import colors_along
-from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls
+from support.scenes.light_room import SIZE, bright_wall, captured, highlight, light_ball, room_with, walls
 
 CENTER = 0.5 * SIZE
 POSITIONS = ((1.0, 2.8, 1.2), (3.2, 2.5, 3.6), (0.4, 1.2, 4.2))
@@ -31,7 +31,7 @@ looks = partial(ls.config.LightEstimationConfig, evidence=0.0)
 
 def three_lamps() -> ls.Gaussians:
     """The room with the three lamps, stored in another order."""
-    return room_with(*(lamp(POSITIONS[i], COLORS[i]) for i in (2, 0, 1)))
+    return room_with(*(light_ball(POSITIONS[i], COLORS[i]) for i in (2, 0, 1)))
 
 
 def assert_at(light: ls.LightPoint, position: tuple[float, float, float], radius: float = 0.08) -> None:
@@ -72,7 +72,7 @@ def test_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None
     """A wall as bright as the lamp is no light; a warning says that fewer lights were found."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         found = ls.inverse.estimate_lights(
-            room_with(bright_wall(), lamp(POSITIONS[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
+            room_with(bright_wall(), light_ball(POSITIONS[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
         )
     assert len(found.lights) == 1
     assert_at(found.lights[0], POSITIONS[1])
@@ -88,7 +88,7 @@ def test_compactness_0_accepts_broad_emitters() -> None:
     (light,) = ls.inverse.estimate_lights(room, CENTER, 1, config=broad).lights
     assert light.position[2] == pytest.approx(0.01)
     both = ls.inverse.estimate_lights(
-        room_with(bright_wall(), lamp(POSITIONS[1], (0.7, 0.7, 0.7))), CENTER, 2, config=broad
+        room_with(bright_wall(), light_ball(POSITIONS[1], (0.7, 0.7, 0.7))), CENTER, 2, config=broad
     )
     assert_at(both.lights[0], POSITIONS[1])
 
@@ -96,8 +96,8 @@ def test_compactness_0_accepts_broad_emitters() -> None:
 def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
     """The sparkle, bright from one viewpoint only, ranks after a lamp of half its luminance."""
     position = np.array(POSITIONS[0])
-    glint = sparkle(POSITIONS[0], position - CENTER)
-    room = room_with(glint, lamp(POSITIONS[1], (0.6, 0.6, 0.6)))
+    glint = highlight(POSITIONS[0], position - CENTER)
+    room = room_with(glint, light_ball(POSITIONS[1], (0.6, 0.6, 0.6)))
     found = ls.inverse.estimate_lights(room, CENTER, 2, config=looks(weakest=0.0))
     assert_at(found.lights[0], POSITIONS[1])
     assert_at(found.lights[1], POSITIONS[0])
@@ -111,7 +111,10 @@ def test_constancy_over_viewpoints_counts() -> None:
     positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
     # Gradients of equal size: along the viewing direction, where viewpoints hardly matter, and across. The second is
     # 3 % brighter in mean and maximum luminance.
-    steady, unsteady = lamp(tuple(positions[0]), (0.67, 0.67, 0.67)), lamp(tuple(positions[1]), (0.8, 0.8, 0.8))
+    steady, unsteady = (
+        light_ball(tuple(positions[0]), (0.67, 0.67, 0.67)),
+        light_ball(tuple(positions[1]), (0.8, 0.8, 0.8)),
+    )
     steady_sh, unsteady_sh = steady.sh.copy(), unsteady.sh.copy()
     steady_sh[:, 3], unsteady_sh[:, 2] = 0.2, 0.2
     room = room_with(replace(unsteady, sh=unsteady_sh), replace(steady, sh=steady_sh))
@@ -180,7 +183,7 @@ def test_outlier_does_not_exclude_the_lamps() -> None:
     """One Gaussian a hundred times brighter than white counts as a light, and the lamps still do."""
     stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
     found = ls.inverse.estimate_lights(
-        room_with(stray, *(lamp(p, c) for p, c in zip(POSITIONS, COLORS, strict=True))), CENTER, 4, config=looks()
+        room_with(stray, *(light_ball(p, c) for p, c in zip(POSITIONS, COLORS, strict=True))), CENTER, 4, config=looks()
     )
     assert len(found.lights) == 4
     for light, position in zip(found.lights[1:], POSITIONS, strict=True):

@@ -14,8 +14,8 @@ from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Shading, SolidCells
 from lumisplat.relighting.light_estimation import LIGHT_SIGNIFICANCE
 from support.kinds import expect_kind
+from support.scenes.known_light_captures import Point, meadow, room
 from support.scenes.lit_captures import lit_capture
-from support.scenes.lit_places import Point, meadow, room
 
 CENTER = np.array([0.0, 0.9, 0.0])
 LAMPS: tuple[Point, ...] = ((1.1, 2.4, 1.3), (-1.2, 2.2, -1.4))

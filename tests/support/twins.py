@@ -69,7 +69,7 @@ class Twins:
 
 
 def decided(result: Result) -> Any:
-    """Returns a mask of the pixels that agree on every machine; at others the oracle's slack for rounding is infinite."""
+    """Returns a mask of the pixels that agree on every machine: those where the slack for rounding is finite."""
     return np.isfinite(result["slack"]) if "slack" in result else ...
 
 

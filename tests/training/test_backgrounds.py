@@ -10,14 +10,14 @@ import pytest
 import lumisplat as ls
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import StepInput, TargetPixels, TrainingView
-from support.scenes.training_scenes import cameras, known
+from support.scenes.training_scenes import cameras, known_gaussians
 
 BLACK = (0.0, 0.0, 0.0)
 
 
 def dark(count: int, size: int = 40) -> list[TrainingView]:
     """Returns views with alpha of black Gaussians, which are invisible over black."""
-    gaussians = replace(known(), sh=np.full((30, 1, 3), -5.0))
+    gaussians = replace(known_gaussians(), sh=np.full((30, 1, 3), -5.0))
     renderer, found = ls.create_renderer(ls.RenderConfig(), "cpu"), list[TrainingView]()
     for number, camera in enumerate(cameras(count, size)):
         frame = renderer.render(ls.Scene([gaussians]), camera)
@@ -34,7 +34,7 @@ def error_of_alpha(config: ls.TrainConfig) -> float:
     renderer = ls.create_renderer(ls.RenderConfig(), "cpu")
     errors: list[float] = []
     for camera in cameras(14)[8:]:
-        shown, wanted = (renderer.render(ls.Scene([g]), camera).alpha for g in (one.gaussians(), known()))
+        shown, wanted = (renderer.render(ls.Scene([g]), camera).alpha for g in (one.gaussians(), known_gaussians()))
         errors.append(float(np.abs(shown - wanted).mean()))
     return float(np.mean(errors))
 

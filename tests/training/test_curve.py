@@ -10,7 +10,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.training.run_folder import MARGIN, SIZE, Curve, round_step
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 WIDTH, HEIGHT = SIZE
 
@@ -53,6 +53,6 @@ def test_curve_without_points_is_a_blank_image() -> None:
 def test_held_out_images_are_evaluated_early(tmp_path: Path) -> None:
     """Evaluations are after 100 and 200 iterations, and at the end."""
     config = ls.TrainConfig(iterations=210, cap=80, initial=60, sh_degree=0)
-    ls.train(folder_of(tmp_path / "set"), config, output=tmp_path / "a.ply", device="cpu")
+    ls.train(write_training_folder(tmp_path / "set"), config, output=tmp_path / "a.ply", device="cpu")
     stored = json.loads((tmp_path / "a.training" / "curve.json").read_text())
     assert [step for step, _ in stored["measured"]] == [100, 200, 210]

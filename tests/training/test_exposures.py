@@ -16,7 +16,7 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures
 from lumisplat.training.losses import ImageLoss
 from lumisplat.training.trainer import Trainer
-from support.scenes.training_scenes import BACKGROUND, cameras, known, known_learnt, views
+from support.scenes.training_scenes import BACKGROUND, cameras, known_gaussians, known_parameters, views
 from training.test_image_loss import ALPHA, ENTROPY, SIZE, SSIM, expected, images
 
 WIDTH, HEIGHT = SIZE
@@ -79,7 +79,7 @@ def neutral_psnr(of: Trainer) -> float:
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     scores: list[float] = []
     for camera in cameras(40)[33:]:
-        shown, wanted = (renderer.render(ls.Scene([g]), camera).color for g in (of.gaussians(), known()))
+        shown, wanted = (renderer.render(ls.Scene([g]), camera).color for g in (of.gaussians(), known_gaussians()))
         scores.append(ls.metrics.psnr(np.clip(shown, 0.0, 1.0), np.clip(wanted, 0.0, 1.0)))
     return float(np.mean(scores))
 
@@ -103,8 +103,8 @@ def test_exposure_gains_of_images_of_a_known_scene_are_found() -> None:
     psnr: dict[bool, float] = {}
     for exposures in (False, True):
         given = replace(config, exposures=exposures)
-        one = Trainer(views(8, gains=gains), given, background=BACKGROUND, points=known().means, device="cpu")
-        one._upload(known_learnt())
+        one = Trainer(views(8, gains=gains), given, background=BACKGROUND, points=known_gaussians().means, device="cpu")
+        one._upload(known_parameters())
         for _ in range(config.iterations):
             one.step()
         psnr[exposures] = neutral_psnr(one)
@@ -123,7 +123,7 @@ def shown_gains(of: Trainer, seen: Sequence[ls.Camera]) -> np.ndarray:
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     found: list[np.ndarray] = []
     for camera, exposure in zip(seen, of.exposures.values, strict=True):
-        frame = renderer.render(ls.Scene([known()]), camera)
+        frame = renderer.render(ls.Scene([known_gaussians()]), camera)
         alpha = frame.alpha[..., None].astype(np.float64)
         shown = frame.color - (1.0 - alpha) * np.array(BACKGROUND)
         made = shown @ exposure[:, :3].T + alpha * exposure[:, 3]

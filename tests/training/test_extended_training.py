@@ -18,7 +18,7 @@ from lumisplat.training.run_folder import read_checkpoint
 from lumisplat.training.train import training_frame
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 SHORT = ls.TrainConfig(iterations=120, cap=120, initial=80, sh_degree=1, prune_below=0.0)
 LONG = replace(SHORT, iterations=200)
@@ -31,7 +31,7 @@ def checkpoint_of(output: Path) -> Path:
 
 def test_finished_training_resumes_with_more_iterations(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Learning rates follow the new total; one log line reports it, and the usual files are written."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     images = ls.io.load_training_images(folder, background="black")
     ls.train(images, SHORT, output=output, device="cpu")
     state, _ = read_checkpoint(checkpoint_of(output), SHORT, images.fingerprint)
@@ -56,7 +56,7 @@ def test_finished_training_resumes_with_more_iterations(tmp_path: Path, caplog: 
 def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Repeating the command resumes the training wherever it was stopped."""
     monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
-    folder, whole, parts = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "parts.ply"
+    folder, whole, parts = write_training_folder(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "parts.ply"
     for output in (whole, parts):
         ls.train(folder, SHORT, output=output, device="cpu")
     ls.train(folder, LONG, output=whole, device="cpu")
@@ -68,7 +68,7 @@ def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monke
 
 def test_fewer_iterations_than_done_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The message has one line, and the files are unchanged."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     command = ["train", str(folder), "-o", str(output), "--cap", "80", "--sh-degree", "1", "--device", "cpu"]
     assert main([*command, "--iterations", "30"]) == 0
     held = checkpoint_of(output).read_bytes()

@@ -18,7 +18,7 @@ from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.training.lit_gaussians import ray_starts, traced_incident
 from lumisplat.training.material_fit import fit_environment, neighbour_pairs, white_radiance
 from support.oracles.trace_oracle import trace_rays
-from support.scenes.lit_sphere import ball, matte, photographed
+from support.scenes.lit_sphere import ball, matte, write_training_images
 
 QUICK = ls.config.MaterialsConfig(iterations=0)
 GREY = np.array([0.5, 0.4, 0.3])
@@ -41,7 +41,7 @@ def bright_above(ray_directions: np.ndarray) -> np.ndarray:
 def test_constant_environment_and_albedo_are_found_exactly(tmp_path: Path) -> None:
     """Only the product of light and albedo is determined, channel by channel."""
     capture = matte(ball(), GREY, constant_radiance)
-    found = ls.inverse.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
+    found = ls.inverse.find_materials(capture, write_training_images(tmp_path, capture), QUICK, device="cpu")
     albedo, image = found.gaussians.albedo, found.environment.image
     assert albedo is not None and image is not None
     assert np.ptp(albedo, axis=0).max() < 0.01
@@ -53,7 +53,7 @@ def test_constant_environment_and_albedo_are_found_exactly(tmp_path: Path) -> No
 def test_varying_environment_is_found_from_a_constant_albedo(tmp_path: Path) -> None:
     """Degree-1 SH of the environment relative to its mean is within 0.04, the albedo within 1 %."""
     capture = matte(ball(), GREY, bright_above)
-    found = ls.inverse.find_materials(capture, photographed(tmp_path, capture), QUICK, device="cpu")
+    found = ls.inverse.find_materials(capture, write_training_images(tmp_path, capture), QUICK, device="cpu")
     albedo, image = found.gaussians.albedo, found.environment.image
     assert albedo is not None and image is not None
     assert (albedo / albedo.mean(axis=0)).std(axis=0).max() < 0.01
@@ -67,7 +67,7 @@ def test_varying_environment_is_found_from_a_constant_albedo(tmp_path: Path) -> 
 def test_images_add_texture_that_the_capture_lacks(tmp_path: Path) -> None:
     """The capture is plain, its images show checks."""
     checks = np.where(np.sign(ball().means).prod(axis=1, keepdims=True) > 0.0, 1.0, 0.4) * GREY
-    folder = photographed(tmp_path, matte(ball(), checks, constant_radiance))
+    folder = write_training_images(tmp_path, matte(ball(), checks, constant_radiance))
     capture = matte(ball(), GREY, constant_radiance)
     errors = [
         ls.inverse.find_materials(
@@ -86,7 +86,7 @@ def test_materials_have_the_same_bits_on_any_number_of_threads(tmp_path: Path) -
     """Compares one thread with three."""
     capture = matte(ball(200), GREY, bright_above)
     folder, config = (
-        photographed(tmp_path, capture),
+        write_training_images(tmp_path, capture),
         ls.config.MaterialsConfig(directions=32, sky_steps=20, iterations=4),
     )
     first, second = (
@@ -191,7 +191,7 @@ def test_invalid_material_settings_are_named(name: str, value: float, problem: s
 def test_images_of_changing_exposure_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Every third image is a stop darker, every third a stop brighter; images of one exposure are not reported."""
     capture = matte(ball(200), 0.5 * GREY, constant_radiance)
-    folder = photographed(tmp_path, capture, count=9, size=32)
+    folder = write_training_images(tmp_path, capture, count=9, size=32)
     quick = ls.config.MaterialsConfig(directions=32, sky_steps=1, iterations=0)
     ls.inverse.find_materials(capture, folder, quick, device="cpu")
     assert "exposure" not in caplog.text
@@ -209,7 +209,7 @@ def test_images_of_changing_exposure_are_reported(tmp_path: Path, caplog: pytest
 def test_impossible_requests_are_refused_in_one_line(tmp_path: Path) -> None:
     """A format without materials, an input that is not a capture, and images of another place."""
     capture = matte(ball(100), GREY, constant_radiance)
-    folder = photographed(tmp_path / "set", capture, count=3, size=16)
+    folder = write_training_images(tmp_path / "set", capture, count=3, size=16)
     with pytest.raises(ls.ConfigError, match=r"expected \.ply"):
         ls.inverse.find_materials(capture, folder, QUICK, output=tmp_path / "a.spz", device="cpu")
     with pytest.raises(

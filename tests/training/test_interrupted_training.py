@@ -19,7 +19,7 @@ import lumisplat as ls
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.training import train
 from lumisplat.training.run_folder import read_checkpoint
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 OPTIONS = ("--iterations", "260", "--cap", "150", "--sh-degree", "1", "--device", "cpu")
@@ -78,7 +78,7 @@ def finished(folder: Path, output: Path, *more: str) -> dict[str, bytes]:
 
 def test_killed_training_resumes_to_the_same_bits(tmp_path: Path) -> None:
     """Kills within the bytes of a checkpoint, and at a random moment."""
-    folder = folder_of(tmp_path / "set")
+    folder = write_training_folder(tmp_path / "set")
     whole = finished(folder, tmp_path / "whole" / "a.ply")
     assert len(json.loads(whole["curve.json"])["steps"]) == 5
     output = tmp_path / "killed" / "a.ply"
@@ -105,7 +105,7 @@ MOMENTS = (
 @pytest.mark.parametrize("kind", ["mcmc", "adaptive"])
 def test_training_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None:
     """One training is killed at all moments, and six times at random."""
-    folder, more = folder_of(tmp_path / "set"), ("--densification", kind)
+    folder, more = write_training_folder(tmp_path / "set"), ("--densification", kind)
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
     output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(1)
     for moment, number in MOMENTS[:6]:
@@ -120,7 +120,7 @@ def test_training_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None
 @pytest.mark.deep
 def test_material_search_may_be_killed_at_any_moment(tmp_path: Path) -> None:
     """Kills during iterations, while the state is written, before the capture is written, and at random."""
-    folder, more = folder_of(tmp_path / "set"), ("--relightable", "--material-steps", "40")
+    folder, more = write_training_folder(tmp_path / "set"), ("--relightable", "--material-steps", "40")
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
     output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(2)
     killed(folder, output, "in a step of materials", 1, *more)
@@ -144,7 +144,7 @@ def test_time_limit_excludes_kernel_compilation(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(Launcher, "load", slow)
     monkeypatch.setattr(train.time, "monotonic", lambda: clock[0])
     config = ls.TrainConfig(iterations=8, cap=150, initial=80, sh_degree=1)
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     result = ls.train(folder, config, output=output, stop_after=50.0, device="cpu")
     assert clock[0] > 0.0 and result.is_finished and result.seconds == 0.0
     state, _ = read_checkpoint(tmp_path / "a.training" / "checkpoint.npz", config, fingerprint_of(tmp_path))

@@ -39,7 +39,7 @@ def some(seed: int = 0, directions: int = DIRECTIONS, brightest: float = 0.4) ->
         albedo=rng.uniform(0.05, 0.9, (COUNT, 3)),
         roughness=rng.uniform(0.3, 1.0, COUNT),
         directions=even_directions(directions),
-        sky=rng.uniform(0.0, brightest, (directions, 3)),
+        environment=rng.uniform(0.0, brightest, (directions, 3)),
         open=rng.uniform(size=(COUNT, directions)),
         seen=rng.uniform(0.0, 0.1, (COUNT, directions, 3)),
         spread=0.09 * 4.0 * np.pi / directions,
@@ -55,7 +55,7 @@ class Shown:
         incident = IncidentRadiance(lit.directions, lit.open.astype(np.float32), lit.seen.astype(np.float32))
         self.gaussians = LitGaussians(self.launcher, self.buffers, lit.means, incident)
         self.sh = self.buffers.get("test.sh", wp.vec3, len(lit.means))
-        self.gaussians.shade(Materials(lit.albedo, lit.roughness, lit.normals, lit.sky), EYE, self.sh)
+        self.gaussians.shade(Materials(lit.albedo, lit.roughness, lit.normals, lit.environment), EYE, self.sh)
 
     def by_radiance(self, given: np.ndarray) -> Materials:
         """Returns the gradient with respect to materials, given that by display-referred colours."""
@@ -96,7 +96,7 @@ def test_sum_over_directions_converges_to_the_hemisphere_integral() -> None:
     def environment(directions: np.ndarray) -> np.ndarray:
         return (1.0 + 0.5 * directions[:, :1] + 0.3 * directions[:, 1:2] * directions[:, 2:]) * (0.3, 0.4, 0.5)
 
-    lit = replace(lit, sky=environment(lit.directions), roughness=np.maximum(lit.roughness, 0.5))
+    lit = replace(lit, environment=environment(lit.directions), roughness=np.maximum(lit.roughness, 0.5))
     found = Shown(lit).gaussians.radiance
     directions, weights = sphere_quadrature(120)
     for i in range(0, 40, 4):
@@ -169,7 +169,7 @@ def test_gradients_by_normals_match_central_differences() -> None:
 
 def test_radiance_above_white_only_gets_darkening_gradients() -> None:
     """Gaussians that were not drawn get no gradient."""
-    lit = replace(some(8), sky=np.full((DIRECTIONS, 3), 9.0), open=np.ones((COUNT, DIRECTIONS)))
+    lit = replace(some(8), environment=np.full((DIRECTIONS, 3), 9.0), open=np.ones((COUNT, DIRECTIONS)))
     shown = Shown(lit)
     bright = shown.gaussians.radiance.min(axis=1) > 1.0
     assert bright.sum() > 50

@@ -12,7 +12,7 @@ from lumisplat.math.sh import even_directions
 from lumisplat.training.lit_gaussians import IncidentRadiance, Materials
 from lumisplat.training.material_fit import MaterialFit
 from lumisplat.training.views import TrainingView
-from support.scenes.lit_sphere import ball, matte, photographed
+from support.scenes.lit_sphere import ball, matte, write_training_images
 
 COUNT, DIRECTIONS = 60, 12
 SHAPES = {"albedo": (COUNT, 3), "roughness": (COUNT,), "environment": (DIRECTIONS, 3)}
@@ -22,7 +22,7 @@ SHAPES = {"albedo": (COUNT, 3), "roughness": (COUNT,), "environment": (DIRECTION
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with two images of a grey ball."""
     folder = tmp_path_factory.mktemp("set")
-    return photographed(folder, matte(ball(COUNT), np.full(3, 0.5), np.ones_like), count=2, size=8)
+    return write_training_images(folder, matte(ball(COUNT), np.full(3, 0.5), np.ones_like), count=2, size=8)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.training import find_materials
-from support.scenes.lit_sphere import ball, matte, photographed
+from support.scenes.lit_sphere import ball, matte, write_training_images
 
 GREY = np.array([0.5, 0.4, 0.3])
 CONFIG = ls.config.MaterialsConfig(directions=32, sky_steps=20, iterations=9)
@@ -35,7 +35,7 @@ def capture() -> ls.Gaussians:
 @pytest.fixture(scope="module")
 def folder(capture: ls.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with four images of the ball."""
-    return photographed(tmp_path_factory.mktemp("set"), capture, count=4, size=24)
+    return write_training_images(tmp_path_factory.mktemp("set"), capture, count=4, size=24)
 
 
 @pytest.fixture(autouse=True)

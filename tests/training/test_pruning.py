@@ -15,18 +15,18 @@ from lumisplat.constants import SH_C0
 from lumisplat.math.transforms import rigid_from_twist
 from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.trainer import Trainer
-from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
+from support.scenes.training_scenes import BACKGROUND, known_gaussians, known_parameters, views, write_training_folder
 
 
 @pytest.mark.parametrize("threads", [1, 5])
 def test_largest_weights_match_rendered_frames(threads: int) -> None:
     """The reference renders one feature channel per Gaussian; a Gaussian that no camera sees has weight 0."""
     given = views(3, 45)
-    parameters = known_learnt().rows(np.arange(30))
+    parameters = known_parameters().rows(np.arange(30))
     parameters.values["means"][4] = (0.0, 50.0, 0.0)
     parameters.values["logits"][5] = -4.0
     config = ls.TrainConfig(cap=30, sh_degree=1)
-    one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu", threads=threads)
+    one = Trainer(given, config, background=BACKGROUND, points=known_gaussians().means, device="cpu", threads=threads)
     one._upload(TrainedParameters.new(parameters.values))
     found = one.largest_weights()
     renderer, expected = ls.DifferentiableRenderer(ls.RenderConfig(), "cpu"), np.zeros(30)
@@ -62,10 +62,10 @@ def test_largest_weights_along_rays_match_rendered_frames(
             replace(view, camera=replace(view.camera, camera_from_world_end=end))
             for view, end in zip(given, ends, strict=True)
         ]
-    parameters = known_learnt().rows(np.arange(8))
+    parameters = known_parameters().rows(np.arange(8))
     parameters.values["means"][4] = (0.0, 50.0, 0.0)
     config = ls.TrainConfig(cap=8, sh_degree=1, **settings)
-    one = Trainer(given, config, points=known().means[:8], device="cpu", threads=2)
+    one = Trainer(given, config, points=known_gaussians().means[:8], device="cpu", threads=2)
     one._upload(TrainedParameters.new(parameters.values))
     found, expected = one.largest_weights(), np.zeros(8)
     renderer = ls.create_renderer(ls.RenderConfig(**frames, lighting=False), "cpu")
@@ -80,7 +80,7 @@ def test_largest_weights_along_rays_match_rendered_frames(
 
 def test_gaussians_of_small_weight_are_pruned_and_counted(tmp_path: Path) -> None:
     """They are removed from the capture, not from the checkpoint; the other Gaussians are unchanged."""
-    folder = folder_of(tmp_path / "set")
+    folder = write_training_folder(tmp_path / "set")
     config = ls.TrainConfig(iterations=150, cap=150, initial=100, sh_degree=1)
     whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
     some = ls.train(folder, replace(config, prune_below=0.02), output=tmp_path / "b.ply", device="cpu")
@@ -97,7 +97,7 @@ def test_gaussians_of_small_weight_are_pruned_and_counted(tmp_path: Path) -> Non
 
 def test_nothing_is_pruned_if_all_weights_are_too_small(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A log line reports it; the same training may be called again with another threshold."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = ls.TrainConfig(iterations=5, cap=100, initial=100, sh_degree=1, prune_below=0.9999)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         result = ls.train(folder, config, output=output, device="cpu")

@@ -18,7 +18,7 @@ from lumisplat.training.exposure_and_pose import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import StepInput, TrainingView
 from support.files.training_image_files import change_frame, ring_cameras, write_nerfstudio_images
-from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
+from support.scenes.training_scenes import BACKGROUND, known_gaussians, known_parameters, views, write_training_folder
 
 STILL = ls.config.LearningRates(
     means=1e-12, means_last=1e-13, rotations=0.0, log_scales=0.0, logits=0.0, sh=0.0, poses=1e-2, poses_last=3e-4
@@ -39,8 +39,8 @@ def moved(given: list[TrainingView], degrees: float, shift: float) -> list[Train
 
 def started(given: list[TrainingView], config: ls.TrainConfig) -> Trainer:
     """Returns a trainer that starts with the true Gaussians."""
-    one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu")
-    one._upload(known_learnt())
+    one = Trainer(given, config, background=BACKGROUND, points=known_gaussians().means, device="cpu")
+    one._upload(known_parameters())
     return one
 
 
@@ -114,7 +114,7 @@ def test_mean_motion_of_cameras_stays_zero() -> None:
 def test_poses_and_exposures_resume_and_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Resumed results have the same bits, in the capture, the poses file and the exposures file."""
     monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
-    folder = folder_of(tmp_path / "set")
+    folder = write_training_folder(tmp_path / "set")
     config = ls.TrainConfig(iterations=60, cap=100, initial=80, sh_degree=1, exposures=True, refine_poses=True)
     whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
     parts: list[ls.training.TrainResult] = []

@@ -19,7 +19,7 @@ from lumisplat.training import train
 from lumisplat.training.parameters import SceneScale, neighbour_distances
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TargetPixels, TrainingView
-from support.scenes.training_scenes import BACKGROUND, cameras, folder_of, known, views
+from support.scenes.training_scenes import BACKGROUND, cameras, known_gaussians, views, write_training_folder
 
 CONFIG = ls.TrainConfig(iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3)
 
@@ -43,7 +43,7 @@ def held_out_psnr(of: Trainer) -> float:
     scores = [
         ls.metrics.psnr(
             np.clip(renderer.render(ls.Scene([of.gaussians()]), camera).color, 0.0, 1.0),
-            np.clip(renderer.render(ls.Scene([known()]), camera).color, 0.0, 1.0),
+            np.clip(renderer.render(ls.Scene([known_gaussians()]), camera).color, 0.0, 1.0),
         )
         for camera in between
     ]
@@ -98,7 +98,7 @@ def test_stopped_training_resumes_to_the_same_bits(
     kind: ls.config.Densification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The iterations include densifications; the training folder has all documented files."""
-    folder = folder_of(tmp_path / "set")
+    folder = write_training_folder(tmp_path / "set")
     config = replace(CONFIG, iterations=260 if kind is ls.config.Densification.MCMC else 420, densification=kind)
     color = "#1a334d"
     whole = ls.train(folder, config, output=tmp_path / "a.ply", background=color, device="cpu")
@@ -123,7 +123,7 @@ def test_stopped_training_resumes_to_the_same_bits(
 
 def test_written_settings_reproduce_the_training(tmp_path: Path) -> None:
     """The settings file alone gives the same bits."""
-    folder, outputs = folder_of(tmp_path / "set"), (tmp_path / "a.ply", tmp_path / "b.ply")
+    folder, outputs = write_training_folder(tmp_path / "set"), (tmp_path / "a.ply", tmp_path / "b.ply")
     config = replace(CONFIG, iterations=6, seed=3, rates=ls.config.LearningRates(sh=0.004))
     first = ls.io.load_training_images(
         os.path.relpath(folder), scale=0.5, hold_out=4, background="#1a334d", allow_outside=True
@@ -153,14 +153,14 @@ def flipped(data: bytes, rng: np.random.Generator) -> bytes:
 
 def test_checkpoints_of_other_trainings_are_refused_and_kept(tmp_path: Path) -> None:
     """Other settings, other images and damage are each reported in one line."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20)
     ls.train(folder, config, output=output, device="cpu")
     file = tmp_path / "a.training" / "checkpoint.npz"
     held, settings = file.read_bytes(), (tmp_path / "a.training" / "settings.toml").read_bytes()
     with pytest.raises(ls.FormatError, match=r"checkpoint\.npz.* was trained with cap 150, not 151"):
         ls.train(folder, replace(config, cap=151), output=output, device="cpu")
-    other = folder_of(tmp_path / "other", 10)
+    other = write_training_folder(tmp_path / "other", 10)
     with pytest.raises(ls.FormatError, match="with other images"):
         ls.train(other, config, output=output, device="cpu")
     with pytest.raises(ls.FormatError, match="with other images"):
@@ -186,7 +186,7 @@ def test_checkpoints_of_other_trainings_are_refused_and_kept(tmp_path: Path) -> 
 
 def test_altered_checkpoints_are_refused_in_one_line(tmp_path: Path) -> None:
     """Intact archives with wrong arrays: missing Gaussians, wrong shapes, negative iterations, a decompression bomb."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20, exposures=True)
     ls.train(folder, config, output=output, device="cpu")
     file = tmp_path / "a.training" / "checkpoint.npz"

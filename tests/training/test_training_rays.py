@@ -14,7 +14,7 @@ from lumisplat.runtime.buffers import device_array
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TargetPixels, TrainingView
 from support.files.training_image_files import write_nerfstudio_images
-from support.scenes.training_scenes import BACKGROUND, cameras, known
+from support.scenes.training_scenes import BACKGROUND, cameras, known_gaussians
 
 CONFIG = ls.TrainConfig(
     iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3, pipeline=ls.Pipeline.TRACE, kernel_degree=4
@@ -36,7 +36,7 @@ def seen(of: ls.Gaussians, some: list[ls.Camera]) -> list[np.ndarray]:
 
 def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None = None) -> Trainer:
     """Returns a trainer before its first iteration, with ray-traced images of the known Gaussians."""
-    truth = replace(known(), kernel_degree=config.kernel_degree)
+    truth = replace(known_gaussians(), kernel_degree=config.kernel_degree)
     views = [
         TrainingView(camera.name, camera, lambda color=color: TargetPixels(color))
         for camera, color in zip(some, seen(truth, some), strict=True)
@@ -46,7 +46,7 @@ def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None =
 
 def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
     """Returns the PSNR on views other than the training views."""
-    truth = replace(known(), kernel_degree=of.config.kernel_degree)
+    truth = replace(known_gaussians(), kernel_degree=of.config.kernel_degree)
     pairs = zip(seen(of.gaussians(), some), seen(truth, some), strict=True)
     return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
@@ -109,7 +109,7 @@ def test_training_by_rays_has_the_same_bits_on_any_number_of_threads() -> None:
 def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None:
     """The capture file stores its kernel degree; pixels without a ray do not count."""
     some = [replace(camera, fx=2.5, fy=2.5) if n == 4 else camera for n, camera in enumerate(fisheyes(9))]
-    frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known(), kernel_degree=4), some)]
+    frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known_gaussians(), kernel_degree=4), some)]
     folder = tmp_path / "set"
     write_nerfstudio_images(folder, some, frames)
     view = ls.io.load_training_images(folder, straighten=False).training[3]

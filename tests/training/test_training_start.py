@@ -17,14 +17,14 @@ import lumisplat as ls
 from lumisplat.io.training_images.loading import count_poses, count_positions
 from lumisplat.training.parameters import with_random_points
 from support.files.training_image_files import write_nerfstudio_images
-from support.scenes.training_scenes import cameras, folder_of
+from support.scenes.training_scenes import cameras, write_training_folder
 
 SHORT = ls.TrainConfig(iterations=60, cap=80, sh_degree=1, prune_below=0.0)
 
 
 def test_existing_capture_is_replaced_only_if_asked(tmp_path: Path) -> None:
     """A capture without a training is kept unless ``overwrite`` is set."""
-    folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     output.write_text("precious")
     with pytest.raises(ls.FormatError, match="exists and has no training to resume: overwrite it"):
         ls.train(folder, SHORT, output=output, device="cpu")
@@ -36,7 +36,7 @@ def test_existing_capture_is_replaced_only_if_asked(tmp_path: Path) -> None:
 
 def test_overwriting_removes_only_files_of_a_training(tmp_path: Path) -> None:
     """Other files in the folder are kept."""
-    folder, output, left = folder_of(tmp_path / "set"), tmp_path / "a.ply", tmp_path / "a.training"
+    folder, output, left = write_training_folder(tmp_path / "set"), tmp_path / "a.ply", tmp_path / "a.training"
     ls.train(folder, SHORT, output=output, device="cpu", preview=20)
     (left / "notes.txt").write_text("mine")
     before = {path.name for path in left.iterdir()}
@@ -101,7 +101,7 @@ def test_ctrl_c_ends_training_between_iterations_with_a_checkpoint(
 ) -> None:
     """The training resumes from the checkpoint to the same bits."""
     monkeypatch.setattr("lumisplat.training.train.PROGRESS_EVERY_S", 0.0)  # however quick the machine is
-    folder, whole, ended = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "ended.ply"
+    folder, whole, ended = write_training_folder(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "ended.ply"
     config = ls.TrainConfig(iterations=300, cap=80, sh_degree=1)
     ls.train(folder, config, output=whole, device="cpu")
     pressed = threading.Event()
@@ -120,7 +120,7 @@ def test_ctrl_c_ends_training_between_iterations_with_a_checkpoint(
 
 def test_training_in_another_thread_does_not_handle_ctrl_c(tmp_path: Path) -> None:
     """Only the main thread may install signal handlers."""
-    folder, found = folder_of(tmp_path / "set"), list[Any]()
+    folder, found = write_training_folder(tmp_path / "set"), list[Any]()
     thread = threading.Thread(target=lambda: found.append(ls.train(folder, SHORT, device="cpu")))
     thread.start()
     thread.join()

@@ -15,7 +15,7 @@ from lumisplat.training.parameters import SceneScale, random_points
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TargetPixels, TrainingView
 from support.files.training_image_files import write_nerfstudio_images
-from support.scenes.training_scenes import BACKGROUND, cameras, known
+from support.scenes.training_scenes import BACKGROUND, cameras, known_gaussians
 
 CONFIG = ls.TrainConfig(
     iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3, projection=ls.config.Projection.UNSCENTED
@@ -47,14 +47,14 @@ def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None =
     """Returns a trainer before its first iteration, with ray-traced images of the known Gaussians."""
     views = [
         TrainingView(camera.name, camera, lambda color=color: TargetPixels(color))
-        for camera, color in zip(some, seen(known(), some), strict=True)
+        for camera, color in zip(some, seen(known_gaussians(), some), strict=True)
     ]
     return Trainer(views, config, background=BACKGROUND, device="cpu", threads=threads)
 
 
 def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
     """Returns the PSNR of held-out unscented frames against ray-traced frames of the known Gaussians."""
-    pairs = zip(seen(of.gaussians(), some, FRAMES), seen(known(), some), strict=True)
+    pairs = zip(seen(of.gaussians(), some, FRAMES), seen(known_gaussians(), some), strict=True)
     return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
 
@@ -135,7 +135,7 @@ def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None
     """The held-out score is measured through the lens."""
     some = lenses(9)
     folder = tmp_path / "set"
-    write_nerfstudio_images(folder, some, [np.clip(frame, 0.0, 1.0) for frame in seen(known(), some)])
+    write_nerfstudio_images(folder, some, [np.clip(frame, 0.0, 1.0) for frame in seen(known_gaussians(), some)])
     result = ls.train(folder, replace(CONFIG, iterations=40), output=tmp_path / "a.ply", device="cpu")
     assert result.score is not None and result.is_finished
     black = replace(FRAMES, background=(0.0, 0.0, 0.0))

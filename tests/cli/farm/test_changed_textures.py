@@ -14,16 +14,16 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import file_fingerprints
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 SIZE = ("--width", "24", "--height", "16", "--device", "cpu")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 def write_texture(path: Path, red: int) -> None:

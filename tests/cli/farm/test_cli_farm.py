@@ -8,17 +8,17 @@ import pytest
 import warp as wp
 
 from lumisplat.cli import main
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 SIZE = ("--width", "24", "--height", "16", "--device", "cpu")
 TWO = ("--workers", "2")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 @pytest.mark.parametrize(

@@ -13,17 +13,17 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.io.images.exr import read_exr
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 OPTIONS = ("--pipeline", "path", "--lighting", "on", "--width", "24", "--height", "16", "--device", "cpu")
 TWO = ("--workers", "2")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 def assert_same(one: Path, other: Path) -> None:
@@ -127,7 +127,7 @@ def test_options_that_need_whole_images_are_refused(work, options: tuple[str, ..
     assert done.err.strip().count("\n") == 0 and not list(work.folder.rglob("*.png"))
 
 
-def blocks(work: Workplace) -> int:
+def blocks(work: Workspace) -> int:
     """Returns the existing blocks."""
     return len(list(work.path("shared.samples").glob("[!.]*.npz")))
 

@@ -14,7 +14,7 @@ import warp as wp
 from PIL import Image
 
 from lumisplat.io.images.exr import read_exr
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 
 SIZE = ("--width", "70", "--height", "50", "--device", "cpu")
 TWO = ("--workers", "2")
@@ -22,10 +22,10 @@ CAMERAS = ("--cameras", "@cameras.json")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
 def pixels(path: Path) -> np.ndarray:

@@ -23,7 +23,7 @@ from lumisplat.cli.farm.cluster import connected
 from lumisplat.cli.farm.driver import Driver, FarmOptions
 from lumisplat.cli.farm.failed_frames import FramesMissingError
 from lumisplat.cli.farm.worker import Order
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.frame_makers import FakeMaker
 from support.scenes.raster_scenes import one_gaussian, random_gaussians
 
@@ -65,10 +65,10 @@ bins = 16
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch, ray) -> Workplace:
+def work(tmp_path, capsys, monkeypatch, ray) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workplace(tmp_path, capsys)
+    place = Workspace(tmp_path, capsys)
     ls.save(place.path("ball.ply"), random_gaussians(2, count=20))
     place.path("scene.toml").write_text(SCENE)
     return place
@@ -143,7 +143,7 @@ PATH = ("--pipeline", "path", "--lighting", "on", "--samples", "40")
         pytest.param("dataset", ("@mesh.obj", "-o", "@OUT/set", "--views", "6", *SIZE), marks=pytest.mark.deep),
     ],
 )
-def test_files_of_workers_equal_those_of_one_process(work: Workplace, name: str, options: tuple[str, ...]) -> None:
+def test_files_of_workers_equal_those_of_one_process(work: Workspace, name: str, options: tuple[str, ...]) -> None:
     """Frames, tiles, samples, samples of tiles and data sets are equal bit by bit."""
     alone, farmed = ([option.replace("OUT", folder) for option in options] for folder in ("alone", "farm"))
     resume = ["--resume"] if name == "render" and "--tiles" not in options else []
@@ -166,7 +166,7 @@ def test_files_of_workers_equal_those_of_one_process(work: Workplace, name: str,
     ],
 )
 def test_mistakes_found_by_workers_end_in_one_line(
-    work: Workplace, monkeypatch, options: tuple[str, ...], message: str
+    work: Workspace, monkeypatch, options: tuple[str, ...], message: str
 ) -> None:
     """Each ends with status 2, and writes no frame."""
     monkeypatch.chdir(work.folder)
@@ -283,7 +283,7 @@ def strangers_modules(folder: Path) -> None:
 
 
 @pytest.mark.deep
-def test_modules_in_the_working_folder_are_not_imported(work: Workplace) -> None:
+def test_modules_in_the_working_folder_are_not_imported(work: Workspace) -> None:
     """The installed command does not import them either, and its ports are open to this machine only."""
     strangers_modules(work.folder)
     ls.save(work.path("one.ply"), one_gaussian())

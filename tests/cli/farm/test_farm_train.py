@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 
 from lumisplat.cli import main
-from support.scenes.training_scenes import folder_of
+from support.scenes.training_scenes import write_training_folder
 
 SHORT = ("--iterations", "20", "--cap", "100", "--sh-degree", "0", "--prune-below", "0", "--device", "cpu")
 
@@ -33,7 +33,7 @@ def test_captures_equal_those_of_separate_trainings(
     ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two workers give equal bits and print the reports; the same command finds all captures."""
-    folders = [str(folder_of(tmp_path / name)) for name in ("one", "two")]
+    folders = [str(write_training_folder(tmp_path / name)) for name in ("one", "two")]
     assert main(["train", folders[1], "-o", str(tmp_path / "two.ply"), *SHORT, "--seed", "5"]) == 0
     command = ["farm", "train", *folders, "-o", str(tmp_path / "captures"), *SHORT, "--seed", "5", "--workers", "2"]
     capsys.readouterr()
@@ -52,7 +52,7 @@ def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys,
 
     Overwriting removes what was there, with its checkpoint, and nothing else; other settings are no mistake then.
     """
-    one, two = (str(folder_of(tmp_path / name)) for name in ("one", "two"))
+    one, two = (str(write_training_folder(tmp_path / name)) for name in ("one", "two"))
     own = tmp_path / "own.toml"
     own.write_text("[two]\ncap = 60\nantialiased = true\n")
     assert main(["train", two, "-o", str(tmp_path / "two.ply"), *SHORT, "--cap", "60", "--antialiased"]) == 0
@@ -78,7 +78,7 @@ def test_the_same_command_continues_stopped_trainings(
     ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """--stop-after leaves an unfinished capture and says so; the same command continues to equal bits."""
-    folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
+    folder, long = str(write_training_folder(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
     command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *long, "--workers", "1"]
     capsys.readouterr()
@@ -143,7 +143,7 @@ def test_mistakes_in_options_are_one_line(
 @pytest.mark.deep
 def test_a_training_survives_a_killed_worker(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """After SIGKILL another worker continues from the checkpoint to equal bits."""
-    folder, long = str(folder_of(tmp_path / "one")), ("--iterations", "600", *SHORT[2:])
+    folder, long = str(write_training_folder(tmp_path / "one")), ("--iterations", "600", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
 
     def kill() -> None:

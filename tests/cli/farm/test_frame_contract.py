@@ -16,25 +16,25 @@ import lumisplat as ls
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.farm.failed_frames import FramesMissingError
 from lumisplat.cli.farm.job import FrameJob, make_frames
-from support.files.cli_files import Workplace
+from support.files.cli_files import Workspace
 from support.frame_makers import FakeMaker
 
 SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
 
 
 @pytest.fixture
-def work(tmp_path, capsys, monkeypatch) -> Workplace:
+def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    return Workplace(tmp_path, capsys)
+    return Workspace(tmp_path, capsys)
 
 
-def orbit(work: Workplace, folder: str, *options: str):
+def orbit(work: Workspace, folder: str, *options: str):
     """Renders six frames into a folder."""
     return work.run("orbit", "@capture.ply", "-o", f"@{folder}", "--seconds", "0.3", "--fps", "20", *SIZE, *options)
 
 
-def images(work: Workplace, folder: str) -> dict[str, bytes]:
+def images(work: Workspace, folder: str) -> dict[str, bytes]:
     """Returns the frames of a folder."""
     return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("*.png"))}
 
@@ -49,7 +49,7 @@ def test_frame_ranges_of_an_orbit_make_the_whole(work) -> None:
     assert refused.status == 2 and "and '4-6' is out of range: there are 6 frames, 0-5" in refused.err
 
 
-def render(work: Workplace, folder: str, *options: str):
+def render(work: Workspace, folder: str, *options: str):
     """Renders an image for each of two cameras."""
     options = (*SIZE, "--cameras", str(work.path("cameras.json")), *options)
     return work.run("render", "@capture.ply", "-o", f"@{folder}", *options)

@@ -206,11 +206,13 @@ def test_linear_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
     }
     own = 'uniform token colorSpace:name = "{}"'
     linear = own.format("lin_rec709_scene") if where == "field" else own.format("srgb_rec709_display")
-    found = load_gaussians(write_usda(tmp_path / "a.usda", field(values, schemas='"ColorSpaceAPI"', place=linear)))
+    found = load_gaussians(write_usda(tmp_path / "a.usda", field(values, schemas='"ColorSpaceAPI"', properties=linear)))
     np.testing.assert_allclose(0.5 + 0.28209479177387814 * found.sh[:, 0], 0.7353569, atol=1e-6)
     values["float3[] radiance:sphericalHarmonicsCoefficients"] = grey
     shown = own.format("srgb_rec709_display")
-    unchanged = load_gaussians(write_usda(tmp_path / "b.usda", field(values, schemas='"ColorSpaceAPI"', place=shown)))
+    unchanged = load_gaussians(
+        write_usda(tmp_path / "b.usda", field(values, schemas='"ColorSpaceAPI"', properties=shown))
+    )
     np.testing.assert_array_equal(unchanged.sh, 0.0)
 
 
@@ -225,7 +227,7 @@ def test_foreign_materials_of_captures_are_ignored_silently(tmp_path: Path, capl
         }
     }
     """
-    own = field(schemas='"MaterialBindingAPI"', place="rel material:binding = </m>")
+    own = field(schemas='"MaterialBindingAPI"', properties="rel material:binding = </m>")
     assert load_gaussians(write_usda(tmp_path / "a.usda", material + own)).count == 2
     assert not caplog.text
 
@@ -291,11 +293,11 @@ def test_invalid_particles_are_refused_or_dropped_on_request(tmp_path: Path) -> 
 
 def test_hidden_guide_and_zero_scale_prims_are_skipped(tmp_path: Path) -> None:
     """Neither invisible, guide, proxy nor zero-scale prims are read."""
-    hidden = field(name="a", place='token visibility = "invisible"')
-    guide = field(name="b", place='uniform token purpose = "guide"')
+    hidden = field(name="a", properties='token visibility = "invisible"')
+    guide = field(name="b", properties='uniform token purpose = "guide"')
     nothing = 'double3 xformOp:scale = (0, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
     path = write_usda(
-        tmp_path / "a.usda", "\n".join([hidden, guide, field(name="c", place=nothing), field(count=3, name="d")])
+        tmp_path / "a.usda", "\n".join([hidden, guide, field(name="c", properties=nothing), field(count=3, name="d")])
     )
     assert load_gaussians(path).count == 3
 

@@ -14,10 +14,10 @@ from support.scenes.light_rig import (
     PIPELINES,
     above,
     assert_relatively_close,
-    blocks,
     floor,
     floor_points,
     lit,
+    tile_means,
     towards,
 )
 from support.scenes.light_scenes import ball_at, clear_glass, matte, metal
@@ -156,7 +156,7 @@ def test_rectangle_over_a_plane() -> None:
     assert np.abs(as_point * 0.8 / np.pi / expected - 1.0).max() > 0.1
     ours = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=128).color[..., 0]
     assert np.mean(ours) == pytest.approx(np.mean(expected), rel=2e-3)
-    assert np.abs(blocks(ours) / blocks(expected) - 1.0).max() < 0.02
+    assert np.abs(tile_means(ours) / tile_means(expected) - 1.0).max() < 0.02
 
 
 def test_disk_over_a_plane() -> None:
@@ -174,7 +174,7 @@ def test_disk_over_a_plane() -> None:
     expected = 0.8 * 3.0 * factor
     ours = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=128).color[..., 0]
     assert np.mean(ours) == pytest.approx(np.mean(expected), rel=2e-3)
-    assert np.abs(blocks(ours) / blocks(expected) - 1.0).max() < 0.02
+    assert np.abs(tile_means(ours) / tile_means(expected) - 1.0).max() < 0.02
 
 
 # --- Materials under a point light and in a constant environment ---
@@ -326,7 +326,7 @@ def test_diffuse_plane_in_a_furnace_shows_its_albedo(pipeline: ls.Pipeline) -> N
     """Albedo times the environment's radiance."""
     camera, albedo = above(), np.array([0.9, 0.5, 0.2])
     frame = lit(ls.Scene((), [floor(matte(*albedo))], [EVEN]), camera, pipeline, shadows=ls.Shadows.SOFT, samples=64)
-    means = [blocks(frame.color[..., c]) for c in range(3)]
+    means = [tile_means(frame.color[..., c]) for c in range(3)]
     np.testing.assert_allclose(np.stack(means, -1), np.broadcast_to(albedo * EVEN.color, (6, 8, 3)), rtol=0.03)
     np.testing.assert_allclose(frame.color.mean(axis=(0, 1)), albedo * EVEN.color, rtol=3e-3)
 

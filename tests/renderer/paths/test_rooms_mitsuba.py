@@ -14,8 +14,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import SUBPIXEL_STEPS
-from support.compare.blocks import Blocks, blocks_of_two
-from support.scenes.path_rooms import BLOCK, BOUNCES, PathRoom, path_rooms, with_gaussians
+from support.compare.tile_means import TileMeans, tile_means_of_two
+from support.scenes.path_rooms import BOUNCES, TILE, PathRoom, path_rooms, with_gaussians
 from support.scenes.path_scenes import paths
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference"
@@ -25,13 +25,13 @@ SAME_PLACES = 0.001
 """Relative error of a block at edges: all pixels are sampled at the same few sub-pixel positions."""
 
 
-def reference_of(name: str) -> Blocks:
+def reference_of(name: str) -> TileMeans:
     """Mitsuba's blocks."""
     with np.load(REFERENCE / f"mitsuba_path_{name}.npz") as stored:
-        return Blocks(stored["blocks"], stored["errors"])
+        return TileMeans(stored["blocks"], stored["errors"])
 
 
-def blocks_of(room: PathRoom, samples: int, shrink: int) -> Blocks:
+def blocks_of(room: PathRoom, samples: int, shrink: int) -> TileMeans:
     """Our blocks, of two frames with so many samples each, ``shrink`` times as small as the reference.
 
     Gaussians have no footprint: they were made from surfaces, not trained on images.
@@ -39,7 +39,7 @@ def blocks_of(room: PathRoom, samples: int, shrink: int) -> Blocks:
     as_made = ls.TraceConfig(dilation=0.0)
     view = centred(room.camera.scaled(width=room.camera.width // shrink), samples)
     first, second = (paths(room.scene, view, samples, BOUNCES, seed=seed, trace=as_made).color for seed in (0, 1))
-    return blocks_of_two(first, second, BLOCK // shrink)
+    return tile_means_of_two(first, second, TILE // shrink)
 
 
 def centred(camera: ls.Camera, samples: int) -> ls.Camera:
@@ -49,13 +49,13 @@ def centred(camera: ls.Camera, samples: int) -> ls.Camera:
     return replace(camera, cx=camera.cx + x, cy=camera.cy + y)
 
 
-def errors_of(name: str, ours: Blocks) -> tuple[np.ndarray, np.ndarray]:
+def errors_of(name: str, ours: TileMeans) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors of the blocks, and their standard errors."""
     theirs = reference_of(name)
     return ours.means / theirs.means - 1.0, np.hypot(ours.errors, theirs.errors) / theirs.means
 
 
-def assert_agrees(name: str, ours: Blocks, systematic: float = SAME_PLACES) -> None:
+def assert_agrees(name: str, ours: TileMeans, systematic: float = SAME_PLACES) -> None:
     """Asserts that every block, and the whole image, is within four standard errors.
 
     Args:

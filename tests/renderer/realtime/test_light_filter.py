@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.renderer.scene.camera_table import subpixel
 from support.oracles.light_filter_oracle import Filter, luminance
 from support.scenes.filter_sequence import FilterSequence, Mask
-from support.scenes.gi_surfaces import Doubles, Seen, seen_in_box, seen_plane, tilted
+from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, tilted, visible_box, visible_plane
 
 SIZE: Any = {"width": 48, "height": 32}
 COUNT = 48 * 32
@@ -35,9 +35,9 @@ def plane_camera(pixels: float = 0.0) -> ls.Camera:
     return ls.Camera.look_at((x, 0.0, 3.0), (x, 0.0, 0.0), (0.0, 1.0, 0.0), **SIZE, fov_y=0.6)
 
 
-def plane(pixels: float = 0.0, extent: float = 0.0) -> Seen:
+def plane(pixels: float = 0.0, extent: float = 0.0) -> VisibleSurfaces:
     """Returns the surfaces that ``plane_camera`` sees."""
-    return seen_plane(plane_camera(pixels), FRONT, extent)
+    return visible_plane(plane_camera(pixels), FRONT, extent)
 
 
 def noise(frame: int, count: int = COUNT) -> Doubles:
@@ -58,7 +58,7 @@ def test_constant_light_is_preserved(extent: float, radius: int, passes: int) ->
     """The result is exact while nothing moves, and within rounding of the weights with a moving camera."""
     sequence = FilterSequence(radius=radius, passes=passes)
     for step in (0, 0, 0, 0, 0, 0, 0, 1, 2, 3):
-        light = sequence.render(seen_in_box(box_camera(step), extent), constant_light())
+        light = sequence.render(visible_box(box_camera(step), extent), constant_light())
         truth = np.broadcast_to(np.stack([CONSTANT, 0.5 * CONSTANT]), light.shape)
         if step == 0:
             np.testing.assert_array_equal(light, truth)
@@ -119,9 +119,9 @@ def assert_apart(light: Doubles, side: Mask) -> None:
 def test_no_light_leaks_between_perpendicular_planes(extent: float) -> None:
     """No light leaks over frames or pixels while a rotating camera moves pixels from one plane to the other."""
     sequence = FilterSequence(radius=2)
-    surfaces = seen_in_box(box_camera(), extent)
+    surfaces = visible_box(box_camera(), extent)
     for step in range(5):
-        surfaces = seen_in_box(box_camera(step), extent)
+        surfaces = visible_box(box_camera(step), extent)
         side = surfaces.face == 1
         light = sequence.render(surfaces, coloured(side, step))
         assert_apart(light, side)
@@ -137,7 +137,7 @@ def test_no_light_leaks_between_distant_parallel_planes(extent: float) -> None:
         assert_apart(light, side)
 
 
-def with_panel(columns: float, extent: float = 0.0, distance: float = 1.5) -> tuple[Seen, Mask]:
+def with_panel(columns: float, extent: float = 0.0, distance: float = 1.5) -> tuple[VisibleSurfaces, Mask]:
     """Returns the plane, with a panel at ``distance`` before its first ``columns`` columns that moves with its edge."""
     surfaces = plane(extent=extent)
     is_panel = np.arange(COUNT) % SIZE["width"] < columns
@@ -241,7 +241,7 @@ def test_pixels_without_history_take_the_light_of_neighbours() -> None:
     np.testing.assert_array_equal(alone[~sampled], 0.0)
 
 
-def texture(surfaces: Seen, period: float) -> Doubles:
+def texture(surfaces: VisibleSurfaces, period: float) -> Doubles:
     """Returns stripes of ``period`` pixels on the plane."""
     x = surfaces.position[:, 0] * surfaces.camera.fx / 3.0
     return 1.0 + 0.5 * np.sin(2.0 * np.pi * x / period)[:, None] * np.array([1.0, -1.0, 0.5])
@@ -341,9 +341,9 @@ def test_reset_equals_a_new_filter() -> None:
     np.testing.assert_array_equal(used.render(surfaces, noise(9)), fresh.render(surfaces, noise(9)))
 
 
-def moving(step: int) -> tuple[Seen, Doubles, Doubles, Mask]:
+def moving(step: int) -> tuple[VisibleSurfaces, Doubles, Doubles, Mask]:
     """Returns a frame of a noisy sequence: tilted surfaces, some Gaussians, missing samples and a jump of the light."""
-    surfaces = seen_in_box(box_camera(0.7 * step), 0.01 * (step % 3 == 2))
+    surfaces = visible_box(box_camera(0.7 * step), 0.01 * (step % 3 == 2))
     surfaces.normal = tilted(surfaces.normal, 6.0, seed=step)
     light = noise(step) * (3.0 if step > 8 else 1.0) * (1.0 + surfaces.position[:, :1])
     rng = np.random.default_rng(100 + step)
@@ -375,7 +375,7 @@ def test_filter_matches_the_float64_reference(radius: int, passes: int, moves: s
         if moves != "camera":
             surfaces = moving(0)[0]
         if moves == "samples":
-            surfaces = seen_in_box(box_camera(0.0), offset=subpixel(step))
+            surfaces = visible_box(box_camera(0.0), offset=subpixel(step))
         found = sequence.render(surfaces, diffuse, glossy, sampled)
         truth = reference.render(surfaces, diffuse, glossy, sampled, sequence.history_weight)
         np.testing.assert_allclose(sequence.ages(), reference.history.frames, rtol=2e-5)

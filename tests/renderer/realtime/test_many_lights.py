@@ -15,7 +15,7 @@ from lumisplat.renderer.realtime import light_grid
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import Light
 from support.compare.graph_launcher import GraphLauncher
-from support.scenes.light_rig import above, blocks, floor, floor_points, towards
+from support.scenes.light_rig import above, floor, floor_points, tile_means, towards
 from support.scenes.path_rooms import PathRoom, path_rooms, room_camera, with_gaussians
 from support.scenes.path_scenes import diffuse
 
@@ -108,7 +108,7 @@ def lit_floor(count: int, frames: int, **settings: Any) -> tuple[np.ndarray, np.
 
 def blocks_of(image: np.ndarray) -> np.ndarray:
     """Returns means over square blocks of pixels, by channel."""
-    return np.stack([blocks(image[..., channel]) for channel in range(3)], axis=-1)
+    return np.stack([tile_means(image[..., channel]) for channel in range(3)], axis=-1)
 
 
 @pytest.mark.parametrize("interval", [1, pytest.param(2, marks=pytest.mark.deep)])

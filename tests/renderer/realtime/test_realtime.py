@@ -20,7 +20,7 @@ from support.scenes.path_scenes import as_splats
 PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
 VIEW = room_camera(96, 72)
 ROOM = path_rooms()["diffuse_area"].scene
-BLOCK = 12
+TILE = 12
 
 
 def sequence(
@@ -42,7 +42,7 @@ def frame_after(renderer: ls.Renderer, scene: ls.Scene, frames: int, camera: ls.
 def blocks(image: np.ndarray) -> np.ndarray:
     """Returns means over square blocks of pixels, and over channels."""
     height, width = image.shape[:2]
-    return image.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean(axis=(1, 3, 4))
+    return image.reshape(height // TILE, TILE, width // TILE, TILE, 3).mean(axis=(1, 3, 4))
 
 
 def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: Any) -> ls.Frame:

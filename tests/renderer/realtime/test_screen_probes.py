@@ -9,7 +9,15 @@ import pytest
 
 import lumisplat as ls
 from support.oracles.form_factors import polygon_irradiance
-from support.scenes.gi_surfaces import Doubles, Seen, box_exit, pixel_rays, seen_in_box, seen_plane, tilted
+from support.scenes.gi_surfaces import (
+    Doubles,
+    VisibleSurfaces,
+    box_exit,
+    pixel_rays,
+    tilted,
+    visible_box,
+    visible_plane,
+)
 from support.scenes.probe_sequence import ProbeSequence, constant
 
 GREY = np.array([0.3, 1.0, 2.5])
@@ -31,7 +39,7 @@ def bright_wall(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles
 @pytest.mark.parametrize("noise", [0.0, 20.0])
 def test_a_white_furnace_is_exact(extent: float, noise: float) -> None:
     """In constant radiance, each pixel is exact from the first frame on, at any tilt and with noisy normals."""
-    surfaces = seen_in_box(box_camera(), extent)
+    surfaces = visible_box(box_camera(), extent)
     surfaces.normal = tilted(surfaces.normal, noise, seed=1)
     sequence = ProbeSequence(constant(GREY))
     for _ in range(3):
@@ -44,7 +52,7 @@ def test_a_white_furnace_is_exact_with_a_moving_camera() -> None:
     """Reprojection, new probes and the filter neither gain nor lose light."""
     sequence = ProbeSequence(constant(GREY))
     for step in range(12):
-        surfaces = seen_in_box(box_camera(step), 0.01 * (step % 2))
+        surfaces = visible_box(box_camera(step), 0.01 * (step % 2))
         light = sequence.render(surfaces)
         np.testing.assert_allclose(light, np.broadcast_to(np.pi * GREY, light.shape), rtol=4e-6)
 
@@ -56,7 +64,7 @@ def test_irradiance_of_a_tilted_surface_under_a_half_space_environment(degrees: 
     angle = np.radians(degrees)
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
     eye = 3.0 * normal + (0.1, 0.8, 0.3)
-    surfaces = seen_plane(
+    surfaces = visible_plane(
         ls.Camera.look_at(eye, (0, 0, 0), (0.0, 1.0, 0.1), width=96, height=96, fov_y=0.6), normal, extent
     )
     assert surfaces.share.all()
@@ -74,7 +82,7 @@ def test_irradiance_of_a_tilted_surface_under_a_half_space_environment(degrees: 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 def test_irradiance_from_a_bright_wall_matches_the_closed_form(extent: float) -> None:
     """Irradiance of the other walls follows Lambert's polygon formula: mean within 2 %, each wall within 10 %."""
-    surfaces = seen_in_box(box_camera(width=320, height=192), extent)
+    surfaces = visible_box(box_camera(width=320, height=192), extent)
     sequence = ProbeSequence(bright_wall)
     light = np.mean([sequence.render(surfaces)[:, 0] for _ in range(48)][8:], axis=0)
     truth = wall_irradiance(surfaces)
@@ -86,7 +94,7 @@ def test_irradiance_from_a_bright_wall_matches_the_closed_form(extent: float) ->
     assert light[surfaces.face == 1].max() < 1e-3
 
 
-def wall_irradiance(surfaces: Seen) -> Doubles:
+def wall_irradiance(surfaces: VisibleSurfaces) -> Doubles:
     """Returns the irradiance of each pixel from the bright wall."""
     corners = np.array([[0.5, -0.5, -0.5], [0.5, 0.5, -0.5], [0.5, 0.5, 0.5], [0.5, -0.5, 0.5]])
     values = [
@@ -99,8 +107,8 @@ def wall_irradiance(surfaces: Seen) -> Doubles:
 def test_noisy_normals_lose_no_light() -> None:
     """Gaussians whose normals scatter by 20 degrees get within 1 % of the light that their cosines imply."""
     camera = ls.Camera.look_at((0.1, 0.8, 3.0), (0, 0, 0), (0.0, 1.0, 0.1), width=160, height=96, fov_y=0.6)
-    smooth = seen_plane(camera, (0.0, 0.0, 1.0), 0.02)
-    noisy = seen_plane(camera, (0.0, 0.0, 1.0), 0.02)
+    smooth = visible_plane(camera, (0.0, 0.0, 1.0), 0.02)
+    noisy = visible_plane(camera, (0.0, 0.0, 1.0), 0.02)
     noisy.normal = tilted(noisy.normal, 20.0, seed=2)
 
     def gradient(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
@@ -116,7 +124,7 @@ def test_noisy_normals_lose_no_light() -> None:
 def test_disoccluded_pixels_are_never_black() -> None:
     """A panel before most of the image vanishes; all disoccluded pixels have light at once."""
     sequence = ProbeSequence(constant(GREY))
-    surfaces = seen_in_box(box_camera())
+    surfaces = visible_box(box_camera())
     for frame in range(6):
         hidden = behind_panel(surfaces) if frame < 5 else surfaces
         light = sequence.render(hidden)
@@ -124,7 +132,7 @@ def test_disoccluded_pixels_are_never_black() -> None:
         np.testing.assert_allclose(light, np.broadcast_to(np.pi * GREY, light.shape), rtol=4e-6)
 
 
-def behind_panel(surfaces: Seen) -> Seen:
+def behind_panel(surfaces: VisibleSurfaces) -> VisibleSurfaces:
     """Returns the surfaces with a panel before the left three quarters of the image."""
     camera, columns = surfaces.camera, np.tile(np.arange(surfaces.camera.width), surfaces.camera.height)
     covered = columns < 0.75 * camera.width
@@ -132,13 +140,15 @@ def behind_panel(surfaces: Seen) -> Seen:
     distance = np.where(covered, 0.1, surfaces.distance)
     position = np.where(covered[:, None], camera.eye + 0.1 * directions, surfaces.position)
     normal = np.where(covered[:, None], -directions, surfaces.normal)
-    return Seen(camera, surfaces.share, position, normal, distance, surfaces.extent, position.copy(), surfaces.face)
+    return VisibleSurfaces(
+        camera, surfaces.share, position, normal, distance, surfaces.extent, position.copy(), surfaces.face
+    )
 
 
 def test_no_light_leaks_around_a_post() -> None:
     """Walls are bright left of a post and dark right of it; each pixel is either, also beside the post."""
     camera = box_camera()
-    plane, columns = seen_in_box(camera), np.tile(np.arange(camera.width), camera.height)
+    plane, columns = visible_box(camera), np.tile(np.arange(camera.width), camera.height)
     is_post = (columns >= 77) & (columns < 84)
     directions = (plane.position - camera.eye) / plane.distance[:, None]
     surfaces = replace(
@@ -163,7 +173,7 @@ def test_no_light_leaks_around_a_post() -> None:
 
 def test_isolated_pixels_are_lit() -> None:
     """A single pixel, one of small coverage, and one far from probes with light are neither black nor NaN."""
-    surfaces = seen_in_box(box_camera())
+    surfaces = visible_box(box_camera())
     surfaces.share[:] = 0.0
     pixels = [5, 80 * 160 + 77, 95 * 160 + 159]
     surfaces.share[pixels] = 1.0, 0.01, 1.0
@@ -176,7 +186,7 @@ def test_isolated_pixels_are_lit() -> None:
 
 def test_a_frame_without_surfaces_has_no_light() -> None:
     """A frame without surfaces has no probes, no rays and no light."""
-    surfaces = seen_in_box(box_camera())
+    surfaces = visible_box(box_camera())
     surfaces.share[:] = 0.0
     sequence = ProbeSequence(constant(GREY))
     assert np.abs(sequence.render(surfaces)).max() == 0.0
@@ -188,7 +198,7 @@ def test_results_do_not_depend_on_thread_count() -> None:
     frames = []
     for threads in (1, 2, 5):
         sequence = ProbeSequence(bright_wall, threads)
-        frames.append([sequence.render(seen_in_box(box_camera(step), 0.002)) for step in range(5)])
+        frames.append([sequence.render(visible_box(box_camera(step), 0.002)) for step in range(5)])
     np.testing.assert_array_equal(frames[0], frames[1])
     np.testing.assert_array_equal(frames[0], frames[2])
 
@@ -197,13 +207,13 @@ def test_reset_equals_new_probes() -> None:
     """After a reset, and at another size, frames equal those of new probes."""
     used = ProbeSequence(constant(GREY))
     for step in range(3):
-        used.render(seen_in_box(box_camera(step)))
+        used.render(visible_box(box_camera(step)))
     used.probes.reset()
     used.tracer, used.frame = bright_wall, 0
     fresh = ProbeSequence(bright_wall)
-    surfaces = seen_in_box(box_camera())
+    surfaces = visible_box(box_camera())
     np.testing.assert_array_equal(used.render(surfaces), fresh.render(surfaces))
-    other = seen_in_box(box_camera(width=100, height=50))
+    other = visible_box(box_camera(width=100, height=50))
     fresh, used.frame = ProbeSequence(bright_wall), 0
     np.testing.assert_array_equal(used.render(other), fresh.render(other))
 
@@ -211,7 +221,7 @@ def test_reset_equals_new_probes() -> None:
 def test_irradiance_is_never_negative() -> None:
     """SH ringing does not make irradiance negative on the side away from a small bright light."""
     camera = ls.Camera.look_at((0.1, 0.8, 3.0), (0, 0, 0), (0.0, 1.0, 0.1), width=160, height=96, fov_y=0.6)
-    surfaces = seen_plane(camera, (0.0, 0.0, 1.0), 0.02)
+    surfaces = visible_plane(camera, (0.0, 0.0, 1.0), 0.02)
     towards = np.array([0.86, 0.0, -0.5])
 
     def light_source(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
@@ -225,9 +235,9 @@ def test_irradiance_is_never_negative() -> None:
     assert np.isfinite(light).all()
 
 
-def seen_floor(camera: ls.Camera, end: float, offset: tuple[float, float]) -> Seen:
+def seen_floor(camera: ls.Camera, end: float, offset: tuple[float, float]) -> VisibleSurfaces:
     """Returns the floor y = 0 up to a wall at z = -end."""
-    surfaces = seen_plane(camera, (0, 1, 0), offset=offset)
+    surfaces = visible_plane(camera, (0, 1, 0), offset=offset)
     eye, directions = pixel_rays(camera, offset)
     wall = (directions[:, 2] < 0.0) & ((surfaces.share == 0.0) | (surfaces.position[:, 2] < -end))
     t = (-end - eye[2]) / np.where(wall, directions[:, 2], -1.0)

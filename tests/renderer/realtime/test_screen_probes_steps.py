@@ -19,7 +19,7 @@ from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle
 from support.oracles.means_oracle import mean_weight
 from support.probes.probe_octahedral_kernels import probe_light
-from support.scenes.gi_surfaces import Doubles, Seen, camera_rows, seen_in_box, seen_plane
+from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows, visible_box, visible_plane
 from support.scenes.probe_sequence import ProbeSequence, constant
 
 CELLS = 64
@@ -67,7 +67,7 @@ def one(cells: oracle.Cells, i: int) -> oracle.Cells:
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 def test_reprojection_of_static_probes_is_the_identity(extent: float) -> None:
     """Reprojection of a probe onto itself is the identity: same position, same cells."""
-    sequence, surfaces = ProbeSequence(striped), seen_in_box(box_camera(), extent)
+    sequence, surfaces = ProbeSequence(striped), visible_box(box_camera(), extent)
     for _ in range(6):
         sequence.render(surfaces)
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
@@ -89,9 +89,9 @@ def test_probes_keep_their_position_while_samples_and_camera_move(moves: str, ex
     """Continued probes keep their positions and cells to the bit, though no pixel shows that point."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for step in range(3):
-        sequence.render(seen_in_box(box_camera(), extent, subpixel(step)))
+        sequence.render(visible_box(box_camera(), extent, subpixel(step)))
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
-    surfaces = seen_in_box(box_camera(0.1 * (moves == "camera")), extent, subpixel(3))
+    surfaces = visible_box(box_camera(0.1 * (moves == "camera")), extent, subpixel(3))
     sequence.place(surfaces)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
     went_on = np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0))
@@ -108,9 +108,9 @@ def test_reprojected_cells_match_the_reference(extent: float) -> None:
     """Cells of moved probes match the reference, and most directions change."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for _ in range(3):
-        sequence.render(seen_in_box(box_camera(), extent))
+        sequence.render(visible_box(box_camera(), extent))
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
-    surfaces = seen_in_box(box_camera(1.0), extent)
+    surfaces = visible_box(box_camera(1.0), extent)
     surfaces.previous = surfaces.position + 1e-5  # otherwise probes would keep their positions
     sequence.place(surfaces)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
@@ -131,7 +131,7 @@ def test_reprojected_cells_match_the_reference(extent: float) -> None:
 def test_probes_follow_moving_surfaces() -> None:
     """A plane that moves sideways takes its probes and their cells along; the camera is static."""
     camera = ls.Camera.look_at((0.0, 0.0, 3.0), (0, 0, 0), (0.0, 1.0, 0.0), width=160, height=96, fov_y=0.6)
-    sequence, surfaces = ProbeSequence(striped, refreshed=1.0), seen_plane(camera, (0.0, 0.0, 1.0))
+    sequence, surfaces = ProbeSequence(striped, refreshed=1.0), visible_plane(camera, (0.0, 0.0, 1.0))
     sequence.render(surfaces)
     before = fields(sequence.probes.probes)
     step = np.array([0.019375 * 2, 0.0, 0.0])  # about two pixels
@@ -148,7 +148,7 @@ def test_probes_follow_moving_surfaces() -> None:
 def test_each_ray_is_uniform_in_its_cell() -> None:
     """Each cell has one ray; the points are spread over the cell and do not repeat."""
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), refreshed=1.0)
-    surfaces = seen_in_box(box_camera(), 0.004)
+    surfaces = visible_box(box_camera(), 0.004)
     points = []
     for _ in range(4):
         sequence.place(surfaces)
@@ -167,7 +167,7 @@ def test_each_ray_is_uniform_in_its_cell() -> None:
 def test_rays_start_above_their_surface() -> None:
     """Rays of meshes leave outwards; those of Gaussians leave in all directions, above their layer and offset."""
     for extent, share in ((0.0, 0.5), (0.004, 1.0)):
-        sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0])), seen_in_box(box_camera(), extent)
+        sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0])), visible_box(box_camera(), extent)
         sequence.place(surfaces)
         rays = sequence.probes.rays(0)
         active = device_array(rays.is_active).numpy()
@@ -181,7 +181,7 @@ def test_rays_start_above_their_surface() -> None:
 
 def test_all_probes_are_refreshed_in_turn() -> None:
     """New probes are refreshed first, spread over the image, then the oldest, in a fixed number a frame."""
-    sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0), seen_in_box(box_camera(), 0.002)
+    sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0), visible_box(box_camera(), 0.002)
     rounds = np.zeros((6, 10), np.int32)
     for frame in range(12):
         sequence.render(surfaces)
@@ -197,7 +197,7 @@ def test_all_probes_are_refreshed_in_turn() -> None:
 @pytest.mark.parametrize("history", [1, 4, 8])
 def test_cell_means_match_the_reference(history: int) -> None:
     """A young mean counts for half of its samples, an old one for its history; non-finite samples are dropped."""
-    surfaces = seen_in_box(box_camera(), 0.002)
+    surfaces = visible_box(box_camera(), 0.002)
     light = [1.0, 2.0, np.nan, 6.0, *[3.0] * 7, 30.0]
     values = iter(light)
 
@@ -221,7 +221,7 @@ def test_cell_means_match_the_reference(history: int) -> None:
 
 def test_outdated_light_stays_until_it_is_replaced() -> None:
     """When light changes, a cell's next ray replaces the old mean; until then, the cell keeps it."""
-    surfaces = seen_in_box(box_camera(), 0.002)
+    surfaces = visible_box(box_camera(), 0.002)
     old, new = np.array([4.0, 1.0, 0.5]), np.array([0.5, 2.0, 0.0])
     sequence = ProbeSequence(constant(old))
     for _ in range(12):
@@ -240,9 +240,9 @@ def test_outdated_light_stays_until_it_is_replaced() -> None:
     assert worst[-1] < 2e-3, "a plain mean would still have a third of the old light"
 
 
-def thin_pole(camera: ls.Camera) -> Seen:
+def thin_pole(camera: ls.Camera) -> VisibleSurfaces:
     """Returns the cube with a pole three pixels wide before it in every tile except the last columns."""
-    surfaces = seen_in_box(camera)
+    surfaces = visible_box(camera)
     columns = np.tile(np.arange(camera.width), camera.height)
     pole = (columns % 16 >= 6) & (columns % 16 < 9) & (columns < 128)
     directions = (surfaces.position - camera.eye) / surfaces.distance[:, None]
@@ -276,7 +276,7 @@ def test_surfaces_missed_by_tile_probes_get_adaptive_probes() -> None:
 
 def test_the_filter_does_not_blur_near_hits_with_the_background() -> None:
     """Neighbours reduce the noise of new probes, but do not blur near hits with the background."""
-    surfaces = seen_in_box(box_camera(), 0.002)
+    surfaces = visible_box(box_camera(), 0.002)
     rng = np.random.default_rng(3)
 
     def noise(distance: float):
@@ -336,7 +336,7 @@ def test_irradiance_look_ups_match_the_reference(extent: float) -> None:
 
 def test_glossy_look_ups_interpolate_between_cells() -> None:
     """Look-ups interpolate linearly between cells, also across the border: a slow gradient is reproduced."""
-    surfaces = seen_in_box(box_camera(), 0.002)
+    surfaces = visible_box(box_camera(), 0.002)
 
     def gradient(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
         return 2.0 + directions, np.full(len(directions), np.inf)
@@ -352,7 +352,13 @@ def test_glossy_look_ups_interpolate_between_cells() -> None:
 
 
 def looked_up(
-    sequence: ProbeSequence, surfaces: Seen, pixels: Whole, points: Doubles, directions: Doubles, *, glossy: bool
+    sequence: ProbeSequence,
+    surfaces: VisibleSurfaces,
+    pixels: Whole,
+    points: Doubles,
+    directions: Doubles,
+    *,
+    glossy: bool,
 ) -> Doubles:
     """Returns the device's look-ups for pixels."""
     probes, count = sequence.probes, len(pixels)

@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from support.oracles.layer_oracle import other_layers
-from support.scenes.light_rig import PIPELINES, blocks, lit
+from support.scenes.light_rig import PIPELINES, lit, tile_means
 from support.scenes.path_scenes import diffuse, paths, quad
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, similarity
@@ -138,7 +138,7 @@ def test_no_light_leaks_at_the_seam_between_splats_and_meshes(pipeline: ls.Pipel
     else:
         light = lit(scene, CORNER, pipeline, samples=8, shadows=ls.Shadows.SOFT).color[..., 1]
     assert light.mean() < 0.002
-    assert blocks(light).max() < 0.01
+    assert tile_means(light).max() < 0.01
 
 
 @PIPELINES
@@ -147,7 +147,7 @@ def test_a_closed_room_gets_no_direct_light(pipeline: ls.Pipeline) -> None:
     frame = lit(room(20_000), CORNER, pipeline, samples=8, shadows=ls.Shadows.SOFT)
     light = frame.color[..., 1]
     assert light.mean() < 0.006
-    assert blocks(light).max() < 0.025
+    assert tile_means(light).max() < 0.025
 
 
 def discs(points: np.ndarray, normals: np.ndarray, scale: float) -> ls.Gaussians:

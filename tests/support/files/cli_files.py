@@ -22,7 +22,7 @@ class Outcome:
     err: str
 
 
-class Workplace:
+class Workspace:
     """A folder with a capture, a camera file of two frames and a mesh, and a way to run commands in it."""
 
     def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

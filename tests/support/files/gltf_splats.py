@@ -48,8 +48,8 @@ def splat_gltf(values: dict[str, np.ndarray] | None = None, **extension: Any) ->
     for name, array in (stored_values() if values is None else values).items():
         normalised = {"normalized": True} if array.dtype.kind in "iu" else {}
         attributes[full_name(name)] = gltf.accessor(array, **normalised)
-    said = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"} | extension
-    primitive = {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: said}}
+    extension_values = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"} | extension
+    primitive = {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: extension_values}}
     gltf.add("meshes", primitives=[primitive], name="cloud")
     gltf.add("nodes", mesh=0)
     return gltf

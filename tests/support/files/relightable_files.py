@@ -36,7 +36,7 @@ def cameras() -> list[ls.Camera]:
     return [ls.Camera.look_at(eye, (0, 0, 0), (0, 1, 0), width=SIZE, height=SIZE, fov_y=0.6) for eye in eyes]
 
 
-def sky(tilt: float = 0.0) -> np.ndarray:
+def panorama(tilt: float = 0.0) -> np.ndarray:
     """A panorama that differs on all sides."""
     x, y, z = np.moveaxis(panorama_directions(16, 32), -1, 0)
     return np.stack([0.6 + 0.3 * x, 0.6 + 0.3 * y, 0.5 + 0.3 * (z + tilt * x)], axis=-1)
@@ -50,8 +50,8 @@ def write_relightable_set(folder: Path, gaussians: ls.Gaussians) -> Path:
     for part in ("train", "test"):
         path = folder / f"transforms_{part}.json"
         path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_angle_x": 0.6}))
-    write_radiance(folder / "environment.exr", sky())
-    write_radiance(folder / "relit" / "dusk.exr", sky(0.5))
+    write_radiance(folder / "environment.exr", panorama())
+    write_radiance(folder / "relit" / "dusk.exr", panorama(0.5))
     (folder / "set.json").write_text(json.dumps({"specular": 0.5}))
     layers = LayerRenderer.of(gaussians, "cpu")
     dusk = ls.LightEnvironment(ls.io.load_radiance(folder / "relit" / "dusk.exr"), visible=False)

@@ -87,11 +87,11 @@ class TubeRig:
             gltf.add("skins", joints=list(JOINT_NODES), inverseBindMatrices=gltf.accessor(matrices))
         for name, tracks in self.clips.items():
             samplers, channels = [], []
-            for node, path, times, values, *way in tracks:
+            for node, path, times, values, *interpolation in tracks:
                 samplers.append({
                     "input": gltf.accessor(np.asarray(times, np.float32)),
                     "output": gltf.accessor(np.asarray(values, np.float32)),
-                    "interpolation": way[0] if way else "LINEAR",
+                    "interpolation": interpolation[0] if interpolation else "LINEAR",
                 })  # fmt: skip
                 channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
             gltf.add("animations", name=name, samplers=samplers, channels=channels)

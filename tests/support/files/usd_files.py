@@ -28,7 +28,7 @@ def field(
     values: Mapping[str, str] | None = None,
     *,
     count: int = 2,
-    place: str = "",
+    properties: str = "",
     kind: str = "ParticleField3DGaussianSplat",
     name: str = "splats",
     schemas: str = "",
@@ -38,7 +38,7 @@ def field(
     given = {"point3f[] positions": f"[{positions}]", **(values or {})}
     lines = "\n".join(f"    {key} = {held}" for key, held in given.items() if held)
     applied = f"( prepend apiSchemas = [{schemas}] )\n" if schemas else ""
-    return f'def {kind} "{name}" {applied}{{\n{lines}\n    {place}\n}}'
+    return f'def {kind} "{name}" {applied}{{\n{lines}\n    {properties}\n}}'
 
 
 def validation_messages(path: Path) -> list[str]:

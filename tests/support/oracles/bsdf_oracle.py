@@ -130,7 +130,7 @@ def evaluate(material: Material, normal: Array, view: Array, light: Array) -> Ar
     return np.where(_above(normal, view, light)[..., None], value, 0.0)
 
 
-def density(material: Material, normal: Array, view: Array, light: Array) -> Array:
+def pdf(material: Material, normal: Array, view: Array, light: Array) -> Array:
     """Of the directions that the material picks, per steradian: visible microfacets or Phong's lobe, and the cosine."""
     lambert = cosine(normal, light) / np.pi
     specular = np.asarray(material["specular"], dtype=np.float64)

@@ -186,11 +186,11 @@ def bin_centers(bins: int, t_max: float) -> np.ndarray:
 
 def tabulate(field: Absorbers, light: np.ndarray, layout: AtlasLayout, size: int, bins: int, t_max: float) -> Table:
     """The dense table; ``size`` is that of the square, or of each face."""
-    places = texel_centers(size)
+    uvs = texel_centers(size)
     if layout is AtlasLayout.OCTAHEDRAL:
-        directions = decode_octahedral(places)[None]
+        directions = decode_octahedral(uvs)[None]
     else:
-        directions = np.stack([decode_cube(np.full((size, size), face), places) for face in range(6)])
+        directions = np.stack([decode_cube(np.full((size, size), face), uvs) for face in range(6)])
     depth = optical_depth(field, light, directions[..., None, :], bin_centers(bins, t_max))
     return Table(np.asarray(light, float), t_max, np.exp(-depth))
 
@@ -208,11 +208,11 @@ def look_up(table: Table, points: np.ndarray) -> np.ndarray:
         face, uv = np.zeros(len(offset), int), encode_octahedral(offset)
     else:
         face, uv = encode_cube(offset)
-    place = (uv + 1.0) * 0.5 * size - 0.5
+    texel_position = (uv + 1.0) * 0.5 * size - 0.5
     if len(table.values) == 6:
-        place = np.clip(place, 0.0, size - 1.0)
-    low = np.floor(place).astype(int)
-    share = place - low
+        texel_position = np.clip(texel_position, 0.0, size - 1.0)
+    low = np.floor(texel_position).astype(int)
+    share = texel_position - low
     depth = np.minimum(distance / table.t_max * bins - 0.5, bins - 1.0)
     first = np.floor(depth).astype(int)
     found = np.zeros(len(offset))

@@ -16,11 +16,11 @@ def polygon_irradiance(point: npt.ArrayLike, normal: npt.ArrayLike, corners: npt
         normal: Of the receiver, unit; all of the polygon is on that side.
         corners: Shape (N, 3); a polygon that is seen counter-clockwise counts as negative.
     """
-    ways = np.asarray(corners, np.float64) - np.asarray(point, np.float64)
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    after = np.roll(ways, -1, axis=0)
-    angles = np.arccos(np.clip((ways * after).sum(axis=1), -1.0, 1.0))
-    edges = np.cross(ways, after)
+    to_corners = np.asarray(corners, np.float64) - np.asarray(point, np.float64)
+    to_corners /= np.linalg.norm(to_corners, axis=1, keepdims=True)
+    after = np.roll(to_corners, -1, axis=0)
+    angles = np.arccos(np.clip((to_corners * after).sum(axis=1), -1.0, 1.0))
+    edges = np.cross(to_corners, after)
     edges /= np.linalg.norm(edges, axis=1, keepdims=True)
     return float(0.5 * angles @ (edges @ np.asarray(normal, np.float64)))
 

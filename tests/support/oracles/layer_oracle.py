@@ -10,7 +10,7 @@ from lumisplat.scene.gaussians import Gaussians
 
 
 def other_layers(
-    gaussians: Gaussians, points: np.ndarray, normals: np.ndarray, ways: np.ndarray, near: np.ndarray
+    gaussians: Gaussians, points: np.ndarray, normals: np.ndarray, directions: np.ndarray, near: np.ndarray
 ) -> np.ndarray:
     """Whether each of N Gaussians is of another layer than the surface that a ray leaves, shape (N,).
 
@@ -18,7 +18,7 @@ def other_layers(
         gaussians: Those that the rays meet, one each.
         points: Where the rays start, (N, 3).
         normals: Of the layers that they leave, unit, (N, 3).
-        ways: Their directions, unit, (N, 3).
+        directions: Directions of the rays, unit, (N, 3).
         near: Distances within which Gaussians of these layers do not count, (N,).
     """
     scales = np.sort(gaussians.scales.astype(float), axis=1)
@@ -29,9 +29,9 @@ def other_layers(
     height = np.sum(normals * away, axis=1) / near
     beyond = np.maximum(np.abs(np.sum(normals * thin, axis=1)) - LAYER_COSINE, 0.0)
     stands_before = height > LAYER_HEIGHT + LAYER_RISE * beyond
-    is_met_well = np.abs(np.sum(thin * away, axis=1)) / near > LAYER_HEIGHT
+    is_hit_in_front = np.abs(np.sum(thin * away, axis=1)) / near > LAYER_HEIGHT
     if gaussians.normals is not None:
-        is_met_well |= np.sum(gaussians.normals.astype(float) * ways, axis=1) < 0.0
+        is_hit_in_front |= np.sum(gaussians.normals.astype(float) * directions, axis=1) < 0.0
     is_flat = scales[:, 0] < LAYER_FLATNESS * scales[:, 1]
-    found: np.ndarray = is_flat & stands_before & is_met_well
+    found: np.ndarray = is_flat & stands_before & is_hit_in_front
     return found

@@ -21,7 +21,7 @@ from lumisplat.renderer.realtime.light_filter_kernels import (
     YOUNG_FRAMES,
 )
 from lumisplat.renderer.scene.camera_table import CENTER
-from support.scenes.gi_surfaces import Doubles, Seen
+from support.scenes.gi_surfaces import Doubles, VisibleSurfaces
 
 Mask = npt.NDArray[np.bool_]
 Whole = npt.NDArray[np.int64]
@@ -48,27 +48,29 @@ def empty(count: int) -> Light:
     return Light(np.zeros(count), np.zeros((count, 2, 3)), np.zeros((count, 2, 2)))
 
 
-def tolerance(seen: Seen, distance: Doubles) -> Doubles:
+def tolerance(surfaces: VisibleSurfaces, distance: Doubles) -> Doubles:
     """How far points of one surface may be from each other's planes, scene units."""
-    return np.maximum(SAME_SURFACE_PX * distance / seen.camera.fx, seen.extent)
+    return np.maximum(SAME_SURFACE_PX * distance / surfaces.camera.fx, surfaces.extent)
 
 
-def least_cosine(seen: Seen) -> Doubles:
+def least_cosine(surfaces: VisibleSurfaces) -> Doubles:
     """Between normals of one surface."""
-    return np.where(seen.extent > 0.0, SAME_NORMAL_SPLATS, SAME_NORMAL_MESH)
+    return np.where(surfaces.extent > 0.0, SAME_NORMAL_SPLATS, SAME_NORMAL_MESH)
 
 
-def is_same(seen: Seen, points: Doubles, tolerated: Doubles, image: Seen, taps: Whole) -> Mask:
+def is_same(
+    surfaces: VisibleSurfaces, points: Doubles, tolerated: Doubles, image: VisibleSurfaces, taps: Whole
+) -> Mask:
     """Whether points with the normals that pixels show are on the surfaces that other pixels of an image show."""
-    normals, way = image.normal[taps], image.position[taps] - points
-    cosine = (seen.normal * normals).sum(axis=1)
-    across = np.abs([(way * seen.normal).sum(axis=1), (way * normals).sum(axis=1)]).max(axis=0)
-    return (image.share[taps] > 0.0) & (cosine >= least_cosine(seen)) & (across <= tolerated)
+    normals, offset = image.normal[taps], image.position[taps] - points
+    cosine = (surfaces.normal * normals).sum(axis=1)
+    across = np.abs([(offset * surfaces.normal).sum(axis=1), (offset * normals).sum(axis=1)]).max(axis=0)
+    return (image.share[taps] > 0.0) & (cosine >= least_cosine(surfaces)) & (across <= tolerated)
 
 
-def neighbours(seen: Seen, radius: int, step: int = 1) -> Iterator[tuple[int, int, Whole, Mask]]:
+def neighbours(surfaces: VisibleSurfaces, radius: int, step: int = 1) -> Iterator[tuple[int, int, Whole, Mask]]:
     """Offsets in rows and columns of steps, the pixels there, and whether they are in the image."""
-    width, height = seen.camera.width, seen.camera.height
+    width, height = surfaces.camera.width, surfaces.camera.height
     y, x = np.divmod(np.arange(width * height), width)
     for row in range(-radius, radius + 1):
         for column in range(-radius, radius + 1):
@@ -77,35 +79,35 @@ def neighbours(seen: Seen, radius: int, step: int = 1) -> Iterator[tuple[int, in
             yield row, column, np.where(inside, at_y * width + at_x, 0), inside
 
 
-def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
+def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Light) -> Light:
     """The history of the surfaces that pixels show, by bilinear weights of those pixels that showed them.
 
     If none did, of surfaces that stand still the plain mean of those of the 3 x 3 pixels around, unless samples are at
     the centres of pixels.
     """
-    camera, found = before.camera, empty(len(seen.share))
-    known = np.where(np.isnan(seen.previous), camera.eye, seen.previous)
-    way = known - camera.eye
-    local = way @ camera.camera_from_world[:3, :3].T
-    ahead = (seen.share > 0.0) & (local[:, 2] > camera.near)
+    camera, found = before.camera, empty(len(surfaces.share))
+    known = np.where(np.isnan(surfaces.previous), camera.eye, surfaces.previous)
+    offset = known - camera.eye
+    local = offset @ camera.camera_from_world[:3, :3].T
+    ahead = (surfaces.share > 0.0) & (local[:, 2] > camera.near)
     depth = np.where(ahead, local[:, 2], 1.0)
-    x = camera.fx * local[:, 0] / depth + camera.cx - seen.offset[0]
-    y = camera.fy * local[:, 1] / depth + camera.cy - seen.offset[1]
+    x = camera.fx * local[:, 0] / depth + camera.cx - surfaces.offset[0]
+    y = camera.fy * local[:, 1] / depth + camera.cy - surfaces.offset[1]
     x, y = (np.where(np.abs(u - np.round(u)) < STILL_PX, np.round(u), u) for u in (x, y))
-    tolerated = np.maximum(SAME_PIXEL_PX * np.linalg.norm(way, axis=1) / camera.fx, seen.extent)
-    total = np.zeros(len(way))
+    tolerated = np.maximum(SAME_PIXEL_PX * np.linalg.norm(offset, axis=1) / camera.fx, surfaces.extent)
+    total = np.zeros(len(offset))
     near = np.stack([np.floor(x), np.floor(y)]), range(2), range(2)
     around = near[0], range(-1, 2), range(-1, 2)
-    own_y, own_x = np.divmod(np.arange(len(way)), camera.width)
-    stands = (x == own_x) & (y == own_y) & (seen.offset != CENTER)
+    own_y, own_x = np.divmod(np.arange(len(offset)), camera.width)
+    stands = (x == own_x) & (y == own_y) & (surfaces.offset != CENTER)
     for (left, top), rows, columns in (near, around):
         is_left = ahead & (total == 0.0) & (stands | (len(rows) == 2))
         for row, column in product(rows, columns):
             at_x, at_y = left + column, top + row
-            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y)) if len(rows) == 2 else np.ones(len(way))
+            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y)) if len(rows) == 2 else np.ones(len(offset))
             inside = is_left & (at_x >= 0) & (at_x < camera.width) & (at_y >= 0) & (at_y < camera.height)
             taps = np.where(inside, at_y * camera.width + at_x, 0).astype(np.int64)
-            counts = inside & is_same(seen, known, tolerated, before, taps) & (history.frames[taps] > 0.0)
+            counts = inside & is_same(surfaces, known, tolerated, before, taps) & (history.frames[taps] > 0.0)
             weight = np.where(counts, weight, 0.0)
             total += weight
             found.frames += weight * history.frames[taps]
@@ -115,14 +117,18 @@ def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
     return Light(scale * found.frames, scale[:, None, None] * found.light, scale[:, None, None] * found.moments)
 
 
-def retained_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
+def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
     """Share of its history that each pixel keeps, by the samples of 5 x 5 pixels; shape (pixels,)."""
     found, expected = luminance(samples), luminance(history.light)
     variance = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
     old = sampled & (history.frames >= YOUNG_FRAMES)
     sums = np.zeros((5, len(old), 2))
-    for _, _, taps, inside in neighbours(seen, 2):
-        counts = inside & old[taps] & is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
+    for _, _, taps, inside in neighbours(surfaces, 2):
+        counts = (
+            inside
+            & old[taps]
+            & is_same(surfaces, surfaces.position, tolerance(surfaces, surfaces.distance), surfaces, taps)
+        )
         values = found[taps], expected[taps], variance[taps], found[taps] > expected[taps], np.ones((len(old), 2))
         sums += np.where(counts[:, None], values, 0.0)
     sampled_sum, expected_sum, noise, brighter, count = sums
@@ -133,12 +139,16 @@ def retained_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask,
     return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
 
 
-def shares_inside(seen: Seen, history: Light, samples: Doubles, sampled: Mask) -> Doubles:
+def shares_inside(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask) -> Doubles:
     """Share that each pixel keeps when things move, by the darkest and the brightest of 5 x 5 samples; (pixels,)."""
     found, held = luminance(samples), luminance(history.light)
     low, high = np.full_like(held, np.inf), np.zeros_like(held)
-    for _, _, taps, inside in neighbours(seen, 2):
-        counts = inside & sampled[taps] & is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
+    for _, _, taps, inside in neighbours(surfaces, 2):
+        counts = (
+            inside
+            & sampled[taps]
+            & is_same(surfaces, surfaces.position, tolerance(surfaces, surfaces.distance), surfaces, taps)
+        )
         low = np.where(counts[:, None], np.minimum(low, found[taps]), low)
         high = np.where(counts[:, None], np.maximum(high, found[taps]), high)
     outside, tolerated = np.maximum(low - held, held - high), CHANGE_LEAST * held
@@ -147,7 +157,7 @@ def shares_inside(seen: Seen, history: Light, samples: Doubles, sampled: Mask) -
 
 
 def accumulated(
-    seen: Seen,
+    surfaces: VisibleSurfaces,
     history: Light,
     samples: Doubles,
     sampled: Mask,
@@ -156,11 +166,11 @@ def accumulated(
     history_weight: float = 1.0,
 ) -> Light:
     """A history with the samples of one more frame."""
-    sampled = sampled & (seen.share > 0.0)
+    sampled = sampled & (surfaces.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
-    retained = retained_shares(seen, history, samples, sampled, shared)
+    retained = retained_shares(surfaces, history, samples, sampled, shared)
     if history_weight < 1.0:
-        retained = np.minimum(retained, shares_inside(seen, history, samples, sampled))
+        retained = np.minimum(retained, shares_inside(surfaces, history, samples, sampled))
         retained *= np.where(history.frames < YOUNG_FRAMES, history_weight, 1.0)
     count = retained * history.frames + 1.0
     bright = luminance(samples)
@@ -174,14 +184,14 @@ def accumulated(
     )
 
 
-def variances(seen: Seen, history: Light) -> Doubles:
+def variances(surfaces: VisibleSurfaces, history: Light) -> Doubles:
     """Of the mean over frames of each pixel, shape (pixels, 2); 0 where there is no history."""
     young = history.frames < YOUNG_FRAMES
     each = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
     moments, variance, count = np.zeros_like(history.moments), np.zeros_like(each), np.zeros(len(each))
-    for row, column, taps, inside in neighbours(seen, 3):
+    for row, column, taps, inside in neighbours(surfaces, 3):
         counts = inside & (young | (max(abs(row), abs(column)) <= 1)) & (history.frames[taps] > 0.0)
-        counts &= is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
+        counts &= is_same(surfaces, surfaces.position, tolerance(surfaces, surfaces.distance), surfaces, taps)
         moments += np.where(counts[:, None, None], history.moments[taps], 0.0)
         variance += np.where(counts[:, None], each[taps], 0.0)
         count += counts
@@ -198,21 +208,21 @@ def falloff(x: Doubles | float) -> Doubles:
 
 
 def smoothed(
-    seen: Seen, frames: Doubles, light: Doubles, variance: Doubles, radius: int, step: int
+    surfaces: VisibleSurfaces, frames: Doubles, light: Doubles, variance: Doubles, radius: int, step: int
 ) -> tuple[Doubles, Doubles]:
     """One pass: light and variances as means over neighbours some steps apart."""
     own = np.repeat((frames > 0.0)[:, None] * 1.0, 2, axis=1)
     bright = luminance(light)
-    shown = seen.share > 0.0
-    per_distance = 1.0 / np.where(shown, tolerance(seen, seen.distance), 1.0)
-    power = np.where(seen.extent > 0.0, 8, 64)
+    shown = surfaces.share > 0.0
+    per_distance = 1.0 / np.where(shown, tolerance(surfaces, surfaces.distance), 1.0)
+    power = np.where(surfaces.extent > 0.0, 8, 64)
     weights, sums, squares = own.copy(), own[..., None] * light, own * variance
-    for row, column, taps, inside in neighbours(seen, radius, step):
+    for row, column, taps, inside in neighbours(surfaces, radius, step):
         if row == column == 0:
             continue
         counts = inside & shown & (frames[taps] > 0.0)
-        cosine = np.where(counts, (seen.normal * seen.normal[taps]).sum(axis=1), 0.0)
-        across = per_distance * ((seen.position[taps] - seen.position) * seen.normal).sum(axis=1)
+        cosine = np.where(counts, (surfaces.normal * surfaces.normal[taps]).sum(axis=1), 0.0)
+        across = per_distance * ((surfaces.position[taps] - surfaces.position) * surfaces.normal).sum(axis=1)
         weight = counts * np.maximum(cosine, 0.0) ** power * falloff(np.where(counts, across, 3.0))
         weight = np.where(weight <= WEIGHT_LEAST, 0.0, weight)
         weight *= falloff(1.5 * (row * row + column * column) / (radius * radius + 1))
@@ -241,20 +251,20 @@ class Filter:
 
     def __init__(self, frames: int = 32, passes: int = 4, radius: int = 1, shared: int = 1) -> None:
         self._frames, self._passes, self._radius, self._shared = frames, passes, radius, shared
-        self._before: Seen | None = None
+        self._before: VisibleSurfaces | None = None
         self.history = empty(0)
 
     def render(
-        self, seen: Seen, diffuse: Doubles, glossy: Doubles, sampled: Mask, history_weight: float = 1.0
+        self, surfaces: VisibleSurfaces, diffuse: Doubles, glossy: Doubles, sampled: Mask, history_weight: float = 1.0
     ) -> Doubles:
         """The filtered light of the next frame, shape (pixels, 2, 3), of its samples."""
         history = empty(len(sampled))
         if self._before is not None:
-            history = reprojected(seen, self._before, self.history)
+            history = reprojected(surfaces, self._before, self.history)
         samples = np.stack([diffuse, glossy], axis=1)
-        self.history = accumulated(seen, history, samples, sampled, self._frames, self._shared, history_weight)
-        self._before = seen
-        light, variance = self.history.light, variances(seen, self.history)
+        self.history = accumulated(surfaces, history, samples, sampled, self._frames, self._shared, history_weight)
+        self._before = surfaces
+        light, variance = self.history.light, variances(surfaces, self.history)
         for number in range(self._passes):
-            light, variance = smoothed(seen, self.history.frames, light, variance, self._radius, 2**number)
+            light, variance = smoothed(surfaces, self.history.frames, light, variance, self._radius, 2**number)
         return light

@@ -98,7 +98,7 @@ def lookup(image: npt.NDArray[np.floating], u: Array, v: Array) -> Array:
     return (1.0 - fy) * above + fy * below
 
 
-def cell_density(image: npt.NDArray[np.floating], fine: int = 64) -> Array:
+def cell_pdf(image: npt.NDArray[np.floating], fine: int = 64) -> Array:
     """Density of directions per steradian, shape (H, W): luminance's mean over each texel's cell, by brute force.
 
     Rows count by their mean over the image, not over the sphere, times the solid angle of the row.

@@ -20,7 +20,7 @@ class Lit:
     albedo: Array
     roughness: Array
     directions: Array
-    sky: Array
+    environment: Array
     open: Array
     seen: Array
     spread: float
@@ -31,9 +31,9 @@ def radiance(lit: Lit, eye: Array) -> Array:
     return np.array([_of_one(lit, i, lit_view(lit.normals[i], eye - lit.means[i])) for i in range(len(lit.means))])
 
 
-def lit_view(normal: Array, way: Array) -> Array:
+def lit_view(normal: Array, to_eye: Array) -> Array:
     """The direction of a view; from below the surface, that which a mirror there would have."""
-    view = way / np.linalg.norm(way)
+    view = to_eye / np.linalg.norm(to_eye)
     return view if view @ normal >= 0.0 else view - 2.0 * (view @ normal) * normal
 
 
@@ -41,11 +41,13 @@ def _of_one(lit: Lit, i: int, view: Array) -> Array:
     normal, alpha = lit.normals[i], lit.roughness[i] ** 2
     cosines = lit.directions @ normal
     above = cosines > 0.0
-    light = (lit.open[i][:, None] * lit.sky + lit.seen[i])[above]
+    light = (lit.open[i][:, None] * lit.environment + lit.seen[i])[above]
     weights = (cosines[above] * 4.0 * np.pi / len(lit.directions))[:, None]
     matte = {"diffuse": lit.albedo[i], "dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": alpha}
     shine = {"specular": [0.04] * 3, "grazing": 1.0, "alpha": np.sqrt(alpha**2 + lit.spread)}
-    ways = lit.directions[above]
-    views, normals = np.broadcast_to(view, ways.shape), np.broadcast_to(normal, ways.shape)
-    reflected = pbr_diffuse(matte, normals, views, ways) + pbr_specular(shine, normals, views, ways)
+    light_directions = lit.directions[above]
+    views, normals = np.broadcast_to(view, light_directions.shape), np.broadcast_to(normal, light_directions.shape)
+    reflected = pbr_diffuse(matte, normals, views, light_directions) + pbr_specular(
+        shine, normals, views, light_directions
+    )
     return (weights * reflected * light).sum(axis=0)

@@ -112,8 +112,8 @@ def world_of(scene: Scene, config: RenderConfig | None) -> World:
         antialiasing = config.trace.antialiasing
         by_set = antialiasing is Antialiasing.AUTO and gaussians.antialiased
         antialiased = by_set or antialiasing is Antialiasing.ON
-        own, forced = gaussians.kernel_degree, config.response.kernel_degree
-        degree = np.full(count, own if forced is None else forced)
+        kernel_degree, forced = gaussians.kernel_degree, config.response.kernel_degree
+        degree = np.full(count, kernel_degree if forced is None else forced)
         threshold = response_threshold(opacity, config.response)
         sh = np.zeros((count, 16, 3))
         sh[:, : min(most, gaussians.sh.shape[1])] = gaussians.sh[:, :most]
@@ -203,15 +203,15 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     half, most, least = (np.sqrt(np.maximum(inside2 + e, 0.0)) for e in (0.0, inside2_error, -inside2_error))
     speed = np.sqrt(speed2)
     if config.normal_method is NormalMethod.ELLIPSOID:
-        seen_from = closest - (half / speed)[:, None] * direction
+        entry = closest - (half / speed)[:, None] * direction
         sharpest = np.sqrt((whiten**2).sum(axis=2)).max(axis=1)
         moved = sharpest * spread * (off + ray.turn * half / speed) + along / speed * (most - least)
-        normal, normal_error = gradient_normal(whiten, seen_from, moved, ray)
+        normal, normal_error = gradient_normal(whiten, entry, moved, ray)
     else:
-        own = world.whiten[rows]  # no footprint widens it
-        moved = np.linalg.norm(own.transpose(0, 2, 1) @ own, axis=(1, 2)) * off
+        undilated = world.whiten[rows]  # no footprint widens it
+        moved = np.linalg.norm(undilated.transpose(0, 2, 1) @ undilated, axis=(1, 2)) * off
         normal, normal_error = gradient_normal(
-            own, np.einsum("nij,nj->ni", own, ray.eye - world.mean[rows]), moved, ray
+            undilated, np.einsum("nij,nj->ni", undilated, ray.eye - world.mean[rows]), moved, ray
         )
     t, t_error = peak, peak_error
     surface, surface_error = surfaces(world, ray, rows, off)
@@ -255,9 +255,9 @@ def surfaces(world: World, ray: Ray, rows: np.ndarray, off: np.ndarray) -> tuple
     closest = origin + peak[:, None] * direction
     along = np.linalg.norm(np.einsum("nij,ni->nj", whiten, direction), axis=-1)
     slope = np.linalg.norm(np.einsum("nij,ni->nj", whiten, closest), axis=-1)
-    middle, room = -from_mean @ ray.direction, 3.0 * world.widest[rows]
-    surface = np.maximum(np.clip(peak, middle - room, middle + room), ray.t_min)
-    return surface, np.minimum((off * along + ray.turn * slope) / speed2, 2.0 * room) + off
+    middle, reach = -from_mean @ ray.direction, 3.0 * world.widest[rows]
+    surface = np.maximum(np.clip(peak, middle - reach, middle + reach), ray.t_min)
+    return surface, np.minimum((off * along + ray.turn * slope) / speed2, 2.0 * reach) + off
 
 
 def gradient_normal(

@@ -87,13 +87,13 @@ class RadianceCacheOracle:
         """Adds what the rays of a frame see, by numbers of hits for each cell: four times, so that hits know of it."""
         before = {cell: copy(self.indirect.get(cell, Mean(np.zeros(3)))) for cell in rays}
         for _ in range(4):
-            seen = self.look_up(hits)
+            radiance_found = self.look_up(hits)
             for cell, numbers in rays.items():
                 mean, count = before[cell], len(numbers)
                 weight = mean_weight(mean.weight, self.bounce_history)
-                total = seen[numbers].sum(axis=0)
-                known = min(mean.weight + count, max(self.bounce_history, self.samples_min))
-                self.indirect[cell] = Mean((mean.value * weight + total) / (weight + count), known)
+                total = radiance_found[numbers].sum(axis=0)
+                weight_after = min(mean.weight + count, max(self.bounce_history, self.samples_min))
+                self.indirect[cell] = Mean((mean.value * weight + total) / (weight + count), weight_after)
 
     def outdate(self, share: float) -> None:
         """What is known counts for a share of what it did beside what comes."""
@@ -128,17 +128,17 @@ class RadianceCacheOracle:
         level = self.level_of(samples, i)
         return [cell_at(samples, i, at, is_near=False) for at in (level, level + 1, level - 1)]
 
-    def best(self, means: dict[Cell, Mean], cells: list[Cell], enough: float) -> np.ndarray | None:
+    def best(self, means: dict[Cell, Mean], cells: list[Cell], weight_min: float) -> np.ndarray | None:
         """The finest mean of enough samples around the first cell that has one; else that of the most samples."""
-        found, most = None, 0.0
+        found, weight_max = None, 0.0
         for cell in cells:
             for mip in range(4):
                 inside = [means[other] for other in square(cell, mip) if other in means]
                 weight = sum(mean.weight for mean in inside)
-                if weight > most:
-                    most = weight
+                if weight > weight_max:
+                    weight_max = weight
                     found = sum((mean.value * mean.weight for mean in inside), np.zeros(3)) / weight
-                if most >= enough:
+                if weight_max >= weight_min:
                     return found
         return found
 

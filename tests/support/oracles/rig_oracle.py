@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation, Slerp
 from support.files.rig_files import JOINT_NODES, TubeRig
 
 
-def track_value(times: np.ndarray, values: np.ndarray, way: str, path: str, time: float) -> np.ndarray:
+def track_value(times: np.ndarray, values: np.ndarray, interpolation: str, path: str, time: float) -> np.ndarray:
     """The value of a channel at a time; quaternions xyzw."""
     times, values = np.asarray(times, float), np.asarray(values, float)
     time = float(np.clip(time, times[0], times[-1]))
-    if way == "STEP":
+    if interpolation == "STEP":
         return values[np.flatnonzero(times <= time)[-1]]
-    if way == "CUBICSPLINE":
+    if interpolation == "CUBICSPLINE":
         reached, keys, left = values.reshape(len(times), 3, -1).swapaxes(0, 1)
         k = min(int(np.flatnonzero(times <= time)[-1]), len(times) - 2)
         spline = CubicHermiteSpline(times[k : k + 2], keys[k : k + 2], np.array([left[k], reached[k + 1]]))
@@ -32,9 +32,9 @@ def world_matrices(rig: TubeRig, clip: str | None, time: float) -> list[np.ndarr
     for node in rig.nodes:
         parts = {"translation": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]} | node
         local.append({name: np.asarray(parts[name], float) for name in ("translation", "rotation", "scale")})
-    for node, path, times, values, *way in rig.clips[clip] if clip else ():
+    for node, path, times, values, *interpolation in rig.clips[clip] if clip else ():
         if path != "weights":
-            local[node][path] = track_value(times, values, way[0] if way else "LINEAR", path, time)
+            local[node][path] = track_value(times, values, interpolation[0] if interpolation else "LINEAR", path, time)
     parents = {child: index for index, node in enumerate(rig.nodes) for child in node.get("children", ())}
     matrices = []
     for index, parts in enumerate(local):

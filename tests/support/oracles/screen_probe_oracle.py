@@ -32,9 +32,9 @@ def cell_of(direction: npt.ArrayLike, cells: int) -> int:
 
 def spiral(count: int) -> Doubles:
     """Unit vectors, spread evenly."""
-    turns = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * turns / count
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * turns
+    steps = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * steps / count
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * steps
     across = np.sqrt(1.0 - z * z)
     return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
 
@@ -56,13 +56,13 @@ def carried(cells: Cells, old: Doubles, new: Doubles, horizon: Doubles | None, h
     side = int(np.sqrt(count))
     moved = Cells(cells.direction, np.zeros((count, 3)), np.zeros(count), np.zeros(count))
     for cell in np.flatnonzero(cells.samples > 0.0):
-        nearness, way, target = cells.nearness[cell], cells.direction[cell], int(cell)
+        nearness, direction, target = cells.nearness[cell], cells.direction[cell], int(cell)
         if nearness * np.linalg.norm(old - new) < 1.0:
             if nearness > 0.0:
-                to_hit = old + way / nearness - new
-                way, nearness = to_hit / np.linalg.norm(to_hit), 1.0 / np.linalg.norm(to_hit)
-            target = cell_of(way, side)
-        if horizon is not None and way @ horizon < -np.sqrt(4.0 * np.pi / count):
+                to_hit = old + direction / nearness - new
+                direction, nearness = to_hit / np.linalg.norm(to_hit), 1.0 / np.linalg.norm(to_hit)
+            target = cell_of(direction, side)
+        if horizon is not None and direction @ horizon < -np.sqrt(4.0 * np.pi / count):
             continue
         moved.radiance[target] += cells.samples[cell] * cells.radiance[cell]
         moved.nearness[target] += cells.samples[cell] * nearness
@@ -78,7 +78,7 @@ def carried(cells: Cells, old: Doubles, new: Doubles, horizon: Doubles | None, h
 def cell_means(side: int) -> Doubles:
     """Means of the harmonics over the evenly spread directions in each cell."""
     directions = spiral(20_000)
-    index = np.array([cell_of(way, side) for way in directions])
+    index = np.array([cell_of(direction, side) for direction in directions])
     basis = sh_basis(directions, 2)
     return np.array([basis[index == cell].mean(axis=0) for cell in range(side * side)])
 
@@ -87,8 +87,8 @@ def cell_means(side: int) -> Doubles:
 def cosines(side: int, facing: int) -> Doubles:
     """Means of the clamped cosine over each cell, of surfaces that face the centre of a cell of 16 x 16."""
     directions = spiral(20_000)
-    index = np.array([cell_of(way, side) for way in directions])
-    towards = directions[[cell_of(way, 16) == facing for way in directions]].mean(axis=0)
+    index = np.array([cell_of(direction, side) for direction in directions])
+    towards = directions[[cell_of(direction, 16) == facing for direction in directions]].mean(axis=0)
     cosine = np.maximum(directions @ towards / np.linalg.norm(towards), 0.0)
     return np.array([cosine[index == cell].mean() for cell in range(side * side)])
 
@@ -101,10 +101,10 @@ def probe_irradiance(radiance: Doubles, normal: Doubles, probe_normal: Doubles) 
     """
     side = int(np.sqrt(len(radiance)))
     means = cell_means(side)
-    harmonics = np.linalg.lstsq(means, radiance)[0]
+    sh = np.linalg.lstsq(means, radiance)[0]
     convolved = np.repeat([np.pi, 2.0 * np.pi / 3.0, np.pi / 4.0], [1, 3, 5])
-    beyond = cosines(side, cell_of(probe_normal, 16)) @ (radiance - means @ harmonics)
-    return sh_basis(normal, 2) * convolved @ harmonics + 4.0 * np.pi / len(radiance) * beyond
+    residual = cosines(side, cell_of(probe_normal, 16)) @ (radiance - means @ sh)
+    return sh_basis(normal, 2) * convolved @ sh + 4.0 * np.pi / len(radiance) * residual
 
 
 @dataclass(slots=True)
@@ -119,17 +119,17 @@ class Probe:
     """What it says."""
 
 
-def is_cut_off(point: Doubles, probe_point: Doubles, nearer: float, picture: Doubles) -> bool:
-    """Whether a surface is nearer than 0.95 of ``nearer`` a quarter, half or three quarters of the way to a probe.
+def is_cut_off(point: Doubles, probe_point: Doubles, probe_distance: float, distances: Doubles) -> bool:
+    """Whether a surface is nearer than 0.95 of that a quarter, half or three quarters of the way to a probe.
 
     Args:
         point: The pixel's centre, (x, y).
         probe_point: The probe's.
-        nearer: The smaller of their distances from the eye.
-        picture: Distances in all pixels, shape (H, W); inf: nothing is there.
+        probe_distance: The smaller of their distances from the eye.
+        distances: Distances in all pixels, shape (H, W); inf: nothing is there.
     """
-    between = [point + share * (probe_point - point) for share in (0.25, 0.5, 0.75)]
-    return any(picture[int(y), int(x)] < 0.95 * nearer for x, y in between)
+    points = [point + share * (probe_point - point) for share in (0.25, 0.5, 0.75)]
+    return any(distances[int(y), int(x)] < 0.95 * probe_distance for x, y in points)
 
 
 def near_mean(
@@ -138,7 +138,7 @@ def near_mean(
     distance: float,
     extent: float,
     reach: float,
-    around: list[tuple[float, Probe]],
+    probes: list[tuple[float, Probe]],
 ) -> Doubles | None:
     """Weighted mean over the probes around a pixel that are on its surface; None: there is none.
 
@@ -148,14 +148,14 @@ def near_mean(
         distance: From the eye.
         extent: As of ``SurfacePixels``.
         reach: Width of a tile there.
-        around: Probes, each with its distance from the pixel in the picture, in tiles.
+        probes: Probes, each with its distance from the pixel in the picture, in tiles.
     """
     total, weight = np.zeros(3), 0.0
-    for apart, probe in around:
+    for apart, probe in probes:
         tolerance = max(extent, probe.extent)
         is_near = abs(normal @ (probe.position - position)) < max(reach, tolerance)
         if is_near and normal @ probe.normal > (0.5 if tolerance > 0.0 else 0.95):
             depth = 1.0 - abs(distance - probe.distance) / max(distance, probe.distance)
-            vote = (depth * (normal @ probe.normal)) ** 8 / (apart**2 + 0.05)
-            total, weight = total + vote * probe.value, weight + vote
+            probe_weight = (depth * (normal @ probe.normal)) ** 8 / (apart**2 + 0.05)
+            total, weight = total + probe_weight * probe.value, weight + probe_weight
     return total / weight if weight > 1e-6 else None

@@ -216,7 +216,7 @@ def outcomes_on(world: World, ray: Ray) -> Outcomes:
     return outcomes(picked(every, every.counts), ray, world.config.trace)
 
 
-def trace(world: World, ray: Ray, sky: np.ndarray, bounces: int = 0, throughput: float = 1.0) -> Traced:
+def trace(world: World, ray: Ray, background: np.ndarray, bounces: int = 0, throughput: float = 1.0) -> Traced:
     """Follows a ray and all that it becomes; ``throughput`` is what it weighs in the pixel."""
     config = world.config.trace
     sorts = config.strategy is TraceStrategy.SORTED
@@ -226,7 +226,7 @@ def trace(world: World, ray: Ray, sky: np.ndarray, bounces: int = 0, throughput:
     blended = blend(found, config.depth_iso_transmittance, config.transmittance_min if sorts else 0.0)
 
     share, normal_sum, normal_error = blended.transmittance, blended.normal, 0.0
-    behind, behind_variance, behind_slack, surface = sky, np.zeros(3), 0.0, None
+    behind, behind_variance, behind_slack, surface = background, np.zeros(3), 0.0, None
     if mesh.triangle >= 0:
         surface = facet(world.triangles, ray, mesh)
         weight = throughput * share if sorts else throughput
@@ -297,10 +297,10 @@ def shaded(
         if weight < BOUNCE_WEIGHT_MIN or bounces == world.config.max_bounces:
             color = color + branch.weight * background_of(world)
             continue
-        seen = trace(world, branch.ray, background_of(world), bounces + 1, weight)
-        color = color + branch.weight * seen.color
-        variance = variance + branch.weight**2 * seen.color_variance
-        slack += float(branch.weight.max()) * seen.slack
+        traced = trace(world, branch.ray, background_of(world), bounces + 1, weight)
+        color = color + branch.weight * traced.color
+        variance = variance + branch.weight**2 * traced.color_variance
+        slack += float(branch.weight.max()) * traced.slack
     return color, variance, slack
 
 

@@ -16,10 +16,10 @@ Flags = npt.NDArray[np.bool_]
 
 ON_WALL, ACROSS, WITHIN = 120, 8, 4
 """Gaussians on a wall; patches across a wall, and points across a patch."""
-LAMP = np.array((3.0, 3.0, 3.0))
+LIGHT = np.array((3.0, 3.0, 3.0))
 """Radiance, in units of display white: captured as white."""
-PAINTS = np.array(((0.6, 0.5, 0.4), (0.3, 0.25, 0.2)))
-TURNS = np.array([np.roll(np.diag(sides), turn, axis=1) for turn in range(3) for sides in ((1, 1, 1), (1, -1, -1))])
+ALBEDOS = np.array(((0.6, 0.5, 0.4), (0.3, 0.25, 0.2)))
+ROTATIONS = np.array([np.roll(np.diag(sides), turn, axis=1) for turn in range(3) for sides in ((1, 1, 1), (1, -1, -1))])
 """From a ceiling, y up, to each of the six walls, world from wall; the first one is the ceiling itself."""
 
 
@@ -35,12 +35,12 @@ class CapturedBox:
     """Shape (N, 3); lamps have one, too."""
     irradiance: Doubles
     """Over pi, shape (N, 3)."""
-    by_lamp: Doubles
+    direct: Doubles
     """The share of it that comes straight from the lamp, shape (N, 3)."""
     is_emitter: Flags
     """Shape (N,)."""
 
-    def shown(self, radiance: Doubles) -> ls.Gaussians:
+    def with_radiance(self, radiance: Doubles) -> ls.Gaussians:
         """The capture with other colours, of radiances that a display clips, shape (N, 3)."""
         sh = (encode_srgb(np.clip(radiance, 0.0, 1.0)) - 0.5) / SH_C0
         return replace(self.gaussians, sh=sh[:, None].astype(np.float32))
@@ -49,20 +49,22 @@ class CapturedBox:
 def captured_box() -> CapturedBox:
     """The box, 2 wide, around the origin."""
     flat = ls.gaussians_from_mesh(ls.plane(2.0, 2.0), ON_WALL)
-    plain = ls.merge([_placed(flat, turn) for turn in TURNS])
-    normals = np.repeat(-TURNS[:, :, 1], ON_WALL, axis=0).astype(np.float64)
+    gaussians = ls.merge([_placed(flat, turn) for turn in ROTATIONS])
+    normals = np.repeat(-ROTATIONS[:, :, 1], ON_WALL, axis=0).astype(np.float64)
     points, facing = _points(ACROSS * WITHIN)
     patches, patch_normals = _points(ACROSS)
-    emitted = _is_emitter(patches)[:, None] * LAMP
-    between = _irradiances(patches, patch_normals, points, facing)
+    emitted = _is_emitter(patches)[:, None] * LIGHT
+    transfer = _irradiances(patches, patch_normals, points, facing)
     radiance = np.empty((len(patches), 3))
     for channel in range(3):
-        reflected = _paint(patches)[:, channel, None] * between
+        reflected = _albedo_at(patches)[:, channel, None] * transfer
         radiance[:, channel] = np.linalg.solve(np.eye(len(patches)) - reflected, emitted[:, channel])
-    arriving = _irradiances(plain.means.astype(np.float64), normals, points, facing)
-    irradiance, albedo = arriving @ radiance, _paint(plain.means)
-    box = CapturedBox(plain, normals, albedo, irradiance, arriving @ emitted, _is_emitter(plain.means))
-    return replace(box, gaussians=box.shown(albedo * irradiance + box.is_emitter[:, None] * LAMP))
+    transfer_to_gaussians = _irradiances(gaussians.means.astype(np.float64), normals, points, facing)
+    irradiance, albedo = transfer_to_gaussians @ radiance, _albedo_at(gaussians.means)
+    box = CapturedBox(
+        gaussians, normals, albedo, irradiance, transfer_to_gaussians @ emitted, _is_emitter(gaussians.means)
+    )
+    return replace(box, gaussians=box.with_radiance(albedo * irradiance + box.is_emitter[:, None] * LIGHT))
 
 
 def _placed(flat: ls.Gaussians, turn: Doubles) -> ls.Gaussians:
@@ -77,16 +79,16 @@ def _points(across: int) -> tuple[Doubles, Doubles]:
     middles = (np.arange(across) + 0.5) * (2.0 / across) - 1.0
     x, z = np.meshgrid(middles, middles, indexing="ij")
     wall = np.stack([x, np.ones_like(x), z], axis=-1).reshape(-1, 3)
-    points = np.concatenate([wall @ turn.T for turn in TURNS])
-    return points, np.repeat(-TURNS[:, :, 1], len(wall), axis=0).astype(np.float64)
+    points = np.concatenate([wall @ turn.T for turn in ROTATIONS])
+    return points, np.repeat(-ROTATIONS[:, :, 1], len(wall), axis=0).astype(np.float64)
 
 
 def _irradiances(at: Doubles, normals: Doubles, points: Doubles, facing: Doubles) -> Doubles:
     """Irradiance over pi at places from each patch of radiance 1, shape (A, patches)."""
-    ways = points[None] - at[:, None]
-    square = np.maximum((ways**2).sum(axis=2), 1e-9)
-    cosines = np.maximum(np.einsum("apk,ak->ap", ways, normals), 0.0)
-    cosines *= np.maximum(-np.einsum("apk,pk->ap", ways, facing), 0.0)
+    offsets = points[None] - at[:, None]
+    square = np.maximum((offsets**2).sum(axis=2), 1e-9)
+    cosines = np.maximum(np.einsum("apk,ak->ap", offsets, normals), 0.0)
+    cosines *= np.maximum(-np.einsum("apk,pk->ap", offsets, facing), 0.0)
     shares = cosines / (np.pi * square**2) * (2.0 / (ACROSS * WITHIN)) ** 2
     return shares.reshape(len(at), 6, ACROSS, WITHIN, ACROSS, WITHIN).sum(axis=(3, 5)).reshape(len(at), -1)
 
@@ -95,6 +97,6 @@ def _is_emitter(points: npt.NDArray[np.floating]) -> Flags:
     return (points[:, 1] > 0.99) & (np.abs(points[:, [0, 2]]).max(axis=1) < 0.5)
 
 
-def _paint(points: npt.NDArray[np.floating]) -> Doubles:
+def _albedo_at(points: npt.NDArray[np.floating]) -> Doubles:
     """Halves of the box, a paint each."""
-    return PAINTS[(points[:, 0] + 0.5 * points[:, 2] > 0.1).astype(int)]
+    return ALBEDOS[(points[:, 0] + 0.5 * points[:, 2] > 0.1).astype(int)]

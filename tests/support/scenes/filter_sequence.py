@@ -16,7 +16,7 @@ from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
-from support.scenes.gi_surfaces import Doubles, Seen, camera_rows
+from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows
 
 Mask = npt.NDArray[np.bool_]
 
@@ -38,11 +38,11 @@ class FilterSequence:
         self.frame = 0
         self.history_weight = 1.0
         """Of the next frames, as of ``Motion``."""
-        self._seen: Seen | None = None
+        self._seen: VisibleSurfaces | None = None
         self._before: SurfacePixels | None = None
 
     def render(
-        self, seen: Seen, diffuse: Doubles, glossy: Doubles | None = None, sampled: Mask | None = None
+        self, seen: VisibleSurfaces, diffuse: Doubles, glossy: Doubles | None = None, sampled: Mask | None = None
     ) -> Doubles:
         """The filtered light of the next frame, shape (pixels, 2, 3): diffuse, glossy.
 

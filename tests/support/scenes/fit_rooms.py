@@ -21,20 +21,20 @@ DIRECT = ls.RenderConfig(samples=1)
 def closed(*lights: Light) -> ls.Scene:
     """A room with six sides, a ball and a box."""
     top = level((0.0, 0.0), (SIZE[0], SIZE[2]), SIZE[1], matte(0.8))
-    return ls.Scene((), [*floor_and_walls(), top, behind(), *things()], lights)
+    return ls.Scene((), [*floor_and_walls(), top, behind(), *objects()], lights)
 
 
 def open_above(*lights: Light) -> ls.Scene:
     """A floor and three sides, on which a sky falls."""
-    return ls.Scene((), [*floor_and_walls(), *things()], lights)
+    return ls.Scene((), [*floor_and_walls(), *objects()], lights)
 
 
-def things() -> list[ls.Mesh]:
+def objects() -> list[ls.Mesh]:
     """A ball and a box that stands askew."""
     return [faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))]
 
 
-def three_lamps() -> tuple[ls.LightPoint, ls.LightPoint, ls.LightPoint]:
+def three_lights() -> tuple[ls.LightPoint, ls.LightPoint, ls.LightPoint]:
     """White, warm and blue; at different heights."""
     return (
         ls.LightPoint((0.8, 2.5, 3.9), (1.0, 1.0, 1.0), 2.5, name="white"),
@@ -43,32 +43,32 @@ def three_lamps() -> tuple[ls.LightPoint, ls.LightPoint, ls.LightPoint]:
     )
 
 
-def unknown(*lights: ls.LightPoint) -> list[ls.LightPoint]:
+def initial_lights(*lights: ls.LightPoint) -> list[ls.LightPoint]:
     """The lamps where they are, white and of another strength."""
     return [replace(light, color=(1.0, 1.0, 1.0), intensity=0.7) for light in lights]
 
 
-def moved(lamps: tuple[ls.LightPoint, ...], share: float) -> list[ls.LightPoint]:
+def moved(lights: tuple[ls.LightPoint, ...], fraction: float) -> list[ls.LightPoint]:
     """The lamps, each moved by a share of the room, within it, and of another strength."""
     low, high = np.array([0.2, 0.3, 0.2]), np.array([3.8, 2.8, 4.8])
-    away = np.array([[1.0, -0.4, -0.6], [-1.0, 0.2, 0.5], [0.3, -0.6, 1.0]])
-    places = []
-    for lamp, way in zip(lamps, away, strict=True):
-        place = np.array(lamp.position) + share * ROOM * way / np.linalg.norm(way)
-        assert ((place > low) & (place < high)).all()
-        places.append(replace(lamp, position=place, color=(1, 1, 1), intensity=1.0))
-    return places
+    directions = np.array([[1.0, -0.4, -0.6], [-1.0, 0.2, 0.5], [0.3, -0.6, 1.0]])
+    moved_lights = []
+    for light, direction in zip(lights, directions, strict=True):
+        position = np.array(light.position) + fraction * ROOM * direction / np.linalg.norm(direction)
+        assert ((position > low) & (position < high)).all()
+        moved_lights.append(replace(light, position=position, color=(1, 1, 1), intensity=1.0))
+    return moved_lights
 
 
-def with_strangers(scene: ls.Scene) -> ls.Scene:
+def with_unmodelled_objects(scene: ls.Scene) -> ls.Scene:
     """The scene with what nobody knows of: a black ball in front, and a yellow poster at the end of the room."""
-    stranger = ball_at((2.9, 0.9, 3.4), 0.5, matte(0.02))
+    ball = ball_at((2.9, 0.9, 3.4), 0.5, matte(0.02))
     poster = ls.Mesh(
         [[0.6, 1.2, 0.02], [1.6, 1.2, 0.02], [1.6, 2.4, 0.02], [0.6, 2.4, 0.02]],
         [[0, 1, 2], [0, 2, 3]],
         material=matte(0.9, 0.8, 0.1),
     )
-    return replace(scene, meshes=(*scene.meshes, ls.MeshInstance(stranger), ls.MeshInstance(poster)))
+    return replace(scene, meshes=(*scene.meshes, ls.MeshInstance(ball), ls.MeshInstance(poster)))
 
 
 def view(width: int = 96, height: int = 72) -> ls.Camera:
@@ -81,16 +81,16 @@ def other_view(width: int = 96, height: int = 72) -> ls.Camera:
     return ls.Camera.look_at((3.6, 2.1, 0.4), (1.2, 0.9, 3.4), (0.0, 1.0, 0.0), width=width, height=height, fov_y=1.0)
 
 
-def taken(scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig = DIRECT) -> np.ndarray:
+def image_of(scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig = DIRECT) -> np.ndarray:
     """The photograph, display-referred, without noise."""
     return ls.render(scene, camera, config, device="cpu").pixels_srgb()
 
 
-def noisy(photograph: np.ndarray, deviation: float = 0.02, seed: int = 0) -> np.ndarray:
+def noisy(image: np.ndarray, deviation: float = 0.02, seed: int = 0) -> np.ndarray:
     """The photograph with noise, in 8 bits."""
     rng = np.random.default_rng(seed)
-    grainy = photograph + rng.normal(0.0, deviation, photograph.shape)
-    return np.clip(np.round(255.0 * grainy), 0.0, 255.0).astype(np.uint8)
+    with_noise = image + rng.normal(0.0, deviation, image.shape)
+    return np.clip(np.round(255.0 * with_noise), 0.0, 255.0).astype(np.uint8)
 
 
 def power(light: Light) -> np.ndarray:

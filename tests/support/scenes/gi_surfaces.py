@@ -18,7 +18,7 @@ Doubles = npt.NDArray[np.float64]
 
 
 @dataclass(slots=True)
-class Seen:
+class VisibleSurfaces:
     """What the pixels of a camera show, in float64; row by row."""
 
     camera: ls.Camera
@@ -58,17 +58,17 @@ def pixel_rays(camera: ls.Camera, offset: tuple[float, float] = CENTER) -> tuple
     """Origin, shape (3,), and unit directions, shape (H W, 3), of a pinhole's samples at a place in their pixels."""
     x, y = np.meshgrid(np.arange(camera.width) + offset[0], np.arange(camera.height) + offset[1])
     local = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
-    ways = local.reshape(-1, 3) @ camera.world_from_camera[:3, :3].T
-    return np.asarray(camera.eye, np.float64), ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    directions = local.reshape(-1, 3) @ camera.world_from_camera[:3, :3].T
+    return np.asarray(camera.eye, np.float64), directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def box_exit(origins: Doubles, ways: Doubles, half: float = 0.5) -> tuple[Doubles, npt.NDArray[np.int64]]:
+def box_exit(origins: Doubles, directions: Doubles, half: float = 0.5) -> tuple[Doubles, npt.NDArray[np.int64]]:
     """Distance to the walls of a cube around the origin, from inside, and the wall: 0, 1 are -x, +x, and so on."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(ways == 0.0, np.inf, (np.copysign(half, ways) - origins) / ways)
+        ends = np.where(directions == 0.0, np.inf, (np.copysign(half, directions) - origins) / directions)
     axis = np.argmin(ends, axis=1)
-    rows = np.arange(len(ways))
-    return ends[rows, axis], 2 * axis + (ways[rows, axis] > 0.0)
+    rows = np.arange(len(directions))
+    return ends[rows, axis], 2 * axis + (directions[rows, axis] > 0.0)
 
 
 def inward(face: npt.NDArray[np.int64]) -> Doubles:
@@ -78,28 +78,30 @@ def inward(face: npt.NDArray[np.int64]) -> Doubles:
     return normals
 
 
-def seen_in_box(camera: ls.Camera, extent: float = 0.0, offset: tuple[float, float] = CENTER) -> Seen:
+def visible_box(camera: ls.Camera, extent: float = 0.0, offset: tuple[float, float] = CENTER) -> VisibleSurfaces:
     """The unit cube around the origin from inside."""
-    eye, ways = pixel_rays(camera, offset)
-    t, face = box_exit(np.broadcast_to(eye, ways.shape), ways)
-    position = eye + t[:, None] * ways
+    eye, directions = pixel_rays(camera, offset)
+    t, face = box_exit(np.broadcast_to(eye, directions.shape), directions)
+    position = eye + t[:, None] * directions
     ones = np.ones(len(t))
-    return Seen(camera, ones, position, inward(face), t, extent * ones, position.copy(), face, offset)
+    return VisibleSurfaces(camera, ones, position, inward(face), t, extent * ones, position.copy(), face, offset)
 
 
-def seen_plane(
+def visible_plane(
     camera: ls.Camera, normal: npt.ArrayLike, extent: float = 0.0, offset: tuple[float, float] = CENTER
-) -> Seen:
+) -> VisibleSurfaces:
     """The plane through the origin; pixels that miss it, or see it from below, show nothing."""
-    eye, ways = pixel_rays(camera, offset)
+    eye, directions = pixel_rays(camera, offset)
     normal = np.asarray(normal, np.float64)
-    facing = ways @ normal
+    facing = directions @ normal
     t = -(eye @ normal) / np.where(facing < -1e-3, facing, 1.0)
-    is_seen = (facing < -1e-3) & (t > 0.0)
-    position = np.where(is_seen[:, None], eye + t[:, None] * ways, 0.0)
-    normals = np.broadcast_to(normal, ways.shape).copy()
-    share, distance = is_seen.astype(np.float64), np.where(is_seen, t, 0.0)
-    return Seen(camera, share, position, normals, distance, np.full(len(t), extent), position.copy(), offset=offset)
+    is_visible = (facing < -1e-3) & (t > 0.0)
+    position = np.where(is_visible[:, None], eye + t[:, None] * directions, 0.0)
+    normals = np.broadcast_to(normal, directions.shape).copy()
+    share, distance = is_visible.astype(np.float64), np.where(is_visible, t, 0.0)
+    return VisibleSurfaces(
+        camera, share, position, normals, distance, np.full(len(t), extent), position.copy(), offset=offset
+    )
 
 
 def tilted(normals: Doubles, degrees: float, seed: int) -> Doubles:

@@ -17,12 +17,12 @@ BALL, DISC, FLOOR = 0.6, 1.3, 0.6
 """Radii, and how far below the middle of the ball the disc lies; y points down."""
 SUPERSAMPLED = 3
 WAVES = np.array([[9, 4, -5], [-3, 11, 6], [5, -7, 10], [3, 2, 1], [1, -3, 2], [-2, 1, 3]], float)
-GRAIN = np.array([23.0, 19.0, -21.0])
+FINE_WAVE = np.array([23.0, 19.0, -21.0])
 CONFIG = ls.TrainConfig(iterations=1500, cap=3000, initial=1500, sh_degree=1)
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class GroundTruth:
     """What a camera sees, a value a pixel."""
 
     color: np.ndarray
@@ -50,50 +50,50 @@ def camera(angle: float, height: float) -> ls.Camera:
     return ls.Camera.look_at(eye, (0.0, 0.1, 0.0), (0.0, -1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.75)
 
 
-def seen(by: ls.Camera) -> Seen:
+def ground_truth(view: ls.Camera) -> GroundTruth:
     """The nearer of ball and disc on the ray through each pixel's centre."""
-    rays = by.ray_directions() @ by.camera_from_world[:3, :3]
+    rays = view.ray_directions() @ view.camera_from_world[:3, :3]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    along, square = rays @ by.eye, by.eye @ by.eye - BALL**2
+    along, square = rays @ view.eye, view.eye @ view.eye - BALL**2
     under = along**2 - square
     t = np.where(under > 0.0, -along - np.sqrt(np.maximum(under, 0.0)), np.inf)
     t = np.where(t > 0.0, t, np.inf)
     down = np.where(np.abs(rays[..., 1]) < 1e-9, 1e-9, rays[..., 1])
-    t_floor = (FLOOR - by.eye[1]) / down
-    floor = by.eye + t_floor[..., None] * rays
+    t_floor = (FLOOR - view.eye[1]) / down
+    floor = view.eye + t_floor[..., None] * rays
     is_floor = (t_floor > 0.0) & (np.hypot(floor[..., 0], floor[..., 2]) < DISC) & (t_floor < t)
     t = np.where(is_floor, t_floor, t)
     is_hit = np.isfinite(t)
     t = np.where(is_hit, t, 0.0)
-    points = by.eye + t[..., None] * rays
+    points = view.eye + t[..., None] * rays
     normal = np.where(is_floor[..., None], np.array([0.0, -1.0, 0.0]), points / BALL)
-    depth = t * (rays @ by.camera_from_world[2, :3])
-    return Seen(np.where(is_hit[..., None], texture(points), 0.0), is_hit, normal, depth)
+    depth = t * (rays @ view.camera_from_world[2, :3])
+    return GroundTruth(np.where(is_hit[..., None], texture(points), 0.0), is_hit, normal, depth)
 
 
 def texture(points: np.ndarray) -> np.ndarray:
     """Colours of places, 0..1."""
     waves = 0.5 + 0.5 * np.sin(points @ WAVES.T)
-    grain = 0.5 + 0.5 * np.sin(points @ GRAIN)
-    return np.clip(0.5 * grain[..., None] * waves[..., :3] + 0.25 * waves[..., 3:] + 0.1, 0.0, 1.0)
+    fine_waves = 0.5 + 0.5 * np.sin(points @ FINE_WAVE)
+    return np.clip(0.5 * fine_waves[..., None] * waves[..., :3] + 0.25 * waves[..., 3:] + 0.1, 0.0, 1.0)
 
 
-def photograph(by: ls.Camera) -> TargetPixels:
+def target_pixels(view: ls.Camera) -> TargetPixels:
     """Colour and alpha, means over the area of each pixel."""
-    fine = seen(by.scaled(SUPERSAMPLED * by.width, SUPERSAMPLED * by.height))
+    fine = ground_truth(view.scaled(SUPERSAMPLED * view.width, SUPERSAMPLED * view.height))
     layers = np.dstack([fine.color, fine.is_hit])
-    blocks = layers.reshape(by.height, SUPERSAMPLED, by.width, SUPERSAMPLED, 4).mean(axis=(1, 3)).astype(np.float32)
-    return TargetPixels(np.ascontiguousarray(blocks[..., :3]), None, np.ascontiguousarray(blocks[..., 3]))
+    tiles = layers.reshape(view.height, SUPERSAMPLED, view.width, SUPERSAMPLED, 4).mean(axis=(1, 3)).astype(np.float32)
+    return TargetPixels(np.ascontiguousarray(tiles[..., :3]), None, np.ascontiguousarray(tiles[..., 3]))
 
 
 def views() -> list[TrainingView]:
     """Those to learn from: golden angles around, at changing heights."""
-    found: list[TrainingView] = []
+    views_found: list[TrainingView] = []
     for number in range(VIEWS):
-        by = camera(2.399963 * number, 0.4 + (0.618034 * number) % 1.0)
-        picture = photograph(by)
-        found.append(TrainingView(f"{number:02d}", by, lambda picture=picture: picture))
-    return found
+        view = camera(2.399963 * number, 0.4 + (0.618034 * number) % 1.0)
+        pixels = target_pixels(view)
+        views_found.append(TrainingView(f"{number:02d}", view, lambda pixels=pixels: pixels))
+    return views_found
 
 
 def held_out() -> list[ls.Camera]:
@@ -115,13 +115,13 @@ def score(gaussians: ls.Gaussians, device: str = "cpu") -> Score:
     psnr: list[float] = []
     angles: list[np.ndarray] = []
     depths: list[np.ndarray] = []
-    for by in held_out():
-        wanted, truth, frame = photograph(by), seen(by), renderer.render(scene, by)
+    for view in held_out():
+        wanted, truth, frame = target_pixels(view), ground_truth(view), renderer.render(scene, view)
         psnr.append(ls.metrics.psnr(np.clip(frame.color, 0.0, 1.0), wanted.color))
-        shown = renderer.render_features(ls.gradients.SurfaceFeatures.of(scene, by).values)
+        features = renderer.render_features(ls.gradients.SurfaceFeatures.of(scene, view).values)
         is_inside = truth.is_hit & (np.asarray(wanted.alpha) > 0.999) & (frame.alpha > 0.5)
-        normals = shown[..., 1:] / np.maximum(np.linalg.norm(shown[..., 1:], axis=-1, keepdims=True), 1e-9)
+        normals = features[..., 1:] / np.maximum(np.linalg.norm(features[..., 1:], axis=-1, keepdims=True), 1e-9)
         cosines = np.clip(np.sum(normals * truth.normal, axis=-1), -1.0, 1.0)
         angles.append(np.degrees(np.arccos(cosines))[is_inside])
-        depths.append(np.abs(shown[..., 0] / np.maximum(frame.alpha, 0.5) - truth.depth)[is_inside])
+        depths.append(np.abs(features[..., 0] / np.maximum(frame.alpha, 0.5) - truth.depth)[is_inside])
     return Score(float(np.mean(psnr)), *(float(np.concatenate(one).mean()) for one in (angles, depths)))

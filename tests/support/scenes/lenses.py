@@ -53,12 +53,12 @@ def layers(camera: ls.Camera, seed: int = 5, count: int = 44) -> ls.Gaussians:
     distances = 1.2 ** np.arange(count)
     angles = rng.uniform(0.0, 1.9 if is_round else 0.55, count)
     turns = rng.uniform(0.0, 2.0 * np.pi, count)
-    ways = np.stack([np.sin(angles) * np.cos(turns), np.sin(angles) * np.sin(turns), np.cos(angles)], axis=-1)
+    directions = np.stack([np.sin(angles) * np.cos(turns), np.sin(angles) * np.sin(turns), np.cos(angles)], axis=-1)
     if not is_round:
-        ways /= ways[:, 2:]
+        directions /= directions[:, 2:]
     world = camera.world_from_camera
     return ls.Gaussians(
-        means=(distances[:, None] * ways) @ world[:3, :3].T + world[:3, 3],
+        means=(distances[:, None] * directions) @ world[:3, :3].T + world[:3, 3],
         rotations_wxyz=rng.normal(size=(count, 4)),
         scales=(2.5 if is_round else 1.0) * distances[:, None] * np.exp(rng.uniform(-4.2, -3.0, (count, 3))),
         opacities=rng.uniform(0.2, 1.0, count),
@@ -86,9 +86,9 @@ def needle(seed: int, camera: ls.Camera) -> ls.Gaussians:
     rng = np.random.default_rng(seed)
     size = 10.0 ** rng.uniform(-2.5, -0.5)
     angle, turn = np.pi - size * rng.uniform(0.0, 6.0), rng.uniform(0.0, 2.0 * np.pi)
-    way = np.array([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)])
+    direction = np.array([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)])
     return ls.Gaussians(
-        means=[camera.world_from_camera[:3, :3] @ (3.0 * way) + camera.eye],
+        means=[camera.world_from_camera[:3, :3] @ (3.0 * direction) + camera.eye],
         rotations_wxyz=rng.normal(size=(1, 4)),
         scales=[3.0 * size * np.array([1.0, *10.0 ** rng.uniform(-1.5, 0.0, 2)])],
         opacities=[rng.choice([0.05, 0.5, 0.95])],

@@ -38,10 +38,10 @@ def cell_at(position: Sequence[float], from_eye: float) -> Cell:
     """The cell that a position is in; its choice is the first."""
     keys, centers = wp.zeros(1, dtype=wp.int64, device="cpu"), wp.zeros(1, dtype=wp.vec3, device="cpu")
     halves = wp.zeros(1, dtype=float, device="cpu")
-    place = wp.array([wp.vec3(*position)], dtype=wp.vec3, device="cpu")
+    placement = wp.array([wp.vec3(*position)], dtype=wp.vec3, device="cpu")
     draw = wp.array([wp.vec4(0.5, 0.5, 0.5, 0.0)], dtype=wp.vec4, device="cpu")
     distance = wp.array([from_eye], dtype=float, device="cpu")
-    wp.launch(probes.probe_cells, dim=1, inputs=[place, distance, draw, keys, centers, halves], device="cpu")
+    wp.launch(probes.probe_cells, dim=1, inputs=[placement, distance, draw, keys, centers, halves], device="cpu")
     return Cell(int(keys.numpy()[0]), centers.numpy()[0].astype(float), float(halves.numpy()[0]))
 
 

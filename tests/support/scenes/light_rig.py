@@ -56,7 +56,7 @@ def assert_relatively_close(actual: np.ndarray, expected: np.ndarray, rtol: floa
     assert_close(actual, expected, atol=rtol * float(np.max(expected)))
 
 
-def blocks(image: np.ndarray, size: int = 8) -> np.ndarray:
+def tile_means(image: np.ndarray, size: int = 8) -> np.ndarray:
     """Means of square blocks of pixels."""
     rows, columns = (n // size for n in image.shape)
     return image[: rows * size, : columns * size].reshape(rows, size, columns, size).mean(axis=(1, 3))

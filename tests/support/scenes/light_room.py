@@ -36,7 +36,7 @@ def walls(count: int = 12_000, seed: int = 0) -> ls.Gaussians:
     return replace(room, sh=sh)
 
 
-def lamp(
+def light_ball(
     center: tuple[float, float, float], linear: tuple[float, float, float], radius: float = 0.08, count: int = 50
 ) -> ls.Gaussians:
     """A ball of light."""
@@ -53,9 +53,9 @@ def bright_wall(linear: float = 1.0, count: int = 4_000) -> ls.Gaussians:
     return captured(points, np.full(3, linear))
 
 
-def sparkle(center: tuple[float, float, float], towards: np.ndarray, count: int = 50) -> ls.Gaussians:
+def highlight(center: tuple[float, float, float], towards: np.ndarray, count: int = 50) -> ls.Gaussians:
     """A highlight: brighter than any lamp for who looks along ``towards``, and dark from behind."""
-    spot = lamp(center, (0.2, 0.2, 0.2), count=count)
+    spot = light_ball(center, (0.2, 0.2, 0.2), count=count)
     sh = spot.sh.copy()
     x, y, z = towards / np.linalg.norm(towards)
     sh[:, 1:4] = 1.2 * np.array([-y, z, -x])[None, :, None]

@@ -43,7 +43,9 @@ def light_scenes() -> dict[str, LightScene]:
     disk = ls.LightDisk((0.8, 3.0, 1.0), (-0.3, -1.0, -0.2), 0.55, (1.0, 0.8, 0.6), 9.0)
     ball = ls.LightSphere((1.3, 2.7, 1.2), 0.35, intensity=40.0)
     even = ls.LightEnvironment(color=(0.7, 0.9, 1.0), intensity=1.5)
-    sky = ls.LightEnvironment(sky_image(256, 512), color=(1.0, 0.9, 0.8), intensity=0.8, rotation_wxyz=ROTATION_WXYZ)
+    environment = ls.LightEnvironment(
+        environment_image(256, 512), color=(1.0, 0.9, 0.8), intensity=0.8, rotation_wxyz=ROTATION_WXYZ
+    )
     soft = ls.Shadows.SOFT
     scenes = [
         LightScene("point", ls.Scene((), _room(), [point]), _room_camera()),
@@ -53,9 +55,9 @@ def light_scenes() -> dict[str, LightScene]:
         LightScene("disk", ls.Scene((), _room(), [disk]), _room_camera(), soft),
         LightScene("sphere", ls.Scene((), _room(), [ball]), _room_camera(), soft),
         LightScene("constant", ls.Scene((), _room(), [even]), _room_camera(), soft),
-        LightScene("sky", ls.Scene((), _table(), [sky]), _table_camera(), soft),
+        LightScene("sky", ls.Scene((), _table(), [environment]), _table_camera(), soft),
         LightScene("metal", ls.Scene((), _metals(), [point]), _table_camera()),
-        LightScene("metal_sky", ls.Scene((), _metals(), [sky]), _table_camera(), soft),
+        LightScene("metal_sky", ls.Scene((), _metals(), [environment]), _table_camera(), soft),
         LightScene("smooth", ls.Scene((), _mirror_and_glass(), [point]), _room_camera(), smooth=True),
     ]
     return {one.name: one for one in scenes}
@@ -98,7 +100,7 @@ def ball_at(center: tuple[float, float, float], radius: float, material: ls.Mate
     return replace(placed, material=material, uvs=None)
 
 
-def sky(directions: np.ndarray) -> np.ndarray:
+def environment_radiance(directions: np.ndarray) -> np.ndarray:
     """Linear radiance of a sky without any symmetry, with a small sun, shape (..., 3); environment space, unit."""
     x, y, z = np.moveaxis(directions, -1, 0)[..., None]
     radiance = np.array([0.30, 0.45, 0.80]) * (0.6 + 0.4 * y) + np.array([0.05, 0.04, 0.02])
@@ -118,10 +120,10 @@ SUN = (0.55, 0.70, 0.25)
 """Towards the sky's sun, environment space, any length."""
 
 
-def sky_image(height: int, width: int) -> np.ndarray:
+def environment_image(height: int, width: int) -> np.ndarray:
     """The sky at the centres of the texels of a latitude-longitude image, shape (height, width, 3)."""
     u, v = (np.arange(width) + 0.5) / width, (np.arange(height)[:, None] + 0.5) / height
-    return sky(directions_of(u, v)).astype(np.float32)
+    return environment_radiance(directions_of(u, v)).astype(np.float32)
 
 
 def directions_of(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -143,7 +145,7 @@ def _floor() -> ls.Mesh:
     return parallelogram((-2.0, 0.0, 2.5), (5.5, 0.0, 0.0), (0.0, 0.0, -4.5), matte(0.8, 0.75, 0.7))
 
 
-def _things() -> list[ls.Mesh]:
+def _objects() -> list[ls.Mesh]:
     turned = transform_mesh(
         box((0.8, 0.9, 0.6), matte(0.2, 0.5, 0.8)), similarity((0.0, 1.0, 0.0), 0.5, offset=(0.75, 0.45, -0.7))
     )
@@ -151,7 +153,7 @@ def _things() -> list[ls.Mesh]:
 
 
 def _room() -> list[ls.Mesh]:
-    return [*_corner(), *_things()]
+    return [*_corner(), *_objects()]
 
 
 def _corner() -> list[ls.Mesh]:
@@ -161,7 +163,7 @@ def _corner() -> list[ls.Mesh]:
 
 
 def _table() -> list[ls.Mesh]:
-    return [_floor(), *_things()]
+    return [_floor(), *_objects()]
 
 
 def _metals() -> list[ls.Mesh]:

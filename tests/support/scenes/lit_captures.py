@@ -20,9 +20,9 @@ from lumisplat.scene.gaussians import merge_gaussians
 KINDS = ("room", "night", "sunny", "overcast")
 DENSITY = 250.0
 """Gaussians a square metre; small things get some more."""
-SKY_WAYS = 24
+SKY_DIRECTIONS = 24
 """Directions of the sky, each with its shadows."""
-PHOTOGRAPHS = 10
+CAMERAS = 10
 """Places from which the capture was taken: what none of them sees is not in it."""
 
 
@@ -34,7 +34,7 @@ class LitCapture:
     scene: ls.Scene
     center: np.ndarray
     """Where a character would be, shape (3,)."""
-    lamps: np.ndarray
+    lights: np.ndarray
     """Where lamps shine, shape (k, 3)."""
     sun: np.ndarray | None
     """Towards the sun, unit."""
@@ -61,23 +61,23 @@ class _World:
     def of(cls, parts: list[_Part], device: str) -> _World:
         return cls(ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts]), device)
 
-    def passes(self, origins: np.ndarray, ways: np.ndarray, distances: np.ndarray | float) -> np.ndarray:
+    def transmittance(self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray | float) -> np.ndarray:
         """1 where nothing is in the way, else 0, shape (N,)."""
-        return ls.transmittance(self.scene, origins, ways, distances, device=self.device)
+        return ls.transmittance(self.scene, origins, directions, distances, device=self.device)
 
-    def shows(self, place: np.ndarray, seen_from: np.ndarray) -> bool:
+    def is_visible(self, position: np.ndarray, cameras: np.ndarray) -> bool:
         """Whether nothing hides a place from at least two of the photographs."""
-        away = seen_from - place
+        away = cameras - position
         far = np.linalg.norm(away, axis=1)
-        return self.passes(np.tile(place, (len(away), 1)), away / far[:, None], far).sum() >= 2.0
+        return self.transmittance(np.tile(position, (len(away), 1)), away / far[:, None], far).sum() >= 2.0
 
-    def arriving(
-        self, points: np.ndarray, normals: np.ndarray, way: np.ndarray, distance: np.ndarray | float
+    def cosines(
+        self, points: np.ndarray, normals: np.ndarray, direction: np.ndarray, distance: np.ndarray | float
     ) -> np.ndarray:
         """Cosine to a light, 0 in shadow, shape (N,)."""
-        unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+        unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
         cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
-        return cosine * self.passes(points + 0.004 * normals, unit, distance)
+        return cosine * self.transmittance(points + 0.004 * normals, unit, distance)
 
 
 def lit_capture(kind: str, seed: int, device: str = "auto") -> LitCapture:
@@ -86,25 +86,25 @@ def lit_capture(kind: str, seed: int, device: str = "auto") -> LitCapture:
     size = np.array([rng.uniform(3.2, 6.5), rng.uniform(2.4, 3.4), rng.uniform(3.2, 7.5)])
     if kind != "room":
         size = np.array([rng.uniform(8.0, 14.0), 0.0, rng.uniform(8.0, 14.0)])
-    parts = [*(_walls(rng, size) if kind == "room" else _ground(rng, size)), *_things(rng, size, kind)]
-    views = _photographs(rng, size)
+    parts = [*(_walls(rng, size) if kind == "room" else _ground(rng, size)), *_objects(rng, size, kind)]
+    cameras = _camera_positions(rng, size)
     world = _World.of(parts, device)
-    lamps = _lamps(rng, size, kind, world, views)
+    lights = _light_positions(rng, size, kind, world, cameras)
     sun = _sun(rng) if kind == "sunny" else None
     if kind == "night":
-        parts += [_Part(_placed(ls.box((0.08, y - 0.15, 0.08)), (x, 0.5 * y - 0.1, z)), 0.3) for x, y, z in lamps]
+        parts += [_Part(_placed(ls.box((0.08, y - 0.15, 0.08)), (x, 0.5 * y - 0.1, z)), 0.3) for x, y, z in lights]
         world = _World.of(parts, device)
-    shown = _captured(rng, world, parts, views, lamps=lamps, sun=sun, is_open=kind in ("sunny", "overcast"))
-    shown = [replace(part, antialiased=False) for part in shown]  # as captures are trained
-    capture = merge_gaussians([*shown, _floaters(rng, size)])
-    place = _free_place(rng, size, world, views)
+    captured = _captured(rng, world, parts, cameras, lights=lights, sun=sun, is_open=kind in ("sunny", "overcast"))
+    captured = [replace(part, antialiased=False) for part in captured]  # as captures are trained
+    capture = merge_gaussians([*captured, _floaters(rng, size)])
+    position = _free_position(rng, size, world, cameras)
     turn = np.eye(4)
     unit = float(np.exp(rng.uniform(-1.0, 1.0)))
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn[:3, :3] = unit * rotation * np.sign(np.linalg.det(rotation))
     turn[:3, 3] = rng.normal(size=3)
     scene = ls.Scene(splats=(ls.SplatInstance(capture, turn),))
-    points = np.concatenate([place[None], lamps]) @ turn[:3, :3].T + turn[:3, 3]
+    points = np.concatenate([position[None], lights]) @ turn[:3, :3].T + turn[:3, 3]
     towards = None if sun is None else turn[:3, :3] @ sun / unit
     return LitCapture(f"{kind} {seed}", scene, points[0], points[1:], towards, unit)
 
@@ -144,12 +144,12 @@ def _ground(rng: np.random.Generator, size: np.ndarray) -> list[_Part]:
     return [_Part(ground, rng.uniform(0.12, 0.4)), _Part(path, rng.uniform(0.3, 0.7))]
 
 
-def _things(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Part]:
+def _objects(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Part]:
     """Boxes, balls on trunks outdoors, and small white things that light nothing: on the ground, on boxes, on walls."""
     parts: list[_Part] = []
-    tall = 1.2 if kind == "room" else 2.5
+    height_max = 1.2 if kind == "room" else 2.5
     for _ in range(rng.integers(3, 8)):
-        extent = rng.uniform((0.4, 0.3, 0.4), (1.4, tall, 1.4))
+        extent = rng.uniform((0.4, 0.3, 0.4), (1.4, height_max, 1.4))
         x, z = rng.uniform(-0.4, 0.4, 2) * size[[0, 2]]
         parts.append(_Part(_placed(ls.box(extent), (x, 0.5 * extent[1], z), rng.uniform(0, 3)), rng.uniform(0.1, 0.7)))
         if rng.random() < 0.4:
@@ -169,7 +169,9 @@ def _things(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Part
     return parts
 
 
-def _lamps(rng: np.random.Generator, size: np.ndarray, kind: str, world: _World, seen_from: np.ndarray) -> np.ndarray:
+def _light_positions(
+    rng: np.random.Generator, size: np.ndarray, kind: str, world: _World, cameras: np.ndarray
+) -> np.ndarray:
     """One to three in rooms, hanging or standing, one or two at night, on posts, shape (k, 3).
 
     They are apart from each other, and two photographs at least show each: none is within something.
@@ -180,95 +182,98 @@ def _lamps(rng: np.random.Generator, size: np.ndarray, kind: str, world: _World,
         x, z = rng.uniform(-0.38, 0.38, 2) * size[[0, 2]]
         hangs = rng.random() < 0.7
         height = size[1] - rng.uniform(0.25, 0.9) if hangs else rng.uniform(1.2, 1.6)
-        place = np.array([x, rng.uniform(1.6, 3.4) if kind == "night" else height, z])
-        if world.shows(place, seen_from) and all(np.linalg.norm(place - other) > 1.5 for other in found):
-            found.append(place)
+        position = np.array([x, rng.uniform(1.6, 3.4) if kind == "night" else height, z])
+        if world.is_visible(position, cameras) and all(np.linalg.norm(position - other) > 1.5 for other in found):
+            found.append(position)
     return np.array(found).reshape(-1, 3)
 
 
-def _free_place(rng: np.random.Generator, size: np.ndarray, world: _World, seen_from: np.ndarray) -> np.ndarray:
+def _free_position(rng: np.random.Generator, size: np.ndarray, world: _World, cameras: np.ndarray) -> np.ndarray:
     """The middle of a character that stands somewhere, not within something, shape (3,)."""
     while True:
         x, z = rng.uniform(-0.25, 0.25, 2) * size[[0, 2]]
-        place = np.array([x, 0.9, z])
-        if world.shows(place, seen_from):
-            return place
+        position = np.array([x, 0.9, z])
+        if world.is_visible(position, cameras):
+            return position
 
 
 def _sun(rng: np.random.Generator) -> np.ndarray:
     """15 to 70 degrees above the horizon."""
-    high, around = np.radians(rng.uniform(15.0, 70.0)), rng.uniform(0.0, 2.0 * np.pi)
-    return np.array([np.cos(high) * np.cos(around), np.sin(high), np.cos(high) * np.sin(around)])
+    high, azimuth = np.radians(rng.uniform(15.0, 70.0)), rng.uniform(0.0, 2.0 * np.pi)
+    return np.array([np.cos(high) * np.cos(azimuth), np.sin(high), np.cos(high) * np.sin(azimuth)])
 
 
-def _photographs(rng: np.random.Generator, size: np.ndarray) -> np.ndarray:
+def _camera_positions(rng: np.random.Generator, size: np.ndarray) -> np.ndarray:
     """Where the capture was taken from, around and within it, at eye level and above, shape (n, 3)."""
-    around = (np.arange(PHOTOGRAPHS) + rng.random()) * 2.0 * np.pi / PHOTOGRAPHS
-    reach = 0.45 * size[[0, 2]] * np.where(np.arange(PHOTOGRAPHS) % 2, 1.0, 0.5)[:, None]
-    height = np.where(np.arange(PHOTOGRAPHS) % 3, 1.6, 2.2 if size[1] else 3.5)
-    return np.stack([reach[:, 0] * np.cos(around), height, reach[:, 1] * np.sin(around)], axis=1)
+    azimuth = (np.arange(CAMERAS) + rng.random()) * 2.0 * np.pi / CAMERAS
+    reach = 0.45 * size[[0, 2]] * np.where(np.arange(CAMERAS) % 2, 1.0, 0.5)[:, None]
+    height = np.where(np.arange(CAMERAS) % 3, 1.6, 2.2 if size[1] else 3.5)
+    return np.stack([reach[:, 0] * np.cos(azimuth), height, reach[:, 1] * np.sin(azimuth)], axis=1)
 
 
 def _captured(
     rng: np.random.Generator,
     world: _World,
     parts: list[_Part],
-    seen_from: np.ndarray,
+    cameras: np.ndarray,
     *,
-    lamps: np.ndarray,
+    lights: np.ndarray,
     sun: np.ndarray | None,
     is_open: bool,
 ) -> list[ls.Gaussians]:
     """The parts as Gaussians with their light, and the lamps as white balls, at one exposure."""
-    everything, albedo = _seen(world, parts, seen_from)
-    points, normals = everything.means.astype(np.float64), np.asarray(everything.normals, np.float64)
-    light = _light(rng, world, points, normals, lamps=lamps, sun=sun, is_open=is_open)
+    gaussians, albedo = _visible(world, parts, cameras)
+    points, normals = gaussians.means.astype(np.float64), np.asarray(gaussians.normals, np.float64)
+    light = _irradiance(rng, world, points, normals, lights=lights, sun=sun, is_open=is_open)
     patches = np.sin(points @ rng.normal(0.0, 3.0, (3, 4))).sum(axis=1)
     linear = np.minimum(albedo * np.exp(0.15 * patches + 0.1 * rng.normal(size=len(points))), 0.95) * light
     linear *= np.exp(rng.uniform(np.log(0.06), np.log(0.3))) / np.median(linear)
     if rng.random() < 0.5:  # A camera's shoulder, or cut at white.
         linear = np.where(linear < 0.5, linear, 1.0 - 0.25 / np.maximum(linear, 0.5))
     tint = rng.uniform(0.7, 1.0, 3)
-    balls = [_placed(ls.sphere(rng.uniform(0.05, 0.12), rows=12), lamp) for lamp in lamps]
-    shown = [_painted(rng, everything, np.minimum(linear, 1.0)[:, None] * tint / tint.max())]
-    return [*shown, *(_painted(rng, ls.gaussians_from_mesh(ball, 150), np.ones((150, 3))) for ball in balls)]
+    balls = [_placed(ls.sphere(rng.uniform(0.05, 0.12), rows=12), position) for position in lights]
+    captured = [_captured_gaussians(rng, gaussians, np.minimum(linear, 1.0)[:, None] * tint / tint.max())]
+    return [
+        *captured,
+        *(_captured_gaussians(rng, ls.gaussians_from_mesh(ball, 150), np.ones((150, 3))) for ball in balls),
+    ]
 
 
-def _seen(world: _World, parts: list[_Part], seen_from: np.ndarray) -> tuple[ls.Gaussians, np.ndarray]:
+def _visible(world: _World, parts: list[_Part], cameras: np.ndarray) -> tuple[ls.Gaussians, np.ndarray]:
     """Gaussians of the parts that some photograph shows, and the albedo of each."""
     sets = [ls.gaussians_from_mesh(part.mesh, int(np.clip(DENSITY * _area(part.mesh), 60, 12_000))) for part in parts]
-    everything = merge_gaussians(sets)
+    gaussians = merge_gaussians(sets)
     albedo = np.repeat([part.albedo for part in parts], [one.count for one in sets])
-    points, normals = everything.means.astype(np.float64), np.asarray(everything.normals, np.float64)
-    is_seen = np.zeros(len(points), np.bool_)
-    for eye in seen_from:
+    points, normals = gaussians.means.astype(np.float64), np.asarray(gaussians.normals, np.float64)
+    is_visible = np.zeros(len(points), np.bool_)
+    for eye in cameras:
         away = eye - points
-        is_seen |= world.arriving(points, normals, away, np.linalg.norm(away, axis=1)) > 0.0
-    return everything.subset(is_seen), albedo[is_seen]
+        is_visible |= world.cosines(points, normals, away, np.linalg.norm(away, axis=1)) > 0.0
+    return gaussians.subset(is_visible), albedo[is_visible]
 
 
-def _light(
+def _irradiance(
     rng: np.random.Generator,
     world: _World,
     points: np.ndarray,
     normals: np.ndarray,
     *,
-    lamps: np.ndarray,
+    lights: np.ndarray,
     sun: np.ndarray | None,
     is_open: bool,
 ) -> np.ndarray:
     """Irradiance of lamps, sun and surroundings, any unit, shape (N,)."""
     light = np.zeros(len(points))
-    for lamp in lamps:
-        away = lamp - points
+    for position in lights:
+        away = position - points
         distance = np.linalg.norm(away, axis=1)
         strength = rng.uniform(0.5, 1.5)
-        light += strength * world.arriving(points, normals, away, distance) / np.maximum(distance, 0.15) ** 2
+        light += strength * world.cosines(points, normals, away, distance) / np.maximum(distance, 0.15) ** 2
     if sun is not None:
-        light += rng.uniform(1.5, 6.0) * world.arriving(points, normals, np.broadcast_to(sun, points.shape), 100.0)
-    around = _sky(world, points, normals) if is_open else 1.0 + 0.3 * normals @ rng.normal(size=3)
-    share = rng.uniform(0.2, 0.6) * light.mean() / np.mean(around) if lamps.size else 1.0
-    return light + np.maximum(share * around, 0.05 * share)
+        light += rng.uniform(1.5, 6.0) * world.cosines(points, normals, np.broadcast_to(sun, points.shape), 100.0)
+    ambient = _sky_irradiance(world, points, normals) if is_open else 1.0 + 0.3 * normals @ rng.normal(size=3)
+    share = rng.uniform(0.2, 0.6) * light.mean() / np.mean(ambient) if lights.size else 1.0
+    return light + np.maximum(share * ambient, 0.05 * share)
 
 
 def _area(mesh: ls.Mesh) -> float:
@@ -277,18 +282,18 @@ def _area(mesh: ls.Mesh) -> float:
     return 0.5 * float(np.linalg.norm(sides, axis=1).sum())
 
 
-def _sky(world: _World, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _sky_irradiance(world: _World, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Irradiance from a sky that is brighter at its top, with shadows, shape (N,)."""
-    k = np.arange(SKY_WAYS) + 0.5
-    y, around = k / SKY_WAYS, k * np.pi * (1.0 + 5.0**0.5)
-    ways = np.stack([np.sqrt(1.0 - y * y) * np.cos(around), y, np.sqrt(1.0 - y * y) * np.sin(around)], axis=1)
-    total = np.full(len(points), 0.1 * SKY_WAYS / 2.0)
-    for way in ways:
-        total += (0.5 + way[1]) * world.arriving(points, normals, np.broadcast_to(way, points.shape), 100.0)
-    return total * (2.0 / SKY_WAYS)
+    k = np.arange(SKY_DIRECTIONS) + 0.5
+    y, azimuth = k / SKY_DIRECTIONS, k * np.pi * (1.0 + 5.0**0.5)
+    directions = np.stack([np.sqrt(1.0 - y * y) * np.cos(azimuth), y, np.sqrt(1.0 - y * y) * np.sin(azimuth)], axis=1)
+    total = np.full(len(points), 0.1 * SKY_DIRECTIONS / 2.0)
+    for direction in directions:
+        total += (0.5 + direction[1]) * world.cosines(points, normals, np.broadcast_to(direction, points.shape), 100.0)
+    return total * (2.0 / SKY_DIRECTIONS)
 
 
-def _painted(rng: np.random.Generator, gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
+def _captured_gaussians(rng: np.random.Generator, gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
     """Gaussians of linear colours, as uneven as captured ones, without the properties that captures do not have."""
     count = gaussians.count
     sh = np.zeros((count, 4, 3), np.float32)
@@ -307,4 +312,4 @@ def _floaters(rng: np.random.Generator, size: np.ndarray, count: int = 200) -> l
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     scales = np.exp(rng.uniform(np.log(0.02), np.log(0.3), (count, 3)))
     bare = ls.Gaussians(means, rotations, scales, rng.uniform(0.02, 0.3, count), np.zeros((count, 4, 3)))
-    return _painted(rng, bare, rng.uniform(0.0, 1.0, (count, 3)))
+    return _captured_gaussians(rng, bare, rng.uniform(0.0, 1.0, (count, 3)))

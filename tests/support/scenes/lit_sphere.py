@@ -16,7 +16,7 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions
 from support.scenes.training_scenes import cameras
 
-Sky = Callable[[np.ndarray], np.ndarray]
+Environment = Callable[[np.ndarray], np.ndarray]
 
 
 def ball(count: int = 700) -> ls.Gaussians:
@@ -33,16 +33,16 @@ def ball(count: int = 700) -> ls.Gaussians:
     )
 
 
-def matte(gaussians: ls.Gaussians, albedo: np.ndarray, sky: Sky) -> ls.Gaussians:
+def matte(gaussians: ls.Gaussians, albedo: np.ndarray, environment: Environment) -> ls.Gaussians:
     """With the colours of matte Gaussians on a ball, from where nothing blocks the sky."""
-    ways = even_directions(2000)
+    directions = even_directions(2000)
     normals = gaussians.means / np.linalg.norm(gaussians.means, axis=1, keepdims=True)
-    white = np.maximum(normals @ ways.T, 0.0) @ sky(ways) * (4.0 / len(ways))
-    sh = ((encode_srgb(albedo * white) - 0.5) / SH_C0)[:, None]
+    irradiance = np.maximum(normals @ directions.T, 0.0) @ environment(directions) * (4.0 / len(directions))
+    sh = ((encode_srgb(albedo * irradiance) - 0.5) / SH_C0)[:, None]
     return ls.Gaussians(gaussians.means, gaussians.rotations_wxyz, gaussians.scales, gaussians.opacities, sh)
 
 
-def photographed(path: Path, gaussians: ls.Gaussians, count: int = 10, size: int = 48) -> Path:
+def write_training_images(path: Path, gaussians: ls.Gaussians, count: int = 10, size: int = 48) -> Path:
     """A folder of photographs of a capture, transparent where nothing is."""
     (path / "images").mkdir(parents=True)
     renderer = ls.create_renderer(ls.RenderConfig(lighting=False), "cpu")

@@ -17,12 +17,12 @@ from support.scenes.path_scenes import as_splats
 from support.scenes.raster_scenes import similarity
 
 WIDTH, HEIGHT = 128, 96
-BLOCK = 32
+TILE = 32
 """Pixels along the side of the blocks whose means are compared."""
 BOUNCES = 8
 SIZE = (4.0, 3.0, 5.0)
 """Of the rooms: x, y up, z; a corner is the origin."""
-LAMP = ((1.2, 1.4), (2.8, 3.0))
+CEILING_LIGHT = ((1.2, 1.4), (2.8, 3.0))
 """Of the ceiling: two corners (x, z)."""
 
 
@@ -36,16 +36,16 @@ class PathRoom:
 
 def path_rooms() -> dict[str, PathRoom]:
     """Every room, by the name of its reference: what stands in it, and what lights it."""
-    things = {
+    objects = {
         "diffuse": [faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))],
         "metal": [faceted_ball(0.0, metal(0.4)), turned_box(metal(0.6))],
         "glass": [faceted_ball(0.0, clear_glass()), turned_box(matte(0.2, 0.5, 0.8))],
         "rough_glass": [faceted_ball(0.0, replace(clear_glass(), roughness=0.5)), turned_box(matte(0.2, 0.5, 0.8))],
     }
-    lit = {"area": (closed_room, ()), "sky": (open_room, (sky_light(),))}
+    lit = {"area": (closed_room, ()), "sky": (open_room, (environment_light(),))}
     rooms = {
-        f"{kind}_{light}": PathRoom(ls.Scene((), [*walls(), *things[kind]], lights), room_camera())
-        for kind in things
+        f"{kind}_{light}": PathRoom(ls.Scene((), [*walls(), *objects[kind]], lights), room_camera())
+        for kind in objects
         for light, (walls, lights) in lit.items()
     }
     return rooms | {"cornell": cornell_box()}
@@ -97,7 +97,7 @@ def block(center: tuple[float, ...], axes: tuple[tuple[float, ...], ...], materi
 
 def closed_room() -> list[ls.Mesh]:
     """Six sides, with a lamp in the ceiling."""
-    return [*floor_and_walls(), *ceiling(), behind(), lamp()]
+    return [*floor_and_walls(), *ceiling(), behind(), ceiling_light()]
 
 
 def open_room() -> list[ls.Mesh]:
@@ -118,7 +118,7 @@ def floor_and_walls() -> list[ls.Mesh]:
 
 def ceiling() -> list[ls.Mesh]:
     """White, in four pieces around the lamp."""
-    (x0, z0), (x1, z1) = LAMP
+    (x0, z0), (x1, z1) = CEILING_LIGHT
     height = SIZE[1]
     pieces = (
         ((0.0, 0.0), (x0, SIZE[2])),
@@ -135,10 +135,10 @@ def behind() -> ls.Mesh:
     return parallelogram(x + z, -x, y, matte(0.5))
 
 
-def lamp() -> ls.Mesh:
+def ceiling_light() -> ls.Mesh:
     """A square that shines downwards."""
     shining = ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0, emissive=(6.0, 5.4, 4.5))
-    return level(*LAMP, SIZE[1], shining)
+    return level(*CEILING_LIGHT, SIZE[1], shining)
 
 
 def level(start: tuple[float, float], end: tuple[float, float], height: float, material: ls.MaterialPbr) -> ls.Mesh:
@@ -158,7 +158,7 @@ def turned_box(material: ls.MaterialPbr) -> ls.Mesh:
     return transform_mesh(box((1.0, 1.7, 0.9), material), similarity((0.0, 1.0, 0.0), 0.45, offset=(2.75, 0.85, 1.3)))
 
 
-def mild_sky(directions: np.ndarray) -> np.ndarray:
+def mild_environment(directions: np.ndarray) -> np.ndarray:
     """Linear radiance of a sky without a sun, shape (..., 3); environment space, unit: bright ahead, dark below."""
     x, y, z = np.moveaxis(directions, -1, 0)[..., None]
     return np.array([0.5, 0.7, 1.1]) * (1.0 + 0.7 * y) + np.array([1.1, 0.8, 0.4]) * np.exp(
@@ -166,8 +166,8 @@ def mild_sky(directions: np.ndarray) -> np.ndarray:
     )
 
 
-def sky_light() -> ls.LightEnvironment:
+def environment_light() -> ls.LightEnvironment:
     """The sky, turned: it is bright on the right behind the camera."""
     u, v = (np.arange(256) + 0.5) / 256, (np.arange(128)[:, None] + 0.5) / 128
-    image = mild_sky(directions_of(u, v)).astype(np.float32)
+    image = mild_environment(directions_of(u, v)).astype(np.float32)
     return ls.LightEnvironment(image, rotation_wxyz=(0.0, 0.0, 1.0, 0.0))

@@ -13,7 +13,7 @@ from lumisplat.config import ProbeConfig
 from lumisplat.renderer.realtime.screen_probes import ScreenProbes
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
-from support.scenes.gi_surfaces import Doubles, Seen, camera_rows
+from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows
 
 Tracer = Callable[[Doubles, Doubles], tuple[Doubles, Doubles]]
 """From origins and directions to radiance, shape (N, 3), and distances."""
@@ -37,12 +37,12 @@ class ProbeSequence:
         self._before: ls.Camera | None = None
         self.rays: tuple[Doubles, Doubles] = np.zeros((0, 3)), np.zeros((0, 3))
 
-    def place(self, seen: Seen) -> None:
+    def place(self, surfaces: VisibleSurfaces) -> None:
         """The first step of a frame."""
-        camera = seen.camera
+        camera = surfaces.camera
         before = camera_rows(self._before or camera)
         size = camera.width, camera.height
-        self.probes.place(seen.upload(), camera_rows(camera), before, size, self.frame)
+        self.probes.place(surfaces.upload(), camera_rows(camera), before, size, self.frame)
         self._before = camera
 
     def trace(self) -> None:
@@ -50,31 +50,31 @@ class ProbeSequence:
         rays = self.probes.rays(self.frame)
         active = device_array(rays.is_active).numpy()
         origins = device_array(rays.origin).numpy()[active].astype(float)
-        ways = device_array(rays.direction).numpy()[active].astype(float)
-        self.rays = origins, ways
+        directions = device_array(rays.direction).numpy()[active].astype(float)
+        self.rays = origins, directions
         radiance, distance = np.full((len(active), 3), np.nan), np.full(len(active), np.nan)
-        radiance[active], distance[active] = self.tracer(origins, ways)
+        radiance[active], distance[active] = self.tracer(origins, directions)
         self.probes.update(
             wp.array(radiance.astype(np.float32), dtype=wp.vec3, device="cpu"),
             wp.array(distance.astype(np.float32), dtype=float, device="cpu"),
         )
 
-    def render(self, seen: Seen) -> Doubles:
+    def render(self, surfaces: VisibleSurfaces) -> Doubles:
         """Irradiance in the next frame, shape (pixels, 3)."""
-        self.place(seen)
+        self.place(surfaces)
         self.trace()
         self.frame += 1
-        return self.look_up(seen)
+        return self.look_up(surfaces)
 
-    def look_up(self, seen: Seen) -> Doubles:
+    def look_up(self, surfaces: VisibleSurfaces) -> Doubles:
         """Irradiance of surfaces in the last frame."""
-        return self.probes.irradiance(seen.upload()).numpy().astype(np.float64)
+        return self.probes.irradiance(surfaces.upload()).numpy().astype(np.float64)
 
 
 def constant(radiance: npt.ArrayLike, distance: float = 1.0) -> Tracer:
     """Everything is equally bright."""
 
-    def trace(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
-        return np.broadcast_to(radiance, ways.shape), np.full(len(ways), distance)
+    def trace(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
+        return np.broadcast_to(radiance, directions.shape), np.full(len(directions), distance)
 
     return trace

@@ -16,7 +16,7 @@ from lumisplat.training.views import TargetPixels, TrainingView
 BACKGROUND = (0.1, 0.2, 0.3)
 
 
-def known(count: int = 30) -> ls.Gaussians:
+def known_gaussians(count: int = 30) -> ls.Gaussians:
     """What is to be found."""
     rng = np.random.default_rng(0)
     return ls.Gaussians(
@@ -28,9 +28,9 @@ def known(count: int = 30) -> ls.Gaussians:
     )
 
 
-def known_learnt() -> TrainedParameters:
+def known_parameters() -> TrainedParameters:
     """The same as it is learnt, before it has moved."""
-    gaussians = known()
+    gaussians = known_gaussians()
     logits = np.log(gaussians.opacities / (1.0 - gaussians.opacities))
     log_scales = np.log(gaussians.scales)
     values = {"means": gaussians.means, "rotations": gaussians.rotations_wxyz, "sh": gaussians.sh}
@@ -50,7 +50,7 @@ def cameras(count: int, size: int = 40) -> list[ls.Camera]:
 def views(count: int, size: int = 40, gains: np.ndarray | None = None) -> list[TrainingView]:
     """Photographs of it that have no noise, each with its gains of channels, (count, 3), if these are given."""
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
-    scene, found = ls.Scene([known()]), []
+    scene, found = ls.Scene([known_gaussians()]), []
     for number, camera in enumerate(cameras(count, size)):
         frame = renderer.render(scene, camera)
         behind = (1.0 - frame.alpha[..., None]) * np.array(BACKGROUND)
@@ -60,7 +60,7 @@ def views(count: int, size: int = 40, gains: np.ndarray | None = None) -> list[T
     return found
 
 
-def folder_of(path: Path, count: int = 9) -> Path:
+def write_training_folder(path: Path, count: int = 9) -> Path:
     """A folder of photographs, as instant-ngp has them."""
     path.mkdir()
     (path / "images").mkdir()
@@ -68,7 +68,7 @@ def folder_of(path: Path, count: int = 9) -> Path:
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     opengl = np.diag([1.0, -1.0, -1.0, 1.0])
     for number, camera in enumerate(cameras(count)):
-        pixels = np.clip(renderer.render(ls.Scene([known()]), camera).color, 0.0, 1.0)
+        pixels = np.clip(renderer.render(ls.Scene([known_gaussians()]), camera).color, 0.0, 1.0)
         Image.fromarray((255.0 * pixels + 0.5).astype(np.uint8)).save(path / "images" / f"{number:02d}.png")
         pose = np.linalg.inv(camera.camera_from_world) @ opengl
         frames.append({"file_path": f"images/{number:02d}.png", "transform_matrix": pose.tolist()})

@@ -54,7 +54,7 @@ WEIGHTS = {
 
 
 @dataclass(frozen=True)
-class Thing:
+class EntryState:
     """What the ledger knows of an entry."""
 
     is_light: bool
@@ -69,7 +69,7 @@ class Thing:
 class Content:
     """What the ledger knows of a state."""
 
-    things: dict[int, Thing]
+    entry_states: dict[int, EntryState]
     exposure: float = 0.0
 
 
@@ -88,10 +88,15 @@ class Ledger:
             self.past = [*self.past[-UNDO_MAX:], self.now]
         self.now, self.merging, self.future = content, merge, []
 
-    def put(self, number: int, thing: Thing | None, merge: str | None = None) -> None:
+    def put(self, number: int, entry_state: EntryState | None, merge: str | None = None) -> None:
         """Enters another thing in place of one; None: it is gone."""
-        things = {key: value for key, value in self.now.things.items() if key != number}
-        self.edit(replace(self.now, things=things if thing is None else things | {number: thing}), merge)
+        entry_states = {key: value for key, value in self.now.entry_states.items() if key != number}
+        self.edit(
+            replace(
+                self.now, entry_states=entry_states if entry_state is None else entry_states | {number: entry_state}
+            ),
+            merge,
+        )
 
     def step(self, source: list[Content], target: list[Content]) -> None:
         """Undoes or does again, if there is anything."""
@@ -137,7 +142,7 @@ class LeanPage(PageClient):
         self.send("GuiUpdateMessage", uuid=found[0], updates={"value": button})
 
 
-class Hand:
+class Editor:
     """Edits by what pages send, and enters in the ledger what should come of it.
 
     Args:
@@ -152,20 +157,20 @@ class Hand:
             self._open()
         self.ledger = Ledger(content_of(viewer))
         self.done: Counter[str] = Counter()
-        self._looks = 0
+        self._camera_moves = 0
 
     def act(self) -> None:
         """Does the next thing, and waits until it is done."""
         low, high = ENTRIES
-        count = len(self.ledger.now.things)
+        count = len(self.ledger.now.entry_states)
         what = self._random.choices(list(WEIGHTS), list(WEIGHTS.values()))[0]
         if count >= high and what in ("duplicate", "add", "upload"):
             what = "delete"
         if count <= low and what == "delete":
             what = "duplicate"
         for page in self.pages:
-            self._looks += 1
-            page.look(orbit(0.01 * self._looks))
+            self._camera_moves += 1
+            page.look(orbit(0.01 * self._camera_moves))
         getattr(self, f"_{what}")(self._random.choice(self.pages))
         self._agree(what)
         self.done[what] += 1
@@ -193,49 +198,51 @@ class Hand:
 
         wait_until(agrees, f"{what} was lost")
 
-    def _select(self, fits: Callable[[Thing], bool] = lambda thing: True) -> tuple[int, Thing] | None:
+    def _select(self, fits: Callable[[EntryState], bool] = lambda entry_state: True) -> tuple[int, EntryState] | None:
         """Selects a thing at random of those that fit; None: none does."""
-        things = [(number, thing) for number, thing in self.ledger.now.things.items() if fits(thing)]
-        if not things:
+        entry_states = [
+            (number, entry_state) for number, entry_state in self.ledger.now.entry_states.items() if fits(entry_state)
+        ]
+        if not entry_states:
             return None
-        number, thing = self._random.choice(things)
+        number, entry_state = self._random.choice(entry_states)
         if self._viewer._session.selected != number:
             self._viewer._session.select(number)
             self.ledger.merging = None
-        return number, thing
+        return number, entry_state
 
-    def _any(self) -> tuple[int, Thing]:
+    def _any(self) -> tuple[int, EntryState]:
         selected = self._select()
         assert selected is not None
         return selected
 
     def _drag(self, page: LeanPage) -> None:
-        if (selected := self._select(lambda thing: thing.is_light and not thing.is_off)) is None:
+        if (selected := self._select(lambda entry_state: entry_state.is_light and not entry_state.is_off)) is None:
             return
-        number, thing = selected
+        number, entry_state = selected
         shared = {"name": self._viewer._gizmo.node}
-        place = [round(self._random.uniform(-2.0, 2.0), 4) for _ in range(3)]
+        target = [round(self._random.uniform(-2.0, 2.0), 4) for _ in range(3)]
         page.send("TransformControlsDragStartMessage", **shared)
         for step in range(1, 6):
-            position = [0.2 * step * x for x in place]
+            position = [0.2 * step * x for x in target]
             page.send("TransformControlsUpdateMessage", **shared, wxyz=[1.0, 0.0, 0.0, 0.0], position=position)
         page.send("TransformControlsDragEndMessage", **shared)
-        self.ledger.put(number, replace(thing, position=rounded(place)))
+        self.ledger.put(number, replace(entry_state, position=rounded(target)))
         self._agree("drag")
         gizmo, session, self.ledger.merging = self._viewer._gizmo, self._viewer._session, None
         wait_until(lambda: gizmo._drag is None and session._merging is None, "the drag did not end")
 
     def _value(self, page: LeanPage) -> None:
-        if (selected := self._select(lambda thing: not thing.is_off)) is None:
+        if (selected := self._select(lambda entry_state: not entry_state.is_off)) is None:
             return
-        number, thing = selected
-        name = "intensity" if thing.is_light else "material.roughness"
+        number, entry_state = selected
+        name = "intensity" if entry_state.is_light else "material.roughness"
         value = round(self._random.uniform(0.1, 0.9), 3)
         control = self._viewer._things._inspector._controls[name]
         is_new = value != control._shown
         page.send("GuiUpdateMessage", uuid=control.handle._impl.uuid, updates={"value": value})
         if is_new:
-            self.ledger.put(number, replace(thing, value=value), f"{number} {name}")
+            self.ledger.put(number, replace(entry_state, value=value), f"{number} {name}")
 
     def _exposure(self, page: LeanPage) -> None:
         value = round(self._random.uniform(-2.0, 2.0), 1)
@@ -252,21 +259,21 @@ class Hand:
         page.push("redo")
 
     def _duplicate(self, page: LeanPage) -> None:
-        _, thing = self._any()
+        _, entry_state = self._any()
         page.push("duplicate")
         number = self._new_id()
-        if thing.position is not None:
-            place = content_of(self._viewer).things[number].position
-            assert place is not None
-            step = np.array(place) - thing.position
+        if entry_state.position is not None:
+            position = content_of(self._viewer).entry_states[number].position
+            assert position is not None
+            step = np.array(position) - entry_state.position
             assert np.allclose(step, (0.05 * self._viewer._session.extent.size, 0.0, 0.0), atol=1e-5), "not aside"
-            thing = replace(thing, position=place)
-        self.ledger.put(number, thing)
+            entry_state = replace(entry_state, position=position)
+        self.ledger.put(number, entry_state)
 
     def _hide(self, page: LeanPage) -> None:
-        number, thing = self._any()
+        number, entry_state = self._any()
         page.push("hide")
-        self.ledger.put(number, replace(thing, is_off=not thing.is_off))
+        self.ledger.put(number, replace(entry_state, is_off=not entry_state.is_off))
 
     def _delete(self, page: LeanPage) -> None:
         number, _ = self._any()
@@ -278,11 +285,11 @@ class Hand:
         page.choose("what", "point light")
         page.choose("add", True, folder="add")
         number = self._new_id()
-        self.ledger.put(number, content_of(self._viewer).things[number])
+        self.ledger.put(number, content_of(self._viewer).entry_states[number])
 
     def _upload(self, page: LeanPage) -> None:
         page.upload("upload a file", "triangle.obj", TRIANGLE)
-        self.ledger.put(self._new_id(), Thing(is_light=False, value=None, position=None))
+        self.ledger.put(self._new_id(), EntryState(is_light=False, value=None, position=None))
 
     def _reconnect(self, page: LeanPage) -> None:
         self.pages.remove(page)
@@ -291,9 +298,9 @@ class Hand:
 
     def _new_id(self) -> int:
         """That of the entry which has come."""
-        known = self.ledger.now.things.keys()
-        wait_until(lambda: content_of(self._viewer).things.keys() > known, "nothing was added")
-        (number,) = content_of(self._viewer).things.keys() - known
+        known = self.ledger.now.entry_states.keys()
+        wait_until(lambda: content_of(self._viewer).entry_states.keys() > known, "nothing was added")
+        (number,) = content_of(self._viewer).entry_states.keys() - known
         return number
 
 
@@ -301,19 +308,19 @@ def content_of(viewer: ls.Viewer) -> Content:
     """What the viewer shows, as the ledger has it."""
     with viewer._session.changed:  # whoever edits holds it until all panels show the edit
         state = viewer._session.state
-    things: dict[int, Thing] = {}
+    entry_states: dict[int, EntryState] = {}
     for entry in state.document.entries:
         table: dict[str, Any] = dict(entry.table)
         is_light = entry.kind == "lights"
         value = table.get("intensity") if is_light else dict(table.get("material", {})).get("roughness")
         is_off = not table.get("enabled", True) or bool(table.get("hidden"))
-        things[entry.id] = Thing(is_light, value, rounded(table["position"]) if is_light else None, is_off)
-    return Content(things, round(state.exposure, 6))
+        entry_states[entry.id] = EntryState(is_light, value, rounded(table["position"]) if is_light else None, is_off)
+    return Content(entry_states, round(state.exposure, 6))
 
 
-def rounded(place: Any) -> tuple[float, ...]:
+def rounded(position: Any) -> tuple[float, ...]:
     """A position, to a millionth."""
-    return tuple(round(float(x), 6) + 0.0 for x in place)
+    return tuple(round(float(x), 6) + 0.0 for x in position)
 
 
 def wait_until(holds: Callable[[], bool], what: str) -> None:
@@ -376,9 +383,9 @@ def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Rep
     viewer = ls.view(scene_in(folder), height=HEIGHT, device=device)
     viewer._loader.join()
     viewer._session.errors.append(faults.lines.append)
-    hand = Hand(viewer, seed)
+    editor = Editor(viewer, seed)
     try:
-        for page in hand.pages:
+        for page in editor.pages:
             page.picture()
         memory: list[float] = []
         threads: list[list[str]] = []
@@ -387,12 +394,12 @@ def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Rep
                 memory.append(memory_mib())
                 threads.append(settled_threads(viewer))
             if number < edits:
-                hand.act()
+                editor.act()
     finally:
-        hand.close()
+        editor.close()
         viewer.close()
         logging.getLogger().removeHandler(faults)
-    return Report(hand.done, tuple(memory), (threads[0], threads[-1]), faults.lines)
+    return Report(editor.done, tuple(memory), (threads[0], threads[-1]), faults.lines)
 
 
 def settled_threads(viewer: ls.Viewer) -> list[str]:

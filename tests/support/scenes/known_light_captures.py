@@ -37,14 +37,14 @@ def painted(mesh: ls.Mesh, count: int, linear: np.ndarray | float) -> ls.Gaussia
     """Gaussians on a mesh, of linear colours, one or one each, without the properties that captures do not have."""
     gaussians = ls.gaussians_from_mesh(mesh, count)
     display = encode_srgb(np.broadcast_to(np.asarray(linear, np.float64), (gaussians.count, 3)))
-    bare = replace(gaussians, normals=None, albedo=None, roughness=None, metallic=None)
-    return replace(bare, sh=((display - 0.5) / SH_C0)[:, None].astype(np.float32))
+    plain = replace(gaussians, normals=None, albedo=None, roughness=None, metallic=None)
+    return replace(plain, sh=((display - 0.5) / SH_C0)[:, None].astype(np.float32))
 
 
 def lit(
     parts: list[tuple[ls.Mesh, int, float]],
     *,
-    lamps: tuple[Point, ...] = (),
+    lights: tuple[Point, ...] = (),
     sun: Point | None = None,
     ambient: float = 0.3,
     level: float = 0.15,
@@ -53,7 +53,7 @@ def lit(
 
     Args:
         parts: What there is.
-        lamps: Where lamps shine, each as strong as the others and shown as a white ball.
+        lights: Where lights shine, each as strong as the others and shown as a white ball.
         sun: Direction towards a sun.
         ambient: Light from everywhere, over the mean of the other light.
         level: Median luminance that the capture is exposed for.
@@ -61,33 +61,33 @@ def lit(
     world = ls.Scene(meshes=[ls.MeshInstance(mesh) for mesh, *_ in parts])
     sets = [ls.gaussians_from_mesh(mesh, count) for mesh, count, _ in parts]
     rng = np.random.default_rng(3)
-    arriving, albedo = [], []
-    for gaussians, (_, _, paint) in zip(sets, parts, strict=True):
+    incident, albedo = [], []
+    for gaussians, (_, _, part_albedo) in zip(sets, parts, strict=True):
         points, normals = gaussians.means.astype(np.float64), np.asarray(gaussians.normals, np.float64)
         light = np.zeros(len(points))
-        for lamp in lamps:
-            way = lamp - points
-            distance = np.linalg.norm(way, axis=1)
-            light += _cosine(world, points, normals, way, distance) / np.maximum(distance, 0.1) ** 2
+        for position in lights:
+            to_light = position - points
+            distance = np.linalg.norm(to_light, axis=1)
+            light += _cosine(world, points, normals, to_light, distance) / np.maximum(distance, 0.1) ** 2
         if sun is not None:
             light += 3.0 * _cosine(world, points, normals, np.broadcast_to(sun, points.shape), 50.0)
-        arriving.append(light)
+        incident.append(light)
         # Texture: patches of some tenths of a metre, and grain.
         patches = np.sin(points @ rng.normal(0.0, 5.0, (3, 3))).prod(axis=1)
-        albedo.append(paint * np.exp(0.3 * patches + 0.1 * rng.normal(size=len(points))))
-    total, mean = np.concatenate(arriving), float(np.concatenate(arriving).mean())
+        albedo.append(part_albedo * np.exp(0.3 * patches + 0.1 * rng.normal(size=len(points))))
+    total, mean = np.concatenate(incident), float(np.concatenate(incident).mean())
     linear = np.minimum(np.concatenate(albedo), 0.95) * (total + ambient * (mean or 1.0))
     linear = np.minimum(linear * level / np.median(linear), 1.0)
     starts = np.cumsum([0, *(gaussians.count for gaussians in sets)])
-    shown = [
+    painted_parts = [
         painted(mesh, count, linear[start : start + gaussians.count, None])
         for (mesh, count, _), gaussians, start in zip(parts, sets, starts, strict=False)
     ]
-    return merge_gaussians([*shown, *(painted(ball(lamp, 0.08), 100, 1.2) for lamp in lamps)])
+    return merge_gaussians([*painted_parts, *(painted(ball(position, 0.08), 100, 1.2) for position in lights)])
 
 
 @cache
-def room(lamps: tuple[Point, ...]) -> ls.Gaussians:
+def room(lights: tuple[Point, ...]) -> ls.Gaussians:
     """A room of 4 x 3 x 5 m about (0, 1.5, 0) with two boxes, three white balls on the floor and a white sheet."""
     walls = box((0.0, 1.5, 0.0), (4.0, 3.0, 5.0))
     parts = [
@@ -96,11 +96,11 @@ def room(lamps: tuple[Point, ...]) -> ls.Gaussians:
         (box((-1.3, 0.5, 1.2), (0.6, 1.0, 0.6)), 1_500, 0.3),
         *distractors(),
     ]
-    return lit(parts, lamps=lamps)
+    return lit(parts, lights=lights)
 
 
 @cache
-def meadow(sun: Point | None, lamps: tuple[Point, ...] = (), ambient: float = 0.4) -> ls.Gaussians:
+def meadow(sun: Point | None, lights: tuple[Point, ...] = (), ambient: float = 0.4) -> ls.Gaussians:
     """A ground of 8 x 8 m with boxes and balls on it, white flowers and a white sheet; y is up."""
     ground = ls.Mesh(
         np.array([(-4.0, 0.0, -4.0), (-4.0, 0.0, 4.0), (4.0, 0.0, 4.0), (4.0, 0.0, -4.0)]),
@@ -114,21 +114,21 @@ def meadow(sun: Point | None, lamps: tuple[Point, ...] = (), ambient: float = 0.
         (ball((2.2, 0.9, 2.0), 0.5), 1_500, 0.25),
         *distractors(),
     ]
-    return lit(parts, lamps=lamps, sun=sun, ambient=ambient)
+    return lit(parts, lights=lights, sun=sun, ambient=ambient)
 
 
 def distractors() -> list[tuple[ls.Mesh, int, float]]:
     """Bright things that light nothing."""
     flowers = [(1.4, 0.2, 1.3), (-1.5, 0.15, -0.4), (0.3, 0.25, -1.6)]
-    return [(ball(place, 0.07), 80, 0.95) for place in flowers] + [
+    return [(ball(position, 0.07), 80, 0.95) for position in flowers] + [
         (box((0.9, 0.006, 0.8), (0.3, 0.012, 0.25)), 200, 0.95)
     ]
 
 
 def _cosine(
-    world: ls.Scene, points: np.ndarray, normals: np.ndarray, way: np.ndarray, distance: np.ndarray | float
+    world: ls.Scene, points: np.ndarray, normals: np.ndarray, to_light: np.ndarray, distance: np.ndarray | float
 ) -> np.ndarray:
     """Cosine to a light, 0 in shadow, shape (N,)."""
-    unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+    unit = to_light / np.linalg.norm(to_light, axis=1, keepdims=True)
     cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
     return cosine * ls.transmittance(world, points + 0.004 * normals, unit, distance, device="cpu")

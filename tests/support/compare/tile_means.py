@@ -10,7 +10,7 @@ import numpy.typing as npt
 Doubles = npt.NDArray[np.float64]
 
 
-class Blocks(NamedTuple):
+class TileMeans(NamedTuple):
     """Blocks of an image."""
 
     means: Doubles
@@ -19,7 +19,7 @@ class Blocks(NamedTuple):
     """Standard errors of the means, the same shape."""
 
 
-def block_means(image: npt.NDArray[np.floating], size: int) -> Doubles:
+def tile_means(image: npt.NDArray[np.floating], size: int) -> Doubles:
     """Means over blocks of ``size`` x ``size`` pixels, shape (rows, columns, 3)."""
     height, width, channels = image.shape
     parts = image.astype(np.float64).reshape(height // size, size, width // size, size, channels)
@@ -27,8 +27,8 @@ def block_means(image: npt.NDArray[np.floating], size: int) -> Doubles:
     return means
 
 
-def blocks_of_two(first: npt.NDArray[np.floating], second: npt.NDArray[np.floating], size: int) -> Blocks:
+def tile_means_of_two(first: npt.NDArray[np.floating], second: npt.NDArray[np.floating], size: int) -> TileMeans:
     """Of the mean of two images that are independent: a pixel's variance is seen in how they differ there."""
-    means = block_means(0.5 * (first.astype(np.float64) + second), size)
-    spread = block_means(0.25 * np.square(first.astype(np.float64) - second), size)
-    return Blocks(means, np.sqrt(spread) / size)
+    means = tile_means(0.5 * (first.astype(np.float64) + second), size)
+    spread = tile_means(0.25 * np.square(first.astype(np.float64) - second), size)
+    return TileMeans(means, np.sqrt(spread) / size)
