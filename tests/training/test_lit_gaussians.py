@@ -123,12 +123,12 @@ def encoded_slope(linear: np.ndarray) -> np.ndarray:
     return slope(lambda h: encode_srgb(linear + h), 1e-6)
 
 
-@pytest.mark.parametrize("name", ["albedo", "roughness", "sky"])
+@pytest.mark.parametrize("name", ["albedo", "roughness", "environment"])
 def test_gradients_by_materials_match_central_differences(name: str) -> None:
     """The reference is float64, along random directions in the space of parameters."""
     lit, rng = some(3), np.random.default_rng(4)
     given = rng.normal(size=(COUNT, 3))
-    found = getattr(Shown(lit).by_radiance(given), "environment" if name == "sky" else name)
+    found = getattr(Shown(lit).by_radiance(given), name)
     linear = given * encoded_slope(radiance(lit, EYE))
     values = getattr(lit, name)
 
@@ -136,7 +136,7 @@ def test_gradients_by_materials_match_central_differences(name: str) -> None:
         return (linear * radiance(replace(lit, **{name: values + h * step}), EYE)).sum(axis=1)
 
     steps = rng.normal(size=(3, *values.shape))
-    if name == "sky":
+    if name == "environment":
         for step in steps:
             expected = slope(partial(changed, step), 1e-5).sum()
             assert (found * step).sum() == pytest.approx(expected, rel=1e-3, abs=1e-4)
