@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from test_viewer import HEIGHT, LAMP, PATIENCE_S, difference, document_in, eventually, lamp_id, lit_scene
+from test_viewer import BUSY_ANSWER_S, HEIGHT, LAMP, difference, document_in, eventually, lamp_id, lit_scene
 
 import lumisplat as ls
 from lumisplat.viewer.panels.video import keys_of
@@ -110,7 +110,7 @@ def shows_its_frame(page: Any, viewer: ls.Viewer) -> bool:
 
 def until(holds: Callable[[], bool], page: Any) -> None:
     """Waits while the browser works."""
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + BUSY_ANSWER_S
     while not holds():
         assert time.monotonic() < end
         page.wait_for_timeout(50)
@@ -234,7 +234,7 @@ def test_a_broken_upload_in_a_browser_says_so(browser: Any, viewer: ls.Viewer, t
     (tmp_path / "broken.glb").write_bytes(b"glTF nonsense")
     page.get_by_text("add", exact=True).first.click()
     page.set_input_files("input[type=file]", tmp_path / "broken.glb")
-    page.get_by_text(re.compile("broken.glb")).first.wait_for(timeout=1000 * PATIENCE_S)
+    page.get_by_text(re.compile("broken.glb")).first.wait_for(timeout=1000 * BUSY_ANSWER_S)
     assert len(viewer.document.entries) == 1
     page.close()
 
@@ -264,11 +264,11 @@ def test_objects_are_selected_hidden_and_locked_in_the_list(browser: Any, viewer
     crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
     page.locator(".lumi-name", has_text="crate").click()
     until(lambda: viewer._session.selected == crate, page)
-    page.locator(f'[data-say="hide {crate}"]').click()
+    page.locator(f'[data-command="hide {crate}"]').click()
     until(lambda: viewer.document.entry(crate).hidden, page)
-    page.locator(f'[data-say="hide {crate}"]').click()
+    page.locator(f'[data-command="hide {crate}"]').click()
     until(lambda: not viewer.document.entry(crate).hidden, page)
-    page.locator(f'[data-say="lock {crate}"]').click()
+    page.locator(f'[data-command="lock {crate}"]').click()
     until(lambda: viewer._session.locked == {crate}, page)
     assert not page.locator(".mantine-TextInput-input").first.is_visible() or page.locator(".lumi-row.selected").count()
     page.close()
@@ -323,7 +323,7 @@ def test_a_thumbnail_moves_the_page_to_its_view(browser: Any, viewer: ls.Viewer)
     until(lambda: mine.pose != start, page)
     page.get_by_text("add key view", exact=True).click()
     until(lambda: len(keys_of(viewer.document)) == 2, page)
-    page.locator('img[data-say="look 0"]').click()
+    page.locator('img[data-command="look 0"]').click()
     assert start is not None
     until(lambda: bool(np.allclose(mine.pose.position, start.position, atol=1e-3)), page)  # pyright: ignore
     assert others.pose == elsewhere

@@ -11,9 +11,17 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.viewer.frames.loop import THREAD, Renderers, frame_config
-from lumisplat.viewer.frames.page import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step, page_depth, split_picture
+from lumisplat.viewer.frames.page import (
+    GAUSSIAN_STEPS,
+    PIXEL_STEPS,
+    DetailController,
+    DetailStep,
+    first_step,
+    page_depth,
+    split_image,
+)
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.frames.shown_scenes import Levels
+from lumisplat.viewer.frames.scene_builder import Levels
 from lumisplat.viewer.overlays import box_outline, draw_outlines, light_outline
 from lumisplat.viewer.picking import picked
 from lumisplat.viewer.scene_extent import Extent, world_corners
@@ -22,26 +30,30 @@ from lumisplat.viewer.thresholds import DEPTH_STRIDE, LEVEL_GAUSSIANS_MIN
 FACING = ls.Camera.look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=90)
 
 
-def paced(cost: dict[Step, float], budget: float, frames: int = 200) -> list[Step]:
+def paced(cost: dict[DetailStep, float], budget: float, frames: int = 200) -> list[DetailStep]:
     """The steps of frames that take a known time each."""
-    pace, taken = Pace(), []
+    detail, taken = DetailController(), []
     for _ in range(frames):
-        taken.append(pace.step)
-        pace.took(cost[pace.step], budget)
+        taken.append(detail.step)
+        detail.record(cost[detail.step], budget)
     return taken
 
 
-def costs(full: float) -> dict[Step, float]:
+def costs(full: float) -> dict[DetailStep, float]:
     """Milliseconds by step: Gaussians count most."""
-    return {step: full * (1.0, 0.25, 0.125)[step.level] * step.scale for step in BY_GAUSSIANS}
+    return {step: full * (1.0, 0.25, 0.125)[step.level] * step.scale for step in GAUSSIAN_STEPS}
 
 
 def test_steps_leave_out_gaussians_first_and_pixels_second() -> None:
     """Each is coarser than the one before; pixels go once there is a level of a quarter."""
-    assert BY_GAUSSIANS[0] == Step(0, 1.0) and BY_GAUSSIANS[1] == Step(1, 1.0) and BY_GAUSSIANS[2].scale < 1.0
-    for finer, coarser in itertools.pairwise(BY_GAUSSIANS):
+    assert (
+        GAUSSIAN_STEPS[0] == DetailStep(0, 1.0)
+        and GAUSSIAN_STEPS[1] == DetailStep(1, 1.0)
+        and GAUSSIAN_STEPS[2].scale < 1.0
+    )
+    for finer, coarser in itertools.pairwise(GAUSSIAN_STEPS):
         assert coarser.level >= finer.level and coarser.scale <= finer.scale and coarser != finer
-    assert all(step.level == 0 for step in BY_PIXELS)
+    assert all(step.level == 0 for step in PIXEL_STEPS)
 
 
 @pytest.mark.parametrize("full", [20.0, 100.0, 300.0, 2000.0])
@@ -49,32 +61,32 @@ def test_a_pace_keeps_its_budget_and_wastes_little(full: float) -> None:
     """It ends on the finest step that keeps the time with some room, or on the coarsest of all."""
     cost = costs(full)
     last = paced(cost, 40.0)[-1]
-    fitting = [step for step in BY_GAUSSIANS if cost[step] <= 0.7 * 40.0]
-    assert cost[last] <= 40.0 or last == BY_GAUSSIANS[-1]
-    assert not fitting or BY_GAUSSIANS.index(last) <= BY_GAUSSIANS.index(fitting[0])
+    fitting = [step for step in GAUSSIAN_STEPS if cost[step] <= 0.7 * 40.0]
+    assert cost[last] <= 40.0 or last == GAUSSIAN_STEPS[-1]
+    assert not fitting or GAUSSIAN_STEPS.index(last) <= GAUSSIAN_STEPS.index(fitting[0])
 
 
 def test_a_pace_does_not_flicker() -> None:
     """Where two steps are on both sides of the budget, it seldom changes between them."""
-    taken = paced({step: 45.0 if step == BY_GAUSSIANS[0] else 25.0 for step in BY_GAUSSIANS}, 40.0, 400)[50:]
+    taken = paced({step: 45.0 if step == GAUSSIAN_STEPS[0] else 25.0 for step in GAUSSIAN_STEPS}, 40.0, 400)[50:]
     changes = sum(a != b for a, b in itertools.pairwise(taken))
     assert changes <= 0.06 * len(taken)
 
 
 def test_a_pace_far_beyond_its_budget_leaves_out_much_at_once() -> None:
     """Two frames say that it is so; a single one may be another program's."""
-    pace = Pace()
-    pace.took(10.0, 40.0)
-    pace.took(900.0, 40.0)
-    assert pace.step == BY_GAUSSIANS[1]
-    pace.took(900.0, 40.0)
-    assert pace.step == BY_GAUSSIANS[-1]
+    detail = DetailController()
+    detail.record(10.0, 40.0)
+    detail.record(900.0, 40.0)
+    assert detail.step == GAUSSIAN_STEPS[1]
+    detail.record(900.0, 40.0)
+    assert detail.step == GAUSSIAN_STEPS[-1]
 
 
 @pytest.mark.parametrize(("count", "level", "scale"), [(1000, 1, 1.0), (2_000_000, 1, 1.0), (3_000_000, 2, 0.5)])
 def test_large_scenes_begin_coarsely(count: int, level: int, scale: float) -> None:
     """Their first frame has no more Gaussians than can be drawn at once; others begin at a quarter."""
-    assert BY_GAUSSIANS[first_step(count)] == Step(level, scale)
+    assert GAUSSIAN_STEPS[first_step(count)] == DetailStep(level, scale)
 
 
 def many(count: int) -> ls.Gaussians:
@@ -108,7 +120,7 @@ def test_levels_are_made_once_and_stand_where_the_capture_stands() -> None:
 
 def test_levels_of_a_large_scene_have_thinned_ones_in_their_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are there at once, and fill as much; many small captures count as one large one."""
-    monkeypatch.setattr("lumisplat.viewer.frames.shown_scenes.GAUSSIANS_AT_ONCE", 4 * LEVEL_GAUSSIANS_MIN)
+    monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.MOVING_GAUSSIANS_MAX", 4 * LEVEL_GAUSSIANS_MIN)
     made, busy = threading.Semaphore(0), threading.Event()
     busy.set()
     levels = Levels(made.release, is_busy=busy.is_set)
@@ -128,7 +140,7 @@ def test_levels_of_a_large_scene_have_thinned_ones_in_their_place(monkeypatch: p
 
 def test_levels_are_made_in_blocks_that_are_whole_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each Gaussian is merged within a box of space, and their progress is told up to the end."""
-    monkeypatch.setattr("lumisplat.viewer.frames.shown_scenes.LEVEL_BLOCK", 8192)
+    monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.LEVEL_BLOCK", 8192)
     made, told = threading.Semaphore(0), list[float]()
     levels = Levels(made.release, told.append)
     capture = many(4 * LEVEL_GAUSSIANS_MIN)
@@ -229,11 +241,11 @@ def test_outlines_reach_as_far_as_lights(light: object, reach: float) -> None:
 def test_a_split_picture_is_before_to_the_left_and_after_to_the_right() -> None:
     """With a white line between, wherever it is."""
     before, after = np.full((4, 10, 3), 10, np.uint8), np.full((4, 10, 3), 90, np.uint8)
-    joined = split_picture(before, after, 0.3)
+    joined = split_image(before, after, 0.3)
     assert (joined[:, :3] == 10).all() and (joined[:, 3] == 255).all() and (joined[:, 4:] == 90).all()
     assert (after == 90).all()
-    assert (split_picture(before, after, 5.0)[:, :9] == 10).all()
-    assert (split_picture(before, after, 0.0)[:, 1:] == 90).all()
+    assert (split_image(before, after, 5.0)[:, :9] == 10).all()
+    assert (split_image(before, after, 0.0)[:, 1:] == 90).all()
 
 
 def test_the_log_has_no_word_of_grain_that_is_still_to_go(caplog: pytest.LogCaptureFixture) -> None:

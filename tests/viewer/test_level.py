@@ -14,7 +14,7 @@ from test_viewer import HEIGHT, settled
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import ASPECT, FirstView
-from lumisplat.viewer.panels.adding import with_sky
+from lumisplat.viewer.panels.adding import with_environment_image
 from lumisplat.viewer.panels.inspector import sun_angles
 from lumisplat.viewer.panels.outliner import ground_normal
 from lumisplat.viewer.session import Session
@@ -80,7 +80,7 @@ def test_level_turns_the_scene_upright_and_undo_turns_it_back(viewer: ls.Viewer)
         (page,) = viewer._pages.values()
         before, pose, ground = viewer.document, page.pose, session.extent.height_below
         assert horizon(page) > 0.03
-        viewer._things.level.fit()
+        viewer._outliner.level.fit()
         up = np.array(viewer.scene.up_direction)
         assert up @ UP > math.cos(math.radians(0.5))
         placed = np.asarray(viewer.document.entry(crate).world_from_file)
@@ -121,9 +121,9 @@ def test_a_page_that_nobody_has_moved_sees_all_of_the_turned_scene(viewer: ls.Vi
 
 def test_three_clicks_define_the_ground(viewer: ls.Viewer) -> None:
     """They select nothing; one into nothing does not count; the next one after them selects again."""
-    session, level = viewer._session, viewer._things.level
+    session, level = viewer._session, viewer._outliner.level
     problems: list[str] = []
-    session.errors.append(problems.append)
+    session.error_listeners.append(problems.append)
     with PageClient(viewer.url) as client:
         client.look(camera())
         settled(viewer, client)
@@ -151,13 +151,13 @@ def click(viewer: ls.Viewer, page: Page, at: tuple[float, ...]) -> None:
 def test_clicks_on_a_line_are_refused(viewer: ls.Viewer) -> None:
     """In words; up stays, and the mode ends."""
     problems: list[str] = []
-    viewer._session.errors.append(problems.append)
+    viewer._session.error_listeners.append(problems.append)
     with PageClient(viewer.url) as client:
         client.look(camera())
         settled(viewer, client)
         (page,) = viewer._pages.values()
         before = viewer.document
-        viewer._things.level.start()
+        viewer._outliner.level.start()
         for _ in range(3):
             click(viewer, page, (0.5, 0.6))
     assert "are collinear" in problems[0] and viewer.document is before and viewer._session.ground_points is None
@@ -198,13 +198,13 @@ def test_an_image_that_is_added_as_sky_stands_upright(tmp_path: Path) -> None:
     file = tmp_path / "sky.hdr"
     write_hdr(file, np.ones((4, 8, 3), np.float32))
     for up in ("y-down", "y-up", "z-up"):
-        document, number = with_sky(ls.io.SceneDocument.of(ls.Scene(up=up)), str(file))
+        document, number = with_environment_image(ls.io.SceneDocument.of(ls.Scene(up=up)), str(file))
         (sky,) = document.entry(number).lights
         assert isinstance(sky, ls.LightEnvironment)
         turned = transforms.SO3(np.asarray(sky.rotation_wxyz, np.float64)).as_matrix()
         np.testing.assert_allclose(turned[:, 1], document.scene().up_direction, atol=1e-9)
     document = document.changed(number, rotation_wxyz=[1.0, 0.0, 0.0, 0.0])
-    document, number = with_sky(document, str(file))
+    document, number = with_environment_image(document, str(file))
     assert list(document.entry(number).table["rotation_wxyz"]) == [1.0, 0.0, 0.0, 0.0]
 
 
@@ -214,8 +214,8 @@ def test_level_without_a_ground_says_what_to_do() -> None:
     viewer._loader.join()
     problems: list[str] = []
     session: Session = viewer._session
-    session.errors.append(problems.append)
-    viewer._things.level.fit()
+    session.error_listeners.append(problems.append)
+    viewer._outliner.level.fit()
     assert viewer.scene.up_direction == (0.0, 1.0, 0.0) and "click three points" in problems[0]
-    assert viewer._things.level._fits.disabled
+    assert viewer._outliner.level._fits.disabled
     viewer.close()

@@ -13,7 +13,7 @@ from PIL import Image
 from test_viewer import HEIGHT, camera, cloud, eventually, lit_scene, settled
 
 import lumisplat as ls
-from lumisplat.viewer.panels.background_jobs import capture_page
+from lumisplat.viewer.panels.background_jobs import captures_html
 from support.viewer.page_client import PageClient
 
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
@@ -127,7 +127,7 @@ def test_work_that_is_not_done_does_not_keep_a_viewer_open() -> None:
 def test_captures_as_a_page_need_nothing_else() -> None:
     """No address of another place is in the file, and the Gaussians are, under the transforms of their instances."""
     scene = ls.Scene([ls.SplatInstance(cloud(), position=(3.0, 0.0, 0.0), scale_by=2.0)])
-    text = capture_page(scene)
+    text = captures_html(scene)
     assert text.lstrip().lower().startswith("<!doctype html") and 'src="http' not in text and "ws://127" not in text
     recording = embedded(text)
     assert b"/capture 0" in recording

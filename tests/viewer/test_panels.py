@@ -19,40 +19,40 @@ from lumisplat.config.setting import Setting, frozen, given
 from lumisplat.io.load_save import USD
 from lumisplat.scene.checks import UNIT_COLOR
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.gizmo import Drag, dragged, grip_of
+from lumisplat.viewer.gizmo import Drag, gizmo_pose, with_dragged_entry
 from lumisplat.viewer.overlays import grid_outline, with_insets
 from lumisplat.viewer.panels import adding
-from lumisplat.viewer.panels.adding import AddPanel, free_name, light_tables, with_sky
+from lumisplat.viewer.panels.adding import AddPanel, free_name, light_tables, with_environment_image
 from lumisplat.viewer.panels.buttons import plain
 from lumisplat.viewer.panels.controls import (
+    color_bytes_from_linear,
     color_of_temperature,
-    from_shown,
+    control_settings,
+    from_control_value,
     hint_of,
+    keep_unchanged_numbers,
     label_of,
-    linear_from_picked,
-    picked_from_linear,
-    shown_number,
-    shown_settings,
-    to_shown,
-    unrounded,
+    linear_from_color_bytes,
+    rounded_for_display,
+    to_control_value,
 )
 from lumisplat.viewer.panels.files import command_line
 from lumisplat.viewer.panels.inspector import (
     crop_ends,
-    crop_reach,
+    crop_ranges,
     crop_table,
     cropped,
     direction_of_angles,
     direction_of_hour,
     light_fields,
-    look_of,
     put_field,
+    shading_of,
     sun_angles,
 )
-from lumisplat.viewer.panels.outliner import on_ground, tree_html
-from lumisplat.viewer.panels.viewing import selected_ball
-from lumisplat.viewer.scene_extent import Boxes, Extent, pose_of, world_corners
-from lumisplat.viewer.session import Options, Session, State, within_memory
+from lumisplat.viewer.panels.outliner import tree_html, with_entry_on_ground
+from lumisplat.viewer.panels.viewing import selected_sphere
+from lumisplat.viewer.scene_extent import BoxCache, Extent, pose_of, world_corners
+from lumisplat.viewer.session import Options, Session, State, limit_undo_memory
 from support.files.hdr_files import write_hdr
 from support.scenes.raster_scenes import random_gaussians
 
@@ -96,12 +96,12 @@ class Sample:
 
 def field(name: str, cls: type = Sample) -> Setting:
     """A field of settings by its name."""
-    return next(one for one in shown_settings(cls) if one.name == name)
+    return next(one for one in control_settings(cls) if one.name == name)
 
 
 def test_fields_say_their_kind_range_and_help() -> None:
     """Of settings that nobody has told the panel of: a new one appears by itself."""
-    assert [one.name for one in shown_settings(Sample)] == ["share", "count", "kind", "base_color", "inner"]
+    assert [one.name for one in control_settings(Sample)] == ["share", "count", "kind", "base_color", "inner"]
     assert (field("share").kind, field("share").low, field("share").high) == ("number", 0.0, 0.9)
     assert (field("count").kind, field("count").is_optional, field("count").low) == ("whole", True, 2.0)
     assert field("kind").help == "Which one. one: The first. two: The second."
@@ -114,10 +114,10 @@ def test_fields_say_their_kind_range_and_help() -> None:
 @pytest.mark.parametrize("cls", [ls.RenderConfig, ls.RealtimeConfig, ls.ShadowConfig, ls.MaterialPbr, ls.LightSpot])
 def test_every_value_survives_its_control(cls: type) -> None:
     """Defaults of real settings, as they are shown and read back; colours to 8 bits."""
-    for one in shown_settings(cls):
+    for one in control_settings(cls):
         if one.kind == "group" or repr(one.default).startswith("<dataclasses._MISSING"):
             continue
-        back = unrounded(from_shown(one, to_shown(one, one.default)), one.default)
+        back = keep_unchanged_numbers(from_control_value(one, to_control_value(one, one.default)), one.default)
         if one.kind == "color":
             np.testing.assert_allclose(back, one.default or (0.0, 0.0, 0.0), atol=0.005)
         else:
@@ -157,8 +157,8 @@ def test_colours_of_black_bodies(kelvins: float, expected: tuple[float, float, f
 def test_picked_colours_are_linear_light() -> None:
     """All 256 shades come back; half of linear light is 188."""
     for shade in range(256):
-        assert picked_from_linear(linear_from_picked((shade, shade, shade))) == (shade, shade, shade)
-    assert picked_from_linear((0.5, 2.0, -1.0)) == (188, 255, 0)
+        assert color_bytes_from_linear(linear_from_color_bytes((shade, shade, shade))) == (shade, shade, shade)
+    assert color_bytes_from_linear((0.5, 2.0, -1.0)) == (188, 255, 0)
 
 
 def document() -> ls.io.SceneDocument:
@@ -185,9 +185,11 @@ def moved(number: int, move: np.ndarray) -> ls.io.SceneDocument:
 
 def moved_of(start: ls.io.SceneDocument, number: int, move: np.ndarray, time: float = 0.0) -> ls.io.SceneDocument:
     """A document with the grip of an entry moved at a time."""
-    grip = grip_of(start.entry(number), (np.full(3, -1.0), np.full(3, 1.0)), EXTENT, time)
+    grip = gizmo_pose(start.entry(number), (np.full(3, -1.0), np.full(3, 1.0)), EXTENT, time)
     assert grip is not None
-    return dragged(start, Drag(start.entry(number), grip.world_from_grip, time), move @ grip.world_from_grip, EXTENT)
+    return with_dragged_entry(
+        start, Drag(start.entry(number), grip.world_from_gizmo, time), move @ grip.world_from_gizmo, EXTENT
+    )
 
 
 def shift(x: float, y: float, z: float) -> np.ndarray:
@@ -206,7 +208,7 @@ def test_drags_move_things_as_the_hand_does() -> None:
     assert [light.position for light in lights] == [(1.5, 2.0, 3.0), (0.5, -2.0, 0.0), *[(0.5, -1.0, 0.0)] * 2]  # pyright: ignore
     sun = moved(4, shift(EXTENT.dome_radius, 0.0, 0.0)).scene().lights[2]
     np.testing.assert_allclose(sun.direction, (-math.sqrt(0.5), math.sqrt(0.5), 0.0), atol=1e-9)  # pyright: ignore
-    assert grip_of(document().entry(7), None, EXTENT) is None  # a sky is nowhere
+    assert gizmo_pose(document().entry(7), None, EXTENT) is None  # a sky is nowhere
 
 
 def test_turns_turn_what_shines() -> None:
@@ -240,10 +242,10 @@ def test_the_inspector_edits_what_it_names() -> None:
 
 def test_the_ground_is_where_all_others_end() -> None:
     """Below is +y here: the box's lowest point comes to the floor's."""
-    stood = on_ground(document(), 0).scene().meshes[0]
+    stood = with_entry_on_ground(document(), 0).scene().meshes[0]
     assert stood.bounds()[1][1] == pytest.approx(4.5)
     with pytest.raises(ls.SceneError, match="to the ground"):
-        on_ground(document(), 2)
+        with_entry_on_ground(document(), 2)
 
 
 def walker(folder: Path) -> ls.io.SceneDocument:
@@ -269,7 +271,7 @@ def test_an_actor_that_is_dragged_takes_its_way_along(tmp_path: Path, time: floa
 
 def test_boxes_are_around_what_entries_show(tmp_path: Path) -> None:
     """In coordinates of their files, whatever their pose; measured again only for other assets."""
-    boxes, start = Boxes(), document()
+    boxes, start = BoxCache(), document()
     box = boxes.of(start.entry(0))
     assert box is not None
     np.testing.assert_allclose(box, [np.full(3, -0.5), np.full(3, 0.5)], atol=1e-6)
@@ -291,11 +293,11 @@ def test_names_of_files_are_words_in_the_list(tmp_path: Path) -> None:
     """Neither tags nor scripts, wherever they come from; what could not be read is listed, too."""
     evil = "<img src=x onerror=alert(1)>"
     mesh = ls.MeshInstance(ls.box(1.0), name=evil)
-    text = tree_html(ls.io.SceneDocument.of(ls.Scene(meshes=[mesh])), Boxes())
+    text = tree_html(ls.io.SceneDocument.of(ls.Scene(meshes=[mesh])), BoxCache())
     assert evil not in text and "&lt;img" in text and "12 faces · 1 × 1 × 1" in text
     ls.save(tmp_path / "ball.ply", cloud())
     opened = ls.io.SceneDocument.open([tmp_path / "ball.ply", tmp_path / "gone.obj"])
-    assert "left out: " in tree_html(opened, Boxes()) and "gone.obj" in tree_html(opened, Boxes())
+    assert "left out: " in tree_html(opened, BoxCache()) and "gone.obj" in tree_html(opened, BoxCache())
     assert plain("![x](http://a) <b>{1}</b> `c`|") == "  x (http://a)  b  1  /b   c  "
 
 
@@ -310,7 +312,7 @@ def captured() -> ls.io.SceneDocument:
 def test_a_crop_leaves_out_what_is_beyond_its_sliders() -> None:
     """At its ends a slider leaves out nothing, not even strays; with all at their ends there is no crop."""
     start, session = captured(), Session(Options())
-    everything, reach = crop_reach(start, 0, session)
+    everything, reach = crop_ranges(start, 0, session)
     assert everything[1, 0] == pytest.approx(50.0) and 0.4 < reach[1, 0] < 1.0
     ends = reach.copy()
     ends[0, 1] = 0.0  # y above 0
@@ -318,7 +320,7 @@ def test_a_crop_leaves_out_what_is_beyond_its_sliders() -> None:
     means = np.asarray(half.scene().splats[0].gaussians.means)
     assert means[:, 1].min() >= 0.0 and means[:, 0].max() == pytest.approx(50.0)
     np.testing.assert_allclose(crop_ends(half.entry(0), reach), ends)
-    again, wide = crop_reach(half, 0, session)
+    again, wide = crop_ranges(half, 0, session)
     np.testing.assert_array_equal(again, everything)
     np.testing.assert_array_equal(wide, reach)
     assert "crop_low" not in cropped(half, 0, reach, reach, everything).entry(0).table
@@ -357,8 +359,8 @@ def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:
     """The same entry, with its other keys."""
     for name in ("a.hdr", "b.hdr"):
         write_hdr(tmp_path / name, np.ones((4, 8, 3), np.float32))
-    document, number = with_sky(ls.io.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
-    document, again = with_sky(document.changed(number, intensity=0.5), str(tmp_path / "b.hdr"))
+    document, number = with_environment_image(ls.io.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
+    document, again = with_environment_image(document.changed(number, intensity=0.5), str(tmp_path / "b.hdr"))
     assert number == again and len(document.entries) == 1 and document.entry(number).table["path"].endswith("b.hdr")
     assert document.entry(number).table["intensity"] == 0.5
 
@@ -394,14 +396,14 @@ def test_a_scale_of_nothing_is_refused_in_words() -> None:
 def test_meshes_change_between_kinds_of_material() -> None:
     """From that of their file to another, and back."""
     start = document()
-    looks = [look_of(start.entry(0))]
+    looks = [shading_of(start.entry(0))]
     for kind in ("simple", "pbr"):
         changed = start.changed(0, material={"type": kind})
-        looks.append(look_of(changed.entry(0)))
+        looks.append(shading_of(changed.entry(0)))
         shown = changed.scene().meshes[0].mesh.material
         assert isinstance(shown, ls.MaterialSimple if kind == "simple" else ls.MaterialPbr)
     assert looks == ["as in the file", "simple", "PBR"]
-    assert look_of(changed.changed(0, material=None).entry(0)) == "as in the file"
+    assert shading_of(changed.changed(0, material=None).entry(0)) == "as in the file"
 
 
 def test_a_grid_is_on_the_ground() -> None:
@@ -425,13 +427,13 @@ def test_what_is_selected_is_looked_at() -> None:
     """The ball around a box is where the box is; around a lamp, a part of the scene; nothing is nowhere."""
     session = Session(Options())
     session.open(State(document()))
-    assert selected_ball(session) is None
+    assert selected_sphere(session) is None
     session.select(0)
-    ball = selected_ball(session)
+    ball = selected_sphere(session)
     assert ball is not None and ball[1] == pytest.approx(math.sqrt(3.0))
     np.testing.assert_allclose(ball[0], (1.0, -2.0, 3.0), atol=1e-6)
     session.select(2)
-    lamp = selected_ball(session)
+    lamp = selected_sphere(session)
     assert lamp is not None
     np.testing.assert_allclose(lamp[0], (1.0, 2.0, 3.0))
 
@@ -521,8 +523,8 @@ def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
     captures = [state.document.entry(0).splats[0].gaussians for state in states]
     most = sum(array.nbytes for capture in (captures[5], captures[7]) for array in arrays_of(capture))
     small = 8192  # of matrices and bounds
-    assert within_memory(states[:-1], states[-1], most + small) == states[-6:-1]
-    assert within_memory(states[:-1], states[-1]) == states[:-1]
+    assert limit_undo_memory(states[:-1], states[-1], most + small) == states[-6:-1]
+    assert limit_undo_memory(states[:-1], states[-1]) == states[:-1]
 
 
 def test_undo_counts_the_images_of_environments() -> None:
@@ -530,8 +532,8 @@ def test_undo_counts_the_images_of_environments() -> None:
     images = [np.full((32, 64, 3), value, np.float32) for value in (0.5, 1.0, 2.0)]
     states = [State(ls.io.SceneDocument.of(ls.Scene(lights=[ls.LightEnvironment(image=image)]))) for image in images]
     most = images[0].nbytes
-    assert within_memory(states[:-1], states[-1], most + 8192) == states[1:-1]
-    assert within_memory(states[:-1], states[-1], 3 * most) == states[:-1]
+    assert limit_undo_memory(states[:-1], states[-1], most + 8192) == states[1:-1]
+    assert limit_undo_memory(states[:-1], states[-1], 3 * most) == states[:-1]
 
 
 def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:
@@ -609,26 +611,26 @@ def test_the_inspector_turns_suns_by_their_angles() -> None:
 )
 def test_numbers_are_rounded_to_the_room_of_their_control(value: float, room: int, shown: float) -> None:
     """So that none is cut, and none has zeros that say nothing; digits before the point are never left out."""
-    assert shown_number(value, room) == shown
+    assert rounded_for_display(value, room) == shown
 
 
 def test_what_was_not_changed_in_a_vector_keeps_its_digits() -> None:
     """One number is typed; the others stay what they are, though fewer digits of them are shown."""
     before = (12.15493217, 0.0123456789, -3.0)
     field = Setting("position", "vector", "")
-    given = (to_shown(field, before)[0], 0.5, -3.0)
-    assert unrounded(given, before) == (12.15493217, 0.5, -3.0)
+    given = (to_control_value(field, before)[0], 0.5, -3.0)
+    assert keep_unchanged_numbers(given, before) == (12.15493217, 0.5, -3.0)
 
 
 def test_the_first_edit_of_a_material_keeps_its_folder(tmp_path: Path) -> None:
     """And its controls, where the type of the material stays, also if the file had said it until then."""
     viewer = ls.view(ls.MeshInstance(ls.box(1.0)).mesh, height=90, device="cpu")
     viewer._loader.join()
-    session, inspector = viewer._session, viewer._things._inspector
+    session, inspector = viewer._session, viewer._outliner._inspector
     session.select(0)
     folder, controls, parts = inspector._material, dict(inspector._controls), list(inspector._parts)
     session.apply(lambda document: put_field(document, 0, "material.metallic", 1.0))
-    assert look_of(viewer.document.entry(0)) == "PBR"
+    assert shading_of(viewer.document.entry(0)) == "PBR"
     assert inspector._material is folder and inspector._controls == controls and inspector._parts == parts
     session.apply(lambda document: document.changed(0, material={"type": "simple"}))
     assert inspector._material is folder and inspector._parts == parts
@@ -640,8 +642,8 @@ def test_the_list_selects_hides_and_locks() -> None:
     """By what is clicked in it; what is locked is passed by, and not edited."""
     viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0), name="crate")]), height=90, device="cpu")
     viewer._loader.join()
-    session, things, problems, client = viewer._session, viewer._things, [], cast(Any, None)
-    session.errors.append(problems.append)
+    session, things, problems, client = viewer._session, viewer._outliner, [], cast(Any, None)
+    session.error_listeners.append(problems.append)
     things._channel._take(("select 0 1", client))
     assert session.selected == 0 and "lumi-row selected" in things._tree.content
     things._channel._take(("hide 0 2", client))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.scene_extent import Box, Extent, pose_of, scale_of
-from lumisplat.viewer.server.event_queue import in_turn
+from lumisplat.viewer.server.event_queue import queued_callback
 from lumisplat.viewer.session import Session
 from lumisplat.viewer.thresholds import DRAG_ENDS_S
 
@@ -29,13 +29,13 @@ _SIZE = 0.09
 
 
 @dataclass(frozen=True)
-class Grip:
+class GizmoPose:
     """Where a thing is held."""
 
-    world_from_grip: Matrix
+    world_from_gizmo: Matrix
     """Rotation and translation, shape (4, 4)."""
-    moves: bool = True
-    turns: bool = True
+    can_move: bool = True
+    can_rotate: bool = True
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Drag:
     """Of the animation, seconds."""
 
 
-def grip_of(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> Grip | None:
+def gizmo_pose(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> GizmoPose | None:
     """Where an entry is held: in the middle of what it shows, or where a light is; None: of a sky, or of nothing.
 
     Args:
@@ -60,17 +60,17 @@ def grip_of(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: floa
         time: Of the animation, seconds.
     """
     if entry.kind in ("lights", "environment"):
-        return _grip_of_light(entry.lights[0], extent)
+        return _light_gizmo_pose(entry.lights[0], extent)
     pose = pose_of(entry, time)
     if pose is None or box is None or (entry.kind == "actors" and "path" not in entry.table):
         return None
     grip = np.eye(4)
     grip[:3, :3] = pose[:3, :3] / scale_of(pose)
     grip[:3, 3] = pose[:3, :3] @ (0.5 * (box[0] + box[1])) + pose[:3, 3]
-    return Grip(grip)
+    return GizmoPose(grip)
 
 
-def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
+def _light_gizmo_pose(light: Any, extent: Extent) -> GizmoPose | None:
     grip = np.eye(4)
     match light:
         case ls.LightDirectional():
@@ -83,10 +83,12 @@ def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
                 grip[:3, :3] = _rotation_to(light.direction)
             elif light.aim_fields:
                 grip[:3, :3] = _rotation_of_edges(light.edge_u, light.edge_v)
-    return Grip(grip, turns=not isinstance(light, ls.LightDirectional) and bool(light.aim_fields))
+    return GizmoPose(grip, can_rotate=not isinstance(light, ls.LightDirectional) and bool(light.aim_fields))
 
 
-def moved(document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, time: float) -> ls.io.SceneDocument:
+def with_moved_entry(
+    document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, time: float
+) -> ls.io.SceneDocument:
     """The document with a capture, a mesh or an actor moved in the world, as it stands at a time, seconds.
 
     Raises:
@@ -98,7 +100,7 @@ def moved(document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, 
     return document.placed(entry.id, np.linalg.inv(motion) @ move @ motion @ np.asarray(entry.world_from_file))
 
 
-def dragged(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.io.SceneDocument:
+def with_dragged_entry(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.io.SceneDocument:
     """The document with an entry moved as its grip was; an actor that moves takes its way with it.
 
     Args:
@@ -114,7 +116,7 @@ def dragged(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Exte
     entry, number = drag.entry, drag.entry.id
     move = now @ np.linalg.inv(drag.start)
     if entry.kind not in ("lights", "environment"):
-        return moved(document, entry, move, drag.time)
+        return with_moved_entry(document, entry, move, drag.time)
     light: Any = entry.lights[0]
     if isinstance(light, ls.LightEnvironment):
         return document
@@ -162,7 +164,7 @@ class Gizmo:
         self._handle: viser.TransformControlsHandle | None = None
         self._handles = 0
         """How many there were."""
-        self._held: tuple[int, Grip] | None = None
+        self._attached: tuple[int, GizmoPose] | None = None
         """Id of the entry that it is on, and where."""
         self._drag: Drag | None = None
         self._dragged_at = 0.0
@@ -183,31 +185,35 @@ class Gizmo:
             entry, time_now = self._session.selected_entry, self._session.options.time
             grip = None
             if entry is not None and not entry.hidden and entry.id not in self._session.locked:
-                grip = grip_of(entry, self._session.boxes.of(entry, time_now), self._session.extent, time_now)
+                grip = gizmo_pose(entry, self._session.boxes.of(entry, time_now), self._session.extent, time_now)
             if entry is None or grip is None:
                 self._remove()
             else:
-                self._hold(entry, grip)
+                self._attach(entry, grip)
 
-    def _hold(self, entry: ls.io.SceneEntry, grip: Grip) -> None:
-        extent, matrix = self._session.extent, grip.world_from_grip
+    def _attach(self, entry: ls.io.SceneEntry, grip: GizmoPose) -> None:
+        extent, matrix = self._session.extent, grip.world_from_gizmo
         scale = extent.page_from_scene
         position, wxyz = scale * matrix[:3, 3], _wxyz(matrix[:3, :3])
-        if self._handle is None or self._held is None or (self._held[0], self._held[1].turns) != (entry.id, grip.turns):
+        if (
+            self._handle is None
+            or self._attached is None
+            or (self._attached[0], self._attached[1].can_rotate) != (entry.id, grip.can_rotate)
+        ):
             self._remove()
             self._handles += 1
             self._handle = self._api.add_transform_controls(
                 self.node,
-                scale=scale * max(_SIZE * extent.size, self._reach_of(entry)),
-                disable_rotations=not grip.turns,
+                scale=scale * max(_SIZE * extent.size, self._axis_length(entry)),
+                disable_rotations=not grip.can_rotate,
                 position=position,
                 wxyz=wxyz,
             )
-            callback: Any = in_turn(_move_of, self._on_update)
+            callback: Any = queued_callback(_drag_event_of, self._on_update)
             self._handle.on_update(callback)
-        elif not np.allclose(self._held[1].world_from_grip, matrix, atol=1e-9 * extent.size):
+        elif not np.allclose(self._attached[1].world_from_gizmo, matrix, atol=1e-9 * extent.size):
             self._handle.position, self._handle.wxyz = position, np.array(wxyz)
-        self._held = entry.id, grip
+        self._attached = entry.id, grip
 
     def _on_update(self, move: tuple[str, Matrix]) -> None:
         phase, place = move
@@ -221,7 +227,7 @@ class Gizmo:
     def _begin(self) -> None:
         """Starts a drag."""
         with self._session.changed:
-            self._session.seal()
+            self._session.end_merge()
             self._drag, self._dragged_at = self._new_drag(), time.monotonic()
 
     def _move(self, place: Matrix) -> None:
@@ -234,23 +240,23 @@ class Gizmo:
             self._dragged_at, extent, now = time.monotonic(), self._session.extent, place.copy()
             now[:3, 3] /= extent.page_from_scene
             name = f"drag {drag.entry.id}"
-            self._session.apply(lambda document: dragged(document, drag, now, extent), name, within=math.inf)
+            self._session.apply(lambda document: with_dragged_entry(document, drag, now, extent), name, within=math.inf)
 
     def _new_drag(self) -> Drag | None:
         """A drag of what is held, from where it is."""
         entry = self._session.selected_entry
-        if self._held is None or entry is None or entry.id != self._held[0]:
+        if self._attached is None or entry is None or entry.id != self._attached[0]:
             return None
-        return Drag(entry, self._held[1].world_from_grip, self._session.options.time)
+        return Drag(entry, self._attached[1].world_from_gizmo, self._session.options.time)
 
     def _end(self, place: Matrix) -> None:
         with self._session.changed:
             self._move(place)
             self._drag, self._dragged_at = None, 0.0
-            self._session.seal()
+            self._session.end_merge()
             self.follow()
 
-    def _reach_of(self, entry: ls.io.SceneEntry) -> float:
+    def _axis_length(self, entry: ls.io.SceneEntry) -> float:
         """Length at which axes come out of what an entry shows, scene units."""
         size = self._session.boxes.size(entry, self._session.options.time)
         return 0.0 if size is None else 0.6 * float(np.max(size))
@@ -258,10 +264,10 @@ class Gizmo:
     def _remove(self) -> None:
         if self._handle is not None:
             self._handle.remove()
-        self._handle = self._held = None
+        self._handle = self._attached = None
 
 
-def _move_of(event: viser.TransformControlsEvent) -> tuple[str, Matrix]:
+def _drag_event_of(event: viser.TransformControlsEvent) -> tuple[str, Matrix]:
     """The phase of a drag, and where the handle is, in units of the page."""
     from viser import transforms
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.frames.loop import RenderLoop
-from lumisplat.viewer.frames.page import Page, Shown
+from lumisplat.viewer.frames.page import Page, ScreenImage
 from lumisplat.viewer.frames.pose import ASPECT, FirstView, Pose
 from lumisplat.viewer.picking import select
 from lumisplat.viewer.scene_extent import Vector
@@ -50,7 +50,7 @@ class Orbit:
         offset = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
         distance = float(np.linalg.norm(offset))
         orbit = cls(_vector(target), _vector(offset / distance), distance, _vector(_unit(up)), fov_y)
-        return orbit.turned(0.0, 0.0)
+        return orbit.rotated(0.0, 0.0)
 
     @property
     def eye(self) -> Vector:
@@ -62,7 +62,7 @@ class Orbit:
         """Angle of the eye above the ground through the target, radians."""
         return math.asin(min(max(float(np.dot(self.backward, self.up)), -1.0), 1.0))
 
-    def turned(self, around: float, above: float) -> Orbit:
+    def rotated(self, around: float, above: float) -> Orbit:
         """Turned about its target.
 
         Args:
@@ -75,7 +75,7 @@ class Orbit:
         elevation = min(max(self.elevation + above, -ELEVATION_MAX), ELEVATION_MAX)
         return replace(self, backward=_vector(math.cos(elevation) * level + math.sin(elevation) * up))
 
-    def moved(self, across: float, down: float) -> Orbit:
+    def panned(self, across: float, down: float) -> Orbit:
         """Moved with what it looks at, so that the target goes with the pointer.
 
         Args:
@@ -145,7 +145,7 @@ class PointerControl:
         self._width, self._height = width, height
         self._at: tuple[float, float] | None = None
         """Where the pointer was last, while it is pressed."""
-        self._way = 0.0
+        self._path_length = 0.0
 
     @property
     def aspect(self) -> float:
@@ -162,12 +162,12 @@ class PointerControl:
             case "resize":
                 self._width, self._height = max(event["width"], 1.0), max(event["height"], 1.0)
             case "pointer_down":
-                self._at, self._way = (event["x"], event["y"]), 0.0
+                self._at, self._path_length = (event["x"], event["y"]), 0.0
             case "pointer_move" if self._at is not None:
                 self._drag(event)
             case "pointer_up" if self._at is not None:
                 self._at = None
-                if self._way <= _CLICK_PIXELS and event["button"] == _LEFT:
+                if self._path_length <= _CLICK_PIXELS and event["button"] == _LEFT:
                     return event["x"] / self._width, event["y"] / self._height
             case "wheel":
                 factor = math.exp(_ZOOM * event["dy"])
@@ -179,11 +179,11 @@ class PointerControl:
     def _drag(self, event: Mapping[str, Any]) -> None:
         assert self._at is not None
         across, down = event["x"] - self._at[0], event["y"] - self._at[1]
-        self._at, self._way = (event["x"], event["y"]), self._way + math.hypot(across, down)
+        self._at, self._path_length = (event["x"], event["y"]), self._path_length + math.hypot(across, down)
         if event["button"] != _LEFT or "Shift" in event["modifiers"]:
-            self.orbit = self.orbit.moved(across / self._height, down / self._height)
+            self.orbit = self.orbit.panned(across / self._height, down / self._height)
         else:
-            self.orbit = self.orbit.turned(-_TURN * across / self._height, _TURN * down / self._height)
+            self.orbit = self.orbit.rotated(-_TURN * across / self._height, _TURN * down / self._height)
 
 
 _log = logging.getLogger("lumisplat")
@@ -236,7 +236,7 @@ class Notebook:
         about: dict[str, Any] = {}
         cell = self._live(orbit) if is_wanted(_WIDGET) else None
         frame: ls.Frame | None = None
-        if any(map(is_wanted, ("image/png", "image/jpeg"))) and has_pictures():
+        if any(map(is_wanted, ("image/png", "image/jpeg"))) and can_show_images():
             frame = self._picture(orbit) if cell is None else self._first_frame(cell.page, samples_s=0.0)
         if frame is not None:
             data, about = frame._repr_mimebundle_(include, exclude)  # pyright: ignore[reportPrivateUsage]
@@ -253,7 +253,7 @@ class Notebook:
 
     def _live(self, orbit: Orbit) -> Cell | None:
         """The cell with live frames; None: nobody would see them, or a package is missing, which is told once."""
-        if not has_people():
+        if not has_interactive_user():
             return None
         if self._cell is None or not self._cell.page.is_open:
             try:
@@ -267,8 +267,8 @@ class Notebook:
 
     def _picture(self, orbit: Orbit) -> ls.Frame | None:
         """A frame of the scene; None: it cannot be rendered, or not soon."""
-        page = Page(_Nowhere(), self._session.changed)
-        page.look(orbit.pose(ASPECT))
+        page = Page(_NullScreen(), self._session.changed)
+        page.set_pose(orbit.pose(ASPECT))
         self._loop.add(page)
         try:
             return self._first_frame(page, _SAMPLES_S)
@@ -288,10 +288,10 @@ class Notebook:
             changed.wait_for(holds, seconds)
 
 
-class _Nowhere:
+class _NullScreen:
     """A screen that nobody looks at: the page's frame is what is wanted."""
 
-    def show(self, shown: Shown) -> None:
+    def show(self, shown: ScreenImage) -> None:
         """Is done at once."""
 
     def close(self) -> None:
@@ -328,7 +328,7 @@ class Cell:
         """What the notebook shows."""
         self.page = Page(CellScreen(self.buffer), session.changed)
         self.notify("")
-        session.errors.append(self.notify)
+        session.error_listeners.append(self.notify)
         self._look()
         loop.add(self.page)
 
@@ -341,7 +341,7 @@ class Cell:
         """Ends the frames; the last one stays in the notebook."""
         if not self.page.is_open:
             return
-        self._session.errors.remove(self.notify)
+        self._session.error_listeners.remove(self.notify)
         self._loop.remove(self.page)
         self.notify("closed")
 
@@ -350,9 +350,9 @@ class Cell:
             case "close":
                 self.close()
             case "hide":
-                self.page.look(None)
+                self.page.set_pose(None)
             case "show":  # or shown anew, by a browser that has nothing yet
-                self.page.look(None)
+                self.page.set_pose(None)
                 self._look()
             case _:
                 self._on_pointer(event)
@@ -366,7 +366,7 @@ class Cell:
         self.notify("" if seen is None else f"{seen[0]}: {seen[1]}")
 
     def _look(self) -> None:
-        self.page.look(self._pointer.orbit.pose(self._pointer.aspect))
+        self.page.set_pose(self._pointer.orbit.pose(self._pointer.aspect))
 
 
 def import_widgets() -> tuple[Any, Any]:
@@ -418,7 +418,7 @@ class CellScreen:
         self._is_there = threading.Event()
         buffer.observe(self._on_answer, names="_frame_feedback")
 
-    def show(self, shown: Shown) -> None:
+    def show(self, shown: ScreenImage) -> None:
         """Sends a picture, and waits until it is drawn."""
         self._is_there.clear()
         self._sent += 1
@@ -435,7 +435,7 @@ class CellScreen:
             self._is_there.set()
 
 
-def has_people() -> bool:
+def has_interactive_user() -> bool:
     """Whether somebody can look at a widget: nbconvert and others that run notebooks have a kernel, but no keyboard."""
     kernel = getattr(_shell(), "kernel", None)
     if kernel is None:
@@ -443,7 +443,7 @@ def has_people() -> bool:
     return bool(kernel.get_parent("shell").get("content", {}).get("allow_stdin", False))
 
 
-def has_pictures() -> bool:
+def can_show_images() -> bool:
     """Whether pictures can be shown, which a terminal cannot; whoever asks without a shell can."""
     shell = _shell()
     return shell is None or "image/png" in shell.display_formatter.active_types

@@ -28,7 +28,7 @@ _INSET_GAP = 8
 _INSET_FRAME = (110, 110, 110)
 
 
-def decorated(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
+def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
     """A picture with what the options of the session ask for."""
     with session.changed:
         options = session.options
@@ -89,7 +89,7 @@ Points = npt.NDArray[np.float64]
 _CIRCLE = 48
 _PIECES = 24
 """Parts of a straight line that are seen or hidden each by itself."""
-_HIDDEN = 0.3
+_HIDDEN_STRENGTH = 0.3
 """Strength of lines behind what is in the frame."""
 _FARTHEST_PX = 1e5
 """Lines that end farther outside of the picture are left out."""
@@ -119,13 +119,15 @@ def light_outline(light: Any, size: float, *, is_selected: bool) -> Outline | No
         case ls.LightDirectional() | ls.LightEnvironment():
             return None
         case ls.LightSpot():
-            lines = _ball(light.position, light.radius or 0.35 * size) + (_cone(light, size) if is_selected else ())
+            lines = _wire_sphere(light.position, light.radius or 0.35 * size) + (
+                _cone_lines(light, size) if is_selected else ()
+            )
         case ls.LightPoint() | ls.LightSphere():
-            lines = _ball(light.position, light.radius or 0.5 * size)
+            lines = _wire_sphere(light.position, light.radius or 0.5 * size)
             if is_selected and isinstance(light, ls.LightPoint) and math.isfinite(light.range):
-                lines += _ball(light.position, light.range)
+                lines += _wire_sphere(light.position, light.range)
         case _:
-            lines = _flat(light)
+            lines = _area_light_lines(light)
     return Outline(lines, color)
 
 
@@ -141,12 +143,12 @@ def sun_outline(light: ls.LightDirectional, center: npt.ArrayLike, radius: float
     middle, vertical, towards = np.asarray(center, np.float64), np.asarray(up, np.float64), -np.array(light.direction)
     level = towards - (towards @ vertical) * vertical
     length = float(np.linalg.norm(level))
-    level = level / length if length > 1e-6 else _frame_about(vertical)[0]
+    level = level / length if length > 1e-6 else _perpendicular_axes(vertical)[0]
     angles = np.linspace(0.0, math.pi, _CIRCLE + 1)[:, None]
     arc = middle + radius * (np.cos(angles) * level + np.sin(angles) * vertical)
     sun = middle + radius * towards
-    ray = _straight(sun, middle)
-    lines = (_circle(middle, radius, vertical), arc, ray, *_ball(sun, 0.05 * radius))
+    ray = _line_points(sun, middle)
+    lines = (_circle(middle, radius, vertical), arc, ray, *_wire_sphere(sun, 0.05 * radius))
     return Outline(lines, _SELECTED)
 
 
@@ -157,15 +159,15 @@ def points_outline(points: Sequence[npt.ArrayLike], size: float) -> Outline:
         points: World positions.
         size: Radius of the marks, scene units.
     """
-    marks = [circle for point in points for circle in _ball(point, size)]
-    return Outline((*marks, *(_straight(a, b) for a, b in itertools.pairwise(points))), _SELECTED)
+    marks = [circle for point in points for circle in _wire_sphere(point, size)]
+    return Outline((*marks, *(_line_points(a, b) for a, b in itertools.pairwise(points))), _SELECTED)
 
 
 def box_outline(corners: npt.ArrayLike) -> Outline:
     """The edges of a box, by its corners as `world_corners` has them, shape (8, 3)."""
     at = np.asarray(corners, np.float64)
     pairs = [(a, a | 1 << axis) for a in range(8) for axis in range(3) if not a >> axis & 1]
-    return Outline(tuple(_straight(at[a], at[b]) for a, b in pairs), _SELECTED)
+    return Outline(tuple(_line_points(at[a], at[b]) for a, b in pairs), _SELECTED)
 
 
 def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outline:
@@ -178,10 +180,10 @@ def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outli
     """
     step = 10.0 ** math.floor(math.log10(size / 4.0))
     count = round(0.5 * size / step)
-    u, v = _frame_about(up)
+    u, v = _perpendicular_axes(up)
     middle, reach = np.asarray(center, np.float64), count * step
     lines = [
-        _straight(middle + offset * step * a - reach * b, middle + offset * step * a + reach * b, 4 * _PIECES)
+        _line_points(middle + offset * step * a - reach * b, middle + offset * step * a + reach * b, 4 * _PIECES)
         for a, b in ((u, v), (v, u))
         for offset in range(-count, count + 1)
     ]
@@ -198,29 +200,29 @@ def draw_outlines(
     for outline in outlines:
         mask = Image.new("L", image.size)  # lines that cross, or meet, are no stronger there
         draw = ImageDraw.Draw(mask)
-        hidden, seen = (scale * pieces for pieces in _pieces(frame, outline.lines))
-        for strength, pieces in ((_HIDDEN, hidden), (1.0, seen)):
+        hidden, seen = (scale * pieces for pieces in _split_by_visibility(frame, outline.lines))
+        for strength, pieces in ((_HIDDEN_STRENGTH, hidden), (1.0, seen)):
             for ends in pieces.tolist():
                 draw.line(ends, fill=round(255 * strength))
         image.paste(outline.color, mask=mask)
     return np.asarray(image)
 
 
-def _pieces(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Points, Points]:
+def _split_by_visibility(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Points, Points]:
     """The parts of lines in the picture that are hidden and those that are seen: their ends, pixels, shape (N, 4)."""
     camera, points = frame.camera, np.concatenate(lines)
     local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     depth = np.maximum(local[:, 2], camera.near)
     pixels = local[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     is_drawn = (local[:, 2] > camera.near) & (np.abs(pixels).max(axis=1) < _FARTHEST_PX)
-    is_seen = _is_seen(frame, pixels, np.linalg.norm(local, axis=1))
+    is_seen = _is_visible(frame, pixels, np.linalg.norm(local, axis=1))
     joined = is_drawn[:-1] & is_drawn[1:]
     joined[np.cumsum([len(line) for line in lines])[:-1] - 1] = False  # one line ends, and the next one begins
     seen, ends = is_seen[:-1] & is_seen[1:], np.hstack([pixels[:-1], pixels[1:]])
     return ends[joined & ~seen], ends[joined & seen]
 
 
-def _is_seen(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
+def _is_visible(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
     """Whether nothing in the frame is nearer to the eye than points."""
     height, width = frame.alpha.shape
     x = np.clip(pixels[:, 0], 0, width - 1).astype(int)
@@ -228,17 +230,17 @@ def _is_seen(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[
     return distances <= frame.depth[y, x]
 
 
-def _straight(start: npt.ArrayLike, end: npt.ArrayLike, pieces: int = _PIECES) -> Points:
+def _line_points(start: npt.ArrayLike, end: npt.ArrayLike, pieces: int = _PIECES) -> Points:
     return np.linspace(np.asarray(start, np.float64), np.asarray(end, np.float64), pieces + 1)
 
 
 def _circle(center: npt.ArrayLike, radius: float, axis: npt.ArrayLike) -> Points:
-    u, v = _frame_about(axis)
+    u, v = _perpendicular_axes(axis)
     angles = np.linspace(0.0, 2.0 * math.pi, _CIRCLE + 1)[:, None]
     return np.asarray(center) + radius * (np.cos(angles) * u + np.sin(angles) * v)
 
 
-def _frame_about(axis: npt.ArrayLike) -> tuple[Points, Points]:
+def _perpendicular_axes(axis: npt.ArrayLike) -> tuple[Points, Points]:
     """Two unit vectors at right angles to an axis and to each other."""
     along = np.asarray(axis, np.float64)
     along = along / np.linalg.norm(along)
@@ -253,11 +255,11 @@ _UNIT_CIRCLES = tuple(_circle(np.zeros(3), 1.0, axis) for axis in np.eye(3))
 """About each axis."""
 
 
-def _ball(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
+def _wire_sphere(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
     return tuple(np.asarray(center) + radius * circle for circle in _UNIT_CIRCLES)
 
 
-def _cone(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
+def _cone_lines(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
     """To the end of a spot's range, or a few sizes: its outer cone, and a circle of its inner one."""
     length = light.range if math.isfinite(light.range) else 6.0 * size
     position, along = np.array(light.position), np.array(light.direction)
@@ -266,17 +268,17 @@ def _cone(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
         if angle > 0.0:
             reach = length * math.cos(angle)
             lines.append(_circle(position + reach * along, length * math.sin(angle), along))
-    u, v = _frame_about(along)
+    u, v = _perpendicular_axes(along)
     for side in (u, -u, v, -v):
         edge = math.cos(light.outer_angle) * along + math.sin(light.outer_angle) * side
-        lines.append(_straight(position, position + length * edge))
+        lines.append(_line_points(position, position + length * edge))
     return tuple(lines)
 
 
-def _flat(light: Any) -> tuple[Points, ...]:
+def _area_light_lines(light: Any) -> tuple[Points, ...]:
     """The boundary of a light in a plane, and where it shines."""
     corners, normal, center = light.boundary(), light.area_vector, np.array(light.position)
     normal = 0.25 * normal / math.sqrt(np.linalg.norm(normal))
     pieces = max(1, 4 * _PIECES // len(corners))
-    sides = (_straight(a, b, pieces) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True))
-    return (*sides, _straight(center, center + normal))
+    sides = (_line_points(a, b, pieces) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True))
+    return (*sides, _line_points(center, center + normal))

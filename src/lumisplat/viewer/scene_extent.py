@@ -77,11 +77,11 @@ def pose_of(entry: ls.io.SceneEntry, time: float) -> Array | None:
     return placed if actor is None or actor.motion is None else actor.motion.at(time) @ placed
 
 
-class Boxes:
+class BoxCache:
     """Boxes of entries."""
 
     def __init__(self) -> None:
-        self._held: dict[int, tuple[tuple[object, ...], Box]] = {}
+        self._cached: dict[int, tuple[tuple[object, ...], Box]] = {}
         """By entry: what was measured, and its box."""
 
     def of(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Box | None:
@@ -94,16 +94,16 @@ class Boxes:
         if pose is None or not instances:
             return None
         assets = tuple(i.gaussians if isinstance(i, ls.SplatInstance) else i.mesh for i in instances)
-        held = self._held.get(entry.id)
+        held = self._cached.get(entry.id)
         if held is None or len(held[0]) != len(assets) or any(a is not b for a, b in zip(held[0], assets, strict=True)):
-            held = assets, _measured(instances, np.asarray(np.linalg.inv(pose), np.float64))
-            self._held[entry.id] = held
+            held = assets, _bulk_box(instances, np.asarray(np.linalg.inv(pose), np.float64))
+            self._cached[entry.id] = held
         return held[1]
 
-    def keep(self, document: ls.io.SceneDocument) -> None:
+    def prune(self, document: ls.io.SceneDocument) -> None:
         """Forgets the boxes, and so the assets, of entries that a document does not have."""
         present = {entry.id for entry in document.entries}
-        self._held = {number: held for number, held in self._held.items() if number in present}
+        self._cached = {number: held for number, held in self._cached.items() if number in present}
 
     def size(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Array | None:
         """Lengths of an entry's box along its own axes, as large as it stands in the scene, shape (3,)."""
@@ -125,7 +125,7 @@ def world_corners(box: Box, pose: Array) -> Array:
     return corners @ pose[:3, :3].T + pose[:3, 3]
 
 
-def _measured(instances: Sequence[ls.SplatInstance | ls.MeshInstance], file_from_world: Array) -> Box:
+def _bulk_box(instances: Sequence[ls.SplatInstance | ls.MeshInstance], file_from_world: Array) -> Box:
     """The box around the bulk of instances, in a file's coordinates."""
 
     def in_file(instance: Any) -> Any:

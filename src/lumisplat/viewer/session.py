@@ -12,21 +12,21 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.scene_extent import Boxes, Extent
+from lumisplat.viewer.scene_extent import BoxCache, Extent
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_BYTES_MAX, UNDO_MAX
 from lumisplat.viewer.words import page_words
 
 _SORTED = "Projection unscented goes with strategy sorted alone."
 _ISO = "Projection unscented goes with surface iso alone."
 _UNSCENTED = "Unscented goes with the pipelines raster and hybrid, strategy sorted and surface iso alone."
-_BOUNCED = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy")
+_BOUNCE_VIEWS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy")
 """Views of light that pipelines have in which it bounces."""
-_OF_SEQUENCES = ("motion", "history", "probes", "cache", "cache_cells")
+_REALTIME_VIEWS = ("motion", "history", "probes", "cache", "cache_cells")
 """Views of what frames in real time keep for the next ones."""
-_OF_LIGHT = ("shadow", "emission", *_BOUNCED, *_OF_SEQUENCES)
+_LIT_VIEWS = ("shadow", "emission", *_BOUNCE_VIEWS, *_REALTIME_VIEWS)
 
 
-def shown_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
+def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
     """Returns what pages may show: ``color``, and those of `lumisplat.Frame.VIEWS` that such frames have.
 
     Args:
@@ -35,13 +35,13 @@ def shown_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
     """
     lacking: set[str] = set()
     if not lit:
-        lacking.update(_OF_LIGHT)
+        lacking.update(_LIT_VIEWS)
     elif not config.pipeline.bounces_light:
-        lacking.update(_BOUNCED)
+        lacking.update(_BOUNCE_VIEWS)
     if config.pipeline.is_sequence:
         lacking.add("shadow")
     else:
-        lacking.update(_OF_SEQUENCES)
+        lacking.update(_REALTIME_VIEWS)
     return ("color", *(view for view in ls.Frame.VIEWS if view not in lacking))
 
 
@@ -138,14 +138,14 @@ class Session:
         """Grows with every change of what frames show."""
         self.extent = Extent()
         """Of what was opened."""
-        self.boxes = Boxes()
+        self.boxes = BoxCache()
         """Around what entries show; read it with the lock held."""
         self._past: list[State] = []
         self._future: list[State] = []
         self._merging: str | None = None
         self._edited_at = 0.0
         self._listeners: list[Callable[[], None]] = []
-        self.errors: list[Callable[[str], None]] = []
+        self.error_listeners: list[Callable[[str], None]] = []
         """Told what went wrong, in a line."""
 
     def open(self, state: State) -> None:
@@ -161,7 +161,7 @@ class Session:
 
         Args:
             change: Makes it of the present one.
-            merge: Edits of the same name that follow each other soon are undone as one; `seal` ends such a row.
+            merge: Edits of the same name that follow each other soon are undone as one; `end_merge` ends such a row.
             within: How soon, seconds.
 
         Raises:
@@ -174,7 +174,7 @@ class Session:
         """Goes on to a state; the lock is held."""
         now = time.monotonic()
         if merge is None or merge != self._merging or now - self._edited_at > within:
-            self._past = within_memory([*self._past[-UNDO_MAX:], self.state], state)
+            self._past = limit_undo_memory([*self._past[-UNDO_MAX:], self.state], state)
         self._merging, self._edited_at = merge, now
         self._future.clear()
         self._show(state)
@@ -223,7 +223,7 @@ class Session:
         """
         self.edit(lambda state: replace(state, config=change(state.config)), merge)
 
-    def seal(self) -> None:
+    def end_merge(self) -> None:
         """The next edit is undone on its own."""
         with self.changed:
             self._merging = None
@@ -255,7 +255,7 @@ class Session:
     @property
     def views(self) -> tuple[str, ...]:
         """What pages may show of the frames of the present state."""
-        return shown_views(self.state.config, lit=self.is_lit)
+        return available_views(self.state.config, lit=self.is_lit)
 
     @property
     def selected_entry(self) -> ls.io.SceneEntry | None:
@@ -297,7 +297,7 @@ class Session:
 
     def report(self, problem: str) -> None:
         """Tells people what went wrong, in the words of the page."""
-        for notify in self.errors:
+        for notify in self.error_listeners:
             notify(page_words(problem))
 
     def _step(self, source: list[State], target: list[State]) -> bool:
@@ -314,7 +314,7 @@ class Session:
 
     def _show(self, state: State) -> None:
         if state.document is not self.state.document:
-            self.boxes.keep(state.document)
+            self.boxes.prune(state.document)
         before, self.state = self.state, state
         if before.document.top.get("up") != state.document.top.get("up"):
             self.extent = self.extent.with_ground(self.scene)
@@ -329,7 +329,7 @@ class Session:
             listener()
 
 
-def within_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX) -> list[State]:
+def limit_undo_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX) -> list[State]:
     """Returns the newest of the states that can be undone whose assets fit into memory.
 
     Args:

@@ -25,20 +25,20 @@ LEVEL_BLOCK = 2**15
 """Gaussians of a capture that are merged at a time, at most: a third of a second, between which views that move have
 the processor to themselves."""
 
-LEVEL_PATIENCE_S = 1.0
+LEVEL_DELAY_S = 1.0
 """How long levels wait for a view that moves before they begin, seconds: the first picture comes before them."""
 
-GAUSSIANS_AT_ONCE = 500_000
+MOVING_GAUSSIANS_MAX = 500_000
 """Gaussians of a view that moves until it is known how long it takes, at most. Scenes of more are thinned until their
 levels are there."""
 
 PIXEL_SCALES = (1.0, 0.71, 0.5, 0.35)
 """Width and height of frames while a view moves, as shares of those at rest."""
 
-PACE_HEADROOM = 0.75
+DETAIL_HEADROOM = 0.75
 """A finer step is tried where it is expected to take less than this share of the budget."""
 
-PACE_HOLD = 8
+DETAIL_HOLD_FRAMES = 8
 """Frames between two changes of the step, so that a view does not flicker between two of them."""
 
 SAMPLES_AT_REST = 1024
@@ -51,7 +51,7 @@ ANSWER_S = 0.5
 """How long a page that has never answered may take to say that a frame is there before the next one is sent, seconds:
 after that, it gets frames as they come."""
 
-PATIENCE_S = 5.0
+BUSY_ANSWER_S = 5.0
 """The same of a page that has answered before: it is busy, or hidden."""
 
 DEPTH_STRIDE = 4
@@ -60,10 +60,10 @@ DEPTH_STRIDE = 4
 NOISE_AT_REST = 0.005
 """Relative error at which a view at rest is finished, unless the settings say another."""
 
-QUALITY_MOVING = 80
+JPEG_QUALITY_MOVING = 80
 """Of the JPEGs of a view that moves, 1 to 95."""
 
-QUALITY_AT_REST = 95
+JPEG_QUALITY_AT_REST = 95
 """Of those of a view at rest."""
 
 UNDO_MAX = 200
@@ -81,7 +81,7 @@ BEFORE_SAMPLES = 16
 PLAY_STEPS_PER_S = 30.0
 """Times a second that an animation is moved on while it plays."""
 
-PACE_FORGETS = 0.995
+DETAIL_TIME_DECAY = 0.995
 """Factor by which a step that was too slow is taken to be quicker with every frame, until it is tried again."""
 
 HEIGHTS = (90, 2160)

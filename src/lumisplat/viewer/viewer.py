@@ -18,21 +18,21 @@ import numpy.typing as npt
 import lumisplat as ls
 from lumisplat.viewer.frames.loop import RenderLoop
 from lumisplat.viewer.frames.page import BrowserScreen, Page, Picture
-from lumisplat.viewer.frames.pose import ASPECT, FirstView, Pose, look_through
-from lumisplat.viewer.frames.shown_scenes import Progress
+from lumisplat.viewer.frames.pose import ASPECT, FirstView, Pose, move_page_to
+from lumisplat.viewer.frames.scene_builder import Progress
 from lumisplat.viewer.gizmo import Gizmo
 from lumisplat.viewer.notebook import Bundle, Notebook
-from lumisplat.viewer.overlays import decorated
-from lumisplat.viewer.panels.background_jobs import BackgroundJobs, JobContext, Studio
+from lumisplat.viewer.overlays import with_overlays
+from lumisplat.viewer.panels.background_jobs import BackgroundJobs, JobContext, StillRenderer
 from lumisplat.viewer.panels.buttons import add_buttons
-from lumisplat.viewer.panels.files import FilesPanel, PicturesPanel
+from lumisplat.viewer.panels.files import FilesPanel, ImagesPanel
 from lumisplat.viewer.panels.outliner import Outliner
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import QUIET_LOG, Notifications, StatusPanel
 from lumisplat.viewer.panels.video import VideoPanel
 from lumisplat.viewer.panels.viewing import Timeline, ViewPanel, Viewpoints
 from lumisplat.viewer.picking import select
-from lumisplat.viewer.server.event_queue import pressed
+from lumisplat.viewer.server.event_queue import press_callback
 from lumisplat.viewer.server.page_server import PageServer
 from lumisplat.viewer.session import Options, Session, State
 from lumisplat.viewer.thresholds import INTERRUPT_S
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("lumisplat")
 
-_STEEP = 0.94
+_STEEP_COSINE = 0.94
 """Cosine of the angle between a line of sight and the vertical, about 20 degrees, below which no picture is upright."""
 
 Load = Callable[[Progress], State]
@@ -67,7 +67,7 @@ class Viewer:
 
     def __init__(self, load: Load, *, host: str, port: int, device: str, options: Options) -> None:
         self._server = PageServer(host, port)
-        threading.Thread(target=_import_ahead, name="lumisplat imports", daemon=True).start()
+        threading.Thread(target=_preload_renderer, name="lumisplat imports", daemon=True).start()
         self._viser = self._server.viser
         self._session = Session(options)
         self._pages: dict[int, Page] = {}
@@ -84,14 +84,14 @@ class Viewer:
             device,
             self._status.progress,
             on_frame=self._status.frame,
-            decorate=self._decorated,
+            overlay=self._with_overlays,
             on_levels=self._status.levels,
         )
         self._notebook = Notebook(self._session, self._loop, self.url)
         self._build_panels(device)
         self._gizmo = Gizmo(self._viser.scene, self._session)
-        self._session.errors.append(self._notifications.problem)
-        self._session.on_change(self._follow_up)
+        self._session.error_listeners.append(self._notifications.problem)
+        self._session.on_change(self._update_up)
         self._viser.on_client_connect(self._open_page)
         self._viser.on_client_disconnect(self._close_page)
         self._loader = threading.Thread(target=self._load, args=(load,), name="lumisplat loading", daemon=True)
@@ -169,14 +169,18 @@ class Viewer:
     def _build_panels(self, device: str) -> None:
         gui = self._viser.gui
         gui.set_panel_label("Lumisplat")
-        studio = Studio(self._loop.scenes, device, self._loop.is_wanted)
+        still_renderer = StillRenderer(self._loop.scenes, device, self._loop.must_yield)
         context = JobContext(
-            self._session, self._pages, BackgroundJobs(gui, self._loop.do), studio, self._loop.thumbnail
+            self._session,
+            self._pages,
+            BackgroundJobs(gui, self._loop.run_in_background),
+            still_renderer,
+            self._loop.thumbnail,
         )
         add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Scene"):
-            self._things = Outliner(gui, self._session, self._pages, self._notifications.notify)
+            self._outliner = Outliner(gui, self._session, self._pages, self._notifications.notify)
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
@@ -190,32 +194,32 @@ class Viewer:
         with tabs.add_tab("Save"):
             self._files = FilesPanel(gui, self._notifications, self._session, self._pages)
             with gui.add_folder("images"):
-                PicturesPanel(gui, context)
+                ImagesPanel(gui, context)
         self._add_keys()
 
     def _add_keys(self) -> None:
         """Commands of the palette, with their keys."""
         add = self._viser.gui.add_command
-        add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(pressed(lambda _: self._step("undo")))
-        add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(pressed(lambda _: self._step("redo")))
-        add("Save the scene", hotkey="S", modifier="cmd/ctrl").on_trigger(pressed(lambda _: self._save()))
-        add("Hide what is selected", hotkey="H").on_trigger(pressed(self._actor("hide")))
-        add("Delete what is selected", hotkey="X").on_trigger(pressed(self._actor("delete")))
-        add("Stand what is selected on the ground", hotkey="G").on_trigger(pressed(self._actor("to the ground")))
-        add("Level: fit the ground").on_trigger(pressed(lambda _: self._things.level.fit()))
-        add("Duplicate what is selected", hotkey="C").on_trigger(pressed(self._actor("duplicate")))
-        add("Look at all of it", hotkey="F").on_trigger(pressed(self._viewpoints.look_at_all))
+        add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(press_callback(lambda _: self._step("undo")))
+        add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(press_callback(lambda _: self._step("redo")))
+        add("Save the scene", hotkey="S", modifier="cmd/ctrl").on_trigger(press_callback(lambda _: self._save()))
+        add("Hide what is selected", hotkey="H").on_trigger(press_callback(self._actor("hide")))
+        add("Delete what is selected", hotkey="X").on_trigger(press_callback(self._actor("delete")))
+        add("Stand what is selected on the ground", hotkey="G").on_trigger(press_callback(self._actor("to the ground")))
+        add("Level: fit the ground").on_trigger(press_callback(lambda _: self._outliner.level.fit()))
+        add("Duplicate what is selected", hotkey="C").on_trigger(press_callback(self._actor("duplicate")))
+        add("Look at all of it", hotkey="F").on_trigger(press_callback(self._viewpoints.look_at_all))
         add("Look at what is selected", hotkey="F", modifier="shift").on_trigger(
-            pressed(self._viewpoints.look_at_selected)
+            press_callback(self._viewpoints.look_at_selected)
         )
-        add("Play, or stop", hotkey="P").on_trigger(pressed(lambda _: self._timeline.toggle()))
+        add("Play, or stop", hotkey="P").on_trigger(press_callback(lambda _: self._timeline.toggle()))
 
     def _add_theme(self) -> None:
         dark = self._viser.gui.add_checkbox("dark page", True)
         dark.on_update(lambda _: self._server.set_theme(dark=bool(dark.value)))
 
     def _actor(self, action: str) -> Callable[[Any], None]:
-        return lambda _: self._things.act(action)
+        return lambda _: self._outliner.act(action)
 
     def _save(self) -> None:
         self._files.save()
@@ -242,10 +246,10 @@ class Viewer:
             LumisplatError: Its cameras, or how it moves, are wrong.
         """
         _ = state.document.animation, state.document.cameras
-        self._place_camera(state.document.scene())
+        self._set_first_view(state.document.scene())
         self._session.open(state)
         self._files.suggest(state.document)
-        self._things.list_files()
+        self._outliner.list_files()
         for client in self._viser.get_clients().values():
             self._look(client)
         for problem in state.document.problems:
@@ -253,7 +257,7 @@ class Viewer:
             self._session.report(problem)
         self._loop.start()
 
-    def _place_camera(self, scene: ls.Scene) -> None:
+    def _set_first_view(self, scene: ls.Scene) -> None:
         """Where pages look from at first: at all of the scene, from the front; those that have moved stay, upright."""
         up = scene.up_direction
         self._viser.scene.set_up_direction(up)
@@ -261,53 +265,53 @@ class Viewer:
             return
         initial, before = self._viser.initial_camera, self._viser.initial_camera.position
         clients = list(self._viser.get_clients().values())
-        waiting = [client for client in clients if _is_at(client, before) or self._is_unmoved(client)]
+        waiting = [client for client in clients if _is_at(client, before) or self._is_at_first_view(client)]
         self._first_view = FirstView.of(scene)
         position, target = self._first_view.at(ASPECT)
         initial.fov, initial.up = self._first_view.fov_y, up
         initial.position, initial.look_at = position, target
         for client in clients:
             if client in waiting or _looks_along(client, up):
-                self._stand_back(client)
+                self._fit_scene(client)
             else:
                 client.camera.up_direction = up
                 self._look(client)
 
-    def _follow_up(self) -> None:
+    def _update_up(self) -> None:
         """Turns pages upright when another way is up."""
         scene = self._session.scene
         if (scene.splats or scene.meshes) and scene.up_direction != self._first_view.up:
-            self._place_camera(scene)
+            self._set_first_view(scene)
 
-    def _is_unmoved(self, client: viser.ClientHandle) -> bool:
+    def _is_at_first_view(self, client: viser.ClientHandle) -> bool:
         """Whether nobody has moved a page from where it was put."""
         page = self._pages.get(client.client_id)
-        return page is not None and page.pose is not None and self._stands_back(page, page.pose)
+        return page is not None and page.pose is not None and self._fits_scene(page, page.pose)
 
-    def _stand_back(self, client: viser.ClientHandle) -> None:
+    def _fit_scene(self, client: viser.ClientHandle) -> None:
         """Moves a page so that it sees all of the scene, however narrow it is."""
         aspect = min(client.camera.aspect, ASPECT)
         position, target = self._first_view.at(aspect)
         if (page := self._pages.get(client.client_id)) is not None:
-            page.framed.add(aspect)
+            page.fitted_aspects.add(aspect)
         client.camera.up_direction, client.camera.fov = self._first_view.up, self._first_view.fov_y
         client.camera.position = position  # first, for it takes along what is looked at
         client.camera.look_at = target
         self._look(client)  # no frame of where it was, while it answers
 
-    def _stands_back(self, page: Page, pose: Pose) -> bool:
+    def _fits_scene(self, page: Page, pose: Pose) -> bool:
         """Whether a page looks from where it was put, so that all of the scene fits into it, and nobody has moved."""
         at = self._session.extent.page_from_scene * np.array(pose.position)
-        places = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.framed)]
+        places = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.fitted_aspects)]
         return any(np.linalg.norm(at - place) < 1e-3 * np.linalg.norm(place) for place in places)
 
     def _fly(self, camera: ls.Camera) -> None:
         """Moves all pages to a camera."""
         for client in self._viser.get_clients().values():
-            look_through(client, camera, self._session.extent.page_from_scene, self._session.scene.up_direction)
+            move_page_to(client, camera, self._session.extent.page_from_scene, self._session.scene.up_direction)
 
-    def _decorated(self, picture: Picture, frame: ls.Frame) -> Picture:
-        return decorated(picture, frame, self._session)
+    def _with_overlays(self, picture: Picture, frame: ls.Frame) -> Picture:
+        return with_overlays(picture, frame, self._session)
 
     # --- Pages ---
 
@@ -317,7 +321,7 @@ class Viewer:
         self._status.open(page, client.gui)
         self._notifications.open(client)
         if client.camera.aspect < ASPECT and _is_at(client, self._viser.initial_camera.position):
-            self._stand_back(client)
+            self._fit_scene(client)
         client.camera.on_update(lambda _: self._look(client))
         client.scene.on_click()(lambda event: self._pick(page, event))
         self._look(client)
@@ -328,9 +332,9 @@ class Viewer:
         page = self._pages.get(client.client_id)
         if page is not None:
             before, now = page.pose, Pose.of(client.camera, self._session.extent.page_from_scene)
-            page.look(now)
-            if before is not None and before.aspect != now.aspect and self._stands_back(page, now):
-                self._stand_back(client)
+            page.set_pose(now)
+            if before is not None and before.aspect != now.aspect and self._fits_scene(page, now):
+                self._fit_scene(client)
 
     def _close_page(self, client: viser.ClientHandle) -> None:
         page = self._pages.pop(client.client_id, None)
@@ -343,14 +347,14 @@ class Viewer:
         if page.frame is None:
             return
         across, down = (float(share) for share in event.screen_pos)
-        if self._things.level.take(page.frame, across, down):
+        if self._outliner.level.take(page.frame, across, down):
             return
         seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
         if seen is not None:
             self._notifications.notify(*seen)
 
 
-def _import_ahead() -> None:
+def _preload_renderer() -> None:
     """Imports what renders, while the page is made and the files are read: both take half a second."""
     _ = ls.create_renderer
 
@@ -358,7 +362,7 @@ def _import_ahead() -> None:
 def _looks_along(client: viser.ClientHandle, up: tuple[float, float, float]) -> bool:
     """Whether a page looks nearly straight up or down, so that it cannot be turned upright where it is."""
     sight = np.asarray(client.camera.look_at) - np.asarray(client.camera.position)
-    return bool(abs(sight @ np.array(up)) > _STEEP * np.linalg.norm(sight))
+    return bool(abs(sight @ np.array(up)) > _STEEP_COSINE * np.linalg.norm(sight))
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:

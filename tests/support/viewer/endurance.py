@@ -238,7 +238,7 @@ class Editor:
         number, entry_state = selected
         name = "intensity" if entry_state.is_light else "material.roughness"
         value = round(self._random.uniform(0.1, 0.9), 3)
-        control = self._viewer._things._inspector._controls[name]
+        control = self._viewer._outliner._inspector._controls[name]
         is_new = value != control._shown
         page.send("GuiUpdateMessage", uuid=control.handle._impl.uuid, updates={"value": value})
         if is_new:
@@ -382,7 +382,7 @@ def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Rep
     logging.getLogger().addHandler(faults)
     viewer = ls.view(scene_in(folder), height=HEIGHT, device=device)
     viewer._loader.join()
-    viewer._session.errors.append(faults.lines.append)
+    viewer._session.error_listeners.append(faults.lines.append)
     editor = Editor(viewer, seed)
     try:
         for page in editor.pages:

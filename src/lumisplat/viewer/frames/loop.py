@@ -15,26 +15,26 @@ from dataclasses import dataclass, replace
 
 import lumisplat as ls
 from lumisplat.viewer.frames.page import (
-    BY_GAUSSIANS,
-    BY_PIXELS,
-    Pace,
+    GAUSSIAN_STEPS,
+    PIXEL_STEPS,
+    DetailController,
+    DetailStep,
     Page,
     Picture,
-    Shown,
-    Step,
+    ScreenImage,
     first_step,
+    frame_image,
     page_depth,
-    picture_of,
-    split_picture,
+    split_image,
 )
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.frames.shown_scenes import Levels, Progress, ShownScenes
+from lumisplat.viewer.frames.scene_builder import Levels, Progress, SceneBuilder
 from lumisplat.viewer.session import Options, Session, State
 from lumisplat.viewer.thresholds import (
     BEFORE_SAMPLES,
+    JPEG_QUALITY_AT_REST,
+    JPEG_QUALITY_MOVING,
     NOISE_AT_REST,
-    QUALITY_AT_REST,
-    QUALITY_MOVING,
     REALTIME_FRAMES_AT_REST,
     SAMPLES_AT_REST,
     SETTLED_S,
@@ -70,7 +70,7 @@ class Renderers:
     def __init__(self, device: str, progress: Progress) -> None:
         self._device, self._progress = device, progress
         self._held: dict[Hashable, ls.Renderer] = {}
-        _noise_log.addFilter(self._is_news)
+        _noise_log.addFilter(self._is_from_other_thread)
 
     def of(self, use: Hashable, config: ls.RenderConfig) -> ls.Renderer:
         """Returns the renderer of a use, with these settings; the scene stays on its device when they change.
@@ -94,9 +94,9 @@ class Renderers:
     def close(self) -> None:
         """Forgets all of them."""
         self._held.clear()
-        _noise_log.removeFilter(self._is_news)
+        _noise_log.removeFilter(self._is_from_other_thread)
 
-    def keep(self, uses: Collection[Hashable]) -> None:
+    def retain_only(self, uses: Collection[Hashable]) -> None:
         """Frees the renderers of all other uses."""
         if gone := self._held.keys() - set(uses):
             for use in gone:
@@ -107,7 +107,7 @@ class Renderers:
         """Frees the renderer of a use."""
         self._held.pop(use, None)
 
-    def _is_news(self, record: logging.LogRecord) -> bool:
+    def _is_from_other_thread(self, record: logging.LogRecord) -> bool:
         """Whether a line about grain is worth a log: that the first of many samples is grainy is not."""
         return record.threadName != THREAD
 
@@ -147,7 +147,7 @@ class RenderLoop:
         device: Where to render.
         progress: Told when kernels are compiled.
         on_frame: Called after each frame with its page, its step, None at rest, and its milliseconds.
-        decorate: Draws on pictures, such as lines that show where lights are.
+        overlay: Draws on pictures, such as lines that show where lights are.
         on_levels: Told how much is done of the levels of a capture, 0..1.
     """
 
@@ -157,18 +157,18 @@ class RenderLoop:
         device: str,
         progress: Progress,
         *,
-        on_frame: Callable[[Page, Step | None, float], None],
-        decorate: Callable[[Picture, ls.Frame], Picture],
+        on_frame: Callable[[Page, DetailStep | None, float], None],
+        overlay: Callable[[Picture, ls.Frame], Picture],
         on_levels: Callable[[float], None],
     ) -> None:
-        self._session, self._on_frame, self._decorate = session, on_frame, decorate
+        self._session, self._on_frame, self._overlay = session, on_frame, overlay
         self._renderers = Renderers(device, progress)
         self._moved_at = -math.inf
         """When a view that moves was drawn last, seconds of the monotonic clock."""
         self._levels = Levels(self._wake, on_levels, self._is_busy)
-        self.scenes = ShownScenes(self._levels, device, progress, session.report)
+        self.scenes = SceneBuilder(self._levels, device, progress, session.report)
         """Makes the scenes of frames; for the thread of the loop alone."""
-        self._scenes_before = ShownScenes(self._levels, device, progress, session.report)
+        self._scenes_before = SceneBuilder(self._levels, device, progress, session.report)
         self._pages: list[Page] = []
         self._background: deque[Generator[None]] = deque()
         self._background_waited = False
@@ -195,7 +195,7 @@ class RenderLoop:
             self._renderers.drop(page)
         page.close()
 
-    def do(self, steps: Generator[None]) -> None:
+    def run_in_background(self, steps: Generator[None]) -> None:
         """Does something long, such as a video: a step of it each time that no view moves, in turns with views at rest.
 
         Args:
@@ -220,12 +220,12 @@ class RenderLoop:
                 config = replace(config, pipeline=ls.Pipeline.HYBRID, samples=1)
             scene = self.scenes.of(state.document, config, self._session.options.time, 0, waits=False)
             frame = self._renderers.of(_AT_REST, config).render(scene, camera)
-            show(picture_of(frame, "color"))
+            show(frame_image(frame, "color"))
             yield
 
-        self.do(work())
+        self.run_in_background(work())
 
-    def is_wanted(self) -> bool:
+    def must_yield(self) -> bool:
         """Whether a long frame has to give way: a view moves, or the viewer is to end. Any thread may ask."""
         revision = self._session.revision
         pages = [page for page in list(self._pages) if page.pose is not None]
@@ -262,18 +262,18 @@ class RenderLoop:
                     self._session.changed.wait(self._time_to_rest())
                 if not self._is_open:
                     break
-                steps = self._background_turn(job)
+                steps = self._next_background_job(job)
             if steps is not None:
                 self._step(steps)
                 continue
             assert job is not None
-            self._renderers.keep(self._uses(job))
+            self._renderers.retain_only(self._uses(job))
             try:
                 if job.moves:
                     if not self._develop(job):
-                        self._draw_moving(job)
+                        self._render_moving(job)
                 else:
-                    self._draw_at_rest(job)
+                    self._render_at_rest(job)
             except ls.errors.StoppedError:  # it is drawn again when there is time
                 pass
             except Exception as error:  # a frame that fails must not end the session
@@ -281,7 +281,7 @@ class RenderLoop:
         for steps in self._background:
             steps.close()
 
-    def _background_turn(self, job: _Job | None) -> Generator[None] | None:
+    def _next_background_job(self, job: _Job | None) -> Generator[None] | None:
         """The errand whose turn it is; None: it is that of the job. The lock is held."""
         if not self._background or (job is not None and (job.moves or not self._background_waited)):
             self._background_waited = bool(self._background)
@@ -325,13 +325,13 @@ class RenderLoop:
             key = (self._session.revision, page.pose_number)
             if page.key != key:
                 if page.takes_frames:
-                    self._take_turn(page)
+                    self._move_to_back(page)
                     return self._job(page, key, moves=True)
             elif not page.is_finished and resting is None and now - page.changed_at >= SETTLED_S:
                 resting = page
         if resting is None:
             return None
-        self._take_turn(resting)
+        self._move_to_back(resting)
         return self._job(resting, (self._session.revision, resting.pose_number), moves=False)
 
     def _job(self, page: Page, key: tuple[int, int], *, moves: bool) -> _Job:
@@ -345,7 +345,7 @@ class RenderLoop:
         uses: list[Hashable] = [*self._pages] if in_sequence else [_MOVING, _AT_REST]
         return uses if job.options.split is None else [*uses, (_BEFORE, True), (_BEFORE, False)]
 
-    def _take_turn(self, page: Page) -> None:
+    def _move_to_back(self, page: Page) -> None:
         """Puts a page behind the others."""
         self._pages.remove(page)
         self._pages.append(page)
@@ -361,31 +361,38 @@ class RenderLoop:
         """Shows the frame that the page has with another tone map, exposure or view, if nothing else has changed."""
         page, state, options = job.page, job.state, job.options
         config = frame_config(state.config, options.view)
-        frame, content = page.frame, _content(job, config)
-        if frame is None or options.split is not None or page.content is None or not _is_same(page.content, content):
+        frame, content = page.frame, _frame_inputs(job, config)
+        if (
+            frame is None
+            or options.split is not None
+            or page.content is None
+            or not _has_same_inputs(page.content, content)
+        ):
             return False
         started = time.perf_counter()
         use = page if config.pipeline.is_sequence else _AT_REST if page.frames_at_rest else _MOVING
         renderer = self._renderers.of(use, config)
         frame = renderer.develop(frame, state.exposure, encode=options.view == "color")
-        shown = Shown(self._picture(job, frame, level=0), QUALITY_AT_REST if page.frames_at_rest else QUALITY_MOVING)
+        shown = ScreenImage(
+            self._picture(job, frame, level=0), JPEG_QUALITY_AT_REST if page.frames_at_rest else JPEG_QUALITY_MOVING
+        )
         with self._session.changed:
             page.key, page.frame = job.key, frame
         page.show(shown)
-        self._on_frame(page, None if page.frames_at_rest else page.pace.step, 1e3 * (time.perf_counter() - started))
+        self._on_frame(page, None if page.frames_at_rest else page.detail.step, 1e3 * (time.perf_counter() - started))
         return True
 
-    def _draw_moving(self, job: _Job) -> None:
+    def _render_moving(self, job: _Job) -> None:
         """A frame of a view that has changed, as fine as the budget allows."""
         page, state, options = job.page, job.state, job.options
         self._moved_at = time.monotonic()
         follows = state.config.pipeline.bounces_light  # its time goes with the pixels
-        steps = BY_PIXELS if follows else BY_GAUSSIANS
-        if page.pace.steps is not steps:
-            page.pace = Pace(steps, first=len(steps) - 2)
+        steps = PIXEL_STEPS if follows else GAUSSIAN_STEPS
+        if page.detail.steps is not steps:
+            page.detail = DetailController(steps, first=len(steps) - 2)
         elif page.key is None and not follows:
-            page.pace = Pace(first=first_step(state.document.scene(options.time).gaussian_count))
-        step, started = page.pace.step, time.perf_counter()
+            page.detail = DetailController(first=first_step(state.document.scene(options.time).gaussian_count))
+        step, started = page.detail.step, time.perf_counter()
         config = frame_config(state.config, options.view)
         in_sequence = config.pipeline.is_sequence
         is_warm = self._renderers.has(page if in_sequence else _MOVING, config)
@@ -396,15 +403,15 @@ class RenderLoop:
         picture = self._picture(job, frame, step.level)
         took = 1e3 * (time.perf_counter() - started)
         if is_warm:  # the first frame compiles and uploads
-            page.pace.took(took, options.budget_ms)
+            page.detail.record(took, options.budget_ms)
         with self._session.changed:
             page.key, page.frame, page.noise, page.frames_at_rest = job.key, frame, None, 0
-            page.content = _content(job, config)
+            page.content = _frame_inputs(job, config)
             page.changed_at, page.is_finished = time.monotonic(), False
-        page.show(Shown(picture, QUALITY_MOVING))
+        page.show(ScreenImage(picture, JPEG_QUALITY_MOVING))
         self._on_frame(page, step, took)
 
-    def _draw_at_rest(self, job: _Job) -> None:
+    def _render_at_rest(self, job: _Job) -> None:
         """The first full frame of a view at rest, or the next sample of it."""
         page, state, options = job.page, job.state, job.options
         started = time.perf_counter()
@@ -419,31 +426,31 @@ class RenderLoop:
             resume=resume,
             encode=options.view == "color",
             progress=None if in_sequence else _ignore,
-            stop=self.is_wanted,
+            stop=self.must_yield,
         )
         rests, noise = page.frames_at_rest + 1, page.noise
         if frame.stats is not None and frame.stats.noise is not None:
             noise = frame.stats.noise
         is_finished = _is_finished(frame, rests, noise, state.config)
-        shown: Shown | None = None
+        shown: ScreenImage | None = None
         if page.takes_frames or is_finished:
             depth = page_depth(frame, self._session.extent.page_from_scene)
-            shown = Shown(self._picture(job, frame, level=0), QUALITY_AT_REST, depth)
+            shown = ScreenImage(self._picture(job, frame, level=0), JPEG_QUALITY_AT_REST, depth)
         with self._session.changed:
             page.frame, page.frames_at_rest, page.noise, page.is_finished = frame, rests, noise, is_finished
-            page.content = _content(job, config)
+            page.content = _frame_inputs(job, config)
         if shown is not None:
             page.show(shown)
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
 
     def _picture(self, job: _Job, frame: ls.Frame, level: int) -> Picture:
         """What a page shows of a frame: beside what was before, if they are compared, and with lines and insets."""
-        picture, share = picture_of(frame, job.options.view), job.options.split
+        picture, share = frame_image(frame, job.options.view), job.options.split
         if share is not None:
-            picture = split_picture(self._picture_before(job, frame.camera, level), picture, share)
-        return self._decorate(picture, frame)
+            picture = split_image(self._before_image(job, frame.camera, level), picture, share)
+        return self._overlay(picture, frame)
 
-    def _picture_before(self, job: _Job, camera: ls.Camera, level: int) -> Picture:
+    def _before_image(self, job: _Job, camera: ls.Camera, level: int) -> Picture:
         """What the scene was before; at rest with as many samples, up to a few."""
         page, options = job.page, job.options
         config = frame_config(job.before.config, options.view)
@@ -451,22 +458,22 @@ class RenderLoop:
             config = replace(config, samples=BEFORE_SAMPLES)
         camera = replace(camera, exposure=job.before.exposure)
         key = job.key, job.moves, level, camera.width, camera.height
-        if page.before is None or page.before_key != key:
+        if page.before_image is None or page.before_image_key != key:
             renderer = self._renderers.of((_BEFORE, job.moves), config)
             scene = self._scenes_before.of(job.before.document, config, options.time, level, waits=not job.moves)
-            stop = None if job.moves else self.is_wanted
+            stop = None if job.moves else self.must_yield
             frame = renderer.render(scene, camera, encode=options.view == "color", stop=stop)
-            page.before, page.before_key = picture_of(frame, options.view), key
-        return page.before
+            page.before_image, page.before_image_key = frame_image(frame, options.view), key
+        return page.before_image
 
 
-def _content(job: _Job, config: ls.RenderConfig) -> tuple[object, ...]:
+def _frame_inputs(job: _Job, config: ls.RenderConfig) -> tuple[object, ...]:
     """What a frame is of, and not how it is developed."""
     undeveloped = replace(config, tone_map=ls.ToneMap.NONE)
     return job.state.document, job.pose, undeveloped, job.options.height, job.options.time
 
 
-def _is_same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+def _has_same_inputs(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
     """Whether two frames are of the same: of one document, and of equal settings."""
     return one[0] is other[0] and one[1:] == other[1:]
 

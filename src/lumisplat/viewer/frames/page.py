@@ -15,13 +15,13 @@ import lumisplat as ls
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.thresholds import (
     ANSWER_S,
+    BUSY_ANSWER_S,
     DEPTH_STRIDE,
-    GAUSSIANS_AT_ONCE,
+    DETAIL_HEADROOM,
+    DETAIL_HOLD_FRAMES,
+    DETAIL_TIME_DECAY,
     LEVEL_FRACTIONS,
-    PACE_FORGETS,
-    PACE_HEADROOM,
-    PACE_HOLD,
-    PATIENCE_S,
+    MOVING_GAUSSIANS_MAX,
     PIXEL_SCALES,
 )
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Step:
+class DetailStep:
     """How finely a frame is drawn."""
 
     level: int
@@ -41,26 +41,26 @@ class Step:
 
 _LAST = len(LEVEL_FRACTIONS) - 1
 
-BY_GAUSSIANS = (
-    Step(0, 1.0),
-    Step(1, 1.0),
-    *(Step(1, scale) for scale in PIXEL_SCALES[1:-1]),
-    *(Step(level, PIXEL_SCALES[-2]) for level in range(2, _LAST + 1)),
-    Step(_LAST, PIXEL_SCALES[-1]),
+GAUSSIAN_STEPS = (
+    DetailStep(0, 1.0),
+    DetailStep(1, 1.0),
+    *(DetailStep(1, scale) for scale in PIXEL_SCALES[1:-1]),
+    *(DetailStep(level, PIXEL_SCALES[-2]) for level in range(2, _LAST + 1)),
+    DetailStep(_LAST, PIXEL_SCALES[-1]),
 )
 """Of frames whose time goes with the Gaussians: a quarter of them is three times faster, half the pixels a sixth."""
 
-BY_PIXELS = tuple(Step(0, scale) for scale in PIXEL_SCALES)
+PIXEL_STEPS = tuple(DetailStep(0, scale) for scale in PIXEL_SCALES)
 """Of frames whose time goes with the rays, or that follow from those before them."""
 
 
 def first_step(count: int) -> int:
-    """The number of the step of `BY_GAUSSIANS` at which scenes of so many Gaussians begin: the second, as a rule."""
-    level = next((n for n in range(1, _LAST) if count * LEVEL_FRACTIONS[n] <= GAUSSIANS_AT_ONCE), _LAST)
-    return next(number for number, step in enumerate(BY_GAUSSIANS) if step.level == level)
+    """The number of the step of `GAUSSIAN_STEPS` at which scenes of so many Gaussians begin: the second, as a rule."""
+    level = next((n for n in range(1, _LAST) if count * LEVEL_FRACTIONS[n] <= MOVING_GAUSSIANS_MAX), _LAST)
+    return next(number for number, step in enumerate(GAUSSIAN_STEPS) if step.level == level)
 
 
-class Pace:
+class DetailController:
     """Chooses steps by how long frames have taken.
 
     Args:
@@ -68,49 +68,49 @@ class Pace:
         first: The number of the first one.
     """
 
-    def __init__(self, steps: tuple[Step, ...] = BY_GAUSSIANS, first: int = 1) -> None:
-        self.steps, self._now = steps, first
-        self._took: dict[int, float] = {}
+    def __init__(self, steps: tuple[DetailStep, ...] = GAUSSIAN_STEPS, first: int = 1) -> None:
+        self.steps, self._index = steps, first
+        self._recent_ms: dict[int, float] = {}
         """Milliseconds of each step, lately."""
-        self._held = 0
+        self._frames_held = 0
 
     @property
-    def step(self) -> Step:
+    def step(self) -> DetailStep:
         """Of the next frame."""
-        return self.steps[self._now]
+        return self.steps[self._index]
 
-    def took(self, milliseconds: float, budget: float) -> None:
+    def record(self, milliseconds: float, budget: float) -> None:
         """Counts a frame of the present step, and chooses the next one.
 
         Args:
             milliseconds: What the frame has taken.
             budget: What a frame may take.
         """
-        known = self._took.get(self._now, milliseconds)
-        self._took[self._now] = 0.5 * (known + milliseconds)
-        self._held += 1
+        known = self._recent_ms.get(self._index, milliseconds)
+        self._recent_ms[self._index] = 0.5 * (known + milliseconds)
+        self._frames_held += 1
         excess = min(milliseconds, known) / budget
-        if excess > 1.0 and self._now + 1 < len(self.steps):
-            self._move(min(self._now + 1 + int(math.log2(excess)), len(self.steps) - 1))
-        elif self._now > 0 and self._held >= PACE_HOLD:
-            finer = self._took.get(self._now - 1, 2.0 * self._took[self._now])
-            if finer < PACE_HEADROOM * budget:
-                self._move(self._now - 1)
+        if excess > 1.0 and self._index + 1 < len(self.steps):
+            self._move(min(self._index + 1 + int(math.log2(excess)), len(self.steps) - 1))
+        elif self._index > 0 and self._frames_held >= DETAIL_HOLD_FRAMES:
+            finer = self._recent_ms.get(self._index - 1, 2.0 * self._recent_ms[self._index])
+            if finer < DETAIL_HEADROOM * budget:
+                self._move(self._index - 1)
             else:  # what once was slow may be quick now: another view, or fewer other programs
-                self._took[self._now - 1] = PACE_FORGETS * finer
+                self._recent_ms[self._index - 1] = DETAIL_TIME_DECAY * finer
 
     def _move(self, to: int) -> None:
-        self._now, self._held = to, 0
+        self._index, self._frames_held = to, 0
 
 
 Picture = npt.NDArray[np.uint8]
 
-_BEHIND = 32
+_BACKGROUND_GRAY = 32
 """Grey behind transparent frames."""
 
 
 @dataclass(frozen=True)
-class Shown:
+class ScreenImage:
     """What a page is to show next."""
 
     picture: Picture
@@ -121,7 +121,7 @@ class Shown:
     """View depth in units of the page, of every `DEPTH_STRIDE`-th pixel; None: of a view that moves."""
 
 
-def picture_of(frame: ls.Frame, view: str) -> Picture:
+def frame_image(frame: ls.Frame, view: str) -> Picture:
     """The bytes of a frame.
 
     Args:
@@ -137,7 +137,7 @@ def picture_of(frame: ls.Frame, view: str) -> Picture:
     if pixels.shape[2] == 3:
         return pixels
     share = pixels[..., 3:].astype(np.uint16)
-    return ((pixels[..., :3] * share + _BEHIND * (255 - share) + 127) // 255).astype(np.uint8)
+    return ((pixels[..., :3] * share + _BACKGROUND_GRAY * (255 - share) + 127) // 255).astype(np.uint8)
 
 
 def page_depth(frame: ls.Frame, page_from_scene: float) -> npt.NDArray[np.float32]:
@@ -147,7 +147,7 @@ def page_depth(frame: ls.Frame, page_from_scene: float) -> npt.NDArray[np.float3
     return np.nan_to_num(depth, nan=1e3, posinf=1e3).astype(np.float32)
 
 
-def split_picture(before: Picture, after: Picture, share: float) -> Picture:
+def split_image(before: Picture, after: Picture, share: float) -> Picture:
     """Two pictures of one size as one: ``before`` in the left share of the width, and a line between them."""
     column = min(max(round(share * after.shape[1]), 0), after.shape[1] - 1)
     joined = after.copy()
@@ -159,7 +159,7 @@ def split_picture(before: Picture, after: Picture, share: float) -> Picture:
 class Screen(Protocol):
     """Where pictures are seen: in a browser's page, or in a cell of a notebook."""
 
-    def show(self, shown: Shown) -> None:
+    def show(self, shown: ScreenImage) -> None:
         """Sends a picture, and returns when it is there, or when there is no use in waiting any longer."""
         ...
 
@@ -183,32 +183,32 @@ class Page:
         self.pose: Pose | None = None
         """Where it looks from; None: it is not to be seen, and has no frames."""
         self.pose_number = 0
-        self.framed: set[float] = set()
+        self.fitted_aspects: set[float] = set()
         """Aspects for which it was put where all of the scene is seen."""
         self.changed_at = 0.0
         """When what it should show changed last, seconds of the monotonic clock."""
         self.key: tuple[int, int] | None = None
         """Revision of the session and number of the pose that it is shown, or that could not be."""
-        self.pace = Pace()
+        self.detail = DetailController()
         self.frame: ls.Frame | None = None
         """What it shows."""
         self.content: tuple[object, ...] | None = None
         """What that is a frame of, however it is developed."""
-        self.before: Picture | None = None
+        self.before_image: Picture | None = None
         """What the left part of a split picture shows."""
-        self.before_key: object = None
+        self.before_image_key: object = None
         """Of which view and size that is."""
         self.is_finished = False
         """Whether it shows all that there is to show of a view at rest."""
         self.noise: float | None = None
         self.frames_at_rest = 0
         self.is_open = True
-        self._waiting: Shown | None = None
+        self._waiting: ScreenImage | None = None
         self._is_sending = False
         self._thread = threading.Thread(target=self._send, name="lumisplat page", daemon=True)
         self._thread.start()
 
-    def look(self, pose: Pose | None) -> None:
+    def set_pose(self, pose: Pose | None) -> None:
         """Looks from another place, or from none."""
         with self._changed:
             if pose != self.pose:
@@ -227,7 +227,7 @@ class Page:
         with self._changed:
             return self.is_finished and self._waiting is None and not self._is_sending
 
-    def show(self, shown: Shown) -> None:
+    def show(self, shown: ScreenImage) -> None:
         """Sends a picture as soon as the last one is there, in place of one that still waits."""
         with self._changed:
             self._waiting = shown
@@ -270,7 +270,7 @@ class BrowserScreen:
         self._has_answered = False
         self._answers = True
 
-    def show(self, shown: Shown) -> None:
+    def show(self, shown: ScreenImage) -> None:
         """Sends a picture, and waits for the page's answer."""
         self._client.scene.set_background_image(
             shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
@@ -284,7 +284,7 @@ class BrowserScreen:
 
     def _await_answer(self) -> None:
         """Waits until the page has taken what it was sent: it answers in order, and viser's pages answer this."""
-        until = time.monotonic() + (PATIENCE_S if self._has_answered else ANSWER_S)
+        until = time.monotonic() + (BUSY_ANSWER_S if self._has_answered else ANSWER_S)
         while self._answers and self._is_open:
             try:
                 self._client.local_storage.get_item("frame", timeout=_POLL_S)

@@ -102,7 +102,7 @@ class Pose:
         return matrix
 
 
-def look_through(
+def move_page_to(
     client: viser.ClientHandle, camera: ls.Camera, page_from_scene: float, up: tuple[float, float, float]
 ) -> None:
     """Moves a page to a camera; it turns about what that focuses on.

@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.background_jobs import pose_of_page
-from lumisplat.viewer.server.event_queue import in_turn
+from lumisplat.viewer.server.event_queue import queued_callback
 from lumisplat.viewer.session import Session
 
 if TYPE_CHECKING:
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 
 _NOTHING = "nothing"
-_SKIES = (".hdr", ".exr")
+_ENVIRONMENT_IMAGES = (".hdr", ".exr")
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
-_READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", *_SKIES)
+_READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", *_ENVIRONMENT_IMAGES)
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect", "disk")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
 """Folder beside the scene."""
 _NAME_MAX = 100
 """Longest name of an uploaded file, characters."""
-_LIGHT_AT = (-0.45, -0.7, 0.5)
+_NEW_LIGHT_POSITION = (-0.45, -0.7, 0.5)
 """Where new lamps are in the picture of the page that asks for them, -1..1 across and down, and as a share of the
 distance to what it looks at: near enough to the middle not to be behind the panel."""
-_BRIGHTNESS = 3.0
+_NEW_LIGHT_IRRADIANCE = 3.0
 """Irradiance of new lamps at what the page looks at."""
 
 
@@ -50,16 +50,16 @@ class AddPanel:
     def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
         self._session, self._pages = session, pages
         self._what = gui.add_dropdown("what", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
-        add: Any = in_turn(lambda event: (event, str(self._what.value)), self._add)
+        add: Any = queued_callback(lambda event: (event, str(self._what.value)), self._add)
         gui.add_button("add").on_click(add)
         hint = "Captures, meshes, and images of the sky."
         self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
         hint = "It moves by its own clip, takes on the light of its place, and casts shadows on captures."
         self._moves = gui.add_checkbox("as an actor", False, hint=hint)
-        add_file: Any = in_turn(lambda _: (str(self._file.value), bool(self._moves.value)), self._add_file)
+        add_file: Any = queued_callback(lambda _: (str(self._file.value), bool(self._moves.value)), self._add_file)
         gui.add_button("add the file").on_click(add_file)
         upload = gui.add_upload_button("upload a file", mime_type=",".join(_READABLE), hint="And add it.")
-        add_upload: Any = in_turn(lambda event: (event.target.value, bool(self._moves.value)), self._add_upload)
+        add_upload: Any = queued_callback(lambda event: (event.target.value, bool(self._moves.value)), self._add_upload)
         upload.on_upload(add_upload)
 
     def list_files(self) -> None:
@@ -119,7 +119,7 @@ class AddPanel:
         name = path.relative_to(self._folder).as_posix()
         kind, table = _kind_of(path), {"path": name}
         if kind == "environment":
-            return self._session.apply(lambda document: self._selected(*with_sky(document, name)))
+            return self._session.apply(lambda document: self._selected(*with_environment_image(document, name)))
         done = self._insert("actors" if moves else kind, table)
         self._moves.value = False
         return done
@@ -149,17 +149,17 @@ def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
     """
     camera, target = pose.camera(2), np.array(pose.target)
     sideways, down, forward = camera.camera_from_world[:3, :3]
-    reach = _LIGHT_AT[2] * pose.focus
-    slopes = _LIGHT_AT[0] * pose.aspect * sideways + _LIGHT_AT[1] * down
+    reach = _NEW_LIGHT_POSITION[2] * pose.focus
+    slopes = _NEW_LIGHT_POSITION[0] * pose.aspect * sideways + _NEW_LIGHT_POSITION[1] * down
     place = camera.eye + reach * (forward + math.tan(0.5 * pose.fov_y) * slopes)
     distance = float(np.linalg.norm(target - place))
     at, towards, slanted = _listed(place), _listed((target - place) / distance), forward - 2.0 * up
-    intensity, size = _BRIGHTNESS * distance**2, 0.15 * distance
+    intensity, size = _NEW_LIGHT_IRRADIANCE * distance**2, 0.15 * distance
     radius = 0.5 * size
     return {
         "point": {"position": at, "intensity": intensity, "radius": 0.1 * size},
         "spot": {"position": at, "direction": towards, "intensity": intensity, "radius": 0.1 * size},
-        "directional": {"direction": _listed(slanted), "intensity": _BRIGHTNESS, "angle_degrees": 0.27},
+        "directional": {"direction": _listed(slanted), "intensity": _NEW_LIGHT_IRRADIANCE, "angle_degrees": 0.27},
         "sphere": {"position": at, "radius": radius, "intensity": intensity / (math.pi * radius**2)},
         "rect": {"position": at, "target": list(pose.target), "size": [size, size], "intensity": intensity / size**2},
         "disk": {
@@ -175,7 +175,7 @@ def _listed(vector: Any) -> list[float]:
     return [float(x) for x in vector]
 
 
-def with_sky(document: ls.io.SceneDocument, path: str) -> tuple[ls.io.SceneDocument, int]:
+def with_environment_image(document: ls.io.SceneDocument, path: str) -> tuple[ls.io.SceneDocument, int]:
     """The document with an image as its environment, in place of that which it has, and the id of that entry.
 
     Raises:
@@ -211,4 +211,4 @@ def free_name(folder: Path, name: str) -> Path:
 
 def _kind_of(path: Path) -> Any:
     """The heading of a file's entry."""
-    return "environment" if path.suffix.lower() in _SKIES else ls.io.SceneDocument.kind_of(path)
+    return "environment" if path.suffix.lower() in _ENVIRONMENT_IMAGES else ls.io.SceneDocument.kind_of(path)

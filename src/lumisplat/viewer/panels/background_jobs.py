@@ -15,9 +15,9 @@ import numpy.typing as npt
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page, Picture
 from lumisplat.viewer.frames.pose import ASPECT, FirstView, Pose
-from lumisplat.viewer.frames.shown_scenes import ShownScenes
+from lumisplat.viewer.frames.scene_builder import SceneBuilder
 from lumisplat.viewer.scene_extent import Extent
-from lumisplat.viewer.server.event_queue import pressed
+from lumisplat.viewer.server.event_queue import press_callback
 from lumisplat.viewer.server.page_server import PageServer
 from lumisplat.viewer.session import Session
 
@@ -30,10 +30,10 @@ Still = Generator[float, None, ls.Frame]
 
 
 @dataclass(frozen=True)
-class Studio:
+class StillRenderer:
     """What stills are made with, in the thread of the frames."""
 
-    scenes: ShownScenes
+    scenes: SceneBuilder
     device: str
     """As of `lumisplat.create_renderer`."""
     stop: Callable[[], bool]
@@ -94,7 +94,7 @@ def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.Re
     return replace(config, samples=samples, noise=None, time_limit=None, adaptive=None, aovs=(*config.aovs, *needed))
 
 
-def capture_page(scene: ls.Scene) -> str:
+def captures_html(scene: ls.Scene) -> str:
     """The captures of a scene as a page, unlit, each Gaussian in its mean colour: viser's page has no harmonics.
 
     Args:
@@ -161,7 +161,7 @@ class BackgroundJobs:
         self._line = gui.add_markdown("", visible=False)
         self._bar = gui.add_progress_bar(0.0, visible=False)
         self._button = gui.add_button("cancel", visible=False, color="red")
-        self._button.on_click(pressed(self._cancel))
+        self._button.on_click(press_callback(self._cancel))
         self._is_busy = self._is_cancelled = False
 
     def start(self, label: str, steps: Steps) -> None:
@@ -206,7 +206,7 @@ class JobContext:
     pages: Mapping[int, Page]
     """Open pages by the id of their connection."""
     jobs: BackgroundJobs
-    studio: Studio
+    still_renderer: StillRenderer
     thumbnail: Callable[[ls.Camera, Callable[[Picture], object]], None]
     """Renders a small image of the scene soon, and passes it on."""
 

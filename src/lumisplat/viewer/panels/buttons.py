@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from lumisplat.viewer.server.event_queue import in_turn
+from lumisplat.viewer.server.event_queue import queued_callback
 
 if TYPE_CHECKING:
     import viser
@@ -46,7 +46,7 @@ def add_buttons(gui: viser.GuiApi, names: Sequence[str], act: Callable[[str], ob
         names: On the buttons.
         act: Does what a button is for, by its name.
     """
-    press: Any = in_turn(lambda event: str(event.target.value), act)
+    press: Any = queued_callback(lambda event: str(event.target.value), act)
     gui.add_button_group("", list(names)).on_click(press)
 
 
@@ -66,7 +66,7 @@ class Channel:
         moves: Mapping[str, Callable[[int, viser.ClientHandle], object]] | None = None,
     ) -> None:
         self._handle = gui.add_text("", "")
-        take: Any = in_turn(_said, self._take)
+        take: Any = queued_callback(_click_of, self._take)
         self._handle.on_update(take)
         self._actions, self._moves = actions, moves or {}
 
@@ -76,17 +76,17 @@ class Channel:
         handle: Any = self._handle
         return handle._impl.uuid
 
-    def _take(self, said: tuple[str, viser.ClientHandle]) -> None:
-        words = said[0].split()
+    def _take(self, click: tuple[str, viser.ClientHandle]) -> None:
+        words = click[0].split()
         if len(words) < 2 or not words[1].isdecimal():
             return
         if words[0] in self._actions:
             self._actions[words[0]](int(words[1]))
         elif words[0] in self._moves:
-            self._moves[words[0]](int(words[1]), said[1])
+            self._moves[words[0]](int(words[1]), click[1])
 
 
-def _said(event: Any) -> tuple[str, viser.ClientHandle] | None:
+def _click_of(event: Any) -> tuple[str, viser.ClientHandle] | None:
     """What was clicked, and on which page; None: it was set from here."""
     return None if event.client is None else (str(event.target.value), event.client)
 
@@ -96,16 +96,18 @@ def icon(name: str) -> str:
     return _ICON.format(_SHAPES[name])
 
 
-def button(say: str, drawn: str, title: str, *, is_on: bool = False) -> str:
+def button(command: str, icon_name: str, title: str, *, is_on: bool = False) -> str:
     """A button in a row, as HTML.
 
     Args:
-        say: What its channel gets.
-        drawn: Its icon.
+        command: What its channel gets.
+        icon_name: Its icon.
         title: What it does.
         is_on: Whether it stands out.
     """
-    return f'<span role="button" data-say="{say}" class="{"on" * is_on}" title="{title}">{icon(drawn)}</span>'
+    return (
+        f'<span role="button" data-command="{command}" class="{"on" * is_on}" title="{title}">{icon(icon_name)}</span>'
+    )
 
 
 def plain(text: str) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import lumisplat as ls
 from lumisplat.config.setting import Setting, settings_of
-from lumisplat.viewer.server.event_queue import chosen
+from lumisplat.viewer.server.event_queue import value_callback
 from lumisplat.viewer.words import label
 
 if TYPE_CHECKING:
@@ -49,13 +49,13 @@ def color_of_temperature(kelvins: float) -> Color:
     return red, green, blue
 
 
-def picked_from_linear(color: Color) -> tuple[int, int, int]:
+def color_bytes_from_linear(color: Color) -> tuple[int, int, int]:
     """A linear colour as the bytes of a colour picker, sRGB; what is brighter than white is white."""
     red, green, blue = (round(255.0 * _encoded(min(max(channel, 0.0), 1.0))) for channel in color)
     return red, green, blue
 
 
-def linear_from_picked(picked: tuple[int, int, int]) -> Color:
+def linear_from_color_bytes(picked: tuple[int, int, int]) -> Color:
     """The bytes of a colour picker as a linear colour, rounded to five digits, as people write them."""
     red, green, blue = (round(_decoded(channel / 255.0), 5) for channel in picked)
     return red, green, blue
@@ -89,7 +89,7 @@ _UNIT_CHARACTERS = 7
 """Longer units stand in the hint alone."""
 
 
-def shown_settings(cls: type) -> list[Setting]:
+def control_settings(cls: type) -> list[Setting]:
     """Returns the fields of a dataclass that a control can show, in their order."""
     return [one for one in settings_of(cls) if one.kind not in ("span", "names", "other")]
 
@@ -131,12 +131,16 @@ class Control:
         """Whether an optional colour is None, which no colour shows."""
         self._shown = value
         self._put, self._report = put, report
-        read = partial(from_shown, field)
-        typed = _has_keys(field, value)
-        self.handle.on_update(chosen(lambda shown: (shown,), lambda given: self._take(read, given[0]), is_typed=typed))
+        read = partial(from_control_value, field)
+        typed = _is_text_box(field, value)
+        self.handle.on_update(
+            value_callback(lambda shown: (shown,), lambda given: self._take(read, given[0]), is_typed=typed)
+        )
         if field.kind == "color" and field.is_optional:
             self._none = gui.add_checkbox(f"no {label_of(field)}", value is None, hint="Transparent.")
-            self._none.on_update(chosen(lambda is_none: (is_none,), lambda given: self._take(self._color, given[0])))
+            self._none.on_update(
+                value_callback(lambda is_none: (is_none,), lambda given: self._take(self._color, given[0]))
+            )
 
     @property
     def handles(self) -> list[Any]:
@@ -149,7 +153,7 @@ class Control:
         if self._none is not None:
             self._none.value = value is None
         if self._none is None or value is not None:
-            self.handle.value = to_shown(self.field, value)
+            self.handle.value = to_control_value(self.field, value)
 
     def set_unused(self, reason: str | None) -> None:
         """Disables the control, and says what would give it an effect; None: it has one."""
@@ -158,7 +162,7 @@ class Control:
 
     def _take(self, read: Callable[[Any], Any], shown: Any) -> None:
         try:
-            value = unrounded(read(shown), self._shown)
+            value = keep_unchanged_numbers(read(shown), self._shown)
             if value != self._shown:
                 self._put(value)
         except ls.LumisplatError as error:
@@ -166,10 +170,10 @@ class Control:
             self.show(self._shown)
 
     def _color(self, is_none: bool) -> Any:
-        return None if is_none else from_shown(self.field, self.handle.value)
+        return None if is_none else from_control_value(self.field, self.handle.value)
 
 
-def unrounded(given: Any, before: Any, width: int = _NUMBER_CHARACTERS) -> Any:
+def keep_unchanged_numbers(given: Any, before: Any, width: int = _NUMBER_CHARACTERS) -> Any:
     """A value of a control; numbers that were not changed there are as they were, not as they were shown.
 
     Args:
@@ -178,10 +182,10 @@ def unrounded(given: Any, before: Any, width: int = _NUMBER_CHARACTERS) -> Any:
         width: Characters of each of its numbers.
     """
     if isinstance(given, float) and isinstance(before, float):
-        return before if given == shown_number(before, width) else given
+        return before if given == rounded_for_display(before, width) else given
     if isinstance(given, tuple) and isinstance(before, tuple):
         pairs = zip(cast("tuple[Any, ...]", given), cast("tuple[Any, ...]", before), strict=False)
-        return tuple(unrounded(new, old, _VECTOR_CHARACTERS) for new, old in pairs)
+        return tuple(keep_unchanged_numbers(new, old, _VECTOR_CHARACTERS) for new, old in pairs)
     return cast(Any, given)
 
 
@@ -203,24 +207,24 @@ def set_if_changed(handle: Any, name: str, value: object) -> None:
         setattr(handle, name, value)
 
 
-def to_shown(field: Setting, value: Any) -> Any:
+def to_control_value(field: Setting, value: Any) -> Any:
     """A value as its control shows it."""
-    if _is_typed(field):
+    if _is_shown_as_text(field):
         return AUTO if value is None else _text(field, value)
     match field.kind:
         case "choice":
             return value.value
         case "color":
-            return _picked(field, value)
+            return _color_bytes(field, value)
         case "vector":
-            return tuple(shown_number(x, _VECTOR_CHARACTERS) for x in value)
+            return tuple(rounded_for_display(x, _VECTOR_CHARACTERS) for x in value)
         case "number":
-            return shown_number(value)
+            return rounded_for_display(value)
         case _:
             return value
 
 
-def shown_number(value: float, width: int = _NUMBER_CHARACTERS) -> float:
+def rounded_for_display(value: float, width: int = _NUMBER_CHARACTERS) -> float:
     """A number rounded so that its control shows all of it.
 
     Args:
@@ -235,33 +239,33 @@ def shown_number(value: float, width: int = _NUMBER_CHARACTERS) -> float:
     return float(f"{value:.0f}")
 
 
-def from_shown(field: Setting, shown: Any) -> Any:
+def from_control_value(field: Setting, shown: Any) -> Any:
     """The value that a control shows.
 
     Raises:
         ConfigError: A number was typed that is none.
     """
-    if _is_typed(field):
+    if _is_shown_as_text(field):
         return _parsed(field, str(shown))
     match field.kind:
         case "choice":
             return _choice(field, shown)
         case "color":
-            return linear_from_picked(shown) if field.is_linear else tuple(channel / 255.0 for channel in shown)
+            return linear_from_color_bytes(shown) if field.is_linear else tuple(channel / 255.0 for channel in shown)
         case "vector":
             return tuple(float(x) for x in shown)
         case _:
             return shown
 
 
-def _is_typed(field: Setting) -> bool:
+def _is_shown_as_text(field: Setting) -> bool:
     """Whether a field is shown as a word or a text: it may be automatic, or infinite."""
     return (field.is_optional and field.kind != "color") or (field.kind == "number" and field.default == math.inf)
 
 
-def _has_keys(field: Setting, value: Any) -> bool:
+def _is_text_box(field: Setting, value: Any) -> bool:
     """Whether its control is a box to type in, which tells each key."""
-    if _is_typed(field):
+    if _is_shown_as_text(field):
         return not field.is_optional or field.kind not in ("flag", "choice")
     return field.kind in ("text", "vector") or (field.kind in ("whole", "number") and not _is_slider(field, value))
 
@@ -272,11 +276,11 @@ def _is_slider(field: Setting, shown: Any) -> bool:
     return low is not None and high is not None and low <= shown <= high <= _SLIDER_SPAN
 
 
-def _picked(field: Setting, color: tuple[float, float, float] | None) -> tuple[int, ...]:
+def _color_bytes(field: Setting, color: tuple[float, float, float] | None) -> tuple[int, ...]:
     """A colour as bytes of sRGB; black for none."""
     if color is None:
         return 0, 0, 0
-    return picked_from_linear(color) if field.is_linear else tuple(round(255.0 * channel) for channel in color)
+    return color_bytes_from_linear(color) if field.is_linear else tuple(round(255.0 * channel) for channel in color)
 
 
 def _choice(field: Setting, value: object) -> Any:
@@ -315,11 +319,11 @@ def _parsed(field: Setting, text: str) -> Any:
 
 def _handle(gui: viser.GuiApi, field: Setting, value: Any) -> Any:  # noqa: PLR0911
     """The control itself."""
-    label, shown, hint = label_of(field), to_shown(field, value), hint_of(field)
+    label, shown, hint = label_of(field), to_control_value(field, value), hint_of(field)
     if field.is_optional and field.kind in ("flag", "choice"):
         words = ("on", "off") if field.kind == "flag" else tuple(choice.value for choice in field.choices)
         return gui.add_dropdown(label, (AUTO, *words), initial_value=shown, hint=hint)
-    if _is_typed(field):
+    if _is_shown_as_text(field):
         return gui.add_text(label, shown, hint=hint)
     match field.kind:
         case "flag":
@@ -392,7 +396,7 @@ class SettingsPanel(Generic[Settings]):
         self._groups: dict[str, SettingsPanel[Any]] = {}
         self._folders: dict[str, Any] = {}
         """Of the groups."""
-        for field in shown_settings(type(settings)):
+        for field in control_settings(type(settings)):
             if field.name in without or (only is not None and field.name not in only):
                 continue
             value = getattr(settings, field.name)
@@ -401,7 +405,7 @@ class SettingsPanel(Generic[Settings]):
                 with self._folders[field.name]:
                     self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name), report)
             else:
-                offered = replace(field, choices=tuple(c for c in field.choices if _is_taken(settings, field, c)))
+                offered = replace(field, choices=tuple(c for c in field.choices if _is_allowed(settings, field, c)))
                 self._controls[field.name] = Control(gui, offered, value, self._field_changed(field), report)
 
     def show(self, settings: Settings) -> None:
@@ -448,7 +452,7 @@ class SettingsPanel(Generic[Settings]):
         return put
 
 
-def _is_taken(settings: Any, field: Setting, choice: Enum) -> bool:
+def _is_allowed(settings: Any, field: Setting, choice: Enum) -> bool:
     """Whether settings may have a choice of a field."""
     try:
         replace(settings, **{field.name: choice})

@@ -18,13 +18,13 @@ from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.background_jobs import (
     JobContext,
     Steps,
-    capture_page,
+    captures_html,
     file_bytes,
     pose_of_page,
     still_config,
 )
 from lumisplat.viewer.panels.status import Notifications
-from lumisplat.viewer.server.event_queue import pressed
+from lumisplat.viewer.server.event_queue import press_callback
 from lumisplat.viewer.session import Session
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ class FilesPanel:
         self._notifications, self._session, self._pages = notifications, session, pages
         self._name = gui.add_text("scene file", "edited.toml", hint="Beside the scene that was opened.")
         self._overwrite = gui.add_checkbox("overwrite", False, hint="Replace a file of that name.")
-        gui.add_button("save the scene").on_click(pressed(lambda _: self.save()))
-        gui.add_button("command line").on_click(pressed(self._show_command))
+        gui.add_button("save the scene").on_click(press_callback(lambda _: self.save()))
+        gui.add_button("command line").on_click(press_callback(self._show_command))
 
     def suggest(self, document: ls.io.SceneDocument) -> None:
         """Suggests a name that is not that of the file that was opened."""
@@ -99,7 +99,7 @@ class FilesPanel:
         with client.gui.add_modal("the same from the command line") as modal:
             client.gui.add_markdown("Save the scene first, then run this in a shell:")
             client.gui.add_html(f'<textarea readonly rows="5" class="lumi-command">{html.escape(line)}</textarea>')
-            client.gui.add_button("close").on_click(pressed(lambda _: modal.close()))
+            client.gui.add_button("close").on_click(press_callback(lambda _: modal.close()))
 
 
 def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
@@ -138,7 +138,7 @@ _LAYERS_HINT = (
 )
 
 
-class PicturesPanel:
+class ImagesPanel:
     """Controls that make pictures, in the present folder; a page gets what it asked for as a download.
 
     Args:
@@ -154,9 +154,11 @@ class PicturesPanel:
         self._samples = gui.add_number("samples per pixel", 64, min=1, max=65536, step=1)
         self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as shown. EXR: linear light, with layers.")
         self._layers = gui.add_text("layers", "", hint=_LAYERS_HINT)
-        gui.add_button("render image").on_click(pressed(self._for_page(self._picture)))
+        gui.add_button("render image").on_click(press_callback(self._for_page(self._picture)))
         hint = "One file with the captures as captured, without lights: it opens in any browser, without a server."
-        gui.add_button("export captures as HTML", hint=hint).on_click(pressed(self._for_page(self._capture_page)))
+        gui.add_button("export captures as HTML", hint=hint).on_click(
+            press_callback(self._for_page(self._export_captures))
+        )
 
     def _for_page(self, start: Callable[[viser.ClientHandle, Pose], None]) -> Callable[[Any], None]:
         def on_click(event: Any) -> None:
@@ -173,7 +175,7 @@ class PicturesPanel:
     def _picture(self, client: viser.ClientHandle, pose: Pose) -> None:
         """Renders a page's view at any size."""
         state, suffix = self._session.state, str(self._format.value)
-        height, studio = int(np.clip(self._height.value, *HEIGHTS)), self._context.studio
+        height, still_renderer = int(np.clip(self._height.value, *HEIGHTS)), self._context.still_renderer
         if self._width.value:
             pose = replace(pose, aspect=int(np.clip(self._width.value, *HEIGHTS)) / height)
         layers = listed(str(self._layers.value)) if suffix == "exr" else ()
@@ -182,16 +184,16 @@ class PicturesPanel:
         time = self._session.options.time
 
         def steps() -> Steps:
-            scene = studio.scene(state.document, config, time)
-            renderer = studio.renderer(config)
+            scene = still_renderer.scene(state.document, config, time)
+            renderer = still_renderer.renderer(config)
             _as_file(renderer.render(scene, camera.scaled(height=HEIGHTS[0])), suffix, layers)  # fails now, not at last
             renderer.reset()
-            frame = yield from studio.still(renderer, scene, camera, samples)
+            frame = yield from still_renderer.still(renderer, scene, camera, samples)
             client.send_file_download(f"view.{suffix}", _as_file(frame, suffix, layers), save_immediately=True)
 
         self._context.jobs.start(f"image of {camera.width} × {camera.height}", steps())
 
-    def _capture_page(self, client: viser.ClientHandle, _: Pose) -> None:
+    def _export_captures(self, client: viser.ClientHandle, _: Pose) -> None:
         """Makes a page of the captures, as captured."""
         document = self._session.state.document
         scene = document.scene() if document.animation is None else document.animation.scene
@@ -200,7 +202,7 @@ class PicturesPanel:
 
         def steps() -> Steps:
             yield 0.0
-            client.send_file_download("capture.html", capture_page(scene).encode(), save_immediately=True)
+            client.send_file_download("capture.html", captures_html(scene).encode(), save_immediately=True)
 
         self._context.jobs.start("captures as HTML", steps())
 

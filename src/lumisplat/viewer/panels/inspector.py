@@ -13,16 +13,22 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.config.setting import Range, Setting
-from lumisplat.viewer.panels.controls import KELVIN_RANGE, Control, color_of_temperature, set_if_changed, shown_settings
+from lumisplat.viewer.panels.controls import (
+    KELVIN_RANGE,
+    Control,
+    color_of_temperature,
+    control_settings,
+    set_if_changed,
+)
 from lumisplat.viewer.scene_extent import scale_of
-from lumisplat.viewer.server.event_queue import chosen
+from lumisplat.viewer.server.event_queue import value_callback
 from lumisplat.viewer.session import Session
 
 if TYPE_CHECKING:
     import viser
 
 
-_WHITE_K = 6500.0
+_DEFAULT_K = 6500.0
 """Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
 _SUN = (
     Setting(
@@ -35,14 +41,14 @@ _SUN = (
     Setting("hour", "number", "Solar time at the equinox, 45° north, with south in front.", range=Range(0.0, 24.0)),
 )
 """Fields of suns in place of their direction."""
-_CAPTURE_LOOKS: dict[str, dict[str, Any]] = {
+_CAPTURE_SHADING: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_catcher": None},
     "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
     "relit, simple": {"material": {"type": "simple"}, "shadow_catcher": None},
     "shadow catcher": {"material": None, "shadow_catcher": True},
 }
 """How a capture is shaded, and the keys of its entry that make it so."""
-_MESH_LOOKS: dict[str, dict[str, Any]] = {
+_MESH_SHADING: dict[str, dict[str, Any]] = {
     "as in the file": {"material": None},
     "PBR": {"material": {"type": "pbr"}},
     "simple": {"material": {"type": "simple"}},
@@ -66,7 +72,7 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
     """
     found: list[tuple[Setting, Any]] = []
     kind = cast("type[Any]", type(light))
-    for field in shown_settings(kind):
+    for field in control_settings(kind):
         value = getattr(light, field.name)
         if field.name.endswith("angle"):
             degrees = replace(field, name=f"{field.name}_degrees", range=Range(0.0, 90.0))
@@ -78,7 +84,7 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
     return found
 
 
-def look_of(entry: ls.io.SceneEntry) -> str:
+def shading_of(entry: ls.io.SceneEntry) -> str:
     """How a capture or a mesh looks."""
     if not entry.splats:
         given = entry.table.get("material")
@@ -157,9 +163,9 @@ class Inspector:
             if entry.kind == "lights":
                 self._add_temperature(entry)
             elif entry.kind == "environment":
-                self._add_turn(entry)
+                self._add_rotation(entry)
             elif entry.splats or entry.meshes:
-                self._add_look(entry)
+                self._add_shading(entry)
             if entry.splats:
                 self._crop = Crop(self._gui, self._session, entry.id)
                 self._parts.append(self._crop.folder)
@@ -194,7 +200,7 @@ class Inspector:
             return light_fields(entry.lights[0], self._session.scene.up_direction)
         fields: list[tuple[Setting, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
         if entry.world_from_file is not None:
-            fields += _placement(np.asarray(entry.world_from_file))
+            fields += _transform_fields(np.asarray(entry.world_from_file))
         material: Any = None
         if entry.splats:
             if stored := entry.splats[0].gaussians.sh_degree:
@@ -204,7 +210,7 @@ class Inspector:
             material = entry.meshes[0].mesh.material
         if material is not None:
             kind = cast("type[Any]", type(material))
-            own = [field for field in shown_settings(kind) if field.name not in _WITHOUT]
+            own = [field for field in control_settings(kind) if field.name not in _WITHOUT]
             fields += [(replace(field, name=f"material.{field.name}"), getattr(material, field.name)) for field in own]
         return fields
 
@@ -217,26 +223,26 @@ class Inspector:
 
         return put
 
-    def _add_look(self, entry: ls.io.SceneEntry) -> None:
+    def _add_shading(self, entry: ls.io.SceneEntry) -> None:
         number = entry.id
-        looks, hint = (_CAPTURE_LOOKS, _CAPTURE_HINT) if entry.splats else (_MESH_LOOKS, _MESH_HINT)
+        looks, hint = (_CAPTURE_SHADING, _CAPTURE_HINT) if entry.splats else (_MESH_SHADING, _MESH_HINT)
         label = "shading" if entry.splats else "material type"
-        dropdown = self._gui.add_dropdown(label, list(looks), initial_value=look_of(entry), hint=hint)
+        dropdown = self._gui.add_dropdown(label, list(looks), initial_value=shading_of(entry), hint=hint)
 
         def change(look: str) -> None:
             if look in looks:
                 self._session.apply(lambda document: document.changed(number, **looks[look]))
 
         def follow(now: ls.io.SceneEntry) -> None:
-            set_if_changed(dropdown, "value", look_of(now))
+            set_if_changed(dropdown, "value", shading_of(now))
 
-        dropdown.on_update(chosen(str, change))
+        dropdown.on_update(value_callback(str, change))
         self._followers.append(follow)
         self._parts.append(dropdown)
 
     def _add_temperature(self, entry: ls.io.SceneEntry) -> None:
         number, (low, high) = entry.id, KELVIN_RANGE
-        slider = self._gui.add_slider("temperature (K)", low, high, 50.0, _WHITE_K, hint="Colour of a black body.")
+        slider = self._gui.add_slider("temperature (K)", low, high, 50.0, _DEFAULT_K, hint="Colour of a black body.")
 
         def change(kelvins: float) -> None:
             color = _rounded_color(kelvins)
@@ -245,30 +251,30 @@ class Inspector:
         def follow(now: ls.io.SceneEntry) -> None:
             color: Any = getattr(now.lights[0], "color", ())
             if list(color) != _rounded_color(float(slider.value)):
-                slider.value = _WHITE_K
+                slider.value = _DEFAULT_K
 
-        slider.on_update(chosen(float, change))
+        slider.on_update(value_callback(float, change))
         self._followers.append(follow)
         self._parts.append(slider)
 
-    def _add_turn(self, entry: ls.io.SceneEntry) -> None:
+    def _add_rotation(self, entry: ls.io.SceneEntry) -> None:
         number = entry.id
         slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint="About the vertical.")
-        start = _sky_rotation(entry)
+        start = _environment_rotation(entry)
         """Of the sky where the slider is in the middle."""
 
         def change(degrees: float) -> None:
-            keys = {"rotation_wxyz": turned_about(start, self._session.scene.up_direction, degrees)}
+            keys = {"rotation_wxyz": rotated_about(start, self._session.scene.up_direction, degrees)}
             self._session.apply(lambda document: document.changed(number, **keys), merge=f"{number} turn")
 
         def follow(now: ls.io.SceneEntry) -> None:
             nonlocal start
-            turned = turned_about(start, self._session.scene.up_direction, float(slider.value))
-            if not np.allclose(turned, _sky_rotation(now), atol=1e-9):
-                start = _sky_rotation(now)
+            turned = rotated_about(start, self._session.scene.up_direction, float(slider.value))
+            if not np.allclose(turned, _environment_rotation(now), atol=1e-9):
+                start = _environment_rotation(now)
                 slider.value = 0.0
 
-        slider.on_update(chosen(float, change))
+        slider.on_update(value_callback(float, change))
         self._followers.append(follow)
         self._parts.append(slider)
 
@@ -301,10 +307,10 @@ def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any)
         return document.changed(number, direction=at, position=None, target=None)
     if name == "hidden":
         return document.changed(number, hidden=True if value else None)
-    return document.changed(number, **_without_words(entry, name), **{name: _plain(value)})
+    return document.changed(number, **_cleared_aliases(entry, name), **{name: _plain(value)})
 
 
-def _without_words(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
+def _cleared_aliases(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
     """Keys that say in words what a field says: where a light looks, and how large it is."""
     light: Any = entry.lights[0] if entry.kind == "lights" else None
     if light is None or name not in light.aim_fields:
@@ -313,7 +319,7 @@ def _without_words(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
     return dict.fromkeys(light.aim_keys) | others
 
 
-def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
+def rotated_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
     """A rotation followed by a turn about an axis, world space."""
     from viser import transforms
 
@@ -323,7 +329,7 @@ def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degr
     return [w, x, y, z]
 
 
-def _placement(matrix: Any) -> list[tuple[Setting, Any]]:
+def _transform_fields(matrix: Any) -> list[tuple[Setting, Any]]:
     """Position, turns about x, y and z, and scale of a similarity."""
     from viser import transforms
 
@@ -358,7 +364,7 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
     return moved
 
 
-def _sky_rotation(entry: ls.io.SceneEntry) -> tuple[float, ...]:
+def _environment_rotation(entry: ls.io.SceneEntry) -> tuple[float, ...]:
     sky: Any = entry.lights[0]
     return tuple(float(x) for x in sky.rotation_wxyz)
 
@@ -410,7 +416,7 @@ class Crop:
 
     def __init__(self, gui: viser.GuiApi, session: Session, number: int) -> None:
         self._session, self._number = session, number
-        self._everything, self._reach = crop_reach(session.state.document, number, session)
+        self._all_bounds, self._slider_range = crop_ranges(session.state.document, number, session)
         self.folder = gui.add_folder("crop", expand_by_default=False)
         with self.folder:
             self._sliders = [self._slider(gui, axis) for axis in range(3)]
@@ -419,28 +425,28 @@ class Crop:
 
     def show(self) -> None:
         """Shows the box that the capture has now."""
-        ends = crop_ends(self._session.state.document.entry(self._number), self._reach)
+        ends = crop_ends(self._session.state.document.entry(self._number), self._slider_range)
         for axis, slider in enumerate(self._sliders):
             slider.value = (float(ends[0, axis]), float(ends[1, axis]))
         self._numbers.content = crop_table(ends)
 
     def _slider(self, gui: viser.GuiApi, axis: int) -> Any:
-        low, high = (float(end) for end in self._reach[:, axis])
+        low, high = (float(end) for end in self._slider_range[:, axis])
         hint = "In the file's own coordinates; at its ends a slider leaves out nothing."
         step = (high - low) / _STEPS
         slider = gui.add_multi_slider(f"crop {'xyz'[axis]}", low, high, step, (low, high), hint=hint)
-        slider.on_update(chosen(lambda value: (axis, *value), self._change))
+        slider.on_update(value_callback(lambda value: (axis, *value), self._change))
         return slider
 
     def _change(self, moved: tuple[Any, ...]) -> None:
         """Crops between the ends of all sliders; that which was moved says where its ends are."""
         ends = np.array([slider.value for slider in self._sliders], np.float64).T
         ends[:, moved[0]] = moved[1:3]
-        number, reach, everything = self._number, self._reach, self._everything
+        number, reach, everything = self._number, self._slider_range, self._all_bounds
         self._session.apply(lambda document: cropped(document, number, ends, reach, everything), merge=f"{number} crop")
 
 
-def crop_reach(document: ls.io.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
+def crop_ranges(document: ls.io.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
     """The box around all Gaussians of a capture's file, and that which sliders reach: near its bulk."""
     entry = document.changed(number, crop_low=None, crop_high=None).entry(number)
     means = np.concatenate([np.asarray(instance.gaussians.means, np.float64) for instance in entry.splats])

@@ -12,14 +12,14 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
-from lumisplat.viewer.gizmo import moved
+from lumisplat.viewer.gizmo import with_moved_entry
 from lumisplat.viewer.panels.adding import AddPanel
 from lumisplat.viewer.panels.buttons import Channel, add_buttons, button, icon
 from lumisplat.viewer.panels.controls import set_if_changed
 from lumisplat.viewer.panels.inspector import Inspector
 from lumisplat.viewer.picking import picked
-from lumisplat.viewer.scene_extent import Boxes, lowest_height
-from lumisplat.viewer.server.event_queue import in_turn, pressed
+from lumisplat.viewer.scene_extent import BoxCache, lowest_height
+from lumisplat.viewer.server.event_queue import press_callback, queued_callback
 from lumisplat.viewer.session import Session
 
 if TYPE_CHECKING:
@@ -45,9 +45,9 @@ class Outliner:
         self._tree = gui.add_html("")
         self._channel = Channel(gui, {"select": session.select, "hide": self._hide, "lock": session.toggle_lock})
         add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
-        self._placing = gui.add_button_group("", ["to the ground", "split"])
-        press: Any = in_turn(lambda event: str(event.target.value), self.act)
-        self._placing.on_click(press)
+        self._placement_buttons = gui.add_button_group("", ["to the ground", "split"])
+        press: Any = queued_callback(lambda event: str(event.target.value), self.act)
+        self._placement_buttons.on_click(press)
         self._inspector = Inspector(gui, session, gui.add_folder(None))
         with gui.add_folder("add", expand_by_default=False):
             self._adding = AddPanel(gui, session, pages)
@@ -70,9 +70,9 @@ class Outliner:
             return
         edits: dict[str, Callable[[ls.io.SceneDocument], ls.io.SceneDocument]] = {
             "duplicate": self._duplicate,
-            "hide": lambda document: hidden(document, number, not document.entry(number).hidden),
+            "hide": lambda document: with_entry_hidden(document, number, not document.entry(number).hidden),
             "delete": lambda document: document.removed(number),
-            "to the ground": lambda document: on_ground(document, number),
+            "to the ground": lambda document: with_entry_on_ground(document, number),
             "split": lambda document: document.split(number),
         }
         done = self._session.apply(edits[action])
@@ -96,7 +96,7 @@ class Outliner:
 
     def _hide(self, number: int) -> None:
         """Hides an entry, or shows it again."""
-        self._session.apply(lambda document: hidden(document, number, not document.entry(number).hidden))
+        self._session.apply(lambda document: with_entry_hidden(document, number, not document.entry(number).hidden))
 
     def _show(self) -> None:
         session, document = self._session, self._session.state.document
@@ -113,18 +113,18 @@ class Outliner:
             channel=self._channel.id,
         )
         entry = session.selected_entry
-        has_form = entry is not None and bool(entry.splats or entry.meshes or entry.actor)
-        set_if_changed(self._placing, "visible", has_form)
+        has_geometry = entry is not None and bool(entry.splats or entry.meshes or entry.actor)
+        set_if_changed(self._placement_buttons, "visible", has_geometry)
 
 
-def hidden(document: ls.io.SceneDocument, number: int, hides: bool) -> ls.io.SceneDocument:
+def with_entry_hidden(document: ls.io.SceneDocument, number: int, hides: bool) -> ls.io.SceneDocument:
     """The document with an entry hidden, or shown again; lights are switched off and on."""
     if document.entry(number).kind in ("lights", "environment"):
         return document.changed(number, enabled=False if hides else None)
     return document.changed(number, hidden=True if hides else None)
 
 
-def on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
+def with_entry_on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
     """The document with an entry standing where the lowest point of all others is.
 
     Raises:
@@ -139,7 +139,7 @@ def on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument
     ground = min(lowest_height(instance, up) for instance in (*others.splats, *others.meshes))
     shift = np.eye(4)
     shift[:3, 3] = (ground - min(lowest_height(instance, up) for instance in mine)) * np.array(up)
-    return moved(document, entry, shift, 0.0)
+    return with_moved_entry(document, entry, shift, 0.0)
 
 
 KIND_NAMES = {"splats": "capture", "meshes": "mesh", "actors": "actor", "environment": "environment"}
@@ -149,7 +149,7 @@ _PARTS_MAX = 8
 
 def tree_html(
     document: ls.io.SceneDocument,
-    boxes: Boxes,
+    boxes: BoxCache,
     selected: int | None = None,
     time: float = 0.0,
     *,
@@ -194,7 +194,7 @@ def _entry_row(entry: ls.io.SceneEntry, *, is_selected: bool, is_locked: bool) -
     kind = html.escape(kind_name(entry))
     return (
         f'<div class="lumi-row{states}" title="{kind}">{icon("directional" if sun else entry.kind)}'
-        f'<span class="lumi-name" role="button" tabindex="0" data-say="select {entry.id}">{html.escape(entry.name)}'
+        f'<span class="lumi-name" role="button" tabindex="0" data-command="select {entry.id}">{html.escape(entry.name)}'
         f"</span>{hide}{lock}</div>"
     )
 
@@ -203,7 +203,7 @@ def _detail(text: str) -> str:
     return f'<div class="lumi-detail">{html.escape(text)}</div>'
 
 
-def _details(entry: ls.io.SceneEntry, boxes: Boxes, time: float) -> list[str]:
+def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]:
     """How much it is, and how large."""
     instances = entry.at(time)
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
@@ -246,9 +246,9 @@ class LevelPanel:
     def __init__(self, gui: viser.GuiApi, session: Session, notify: Callable[[str, str], object]) -> None:
         self._session, self._notify = session, notify
         self._fits = gui.add_button("level", hint=_LEVEL_HINT)
-        self._fits.on_click(pressed(lambda _: self.fit()))
+        self._fits.on_click(press_callback(lambda _: self.fit()))
         self._clicks = gui.add_button(_CLICK, hint=_CLICK_HINT, color="gray")
-        self._clicks.on_click(pressed(lambda _: self.start()))
+        self._clicks.on_click(press_callback(lambda _: self.start()))
         session.on_change(self._show)
 
     def fit(self) -> None:

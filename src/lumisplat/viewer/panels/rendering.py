@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.viewer.panels.controls import SettingsPanel, set_unused
-from lumisplat.viewer.server.event_queue import chosen
+from lumisplat.viewer.server.event_queue import value_callback
 from lumisplat.viewer.session import Session, unused_settings
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class RenderingPanel:
         self._quality = SettingsPanel(gui, config.realtime, self._put_realtime, session.report, only=_QUALITY)
         stops = _EXPOSURE_STOPS
         self._exposure = gui.add_slider("exposure", -stops, stops, 0.1, 0.0, hint=_EXPOSURE_HINT)
-        self._exposure.on_update(chosen(float, self._put_exposure))
+        self._exposure.on_update(value_callback(float, self._put_exposure))
         with gui.add_folder("all settings", expand_by_default=False):
             self._rest = SettingsPanel(gui, config, self._put, session.report, without=(*_FIRST, "aovs"))
         self._actors = gui.add_folder("light of actors", expand_by_default=False, visible=False)

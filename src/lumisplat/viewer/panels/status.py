@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.viewer.frames.page import Page, Step
+from lumisplat.viewer.frames.page import DetailStep, Page
 from lumisplat.viewer.panels.buttons import plain
 from lumisplat.viewer.thresholds import LEVEL_FRACTIONS
 from lumisplat.viewer.words import page_words
@@ -92,7 +92,7 @@ class StatusPanel:
         """Forgets the line of a page that has gone."""
         self._lines.pop(page, None)
 
-    def frame(self, page: Page, step: Step | None, took: float) -> None:
+    def frame(self, page: Page, step: DetailStep | None, took: float) -> None:
         """Shows what a frame has taken; not more often than people read.
 
         Args:
@@ -123,7 +123,7 @@ def wait_html(label: str, fraction: float) -> str:
     return f'<div class="lumi-wait">{html.escape(label)}<i><b style="width:{fraction:.0%}"></b></i></div>'
 
 
-def frame_line(page: Page, frame: ls.Frame, step: Step | None, took: float) -> str:
+def frame_line(page: Page, frame: ls.Frame, step: DetailStep | None, took: float) -> str:
     """How fine the frame of a page is, in a line that fits the panel."""
     parts = [f"{frame.camera.width} × {frame.camera.height}"]
     if step is not None and step.level:

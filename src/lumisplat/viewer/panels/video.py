@@ -18,12 +18,12 @@ import numpy.typing as npt
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.viewer.frames.page import Picture, picture_of
-from lumisplat.viewer.frames.pose import look_through
+from lumisplat.viewer.frames.page import Picture, frame_image
+from lumisplat.viewer.frames.pose import move_page_to
 from lumisplat.viewer.panels.background_jobs import JobContext, Steps, file_bytes, pose_of_page, still_config
 from lumisplat.viewer.panels.buttons import Channel, button
 from lumisplat.viewer.panels.files import HEIGHTS
-from lumisplat.viewer.server.event_queue import chosen, pressed
+from lumisplat.viewer.server.event_queue import press_callback, value_callback
 
 if TYPE_CHECKING:
     import viser
@@ -55,15 +55,15 @@ class VideoPanel:
         hint = "From the last key view to the next one."
         self._seconds = gui.add_number("seconds to it", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
         hint = "The view of this page becomes the next key view."
-        gui.add_button("add key view", hint=hint).on_click(pressed(self._add))
-        gui.add_button("delete all key views").on_click(pressed(self._delete_all))
+        gui.add_button("add key view", hint=hint).on_click(press_callback(self._add))
+        gui.add_button("delete all key views").on_click(press_callback(self._delete_all))
         self._fps = gui.add_number("frames per second", 25.0, min=1.0, max=50.0, step=1.0)
-        self._fps.on_update(chosen(float, self._put_fps))
+        self._fps.on_update(value_callback(float, self._put_fps))
         with gui.add_folder("video"):
             self._height = gui.add_number("height (px)", 540, min=HEIGHTS[0], max=HEIGHTS[1], step=2)
             self._samples = gui.add_number("samples per pixel", 8, min=1, max=65536, step=1)
             self._format = gui.add_dropdown("format", FORMATS, hint="mp4 takes pip install 'lumisplat[video]'.")
-            gui.add_button("render video").on_click(pressed(self._render))
+            gui.add_button("render video").on_click(press_callback(self._render))
         self._shown: object = None
         self._session.on_change(self._show)
 
@@ -120,14 +120,14 @@ class VideoPanel:
         keys, session = keys_of(self._session.state.document), self._session
         if number < len(keys):
             up = session.scene.up_direction
-            look_through(client, camera_of(keys[number], up, _THUMBNAIL), session.extent.page_from_scene, up)
+            move_page_to(client, camera_of(keys[number], up, _THUMBNAIL), session.extent.page_from_scene, up)
 
     def _delete_all(self, _: Any) -> None:
         if keys_of(self._session.state.document):
-            self._session.apply(without_flight)
+            self._session.apply(without_camera_path)
 
     def _render(self, event: Any) -> None:
-        pose, studio = pose_of_page(self._context.pages, event), self._context.studio
+        pose, still_renderer = pose_of_page(self._context.pages, event), self._context.still_renderer
         if pose is None:
             return
         state, suffix = self._session.state, str(self._format.value)
@@ -140,14 +140,16 @@ class VideoPanel:
         samples, client = int(self._samples.value), event.client
 
         def steps() -> Steps:
-            renderer = studio.renderer(config)
+            renderer = still_renderer.renderer(config)
             with tempfile.TemporaryDirectory() as folder:
                 files: list[Path] = []
                 for number, (time, camera) in enumerate(zip(animation.times.tolist(), cameras, strict=True)):
-                    scene = studio.scene(state.document, config, time)
-                    frame = yield from _part(studio.still(renderer, scene, camera, samples), number, len(cameras))
+                    scene = still_renderer.scene(state.document, config, time)
+                    frame = yield from _part(
+                        still_renderer.still(renderer, scene, camera, samples), number, len(cameras)
+                    )
                     files.append(Path(folder) / f"{number:06d}.png")
-                    Image.fromarray(picture_of(frame, "color")).save(files[-1], compress_level=1)
+                    Image.fromarray(frame_image(frame, "color")).save(files[-1], compress_level=1)
                 video = video_file(map(ls.load_image, files), animation.fps, suffix)
             client.send_file_download(f"video.{suffix}", video, save_immediately=True)
 
@@ -172,14 +174,14 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
     cards: list[str] = []
     for number, (key, image) in enumerate(zip(keys, images, strict=True)):
         buttons = "".join(
-            button(f"{say} {number}", drawn, title)
-            for say, drawn, title in (
+            button(f"{command} {number}", icon_name, title)
+            for command, icon_name, title in (
                 ("sooner", "left", "earlier in the video"),
                 ("later", "right", "later in the video"),
                 ("delete", "cross", "delete"),
             )
         )
-        look = f'role="button" tabindex="0" data-say="look {number}" title="look from there"'
+        look = f'role="button" tabindex="0" data-command="look {number}" title="look from there"'
         picture = f'<img src="{image}" alt="key view {number + 1}" {look}>' if image else ""
         time = f'<span class="lumi-name">{float(key["time"]):g} s</span>'
         cards.append(f'<div class="lumi-key">{picture}<div class="lumi-row">{time}{buttons}</div></div>')
@@ -323,7 +325,7 @@ def _checked_keys(document: ls.io.SceneDocument, number: int) -> list[Mapping[st
     return keys
 
 
-def without_flight(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
+def without_camera_path(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
     """The document without the flight."""
     return _with_keys(document, [], None)
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.viewer.frames.pose import look_through
+from lumisplat.viewer.frames.pose import move_page_to
 from lumisplat.viewer.scene_extent import Extent, pose_of, world_corners
-from lumisplat.viewer.server.event_queue import chosen, pressed
+from lumisplat.viewer.server.event_queue import press_callback, value_callback
 from lumisplat.viewer.session import Session
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, PLAY_STEPS_PER_S
 
@@ -52,7 +52,7 @@ class ViewPanel:
         self._mark = gui.add_button("mark as before", visible=False, hint="Compare with the scene as it is now.")
         self._splits.on_update(lambda _: self._split())
         self._share.on_update(lambda _: self._split())
-        self._mark.on_click(pressed(lambda _: session.mark()))
+        self._mark.on_click(press_callback(lambda _: session.mark()))
         for handle, name in (
             (self._view, "view"),
             (self._height, "height"),
@@ -61,7 +61,7 @@ class ViewPanel:
             (self._grid, "grid"),
             (self._insets, "insets"),
         ):
-            handle.on_update(chosen(lambda value: (value,), self._putter(handle, name)))
+            handle.on_update(value_callback(lambda value: (value,), self._putter(handle, name)))
         session.on_change(self._show)
 
     def _show(self) -> None:
@@ -102,8 +102,8 @@ class Viewpoints:
 
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._session = session
-        self._place = gui.add_dropdown("look at", [_ALL, _SELECTED], hint="Or through a camera of the scene file.")
-        gui.add_button("go there").on_click(pressed(self._go))
+        self._viewpoint = gui.add_dropdown("look at", [_ALL, _SELECTED], hint="Or through a camera of the scene file.")
+        gui.add_button("go there").on_click(press_callback(self._go))
         self._cameras: dict[str, ls.Camera] = {}
         self._shown: object = None
         session.on_change(self._show)
@@ -117,7 +117,7 @@ class Viewpoints:
     def look_at_selected(self, event: Any) -> None:
         """Moves a page so that it sees what is selected."""
         with self._session.changed:
-            ball = selected_ball(self._session)
+            ball = selected_sphere(self._session)
         if ball is None:
             self._session.report("nothing is selected that is anywhere: click a thing, or choose it in the list")
         elif event.client is not None:
@@ -129,17 +129,17 @@ class Viewpoints:
         if self._shown is not document.top.get("cameras"):
             self._shown = document.top.get("cameras")
             self._cameras = {camera.name: camera for camera in document.cameras}
-            self._place.options = [_ALL, _SELECTED, *self._cameras]
+            self._viewpoint.options = [_ALL, _SELECTED, *self._cameras]
 
     def _go(self, event: Any) -> None:
-        camera = self._cameras.get(str(self._place.value))
-        if self._place.value == _ALL:
+        camera = self._cameras.get(str(self._viewpoint.value))
+        if self._viewpoint.value == _ALL:
             self.look_at_all(event)
-        elif self._place.value == _SELECTED:
+        elif self._viewpoint.value == _SELECTED:
             self.look_at_selected(event)
         elif camera is not None and event.client is not None:
             session = self._session
-            look_through(event.client, camera, session.extent.page_from_scene, session.scene.up_direction)
+            move_page_to(event.client, camera, session.extent.page_from_scene, session.scene.up_direction)
 
     def _look_at(self, client: viser.ClientHandle, center: np.ndarray, radius: float) -> None:
         """Moves a page along the line of its sight so that a ball fills it."""
@@ -153,7 +153,7 @@ class Viewpoints:
             camera.look_at = scale * center  # last, for the position takes it along
 
 
-def selected_ball(session: Session) -> tuple[np.ndarray, float] | None:
+def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
     """The middle and the radius of what is selected; None: nothing that is anywhere."""
     entry, time = session.selected_entry, session.options.time
     if entry is None:
@@ -183,7 +183,7 @@ class Timeline:
         self._plays = gui.add_checkbox("play", False, visible=False)
         hint = "Pages follow the camera path as time goes on."
         self._flies = gui.add_checkbox("fly along", False, visible=False, hint=hint)
-        self._time.on_update(chosen(float, self._go))
+        self._time.on_update(value_callback(float, self._go))
         self._plays.on_update(lambda _: self._wake.set())
         self._animation: ls.Animation | None = None
         self._shown: tuple[object, ...] = ()

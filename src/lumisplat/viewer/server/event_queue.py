@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 
 Read = TypeVar("Read")
 
-TYPING_S = 0.6
+TYPING_PAUSE_S = 0.6
 """How long a value that is typed waits for the next key, seconds."""
 
 
@@ -22,14 +22,14 @@ class _Queue:
     """Whoever waits for it longest is next."""
     arrivals: int = 0
     """How many have asked."""
-    bell: asyncio.Event = field(default_factory=asyncio.Event)
+    arrived: asyncio.Event = field(default_factory=asyncio.Event)
     """Set at each arrival."""
 
 
 _QUEUES: WeakKeyDictionary[asyncio.AbstractEventLoop, _Queue] = WeakKeyDictionary()
 
 
-def in_turn(
+def queued_callback(
     read: Callable[[Any], Read | None], act: Callable[[Read], object], *, is_typed: bool = False
 ) -> Callable[[Any], Awaitable[None]]:
     """A callback for events of viser, each of which is done when those before it are.
@@ -52,10 +52,10 @@ def in_turn(
         queue = _QUEUES.setdefault(asyncio.get_running_loop(), _Queue())
         queue.arrivals += 1
         arrival = newest = queue.arrivals
-        queue.bell.set()
+        queue.arrived.set()
         async with queue.lock:
             if is_typed:
-                await _next_key(queue, arrival)
+                await _wait_for_next_event(queue, arrival)
                 if newest != arrival:
                     return
             await asyncio.to_thread(act, what)
@@ -63,35 +63,35 @@ def in_turn(
     return callback
 
 
-async def _next_key(queue: _Queue, arrival: int) -> None:
+async def _wait_for_next_event(queue: _Queue, arrival: int) -> None:
     """Waits for the next arrival, but not for long."""
     while queue.arrivals == arrival:
-        queue.bell.clear()
+        queue.arrived.clear()
         try:
-            await asyncio.wait_for(queue.bell.wait(), TYPING_S)
+            await asyncio.wait_for(queue.arrived.wait(), TYPING_PAUSE_S)
         except TimeoutError:
             break
 
 
-def chosen(read: Callable[[Any], Read], act: Callable[[Read], object], *, is_typed: bool = False) -> Any:
+def value_callback(read: Callable[[Any], Read], act: Callable[[Read], object], *, is_typed: bool = False) -> Any:
     """A callback for a control: does something with each value that somebody has chosen on a page, in their order.
 
     Args:
         read: Makes what is to be passed on of the control's value.
         act: Does it, in a thread.
-        is_typed: As of `in_turn`.
+        is_typed: As of `queued_callback`.
     """
 
     def value_of(event: Any) -> Read | None:
         return None if event.client_id is None else read(event.target.value)  # else it was set from here
 
-    return in_turn(value_of, act, is_typed=is_typed)
+    return queued_callback(value_of, act, is_typed=is_typed)
 
 
-def pressed(act: Callable[[Any], object]) -> Any:
+def press_callback(act: Callable[[Any], object]) -> Any:
     """A callback for a button: does what it is for when all that was asked for before is done.
 
     Args:
         act: Does it, in a thread; it gets the event.
     """
-    return in_turn(lambda event: event, act)
+    return queued_callback(lambda event: event, act)

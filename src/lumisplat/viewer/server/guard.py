@@ -237,8 +237,8 @@ class FilteredConnection:
         is_heard: Whether the server still listens to pages.
     """
 
-    def __init__(self, connection: Any, is_heard: Callable[[], bool]) -> None:
-        self._connection, self._is_heard, self._inbox = connection, is_heard, Inbox()
+    def __init__(self, connection: Any, is_accepting: Callable[[], bool]) -> None:
+        self._connection, self._is_heard, self._inbox = connection, is_accepting, Inbox()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._connection, name)

@@ -38,7 +38,7 @@ def import_viser() -> Any:
         import viser
     except ImportError:
         raise ls.errors.MissingExtraError("the viewer", "view") from None
-    let_threads_push()
+    make_message_buffers_thread_safe()
     return viser
 
 
@@ -83,7 +83,7 @@ class PageServer:
         loop = self.viser.get_event_loop()
         loop.set_exception_handler(_ignore)
         self._is_open = False
-        asyncio.run_coroutine_threadsafe(_drop_what_was_asked_for(), loop).result()
+        asyncio.run_coroutine_threadsafe(_cancel_pending_events(), loop).result()
         with _quiet():
             self.viser.stop()
 
@@ -105,11 +105,11 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _guarded(listener: socket.socket, guard: Guard, is_heard: Callable[[], bool]) -> Generator[list[bool]]:
+def _guarded(listener: socket.socket, guard: Guard, is_accepting: Callable[[], bool]) -> Generator[list[bool]]:
     """While it lasts, what viser opens is this socket, behind the guard; the list is not empty once it has."""
-    import websockets.asyncio.server as door
+    import websockets.asyncio.server as websockets_server
 
-    real: Any = door.serve
+    real: Any = websockets_server.serve
     asked: list[bool] = []
 
     def serve(handler: Callable[[Any], Awaitable[None]], *_: object, **options: Any) -> Any:
@@ -133,16 +133,16 @@ def _guarded(listener: socket.socket, guard: Guard, is_heard: Callable[[], bool]
             return response
 
         async def handle(connection: Any) -> None:
-            await handler(FilteredConnection(connection, is_heard))
+            await handler(FilteredConnection(connection, is_accepting))
 
         return real(handle, sock=listener, process_request=check, **options)
 
     with _SERVE:
-        door.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
+        websockets_server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
         try:
             yield asked
         finally:
-            door.serve = real
+            websockets_server.serve = real
 
 
 @contextlib.contextmanager
@@ -163,9 +163,9 @@ def _refuse_to_share(verbose: bool = True) -> None:
     _log.warning("a page asked to be shared with the world, which the viewer does not do")
 
 
-async def _drop_what_was_asked_for() -> None:
+async def _cancel_pending_events() -> None:
     """Ends the tasks of messages that pages have sent, also those that wait for their turn, while the loop runs."""
-    names = ("WebsockMessageHandler._handle_incoming_message", "in_turn.<locals>.callback")
+    names = ("WebsockMessageHandler._handle_incoming_message", "queued_callback.<locals>.callback")
     asked = [task for task in asyncio.all_tasks() if getattr(task.get_coro(), "__qualname__", "") in names]
     for task in asked:
         task.cancel()
@@ -198,15 +198,15 @@ body:has(.mantine-Select-dropdown:not([style*="display: none"])) .mantine-Toolti
 div:has(> .mantine-Flex-root label:empty):has(.mantine-TextInput-input) { display: none !important; }
 .lumi-list { padding: 0 0.5em 0.3em; font-size: 0.875em; overflow-wrap: anywhere; }
 .lumi-row { display: flex; align-items: center; gap: 0.5em; padding: 0.15em 0.4em; border-radius: 4px; }
-.lumi-row[data-say], .lumi-row [data-say] { cursor: pointer; }
-.lumi-row[data-say]:hover, .lumi-row [data-say]:hover { background: rgba(128, 128, 128, 0.2); }
+.lumi-row[data-command], .lumi-row [data-command] { cursor: pointer; }
+.lumi-row[data-command]:hover, .lumi-row [data-command]:hover { background: rgba(128, 128, 128, 0.2); }
 .lumi-row.selected { background: rgba(255, 176, 32, 0.22); font-weight: 600; }
 .lumi-row.hidden > .lumi-name { opacity: 0.45; text-decoration: line-through; }
 .lumi-name { flex-grow: 1; }
 .lumi-key .lumi-name { white-space: nowrap; }
 .lumi-row svg { width: 1.15em; height: 1.15em; flex-shrink: 0; display: block; }
-.lumi-row span[data-say]:not(.lumi-name) { padding: 0.2em; border-radius: 4px; opacity: 0.4; }
-.lumi-row span[data-say].on, .lumi-row span[data-say]:hover { opacity: 1 !important; }
+.lumi-row span[data-command]:not(.lumi-name) { padding: 0.2em; border-radius: 4px; opacity: 0.4; }
+.lumi-row span[data-command].on, .lumi-row span[data-command]:hover { opacity: 1 !important; }
 .lumi-detail { opacity: 0.6; font-size: 0.85em; padding: 0 0.4em 0 2.1em; }
 .lumi-problem { color: #e5534b; padding: 0.2em 0.4em; }
 .lumi-keys { display: flex; flex-wrap: wrap; gap: 0.4em; padding: 0 0.5em 0.4em; font-size: 0.8em; }
@@ -231,22 +231,22 @@ div:has(> .mantine-Flex-root label:empty):has(.mantine-TextInput-input) { displa
 
 _SCRIPT = """
 const setValue = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
-let said = 0;
-// An element with data-say was clicked: its words are typed into the text control that data-to names.
-function say(element) {
+let sent = 0;
+// An element with data-command was clicked: its words are typed into the text control that data-to names.
+function sendCommand(element) {
   const to = element.closest('[data-to]');
   const label = to && document.querySelector(`label[for="${to.dataset.to}"]`);
   const input = label && label.closest('.mantine-Flex-root').querySelector('input');
   if (!input) return;
-  setValue.call(input, `${element.dataset.say} ${++said}`);
+  setValue.call(input, `${element.dataset.command} ${++sent}`);
   input.dispatchEvent(new Event('input', {bubbles: true}));
 }
 document.addEventListener('click', (event) => {
-  const element = event.target.closest && event.target.closest('[data-say]');
-  if (element) say(element);
+  const element = event.target.closest && event.target.closest('[data-command]');
+  if (element) sendCommand(element);
 });
 document.addEventListener('keydown', (event) => {
-  if (event.key === 'Enter' && event.target.dataset && event.target.dataset.say) say(event.target);
+  if (event.key === 'Enter' && event.target.dataset && event.target.dataset.command) sendCommand(event.target);
 });
 // What CSS alone cannot select, or measure.
 function arrange() {
@@ -308,7 +308,7 @@ class AnyThreadEvent(asyncio.Event):
 
 
 @cache
-def let_threads_push() -> None:
+def make_message_buffers_thread_safe() -> None:
     """From now on, viser's buffers of messages take them from any thread."""
     infra: Any = import_module("viser.infra._infra")
     events = ("message_event", asyncio.Event, field(default_factory=AnyThreadEvent))

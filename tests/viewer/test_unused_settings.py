@@ -15,8 +15,8 @@ from test_viewer import camera, eventually, lit_scene, settled
 import lumisplat as ls
 from lumisplat.renderer.checks import check_projection
 from lumisplat.viewer.frames.loop import frame_config
-from lumisplat.viewer.panels.controls import SettingsPanel, shown_settings
-from lumisplat.viewer.session import Options, Session, State, shown_views, unused_settings
+from lumisplat.viewer.panels.controls import SettingsPanel, control_settings
+from lumisplat.viewer.session import Options, Session, State, available_views, unused_settings
 from lumisplat.viewer.words import page_words
 from support.viewer.page_client import PageClient
 
@@ -41,13 +41,13 @@ def test_the_views_that_are_offered_are_those_that_frames_have(pipeline: ls.Pipe
         renderer = ls.create_renderer(config, "cpu")
         there = [view for view in ls.Frame.VIEWS if shows(renderer, scene, view)]
         lit = config.is_lit(by_default=scene.is_lit_by_default)
-        assert shown_views(config, lit=lit) == ("color", *there), (lighting, scene.lights)
+        assert available_views(config, lit=lit) == ("color", *there), (lighting, scene.lights)
 
 
 def test_a_view_that_other_settings_do_not_have_becomes_the_colour() -> None:
     """Instead of an error for each frame."""
     session, problems = Session(Options()), []
-    session.errors.append(problems.append)
+    session.error_listeners.append(problems.append)
     session.open(State(ls.io.SceneDocument.of(lit_scene()), ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)))
     session.set_options(view="cache")
     session.configure(lambda config: replace(config, pipeline=ls.Pipeline.HYBRID))
@@ -84,16 +84,16 @@ def test_settings_without_an_effect_change_no_pixel() -> None:
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
 def test_no_choice_beside_others_is_refused_by_frames(pipeline: ls.Pipeline) -> None:
     """Each choice of each setting, in groups too, that is not disabled, beside any of the rasteriser's own choices."""
-    chosen = itertools.product(ls.config.Projection, ls.config.RasterStrategy, ls.config.GaussianSurface)
+    combinations = itertools.product(ls.config.Projection, ls.config.RasterStrategy, ls.config.GaussianSurface)
     disabled = 0
-    for projection, strategy, surface in chosen:
+    for projection, strategy, surface in combinations:
         raster = ls.RasterConfig(projection=projection, strategy=strategy, surface=surface)
         config = ls.RenderConfig(pipeline=pipeline, raster=raster)
         if is_refused(config):
             continue
         unused = unused_settings(config, lit=True)
         disabled += any(name.startswith("raster.") for name in unused)
-        for field in shown_settings(ls.RasterConfig):
+        for field in control_settings(ls.RasterConfig):
             for choice in field.choices if f"raster.{field.name}" not in unused and "raster" not in unused else ():
                 assert not is_refused(replace(config, raster=replace(raster, **{field.name: choice}))), choice
     assert disabled > 0
@@ -156,7 +156,7 @@ def test_each_choice_that_is_offered_is_accepted() -> None:
 
 def test_whole_numbers_go_by_the_steps_that_are_accepted() -> None:
     """A shadow map has a multiple of 8 texels."""
-    fields = {field.name: field for field in shown_settings(ls.config.DeepShadowConfig)}
+    fields = {field.name: field for field in control_settings(ls.config.DeepShadowConfig)}
     assert fields["resolution"].range.step == 8 and fields["resolution"].low == 8
 
 
@@ -203,8 +203,8 @@ def test_no_choice_of_a_setting_is_told_as_python_writes_it() -> None:
     """Of all settings, whatever class they are of."""
 
     def choices(cls: type) -> list[Enum]:
-        groups = [choices(field.group) for field in shown_settings(cls) if field.group is not None]
-        return [choice for field in shown_settings(cls) for choice in field.choices] + [c for g in groups for c in g]
+        groups = [choices(field.group) for field in control_settings(cls) if field.group is not None]
+        return [choice for field in control_settings(cls) for choice in field.choices] + [c for g in groups for c in g]
 
     found = choices(ls.RenderConfig)
     assert len(found) > 20

@@ -19,7 +19,7 @@ from lumisplat.viewer.panels.video import (
     video_cameras,
     with_key,
     with_key_moved,
-    without_flight,
+    without_camera_path,
     without_key,
 )
 
@@ -64,7 +64,7 @@ def test_any_key_view_can_be_deleted() -> None:
     twice = with_key(document, key(1.0), 1.0)
     assert len(keys_of(twice)) == 2 and without_key(twice, 1).cameras[1].name == "flight"
     assert [camera.name for camera in without_key(without_key(twice, 1), 0).cameras] == ["front"]
-    assert without_flight(twice).animation is None
+    assert without_camera_path(twice).animation is None
 
 
 def test_key_views_change_places_and_times_stay() -> None:
@@ -81,7 +81,7 @@ def test_key_views_are_listed_with_thumbnails_of_what_they_see() -> None:
     keys = keys_of(flight())
     text = keys_html(keys, ["data:a", "", "data:c"], "channel")
     assert text.count("<img") == 2 and 'data-to="channel"' in text and ">3 s<" in text
-    assert all(f'data-say="{say} {number}"' in text for say in ("sooner", "later", "delete") for number in range(3))
+    assert all(f'data-command="{say} {number}"' in text for say in ("sooner", "later", "delete") for number in range(3))
     camera, wanted = camera_of(keys[2], (0.0, -1.0, 0.0), (128, 72)), key(1.0).camera
     np.testing.assert_allclose(camera.camera_from_world, wanted.camera_from_world, atol=1e-5)
     assert camera.image_size == (128, 72) and camera.fov_y == pytest.approx(0.7, rel=1e-5)

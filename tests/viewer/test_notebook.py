@@ -21,7 +21,7 @@ from test_viewer import HEIGHT, UP, difference, eventually, lit_scene, page_thre
 
 import lumisplat as ls
 from lumisplat.viewer import notebook as notebook_cells
-from lumisplat.viewer.frames.page import Shown
+from lumisplat.viewer.frames.page import ScreenImage
 from lumisplat.viewer.notebook import ELEVATION_MAX, CellScreen, Notebook, Orbit, PointerControl
 
 WIDGET = "application/vnd.jupyter.widget-view+json"
@@ -42,7 +42,9 @@ def hand(orbit: Orbit | None = None) -> PointerControl:
     return PointerControl(orbit or Orbit.of(EYE, TARGET, UP, 0.8), 1.0, 640.0, 360.0)
 
 
-def pressed(mouse: PointerControl, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()) -> Any:
+def press_callback(
+    mouse: PointerControl, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()
+) -> Any:
     """What a drag from the middle of the frame gives."""
     held: dict[str, Any] = {"button": button, "modifiers": modifiers}
     mouse.handle({"type": "pointer_down", "x": 320.0, "y": 180.0, **held})
@@ -57,7 +59,7 @@ def test_turning_keeps_the_target_its_distance_and_the_horizon(
 ) -> None:
     """The eye goes around the vertical by the one angle and up by the other, and the target stays in the middle."""
     before = Orbit.of(EYE, TARGET, up, 0.8)
-    after = before.turned(around, above)
+    after = before.rotated(around, above)
     assert math.dist(after.eye, TARGET) == pytest.approx(math.dist(EYE, TARGET))
     np.testing.assert_allclose(seen_at(after, TARGET), 0.0, atol=1e-9)
     assert after.elevation == pytest.approx(before.elevation + above)
@@ -72,9 +74,9 @@ def test_turning_keeps_the_target_its_distance_and_the_horizon(
 def test_cameras_stop_short_of_the_poles(above: float) -> None:
     """And come back from there on the side from which they went."""
     start = Orbit.of(EYE, TARGET, UP, 0.8)
-    steep = start.turned(0.0, above)
+    steep = start.rotated(0.0, above)
     assert steep.elevation == pytest.approx(math.copysign(ELEVATION_MAX, above))
-    back = steep.turned(0.0, start.elevation - steep.elevation)
+    back = steep.rotated(0.0, start.elevation - steep.elevation)
     np.testing.assert_allclose(back.eye, EYE, atol=1e-9)
 
 
@@ -82,7 +84,7 @@ def test_a_camera_straight_above_can_be_turned() -> None:
     """It looks a little from the side instead."""
     orbit = Orbit.of((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), UP, 0.8)
     assert orbit.elevation == pytest.approx(ELEVATION_MAX) and orbit.distance == pytest.approx(5.0)
-    assert np.isfinite(orbit.turned(1.0, -0.5).pose(1.5).camera(90).camera_from_world).all()
+    assert np.isfinite(orbit.rotated(1.0, -0.5).pose(1.5).camera(90).camera_from_world).all()
 
 
 def test_the_first_pose_is_the_view_that_it_was_given() -> None:
@@ -96,7 +98,7 @@ def test_the_first_pose_is_the_view_that_it_was_given() -> None:
 def test_a_moved_target_goes_with_the_pointer() -> None:
     """By the shares of the picture's height that were asked for; nothing turns."""
     before = Orbit.of(EYE, TARGET, TILTED, 0.8)
-    after = before.moved(0.25, -0.1)
+    after = before.panned(0.25, -0.1)
     np.testing.assert_allclose(seen_at(after, TARGET), (0.25, -0.1), atol=1e-9)
     assert after.backward == before.backward and after.distance == before.distance
 
@@ -112,13 +114,13 @@ def test_a_drag_turns_the_scene_with_the_hand() -> None:
     """What is nearer than the target follows the pointer; once across the height is once around."""
     mouse = hand()
     near = np.array(TARGET) + 0.1 * np.array(mouse.orbit.backward)
-    pressed(mouse, 20.0, 0.0)
+    press_callback(mouse, 20.0, 0.0)
     assert seen_at(mouse.orbit, near)[0] > 1e-4
     mouse = hand()
-    pressed(mouse, 0.0, 20.0)
+    press_callback(mouse, 0.0, 20.0)
     assert seen_at(mouse.orbit, near)[1] > 1e-4
     mouse = hand()
-    pressed(mouse, 360.0, 0.0)
+    press_callback(mouse, 360.0, 0.0)
     np.testing.assert_allclose(mouse.orbit.eye, EYE, atol=1e-9)
 
 
@@ -126,7 +128,7 @@ def test_a_drag_turns_the_scene_with_the_hand() -> None:
 def test_other_buttons_and_shift_move(button: int, modifiers: tuple[str, ...]) -> None:
     """The target is where the pointer has gone."""
     mouse = hand()
-    assert pressed(mouse, 72.0, -36.0, button, modifiers) is None
+    assert press_callback(mouse, 72.0, -36.0, button, modifiers) is None
     np.testing.assert_allclose(seen_at(mouse.orbit, TARGET), (0.2, -0.1), atol=1e-9)
 
 
@@ -134,8 +136,8 @@ def test_a_press_without_a_way_is_a_click() -> None:
     """At its share of the frame as it is now; a drag is none, nor is another button, nor a release without a press."""
     mouse = hand()
     mouse.handle({"type": "resize", "width": 960.0, "height": 240.0})
-    assert mouse.aspect == 4.0 and pressed(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
-    assert pressed(mouse, 30.0, 0.0) is None and pressed(mouse, 0.0, 0.0, button=2) is None
+    assert mouse.aspect == 4.0 and press_callback(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
+    assert press_callback(mouse, 30.0, 0.0) is None and press_callback(mouse, 0.0, 0.0, button=2) is None
     assert mouse.handle({"type": "pointer_up", "x": 1.0, "y": 1.0, "button": 1, "modifiers": ()}) is None
 
 
@@ -263,7 +265,7 @@ def wait_for_views_that_move(viewer: ls.Viewer) -> None:
         begun.set()
         yield
 
-    viewer._loop.do(errand())
+    viewer._loop.run_in_background(errand())
     assert begun.wait(60.0)
 
 
@@ -312,7 +314,7 @@ def test_a_frame_waits_for_the_answer_to_the_last_one(monkeypatch: pytest.Monkey
     """An answer to an older frame is none; closing ends the wait."""
     monkeypatch.setattr(notebook_cells, "ANSWER_S", 60.0)
     buffer: Any = Buffer()
-    screen, shown = CellScreen(buffer), Shown(np.zeros((2, 2, 3), np.uint8), 80)
+    screen, shown = CellScreen(buffer), ScreenImage(np.zeros((2, 2, 3), np.uint8), 80)
 
     def start() -> threading.Thread:
         count, thread = buffer.frames, threading.Thread(target=screen.show, args=(shown,), daemon=True)
@@ -361,7 +363,7 @@ def test_what_is_closed_leaves_no_thread(what: str, notebook: Any) -> None:
         viewer.show(ls.Scene())
     viewer.close()
     assert "closed" in line_of(viewer) and viewer.url not in line_of(viewer)
-    assert not viewer._session.errors or cell.notify not in viewer._session.errors
+    assert not viewer._session.error_listeners or cell.notify not in viewer._session.error_listeners
     eventually(
         lambda: not [t for t in set(threading.enumerate()) - threads if t.name.startswith("lumisplat")],
         "a thread is left",
@@ -378,7 +380,7 @@ def shell(*, allow_stdin: bool, types: tuple[str, ...] = ("image/png", "text/pla
     return SimpleNamespace(kernel=kernel, display_formatter=SimpleNamespace(active_types=types))
 
 
-def picture_of(data: dict[str, Any]) -> np.ndarray:
+def frame_image(data: dict[str, Any]) -> np.ndarray:
     """The picture of a bundle."""
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data["image/png"]))))
 
@@ -393,7 +395,7 @@ def test_without_a_kernel_there_is_a_picture(viewer: ls.Viewer) -> None:
     assert about == {"image/png": {"width": 160, "height": 90}}
     view = ls.frame_camera(lit_scene(), width=160, height=90, fov_y=0.8)
     wanted = np.asarray(ls.render(lit_scene(), view, CONFIG, device="cpu"), np.uint8)
-    assert ls.metrics.psnr(picture_of(data) / 255.0, wanted / 255.0) > 40.0
+    assert ls.metrics.psnr(frame_image(data) / 255.0, wanted / 255.0) > 40.0
     assert page_threads() == before and not viewer._loop._pages
 
 

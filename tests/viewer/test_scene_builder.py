@@ -10,7 +10,7 @@ import pytest
 from test_viewer import cloud
 
 import lumisplat as ls
-from lumisplat.viewer.frames.shown_scenes import Levels, ShownScenes
+from lumisplat.viewer.frames.scene_builder import Levels, SceneBuilder
 
 UP = (0.0, -1.0, 0.0)
 CONFIG = ls.RenderConfig()
@@ -37,10 +37,10 @@ def animation(lighting: ls.config.AvatarLightingConfig | None = None) -> ls.Anim
 
 
 @pytest.fixture
-def scenes() -> Iterator[ShownScenes]:
+def scenes() -> Iterator[SceneBuilder]:
     """What makes scenes; nothing may go wrong."""
     levels = Levels(lambda: None)
-    yield ShownScenes(levels, "cpu", lambda label, share: None, report=pytest.fail)
+    yield SceneBuilder(levels, "cpu", lambda label, share: None, report=pytest.fail)
     levels.close()
 
 
@@ -49,7 +49,7 @@ def colors(scene: ls.Scene) -> list[np.ndarray]:
     return [np.asarray(instance.gaussians.sh) for instance in scene.splats]
 
 
-def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: ShownScenes) -> None:
+def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: SceneBuilder) -> None:
     """Their shadow on the floor and their own light, to the bit; the same scene as long as nothing changes."""
     wanted = animation()
     shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
@@ -59,7 +59,7 @@ def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: ShownScenes)
     assert np.abs(colors(shown)[0] - colors(wanted.scene)[0]).max() > 0.1  # there is a shadow
 
 
-def test_scenes_are_the_same_object_while_nothing_changes(scenes: ShownScenes) -> None:
+def test_scenes_are_the_same_object_while_nothing_changes(scenes: SceneBuilder) -> None:
     """Another time is another one, and so is another setting of the light."""
     document = ls.io.SceneDocument.of(animation())
     first = scenes.of(document, CONFIG, 1.0, 0, waits=True)
@@ -71,7 +71,7 @@ def test_scenes_are_the_same_object_while_nothing_changes(scenes: ShownScenes) -
     assert np.abs(colors(half)[0] - colors(first)[0]).max() > 0.05
 
 
-def test_who_cannot_wait_gets_actors_without_light(scenes: ShownScenes) -> None:
+def test_who_cannot_wait_gets_actors_without_light(scenes: SceneBuilder) -> None:
     """Until the light was prepared once; a change of what stands still takes it away again."""
     document, plain = ls.io.SceneDocument.of(animation()), colors(animation().scene)[0]
     unlit = scenes.of(document, CONFIG, 1.0, 0, waits=False)
@@ -84,7 +84,7 @@ def test_who_cannot_wait_gets_actors_without_light(scenes: ShownScenes) -> None:
     np.testing.assert_array_equal(colors(scenes.of(moved, CONFIG, 1.2, 0, waits=False))[0], plain)
 
 
-def test_light_that_is_off_changes_nothing(scenes: ShownScenes) -> None:
+def test_light_that_is_off_changes_nothing(scenes: SceneBuilder) -> None:
     """Neither shadows nor light of the place."""
     off = ls.config.AvatarLightingConfig(shadows=False, relight=False)
     shown = scenes.of(ls.io.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)
@@ -96,7 +96,7 @@ def test_where_no_light_is_found_actors_keep_their_own() -> None:
     """It is told, once, and the frame is there all the same."""
     told: list[str] = []
     levels = Levels(lambda: None)
-    scenes = ShownScenes(levels, "cpu", lambda label, share: None, report=told.append)
+    scenes = SceneBuilder(levels, "cpu", lambda label, share: None, report=told.append)
     dark = replace(animation(), scene=replace(animation().scene, lights=[]))
     document = ls.io.SceneDocument.of(dark)
     for time in (0.0, 1.0):

@@ -17,12 +17,12 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.viewer.thresholds import (
-    GAUSSIANS_AT_ONCE,
     LEVEL_BLOCK,
     LEVEL_CAPTURE_MIN,
+    LEVEL_DELAY_S,
     LEVEL_FRACTIONS,
     LEVEL_GAUSSIANS_MIN,
-    LEVEL_PATIENCE_S,
+    MOVING_GAUSSIANS_MAX,
 )
 
 Progress = Callable[[str, float], None]
@@ -30,7 +30,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(eq=False)
-class _Stage:
+class _ActorLighting:
     """What stands still, and what lights actors in it."""
 
     scene: ls.Scene
@@ -41,19 +41,19 @@ class _Stage:
     has_failed: bool = False
     """Whether no light could be found; actors then keep their own."""
 
-    def is_of(
+    def matches(
         self, scene: ls.Scene, lighting: ls.config.AvatarLightingConfig, background: tuple[float, float, float]
     ) -> bool:
         """Whether this is what stands still, and how it is lit."""
         return (
             (self.lighting, self.background) == (lighting, background)
-            and _same(self.scene.splats, scene.splats)
-            and _same(self.scene.meshes, scene.meshes)
-            and _same(self.scene.lights, scene.lights)
+            and _are_same_objects(self.scene.splats, scene.splats)
+            and _are_same_objects(self.scene.meshes, scene.meshes)
+            and _are_same_objects(self.scene.lights, scene.lights)
         )
 
 
-class ShownScenes:
+class SceneBuilder:
     """Makes the scenes of frames.
 
     Actors cast their shadows on captures and take on the light of their place, as ``lumisplat animate`` has them.
@@ -68,7 +68,7 @@ class ShownScenes:
     def __init__(self, levels: Levels, device: str, progress: Progress, report: Callable[[str], None]) -> None:
         self._levels, self._device, self._progress, self._report = levels, device, progress, report
         self._animation: tuple[ls.io.SceneDocument, ls.Animation | None] | None = None
-        self._stage: _Stage | None = None
+        self._stage: _ActorLighting | None = None
         self._last: dict[int, tuple[tuple[object, ...], ls.Scene]] = {}
         """By level: what the last scene was made of, and that scene: the same objects are not uploaded again."""
 
@@ -92,7 +92,7 @@ class ShownScenes:
         animation = self._animation_of(document)
         if animation is None or not animation.actors:
             return self._levels.scene(document.scene(time), level)
-        stage = self._stage_of(animation, config.background or (0.0, 0.0, 0.0), waits=waits)
+        stage = self._actor_lighting_of(animation, config.background or (0.0, 0.0, 0.0), waits=waits)
         still = self._levels.scene(animation.scene, level)
         key = (document, time, stage, still)
         held = self._last.get(level)
@@ -102,14 +102,14 @@ class ShownScenes:
         return held[1]
 
     def _with_actors(
-        self, animation: ls.Animation, stage: _Stage | None, still: ls.Scene, time: float, level: int
+        self, animation: ls.Animation, stage: _ActorLighting | None, still: ls.Scene, time: float, level: int
     ) -> ls.Scene:
         """A scene with the actors of a time, lit if there is a stage."""
         placed = [(instance, actor) for actor in animation.actors for instance in actor.at(time)]
         instances = [instance for instance, _ in placed]
         if stage is not None:
             try:
-                return self._lighter_of(animation, stage, still, level).light(
+                return self._avatar_lighter(animation, stage, still, level).light(
                     instances,
                     casts_shadow=[actor.casts_shadow for _, actor in placed],
                     relit=[actor.relight for _, actor in placed],
@@ -121,14 +121,16 @@ class ShownScenes:
         meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
         return replace(still, splats=(*still.splats, *splats), meshes=(*still.meshes, *meshes))
 
-    def _lighter_of(self, animation: ls.Animation, stage: _Stage, still: ls.Scene, level: int) -> ls.AvatarLighter:
+    def _avatar_lighter(
+        self, animation: ls.Animation, stage: _ActorLighting, still: ls.Scene, level: int
+    ) -> ls.AvatarLighter:
         """What lights actors among captures of a level; lights are found once, around the actors of the first frame."""
         held = stage.lighters.get(level)
         if held is not None and held[0] is still:
             return held[1]
         lights = None
         if level > 0:
-            finest = self._lighter_of(animation, stage, stage.scene, 0)
+            finest = self._avatar_lighter(animation, stage, stage.scene, 0)
             lights = finest.lights if finest.estimate is not None or finest.sun is not None else None
         lighter = ls.AvatarLighter(
             still,
@@ -148,30 +150,30 @@ class ShownScenes:
             self._animation = document, document.animation
         return self._animation[1]
 
-    def _stage_of(
+    def _actor_lighting_of(
         self, animation: ls.Animation, background: tuple[float, float, float], *, waits: bool
-    ) -> _Stage | None:
+    ) -> _ActorLighting | None:
         """The present stage, or a new one where there is time for it; None: actors are shown unlit."""
         lighting, scene = animation.lighting, animation.scene
         if not scene.splats or not (lighting.shadows or lighting.relight):
             return None
-        if self._stage is None or not self._stage.is_of(scene, lighting, background):
+        if self._stage is None or not self._stage.matches(scene, lighting, background):
             if not waits:
                 return None
-            self._stage = _Stage(scene, lighting, background)
+            self._stage = _ActorLighting(scene, lighting, background)
         return None if self._stage.has_failed else self._stage
 
 
-def _same(first: Sequence[object], second: Sequence[object]) -> bool:
+def _are_same_objects(first: Sequence[object], second: Sequence[object]) -> bool:
     """Whether two rows hold the same objects."""
     return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
 
 
-_Rows = npt.NDArray[np.intp]
+_Indices = npt.NDArray[np.intp]
 
 
 @dataclass(eq=False)
-class _Made:
+class _CaptureLevels:
     """What there is of a capture, by level."""
 
     levels: dict[int, ls.Gaussians] = field(default_factory=dict[int, ls.Gaussians])
@@ -197,7 +199,7 @@ class Levels:
         is_busy: Callable[[], bool] = lambda: False,
     ) -> None:
         self._on_made, self._progress, self._is_busy = on_made, progress, is_busy
-        self._made: weakref.WeakKeyDictionary[ls.Gaussians, _Made] = weakref.WeakKeyDictionary()
+        self._made: weakref.WeakKeyDictionary[ls.Gaussians, _CaptureLevels] = weakref.WeakKeyDictionary()
         self._scenes: dict[int, tuple[ls.Scene, ls.Scene]] = {}
         """By level: the last scene that was asked for, and its level."""
         self._wanted: SimpleQueue[weakref.ref[ls.Gaussians] | None] = SimpleQueue()
@@ -219,7 +221,7 @@ class Levels:
         held = self._scenes.get(level)
         if held is not None and held[0] is scene:
             return held[1]
-        is_large = scene.gaussian_count > GAUSSIANS_AT_ONCE
+        is_large = scene.gaussian_count > MOVING_GAUSSIANS_MAX
         chosen = [self._level(instance.gaussians, level, coarsest, thins=is_large) for instance in scene.splats]
         is_whole = all(level_there for _, level_there in chosen)
         splats = [replace(i, gaussians=g) for i, (g, _) in zip(scene.splats, chosen, strict=True)]
@@ -240,7 +242,7 @@ class Levels:
             level -= 1
         if level == 0:
             return gaussians, True
-        made = self._made.setdefault(gaussians, _Made())
+        made = self._made.setdefault(gaussians, _CaptureLevels())
         if made.coarsest < coarsest:
             made.coarsest = coarsest
             self._wanted.put(weakref.ref(gaussians))
@@ -264,12 +266,12 @@ class Levels:
         made = self._made[gaussians]
         numbers = [number for number in range(1, made.coarsest + 1) if number not in made.levels]
         self._progress(0.0)
-        self._give_way(LEVEL_PATIENCE_S)
+        self._pause_while_busy(LEVEL_DELAY_S)
         parts: dict[int, list[ls.Gaussians]] = {number: [] for number in numbers}
         done, pause = 0, 0.0
         for rows in _blocks(gaussians.means, np.arange(gaussians.count)):
             self._progress(done / gaussians.count)
-            self._give_way(pause)
+            self._pause_while_busy(pause)
             if self._closing.is_set():
                 return
             begun = time.monotonic()
@@ -283,7 +285,7 @@ class Levels:
         self._progress(1.0)
         self._on_made()
 
-    def _give_way(self, longest: float) -> None:
+    def _pause_while_busy(self, longest: float) -> None:
         """Waits while views move, but no longer than so many seconds."""
         until = time.monotonic() + longest
         while self._is_busy() and time.monotonic() < until and not self._closing.wait(0.02):
@@ -306,7 +308,7 @@ def _coarsest(count: int) -> int:
     return sum(round(count * fraction) >= LEVEL_GAUSSIANS_MIN for fraction in LEVEL_FRACTIONS[1:])
 
 
-def _blocks(means: npt.NDArray[np.float32], rows: _Rows) -> Generator[_Rows]:
+def _blocks(means: npt.NDArray[np.float32], rows: _Indices) -> Generator[_Indices]:
     """Rows of Gaussians in boxes of space of about as many each, `LEVEL_BLOCK` at most."""
     if rows.size <= LEVEL_BLOCK:
         yield rows
