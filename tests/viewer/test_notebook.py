@@ -42,7 +42,7 @@ def hand(orbit: Orbit | None = None) -> PointerControl:
     return PointerControl(orbit or Orbit.of(EYE, TARGET, UP, 0.8), 1.0, 640.0, 360.0)
 
 
-def press_callback(
+def rotation_by_drag(
     mouse: PointerControl, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()
 ) -> Any:
     """What a drag from the middle of the frame gives."""
@@ -114,13 +114,13 @@ def test_a_drag_turns_the_scene_with_the_hand() -> None:
     """What is nearer than the target follows the pointer; once across the height is once around."""
     mouse = hand()
     near = np.array(TARGET) + 0.1 * np.array(mouse.orbit.backward)
-    press_callback(mouse, 20.0, 0.0)
+    rotation_by_drag(mouse, 20.0, 0.0)
     assert seen_at(mouse.orbit, near)[0] > 1e-4
     mouse = hand()
-    press_callback(mouse, 0.0, 20.0)
+    rotation_by_drag(mouse, 0.0, 20.0)
     assert seen_at(mouse.orbit, near)[1] > 1e-4
     mouse = hand()
-    press_callback(mouse, 360.0, 0.0)
+    rotation_by_drag(mouse, 360.0, 0.0)
     np.testing.assert_allclose(mouse.orbit.eye, EYE, atol=1e-9)
 
 
@@ -128,7 +128,7 @@ def test_a_drag_turns_the_scene_with_the_hand() -> None:
 def test_other_buttons_and_shift_move(button: int, modifiers: tuple[str, ...]) -> None:
     """The target is where the pointer has gone."""
     mouse = hand()
-    assert press_callback(mouse, 72.0, -36.0, button, modifiers) is None
+    assert rotation_by_drag(mouse, 72.0, -36.0, button, modifiers) is None
     np.testing.assert_allclose(seen_at(mouse.orbit, TARGET), (0.2, -0.1), atol=1e-9)
 
 
@@ -136,8 +136,8 @@ def test_a_press_without_a_way_is_a_click() -> None:
     """At its share of the frame as it is now; a drag is none, nor is another button, nor a release without a press."""
     mouse = hand()
     mouse.handle({"type": "resize", "width": 960.0, "height": 240.0})
-    assert mouse.aspect == 4.0 and press_callback(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
-    assert press_callback(mouse, 30.0, 0.0) is None and press_callback(mouse, 0.0, 0.0, button=2) is None
+    assert mouse.aspect == 4.0 and rotation_by_drag(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
+    assert rotation_by_drag(mouse, 30.0, 0.0) is None and rotation_by_drag(mouse, 0.0, 0.0, button=2) is None
     assert mouse.handle({"type": "pointer_up", "x": 1.0, "y": 1.0, "button": 1, "modifiers": ()}) is None
 
 
@@ -380,7 +380,7 @@ def shell(*, allow_stdin: bool, types: tuple[str, ...] = ("image/png", "text/pla
     return SimpleNamespace(kernel=kernel, display_formatter=SimpleNamespace(active_types=types))
 
 
-def frame_image(data: dict[str, Any]) -> np.ndarray:
+def bundled_image(data: dict[str, Any]) -> np.ndarray:
     """The picture of a bundle."""
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data["image/png"]))))
 
@@ -395,7 +395,7 @@ def test_without_a_kernel_there_is_a_picture(viewer: ls.Viewer) -> None:
     assert about == {"image/png": {"width": 160, "height": 90}}
     view = ls.frame_camera(lit_scene(), width=160, height=90, fov_y=0.8)
     wanted = np.asarray(ls.render(lit_scene(), view, CONFIG, device="cpu"), np.uint8)
-    assert ls.metrics.psnr(frame_image(data) / 255.0, wanted / 255.0) > 40.0
+    assert ls.metrics.psnr(bundled_image(data) / 255.0, wanted / 255.0) > 40.0
     assert page_threads() == before and not viewer._loop._pages
 
 

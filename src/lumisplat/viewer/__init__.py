@@ -1,1 +1,1 @@
-"""The viewer: a page in which people fly through a scene, edit it and see it lit; on public names of the package."""
+"""The interactive viewer: a web page to navigate, edit and relight a scene, built on the public API of the package."""

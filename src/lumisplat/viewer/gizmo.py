@@ -1,4 +1,4 @@
-"""The handle by which the selected thing is moved and turned on pages."""
+"""The gizmo that moves and rotates the selected object on pages."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ if TYPE_CHECKING:
 Matrix = npt.NDArray[np.float64]
 
 _NODE = "/selected {}"
-"""Each has a number of its own: a page keeps the turn of one that was removed for the next one of its name."""
+"""Scene node of a gizmo. Each gizmo gets a new number, because pages keep the rotation of a removed node by its name.
+"""
 _SIZE = 0.09
-"""Length of the handle's axes as a share of the scene's size, if what it holds is not larger."""
+"""Length of the gizmo's axes as a fraction of the scene size; larger objects get longer axes."""
 
 
 @dataclass(frozen=True)
 class GizmoPose:
-    """Where a thing is held."""
+    """Pose of the gizmo for an object, and what the gizmo can change."""
 
     world_from_gizmo: Matrix
     """Rotation and translation, shape (4, 4)."""
@@ -40,25 +41,18 @@ class GizmoPose:
 
 @dataclass(frozen=True)
 class Drag:
-    """What a hand moves."""
+    """State of an entry when a drag began."""
 
     entry: ls.io.SceneEntry
-    """As it was when the drag began."""
+    """Entry as it was when the drag began."""
     start: Matrix
-    """``world_from_grip`` when it began."""
+    """``world_from_gizmo`` when the drag began."""
     time: float = 0.0
-    """Of the animation, seconds."""
+    """Animation time, seconds."""
 
 
 def gizmo_pose(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> GizmoPose | None:
-    """Where an entry is held: in the middle of what it shows, or where a light is; None: of a sky, or of nothing.
-
-    Args:
-        entry: The entry.
-        box: Around what it shows, in its own coordinates.
-        extent: Of the scene: a sun is held on a dome around it.
-        time: Of the animation, seconds.
-    """
+    """Returns the gizmo's pose: at an object's centre or a light's position. None for environments or empty entries."""
     if entry.kind in ("lights", "environment"):
         return _light_gizmo_pose(entry.lights[0], extent)
     pose = pose_of(entry, time)
@@ -89,10 +83,16 @@ def _light_gizmo_pose(light: Any, extent: Extent) -> GizmoPose | None:
 def with_moved_entry(
     document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, time: float
 ) -> ls.io.SceneDocument:
-    """The document with a capture, a mesh or an actor moved in the world, as it stands at a time, seconds.
+    """Returns the document with a capture, mesh or actor transformed in world space.
+
+    Args:
+        document: The scene document.
+        entry: Entry to move.
+        move: World-space transform to apply, shape (4, 4).
+        time: Animation time at which the transform applies, seconds.
 
     Raises:
-        SceneError: It has been removed.
+        SceneError: The entry has been removed.
     """
     motion = np.eye(4)
     if entry.actor is not None and entry.actor.motion is not None:
@@ -101,17 +101,17 @@ def with_moved_entry(
 
 
 def with_dragged_entry(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.io.SceneDocument:
-    """The document with an entry moved as its grip was; an actor that moves takes its way with it.
+    """Returns the document with an entry moved like its gizmo. An animated actor is moved with its whole motion.
 
     Args:
-        document: The scene, whatever else has been edited since the drag began.
-        drag: What is dragged, from where.
-        now: ``world_from_grip`` now.
-        extent: Of the scene.
+        document: Current document, which may have changed since the drag began.
+        drag: State when the drag began.
+        now: Current ``world_from_gizmo``, shape (4, 4).
+        extent: Scene extent.
 
     Raises:
-        FormatError: The entry cannot be there.
-        SceneError: It has been removed.
+        FormatError: The new position is invalid for the entry.
+        SceneError: The entry has been removed.
     """
     entry, number = drag.entry, drag.entry.id
     move = now @ np.linalg.inv(drag.start)
@@ -136,7 +136,7 @@ def _listed(vector: Any) -> list[float]:
 
 
 def _rotation_to(direction: npt.ArrayLike) -> Matrix:
-    """A rotation whose z axis is a direction."""
+    """Returns a rotation whose z axis is the given direction."""
     z = np.asarray(direction, np.float64) / np.linalg.norm(np.asarray(direction))
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
     x /= np.linalg.norm(x)
@@ -144,7 +144,7 @@ def _rotation_to(direction: npt.ArrayLike) -> Matrix:
 
 
 def _rotation_of_edges(edge_u: npt.ArrayLike, edge_v: npt.ArrayLike) -> Matrix:
-    """A rotation with x along one edge and z along the side to which a rectangle shines."""
+    """Returns a rotation with x along the first edge of a rectangle light and z along its emission direction."""
     x = np.asarray(edge_u, np.float64)
     z = np.cross(x, np.asarray(edge_v, np.float64))
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
@@ -152,31 +152,31 @@ def _rotation_of_edges(edge_u: npt.ArrayLike, edge_v: npt.ArrayLike) -> Matrix:
 
 
 class Gizmo:
-    """The handle of the selected entry, on all pages.
+    """The transform gizmo of the selected entry, on all pages.
 
     Args:
-        scene_api: The pages' scene.
-        session: Knows what is selected, and is edited.
+        scene_api: Scene of the pages, from viser.
+        session: Session whose selected entry the gizmo edits.
     """
 
     def __init__(self, scene_api: viser.SceneApi, session: Session) -> None:
         self._api, self._session = scene_api, session
         self._handle: viser.TransformControlsHandle | None = None
         self._handles = 0
-        """How many there were."""
+        """Number of gizmos created so far."""
         self._attached: tuple[int, GizmoPose] | None = None
-        """Id of the entry that it is on, and where."""
+        """Id of the entry that has the gizmo, and the gizmo's pose; None without a gizmo."""
         self._drag: Drag | None = None
         self._dragged_at = 0.0
         session.on_change(self.follow)
 
     @property
     def node(self) -> str:
-        """The name of the last handle on pages."""
+        """Name of the newest gizmo's scene node on pages."""
         return _NODE.format(self._handles)
 
     def follow(self) -> None:
-        """Goes to what is selected, and where that is now; a hand that drags it is not disturbed."""
+        """Moves the gizmo to the selected entry, unless a drag of that entry is in progress."""
         with self._session.changed:
             is_dragged = self._drag is not None and self._drag.entry.id == self._session.selected
             if is_dragged and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
@@ -231,7 +231,7 @@ class Gizmo:
             self._drag, self._dragged_at = self._new_drag(), time.monotonic()
 
     def _move(self, place: Matrix) -> None:
-        """Moves what is held to where a page has the handle: ``world_from_grip`` in units of the page."""
+        """Moves the entry to the gizmo of a page; ``place`` is ``world_from_gizmo`` in page units."""
         with self._session.changed:
             drag = self._drag or self._new_drag()
             if drag is None or all(entry.id != drag.entry.id for entry in self._session.state.document.entries):
@@ -243,7 +243,7 @@ class Gizmo:
             self._session.apply(lambda document: with_dragged_entry(document, drag, now, extent), name, within=math.inf)
 
     def _new_drag(self) -> Drag | None:
-        """A drag of what is held, from where it is."""
+        """Returns a drag that starts at the current pose of the selected entry; None without a gizmo."""
         entry = self._session.selected_entry
         if self._attached is None or entry is None or entry.id != self._attached[0]:
             return None
@@ -257,7 +257,7 @@ class Gizmo:
             self.follow()
 
     def _axis_length(self, entry: ls.io.SceneEntry) -> float:
-        """Length at which axes come out of what an entry shows, scene units."""
+        """Returns the axis length that extends beyond the bounding box of an entry, scene units."""
         size = self._session.boxes.size(entry, self._session.options.time)
         return 0.0 if size is None else 0.6 * float(np.max(size))
 
@@ -268,7 +268,7 @@ class Gizmo:
 
 
 def _drag_event_of(event: viser.TransformControlsEvent) -> tuple[str, Matrix]:
-    """The phase of a drag, and where the handle is, in units of the page."""
+    """Returns the phase of a drag event and the gizmo's pose in page units."""
     from viser import transforms
 
     matrix = np.eye(4)

@@ -1,4 +1,4 @@
-"""Shows a viewer as the result of a notebook's cell: live frames that follow the mouse, else an image, and a text."""
+"""Shows a viewer in a notebook cell: live frames with mouse control, else an image, and a text."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from lumisplat.viewer.session import Session
 from lumisplat.viewer.thresholds import ANSWER_S
 
 ELEVATION_MAX = math.radians(89.0)
-"""Angle between the sight and the ground beyond which a camera does not turn: at the poles up would be anywhere."""
+"""Largest angle between the view direction and the ground, radians; the up direction is ambiguous at the poles."""
 
 _Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """Where a camera is around what it looks at, in units of the scene."""
+    """Orbit camera: its position relative to a target, in scene units."""
 
     target: Vector
-    """What is in the middle of the picture."""
+    """World position at the centre of the image."""
     backward: Vector
-    """From the target to the eye, of length 1."""
+    """Unit vector from the target to the eye."""
     distance: float
-    """From the target to the eye, above 0."""
+    """Distance between target and eye, > 0."""
     up: Vector
-    """Of the scene, of length 1."""
+    """Up direction of the scene, a unit vector."""
     fov_y: float
     """Vertical field of view, radians."""
 
     @classmethod
     def of(cls, eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike, fov_y: float) -> Orbit:
-        """The camera that looks from one point at another; no steeper than it can turn."""
+        """Creates the camera that looks from an eye at a target, with its elevation clamped to the allowed range."""
         offset = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
         distance = float(np.linalg.norm(offset))
         orbit = cls(_vector(target), _vector(offset / distance), distance, _vector(_unit(up)), fov_y)
@@ -54,20 +54,20 @@ class Orbit:
 
     @property
     def eye(self) -> Vector:
-        """Where it is."""
+        """World position of the camera."""
         return _vector(np.array(self.target) + self.distance * np.array(self.backward))
 
     @property
     def elevation(self) -> float:
-        """Angle of the eye above the ground through the target, radians."""
+        """Angle of the eye above the ground plane through the target, radians."""
         return math.asin(min(max(float(np.dot(self.backward, self.up)), -1.0), 1.0))
 
     def rotated(self, around: float, above: float) -> Orbit:
-        """Turned about its target.
+        """Returns the camera rotated about its target.
 
         Args:
-            around: To the right about the vertical, radians.
-            above: Upwards, radians; it ends short of the poles.
+            around: Rotation to the right about the vertical, radians.
+            above: Upward rotation, radians; clamped short of the poles.
         """
         up = np.array(self.up)
         level = self._level_backward()
@@ -76,33 +76,33 @@ class Orbit:
         return replace(self, backward=_vector(math.cos(elevation) * level + math.sin(elevation) * up))
 
     def panned(self, across: float, down: float) -> Orbit:
-        """Moved with what it looks at, so that the target goes with the pointer.
+        """Returns the camera moved together with its target, so that the target follows the pointer.
 
         Args:
-            across: What the target moves to the right in the picture, in heights of the picture.
-            down: Likewise downwards.
+            across: Shift of the target to the right, as a fraction of the image height.
+            down: Shift of the target downward, as a fraction of the image height.
         """
         height = 2.0 * self.distance * math.tan(0.5 * self.fov_y)
         right, downwards, _ = self.pose(1.0).camera(2).camera_from_world[:3, :3]
         return replace(self, target=_vector(np.array(self.target) - height * (across * right + down * downwards)))
 
     def zoomed(self, factor: float, nearest: float, farthest: float) -> Orbit:
-        """Nearer to its target, or farther away.
+        """Returns the camera at another distance from its target.
 
         Args:
-            factor: Of the distance.
-            nearest: Least distance.
+            factor: Factor of the distance.
+            nearest: Smallest distance.
             farthest: Largest distance.
         """
         return replace(self, distance=min(max(factor * self.distance, nearest), farthest))
 
     def pose(self, aspect: float) -> Pose:
-        """As pages have it, at a width to height."""
+        """Returns the camera as a page pose with the given aspect ratio, width over height."""
         camera = ls.Camera.look_at(self.eye, self.target, self.up, width=2, height=2, fov_y=self.fov_y)
         return replace(Pose.through(camera, self.distance), aspect=aspect)
 
     def _level_backward(self) -> _Array:
-        """The direction to the eye along the ground, of length 1; any, where the eye is above the target."""
+        """Returns the horizontal unit vector toward the eye; an arbitrary one if the eye is right above the target."""
         up, backward = np.array(self.up), np.array(self.backward)
         for direction in (backward, np.eye(3)[np.abs(up).argmin()]):
             level = direction - float(direction @ up) * up
@@ -122,41 +122,44 @@ def _vector(array: npt.ArrayLike) -> Vector:
 
 
 _TURN = 2.0 * math.pi
-"""Angle by which a camera turns while the pointer crosses the height of the frame, radians."""
+"""Rotation while the pointer crosses the frame height, radians."""
 _ZOOM = 0.0015
-"""Logarithm of the factor of the distance for a pixel of the wheel; a notch is 100."""
+"""Logarithm of the distance factor per wheel unit; one notch is 100 units."""
 _CLICK_PIXELS = 4.0
-"""Way of a pointer between press and release, beyond which it was no click."""
+"""Longest pointer path between press and release that still counts as a click, pixels."""
 _LEFT = 1
 
 
 class PointerControl:
-    """Follows the events of one cell, as jupyter_rfb sends them.
+    """Moves an orbit camera by the pointer events of one cell, in the format of jupyter_rfb.
 
     Args:
-        orbit: The camera at first.
-        size: Size of the scene, which bounds how near and far the camera goes.
-        width: Width of the frame, pixels of the page.
-        height: Its height.
+        orbit: Camera at the start.
+        size: Scene size, which limits how near and far the camera can go.
+        width: Frame width, page pixels.
+        height: Frame height, page pixels.
     """
 
     def __init__(self, orbit: Orbit, size: float, width: float, height: float) -> None:
         self.orbit, self._size = orbit, size
         self._width, self._height = width, height
         self._at: tuple[float, float] | None = None
-        """Where the pointer was last, while it is pressed."""
+        """Last pointer position while a button is down; None otherwise."""
         self._path_length = 0.0
 
     @property
     def aspect(self) -> float:
-        """Width to height of the frame."""
+        """Aspect ratio of the frame, width over height."""
         return self._width / self._height
 
     def handle(self, event: Mapping[str, Any]) -> tuple[float, float] | None:
-        """Takes an event.
+        """Processes an event and moves the camera.
+
+        Args:
+            event: Event of jupyter_rfb.
 
         Returns:
-            The shares of the width and the height at which there was a click; None: this is none.
+            The clicked point as fractions of width and height, from the upper left; None if the event is not a click.
         """
         match event["type"]:
             case "resize":
@@ -189,41 +192,41 @@ class PointerControl:
 _log = logging.getLogger("lumisplat")
 
 Bundle = tuple[dict[str, Any], dict[str, Any]]
-"""Representations by MIME type, and what is known about them."""
+"""Representations by MIME type, and their metadata."""
 
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _TEXT = "text/plain"
 _FRAME_S = 60.0
-"""How long a cell waits for its first frame, seconds: kernels may have to be compiled."""
+"""Longest wait of a cell for its first frame, seconds; kernels may have to compile."""
 _SAMPLES_S = 2.0
-"""How long a picture gathers samples, seconds."""
+"""Time during which a still image accumulates samples, seconds."""
 
 
 class Notebook:
-    """Shows a session in cells.
+    """Shows a session in notebook cells.
 
     Args:
-        session: What is shown.
-        loop: Renders it.
-        url: The address of the page.
+        session: Session to show.
+        loop: Render loop of the session.
+        url: Address of the page.
     """
 
     def __init__(self, session: Session, loop: RenderLoop, url: str) -> None:
         self._session, self._loop, self._url = session, loop, url
         self._cell: Cell | None = None
         self._missing = ""
-        """What to install for live frames, in a line; empty: nothing is missing."""
+        """Message that names the package to install for live frames; empty if none is missing."""
 
     def bundle(
         self, text: str, view: FirstView, include: Collection[str] | None, exclude: Collection[str] | None
     ) -> Bundle:
-        """What a cell shows whose result is the viewer.
+        """Returns the representations of the viewer for a notebook cell.
 
         Args:
-            text: In words.
-            view: Where to look from.
-            include: The MIME types that are wanted; None: all.
-            exclude: MIME types that are not wanted; None: none.
+            text: Plain-text representation.
+            view: First view of the scene.
+            include: MIME types to include; None includes all.
+            exclude: MIME types to leave out; None excludes none.
         """
 
         def is_wanted(kind: str) -> bool:
@@ -247,12 +250,12 @@ class Notebook:
         return data, about
 
     def close(self) -> None:
-        """Ends the frames in cells."""
+        """Stops the live frames in cells."""
         if self._cell is not None:
             self._cell.close()
 
     def _live(self, orbit: Orbit) -> Cell | None:
-        """The cell with live frames; None: nobody would see them, or a package is missing, which is told once."""
+        """Returns the live cell; None if nobody can interact with it or a package is missing, which is logged once."""
         if not has_interactive_user():
             return None
         if self._cell is None or not self._cell.page.is_open:
@@ -266,7 +269,7 @@ class Notebook:
         return self._cell
 
     def _picture(self, orbit: Orbit) -> ls.Frame | None:
-        """A frame of the scene; None: it cannot be rendered, or not soon."""
+        """Renders a still frame of the scene; returns None if rendering fails or takes too long."""
         page = Page(_NullScreen(), self._session.changed)
         page.set_pose(orbit.pose(ASPECT))
         self._loop.add(page)
@@ -276,7 +279,7 @@ class Notebook:
             self._loop.remove(page)
 
     def _first_frame(self, page: Page, samples_s: float) -> ls.Frame | None:
-        """What a page shows; if that is nothing yet, its first frame at rest, with the samples of some more seconds."""
+        """Returns the page's frame. Without one, waits for the first full frame and ``samples_s`` more seconds."""
         if page.frame is None:
             self._wait(lambda: page.frames_at_rest > 0 or page.is_finished, _FRAME_S)
             self._wait(lambda: page.is_finished, samples_s)
@@ -289,30 +292,30 @@ class Notebook:
 
 
 class _NullScreen:
-    """A screen that nobody looks at: the page's frame is what is wanted."""
+    """A screen that discards images, for a page whose frame is read directly."""
 
     def show(self, shown: ScreenImage) -> None:
-        """Is done at once."""
+        """Returns at once."""
 
     def close(self) -> None:
-        """There is no wait to end."""
+        """Does nothing, because `show` never waits."""
 
 
 WIDTH, HEIGHT = 640, 360
-"""Of the frame in the notebook at first, pixels of the page."""
+"""Width and height of the frame in the notebook at the start, page pixels."""
 _LINK = '<a href="{}" target="_blank" style="text-decoration: underline">open the page</a>'
 
 
 class Cell:
-    """A frame, and below it a line: the address of the page, and what a click has found.
+    """A notebook widget with a live frame and a line of text: the page address and the result of a click.
 
-    All cells that show it are views of it, from the same place.
+    All notebook cells that display the viewer are views of one widget, with one camera.
 
     Args:
-        session: What it shows.
-        loop: Renders for it.
-        orbit: Where it looks from at first.
-        url: The address of the page.
+        session: Session to show.
+        loop: Render loop of the session.
+        orbit: Camera at the start.
+        url: Address of the page.
 
     Raises:
         MissingExtraError: jupyter_rfb is not installed.
@@ -325,7 +328,7 @@ class Cell:
         self.buffer = frame_buffer(WIDTH, HEIGHT, self._on_event)
         self._line = ipywidgets.HTML()
         self.widget = ipywidgets.VBox([self.buffer, self._line])
-        """What the notebook shows."""
+        """The widget that the notebook displays."""
         self.page = Page(CellScreen(self.buffer), session.changed)
         self.notify("")
         session.error_listeners.append(self.notify)
@@ -333,12 +336,12 @@ class Cell:
         loop.add(self.page)
 
     def notify(self, note: str) -> None:
-        """Shows a note in the line, beside the address while there is a page."""
+        """Shows a note in the text line, next to the address if the page is open."""
         link = _LINK.format(html.escape(self._url)) if self.page.is_open else ""
         self._line.value = " · ".join(part for part in (link, html.escape(note)) if part)
 
     def close(self) -> None:
-        """Ends the frames; the last one stays in the notebook."""
+        """Stops the live frames; the last frame stays in the notebook."""
         if not self.page.is_open:
             return
         self._session.error_listeners.remove(self.notify)
@@ -370,7 +373,7 @@ class Cell:
 
 
 def import_widgets() -> tuple[Any, Any]:
-    """The packages ipywidgets and jupyter_rfb.
+    """Returns the modules ipywidgets and jupyter_rfb.
 
     Raises:
         MissingExtraError: jupyter_rfb is not installed.
@@ -382,11 +385,11 @@ def import_widgets() -> tuple[Any, Any]:
 
 
 def frame_buffer(width: int, height: int, on_event: Callable[[dict[str, Any]], None]) -> Any:
-    """A widget that shows what `CellScreen` sends.
+    """Creates the widget that displays the images of a `CellScreen`.
 
     Args:
-        width: Width in the notebook, pixels of the page; people may drag its corner.
-        height: Height likewise.
+        width: Width in the notebook, page pixels; users can resize the widget.
+        height: Height in the notebook, page pixels.
         on_event: Called with each event, in a thread of the kernel.
 
     Raises:
@@ -404,12 +407,12 @@ def frame_buffer(width: int, height: int, on_event: Callable[[dict[str, Any]], N
 
 
 class CellScreen:
-    """Sends pictures to a widget; its pages answer which one they have drawn.
+    """Sends images to a notebook widget, which acknowledges each image that it has drawn.
 
-    A kernel that runs a cell hears no answers: so long, pictures are sent as often as `ANSWER_S` says.
+    A kernel that is running a cell receives no acknowledgements; images are then sent every `ANSWER_S` seconds.
 
     Args:
-        buffer: The widget, of `frame_buffer`; no one else sends frames to it.
+        buffer: Widget of `frame_buffer`; only this screen may send frames to it.
     """
 
     def __init__(self, buffer: Any) -> None:
@@ -419,7 +422,7 @@ class CellScreen:
         buffer.observe(self._on_answer, names="_frame_feedback")
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends a picture, and waits until it is drawn."""
+        """Sends an image and waits until the widget has drawn it."""
         self._is_there.clear()
         self._sent += 1
         self._buffer.quality = shown.quality
@@ -427,7 +430,7 @@ class CellScreen:
         self._is_there.wait(ANSWER_S)
 
     def close(self) -> None:
-        """Ends the wait."""
+        """Ends a wait in `show`."""
         self._is_there.set()
 
     def _on_answer(self, change: Any) -> None:
@@ -436,7 +439,7 @@ class CellScreen:
 
 
 def has_interactive_user() -> bool:
-    """Whether somebody can look at a widget: nbconvert and others that run notebooks have a kernel, but no keyboard."""
+    """True if a user can interact with a widget. Programs such as nbconvert run a kernel that accepts no input."""
     kernel = getattr(_shell(), "kernel", None)
     if kernel is None:
         return False
@@ -444,13 +447,13 @@ def has_interactive_user() -> bool:
 
 
 def can_show_images() -> bool:
-    """Whether pictures can be shown, which a terminal cannot; whoever asks without a shell can."""
+    """True if the front end can display images, which a terminal cannot. True outside IPython."""
     shell = _shell()
     return shell is None or "image/png" in shell.display_formatter.active_types
 
 
 def _shell() -> Any:
-    """IPython's shell; None: there is none."""
+    """Returns the IPython shell; None outside IPython."""
     try:
         from IPython.core.getipython import get_ipython
     except ImportError:

@@ -1,4 +1,4 @@
-"""Draws lines and insets over a frame: how large lights are and where they shine, the selection, the ground."""
+"""Draws overlays on frames: outlines of lights and of the selected object, a ground grid, and insets."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from lumisplat.viewer.scene_extent import pose_of, world_corners
 from lumisplat.viewer.session import Session
 
 _LIGHT_SIZE = 0.03
-"""Of marks of lights without a size, as a share of the scene's."""
+"""Size of the marks of lights without a size, as a fraction of the scene size."""
 _POINT_SIZE = 0.008
-"""Of marks of points that were clicked, likewise."""
+"""Size of the marks of clicked points, as a fraction of the scene size."""
 _INSETS = ("depth", "normal")
 _INSET_SHARE = 0.22
-"""Height of an inset, as a share of the picture's."""
+"""Height of an inset as a fraction of the image height."""
 _INSET_GAP = 8
 _INSET_FRAME = (110, 110, 110)
 
 
 def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
-    """A picture with what the options of the session ask for."""
+    """Returns an image with the overlays that the view options ask for."""
     with session.changed:
         options = session.options
         outlines = _outlines(session) if options.outlines else []
@@ -45,7 +45,7 @@ def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Pictur
 
 
 def _outlines(session: Session) -> list[Outline]:
-    """Lines of all lights, and around what is selected."""
+    """Returns the outlines of all lights and of the selected object."""
     document, size = session.state.document, _LIGHT_SIZE * session.extent.size
     lights = [entry for entry in document.entries if entry.kind == "lights" and not entry.hidden]
     found = [light_outline(entry.lights[0], size, is_selected=entry.id == session.selected) for entry in lights]
@@ -57,7 +57,7 @@ def _outlines(session: Session) -> list[Outline]:
 
 
 def _selection(session: Session) -> list[Outline]:
-    """The box around the selected thing."""
+    """Returns the bounding box of the selected object, as a list of at most one outline."""
     entry, time = session.selected_entry, session.options.time
     if entry is None or entry.hidden:
         return []
@@ -66,13 +66,13 @@ def _selection(session: Session) -> list[Outline]:
 
 
 def _grid(session: Session) -> Outline:
-    """The ground: at the bottom of what was opened, at right angles to up."""
+    """Returns the ground grid, perpendicular to up at the lowest point of the scene."""
     extent, up = session.extent, np.array(session.scene.up_direction)
     return grid_outline(np.array(extent.center) - extent.height_below * up, up, 1.5 * extent.size)
 
 
 def with_insets(picture: Picture, frame: ls.Frame) -> Picture:
-    """A picture with small framed ones of its depth and its normals in the lower left corner, away from panels."""
+    """Returns an image with framed insets of depth and normals in the lower left corner, away from the panel."""
     height, width = picture.shape[:2]
     rows, columns = round(_INSET_SHARE * height), round(_INSET_SHARE * width)
     image = Image.fromarray(picture)
@@ -88,11 +88,11 @@ Points = npt.NDArray[np.float64]
 
 _CIRCLE = 48
 _PIECES = 24
-"""Parts of a straight line that are seen or hidden each by itself."""
+"""Number of segments of a straight line; each segment is visible or hidden as a whole."""
 _HIDDEN_STRENGTH = 0.3
-"""Strength of lines behind what is in the frame."""
+"""Opacity of line segments behind a surface."""
 _FARTHEST_PX = 1e5
-"""Lines that end farther outside of the picture are left out."""
+"""Largest pixel coordinate of a line end; segments beyond it are not drawn."""
 _SELECTED = (255, 176, 32)
 _OTHERS = (150, 150, 150)
 _GRID = (90, 110, 130)
@@ -100,19 +100,19 @@ _GRID = (90, 110, 130)
 
 @dataclass(frozen=True)
 class Outline:
-    """Lines of one thing."""
+    """Lines of one object, with their colour."""
 
     lines: tuple[Points, ...]
     color: tuple[int, int, int]
 
 
 def light_outline(light: Any, size: float, *, is_selected: bool) -> Outline | None:
-    """The lines of a light; None: of one that is nowhere, such as a sky.
+    """Returns the outline of a light; None for lights without a position: directional lights and environments.
 
     Args:
         light: The light.
-        size: Length that marks lights without a size of their own, scene units.
-        is_selected: Whether all of it is shown, else its place alone.
+        size: Size of the mark of a light without a size, scene units.
+        is_selected: True draws cone and range too; False draws only the position and size.
     """
     color = _SELECTED if is_selected else _OTHERS
     match light:
@@ -132,13 +132,13 @@ def light_outline(light: Any, size: float, *, is_selected: bool) -> Outline | No
 
 
 def sun_outline(light: ls.LightDirectional, center: npt.ArrayLike, radius: float, up: npt.ArrayLike) -> Outline:
-    """The dome on which a sun is dragged: its horizon, the arc from there over the zenith, and the way of its light.
+    """Returns the dome on which a sun is dragged: horizon, arc through the zenith, and the ray to the centre.
 
     Args:
         light: The sun.
-        center: Of the dome, world space.
-        radius: Of the dome, scene units.
-        up: Unit vector.
+        center: Centre of the dome, world space.
+        radius: Radius of the dome, scene units.
+        up: Up direction, a unit vector.
     """
     middle, vertical, towards = np.asarray(center, np.float64), np.asarray(up, np.float64), -np.array(light.direction)
     level = towards - (towards @ vertical) * vertical
@@ -153,7 +153,7 @@ def sun_outline(light: ls.LightDirectional, center: npt.ArrayLike, radius: float
 
 
 def points_outline(points: Sequence[npt.ArrayLike], size: float) -> Outline:
-    """Marks of points of a ground that were clicked, and the lines between them.
+    """Returns marks at the clicked ground points and lines between them.
 
     Args:
         points: World positions.
@@ -164,19 +164,19 @@ def points_outline(points: Sequence[npt.ArrayLike], size: float) -> Outline:
 
 
 def box_outline(corners: npt.ArrayLike) -> Outline:
-    """The edges of a box, by its corners as `world_corners` has them, shape (8, 3)."""
+    """Returns the edges of a box, given its corners in the order of `world_corners`, shape (8, 3)."""
     at = np.asarray(corners, np.float64)
     pairs = [(a, a | 1 << axis) for a in range(8) for axis in range(3) if not a >> axis & 1]
     return Outline(tuple(_line_points(at[a], at[b]) for a, b in pairs), _SELECTED)
 
 
 def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outline:
-    """Lines on a ground, a power of ten apart, and stronger ones through its middle.
+    """Returns a ground grid whose line spacing is a power of ten.
 
     Args:
-        center: A point of the ground, world space.
-        up: Its unit normal.
-        size: Length of its sides, scene units.
+        center: Point on the ground, world space.
+        up: Unit normal of the ground.
+        size: Side length of the grid, scene units.
     """
     step = 10.0 ** math.floor(math.log10(size / 4.0))
     count = round(0.5 * size / step)
@@ -193,7 +193,7 @@ def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outli
 def draw_outlines(
     picture: npt.NDArray[np.uint8], frame: ls.Frame, outlines: Sequence[Outline]
 ) -> npt.NDArray[np.uint8]:
-    """The picture of a frame, of its size or a larger one, with lines on it, dimmed behind what is in the frame."""
+    """Draws outlines on the image of a frame, dimmed behind surfaces. The image may be larger than the frame."""
     if not outlines:
         return picture
     image, scale = Image.fromarray(picture), len(picture) / frame.camera.height
@@ -209,7 +209,7 @@ def draw_outlines(
 
 
 def _split_by_visibility(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Points, Points]:
-    """The parts of lines in the picture that are hidden and those that are seen: their ends, pixels, shape (N, 4)."""
+    """Projects lines and returns the hidden and the visible segments, each as end points in pixels, shape (N, 4)."""
     camera, points = frame.camera, np.concatenate(lines)
     local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     depth = np.maximum(local[:, 2], camera.near)
@@ -223,7 +223,7 @@ def _split_by_visibility(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Poin
 
 
 def _is_visible(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
-    """Whether nothing in the frame is nearer to the eye than points."""
+    """Returns True for each point that no surface of the frame occludes."""
     height, width = frame.alpha.shape
     x = np.clip(pixels[:, 0], 0, width - 1).astype(int)
     y = np.clip(pixels[:, 1], 0, height - 1).astype(int)
@@ -241,7 +241,7 @@ def _circle(center: npt.ArrayLike, radius: float, axis: npt.ArrayLike) -> Points
 
 
 def _perpendicular_axes(axis: npt.ArrayLike) -> tuple[Points, Points]:
-    """Two unit vectors at right angles to an axis and to each other."""
+    """Returns two unit vectors perpendicular to an axis and to each other."""
     along = np.asarray(axis, np.float64)
     along = along / np.linalg.norm(along)
     other = np.eye(3)[int(np.argmin(np.abs(along)))]
@@ -252,7 +252,7 @@ def _perpendicular_axes(axis: npt.ArrayLike) -> tuple[Points, Points]:
 
 
 _UNIT_CIRCLES = tuple(_circle(np.zeros(3), 1.0, axis) for axis in np.eye(3))
-"""About each axis."""
+"""Unit circles about the x, y and z axis."""
 
 
 def _wire_sphere(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
@@ -260,7 +260,7 @@ def _wire_sphere(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
 
 
 def _cone_lines(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
-    """To the end of a spot's range, or a few sizes: its outer cone, and a circle of its inner one."""
+    """Returns the outer cone and a circle of the inner cone of a spot light, as long as its range or six mark sizes."""
     length = light.range if math.isfinite(light.range) else 6.0 * size
     position, along = np.array(light.position), np.array(light.direction)
     lines: list[Points] = []
@@ -276,7 +276,7 @@ def _cone_lines(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
 
 
 def _area_light_lines(light: Any) -> tuple[Points, ...]:
-    """The boundary of a light in a plane, and where it shines."""
+    """Returns the boundary of an area light and its normal."""
     corners, normal, center = light.boundary(), light.area_vector, np.array(light.position)
     normal = 0.25 * normal / math.sqrt(np.linalg.norm(normal))
     pieces = max(1, 4 * _PIECES // len(corners))

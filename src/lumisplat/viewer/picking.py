@@ -1,4 +1,4 @@
-"""What a page shows at a point: read off its last frame, no ray is traced for it."""
+"""Picks the object at a point of a page from the AOVs of its last frame, without tracing rays."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from lumisplat.viewer.session import Session
 
 @dataclass(frozen=True)
 class Pick:
-    """What is seen at a point of a page."""
+    """The visible surface at a point of a page."""
 
     instance: int
-    """Instance in scene order: captures, then meshes."""
+    """Index of the instance in the scene: captures first, then meshes."""
     gaussian: int
-    """Gaussian within its capture; -1: a mesh."""
+    """Index of the Gaussian within its capture; -1 for a mesh."""
     depth: float
-    """Distance from the eye, scene units."""
+    """Distance from the camera, scene units."""
     position: npt.NDArray[np.float64]
     """World position, shape (3,)."""
 
 
 def picked(frame: ls.Frame, across: float, down: float) -> Pick | None:
-    """What a frame shows at a point; None: nothing.
+    """Returns the visible surface at a point of a frame; None if no surface is there.
 
     Args:
-        frame: The last frame of the page, of whatever size.
-        across: Share of the width, from the left, 0..1.
-        down: Share of the height, from the top, 0..1.
+        frame: Last frame of the page, at any resolution.
+        across: Horizontal position as a fraction of the width from the left, 0 to 1.
+        down: Vertical position as a fraction of the height from the top, 0 to 1.
     """
     height, width = frame.alpha.shape
     x, y = (min(max(int(share * size), 0), size - 1) for share, size in ((across, width), (down, height)))
@@ -43,17 +43,17 @@ def picked(frame: ls.Frame, across: float, down: float) -> Pick | None:
 
 
 def select(session: Session, frame: ls.Frame, across: float, down: float, *, is_level: bool) -> tuple[str, str] | None:
-    """Selects what a frame shows at a point, or nothing if nothing is there.
+    """Selects the entry at a point of a frame, or clears the selection if no surface is there.
 
     Args:
-        session: Where it is selected.
-        frame: As of `picked`.
-        across: As of `picked`.
-        down: As of `picked`.
-        is_level: Whether the Gaussians of the frame may be those of a level.
+        session: Session whose selection changes.
+        frame: Last frame of the page, as in `picked`.
+        across: Horizontal position, as in `picked`.
+        down: Vertical position, as in `picked`.
+        is_level: True if the frame may show a reduced level of detail, whose Gaussians have other indices.
 
     Returns:
-        The name of the thing, and what is known of the point, in words; None: nothing was selected.
+        Name of the entry and a description of the point; None if nothing was selected.
     """
     pick = picked(frame, across, down)
     if pick is None:

@@ -1,4 +1,4 @@
-"""Where the scene is and how large: boxes around scene objects, measured once, and the length of a unit on pages."""
+"""Measures the scene and its objects: bulk, ground, bounding boxes, and the scale between scene and page units."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ import lumisplat as ls
 Vector = tuple[float, float, float]
 
 PAGE_SIZES = (0.3, 30.0)
-"""Diagonals of scenes, in units of a page, that pages take as they are: their depth ends at 167 units."""
+"""Range of scene diagonals, in page units, that need no rescaling; the depth range of a page ends at 167 units."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """The bulk of a scene, measured when it is opened; its ground, when up changes, too."""
+    """Bulk of a scene, measured when the scene is opened. The ground is measured again when up changes."""
 
     center: Vector = (0.0, 0.0, 0.0)
     size: float = 1.0
-    """Diagonal of the bulk, scene units, above 0."""
+    """Diagonal of the bulk, scene units, > 0."""
     height_below: float = 0.5
-    """How far below the centre the bulk ends, scene units."""
+    """Distance from the centre down to the ground, scene units."""
 
     @classmethod
     def of(cls, scene: ls.Scene) -> Extent:
-        """That of a scene; of an empty one, a unit at the origin."""
+        """Measures a scene; an empty scene has size 1 at the origin."""
         if not (scene.splats or scene.meshes):
             return cls()
         low, high = scene.bulk_bounds()
@@ -39,7 +39,7 @@ class Extent:
         return cls((x, y, z), size if 1e-6 < size < math.inf else 1.0).with_ground(scene)
 
     def with_ground(self, scene: ls.Scene) -> Extent:
-        """With the ground of a scene, at right angles to its up."""
+        """Returns the extent with the ground of a scene, perpendicular to its up direction."""
         instances, up = (*scene.splats, *scene.meshes), np.array(scene.up_direction)
         if not instances:
             return self
@@ -48,18 +48,18 @@ class Extent:
 
     @property
     def page_from_scene(self) -> float:
-        """Units of a page in one of the scene: a power of ten, 1 for most scenes."""
+        """Page units per scene unit, a power of ten; 1 for most scenes."""
         low, high = PAGE_SIZES
         return 1.0 if low <= self.size <= high else 10.0 ** -round(math.log10(self.size / 3.0))
 
     @property
     def dome_radius(self) -> float:
-        """Of the dome on which suns are held, scene units: small enough to be in view when all of the scene is."""
+        """Radius of the dome on which suns are dragged, scene units. The dome is in view when the whole scene is."""
         return 0.35 * self.size
 
 
 def lowest_height(instance: ls.SplatInstance | ls.MeshInstance, up: Vector) -> float:
-    """Height of the lowest point of an instance along up, of a capture without stray Gaussians below it."""
+    """Returns the height of an instance's lowest point along up, ignoring stray Gaussians below a capture."""
     stood: Any = ls.stand_on_ground(cast(Any, instance), 0.0, up=up)
     return float(np.array(up) @ (instance.transform[:3, 3] - stood.transform[:3, 3]))
 
@@ -70,7 +70,7 @@ Box = tuple[Array, Array]
 
 
 def pose_of(entry: ls.io.SceneEntry, time: float) -> Array | None:
-    """Where an entry stands at a time, seconds, a similarity, shape (4, 4); None: of lights."""
+    """Returns an entry's world-from-file similarity at a time in seconds, shape (4, 4); None for lights."""
     if entry.world_from_file is None:
         return None
     placed, actor = np.asarray(entry.world_from_file, np.float64), entry.actor
@@ -78,14 +78,14 @@ def pose_of(entry: ls.io.SceneEntry, time: float) -> Array | None:
 
 
 class BoxCache:
-    """Boxes of entries."""
+    """Caches the bounding boxes of entries."""
 
     def __init__(self) -> None:
         self._cached: dict[int, tuple[tuple[object, ...], Box]] = {}
-        """By entry: what was measured, and its box."""
+        """Measured assets and their box, by entry id."""
 
     def of(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Box | None:
-        """The box around the bulk of what an entry shows at a time, in its file's coordinates; None: of lights.
+        """Returns the box around the bulk of an entry at a time in seconds, in file coordinates; None for lights.
 
         Raises:
             FormatError: A frame of an actor cannot be read.
@@ -101,32 +101,32 @@ class BoxCache:
         return held[1]
 
     def prune(self, document: ls.io.SceneDocument) -> None:
-        """Forgets the boxes, and so the assets, of entries that a document does not have."""
+        """Drops the boxes and assets of entries that a document does not contain."""
         present = {entry.id for entry in document.entries}
         self._cached = {number: held for number, held in self._cached.items() if number in present}
 
     def size(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Array | None:
-        """Lengths of an entry's box along its own axes, as large as it stands in the scene, shape (3,)."""
+        """Returns the side lengths of an entry's box along its own axes, scene units, shape (3,); None for lights."""
         box, pose = self.of(entry, time), pose_of(entry, time)
         return None if box is None or pose is None else scale_of(pose) * (box[1] - box[0])
 
 
 def scale_of(pose: Array) -> float:
-    """The scale of a similarity, shape (4, 4)."""
+    """Returns the scale factor of a similarity, shape (4, 4)."""
     return float(np.cbrt(np.linalg.det(pose[:3, :3])))
 
 
 def world_corners(box: Box, pose: Array) -> Array:
-    """The corners of a box in a file's coordinates as they stand in the world, shape (8, 3).
+    """Returns the corners of a box in file coordinates, transformed to world space, shape (8, 3).
 
-    Bit ``a`` of a corner's number says whether it is at the highest value of axis ``a``.
+    Bit ``a`` of a corner's index is set if the corner is at the upper end of axis ``a``.
     """
     corners = np.array([[box[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
     return corners @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _bulk_box(instances: Sequence[ls.SplatInstance | ls.MeshInstance], file_from_world: Array) -> Box:
-    """The box around the bulk of instances, in a file's coordinates."""
+    """Returns the box around the bulk of instances, in file coordinates."""
 
     def in_file(instance: Any) -> Any:
         return replace(instance, world_from_object=file_from_world @ instance.transform)

@@ -1,4 +1,4 @@
-"""What is shown and edited: one state for all pages, with undo, and which settings and views have an effect on it."""
+"""The edited state that all pages share, with undo, and the settings and views that affect its frames."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _SORTED = "Projection unscented goes with strategy sorted alone."
 _ISO = "Projection unscented goes with surface iso alone."
 _UNSCENTED = "Unscented goes with the pipelines raster and hybrid, strategy sorted and surface iso alone."
 _BOUNCE_VIEWS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy")
-"""Views of light that pipelines have in which it bounces."""
+"""Views that only pipelines with indirect light have."""
 _REALTIME_VIEWS = ("motion", "history", "probes", "cache", "cache_cells")
-"""Views of what frames in real time keep for the next ones."""
+"""Views of data that realtime frames reuse in later frames."""
 _LIT_VIEWS = ("shadow", "emission", *_BOUNCE_VIEWS, *_REALTIME_VIEWS)
 
 
 def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
-    """Returns what pages may show: ``color``, and those of `lumisplat.Frame.VIEWS` that such frames have.
+    """Returns the views that a page can show: ``color`` and the entries of `lumisplat.Frame.VIEWS` that frames have.
 
     Args:
-        config: The settings.
-        lit: Whether frames are lit.
+        config: Render settings.
+        lit: True if frames are lit.
     """
     lacking: set[str] = set()
     if not lit:
@@ -46,17 +46,17 @@ def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
 
 
 def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
-    """Returns the settings, and groups of settings, without an effect on frames, each with what would give it one.
+    """Returns settings, and groups of settings, that do not affect frames, each with a reason that names what would.
 
     Args:
-        config: The settings.
-        lit: Whether frames are lit.
+        config: Render settings.
+        lit: True if frames are lit.
     """
     return config.unused_settings(lit=lit) | _excluded(config)
 
 
 def _excluded(config: ls.RenderConfig) -> dict[str, str]:
-    """Returns the settings whose other choices would be refused beside the rest, each with what excludes them."""
+    """Returns settings whose other values the current settings would reject, each with the reason."""
     raster, excluded = config.raster, dict[str, str]()
     is_sorted, is_iso = (
         raster.strategy is ls.config.RasterStrategy.SORTED,
@@ -72,40 +72,40 @@ def _excluded(config: ls.RenderConfig) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class State:
-    """All that can be undone."""
+    """Everything that undo restores: the document, the render settings and the exposure."""
 
     document: ls.io.SceneDocument = field(default_factory=lambda: ls.io.SceneDocument.of(ls.Scene()))
     config: ls.RenderConfig = field(default_factory=ls.RenderConfig)
     exposure: float = 0.0
-    """Stops, of lit frames."""
+    """Exposure of lit frames, in stops."""
 
 
 VIEWS = ("color", *ls.Frame.VIEWS)
-"""What pages may show of frames."""
+"""Views that a page can show of frames."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How the state is shown; nothing of it is part of what is made, or undone."""
+    """View options of all pages; undo does not restore them, and scene files do not contain them."""
 
     height: int = 720
-    """Rows of frames at rest."""
+    """Image height in pixels while the view is still."""
     budget_ms: float = 40.0
-    """What a frame of a view that moves may take."""
+    """Time budget of a frame while the view moves, milliseconds."""
     view: str = "color"
-    """Or one of `lumisplat.Frame.VIEWS`."""
+    """Image that pages show: ``color`` or one of `lumisplat.Frame.VIEWS`."""
     time: float = 0.0
-    """Of the animation, seconds."""
+    """Animation time, seconds."""
     outlines: bool = True
-    """Whether lines show where lights are, and what is selected."""
+    """True if pages outline the lights and the selected object."""
     grid: bool = False
-    """Whether lines on the ground show how large the scene is."""
+    """True if pages draw a grid on the ground."""
     insets: bool = False
-    """Whether depth and normals are shown in the corner."""
+    """True if pages show small images of depth and normals in a corner."""
     loading: tuple[str, ...] = ()
-    """Options of the command line by which files were loaded."""
+    """Command-line options that load the files as this viewer did."""
     split: float | None = None
-    """Share of the picture, from the left, that shows the state before the edits; None: none of it."""
+    """Left fraction of the image that shows the reference state for comparison, 0 to 1; None turns comparison off."""
 
     def __post_init__(self) -> None:
         for name, value, (low, high) in (("height", self.height, HEIGHTS), ("budget", self.budget_ms, BUDGETS_MS)):
@@ -116,40 +116,41 @@ class Options:
 
 
 class Session:
-    """The state of the viewer. Safe to use from any thread.
+    """The state that all pages share, with undo and selection. All methods are thread-safe.
 
     Args:
-        options: How it is shown at first.
+        options: View options at the start.
     """
 
     def __init__(self, options: Options) -> None:
         self.changed = threading.Condition(threading.RLock())
-        """Notified when a frame may have become old; held by whoever changes anything."""
+        """Condition that is notified when a frame may be out of date. Its lock is held during every change."""
         self.state = self.opened = State()
-        """What is shown, and what was at first."""
+        """The current state. ``opened`` is the reference state that *compare* shows: the one first opened, or last
+        marked."""
         self.selected: int | None = None
-        """Id of the entry that people edit; None: none."""
+        """Id of the selected entry; None if nothing is selected."""
         self.locked: frozenset[int] = frozenset()
-        """Ids of entries that clicks pass by, and that are not edited until they are unlocked."""
+        """Ids of locked entries, which cannot be selected by a click or edited."""
         self.ground_points: tuple[tuple[float, float, float], ...] | None = None
-        """Points of the ground that were clicked so far, world space; None: clicks select."""
+        """Ground points clicked so far, world space; None while clicks select objects."""
         self.options = options
         self.revision = 0
-        """Grows with every change of what frames show."""
+        """Number that grows with every change that affects frames."""
         self.extent = Extent()
-        """Of what was opened."""
+        """Extent of the scene that was opened."""
         self.boxes = BoxCache()
-        """Around what entries show; read it with the lock held."""
+        """Bounding boxes of entries; read them with the lock held."""
         self._past: list[State] = []
         self._future: list[State] = []
         self._merging: str | None = None
         self._edited_at = 0.0
         self._listeners: list[Callable[[], None]] = []
         self.error_listeners: list[Callable[[str], None]] = []
-        """Told what went wrong, in a line."""
+        """Functions that receive each error message, as one line."""
 
     def open(self, state: State) -> None:
-        """Starts with a state; nothing before it can be undone."""
+        """Replaces the state and clears the undo history."""
         with self.changed:
             self.extent, self.opened = Extent.of(state.document.scene(self.options.time)), state
             self._past, self._future, self._merging = [], [], None
@@ -157,21 +158,22 @@ class Session:
             self._show(state)
 
     def edit(self, change: Callable[[State], State], merge: str | None = None, *, within: float = MERGE_S) -> None:
-        """Goes on to a new state.
+        """Replaces the state by a changed one, as an edit that can be undone.
 
         Args:
-            change: Makes it of the present one.
-            merge: Edits of the same name that follow each other soon are undone as one; `end_merge` ends such a row.
-            within: How soon, seconds.
+            change: Returns the new state, given the current one.
+            merge: Name of a series of edits. Consecutive edits of one name are undone as one; `end_merge` ends the
+                series.
+            within: Longest time between two edits of a series, seconds.
 
         Raises:
-            LumisplatError: The change is refused.
+            LumisplatError: The change is invalid.
         """
         with self.changed:
             self._commit(change(self.state), merge, within)
 
     def _commit(self, state: State, merge: str | None, within: float) -> None:
-        """Goes on to a state; the lock is held."""
+        """Makes a state the current one and updates the undo history. The caller holds the lock."""
         now = time.monotonic()
         if merge is None or merge != self._merging or now - self._edited_at > within:
             self._past = limit_undo_memory([*self._past[-UNDO_MAX:], self.state], state)
@@ -186,16 +188,16 @@ class Session:
         *,
         within: float = MERGE_S,
     ) -> bool:
-        """Edits the document; what cannot be done is reported, and changes nothing.
+        """Edits the document. A failed edit is reported to the pages and changes nothing.
 
         Args:
-            edit: Makes the new document of the present one. It may read files, which holds up nobody: if something else
-                was edited meanwhile, it is asked once more.
-            merge: As of `edit`.
-            within: As of `edit`.
+            edit: Returns the new document, given the current one. It runs without the lock, so it may read files; if
+                another edit happens meanwhile, it runs again.
+            merge: Name of a series of edits that undo as one, as in `edit`.
+            within: Longest time between two edits of a series, seconds.
 
         Returns:
-            Whether it was done.
+            True if the edit succeeded.
         """
         try:
             while True:
@@ -212,91 +214,91 @@ class Session:
         return True
 
     def configure(self, change: Callable[[ls.RenderConfig], ls.RenderConfig], merge: str | None = None) -> None:
-        """Goes on with other settings.
+        """Changes the render settings, as an edit that can be undone.
 
         Args:
-            change: Makes them of the present ones.
-            merge: As of `edit`.
+            change: Returns the new settings, given the current ones.
+            merge: Name of a series of edits that undo as one, as in `edit`.
 
         Raises:
-            ConfigError: A value is refused.
+            ConfigError: A value is invalid.
         """
         self.edit(lambda state: replace(state, config=change(state.config)), merge)
 
     def end_merge(self) -> None:
-        """The next edit is undone on its own."""
+        """Ends a series of merged edits: the next edit is undone separately."""
         with self.changed:
             self._merging = None
 
     def undo(self) -> bool:
-        """Goes back by one edit; False: there is none."""
+        """Undoes the last edit; returns False if there is none."""
         return self._step(self._past, self._future)
 
     def redo(self) -> bool:
-        """Goes forward again; False: nothing was undone, or something else was done since."""
+        """Redoes the last undone edit; returns False if there is none."""
         return self._step(self._future, self._past)
 
     def mark(self) -> None:
-        """What is shown now is what later states are compared with."""
+        """Makes the current state the reference for *compare*."""
         with self.changed:
             self.opened = self.state
             self._show(self.state)
 
     @property
     def scene(self) -> ls.Scene:
-        """What is seen now."""
+        """The scene at the current animation time."""
         return self.state.document.scene(self.options.time)
 
     @property
     def is_lit(self) -> bool:
-        """Whether frames are lit."""
+        """True if frames of the current state are lit."""
         return self.state.config.is_lit(by_default=self.scene.is_lit_by_default)
 
     @property
     def views(self) -> tuple[str, ...]:
-        """What pages may show of the frames of the present state."""
+        """Views that pages can show of the current state."""
         return available_views(self.state.config, lit=self.is_lit)
 
     @property
     def selected_entry(self) -> ls.io.SceneEntry | None:
-        """The entry that people edit."""
+        """The selected entry of the document; None if nothing is selected."""
         return next((entry for entry in self.state.document.entries if entry.id == self.selected), None)
 
     def select(self, entry: int | None) -> None:
-        """Selects an entry, for all pages."""
+        """Selects an entry on all pages; None clears the selection."""
         with self.changed:
             if entry != self.selected:
                 self.selected, self._merging = entry, None
                 self._show(self.state)
 
     def toggle_lock(self, entry: int) -> None:
-        """Locks an entry, or unlocks it."""
+        """Locks an entry, or unlocks a locked one."""
         with self.changed:
             self.locked ^= {entry}
             self._show(self.state)
 
     def set_ground_points(self, points: tuple[tuple[float, float, float], ...] | None) -> None:
-        """Takes clicks for points of the ground, after those given; None: no longer."""
+        """Sets the ground points clicked so far and makes clicks add points; None makes clicks select again."""
         with self.changed:
             self.ground_points = points
             self._show(self.state)
 
     def set_options(self, **changes: object) -> None:
-        """Shows the same state in another way.
+        """Changes view options.
 
         Raises:
-            ConfigError: A value is refused.
+            ConfigError: A value is invalid.
         """
         with self.changed:
             self.options = replace(self.options, **changes)  # pyright: ignore[reportArgumentType]
             self._show(self.state)
 
     def on_change(self, listener: Callable[[], None]) -> None:
-        """Calls a function after each change, in the thread that made it."""
+        """Registers a function to call after each change, in the thread that made the change."""
         self._listeners.append(listener)
 
     def report(self, problem: str) -> None:
-        """Tells people what went wrong, in the words of the page."""
+        """Sends an error message to all listeners, with settings named by their labels on the page."""
         for notify in self.error_listeners:
             notify(page_words(problem))
 
@@ -330,12 +332,12 @@ class Session:
 
 
 def limit_undo_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX) -> list[State]:
-    """Returns the newest of the states that can be undone whose assets fit into memory.
+    """Returns the newest undo states whose assets fit into the memory limit.
 
     Args:
-        past: The states, the oldest first.
-        now: The state that follows them; what it shows is not counted.
-        most: Bytes that assets of ``past`` may take that ``now`` does not have.
+        past: Undo states, oldest first.
+        now: The current state; its assets do not count.
+        most: Limit for the assets that only ``past`` uses, bytes.
     """
     entries = {id(entry) for entry in now.document.entries}
     arrays = {id(array) for entry in now.document.entries for array in _arrays_of(entry)}
@@ -354,7 +356,7 @@ def limit_undo_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX)
 
 
 def _arrays_of(held: object) -> Iterator[npt.NDArray[Any]]:
-    """Yields the arrays of an entry: of its captures, meshes, textures, lights and actor, wherever they are in it."""
+    """Yields all NumPy arrays that an object of the package refers to, directly or through other objects."""
     pending, seen = [held], set[int]()
     while pending:
         one = pending.pop()

@@ -1,94 +1,96 @@
-"""Thresholds of the viewer: what its page may send, and when frames are drawn how finely."""
+"""Limits and time constants of the viewer: uploads, levels of detail, frame pacing, JPEG quality and undo."""
 
 UPLOAD_BYTES_MAX = 2**28
 """Largest file that a page may upload, bytes."""
 
 MESSAGE_BYTES_MAX = 2**22
-"""Largest message from a page, bytes: files come in parts of half a megabyte."""
+"""Largest message from a page, bytes. Pages upload files in parts of half a megabyte."""
 
 SETTLED_S = 0.25
-"""Time without a change after which a view is at rest, seconds: finer frames before would flicker while it moves."""
+"""Time without a change after which a view counts as still, seconds. Earlier full frames would flicker during motion.
+"""
 
 INTERRUPT_S = 0.5
-"""How late a Ctrl C may end the viewer, seconds."""
+"""Longest delay until Ctrl+C ends the viewer, seconds."""
 
 LEVEL_FRACTIONS = (1.0, 0.25, 0.0625)
-"""Share of the Gaussians of a capture in each of its levels."""
+"""Fraction of a capture's Gaussians in each level of detail."""
 
 LEVEL_GAUSSIANS_MIN = 20_000
-"""Levels of scenes have no fewer Gaussians than this: fewer of them take no less time."""
+"""Fewest Gaussians of a scene's level of detail; fewer do not render faster."""
 
 LEVEL_CAPTURE_MIN = 500
-"""Levels of a single capture have no fewer: many small ones make a large scene."""
+"""Fewest Gaussians in a level of one capture. The limit is low because many small captures can form a large scene."""
 
 LEVEL_BLOCK = 2**15
-"""Gaussians of a capture that are merged at a time, at most: a third of a second, between which views that move have
-the processor to themselves."""
+"""Most Gaussians of a capture that are merged at a time. A block takes a third of a second, and moving views get the
+processor between blocks."""
 
 LEVEL_DELAY_S = 1.0
-"""How long levels wait for a view that moves before they begin, seconds: the first picture comes before them."""
+"""Longest time that building levels waits for a moving view, seconds, so that the first image comes before the levels.
+"""
 
 MOVING_GAUSSIANS_MAX = 500_000
-"""Gaussians of a view that moves until it is known how long it takes, at most. Scenes of more are thinned until their
-levels are there."""
+"""Most Gaussians in a moving view whose frame time is not known yet. Larger scenes are thinned until their levels
+exist."""
 
 PIXEL_SCALES = (1.0, 0.71, 0.5, 0.35)
-"""Width and height of frames while a view moves, as shares of those at rest."""
+"""Width and height of frames of a moving view, as fractions of the size of a still view."""
 
 DETAIL_HEADROOM = 0.75
-"""A finer step is tried where it is expected to take less than this share of the budget."""
+"""Fraction of the time budget below which the expected time of a finer step must lie before the step is tried."""
 
 DETAIL_HOLD_FRAMES = 8
-"""Frames between two changes of the step, so that a view does not flicker between two of them."""
+"""Fewest frames between two refinements, so that a view does not flicker between two steps."""
 
 SAMPLES_AT_REST = 1024
-"""Samples a pixel at which a view at rest is finished, unless the settings say how many."""
+"""Samples per pixel at which a still view is finished, unless the settings specify a number."""
 
 REALTIME_FRAMES_AT_REST = 128
-"""Frames in real time after which a view at rest is finished."""
+"""Number of realtime frames after which a still view is finished."""
 
 ANSWER_S = 0.5
-"""How long a page that has never answered may take to say that a frame is there before the next one is sent, seconds:
-after that, it gets frames as they come."""
+"""Longest wait for the first acknowledgement of a frame, seconds. A page that misses it is sent frames without
+waiting."""
 
 BUSY_ANSWER_S = 5.0
-"""The same of a page that has answered before: it is busy, or hidden."""
+"""Longest wait for a page that has acknowledged a frame before, seconds; such a page is busy or hidden."""
 
 DEPTH_STRIDE = 4
-"""Pixels of a frame to one of its depth, along each axis, that gizmos hide behind."""
+"""Step in pixels, along each axis, at which the depth of a frame is sent to the page to occlude gizmos."""
 
 NOISE_AT_REST = 0.005
-"""Relative error at which a view at rest is finished, unless the settings say another."""
+"""Relative error at which a still view is finished, unless the settings specify a value."""
 
 JPEG_QUALITY_MOVING = 80
-"""Of the JPEGs of a view that moves, 1 to 95."""
+"""JPEG quality of a moving view, 1 to 95."""
 
 JPEG_QUALITY_AT_REST = 95
-"""Of those of a view at rest."""
+"""JPEG quality of a still view, 1 to 95."""
 
 UNDO_MAX = 200
-"""Edits that can be undone: what they have replaced is kept in memory."""
+"""Largest number of edits that can be undone; the states before them stay in memory."""
 
 UNDO_BYTES_MAX = 2**30
-"""Memory of assets that undoing edits alone would need, bytes: beyond it, the oldest edits cannot be undone."""
+"""Memory limit for assets that only the undo history uses, bytes. Beyond it, the oldest edits cannot be undone."""
 
 DRAG_ENDS_S = 1.0
-"""A drag that has not moved for so long, seconds, has ended: its page may be gone."""
+"""Time without movement after which a drag counts as ended, seconds, because its page may have closed."""
 
 BEFORE_SAMPLES = 16
-"""Samples a pixel of the left part of a split picture at rest."""
+"""Samples per pixel of the reference side of *compare* in a still view."""
 
 PLAY_STEPS_PER_S = 30.0
-"""Times a second that an animation is moved on while it plays."""
+"""Number of times per second that playback advances the animation time."""
 
 DETAIL_TIME_DECAY = 0.995
-"""Factor by which a step that was too slow is taken to be quicker with every frame, until it is tried again."""
+"""Factor per frame by which the remembered time of a finer step shrinks, so that a slow step is tried again later."""
 
 HEIGHTS = (90, 2160)
-"""Rows that pictures at rest may have."""
+"""Smallest and largest image height of a still view, pixels."""
 
 BUDGETS_MS = (10.0, 500.0)
-"""What a frame of a view that moves may be given, milliseconds."""
+"""Smallest and largest time budget of a frame of a moving view, milliseconds."""
 
 MERGE_S = 1.5
-"""Edits of one control that follow each other within this time, seconds, are undone as one."""
+"""Longest time between two edits of one control that are undone as one, seconds."""

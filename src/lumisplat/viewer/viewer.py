@@ -1,4 +1,4 @@
-"""The viewer: a page on a scene, the threads behind it, and ``lumisplat.view`` that opens one."""
+"""Builds the viewer from its page server, render loop and panels; `lumisplat.view` opens one."""
 
 from __future__ import annotations
 
@@ -44,21 +44,22 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat")
 
 _STEEP_COSINE = 0.94
-"""Cosine of the angle between a line of sight and the vertical, about 20 degrees, below which no picture is upright."""
+"""Cosine of about 20 degrees. A page whose view direction is closer to the vertical cannot be turned upright in place.
+"""
 
 Load = Callable[[Progress], State]
-"""Loads what is to be seen."""
+"""Function that loads the document and the settings; it reports its progress."""
 
 
 class Viewer:
-    """A page on which a scene is seen and edited, and the threads behind it. `lumisplat.view` makes one.
+    """A page that shows and edits a scene, with the threads that serve and render it. `lumisplat.view` creates one.
 
     Args:
-        load: Makes what is seen at first, in a thread of its own: the page opens before.
+        load: Returns the first state. It runs in a thread of its own, so that the page opens before loading ends.
         host: Address to listen on.
-        port: Port; 0: a free one.
-        device: Where to render.
-        options: How it is shown at first.
+        port: Port to listen on; 0 takes a free one.
+        device: Device that renders, as in `lumisplat.create_renderer`.
+        options: View options at the start.
 
     Raises:
         MissingExtraError: The extra ``view`` is not installed.
@@ -74,7 +75,7 @@ class Viewer:
         self._is_closed = False
         self._closed_or_failed = threading.Event()
         self._failure: Exception | None = None
-        """Why there is nothing to see."""
+        """Error that ended loading; None if nothing failed."""
         self._first_view = FirstView()
         self._viser.initial_camera.position, self._viser.initial_camera.look_at = self._first_view.at(ASPECT)
         self._notifications = Notifications(self._viser)
@@ -103,7 +104,7 @@ class Viewer:
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
     ) -> Bundle:
-        """The viewer in a notebook: live frames or a picture, and the address. Never raises: there is always text."""
+        """Returns live frames or an image for a notebook, and the page address. Falls back to text; never raises."""
         self._loader.join()
         if self._is_closed:
             return {"text/plain": repr(self)}, {}
@@ -116,24 +117,27 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """The address of the page, with the token that lets it in."""
+        """Address of the page, including the access token."""
         return self._server.guard.url
 
     @property
     def scene(self) -> ls.Scene:
-        """What is seen now, with all edits."""
+        """The scene with all edits, at the current animation time."""
         return self._session.scene
 
     @property
     def document(self) -> ls.io.SceneDocument:
-        """The scene as it is edited: `lumisplat.io.SceneDocument.save` saves it."""
+        """The edited scene document; `lumisplat.io.SceneDocument.save` writes it to a file."""
         return self._session.state.document
 
     def show(self, scene: ls.Scene | ls.io.SceneDocument) -> None:
-        """Shows another scene, on all pages; it can be undone there.
+        """Replaces the scene on all pages, as an edit that users can undo.
+
+        Args:
+            scene: The scene or document to show.
 
         Raises:
-            SceneError: It is none.
+            SceneError: The argument is not a scene.
         """
         self._loader.join()
         document = scene if isinstance(scene, ls.io.SceneDocument) else ls.io.SceneDocument.of(scene)
@@ -142,10 +146,10 @@ class Viewer:
             self._session.select(None)
 
     def wait(self) -> None:
-        """Waits until the viewer is closed.
+        """Blocks until the viewer is closed.
 
         Raises:
-            LumisplatError: There is nothing to see, as nothing could be loaded.
+            LumisplatError: Loading failed, so there is no scene to show.
         """
         # An interrupt that comes just before a wait without end begins would be lost.
         while not self._closed_or_failed.wait(INTERRUPT_S):
@@ -154,7 +158,7 @@ class Viewer:
             raise self._failure
 
     def close(self) -> None:
-        """Closes all pages, the port and the threads; the second time does nothing."""
+        """Closes all pages, the port and the threads. Closing again has no effect."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -198,7 +202,7 @@ class Viewer:
         self._add_keys()
 
     def _add_keys(self) -> None:
-        """Commands of the palette, with their keys."""
+        """Adds the commands of the command palette, with their hotkeys."""
         add = self._viser.gui.add_command
         add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(press_callback(lambda _: self._step("undo")))
         add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(press_callback(lambda _: self._step("redo")))
@@ -240,10 +244,10 @@ class Viewer:
             self._closed_or_failed.set()
 
     def _open(self, state: State) -> None:
-        """Shows what was loaded.
+        """Shows the loaded state and starts rendering.
 
         Raises:
-            LumisplatError: Its cameras, or how it moves, are wrong.
+            LumisplatError: The cameras or the animation of the document are invalid.
         """
         _ = state.document.animation, state.document.cameras
         self._set_first_view(state.document.scene())
@@ -258,7 +262,7 @@ class Viewer:
         self._loop.start()
 
     def _set_first_view(self, scene: ls.Scene) -> None:
-        """Where pages look from at first: at all of the scene, from the front; those that have moved stay, upright."""
+        """Sets the first view to the front of the whole scene. Pages that users have moved only become upright."""
         up = scene.up_direction
         self._viser.scene.set_up_direction(up)
         if not (scene.splats or scene.meshes):
@@ -278,18 +282,18 @@ class Viewer:
                 self._look(client)
 
     def _update_up(self) -> None:
-        """Turns pages upright when another way is up."""
+        """Turns the pages upright after the up direction of the scene has changed."""
         scene = self._session.scene
         if (scene.splats or scene.meshes) and scene.up_direction != self._first_view.up:
             self._set_first_view(scene)
 
     def _is_at_first_view(self, client: viser.ClientHandle) -> bool:
-        """Whether nobody has moved a page from where it was put."""
+        """True if the page still has a camera that the viewer gave it."""
         page = self._pages.get(client.client_id)
         return page is not None and page.pose is not None and self._fits_scene(page, page.pose)
 
     def _fit_scene(self, client: viser.ClientHandle) -> None:
-        """Moves a page so that it sees all of the scene, however narrow it is."""
+        """Moves a page's camera back until the whole scene fits into the page, whatever its aspect ratio."""
         aspect = min(client.camera.aspect, ASPECT)
         position, target = self._first_view.at(aspect)
         if (page := self._pages.get(client.client_id)) is not None:
@@ -300,7 +304,7 @@ class Viewer:
         self._look(client)  # no frame of where it was, while it answers
 
     def _fits_scene(self, page: Page, pose: Pose) -> bool:
-        """Whether a page looks from where it was put, so that all of the scene fits into it, and nobody has moved."""
+        """True if a page's camera is where `_fit_scene` put it, so the user has not moved."""
         at = self._session.extent.page_from_scene * np.array(pose.position)
         places = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.fitted_aspects)]
         return any(np.linalg.norm(at - place) < 1e-3 * np.linalg.norm(place) for place in places)
@@ -328,7 +332,7 @@ class Viewer:
         self._loop.add(page)
 
     def _look(self, client: viser.ClientHandle) -> None:
-        """Takes over a page's camera."""
+        """Stores the camera that a page reports."""
         page = self._pages.get(client.client_id)
         if page is not None:
             before, now = page.pose, Pose.of(client.camera, self._session.extent.page_from_scene)
@@ -343,7 +347,7 @@ class Viewer:
             self._loop.remove(page)
 
     def _pick(self, page: Page, event: Any) -> None:
-        """Selects what a page shows where it was clicked."""
+        """Selects the object at the point of a page that was clicked."""
         if page.frame is None:
             return
         across, down = (float(share) for share in event.screen_pos)
@@ -355,23 +359,23 @@ class Viewer:
 
 
 def _preload_renderer() -> None:
-    """Imports what renders, while the page is made and the files are read: both take half a second."""
+    """Imports the renderer while the page starts and files load; the import takes half a second."""
     _ = ls.create_renderer
 
 
 def _looks_along(client: viser.ClientHandle, up: tuple[float, float, float]) -> bool:
-    """Whether a page looks nearly straight up or down, so that it cannot be turned upright where it is."""
+    """True if a page looks almost straight up or down, so that it cannot be turned upright in place."""
     sight = np.asarray(client.camera.look_at) - np.asarray(client.camera.position)
     return bool(abs(sight @ np.array(up)) > _STEEP_COSINE * np.linalg.norm(sight))
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:
-    """Whether a page still looks from where it was put at first."""
+    """True if a page's camera is still at the given initial position."""
     return bool(np.linalg.norm(np.asarray(client.camera.position) - position) < 0.05 * np.linalg.norm(position))
 
 
 Viewable = ls.Scene | ls.Animation | ls.io.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
-"""What `view` shows; also a list of files."""
+"""Inputs that `view` accepts; it also accepts a list of files."""
 
 
 def view(
@@ -389,7 +393,7 @@ def view(
     lod_budget: int | None = None,
     keep_coordinates: bool = False,
 ) -> Viewer:
-    """Opens a page on which people fly through a scene, edit it and see it lit.
+    """Opens a web page to navigate, edit and relight a scene interactively.
 
     Returns at once; the page is served until the viewer is closed or the program ends::
 
@@ -398,24 +402,28 @@ def view(
         viewer.wait()
 
     Args:
-        scene: What is seen: a scene, an animation, a document, an asset, or a file or several of these.
-        config: Settings of frames; None: those of the scene file, else ``Pipeline.HYBRID`` if the scene has lights or
-            is of meshes alone, and as captured otherwise. A function makes them of those.
-        port: Port to listen on; 0: a free one.
-        host: Address to listen on. Others than a loopback address let other machines in, if they have the token.
-        device: As of `lumisplat.create_renderer`.
-        height: Rows of frames of views at rest, 90 to 2160.
-        budget_ms: Milliseconds that a frame of a view that moves may take, 10 to 500: fewer Gaussians are drawn first,
-            then fewer pixels.
-        up: Up of files that do not say it; None: as of `lumisplat.Scene`.
-        drop_invalid: Of files, as of `lumisplat.load`.
-        lod: Of streamed SOGs, as of `lumisplat.load`.
-        lod_budget: Of streamed SOGs, ``budget`` of `lumisplat.load`.
-        keep_coordinates: Of files, as of `lumisplat.io.SceneDocument.open`.
+        scene: A scene, an animation, a document, an asset, a file, or a list of files.
+        config: Render settings, or a function that changes the default settings. None takes the settings of the scene
+            file; without any, ``Pipeline.HYBRID`` if the scene has lights or only meshes, else an unlit view as
+            captured.
+        port: Port to listen on; 0 takes a free one.
+        host: Address to listen on. An address that is not loopback admits other machines that have the token.
+        device: Device that renders, as in `lumisplat.create_renderer`.
+        height: Image height in pixels while the view is still, 90 to 2160.
+        budget_ms: Time budget of a frame while the view moves, milliseconds, 10 to 500. The viewer first draws fewer
+            Gaussians, then fewer pixels.
+        up: Up direction of files that do not specify one; None uses the default of `lumisplat.Scene`.
+        drop_invalid: Drop invalid Gaussians of files, as in `lumisplat.load`.
+        lod: Level of detail of streamed SOG files, as in `lumisplat.load`.
+        lod_budget: Gaussian budget of streamed SOG files, ``budget`` in `lumisplat.load`.
+        keep_coordinates: Keep the coordinates of files, as in `lumisplat.io.SceneDocument.open`.
+
+    Returns:
+        The viewer, which is loading the scene.
 
     Raises:
         ConfigError: ``height`` or ``budget_ms`` is out of its range.
-        MissingFileError: None of the files is there. What else is wrong with files is told on the page.
+        MissingFileError: None of the files exists. The page reports all other problems with files.
         MissingExtraError: The extra ``view`` is not installed.
         DeviceError: The port cannot be opened.
     """
@@ -438,7 +446,7 @@ def view(
 
 
 def _refuse_missing(scene: Any) -> None:
-    """Raises a MissingFileError if files are to be seen of which none is there."""
+    """Raises a MissingFileError if the input consists of files and none of them exists."""
     files: list[Any] = list(cast("list[Any]", scene)) if isinstance(scene, list | tuple) else [scene]
     paths = [Path(os.fspath(file)) for file in files if isinstance(file, str | os.PathLike)]
     if paths and len(paths) == len(files) and not any(path.exists() for path in paths):
@@ -448,7 +456,7 @@ def _refuse_missing(scene: Any) -> None:
 def _document(
     scene: Any, up: Any, loading: Callable[..., Any], progress: Progress, *, keep_coordinates: bool
 ) -> ls.io.SceneDocument:
-    """The document of what is to be seen."""
+    """Returns the input of `view` as a scene document, loading files where needed."""
     if isinstance(scene, ls.io.SceneDocument):
         return scene
     if not isinstance(scene, str | os.PathLike | list | tuple):

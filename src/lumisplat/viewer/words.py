@@ -1,4 +1,4 @@
-"""Messages of the library in the words of the page: labels of controls in place of the names that Python has."""
+"""Rewrites messages of the library for the page: labels of controls replace Python names."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ _FLAGS = {"=True": " on", "=False": " off"}
 _CONFIG_FIELD = re.compile(r"\b[A-Z]\w*Config\.((?:\w+\.)*[a-z]\w*)(=True|=False)?\b")
 _MEMBER = re.compile(r"\b([A-Z]\w*)\.([A-Z][A-Z0-9_]*)\b")
 _WORD = re.compile(r"(?<![\w.'\"/\\-])[a-z]+(?:_[a-z]+)*(?![\w'\"/\\-]|\.\w)")
-"""A word that is neither quoted nor part of a path or file name."""
+"""Pattern of a word that is not quoted and not part of a path or file name."""
 _OTHERS = {"aovs": "layers", "time_limit": "time limit (s)", "sh_degree": "SH degree"}
-"""Settings that the page calls otherwise."""
+"""Settings whose label on the page differs from their name."""
 
 
 def label(name: str) -> str:
-    """Returns the label of a control by the name of its setting, without the groups that it is in."""
+    """Returns the label of a setting's control, without the names of enclosing groups."""
     last = name.rpartition(".")[2]
     degrees = last.removesuffix("_degrees")
     return _OTHERS.get(last, degrees.replace("_", " ") + " (°)" * (degrees != last))
 
 
 def page_words(message: str) -> str:
-    """Returns a message in the words of the page.
+    """Returns a message with Python names replaced by the labels of their controls.
 
     ``Pipeline.HYBRID`` becomes *pipeline hybrid*, ``RenderConfig.lighting=True`` *lighting on*, ``time_limit`` *time
-    limit*: what people read beside the controls that they would change.
+    limit*, so that users find the control to change.
 
     Args:
-        message: One line.
+        message: Message of one line.
     """
     labels, names = _choices(), _names()
 
@@ -51,7 +51,7 @@ def page_words(message: str) -> str:
 
 @cache
 def _choices() -> dict[str, tuple[str, type[Enum]]]:
-    """Enums of settings by name, each with the label of its control."""
+    """Returns the enums of settings by class name, each with the label of its control."""
     kinds: dict[str, tuple[str, type[Enum]]] = {}
     for name, kind in _settings(ls.RenderConfig):
         if isinstance(kind, type) and issubclass(kind, Enum):
@@ -61,12 +61,12 @@ def _choices() -> dict[str, tuple[str, type[Enum]]]:
 
 @cache
 def _names() -> dict[str, str]:
-    """Names of settings that are more than one word, or called otherwise, with their labels."""
+    """Returns the labels of settings whose label differs from their name."""
     return {name: label(name) for name, _ in _settings(ls.RenderConfig) if "_" in name or name in _OTHERS}
 
 
 def _settings(cls: type[Any]) -> Iterator[tuple[str, object]]:
-    """Names and types of the settings of a class and of its groups."""
+    """Yields the name and type of each setting of a class and of its nested groups."""
     hints = get_type_hints(cls)
     for field in fields(cls):
         options = [one for one in get_args(hints[field.name]) or (hints[field.name],) if one is not type(None)]

@@ -1,1 +1,1 @@
-"""Frames of each page's camera, as fine as the time allows."""
+"""Renders frames for the camera of each page, with as much detail as the time budget allows."""

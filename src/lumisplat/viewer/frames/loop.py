@@ -1,4 +1,4 @@
-"""The thread that renders: what has changed first, then finer frames of views at rest."""
+"""The render thread: draws changed views first, then refines still views."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ from lumisplat.viewer.thresholds import (
 )
 
 THREAD = "lumisplat frames"
-"""Name of the thread that renders."""
+"""Name of the render thread."""
 
 _noise_log = logging.getLogger("lumisplat.noise")
 
 
 def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
-    """Settings of one sample of a frame, with the images that a view needs.
+    """Returns the settings that render one sample of a frame, with the AOV that a view needs.
 
     Args:
-        config: The settings of the scene.
-        view: ``color``, or one of `lumisplat.Frame.VIEWS`.
+        config: Render settings of the scene.
+        view: ``color`` or one of `lumisplat.Frame.VIEWS`.
     """
     needed = ls.Frame.NEEDS.get(view)
     samples = None if config.pipeline.is_sequence else 1
@@ -60,11 +60,11 @@ def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
 
 
 class Renderers:
-    """Holds the renderers of the present settings.
+    """Holds one renderer per use, such as moving and still views, and reconfigures it when settings change.
 
     Args:
-        device: As of `lumisplat.create_renderer`.
-        progress: Likewise.
+        device: Device that renders, as in `lumisplat.create_renderer`.
+        progress: Receives progress messages, as in `lumisplat.create_renderer`.
     """
 
     def __init__(self, device: str, progress: Progress) -> None:
@@ -73,10 +73,10 @@ class Renderers:
         _noise_log.addFilter(self._is_from_other_thread)
 
     def of(self, use: Hashable, config: ls.RenderConfig) -> ls.Renderer:
-        """Returns the renderer of a use, with these settings; the scene stays on its device when they change.
+        """Returns the renderer of a use with the given settings. The scene stays on the device when settings change.
 
         Raises:
-            DeviceError: There is no such device, or it is out of memory.
+            DeviceError: The device does not exist or is out of memory.
         """
         held = self._held.get(use)
         if held is None:
@@ -87,17 +87,17 @@ class Renderers:
         return held
 
     def has(self, use: Hashable, config: ls.RenderConfig) -> bool:
-        """Whether a use has a renderer with settings already."""
+        """True if the use already has a renderer with these settings."""
         held = self._held.get(use)
         return held is not None and held.config == config
 
     def close(self) -> None:
-        """Forgets all of them."""
+        """Frees all renderers."""
         self._held.clear()
         _noise_log.removeFilter(self._is_from_other_thread)
 
     def retain_only(self, uses: Collection[Hashable]) -> None:
-        """Frees the renderers of all other uses."""
+        """Frees the renderers of all uses that are not listed."""
         if gone := self._held.keys() - set(uses):
             for use in gone:
                 self.drop(use)
@@ -108,12 +108,12 @@ class Renderers:
         self._held.pop(use, None)
 
     def _is_from_other_thread(self, record: logging.LogRecord) -> bool:
-        """Whether a line about grain is worth a log: that the first of many samples is grainy is not."""
+        """Log filter that drops noise warnings of the render thread: its first samples are always noisy."""
         return record.threadName != THREAD
 
 
 def _return_freed_memory() -> None:
-    """Returns to the system what renderers have freed: glibc keeps blocks of up to 32 MiB, of other sizes each time."""
+    """Returns freed memory to the system. glibc keeps freed blocks of up to 32 MiB, of other sizes each time."""
     with contextlib.suppress(OSError, AttributeError):  # only glibc has this
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -121,34 +121,34 @@ def _return_freed_memory() -> None:
 _log = logging.getLogger("lumisplat")
 
 _MOVING, _AT_REST, _BEFORE = "moving", "at rest", "before"
-"""Uses of renderers; frames in real time have one of each page."""
+"""Uses of renderers shared by all pages. Realtime pipelines use one renderer per page instead."""
 
 
 @dataclass(frozen=True)
 class _Job:
-    """A frame to render."""
+    """A frame to render for a page."""
 
     page: Page
     key: tuple[int, int]
     pose: Pose
     state: State
     before: State
-    """What a split picture shows to the left."""
+    """Reference state for the left side of *compare*."""
     options: Options
     moves: bool
-    """Whether the view moves; else it is at rest."""
+    """True if the view moves; False if it is still."""
 
 
 class RenderLoop:
-    """Renders for all pages, in one thread.
+    """Renders the frames of all pages in one thread.
 
     Args:
-        session: What to show.
-        device: Where to render.
-        progress: Told when kernels are compiled.
-        on_frame: Called after each frame with its page, its step, None at rest, and its milliseconds.
-        overlay: Draws on pictures, such as lines that show where lights are.
-        on_levels: Told how much is done of the levels of a capture, 0..1.
+        session: Session to show.
+        device: Device that renders.
+        progress: Receives progress messages while kernels compile.
+        on_frame: Called after each frame with the page, the detail step (None for a still view) and the milliseconds.
+        overlay: Draws overlays on an image, such as outlines of lights.
+        on_levels: Receives the progress of building levels of detail, 0 to 1.
     """
 
     def __init__(
@@ -164,31 +164,31 @@ class RenderLoop:
         self._session, self._on_frame, self._overlay = session, on_frame, overlay
         self._renderers = Renderers(device, progress)
         self._moved_at = -math.inf
-        """When a view that moves was drawn last, seconds of the monotonic clock."""
+        """Time of the last frame of a moving view, seconds of the monotonic clock."""
         self._levels = Levels(self._wake, on_levels, self._is_busy)
         self.scenes = SceneBuilder(self._levels, device, progress, session.report)
-        """Makes the scenes of frames; for the thread of the loop alone."""
+        """Builds the scenes of frames; only the render thread uses it."""
         self._scenes_before = SceneBuilder(self._levels, device, progress, session.report)
         self._pages: list[Page] = []
         self._background: deque[Generator[None]] = deque()
         self._background_waited = False
-        """Whether a view at rest had the last turn, while there was an errand."""
+        """True if a still view had the last slot while a background job waited."""
         self._is_open = True
         self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
 
     def start(self) -> None:
-        """Starts to render."""
+        """Starts the render thread."""
         self._thread.start()
 
     def add(self, page: Page) -> None:
-        """Renders for a page, too."""
+        """Adds a page to render for."""
         with self._session.changed:
             if page.is_open:  # else it went before it was here
                 self._pages.append(page)
             self._session.changed.notify_all()
 
     def remove(self, page: Page) -> None:
-        """Renders no longer for a page."""
+        """Stops rendering for a page and closes it."""
         with self._session.changed:
             if page in self._pages:
                 self._pages.remove(page)
@@ -196,21 +196,22 @@ class RenderLoop:
         page.close()
 
     def run_in_background(self, steps: Generator[None]) -> None:
-        """Does something long, such as a video: a step of it each time that no view moves, in turns with views at rest.
+        """Runs a long job, such as a video, step by step while no view moves, alternating with still views.
 
         Args:
-            steps: Its steps. Whatever it raises is reported, and ends it; it is closed if the loop ends before it.
+            steps: Generator of the job's steps. An exception is reported and ends the job. The generator is closed if
+                the render loop ends first.
         """
         with self._session.changed:
             self._background.append(steps)
             self._session.changed.notify_all()
 
     def thumbnail(self, camera: ls.Camera, show: Callable[[Picture], object]) -> None:
-        """Renders a small image of the scene when no view moves, with the renderer of views at rest.
+        """Renders a small image of the scene when no view moves, with the renderer of still views.
 
         Args:
-            camera: From where, of the size of the image.
-            show: Gets the image, in the thread of the frames.
+            camera: Camera, with the size of the image.
+            show: Receives the image, in the render thread.
         """
 
         def work() -> Generator[None]:
@@ -226,13 +227,13 @@ class RenderLoop:
         self.run_in_background(work())
 
     def must_yield(self) -> bool:
-        """Whether a long frame has to give way: a view moves, or the viewer is to end. Any thread may ask."""
+        """True if a long frame must stop, because a view moved or the viewer is closing. Thread-safe."""
         revision = self._session.revision
         pages = [page for page in list(self._pages) if page.pose is not None]
         return not self._is_open or any(p.key != (revision, p.pose_number) and p.takes_frames for p in pages)
 
     def close(self) -> None:
-        """Ends after the frame that is being rendered."""
+        """Ends the render thread after the current frame, and closes all pages."""
         with self._session.changed:
             self._is_open = False
             self._session.changed.notify_all()
@@ -245,7 +246,7 @@ class RenderLoop:
         self._levels.close()
 
     def _is_busy(self) -> bool:
-        """Whether a view moves, or a page still waits for its first picture."""
+        """True if a view moves or a page waits for its first image."""
         with self._session.changed:
             is_waiting = any(page.key is None and page.pose is not None for page in self._pages)
         return is_waiting or time.monotonic() - self._moved_at < SETTLED_S
@@ -282,7 +283,7 @@ class RenderLoop:
             steps.close()
 
     def _next_background_job(self, job: _Job | None) -> Generator[None] | None:
-        """The errand whose turn it is; None: it is that of the job. The lock is held."""
+        """Returns the background job to run next; None if the frame comes first. The caller holds the lock."""
         if not self._background or (job is not None and (job.moves or not self._background_waited)):
             self._background_waited = bool(self._background)
             return None
@@ -290,7 +291,7 @@ class RenderLoop:
         return self._background[0]
 
     def _step(self, steps: Generator[None]) -> None:
-        """Does the next step of an errand."""
+        """Runs one step of a background job and removes the job when it ends."""
         try:
             next(steps)
             return
@@ -301,14 +302,14 @@ class RenderLoop:
         self._background.popleft()
 
     def _give_up(self, job: _Job, error: Exception) -> None:
-        """Leaves a page as it is until something changes, and says why."""
+        """Reports an error and renders nothing more for the page until something changes."""
         with self._session.changed:
             job.page.key, job.page.is_finished = job.key, True
             self._session.changed.notify_all()
         self._report(error)
 
     def _report(self, error: Exception) -> None:
-        """Says what went wrong, and logs where, unless it is a mistake of somebody's."""
+        """Reports an error to the pages and logs the traceback, unless the error is a LumisplatError."""
         if not isinstance(error, ls.LumisplatError):
             _log.error("the viewer could not render a frame:\n%s", traceback.format_exc())
         self._session.report(" ".join(str(error).split()) or type(error).__name__)
@@ -316,7 +317,7 @@ class RenderLoop:
     # --- What is next; the lock is held ---
 
     def _next_job(self) -> _Job | None:
-        """A page whose view has changed, else one at rest that is not finished; None: nothing is to be done."""
+        """Returns a frame of a page whose view changed, else of an unfinished still view; None if there is no work."""
         now = time.monotonic()
         resting: Page | None = None
         for page in self._pages:
@@ -340,25 +341,25 @@ class RenderLoop:
         return _Job(page, key, page.pose, session.state, session.opened, session.options, moves)
 
     def _uses(self, job: _Job) -> list[Hashable]:
-        """The uses that may have a renderer while the state of a job is shown."""
+        """Returns the renderer uses that the state of a job needs; the other renderers can be freed."""
         in_sequence = job.state.config.pipeline.is_sequence
         uses: list[Hashable] = [*self._pages] if in_sequence else [_MOVING, _AT_REST]
         return uses if job.options.split is None else [*uses, (_BEFORE, True), (_BEFORE, False)]
 
     def _move_to_back(self, page: Page) -> None:
-        """Puts a page behind the others."""
+        """Moves a page to the end of the list, so that pages take turns."""
         self._pages.remove(page)
         self._pages.append(page)
 
     def _time_to_rest(self) -> float | None:
-        """Seconds until a view comes to rest; None: none will by itself."""
+        """Returns the seconds until the next view counts as still; None if no view is waiting."""
         waiting = [page.changed_at + SETTLED_S for page in self._pages if page.key is not None and not page.is_finished]
         return max(min(waiting) - time.monotonic(), 1e-3) if waiting else None
 
     # --- Frames ---
 
     def _develop(self, job: _Job) -> bool:
-        """Shows the frame that the page has with another tone map, exposure or view, if nothing else has changed."""
+        """Develops the page's frame again, if only tone map, exposure or view changed; returns False otherwise."""
         page, state, options = job.page, job.state, job.options
         config = frame_config(state.config, options.view)
         frame, content = page.frame, _frame_inputs(job, config)
@@ -383,7 +384,7 @@ class RenderLoop:
         return True
 
     def _render_moving(self, job: _Job) -> None:
-        """A frame of a view that has changed, as fine as the budget allows."""
+        """Renders a frame of a changed view, with as much detail as the time budget allows."""
         page, state, options = job.page, job.state, job.options
         self._moved_at = time.monotonic()
         follows = state.config.pipeline.bounces_light  # its time goes with the pixels
@@ -412,7 +413,7 @@ class RenderLoop:
         self._on_frame(page, step, took)
 
     def _render_at_rest(self, job: _Job) -> None:
-        """The first full frame of a view at rest, or the next sample of it."""
+        """Renders the first full frame of a still view, or adds its next sample."""
         page, state, options = job.page, job.state, job.options
         started = time.perf_counter()
         config = frame_config(state.config, options.view)
@@ -444,14 +445,14 @@ class RenderLoop:
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
 
     def _picture(self, job: _Job, frame: ls.Frame, level: int) -> Picture:
-        """What a page shows of a frame: beside what was before, if they are compared, and with lines and insets."""
+        """Returns the image that a page shows of a frame, with the comparison and overlays of the view options."""
         picture, share = frame_image(frame, job.options.view), job.options.split
         if share is not None:
             picture = split_image(self._before_image(job, frame.camera, level), picture, share)
         return self._overlay(picture, frame)
 
     def _before_image(self, job: _Job, camera: ls.Camera, level: int) -> Picture:
-        """What the scene was before; at rest with as many samples, up to a few."""
+        """Renders the reference state for *compare*; a still view has `BEFORE_SAMPLES` samples per pixel."""
         page, options = job.page, job.options
         config = frame_config(job.before.config, options.view)
         if not config.pipeline.is_sequence and not job.moves:
@@ -468,22 +469,22 @@ class RenderLoop:
 
 
 def _frame_inputs(job: _Job, config: ls.RenderConfig) -> tuple[object, ...]:
-    """What a frame is of, and not how it is developed."""
+    """Returns the inputs that determine a frame before it is developed."""
     undeveloped = replace(config, tone_map=ls.ToneMap.NONE)
     return job.state.document, job.pose, undeveloped, job.options.height, job.options.time
 
 
 def _has_same_inputs(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
-    """Whether two frames are of the same: of one document, and of equal settings."""
+    """True if two frames have the same document and equal settings."""
     return one[0] is other[0] and one[1:] == other[1:]
 
 
 def _ignore(label: str, fraction: float) -> None:
-    """Progress that nobody sees: asking for it has the noise estimated."""
+    """Discards progress; passing a progress function makes the renderer estimate the noise."""
 
 
 def _is_finished(frame: ls.Frame, rests: int, noise: float | None, config: ls.RenderConfig) -> bool:
-    """Whether a page at rest needs no further frame after so many."""
+    """True if a still view needs no further frame after ``rests`` frames."""
     if config.pipeline.is_sequence:
         return rests >= REALTIME_FRAMES_AT_REST
     if frame.samples == 0:

@@ -1,4 +1,4 @@
-"""One open page: where it looks from, how finely it is drawn while it moves, its frames, and the browser."""
+"""State of one open page: camera, level of detail, frames, and the screen that displays them."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DetailStep:
-    """How finely a frame is drawn."""
+    """Level of detail and resolution of a frame."""
 
     level: int
-    """Number of `LEVEL_FRACTIONS`."""
+    """Level of detail, an index into `LEVEL_FRACTIONS`."""
     scale: float
-    """One of `PIXEL_SCALES`."""
+    """Resolution scale, one of `PIXEL_SCALES`."""
 
 
 _LAST = len(LEVEL_FRACTIONS) - 1
@@ -48,43 +48,44 @@ GAUSSIAN_STEPS = (
     *(DetailStep(level, PIXEL_SCALES[-2]) for level in range(2, _LAST + 1)),
     DetailStep(_LAST, PIXEL_SCALES[-1]),
 )
-"""Of frames whose time goes with the Gaussians: a quarter of them is three times faster, half the pixels a sixth."""
+"""Steps for frames whose time depends on the Gaussian count. A quarter of the Gaussians is three times faster; half
+the pixels saves a sixth."""
 
 PIXEL_STEPS = tuple(DetailStep(0, scale) for scale in PIXEL_SCALES)
-"""Of frames whose time goes with the rays, or that follow from those before them."""
+"""Steps for frames whose time depends on the ray count, or that reuse earlier frames."""
 
 
 def first_step(count: int) -> int:
-    """The number of the step of `GAUSSIAN_STEPS` at which scenes of so many Gaussians begin: the second, as a rule."""
+    """Returns the index into `GAUSSIAN_STEPS` of the first frame of a scene with ``count`` Gaussians, usually 1."""
     level = next((n for n in range(1, _LAST) if count * LEVEL_FRACTIONS[n] <= MOVING_GAUSSIANS_MAX), _LAST)
     return next(number for number, step in enumerate(GAUSSIAN_STEPS) if step.level == level)
 
 
 class DetailController:
-    """Chooses steps by how long frames have taken.
+    """Chooses the detail step of the next frame from the times of earlier frames.
 
     Args:
-        steps: From the finest to the coarsest.
-        first: The number of the first one.
+        steps: Steps from finest to coarsest.
+        first: Index of the first step.
     """
 
     def __init__(self, steps: tuple[DetailStep, ...] = GAUSSIAN_STEPS, first: int = 1) -> None:
         self.steps, self._index = steps, first
         self._recent_ms: dict[int, float] = {}
-        """Milliseconds of each step, lately."""
+        """Recent frame time of each step, milliseconds."""
         self._frames_held = 0
 
     @property
     def step(self) -> DetailStep:
-        """Of the next frame."""
+        """Detail step of the next frame."""
         return self.steps[self._index]
 
     def record(self, milliseconds: float, budget: float) -> None:
-        """Counts a frame of the present step, and chooses the next one.
+        """Records the time of a frame and chooses the next step.
 
         Args:
-            milliseconds: What the frame has taken.
-            budget: What a frame may take.
+            milliseconds: Time of the frame.
+            budget: Time budget of a frame, milliseconds.
         """
         known = self._recent_ms.get(self._index, milliseconds)
         self._recent_ms[self._index] = 0.5 * (known + milliseconds)
@@ -106,30 +107,30 @@ class DetailController:
 Picture = npt.NDArray[np.uint8]
 
 _BACKGROUND_GRAY = 32
-"""Grey behind transparent frames."""
+"""Grey level behind transparent frames, 0 to 255."""
 
 
 @dataclass(frozen=True)
 class ScreenImage:
-    """What a page is to show next."""
+    """Image to display next on a page."""
 
     picture: Picture
-    """(H, W, 3), sRGB."""
+    """sRGB image, shape (H, W, 3), uint8."""
     quality: int
-    """Of the JPEG."""
+    """JPEG quality, 1 to 95."""
     depth: npt.NDArray[np.float32] | None = None
-    """View depth in units of the page, of every `DEPTH_STRIDE`-th pixel; None: of a view that moves."""
+    """View depth of every `DEPTH_STRIDE`-th pixel, page units; None for a moving view."""
 
 
 def frame_image(frame: ls.Frame, view: str) -> Picture:
-    """The bytes of a frame.
+    """Returns a view of a frame as an sRGB image of shape (H, W, 3), uint8.
 
     Args:
         frame: The frame.
-        view: ``color``, or one of `lumisplat.Frame.VIEWS`.
+        view: ``color`` or one of `lumisplat.Frame.VIEWS`.
 
     Raises:
-        ConfigError: The frame was rendered without what the view needs.
+        ConfigError: The frame was rendered without the AOV that the view needs.
     """
     if view != "color":
         return (255.0 * frame.view(view) + 0.5).astype(np.uint8)
@@ -141,14 +142,14 @@ def frame_image(frame: ls.Frame, view: str) -> Picture:
 
 
 def page_depth(frame: ls.Frame, page_from_scene: float) -> npt.NDArray[np.float32]:
-    """Depth that a page hides its own handles behind."""
+    """Returns the view depth of a frame at every `DEPTH_STRIDE`-th pixel, page units, to occlude gizmos on the page."""
     half = DEPTH_STRIDE // 2
     depth = frame.depth_z[half::DEPTH_STRIDE, half::DEPTH_STRIDE] * page_from_scene
     return np.nan_to_num(depth, nan=1e3, posinf=1e3).astype(np.float32)
 
 
 def split_image(before: Picture, after: Picture, share: float) -> Picture:
-    """Two pictures of one size as one: ``before`` in the left share of the width, and a line between them."""
+    """Joins two images of one size: ``before`` fills the left fraction ``share``, with a white line at the border."""
     column = min(max(round(share * after.shape[1]), 0), after.shape[1] - 1)
     joined = after.copy()
     joined[:, :column] = before[:, :column]
@@ -157,49 +158,49 @@ def split_image(before: Picture, after: Picture, share: float) -> Picture:
 
 
 class Screen(Protocol):
-    """Where pictures are seen: in a browser's page, or in a cell of a notebook."""
+    """Display for a page's images: a browser page or a notebook cell."""
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends a picture, and returns when it is there, or when there is no use in waiting any longer."""
+        """Sends an image and waits until it is displayed or a timeout ends the wait."""
         ...
 
     def close(self) -> None:
-        """Ends the wait of `show`, from another thread."""
+        """Ends a wait in `show`, from another thread."""
         ...
 
 
 class Page:
-    """A page and the thread that sends to it.
+    """An open page, with a thread that sends images to its screen.
 
-    Frames wait in a place for one: the next one is sent when the last one is there, so that no queue forms on the way.
+    The thread sends the newest image after the screen has displayed the last one, so that no queue builds up.
 
     Args:
-        screen: Where it is seen.
-        changed: Held while what is known of the page changes, and notified.
+        screen: Screen that displays the images.
+        changed: Condition whose lock guards the page's state; the page notifies it of changes.
     """
 
     def __init__(self, screen: Screen, changed: threading.Condition) -> None:
         self._screen, self._changed = screen, changed
         self.pose: Pose | None = None
-        """Where it looks from; None: it is not to be seen, and has no frames."""
+        """Camera of the page; None if the page is not visible and gets no frames."""
         self.pose_number = 0
         self.fitted_aspects: set[float] = set()
-        """Aspects for which it was put where all of the scene is seen."""
+        """Aspect ratios for which the viewer placed the camera so that the whole scene fits."""
         self.changed_at = 0.0
-        """When what it should show changed last, seconds of the monotonic clock."""
+        """Time of the last change of the view, seconds of the monotonic clock."""
         self.key: tuple[int, int] | None = None
-        """Revision of the session and number of the pose that it is shown, or that could not be."""
+        """Session revision and pose number of the last frame, rendered or failed."""
         self.detail = DetailController()
         self.frame: ls.Frame | None = None
-        """What it shows."""
+        """Frame that the page displays."""
         self.content: tuple[object, ...] | None = None
-        """What that is a frame of, however it is developed."""
+        """Inputs of the displayed frame, without those of its development."""
         self.before_image: Picture | None = None
-        """What the left part of a split picture shows."""
+        """Image of the reference state for *compare*."""
         self.before_image_key: object = None
-        """Of which view and size that is."""
+        """View and size for which `before_image` was rendered."""
         self.is_finished = False
-        """Whether it shows all that there is to show of a view at rest."""
+        """True if a still view needs no further samples."""
         self.noise: float | None = None
         self.frames_at_rest = 0
         self.is_open = True
@@ -209,7 +210,7 @@ class Page:
         self._thread.start()
 
     def set_pose(self, pose: Pose | None) -> None:
-        """Looks from another place, or from none."""
+        """Sets the camera; None stops rendering for the page."""
         with self._changed:
             if pose != self.pose:
                 self.pose = pose
@@ -218,23 +219,23 @@ class Page:
 
     @property
     def takes_frames(self) -> bool:
-        """Whether a frame that is sent now is the next one that it shows."""
+        """True if no image waits to be sent, so a new image would be displayed next."""
         return self.is_open and self._waiting is None
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether it has been sent all that there is to show, and has answered."""
+        """True if the finished image has been sent and acknowledged."""
         with self._changed:
             return self.is_finished and self._waiting is None and not self._is_sending
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends a picture as soon as the last one is there, in place of one that still waits."""
+        """Queues an image to send next, replacing one that still waits."""
         with self._changed:
             self._waiting = shown
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Ends the thread; the page has gone, or is to go."""
+        """Closes the page and ends its thread."""
         with self._changed:
             self.is_open = False
             self._changed.notify_all()
@@ -258,10 +259,10 @@ _POLL_S = 0.2
 
 
 class BrowserScreen:
-    """Sends pictures to a page of viser, and asks whether they are there.
+    """Sends images to a page of viser and waits for its acknowledgement.
 
     Args:
-        client: The page's connection.
+        client: Connection of the page.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -271,7 +272,7 @@ class BrowserScreen:
         self._answers = True
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends a picture, and waits for the page's answer."""
+        """Sends an image and waits until the page has received it."""
         self._client.scene.set_background_image(
             shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
         )
@@ -279,11 +280,11 @@ class BrowserScreen:
         self._await_answer()
 
     def close(self) -> None:
-        """Ends the wait."""
+        """Ends a wait in `show`."""
         self._is_open = False
 
     def _await_answer(self) -> None:
-        """Waits until the page has taken what it was sent: it answers in order, and viser's pages answer this."""
+        """Waits until the page has processed its messages, by a request that viser pages answer in order."""
         until = time.monotonic() + (BUSY_ANSWER_S if self._has_answered else ANSWER_S)
         while self._answers and self._is_open:
             try:

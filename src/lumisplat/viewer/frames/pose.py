@@ -1,4 +1,4 @@
-"""Where a page looks from: its pose, and the pose at which pages start."""
+"""Camera pose of a page, and the first view that pages start with."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ if TYPE_CHECKING:
 
 
 ASPECT_RANGE = (0.1, 10.0)
-"""Width to height of a page's canvas, beyond which it is taken for this."""
+"""Range to which the aspect ratio of a page is clamped, width over height."""
 
 _WIDTH_MULTIPLE = 2
 _LEVEL = 1e-3
-"""Sine of the largest angle by which the horizon of a level camera leans."""
+"""Sine of the largest roll angle of a camera that counts as level."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A page's camera, in units of the scene."""
+    """Camera of a page, in scene units."""
 
     position: tuple[float, float, float]
     wxyz: tuple[float, float, float, float]
-    """World from camera: x right, y down, z forward."""
+    """World-from-camera rotation as a quaternion; camera axes are x right, y down, z forward."""
     fov_y: float
     """Vertical field of view, radians."""
     aspect: float
-    """Width to height."""
+    """Aspect ratio, width over height."""
     focus: float
-    """Distance to the point that the camera turns about."""
+    """Distance to the orbit centre of the camera."""
 
     @classmethod
     def of(cls, camera: viser.CameraHandle, page_from_scene: float) -> Pose:
-        """The camera of a page, from its last message."""
+        """Returns the pose of a page's camera, as last reported by the page."""
         position = np.asarray(camera.position) / page_from_scene
         target = np.asarray(camera.look_at) / page_from_scene
         low, high = ASPECT_RANGE
@@ -56,7 +56,7 @@ class Pose:
 
     @classmethod
     def through(cls, camera: ls.Camera, focus: float) -> Pose:
-        """That of a camera of a scene, which turns about a point at a distance."""
+        """Returns the pose of a scene camera; ``focus`` is the distance to the orbit centre."""
         from viser import transforms
 
         world_from_camera = np.linalg.inv(camera.camera_from_world)
@@ -66,16 +66,16 @@ class Pose:
 
     @property
     def target(self) -> tuple[float, float, float]:
-        """The point that the camera turns about, in the middle of its picture."""
+        """World position of the orbit centre, at the centre of the image."""
         forward = self._camera_from_world()[2, :3]
         x, y, z = (float(value) for value in np.asarray(self.position) + max(self.focus, 1e-3) * forward)
         return x, y, z
 
     def camera(self, height: int, exposure: float = 0.0) -> ls.Camera:
-        """The camera of a frame of so many rows; the width follows from the page's aspect, in even numbers.
+        """Returns the camera of a frame with the given height; the width follows from the aspect ratio and is even.
 
         Raises:
-            SceneError: The page's numbers make no camera.
+            SceneError: The numbers that the page reported do not form a valid camera.
         """
         width = max(_WIDTH_MULTIPLE, _WIDTH_MULTIPLE * round(height * self.aspect / _WIDTH_MULTIPLE))
         focal = 0.5 * height / math.tan(0.5 * self.fov_y)
@@ -105,13 +105,13 @@ class Pose:
 def move_page_to(
     client: viser.ClientHandle, camera: ls.Camera, page_from_scene: float, up: tuple[float, float, float]
 ) -> None:
-    """Moves a page to a camera; it turns about what that focuses on.
+    """Moves a page to a camera; the page then orbits the camera's focus point.
 
     Args:
-        client: The page.
-        camera: The camera.
-        page_from_scene: Units of the page in one of the scene.
-        up: Of the scene: the axis about which the page turns next, unless the camera's horizon leans.
+        client: Connection of the page.
+        camera: Camera to move to.
+        page_from_scene: Page units per scene unit.
+        up: Up direction of the scene, the page's next orbit axis. A rolled camera uses its own up direction instead.
     """
     right, down, forward = camera.camera_from_world[:3, :3]
     is_level = abs(right @ np.array(up)) < _LEVEL < -down @ np.array(up)
@@ -122,9 +122,9 @@ def move_page_to(
 
 
 ASPECT = 16.0 / 9.0
-"""Width to height of a page that is as wide as screens are; narrower ones stand farther back."""
+"""Aspect ratio of a landscape screen, width over height. The first view moves back on narrower pages."""
 _NARROW = 0.4
-"""Width to height of the narrowest pages: phones, above the panel."""
+"""Aspect ratio of the narrowest pages: phones, above the panel."""
 FOV_Y = 0.8
 """Vertical field of view, radians."""
 
@@ -133,22 +133,23 @@ Point = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FirstView:
-    """The first view that a scene states, else one that shows all of it, from the front, in units of a page."""
+    """First view of a scene, in page units: the view that the scene specifies, else a front view of the whole scene."""
 
     position: tuple[float, float, float] = (0.0, 0.0, -3.0)
-    """Of a page of `aspect`."""
+    """Camera position on a page with the aspect ratio `aspect`."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
     fov_y: float = FOV_Y
     """Vertical field of view, radians."""
     aspect: float = ASPECT
-    """Width to height of a page that stands there; narrower ones stand farther back, as far as the scene is wide."""
+    """Aspect ratio for which `position` fits; on narrower pages the camera moves back, depending on the scene's width.
+    """
     narrow: float = ASPECT / _NARROW
-    """How much farther a page of the aspect `_NARROW` stands back."""
+    """Factor of the camera distance on a page with the aspect ratio `_NARROW`."""
 
     @classmethod
     def of(cls, scene: ls.Scene) -> FirstView:
-        """That of a scene, which is not empty."""
+        """Computes the first view of a scene that is not empty."""
         stated, units = scene.first_view, Extent.of(scene).page_from_scene
         aspect = ASPECT if stated is None else min(ASPECT, stated.width / stated.height)
         fov_y = FOV_Y if stated is None else None
@@ -163,7 +164,7 @@ class FirstView:
         return cls((x, y, z), (u, v, w), scene.up_direction, camera.fov_y, aspect, narrow)
 
     def at(self, aspect: float) -> tuple[Point, Point]:
-        """Where the eye is, and at what it looks, on a page of an aspect."""
+        """Returns the camera position and the target for a page with an aspect ratio."""
         target = np.array(self.target)
         # The distance that is needed is a convex function of height to width: between two, a line is never below it.
         share = max(0.0, (1.0 / aspect - 1.0 / self.aspect) / (1.0 / _NARROW - 1.0 / self.aspect))

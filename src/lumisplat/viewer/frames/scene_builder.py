@@ -1,6 +1,6 @@
-"""The scene of a frame: at a time, with fewer Gaussians where it has to be quick, and with actors in the light around.
+"""Builds the scene of a frame: at an animation time, at a level of detail, with actors lit by the capture.
 
-Levels of captures, of fewer Gaussians, are made once each, in the background.
+A background thread builds the levels of detail of each capture once.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from lumisplat.viewer.thresholds import (
 )
 
 Progress = Callable[[str, float], None]
-"""Receives what is being done and the fraction done, 0..1."""
+"""Function that receives a label and the completed fraction, 0 to 1."""
 
 
 @dataclass(eq=False)
 class _ActorLighting:
-    """What stands still, and what lights actors in it."""
+    """The static scene, and the lighters that light actors in it."""
 
     scene: ls.Scene
     lighting: ls.config.AvatarLightingConfig
     background: tuple[float, float, float]
     lighters: dict[int, tuple[ls.Scene, ls.AvatarLighter]] = field(default_factory=lambda: {})
-    """By level: its scene, and the lighter of that."""
+    """Static scene and its lighter, by level of detail."""
     has_failed: bool = False
-    """Whether no light could be found; actors then keep their own."""
+    """True if light estimation failed; actors then show their captured colours."""
 
     def matches(
         self, scene: ls.Scene, lighting: ls.config.AvatarLightingConfig, background: tuple[float, float, float]
     ) -> bool:
-        """Whether this is what stands still, and how it is lit."""
+        """True if the static scene, lighting settings and background are those given."""
         return (
             (self.lighting, self.background) == (lighting, background)
             and _are_same_objects(self.scene.splats, scene.splats)
@@ -54,15 +54,15 @@ class _ActorLighting:
 
 
 class SceneBuilder:
-    """Makes the scenes of frames.
+    """Builds the scenes of frames.
 
-    Actors cast their shadows on captures and take on the light of their place, as ``lumisplat animate`` has them.
+    Actors cast shadows on captures and receive the light at their position, as in ``lumisplat animate``.
 
     Args:
-        levels: Captures of fewer Gaussians.
-        device: As of `lumisplat.create_renderer`.
-        progress: Told when something takes long.
-        report: Told why actors cannot be lit.
+        levels: Levels of detail of captures.
+        device: Device, as in `lumisplat.create_renderer`.
+        progress: Receives progress messages of long steps.
+        report: Receives the reason if actors cannot be lit.
     """
 
     def __init__(self, levels: Levels, device: str, progress: Progress, report: Callable[[str], None]) -> None:
@@ -70,20 +70,20 @@ class SceneBuilder:
         self._animation: tuple[ls.io.SceneDocument, ls.Animation | None] | None = None
         self._stage: _ActorLighting | None = None
         self._last: dict[int, tuple[tuple[object, ...], ls.Scene]] = {}
-        """By level: what the last scene was made of, and that scene: the same objects are not uploaded again."""
+        """Inputs and result of the last scene, by level. Reusing the same objects avoids another upload."""
 
     def of(
         self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float, level: int, *, waits: bool
     ) -> ls.Scene:
-        """The scene of a frame.
+        """Returns the scene of a frame.
 
         Args:
-            document: What is shown.
-            config: Settings of the frame, for its background.
-            time: Of the animation, seconds.
-            level: Number of `LEVEL_FRACTIONS`; 0: all Gaussians.
-            waits: Whether there is time to prepare the light of actors, where something else has changed; without,
-                they are shown unlit until there is.
+            document: Document to show.
+            config: Render settings of the frame, for its background.
+            time: Animation time, seconds.
+            level: Level of detail, an index into `LEVEL_FRACTIONS`; 0 has all Gaussians.
+            waits: True prepares the lighting of actors after a change, which takes time. False shows actors unlit until
+                the lighting is prepared.
 
         Raises:
             FormatError: A frame of an actor cannot be read.
@@ -104,7 +104,7 @@ class SceneBuilder:
     def _with_actors(
         self, animation: ls.Animation, stage: _ActorLighting | None, still: ls.Scene, time: float, level: int
     ) -> ls.Scene:
-        """A scene with the actors of a time, lit if there is a stage."""
+        """Returns a static scene with the actors at a time, lit if actor lighting is given."""
         placed = [(instance, actor) for actor in animation.actors for instance in actor.at(time)]
         instances = [instance for instance, _ in placed]
         if stage is not None:
@@ -124,7 +124,7 @@ class SceneBuilder:
     def _avatar_lighter(
         self, animation: ls.Animation, stage: _ActorLighting, still: ls.Scene, level: int
     ) -> ls.AvatarLighter:
-        """What lights actors among captures of a level; lights are found once, around the actors of the first frame."""
+        """Returns the lighter for a level of detail. Lights are estimated once, for the actors of the first frame."""
         held = stage.lighters.get(level)
         if held is not None and held[0] is still:
             return held[1]
@@ -153,7 +153,7 @@ class SceneBuilder:
     def _actor_lighting_of(
         self, animation: ls.Animation, background: tuple[float, float, float], *, waits: bool
     ) -> _ActorLighting | None:
-        """The present stage, or a new one where there is time for it; None: actors are shown unlit."""
+        """Returns the current actor lighting, or a new one if ``waits``; None means that actors are shown unlit."""
         lighting, scene = animation.lighting, animation.scene
         if not scene.splats or not (lighting.shadows or lighting.relight):
             return None
@@ -165,7 +165,7 @@ class SceneBuilder:
 
 
 def _are_same_objects(first: Sequence[object], second: Sequence[object]) -> bool:
-    """Whether two rows hold the same objects."""
+    """True if two sequences contain the same objects, compared by identity."""
     return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
 
 
@@ -174,22 +174,22 @@ _Indices = npt.NDArray[np.intp]
 
 @dataclass(eq=False)
 class _CaptureLevels:
-    """What there is of a capture, by level."""
+    """Levels of detail of a capture that exist so far."""
 
     levels: dict[int, ls.Gaussians] = field(default_factory=dict[int, ls.Gaussians])
     thinned: dict[int, ls.Gaussians] = field(default_factory=dict[int, ls.Gaussians])
-    """What stands in for levels that are not there yet."""
+    """Thinned captures that stand in for levels not built yet."""
     coarsest: int = 0
-    """The highest level that has been asked for."""
+    """Coarsest level requested so far."""
 
 
 class Levels:
-    """Makes levels of captures and gives what there is.
+    """Builds levels of detail of captures in a background thread and provides those that exist.
 
     Args:
-        on_made: Called when there is a new level, in the thread that made it.
-        progress: Told the fraction done of the levels of a capture, 0..1, in that thread.
-        is_busy: Whether a view moves: levels are then made with pauses, so that frames have the processor.
+        on_made: Called when a level is ready, in the background thread.
+        progress: Receives the completed fraction of a capture's levels, 0 to 1, in the background thread.
+        is_busy: Returns True while a view moves; the thread then pauses, so that frames get the processor.
     """
 
     def __init__(
@@ -201,18 +201,18 @@ class Levels:
         self._on_made, self._progress, self._is_busy = on_made, progress, is_busy
         self._made: weakref.WeakKeyDictionary[ls.Gaussians, _CaptureLevels] = weakref.WeakKeyDictionary()
         self._scenes: dict[int, tuple[ls.Scene, ls.Scene]] = {}
-        """By level: the last scene that was asked for, and its level."""
+        """Last requested scene and its reduced version, by level."""
         self._wanted: SimpleQueue[weakref.ref[ls.Gaussians] | None] = SimpleQueue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="lumisplat levels", daemon=True)
         self._thread.start()
 
     def scene(self, scene: ls.Scene, level: int) -> ls.Scene:
-        """A scene whose captures have a level, or what stands in for it.
+        """Returns a scene whose captures have a level of detail, or stand-ins until that level exists.
 
         Args:
-            scene: The scene.
-            level: Number of `LEVEL_FRACTIONS`; 0: the scene itself.
+            scene: Scene with all Gaussians.
+            level: Level of detail, an index into `LEVEL_FRACTIONS`; 0 returns the scene itself.
         """
         coarsest = _coarsest(scene.gaussian_count)
         level = min(level, coarsest)
@@ -231,13 +231,13 @@ class Levels:
         return coarse
 
     def close(self) -> None:
-        """Ends the thread, after the block that it is at."""
+        """Ends the thread after its current block."""
         self._closing.set()
         self._wanted.put(None)
         self._thread.join()
 
     def _level(self, gaussians: ls.Gaussians, level: int, coarsest: int, *, thins: bool) -> tuple[ls.Gaussians, bool]:
-        """A level of a capture or what stands in for it, and whether it is the one that was asked for."""
+        """Returns a capture's level of detail or a stand-in, and True if the result is the requested level."""
         while level and gaussians.count * LEVEL_FRACTIONS[level] < LEVEL_CAPTURE_MIN:
             level -= 1
         if level == 0:
@@ -262,7 +262,7 @@ class Levels:
             del gaussians
 
     def _make(self, gaussians: ls.Gaussians) -> None:
-        """Makes the levels of a capture that have been asked for, and that it has not; block by block."""
+        """Builds the requested levels of a capture that do not exist yet, block by block."""
         made = self._made[gaussians]
         numbers = [number for number in range(1, made.coarsest + 1) if number not in made.levels]
         self._progress(0.0)
@@ -286,17 +286,17 @@ class Levels:
         self._on_made()
 
     def _pause_while_busy(self, longest: float) -> None:
-        """Waits while views move, but no longer than so many seconds."""
+        """Waits while views move, at most the given number of seconds."""
         until = time.monotonic() + longest
         while self._is_busy() and time.monotonic() < until and not self._closing.wait(0.02):
             pass
 
 
 def thinned(gaussians: ls.Gaussians, fraction: float) -> ls.Gaussians:
-    """One Gaussian in so many, larger by the cube root of that number.
+    """Returns every ``1 / fraction``-th Gaussian of a capture, scaled by the cube root of that step.
 
-    That is between what fills surfaces, its square root, and what keeps their outlines: the picture is nearest there to
-    that of all of them.
+    The square root would preserve covered area, and no scaling would preserve outlines. The cube root is between them
+    and gives the image closest to that of all Gaussians.
     """
     step = round(1.0 / fraction)
     kept = gaussians.subset(np.arange(min(step // 2, gaussians.count - 1), gaussians.count, step))
@@ -304,12 +304,12 @@ def thinned(gaussians: ls.Gaussians, fraction: float) -> ls.Gaussians:
 
 
 def _coarsest(count: int) -> int:
-    """The highest level of scenes of so many Gaussians."""
+    """Returns the coarsest level of detail for a scene with ``count`` Gaussians."""
     return sum(round(count * fraction) >= LEVEL_GAUSSIANS_MIN for fraction in LEVEL_FRACTIONS[1:])
 
 
 def _blocks(means: npt.NDArray[np.float32], rows: _Indices) -> Generator[_Indices]:
-    """Rows of Gaussians in boxes of space of about as many each, `LEVEL_BLOCK` at most."""
+    """Yields the indices of Gaussians in k-d tree boxes of similar counts, at most `LEVEL_BLOCK` each."""
     if rows.size <= LEVEL_BLOCK:
         yield rows
         return

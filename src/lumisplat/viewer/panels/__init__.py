@@ -1,1 +1,1 @@
-"""What stands beside the picture: settings, views, videos, files, and what is being done."""
+"""Control panels beside the image: scene objects, render settings, view options, videos, files and status."""

@@ -1,4 +1,4 @@
-"""Adds scene objects: lights, simple shapes, files beside the scene, and files that a page uploads."""
+"""Adds objects to the scene: lights, simple shapes, files in the scene's folder, and uploaded files."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ _READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".us
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect", "disk")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
-"""Folder beside the scene."""
+"""Folder for uploaded files, within the scene's folder."""
 _NAME_MAX = 100
 """Longest name of an uploaded file, characters."""
 _NEW_LIGHT_POSITION = (-0.45, -0.7, 0.5)
-"""Where new lamps are in the picture of the page that asks for them, -1..1 across and down, and as a share of the
-distance to what it looks at: near enough to the middle not to be behind the panel."""
+"""Position of new lights: horizontal and vertical image coordinates, -1 to 1, and the fraction of the distance to the
+orbit centre. The position is close enough to the image centre not to be behind the panel."""
 _NEW_LIGHT_IRRADIANCE = 3.0
-"""Irradiance of new lamps at what the page looks at."""
+"""Irradiance that a new light produces at the page's orbit centre."""
 
 
 class AddPanel:
-    """Controls that add entries, in the present folder.
+    """Controls that add entries to the scene, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the entries.
-        pages: Open pages by the id of their connection.
+        gui: Controls of the pages.
+        session: Session to edit.
+        pages: Open pages by connection id.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
@@ -63,7 +63,7 @@ class AddPanel:
         upload.on_upload(add_upload)
 
     def list_files(self) -> None:
-        """Lists the files beside the scene file."""
+        """Updates the list of files in the scene's folder."""
         self._file.options = [_NOTHING, *sorted(path.name for path in self._beside())]
 
     @property
@@ -77,7 +77,7 @@ class AddPanel:
             return []
 
     def _add(self, asked: tuple[Any, str]) -> None:
-        """Adds a light where the page sees it, a sky, or a shape on the ground."""
+        """Adds a light in view of the page, an environment, or a shape on the ground."""
         event, kind = asked[0], asked[1].removesuffix(" light")
         pose = pose_of_page(self._pages, event)
         if pose is None:
@@ -91,14 +91,14 @@ class AddPanel:
             self._insert("meshes", {"shape": kind, "size": 0.1 * self._session.extent.size})
 
     def _add_file(self, asked: tuple[str, bool]) -> None:
-        """Adds a file beside the scene: one of those that are there, whatever a page says; perhaps as an actor."""
+        """Adds a file of the scene's folder, as an actor if asked; names that are not in the folder are ignored."""
         name, moves = asked
         for path in self._beside():
             if path.name == name:
                 self._insert_file(path, moves=moves)
 
     def _add_upload(self, asked: tuple[Any, bool]) -> None:
-        """Keeps an uploaded file beside the scene, under a plain name that is free; adds it, perhaps as an actor."""
+        """Saves an uploaded file in the scene's folder under a safe, unused name, and adds it, as an actor if asked."""
         file, moves = asked
         suffix = Path(file.name).suffix.lower()
         if suffix not in _READABLE or suffix == ".gltf":
@@ -115,7 +115,7 @@ class AddPanel:
             target.unlink(missing_ok=True)
 
     def _insert_file(self, path: Path, *, moves: bool) -> bool:
-        """Adds what a file holds; the image of a sky becomes that of the environment."""
+        """Adds a file as an entry; an environment image replaces the image of the environment."""
         name = path.relative_to(self._folder).as_posix()
         kind, table = _kind_of(path), {"path": name}
         if kind == "environment":
@@ -125,7 +125,7 @@ class AddPanel:
         return done
 
     def _insert(self, kind: Any, table: dict[str, Any]) -> bool:
-        """Adds an entry and selects it; a mesh or an actor stands beside what is there, as of `SceneDocument.added`."""
+        """Adds an entry and selects it; `SceneDocument.added` places meshes and actors beside the existing objects."""
 
         def insert(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
             scene = document.scene()
@@ -135,17 +135,19 @@ class AddPanel:
         return self._session.apply(insert)
 
     def _selected(self, document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
-        """The document; one of its entries is selected when it is shown."""
+        """Selects an entry and returns the document unchanged, so that the selection appears with the new entry."""
         self._session.selected = number
         return document
 
 
 def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
-    """New lights, by type: half-way to what a page looks at, in its picture to the upper left, and as bright there.
+    """Returns scene-file tables of new lights by type, halfway to the orbit centre and to the upper left of the image.
+
+    All types produce the same irradiance at the orbit centre.
 
     Args:
-        pose: Where the page looks from.
-        up: Unit vector, shape (3,).
+        pose: Camera of the page.
+        up: Up direction, a unit vector, shape (3,).
     """
     camera, target = pose.camera(2), np.array(pose.target)
     sideways, down, forward = camera.camera_from_world[:3, :3]
@@ -176,7 +178,7 @@ def _listed(vector: Any) -> list[float]:
 
 
 def with_environment_image(document: ls.io.SceneDocument, path: str) -> tuple[ls.io.SceneDocument, int]:
-    """The document with an image as its environment, in place of that which it has, and the id of that entry.
+    """Returns the document with an image as its environment, and the environment's entry id.
 
     Raises:
         FormatError: The image cannot be read.
@@ -190,7 +192,7 @@ def with_environment_image(document: ls.io.SceneDocument, path: str) -> tuple[ls
 
 
 def upright_rotation(up: tuple[float, float, float]) -> list[float]:
-    """The rotation, a quaternion, after which the upper edge of an environment's image is up."""
+    """Returns the quaternion that rotates an environment image so that its upper edge faces up."""
     from viser import transforms
 
     standing = ls.MeshInstance(ls.box(1.0), up=up).transform[:3, :3]
@@ -198,7 +200,7 @@ def upright_rotation(up: tuple[float, float, float]) -> list[float]:
 
 
 def free_name(folder: Path, name: str) -> Path:
-    """A path in a folder that does not exist, of a plain name like the given one."""
+    """Returns a path in a folder that does not exist yet, with a safe version of the given file name."""
     plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "upload"
     stem, dot, rest = plain[-_NAME_MAX:].partition(".")
     path = folder / f"{stem}{dot}{rest}"
@@ -210,5 +212,5 @@ def free_name(folder: Path, name: str) -> Path:
 
 
 def _kind_of(path: Path) -> Any:
-    """The heading of a file's entry."""
+    """Returns the kind of scene entry that a file becomes."""
     return "environment" if path.suffix.lower() in _ENVIRONMENT_IMAGES else ls.io.SceneDocument.kind_of(path)

@@ -1,4 +1,4 @@
-"""Runs long jobs for a page, one at a time: stills with all their samples, videos, and captures as an HTML page."""
+"""Runs long jobs for pages, one at a time: still images, videos, and captures exported as HTML."""
 
 from __future__ import annotations
 
@@ -26,46 +26,47 @@ if TYPE_CHECKING:
 
 
 Still = Generator[float, None, ls.Frame]
-"""Gives the share that is done after each sample, and the frame at last."""
+"""Generator that yields the completed fraction after each sample and returns the frame."""
 
 
 @dataclass(frozen=True)
 class StillRenderer:
-    """What stills are made with, in the thread of the frames."""
+    """Renders still images of full quality, in the render thread."""
 
     scenes: SceneBuilder
     device: str
-    """As of `lumisplat.create_renderer`."""
+    """Device, as in `lumisplat.create_renderer`."""
     stop: Callable[[], bool]
-    """Whether stills have to give way."""
+    """Returns True if a still image must yield to a moving view."""
 
     def renderer(self, config: ls.RenderConfig) -> ls.Renderer:
-        """A renderer for stills of `still_config`.
+        """Creates a renderer for settings of `still_config`.
 
         Raises:
-            DeviceError: There is no such device, or it is out of memory.
+            DeviceError: The device does not exist or is out of memory.
         """
         return ls.create_renderer(config, self.device, compiles=False)
 
     def scene(self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float) -> ls.Scene:
-        """All of a document at a time, seconds, with its actors lit.
+        """Returns the scene of a document at a time in seconds, with all Gaussians and lit actors.
 
         Raises:
-            LumisplatError: It cannot be made.
+            LumisplatError: The scene is invalid.
         """
         return self.scenes.of(document, config, time, 0, waits=True)
 
     def still(self, renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera, samples: int) -> Still:
-        """Renders a picture; a sample that had to give way is made again.
+        """Renders a still image, sample by sample; an interrupted sample is rendered again.
 
         Args:
-            renderer: With settings of `still_config`.
+            renderer: Renderer with settings of `still_config`.
             scene: The scene.
             camera: The camera.
-            samples: Samples a pixel; frames in real time follow each other that often. The sorted raster takes one.
+            samples: Samples per pixel, or the number of frames of a realtime pipeline. The sorted raster pipeline needs
+                only one sample.
 
         Raises:
-            LumisplatError: It cannot be rendered.
+            LumisplatError: Rendering failed.
         """
         follows = renderer.config.pipeline.is_sequence
         frame: ls.Frame | None = None
@@ -80,14 +81,14 @@ class StillRenderer:
 
 
 def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.RenderConfig:
-    """Settings of one sample of a picture.
+    """Returns settings that render one sample of a still image.
 
     Args:
-        config: The settings of the scene.
-        layers: Images to make besides those of every frame.
+        config: Render settings of the scene.
+        layers: AOVs to render in addition to those of every frame.
 
     Raises:
-        ConfigError: There is no such image.
+        ConfigError: A layer does not exist.
     """
     samples = None if config.pipeline.is_sequence else 1
     needed = [name for name in layers if name not in ls.Frame.LAYERS or name in ls.Frame.NEEDS]
@@ -95,10 +96,12 @@ def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.Re
 
 
 def captures_html(scene: ls.Scene) -> str:
-    """The captures of a scene as a page, unlit, each Gaussian in its mean colour: viser's page has no harmonics.
+    """Returns an HTML page that shows the captures of a scene, unlit and with one colour per Gaussian.
+
+    viser does not support SH, so each Gaussian has its mean colour.
 
     Args:
-        scene: With at least one capture; all else is left out.
+        scene: Scene with at least one capture; other objects are left out.
 
     Raises:
         MissingExtraError: viser is not installed.
@@ -129,11 +132,11 @@ def captures_html(scene: ls.Scene) -> str:
 
 
 _SH_C0 = 0.28209479177387814
-"""Value of the constant spherical harmonic."""
+"""Value of the degree-0 SH basis function."""
 
 
 def _world_gaussians(instance: ls.SplatInstance, units: float) -> tuple[npt.NDArray[np.float32], ...]:
-    """Means, shape (N, 3), and covariances, shape (N, 3, 3), of an instance, in units of a page."""
+    """Returns the means, shape (N, 3), and covariances, shape (N, 3, 3), of an instance in page units."""
     from viser import transforms
 
     matrix = units * instance.transform[:3, :4]
@@ -145,15 +148,15 @@ def _world_gaussians(instance: ls.SplatInstance, units: float) -> tuple[npt.NDAr
 
 
 Steps = Generator[float, None, None]
-"""Work in steps: each gives the share that is done, 0..1."""
+"""Generator of a job's steps; each step yields the completed fraction, 0 to 1."""
 
 
 class BackgroundJobs:
-    """Progress and a button to cancel, hidden while there is nothing to do, in the present folder.
+    """Progress bar and cancel button of the running job, hidden without a job, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        do: Does the steps, in its own thread.
+        gui: Controls of the pages.
+        do: Runs the steps of a job, in a thread of its own.
     """
 
     def __init__(self, gui: viser.GuiApi, do: Callable[[Generator[None]], None]) -> None:
@@ -165,10 +168,14 @@ class BackgroundJobs:
         self._is_busy = self._is_cancelled = False
 
     def start(self, label: str, steps: Steps) -> None:
-        """Starts the work.
+        """Starts a job.
+
+        Args:
+            label: Name of the job to show.
+            steps: Steps of the job.
 
         Raises:
-            ConfigError: Other work is not done yet.
+            ConfigError: Another job is running.
         """
         if self._is_busy:
             steps.close()
@@ -200,29 +207,29 @@ class BackgroundJobs:
 
 @dataclass(frozen=True)
 class JobContext:
-    """The session, the pages, and who does the work."""
+    """Objects that background jobs need: session, pages, job runner and renderer."""
 
     session: Session
     pages: Mapping[int, Page]
-    """Open pages by the id of their connection."""
+    """Open pages by connection id."""
     jobs: BackgroundJobs
     still_renderer: StillRenderer
     thumbnail: Callable[[ls.Camera, Callable[[Picture], object]], None]
-    """Renders a small image of the scene soon, and passes it on."""
+    """Renders a small image of the scene when no view moves, and passes it to a function."""
 
 
 def pose_of_page(pages: Mapping[int, Page], event: Any) -> Pose | None:
-    """From where the page looks on which something was pressed; None: it has gone, or has not said it yet."""
+    """Returns the camera of the page that sent an event; None if the page has closed or not reported its camera yet."""
     page = pages.get(event.client_id)
     return None if page is None else page.pose
 
 
 def file_bytes(name: str, write: Callable[[Path], None]) -> bytes:
-    """The bytes of a file that something writes.
+    """Returns the content of a file that a function writes.
 
     Args:
-        name: Of the file; its extension says the format.
-        write: Writes it to a path.
+        name: File name; its extension selects the format.
+        write: Writes the file to a path.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / name

@@ -1,4 +1,4 @@
-"""Rows of buttons and buttons in lists: presses are handled one after the other."""
+"""Rows of buttons, and buttons in HTML lists; presses are handled in order."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ _SHAPES = {
 def add_buttons(gui: viser.GuiApi, names: Sequence[str], act: Callable[[str], object]) -> None:
     """Adds a row of buttons.
 
-    A row has one value, that of the button pressed last: two that are pressed at once, on two pages, must not be
-    taken for one of them pressed twice.
+    viser stores only the last pressed button of a row. The callback reads the button from each event, so that two
+    presses on two pages are not taken for two presses of one button.
 
     Args:
-        gui: The pages' controls.
-        names: On the buttons.
-        act: Does what a button is for, by its name.
+        gui: Controls of the pages.
+        names: Labels of the buttons.
+        act: Handles a press, given the button's label.
     """
     press: Any = queued_callback(lambda event: str(event.target.value), act)
     gui.add_button_group("", list(names)).on_click(press)
 
 
 class Channel:
-    """Receives what is clicked in a list that is HTML: the page types it into a text control that nobody sees.
+    """Receives clicks in an HTML list; the page's script types the clicked command into a hidden text control.
 
     Args:
-        gui: The pages' controls.
-        actions: By the first word of what was clicked; each gets the number that is the second one.
-        moves: Likewise, for what is done to the page on which it was clicked, which they get, too.
+        gui: Controls of the pages.
+        actions: Handlers by command, the first word of a click; each receives the number, the second word.
+        moves: Handlers of commands for the clicked page; each receives the number and the page's connection.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Channel:
 
     @property
     def id(self) -> str:
-        """What the HTML of the list has as ``data-to``."""
+        """Id of the hidden text control, for the ``data-to`` attribute of the list."""
         handle: Any = self._handle
         return handle._impl.uuid
 
@@ -87,23 +87,23 @@ class Channel:
 
 
 def _click_of(event: Any) -> tuple[str, viser.ClientHandle] | None:
-    """What was clicked, and on which page; None: it was set from here."""
+    """Returns the clicked command and the page's connection; None if the program set the value."""
     return None if event.client is None else (str(event.target.value), event.client)
 
 
 def icon(name: str) -> str:
-    """An icon as SVG."""
+    """Returns an icon as SVG."""
     return _ICON.format(_SHAPES[name])
 
 
 def button(command: str, icon_name: str, title: str, *, is_on: bool = False) -> str:
-    """A button in a row, as HTML.
+    """Returns a button of a list row as HTML.
 
     Args:
-        command: What its channel gets.
-        icon_name: Its icon.
-        title: What it does.
-        is_on: Whether it stands out.
+        command: Command that a click sends to the list's channel.
+        icon_name: Name of the icon.
+        title: Tooltip.
+        is_on: True highlights the button.
     """
     return (
         f'<span role="button" data-command="{command}" class="{"on" * is_on}" title="{title}">{icon(icon_name)}</span>'
@@ -111,5 +111,5 @@ def button(command: str, icon_name: str, title: str, *, is_on: bool = False) -> 
 
 
 def plain(text: str) -> str:
-    """A text without anything that Markdown, HTML or a table would take for more than words."""
+    """Returns a text with all characters replaced that have a meaning in Markdown, HTML or tables."""
     return re.sub(r"[|<>`*_\[\]{}\\&#~!]", " ", text)

@@ -1,4 +1,4 @@
-"""Makes a control for each setting of a dataclass, and converts between values and the words and colours shown."""
+"""Creates a control for each setting of a dataclass, and converts between settings and displayed values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Color = tuple[float, float, float]
 
 KELVIN_RANGE = (1500.0, 12000.0)
-"""From a candle to a blue sky, kelvins."""
+"""Range of colour temperatures, from candlelight to a blue sky, kelvins."""
 
 # Krystek 1985, "An algorithm to calculate correlated colour temperature", CIE 1960 (u, v), 1000 to 15000 K.
 _U = ((0.860117757, 1.54118254e-4, 1.28641212e-7), (1.0, 8.42420235e-4, 7.08145163e-7))
@@ -36,10 +36,10 @@ _REC709_FROM_XYZ = (
 
 
 def color_of_temperature(kelvins: float) -> Color:
-    """The colour of a black body, linear Rec.709, its largest channel 1, none below 0.
+    """Returns the linear Rec.709 colour of a black body, with its largest channel 1 and no negative channel.
 
     Args:
-        kelvins: Its temperature, 1000 to 15000.
+        kelvins: Temperature, 1000 to 15000 K.
     """
     u, v = (_ratio(table, kelvins) for table in (_U, _V))
     x, y = (3.0 * u / (2.0 * u - 8.0 * v + 4.0), 2.0 * v / (2.0 * u - 8.0 * v + 4.0))
@@ -50,13 +50,13 @@ def color_of_temperature(kelvins: float) -> Color:
 
 
 def color_bytes_from_linear(color: Color) -> tuple[int, int, int]:
-    """A linear colour as the bytes of a colour picker, sRGB; what is brighter than white is white."""
+    """Converts a linear colour to sRGB bytes for a colour picker; values above 1 are clipped."""
     red, green, blue = (round(255.0 * _encoded(min(max(channel, 0.0), 1.0))) for channel in color)
     return red, green, blue
 
 
 def linear_from_color_bytes(picked: tuple[int, int, int]) -> Color:
-    """The bytes of a colour picker as a linear colour, rounded to five digits, as people write them."""
+    """Converts sRGB bytes of a colour picker to a linear colour, rounded to five digits for readable scene files."""
     red, green, blue = (round(_decoded(channel / 255.0), 5) for channel in picked)
     return red, green, blue
 
@@ -75,46 +75,46 @@ def _decoded(encoded: float) -> float:
 
 
 AUTO = "auto"
-"""What people read and type for None."""
+"""Text that stands for None."""
 
 _DIGITS = 7
-"""Digits behind the point that people may type."""
+"""Most decimals that users can type."""
 _NUMBER_CHARACTERS, _VECTOR_CHARACTERS = 11, 8
-"""Characters of a number, and of each number of a vector, that a control has room for."""
+"""Characters that fit into the control of a number, and of each component of a vector."""
 _SLIDER_SPAN = 1e4
-"""Ranges whose ends differ by a larger factor are typed, not dragged."""
+"""Largest upper end of a range that gets a slider; larger ranges get a number box."""
 
 
 _UNIT_CHARACTERS = 7
-"""Longer units stand in the hint alone."""
+"""Longest unit that a label includes; longer units appear only in the hint."""
 
 
 def control_settings(cls: type) -> list[Setting]:
-    """Returns the fields of a dataclass that a control can show, in their order."""
+    """Returns the fields of a dataclass that a control can show, in order."""
     return [one for one in settings_of(cls) if one.kind not in ("span", "names", "other")]
 
 
 def label_of(field: Setting) -> str:
-    """Returns the name in words, with a short unit."""
+    """Returns the label of a setting, with its unit if the unit is short."""
     words, unit = label(field.name), field.range.unit
     return f"{words} ({unit})" if unit and len(unit) <= _UNIT_CHARACTERS and "(" not in words else words
 
 
 def hint_of(field: Setting) -> str | None:
-    """Returns what a setting does and which values it takes; None: nothing is known."""
+    """Returns the description and range of a setting as a tooltip; None if there is neither."""
     return f"{field.help} {field.limits}".strip() or None
 
 
 class Control:
-    """One field on the page, in the present folder.
+    """Control of one setting, in the current GUI folder.
 
     Args:
-        gui: Where.
-        field: What it shows.
-        value: Its value.
-        put: Called with the value that somebody has chosen, in a thread of the page server; raises a LumisplatError if
-            it is refused.
-        report: Told why a value is refused; the control then shows the last one again.
+        gui: Controls of the pages.
+        field: Setting to show.
+        value: Current value.
+        put: Applies a value that a user chose, in a thread of the page server; raises a LumisplatError for an invalid
+            one.
+        report: Receives the reason if a value is invalid; the control then shows the last valid value.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class Control:
         self.field = field
         self.handle: Any = _handle(gui, field, value)
         self._none: Any = None
-        """Whether an optional colour is None, which no colour shows."""
+        """Checkbox that sets an optional colour to None, because no colour can represent None."""
         self._shown = value
         self._put, self._report = put, report
         read = partial(from_control_value, field)
@@ -144,11 +144,11 @@ class Control:
 
     @property
     def handles(self) -> list[Any]:
-        """What is on the page of it."""
+        """GUI handles of the control."""
         return [self.handle] if self._none is None else [self.handle, self._none]
 
     def show(self, value: Any) -> None:
-        """Shows another value."""
+        """Shows a value."""
         self._shown = value
         if self._none is not None:
             self._none.value = value is None
@@ -156,7 +156,7 @@ class Control:
             self.handle.value = to_control_value(self.field, value)
 
     def set_unused(self, reason: str | None) -> None:
-        """Disables the control, and says what would give it an effect; None: it has one."""
+        """Disables the control and adds the reason to its tooltip; None enables the control."""
         for handle in self.handles:
             set_unused(handle, hint_of(self.field), reason)
 
@@ -174,12 +174,12 @@ class Control:
 
 
 def keep_unchanged_numbers(given: Any, before: Any, width: int = _NUMBER_CHARACTERS) -> Any:
-    """A value of a control; numbers that were not changed there are as they were, not as they were shown.
+    """Returns a displayed value in which every number that the user did not change has its full precision again.
 
     Args:
-        given: What the control shows.
-        before: The value that it was to show.
-        width: Characters of each of its numbers.
+        given: Displayed value, after the user's change.
+        before: Full-precision value before the change.
+        width: Characters that fit into the control of each number.
     """
     if isinstance(given, float) and isinstance(before, float):
         return before if given == rounded_for_display(before, width) else given
@@ -190,25 +190,25 @@ def keep_unchanged_numbers(given: Any, before: Any, width: int = _NUMBER_CHARACT
 
 
 def set_unused(handle: Any, hint: str | None, reason: str | None) -> None:
-    """Disables a control that has no effect, and says in its hint what would give it one.
+    """Disables a control without an effect and adds the reason to its tooltip.
 
     Args:
         handle: The control.
-        hint: What it says where it has one.
-        reason: What would give it an effect; None: it has one.
+        hint: Tooltip of the enabled control.
+        reason: What would give the control an effect; None enables the control.
     """
     set_if_changed(handle, "disabled", reason is not None)
     set_if_changed(handle, "hint", hint if reason is None else f"{reason} {hint or ''}".strip())
 
 
 def set_if_changed(handle: Any, name: str, value: object) -> None:
-    """Sets a property of a control: each time it is set, all pages are told."""
+    """Sets a property of a control if it differs, because each assignment sends a message to all pages."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)
 
 
 def to_control_value(field: Setting, value: Any) -> Any:
-    """A value as its control shows it."""
+    """Converts a setting's value to the value that its control displays."""
     if _is_shown_as_text(field):
         return AUTO if value is None else _text(field, value)
     match field.kind:
@@ -225,11 +225,11 @@ def to_control_value(field: Setting, value: Any) -> Any:
 
 
 def rounded_for_display(value: float, width: int = _NUMBER_CHARACTERS) -> float:
-    """A number rounded so that its control shows all of it.
+    """Rounds a number so that all its digits fit into a control.
 
     Args:
         value: The number.
-        width: Characters that there is room for; digits before the point are always there.
+        width: Characters that fit; digits before the decimal point are never dropped.
     """
     if not math.isfinite(value):
         return value
@@ -240,10 +240,10 @@ def rounded_for_display(value: float, width: int = _NUMBER_CHARACTERS) -> float:
 
 
 def from_control_value(field: Setting, shown: Any) -> Any:
-    """The value that a control shows.
+    """Converts the value of a control to the setting's value.
 
     Raises:
-        ConfigError: A number was typed that is none.
+        ConfigError: The typed text is not a number.
     """
     if _is_shown_as_text(field):
         return _parsed(field, str(shown))
@@ -259,25 +259,25 @@ def from_control_value(field: Setting, shown: Any) -> Any:
 
 
 def _is_shown_as_text(field: Setting) -> bool:
-    """Whether a field is shown as a word or a text: it may be automatic, or infinite."""
+    """True if a setting is shown as text or in a dropdown, because it can be automatic or infinite."""
     return (field.is_optional and field.kind != "color") or (field.kind == "number" and field.default == math.inf)
 
 
 def _is_text_box(field: Setting, value: Any) -> bool:
-    """Whether its control is a box to type in, which tells each key."""
+    """True if the control is a text box, which sends an event at each key press."""
     if _is_shown_as_text(field):
         return not field.is_optional or field.kind not in ("flag", "choice")
     return field.kind in ("text", "vector") or (field.kind in ("whole", "number") and not _is_slider(field, value))
 
 
 def _is_slider(field: Setting, shown: Any) -> bool:
-    """Whether the range of a number is short, and known."""
+    """True if the range of a number is known and short enough for a slider."""
     low, high = field.low, field.high
     return low is not None and high is not None and low <= shown <= high <= _SLIDER_SPAN
 
 
 def _color_bytes(field: Setting, color: tuple[float, float, float] | None) -> tuple[int, ...]:
-    """A colour as bytes of sRGB; black for none."""
+    """Converts a colour to sRGB bytes; None becomes black."""
     if color is None:
         return 0, 0, 0
     return color_bytes_from_linear(color) if field.is_linear else tuple(round(255.0 * channel) for channel in color)
@@ -299,7 +299,7 @@ def _text(field: Setting, value: Any) -> str:
 
 
 def _parsed(field: Setting, text: str) -> Any:
-    """The value of a text, of a field that may be automatic or infinite."""
+    """Parses the text of a setting that can be automatic or infinite."""
     word = text.strip().lower()
     if word in ("", AUTO) and field.is_optional:
         return None
@@ -318,7 +318,7 @@ def _parsed(field: Setting, text: str) -> Any:
 
 
 def _handle(gui: viser.GuiApi, field: Setting, value: Any) -> Any:  # noqa: PLR0911
-    """The control itself."""
+    """Creates the GUI element of a setting."""
     label, shown, hint = label_of(field), to_control_value(field, value), hint_of(field)
     if field.is_optional and field.kind in ("flag", "choice"):
         words = ("on", "off") if field.kind == "flag" else tuple(choice.value for choice in field.choices)
@@ -343,7 +343,7 @@ def _handle(gui: viser.GuiApi, field: Setting, value: Any) -> Any:  # noqa: PLR0
 
 
 def _number_handle(gui: viser.GuiApi, field: Setting, shown: Any, hint: str | None) -> Any:
-    """A slider where the range is short and known, else a box to type in."""
+    """Creates a slider if the range is known and short, else a number box."""
     whole, low, high = field.kind == "whole", field.low, field.high
     if low is not None and high is not None and _is_slider(field, shown):
         ends = (int(low), int(high)) if whole else (low, high)
@@ -357,7 +357,7 @@ def _number_handle(gui: viser.GuiApi, field: Setting, shown: Any, hint: str | No
 
 
 def _step(span: float) -> float:
-    """A thousandth of a range, as a power of ten."""
+    """Returns about a thousandth of a range, rounded to a power of ten."""
     return 10.0 ** math.floor(math.log10(span) - 2.5)
 
 
@@ -365,20 +365,20 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 Put = Callable[[Callable[[Any], Any], "str | None"], None]
-"""Takes a change of settings."""
+"""Function that applies a change of settings, given the change and the field's name for merging undo steps."""
 
 
 class SettingsPanel(Generic[Settings]):
-    """Controls of one object of settings, in the present folder.
+    """Controls of a settings dataclass, in the current GUI folder.
 
     Args:
-        gui: Where.
-        settings: What they show at first.
-        put: Called with what makes new settings of the present ones, which raises a LumisplatError if a value is
-            refused, and the name of the field, None where each edit is undone on its own.
-        report: Told why a value is refused.
-        without: Fields that are shown elsewhere, or nowhere.
-        only: If given, these fields alone.
+        gui: Controls of the pages.
+        settings: Settings to show at the start.
+        put: Applies a change, given a function from old to new settings and the field's name. The name is None for
+            edits that are undone separately. Raises a LumisplatError for an invalid value.
+        report: Receives the reason if a value is invalid.
+        without: Fields to leave out.
+        only: Fields to show; None shows all.
     """
 
     def __init__(
@@ -395,7 +395,7 @@ class SettingsPanel(Generic[Settings]):
         self._controls: dict[str, Control] = {}
         self._groups: dict[str, SettingsPanel[Any]] = {}
         self._folders: dict[str, Any] = {}
-        """Of the groups."""
+        """GUI folders of nested groups."""
         for field in control_settings(type(settings)):
             if field.name in without or (only is not None and field.name not in only):
                 continue
@@ -409,23 +409,23 @@ class SettingsPanel(Generic[Settings]):
                 self._controls[field.name] = Control(gui, offered, value, self._field_changed(field), report)
 
     def show(self, settings: Settings) -> None:
-        """Shows other settings."""
+        """Shows the values of settings."""
         for name, control in self._controls.items():
             control.show(getattr(settings, name))
         for name, group in self._groups.items():
             group.show(getattr(settings, name))
 
     def set_visible(self, visible: bool) -> None:
-        """Shows or hides its own fields; groups have folders of their own."""
+        """Shows or hides the panel's own controls; nested groups are not affected."""
         for control in self._controls.values():
             for handle in control.handles:
                 set_if_changed(handle, "visible", visible)
 
     def set_unused(self, unused: Mapping[str, str]) -> None:
-        """Disables controls that have no effect, and hides such groups.
+        """Disables controls without an effect and hides groups without an effect.
 
         Args:
-            unused: Names of fields, those in groups as ``group.field``, each with what would give it an effect.
+            unused: Reasons by field name; ``group.field`` names a field of a nested group.
         """
         for name, control in self._controls.items():
             control.set_unused(unused.get(name))
@@ -453,7 +453,7 @@ class SettingsPanel(Generic[Settings]):
 
 
 def _is_allowed(settings: Any, field: Setting, choice: Enum) -> bool:
-    """Whether settings may have a choice of a field."""
+    """True if the settings accept a choice for a field."""
     try:
         replace(settings, **{field.name: choice})
     except ls.ConfigError:

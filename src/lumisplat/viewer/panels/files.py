@@ -1,4 +1,4 @@
-"""Exports files: the scene file, the command that renders the same, and images of any size."""
+"""Saves the scene file, shows the equivalent command line, and exports images and captures."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,80}\.toml")
 _ROWS = 1080
-"""Of the picture that a command renders."""
+"""Height of the image that the command line renders, pixels."""
 
 
 class FilesPanel:
-    """Controls that save, in the present folder.
+    """Controls that save the scene, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        notifications: Tells pages what was saved.
-        session: Has the scene.
-        pages: Open pages by the id of their connection.
+        gui: Controls of the pages.
+        notifications: Shows notifications on pages.
+        session: Session to save.
+        pages: Open pages by connection id.
     """
 
     def __init__(
@@ -56,12 +56,12 @@ class FilesPanel:
         gui.add_button("command line").on_click(press_callback(self._show_command))
 
     def suggest(self, document: ls.io.SceneDocument) -> None:
-        """Suggests a name that is not that of the file that was opened."""
+        """Sets a default file name that differs from the opened file."""
         stem = re.sub(r"[^A-Za-z0-9 ._-]", "_", document.file.stem).lstrip(" ._-") or "scene"
         self._name.value = f"{stem[:70]}-edited.toml"
 
     def save(self) -> None:
-        """Saves the scene file, and tells that, or why not."""
+        """Saves the scene file and notifies the pages of the result."""
         target = self._target()
         if target is None:
             given = str(self._name.value)[:90]
@@ -85,7 +85,7 @@ class FilesPanel:
         )
 
     def _target(self) -> Path | None:
-        """The file of the name that was typed, beside the scene; None: it is no plain name."""
+        """Returns the path of the typed file name, in the scene's folder; None if the name is not allowed."""
         name = str(self._name.value).strip()
         folder = self._session.state.document.file.absolute().parent
         return folder / name if _PLAIN_NAME.fullmatch(name) else None
@@ -103,12 +103,12 @@ class FilesPanel:
 
 
 def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
-    """The command that renders what a page shows of a saved scene; of one with actors, the frame of that time.
+    """Returns the command that renders a page's view of a saved scene, at the current time if the scene has actors.
 
     Args:
-        scene_file: The saved scene.
-        pose: Where the page looks from.
-        session: Has the scene.
+        scene_file: The saved scene file.
+        pose: Camera of the page.
+        session: Session with the settings.
     """
     state, camera = session.state, pose.camera(_ROWS, session.state.exposure)
     has_actors = any(entry.actor is not None and not entry.hidden for entry in state.document.entries)
@@ -139,11 +139,11 @@ _LAYERS_HINT = (
 
 
 class ImagesPanel:
-    """Controls that make pictures, in the present folder; a page gets what it asked for as a download.
+    """Controls that render images, in the current GUI folder; the page that asks for an image downloads it.
 
     Args:
-        gui: The pages' controls.
-        context: Its session has the scene.
+        gui: Controls of the pages.
+        context: Session, pages and job runner.
     """
 
     def __init__(self, gui: viser.GuiApi, context: JobContext) -> None:
@@ -173,7 +173,7 @@ class ImagesPanel:
         return on_click
 
     def _picture(self, client: viser.ClientHandle, pose: Pose) -> None:
-        """Renders a page's view at any size."""
+        """Renders a page's view in the requested size."""
         state, suffix = self._session.state, str(self._format.value)
         height, still_renderer = int(np.clip(self._height.value, *HEIGHTS)), self._context.still_renderer
         if self._width.value:
@@ -194,7 +194,7 @@ class ImagesPanel:
         self._context.jobs.start(f"image of {camera.width} × {camera.height}", steps())
 
     def _export_captures(self, client: viser.ClientHandle, _: Pose) -> None:
-        """Makes a page of the captures, as captured."""
+        """Exports the captures, unlit, as an HTML page."""
         document = self._session.state.document
         scene = document.scene() if document.animation is None else document.animation.scene
         if not scene.splats:
@@ -208,15 +208,15 @@ class ImagesPanel:
 
 
 def listed(layers: str) -> tuple[str, ...]:
-    """Names that were typed with commas."""
+    """Splits a list of names separated by commas."""
     return tuple(name.strip() for name in layers.split(",") if name.strip())
 
 
 def _as_file(frame: ls.Frame, suffix: str, layers: tuple[str, ...]) -> bytes:
-    """The bytes of a frame's file; an EXR has layers besides those of every frame.
+    """Returns a frame as file content; an EXR has the given layers in addition to those of every frame.
 
     Raises:
-        ConfigError: The frame has no such layer.
+        ConfigError: The frame does not have a layer.
     """
     always = tuple(name for name in ls.Frame.LAYERS if name not in ls.Frame.NEEDS)
     wanted = dict.fromkeys((*always, *layers)) if suffix == "exr" else None

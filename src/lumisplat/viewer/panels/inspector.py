@@ -1,4 +1,4 @@
-"""Edits the selected object: its transform, material, light, also by angles of a sun, and the crop box of a capture."""
+"""Edits the selected object: transform, material, light parameters, sun angles, and the crop box of a capture."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 _DEFAULT_K = 6500.0
-"""Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
+"""Temperature shown for a light whose colour was not set by temperature, kelvins."""
 _SUN = (
     Setting(
         "azimuth_degrees",
@@ -40,35 +40,37 @@ _SUN = (
     Setting("elevation_degrees", "number", "Above the horizon.", range=Range(-90.0, 90.0)),
     Setting("hour", "number", "Solar time at the equinox, 45° north, with south in front.", range=Range(0.0, 24.0)),
 )
-"""Fields of suns in place of their direction."""
+"""Fields that replace the direction of a sun."""
 _CAPTURE_SHADING: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_catcher": None},
     "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
     "relit, simple": {"material": {"type": "simple"}, "shadow_catcher": None},
     "shadow catcher": {"material": None, "shadow_catcher": True},
 }
-"""How a capture is shaded, and the keys of its entry that make it so."""
+"""Shading modes of a capture, with the entry's keys that select each."""
 _MESH_SHADING: dict[str, dict[str, Any]] = {
     "as in the file": {"material": None},
     "PBR": {"material": {"type": "pbr"}},
     "simple": {"material": {"type": "simple"}},
 }
-"""Types of a mesh's material."""
+"""Material types of a mesh, with the entry's keys that select each."""
 _CAPTURE_HINT = (
     "as captured: its colours are what it emits. relit: lights illuminate a material. shadow catcher: as captured, "
     "with the shadows of other objects."
 )
 _MESH_HINT = "Its colours and numbers are below."
 _WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
-"""Fields of materials that textures alone use, or that are shown elsewhere."""
+"""Material fields without a control: fields that only textures use, or that are shown elsewhere."""
 
 
 def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> list[tuple[Setting, Any]]:
-    """The fields of a light by their keys in a scene file, with their values; angles in degrees, suns by theirs.
+    """Returns the fields of a light by scene-file key, with their values; angles are in degrees.
+
+    A sun has azimuth, elevation and hour in place of its direction.
 
     Args:
         light: The light.
-        up: Of the scene.
+        up: Up direction of the scene.
     """
     found: list[tuple[Setting, Any]] = []
     kind = cast("type[Any]", type(light))
@@ -85,7 +87,7 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
 
 
 def shading_of(entry: ls.io.SceneEntry) -> str:
-    """How a capture or a mesh looks."""
+    """Returns the shading mode of a capture or the material type of a mesh."""
     if not entry.splats:
         given = entry.table.get("material")
         if given is None:
@@ -100,33 +102,33 @@ def shading_of(entry: ls.io.SceneEntry) -> str:
 
 
 class Inspector:
-    """Controls of the selected entry, made anew for each.
+    """Controls of the selected entry, rebuilt for each selection.
 
     Args:
-        gui: The pages' controls.
-        session: Has the entry.
-        folder: Where they are.
+        gui: Controls of the pages.
+        session: Session to edit.
+        folder: GUI folder of the controls.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session, folder: viser.GuiFolderHandle) -> None:
         self._gui, self._session, self._folder = gui, session, folder
         self._shown: tuple[Any, ...] | None = None
-        """What the set of controls depends on, but for those of the material."""
+        """Entry and field names for which the current controls were built, without material fields."""
         self._material_shown: tuple[Any, ...] = ()
-        """What those of the material depend on."""
+        """Fields for which the current material controls were built."""
         self._controls: dict[str, Control] = {}
         self._parts: list[Any] = []
         self._material: Any = None
-        """The folder of the material, which stays while its entry is selected, open or closed as people have it."""
+        """GUI folder of the material. The folder stays while its entry is selected, so that it stays open or closed."""
         self._material_parts: list[Any] = []
         self._crop: Crop | None = None
         self._followers: list[Callable[[ls.io.SceneEntry], None]] = []
-        """Bring controls that stand for something else to where their entry is."""
+        """Functions that update derived controls, such as the colour temperature, from the entry."""
         folder.visible = False
         session.on_change(self.show)
 
     def show(self) -> None:
-        """Shows what is selected."""
+        """Shows the selected entry."""
         entry = self._session.selected_entry
         fields = [] if entry is None else self._fields(entry)
         of_material = [field for field in fields if _is_of_material(field[0])]
@@ -174,7 +176,7 @@ class Inspector:
                 self._parts.append(self._material)
 
     def _rebuild_material(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> None:
-        """Makes the controls of another type of material, in the same folder."""
+        """Rebuilds the controls for another material type, in the same folder."""
         for part in reversed(self._material_parts):
             part.remove()
         self._controls = {name: each for name, each in self._controls.items() if not _is_of_material(each.field)}
@@ -186,7 +188,7 @@ class Inspector:
             self._material_parts = self._add_fields(entry, fields)
 
     def _add_fields(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> list[Any]:
-        """Adds controls of fields, and returns them."""
+        """Adds controls of fields and returns their GUI handles."""
         handles: list[Any] = []
         for field, value in fields:
             control = Control(self._gui, field, value, self._putter(entry, field), self._session.report)
@@ -195,7 +197,7 @@ class Inspector:
         return handles
 
     def _fields(self, entry: ls.io.SceneEntry) -> list[tuple[Setting, Any]]:
-        """The fields of an entry, with their values."""
+        """Returns the fields of an entry, with their values."""
         if entry.kind in ("lights", "environment"):
             return light_fields(entry.lights[0], self._session.scene.up_direction)
         fields: list[tuple[Setting, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
@@ -261,7 +263,7 @@ class Inspector:
         number = entry.id
         slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint="About the vertical.")
         start = _environment_rotation(entry)
-        """Of the sky where the slider is in the middle."""
+        """Environment rotation at the centre of the slider."""
 
         def change(degrees: float) -> None:
             keys = {"rotation_wxyz": rotated_about(start, self._session.scene.up_direction, degrees)}
@@ -280,10 +282,10 @@ class Inspector:
 
 
 def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any) -> ls.io.SceneDocument:
-    """The document with another value of a field of an entry, as the inspector names them.
+    """Returns the document with a new value of an entry's field, named as in the inspector.
 
     Raises:
-        LumisplatError: The value is refused.
+        LumisplatError: The value is invalid.
     """
     entry = document.entry(number)
     if name.startswith("material."):
@@ -311,7 +313,7 @@ def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any)
 
 
 def _cleared_aliases(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
-    """Keys that say in words what a field says: where a light looks, and how large it is."""
+    """Returns the keys to clear because they specify the same as a field, such as ``target`` beside ``direction``."""
     light: Any = entry.lights[0] if entry.kind == "lights" else None
     if light is None or name not in light.aim_fields:
         return {}
@@ -320,7 +322,7 @@ def _cleared_aliases(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
 
 
 def rotated_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
-    """A rotation followed by a turn about an axis, world space."""
+    """Returns a quaternion rotated by an angle about a world-space axis."""
     from viser import transforms
 
     turn = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
@@ -330,7 +332,7 @@ def rotated_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], deg
 
 
 def _transform_fields(matrix: Any) -> list[tuple[Setting, Any]]:
-    """Position, turns about x, y and z, and scale of a similarity."""
+    """Returns position, rotation about x, y and z, and scale of a similarity, as fields with values."""
     from viser import transforms
 
     scale = scale_of(matrix)
@@ -344,10 +346,10 @@ def _transform_fields(matrix: Any) -> list[tuple[Setting, Any]]:
 
 
 def _moved(matrix: Any, name: str, value: Any) -> Any:
-    """A similarity with another position, rotation or scale.
+    """Returns a similarity with another position, rotation or scale.
 
     Raises:
-        ConfigError: The scale is not above 0.
+        ConfigError: The scale is not > 0.
     """
     from viser import transforms
 
@@ -370,12 +372,12 @@ def _environment_rotation(entry: ls.io.SceneEntry) -> tuple[float, ...]:
 
 
 def _rounded_color(kelvins: float) -> list[float]:
-    """The colour of a black body, five digits, as people write them."""
+    """Returns the colour of a black body, rounded to five digits for readable scene files."""
     return [round(channel, 5) for channel in color_of_temperature(kelvins)]
 
 
 def _plain(value: Any) -> Any:
-    """A value as a table of a scene file has it."""
+    """Converts a value to its form in a scene-file table."""
     if isinstance(value, tuple):
         return [float(x) for x in cast("tuple[float, ...]", value)]
     return value.value if hasattr(value, "value") else value
@@ -398,20 +400,20 @@ def _whole(name: str, low: int, high: int) -> Setting:
 
 
 _MARGIN = 0.25
-"""How far sliders reach beyond the bulk of a capture, as a share of its size along the axis."""
+"""Margin of the crop sliders beyond the bulk of a capture, as a fraction of the bulk's size along the axis."""
 _STEPS = 400
 
 Ends = npt.NDArray[np.float64]
-"""Lowest and highest values, shape (2, 3)."""
+"""Lower and upper ends along x, y and z, shape (2, 3)."""
 
 
 class Crop:
-    """Controls of a capture's crop box, in the present folder.
+    """Controls of a capture's crop box, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the capture.
-        number: Id of its entry.
+        gui: Controls of the pages.
+        session: Session to edit.
+        number: Entry id of the capture.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session, number: int) -> None:
@@ -424,7 +426,7 @@ class Crop:
         self.show()
 
     def show(self) -> None:
-        """Shows the box that the capture has now."""
+        """Shows the current crop box of the capture."""
         ends = crop_ends(self._session.state.document.entry(self._number), self._slider_range)
         for axis, slider in enumerate(self._sliders):
             slider.value = (float(ends[0, axis]), float(ends[1, axis]))
@@ -439,7 +441,7 @@ class Crop:
         return slider
 
     def _change(self, moved: tuple[Any, ...]) -> None:
-        """Crops between the ends of all sliders; that which was moved says where its ends are."""
+        """Crops to the ends of all sliders; the moved slider's ends come from its event."""
         ends = np.array([slider.value for slider in self._sliders], np.float64).T
         ends[:, moved[0]] = moved[1:3]
         number, reach, everything = self._number, self._slider_range, self._all_bounds
@@ -447,7 +449,7 @@ class Crop:
 
 
 def crop_ranges(document: ls.io.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
-    """The box around all Gaussians of a capture's file, and that which sliders reach: near its bulk."""
+    """Returns the bounds of all Gaussians of a capture's file, and the range of the crop sliders around its bulk."""
     entry = document.changed(number, crop_low=None, crop_high=None).entry(number)
     means = np.concatenate([np.asarray(instance.gaussians.means, np.float64) for instance in entry.splats])
     everything = np.array([means.min(axis=0), means.max(axis=0)])
@@ -459,7 +461,7 @@ def crop_ranges(document: ls.io.SceneDocument, number: int, session: Session) ->
 
 
 def crop_ends(entry: ls.io.SceneEntry, reach: Ends) -> Ends:
-    """Where the sliders of a capture stand."""
+    """Returns the slider ends for a capture's crop box."""
     low, high = entry.table.get("crop_low"), entry.table.get("crop_high")
     if low is None or high is None:
         return reach
@@ -467,7 +469,7 @@ def crop_ends(entry: ls.io.SceneEntry, reach: Ends) -> Ends:
 
 
 def crop_table(ends: Ends) -> str:
-    """Where sliders stand, in numbers."""
+    """Returns the slider ends as a Markdown table."""
     rows = [f"| {'xyz'[axis]} | {ends[0, axis]:.4g} | {ends[1, axis]:.4g} |" for axis in range(3)]
     return "\n".join(["| | from | to |", "| --- | ---: | ---: |", *rows])
 
@@ -475,17 +477,17 @@ def crop_table(ends: Ends) -> str:
 def cropped(
     document: ls.io.SceneDocument, number: int, ends: Ends, reach: Ends, everything: Ends
 ) -> ls.io.SceneDocument:
-    """The document with a capture cropped to what is between the ends of sliders.
+    """Returns the document with a capture cropped to the slider ends.
 
     Args:
-        document: The scene.
-        number: Id of the capture's entry.
-        ends: Where sliders stand.
-        reach: How far they go; one that stands there leaves nothing out on its side.
-        everything: The box around all Gaussians.
+        document: The scene document.
+        number: Entry id of the capture.
+        ends: Slider ends.
+        reach: Range of the sliders; an end at its limit does not crop that side.
+        everything: Bounds of all Gaussians.
 
     Raises:
-        FormatError: Nothing would be left.
+        FormatError: No Gaussian would be left.
     """
     tolerance = (reach[1] - reach[0]) / _STEPS
     is_open = np.abs(ends - reach) < tolerance
@@ -501,18 +503,18 @@ def cropped(
 Vector = npt.NDArray[np.float64]
 
 LATITUDE = math.radians(45.0)
-"""Of the place at which the clock says where a sun stands, at the equinox: it rises at 6 and sets at 18."""
+"""Latitude for which the hour sets the sun's position, at the equinox: sunrise at 6, sunset at 18."""
 
 
 def sun_angles(direction: npt.ArrayLike, up: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Azimuth and elevation of a sun, degrees, and the hour at which it stands nearest to there.
+    """Returns azimuth and elevation of a sun in degrees, and the hour of the nearest position on the sun's daily path.
 
-    Azimuth is counted about the vertical, counter-clockwise seen from above, 0..360; 0 is the front of the scene, where
-    the sun is at noon.
+    Azimuth is counter-clockwise seen from above, 0 to 360. Azimuth 0 is the front of the scene, where the sun is at
+    noon.
 
     Args:
-        direction: In which its light travels, world space, shape (3,).
-        up: Of the scene, a unit vector.
+        direction: Direction in which the light travels, world space, shape (3,).
+        up: Up direction of the scene, a unit vector.
     """
     towards = -np.asarray(direction, np.float64)
     south, east, height = (float(axis @ towards) for axis in _axes(up))
@@ -523,14 +525,14 @@ def sun_angles(direction: npt.ArrayLike, up: tuple[float, float, float]) -> tupl
 
 
 def direction_of_angles(azimuth: float, elevation: float, up: tuple[float, float, float]) -> Vector:
-    """The direction in which the light of a sun travels that stands at angles, degrees; a unit vector."""
+    """Returns the unit direction in which a sun's light travels, given azimuth and elevation in degrees."""
     south, east, vertical = _axes(up)
     a, e = math.radians(azimuth), math.radians(elevation)
     return -(math.cos(e) * (math.cos(a) * south + math.sin(a) * east) + math.sin(e) * vertical)
 
 
 def direction_of_hour(hour: float, up: tuple[float, float, float]) -> Vector:
-    """The direction in which the light of a sun travels at an hour of the day, 0..24; a unit vector."""
+    """Returns the unit direction in which a sun's light travels at an hour of the day, 0 to 24."""
     south, east, vertical = _axes(up)
     angle = math.radians(15.0 * (hour - 12.0))
     noon = math.cos(LATITUDE) * vertical + math.sin(LATITUDE) * south
@@ -539,7 +541,7 @@ def direction_of_hour(hour: float, up: tuple[float, float, float]) -> Vector:
 
 @cache
 def _axes(up: tuple[float, float, float]) -> tuple[Vector, Vector, Vector]:
-    """The front of scenes with an up, the side to the right of it as seen from there, and up: unit vectors."""
+    """Returns unit vectors of a scene with an up direction: toward the front, to its right seen from there, and up."""
     vertical = np.asarray(up, np.float64)
     camera = ls.frame_camera(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0))], up=up), azimuth=0.0, elevation=0.0)
     front = -np.asarray(camera.camera_from_world[2, :3], np.float64)

@@ -1,4 +1,4 @@
-"""The outliner: a row for each scene object, to be clicked, hidden and locked; and buttons that level the scene."""
+"""The outliner: a list of all scene objects, to select, hide and lock them; and buttons that level the scene."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 
 class Outliner:
-    """The list of entries, and what can be done with them, in the present folder.
+    """List of the scene's entries with buttons that edit the selected one, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the entries.
-        pages: Open pages by the id of their connection.
-        notify: Shows a note on all pages, by its title and its text.
+        gui: Controls of the pages.
+        session: Session to edit.
+        pages: Open pages by connection id.
+        notify: Shows a notification on all pages, given its title and text.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Outliner:
     ) -> None:
         self._session = session
         self._listed: tuple[object, ...] | None = None
-        """What the list shows."""
+        """Document, selection and locks that the list shows."""
         self._tree = gui.add_html("")
         self._channel = Channel(gui, {"select": session.select, "hide": self._hide, "lock": session.toggle_lock})
         add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
@@ -56,11 +56,11 @@ class Outliner:
         session.on_change(self._show)
 
     def list_files(self) -> None:
-        """Lists the files beside the scene file."""
+        """Updates the list of files in the scene's folder."""
         self._adding.list_files()
 
     def act(self, action: str) -> None:
-        """Does something to the selected entry."""
+        """Applies an action, named by its button, to the selected entry."""
         number = self._session.selected
         if number is None:
             self._session.report("nothing is selected: click an object, in the picture or in the list")
@@ -80,7 +80,7 @@ class Outliner:
             self._session.select(None)
 
     def _duplicate(self, document: ls.io.SceneDocument) -> ls.io.SceneDocument:
-        """Selected, a little aside, so that it is seen that there are two."""
+        """Duplicates the selected entry, moves the copy a little aside, and selects it."""
         assert self._session.selected is not None
         document, number = document.duplicated(self._session.selected)
         entry, step = document.entry(number), 0.05 * self._session.extent.size
@@ -95,7 +95,7 @@ class Outliner:
         return document
 
     def _hide(self, number: int) -> None:
-        """Hides an entry, or shows it again."""
+        """Hides an entry, or shows a hidden one."""
         self._session.apply(lambda document: with_entry_hidden(document, number, not document.entry(number).hidden))
 
     def _show(self) -> None:
@@ -118,17 +118,17 @@ class Outliner:
 
 
 def with_entry_hidden(document: ls.io.SceneDocument, number: int, hides: bool) -> ls.io.SceneDocument:
-    """The document with an entry hidden, or shown again; lights are switched off and on."""
+    """Returns the document with an entry hidden or shown; lights are switched off and on."""
     if document.entry(number).kind in ("lights", "environment"):
         return document.changed(number, enabled=False if hides else None)
     return document.changed(number, hidden=True if hides else None)
 
 
 def with_entry_on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
-    """The document with an entry standing where the lowest point of all others is.
+    """Returns the document with an entry moved down or up onto the lowest point of all other objects.
 
     Raises:
-        SceneError: It is a light, or there is nothing else.
+        SceneError: The entry is a light, or the scene has no other object.
     """
     entry = document.entry(number)
     others = document.removed(number).scene()
@@ -144,7 +144,7 @@ def with_entry_on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.Sc
 
 KIND_NAMES = {"splats": "capture", "meshes": "mesh", "actors": "actor", "environment": "environment"}
 _PARTS_MAX = 8
-"""Parts of a file that are listed; of the others, how many there are."""
+"""Largest number of parts of a file that are listed by name."""
 
 
 def tree_html(
@@ -156,15 +156,15 @@ def tree_html(
     locked: frozenset[int] = frozenset(),
     channel: str = "",
 ) -> str:
-    """All entries of a document, with what could not be read, as HTML in which names are words alone.
+    """Returns the list of all entries, and of entries that could not be read, as HTML with escaped names.
 
     Args:
-        document: The scene.
-        boxes: Around its entries.
-        selected: Id of the entry that stands out.
-        time: Of the animation, seconds.
-        locked: Ids of entries that cannot be edited.
-        channel: Id of the text control that gets what is clicked: ``select``, ``hide`` or ``lock``, and the entry's id.
+        document: The scene document.
+        boxes: Bounding boxes of the entries.
+        selected: Id of the highlighted entry.
+        time: Animation time, seconds.
+        locked: Ids of locked entries.
+        channel: Id of the text control that receives clicks: ``select``, ``hide`` or ``lock``, and the entry id.
     """
     rows: list[str] = []
     for entry in document.entries:
@@ -178,14 +178,14 @@ def tree_html(
 
 
 def kind_name(entry: ls.io.SceneEntry) -> str:
-    """What people call an object of its kind."""
+    """Returns the name of an entry's kind for users, such as ``capture`` or ``point light``."""
     if entry.kind != "lights":
         return KIND_NAMES[entry.kind]
     return "sun" if entry.table["type"] == "directional" else f"{entry.table['type']} light"
 
 
 def _entry_row(entry: ls.io.SceneEntry, *, is_selected: bool, is_locked: bool) -> str:
-    """The row of an entry."""
+    """Returns the HTML row of an entry."""
     sun = entry.kind == "lights" and entry.table["type"] == "directional"
     states = " selected" * is_selected + " hidden" * entry.hidden
     eye, padlock = "hidden" if entry.hidden else "shown", "locked" if is_locked else "open"
@@ -204,7 +204,7 @@ def _detail(text: str) -> str:
 
 
 def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]:
-    """How much it is, and how large."""
+    """Returns the kind, the number of Gaussians or faces, and the size of an entry."""
     instances = entry.at(time)
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
     faces = sum(i.mesh.face_count for i in instances if isinstance(i, ls.MeshInstance))
@@ -217,7 +217,7 @@ def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]
 
 
 def _parts(document: ls.io.SceneDocument, entry: ls.io.SceneEntry) -> list[str]:
-    """The meshes of an entry's file, if there are several."""
+    """Returns the names of the meshes in an entry's file, if there are several."""
     names = document.part_names(entry.id) if len(entry.meshes) > 1 else []
     listed = [name or f"part {number}" for number, name in enumerate(names[:_PARTS_MAX])]
     return [*listed, f"{len(names) - _PARTS_MAX} more"] if len(names) > _PARTS_MAX else listed
@@ -229,18 +229,18 @@ _LEVEL_HINT = "Fits the ground of the captures, and makes its normal up. What st
 _CLICK_HINT = "Click three points of the ground in the picture, far apart: their plane becomes horizontal."
 _CLICK = "click 3 points of the ground"
 _ON_LINE = 0.02
-"""Sine of an angle of three points below which they lie on a line: a plane through them would be noise."""
+"""Smallest sine of a triangle angle for which three points define a plane; below it, noise determines the plane."""
 _SAME = math.radians(0.05)
-"""Angle between two ups below which nothing is changed."""
+"""Smallest angle between the old and new up direction that changes the scene, radians."""
 
 
 class LevelPanel:
-    """Two buttons that set the up of the scene, in the present folder.
+    """Buttons that set the up direction of the scene, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the scene.
-        notify: Shows a note on all pages, by its title and its text.
+        gui: Controls of the pages.
+        session: Session to edit.
+        notify: Shows a notification on all pages, given its title and text.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session, notify: Callable[[str, str], object]) -> None:
@@ -252,7 +252,7 @@ class LevelPanel:
         session.on_change(self._show)
 
     def fit(self) -> None:
-        """Makes the normal of the captures' ground up."""
+        """Fits the ground plane of the captures and makes its normal the up direction."""
         try:
             found = ls.editing.find_up(self._session.scene)
         except ls.LumisplatError as error:
@@ -266,19 +266,19 @@ class LevelPanel:
             self._put(found.up, "no ground is found: up is an axis of the captures (else click three points)")
 
     def start(self) -> None:
-        """Takes the next three clicks for points of the ground; while it does, it stops."""
+        """Makes the next three clicks ground points; cancels this mode if it is active."""
         points = () if self._session.ground_points is None else None
         self._session.set_ground_points(points)
         if points is not None:
             self._notify("level", _CLICK_HINT)
 
     def take(self, frame: ls.Frame, across: float, down: float) -> bool:
-        """Takes a click as a point of the ground, and the third one makes up; False: it is no such click.
+        """Uses a click as a ground point; the third point sets the up direction. Returns False if the mode is off.
 
         Args:
-            frame: What the page shows.
-            across: Share of its width, from the left, 0..1.
-            down: Share of its height, from the top, 0..1.
+            frame: Frame that the page shows.
+            across: Horizontal position as a fraction of the width from the left, 0 to 1.
+            down: Vertical position as a fraction of the height from the top, 0 to 1.
         """
         points = self._session.ground_points
         if points is None:
@@ -317,11 +317,11 @@ class LevelPanel:
 
 
 def ground_normal(points: Any, eye: npt.ArrayLike) -> Vector | None:
-    """The unit normal of the plane through three points, on the side of the eye; None: they lie on a line.
+    """Returns the unit normal of the plane through three points, on the camera's side; None for collinear points.
 
     Args:
         points: World positions, shape (3, 3).
-        eye: From where they are seen: whoever sees a ground is above it.
+        eye: Camera position. A visible ground has the camera above it.
     """
     first, second, third = (np.asarray(point, np.float64) for point in points)
     one, other = second - first, third - first

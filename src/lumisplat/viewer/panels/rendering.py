@@ -1,4 +1,4 @@
-"""How the scene is rendered: the settings that people change most, and all others below."""
+"""Render settings: the most used ones first, all others in a folder below."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _EXPOSURE_HINT = "Stops by which lit pictures are brightened."
 
 
 class RenderingPanel:
-    """Controls of the settings, in the present folder.
+    """Controls of the render settings, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the settings.
+        gui: Controls of the pages.
+        session: Session to edit.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
@@ -77,6 +77,6 @@ class RenderingPanel:
 
 
 def _lighting(document: ls.io.SceneDocument) -> ls.config.AvatarLightingConfig:
-    """How the actors of a document are lit."""
+    """Returns the lighting settings of a document's actors."""
     animation = document.animation
     return ls.config.AvatarLightingConfig() if animation is None else animation.lighting

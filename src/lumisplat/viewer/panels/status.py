@@ -1,4 +1,4 @@
-"""Shows progress, the quality of the image and the time of its stages, and notifications for a while."""
+"""Shows progress, image quality, stage times, and temporary notifications."""
 
 from __future__ import annotations
 
@@ -24,38 +24,38 @@ if TYPE_CHECKING:
 
 _EVERY_S = 0.25
 _FRAMES = 100
-"""Frames in the plot."""
+"""Number of frames in the plot."""
 
 
 @dataclass
 class _Line:
-    """The line of a page."""
+    """Status line of a page."""
 
     handle: viser.GuiMarkdownHandle
     written: float = 0.0
-    """When it was written last, seconds of the monotonic clock."""
+    """Time of the last update, seconds of the monotonic clock."""
 
 
 class StatusPanel:
-    """A line on top, progress below it, and a folder with stages and a plot.
+    """Status line and progress bar, and a folder with stage times and a plot.
 
     Args:
-        gui: The pages' controls.
+        gui: Controls of the pages.
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._wait = gui.add_html(wait_html("starting", 0.0))
-        """Over the picture, until there is one."""
+        """Message over the image area until the first image is displayed."""
         self._line = gui.add_markdown("starting")
         self._lines: dict[Page, _Line] = {}
-        """Of each page: how fine its own picture is."""
+        """Status line of each page, which describes the page's own image."""
         self._bar = gui.add_progress_bar(0.0, animated=True)
         self._has_shown = False
-        """Whether some page shows a picture."""
+        """True once a page has displayed an image."""
         self._took = np.full(_FRAMES, np.nan)
 
     def add_details(self, gui: viser.GuiApi) -> None:
-        """Adds the table of stages and the plot, in the present folder."""
+        """Adds the table of stage times and the plot, in the current GUI folder."""
         self._stages = gui.add_markdown("")
         numbers = np.arange(_FRAMES, dtype=np.float64)
         self._plot = gui.add_uplot(
@@ -67,7 +67,7 @@ class StatusPanel:
         )
 
     def progress(self, label: str, fraction: float) -> None:
-        """Shows what is being done, until the fraction is 1."""
+        """Shows the progress of a task until its fraction reaches 1."""
         self._bar.visible = fraction < 1.0
         self._bar.value = 100.0 * fraction
         self._line.content, self._line.visible = plain(label), fraction < 1.0
@@ -75,30 +75,30 @@ class StatusPanel:
         self._wait.visible = fraction < 1.0 or not self._has_shown
 
     def levels(self, fraction: float) -> None:
-        """Shows how far the levels of a capture are, from which views that move will be drawn."""
+        """Shows the progress of building levels of detail."""
         self._line.content = f"preparing levels of detail: {fraction:.0%}"
         self._line.visible = fraction < 1.0
 
     def open(self, page: Page, gui: viser.GuiApi) -> None:
-        """Gives a page a line of its own.
+        """Adds a status line for a page.
 
         Args:
             page: The page.
-            gui: Its controls.
+            gui: Controls of that page.
         """
         self._lines[page] = _Line(gui.add_markdown("", order=self._line.order, visible=False))
 
     def close(self, page: Page) -> None:
-        """Forgets the line of a page that has gone."""
+        """Removes the status line of a closed page."""
         self._lines.pop(page, None)
 
     def frame(self, page: Page, step: DetailStep | None, took: float) -> None:
-        """Shows what a frame has taken; not more often than people read.
+        """Shows the quality and time of a frame, at most every `_EVERY_S` seconds.
 
         Args:
-            page: Of the frame.
-            step: How finely it was drawn; None: at rest.
-            took: Milliseconds.
+            page: Page of the frame.
+            step: Detail step of the frame; None for a still view.
+            took: Frame time, milliseconds.
         """
         self._took = np.roll(self._took, -1)
         self._took[-1] = took
@@ -119,12 +119,12 @@ class StatusPanel:
 
 
 def wait_html(label: str, fraction: float) -> str:
-    """What is shown over the picture while it is prepared: words, and a bar for the share that is done, 0..1."""
+    """Returns the message over the image area as HTML, with a bar for the completed fraction, 0 to 1."""
     return f'<div class="lumi-wait">{html.escape(label)}<i><b style="width:{fraction:.0%}"></b></i></div>'
 
 
 def frame_line(page: Page, frame: ls.Frame, step: DetailStep | None, took: float) -> str:
-    """How fine the frame of a page is, in a line that fits the panel."""
+    """Returns the status line of a frame: size, samples or level of detail, and error or time."""
     parts = [f"{frame.camera.width} × {frame.camera.height}"]
     if step is not None and step.level:
         parts.append(f"{LEVEL_FRACTIONS[step.level]:.0%} of Gaussians")
@@ -137,28 +137,28 @@ def frame_line(page: Page, frame: ls.Frame, step: DetailStep | None, took: float
 
 
 def stage_table(stats: Any) -> str:
-    """The times of a frame's stages, as a table; the longest first."""
+    """Returns the ten longest stage times of a frame as a Markdown table."""
     rows = sorted(stats.stage_ms.items(), key=lambda item: -item[1])[:10]
     lines = ["| stage | ms |", "| --- | ---: |", *(f"| {name} | {ms:.1f} |" for name, ms in rows)]
     return "\n".join([*lines, f"| Gaussians seen | {stats.visible_count:,} |"])
 
 
 QUIET_LOG = logging.getLogger("lumisplat.pages")
-"""For lines that those at the machine read, and pages do not."""
+"""Log for messages that appear in the terminal but not on pages."""
 _LOG = logging.getLogger("lumisplat")
 
 _SHOWN_S = 8.0
 _AGAIN_S = 2.0
-"""A line that comes again and again is told anew after so long a pause."""
+"""Time after which a repeated message is shown again, seconds."""
 _WAITING_MAX = 10
-"""Notifications that wait for the first page, at most: the last ones."""
+"""Largest number of notifications kept for the first page; older ones are dropped."""
 
 
 class Notifications:
-    """Shows notifications on all pages, for a while. Those that nobody was there for wait for the next page.
+    """Shows temporary notifications on all pages. Without an open page, notifications wait for the next one.
 
     Args:
-        server: Has the pages.
+        server: Server of the pages.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -170,7 +170,7 @@ class Notifications:
         _LOG.addFilter(self._show_warning)
 
     def notify(self, title: str, body: str, *, is_problem: bool = False) -> None:
-        """Shows a note on all pages."""
+        """Shows a notification on all pages."""
         now, before, self._last = time.monotonic(), self._last, (title, body)
         is_new, self._shown_at = before != self._last or now - self._shown_at > _AGAIN_S, now
         if not is_new:
@@ -182,21 +182,21 @@ class Notifications:
             self._waiting.append((title, body, is_problem))
 
     def problem(self, body: str) -> None:
-        """Shows why something could not be done."""
+        """Shows an error on all pages."""
         self.notify("that did not work", body, is_problem=True)
 
     def open(self, client: viser.ClientHandle) -> None:
-        """Shows a new page what nobody was there for."""
+        """Shows waiting notifications on a new page."""
         while self._waiting:
             title, body, is_problem = self._waiting.popleft()
             _show(client, title, body, is_problem=is_problem)
 
     def close(self) -> None:
-        """Ends with the viewer."""
+        """Stops showing log warnings on pages."""
         _LOG.removeFilter(self._show_warning)
 
     def _show_warning(self, record: logging.LogRecord) -> bool:
-        """Tells pages what is logged of scenes and frames, such as odd colours; errors are told where they happen."""
+        """Log filter that also shows warnings on pages. Errors are reported where they occur."""
         if record.levelno == logging.WARNING:
             self.notify("note", page_words(record.getMessage()))
         return True

@@ -1,4 +1,4 @@
-"""Edits the camera path by key views, which are keyframes of the scene file, and renders a video along it."""
+"""Edits the camera path as key views, stored as keyframes in the scene file, and renders a video along it."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 FORMATS = ("mp4", "gif", "webp")
 _THUMBNAIL = (128, 72)
-"""Width and height of thumbnails of key views, pixels."""
+"""Width and height of the thumbnails of key views, pixels."""
 _KEY_ROWS = 720
-"""Of the camera that is saved with the scene."""
+"""Image height of the camera saved in the scene file, pixels."""
 
 
 class VideoPanel:
-    """Controls of the flight and its video, in the present folder.
+    """Controls of the camera path and its video, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        context: Its session has the scene, whose first camera with keyframes is the flight.
+        gui: Controls of the pages.
+        context: Session, pages and job runner. The camera path is the document's first camera with keyframes.
     """
 
     def __init__(self, gui: viser.GuiApi, context: JobContext) -> None:
@@ -51,7 +51,7 @@ class VideoPanel:
             gui, {"sooner": self._sooner, "later": self._later, "delete": self._delete}, {"look": self._look}
         )
         self._thumbnails: dict[str, str] = {}
-        """Of key views, as addresses of their images, by what the views are."""
+        """Thumbnails of key views as data URLs, by the content of the key view."""
         hint = "From the last key view to the next one."
         self._seconds = gui.add_number("seconds to it", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
         hint = "The view of this page becomes the next key view."
@@ -76,7 +76,7 @@ class VideoPanel:
         self._fps.value = float(document.top.get("animation", {}).get("fps", 25.0))
 
     def _list_keys(self) -> None:
-        """Lists the key views, and asks for the thumbnails that are missing."""
+        """Lists the key views and requests missing thumbnails."""
         document = self._session.state.document
         keys = keys_of(document)
         names = [repr(sorted((name, value) for name, value in key.items() if name != "time")) for key in keys]
@@ -161,13 +161,13 @@ class VideoPanel:
 
 
 def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel: str) -> str:
-    """The key views of the flight as thumbnails with their times and buttons, as HTML.
+    """Returns the key views as HTML: thumbnails with times and buttons.
 
     Args:
-        keys: The key views.
-        images: Addresses of their thumbnails; empty: it is not there yet.
-        channel: Id of the text control that gets ``look``, ``sooner``, ``later`` or ``delete``, and the number of the
-            view.
+        keys: Keyframes of the camera path.
+        images: Data URLs of the thumbnails; empty for a missing one.
+        channel: Id of the text control that receives clicks: ``look``, ``sooner``, ``later`` or ``delete``, and the
+            index of the key view.
     """
     if not keys:
         return '<div class="lumi-list">no camera path yet: look from where it starts, and add that view</div>'
@@ -189,14 +189,16 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
 
 
 def image_address(picture: Picture) -> str:
-    """An image as an address that holds all of it, a JPEG in base 64."""
+    """Returns an image as a data URL with a JPEG in base64."""
     file = io.BytesIO()
     Image.fromarray(picture).save(file, "jpeg", quality=80)
     return "data:image/jpeg;base64," + base64.b64encode(file.getvalue()).decode()
 
 
 def video_cameras(animation: ls.Animation, view: ls.Camera) -> list[ls.Camera]:
-    """The camera of each frame: along the flight, else where a page looks from, with as many rows as that has."""
+    """Returns the camera of each video frame: along the camera path, else the page's camera; both with the page's
+    height.
+    """
     path, count = animation.camera_path, animation.frame_count
     if path is None:
         return [view] * count
@@ -204,16 +206,16 @@ def video_cameras(animation: ls.Animation, view: ls.Camera) -> list[ls.Camera]:
 
 
 def video_file(pictures: Iterable[npt.NDArray[np.float32]], fps: float, suffix: str) -> bytes:
-    """The bytes of a video of images, 0..1.
+    """Returns a video of images with values 0 to 1, as file content.
 
     Raises:
-        LumisplatError: It cannot be made.
+        LumisplatError: The video cannot be encoded.
     """
     return file_bytes(f"video.{suffix}", lambda path: ls.save_animation(path, pictures, fps))
 
 
 def _part(steps: Generator[float, None, ls.Frame], number: int, count: int) -> Generator[float, None, ls.Frame]:
-    """The steps of one frame as steps of all of them."""
+    """Converts the progress of one frame to that of all frames; returns the frame."""
     while True:
         try:
             share = next(steps)
@@ -228,14 +230,14 @@ _NAME = "flight"
 
 @dataclass(frozen=True)
 class Key:
-    """A place of the flight."""
+    """Key view of the camera path."""
 
     camera: ls.Camera
     target: tuple[float, float, float]
-    """What is in the middle of the picture."""
+    """World position at the centre of the image."""
 
     def table(self, time: float) -> dict[str, Any]:
-        """The keyframe of a scene file."""
+        """Returns the key view as a keyframe of a scene file."""
         _, down, _ = self.camera.camera_from_world[:3, :3]
         table: dict[str, Any] = {
             "time": time,
@@ -248,21 +250,21 @@ class Key:
 
 
 def keys_of(document: ls.io.SceneDocument) -> list[Mapping[str, Any]]:
-    """The keyframes of the camera that flies, in their order; empty: there is none."""
+    """Returns the keyframes of the camera path in order; empty without a camera path."""
     flights: list[list[Mapping[str, Any]]] = [t["keyframes"] for t in _cameras(document) if "keyframes" in t]
     return flights[0] if flights else []
 
 
 def with_key(document: ls.io.SceneDocument, key: Key, seconds: float) -> ls.io.SceneDocument:
-    """The document with one more place at the end of the flight; an animation that would end before lasts as long.
+    """Returns the document with a key view appended to the camera path; a shorter animation is extended to its end.
 
     Args:
-        document: The scene.
-        key: The place.
-        seconds: Time from the last place to this one.
+        document: The scene document.
+        key: The key view.
+        seconds: Time from the last key view to the new one, seconds.
 
     Raises:
-        FormatError: No scene file can hold the place.
+        FormatError: A scene file cannot represent the key view.
     """
     held = keys_of(document)
     time = round(float(held[-1]["time"]) + seconds, 6) if held else 0.0
@@ -274,10 +276,10 @@ def with_key(document: ls.io.SceneDocument, key: Key, seconds: float) -> ls.io.S
 
 
 def without_key(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
-    """The document with a place of the flight left out, by its number; later ones come as much sooner.
+    """Returns the document without a key view, given its index; later key views move forward in time to close the gap.
 
     Raises:
-        SceneError: There is none.
+        SceneError: The key view does not exist.
     """
     keys = _checked_keys(document, number)
     times = [float(key["time"]) for key in keys]
@@ -288,15 +290,15 @@ def without_key(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocume
 
 
 def with_key_moved(document: ls.io.SceneDocument, number: int, by: int) -> ls.io.SceneDocument:
-    """The document with a place of the flight swapped with the one before it, or after it; the times stay.
+    """Returns the document with a key view swapped with its neighbour; the times stay in place.
 
     Args:
-        document: The scene.
-        number: Of the place.
-        by: -1 or 1.
+        document: The scene document.
+        number: Index of the key view.
+        by: -1 swaps with the previous key view, 1 with the next one.
 
     Raises:
-        SceneError: There is no such place.
+        SceneError: The key view does not exist.
     """
     keys = _checked_keys(document, number)
     other = number + by
@@ -311,7 +313,7 @@ def with_key_moved(document: ls.io.SceneDocument, number: int, by: int) -> ls.io
 
 
 def camera_of(key: Mapping[str, Any], up: tuple[float, float, float], size: tuple[int, int]) -> ls.Camera:
-    """The camera of a keyframe, for an image of a size, width and height."""
+    """Returns the camera of a keyframe for an image size, width and height in pixels."""
     fov = math.radians(float(key.get("fov_y_degrees", 45.0)))
     eye, target = key.get("eye", (0.0, 0.0, 0.0)), key.get("target", (0.0, 0.0, 1.0))
     width, height = size
@@ -326,14 +328,14 @@ def _checked_keys(document: ls.io.SceneDocument, number: int) -> list[Mapping[st
 
 
 def without_camera_path(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
-    """The document without the flight."""
+    """Returns the document without its camera path."""
     return _with_keys(document, [], None)
 
 
 def _with_keys(
     document: ls.io.SceneDocument, keys: list[Mapping[str, Any]], camera: ls.Camera | None
 ) -> ls.io.SceneDocument:
-    """The document with other keyframes of its flight; a new flight has the size of a camera."""
+    """Returns the document with other keyframes of its camera path; a new path takes its image size from ``camera``."""
     tables: list[dict[str, Any]] = []
     is_found = False
     for table in _cameras(document):
@@ -352,5 +354,5 @@ def _cameras(document: ls.io.SceneDocument) -> list[Mapping[str, Any]]:
 
 
 def _plain(vector: Any) -> list[float]:
-    """Seven digits, as people write them."""
+    """Converts a vector to a list of numbers with seven digits, for readable scene files."""
     return [float(f"{float(x):.7g}") for x in vector]

@@ -1,4 +1,4 @@
-"""Chooses how the scene is viewed: layer, resolution, overlays, viewpoint, and the time of an animation."""
+"""View options: displayed layer, resolution, overlays, viewpoints, and the animation time."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 
 class ViewPanel:
-    """Controls of the options, in the present folder.
+    """Controls of the view options, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the options.
+        gui: Controls of the pages.
+        session: Session whose options the controls set.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
@@ -65,7 +65,7 @@ class ViewPanel:
         session.on_change(self._show)
 
     def _show(self) -> None:
-        """Lists the views that there are, and shows the present one."""
+        """Updates the list of available views and the displayed one."""
         views = self._session.views
         if tuple(self._view.options) != views:
             self._view.options = views
@@ -93,11 +93,11 @@ _SELECTED = "what is selected"
 
 
 class Viewpoints:
-    """A list of viewpoints and a button that goes there, in the present folder.
+    """List of viewpoints with a button that moves the page there, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the scene.
+        gui: Controls of the pages.
+        session: Session with the scene.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
@@ -109,13 +109,13 @@ class Viewpoints:
         session.on_change(self._show)
 
     def look_at_all(self, event: Any) -> None:
-        """Moves a page so that it sees all, from the side from which it looks."""
+        """Moves a page to frame the whole scene, without changing the view direction."""
         if event.client is not None:
             extent = Extent.of(self._session.scene)  # also of what was added or moved
             self._look_at(event.client, np.array(extent.center), 0.5 * extent.size)
 
     def look_at_selected(self, event: Any) -> None:
-        """Moves a page so that it sees what is selected."""
+        """Moves a page to frame the selected object, without changing the view direction."""
         with self._session.changed:
             ball = selected_sphere(self._session)
         if ball is None:
@@ -124,7 +124,7 @@ class Viewpoints:
             self._look_at(event.client, *ball)
 
     def _show(self) -> None:
-        """Lists the cameras of the scene file."""
+        """Updates the list of the scene file's cameras."""
         document = self._session.state.document
         if self._shown is not document.top.get("cameras"):
             self._shown = document.top.get("cameras")
@@ -142,7 +142,7 @@ class Viewpoints:
             move_page_to(event.client, camera, session.extent.page_from_scene, session.scene.up_direction)
 
     def _look_at(self, client: viser.ClientHandle, center: np.ndarray, radius: float) -> None:
-        """Moves a page along the line of its sight so that a ball fills it."""
+        """Moves a page along its view direction until a sphere fills the image."""
         scale, camera = self._session.extent.page_from_scene, client.camera
         backward = np.asarray(camera.position) - np.asarray(camera.look_at)
         backward = backward / max(float(np.linalg.norm(backward)), 1e-9)
@@ -154,7 +154,7 @@ class Viewpoints:
 
 
 def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
-    """The middle and the radius of what is selected; None: nothing that is anywhere."""
+    """Returns the centre and radius of a sphere around the selected object; None if it has no position."""
     entry, time = session.selected_entry, session.options.time
     if entry is None:
         return None
@@ -169,12 +169,12 @@ def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
 
 
 class Timeline:
-    """Controls of the time, hidden unless something moves, in the present folder.
+    """Controls of the animation time, hidden without an animation, in the current GUI folder.
 
     Args:
-        gui: The pages' controls.
-        session: Has the time.
-        fly: Moves all pages to a camera and what it looks at.
+        gui: Controls of the pages.
+        session: Session whose time the controls set.
+        fly: Moves all pages to a camera.
     """
 
     def __init__(self, gui: viser.GuiApi, session: Session, fly: Callable[[ls.Camera], None]) -> None:
@@ -187,7 +187,7 @@ class Timeline:
         self._plays.on_update(lambda _: self._wake.set())
         self._animation: ls.Animation | None = None
         self._shown: tuple[object, ...] = ()
-        """What the animation follows from, as it was seen last."""
+        """Document parts from which the current animation was built."""
         self._wake = threading.Event()
         self._is_open = True
         self._thread = threading.Thread(target=self._play, name="lumisplat play", daemon=True)
@@ -195,18 +195,18 @@ class Timeline:
         session.on_change(self._show)
 
     def toggle(self) -> None:
-        """Plays, or stops."""
+        """Starts or stops playback."""
         self._plays.value = not self._plays.value
         self._wake.set()
 
     def close(self) -> None:
-        """Ends the thread."""
+        """Ends the playback thread."""
         self._is_open = False
         self._wake.set()
         self._thread.join()
 
     def _show(self) -> None:
-        """Shows the time of the animation, if there is one."""
+        """Updates the time range when the animation changes."""
         document = self._session.state.document
         shown = document.top, *(entry.actor for entry in document.entries if not entry.hidden)
         if len(shown) == len(self._shown) and all(a is b for a, b in zip(shown, self._shown, strict=True)):
@@ -225,7 +225,7 @@ class Timeline:
             self._fly(path.at(seconds))
 
     def _play(self) -> None:
-        """While it plays, the time goes on as fast as that of a clock, and begins again at its end."""
+        """Advances the animation time in real time during playback, in a loop."""
         while self._is_open:
             animation = self._animation
             if not self._plays.value or animation is None:

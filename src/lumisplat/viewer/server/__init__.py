@@ -1,1 +1,1 @@
-"""Who may talk to the viewer, and what they may say."""
+"""Serves the page: access control, message validation, and ordered event handling."""

@@ -1,4 +1,4 @@
-"""Handles events of pages in the order in which they were sent: viser's threads overtake each other."""
+"""Handles page events in the order in which they were sent; viser's own threads would reorder them."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from weakref import WeakKeyDictionary
 Read = TypeVar("Read")
 
 TYPING_PAUSE_S = 0.6
-"""How long a value that is typed waits for the next key, seconds."""
+"""Time without a key press after which a typed value is applied, seconds."""
 
 
 @dataclass(eq=False)
 class _Queue:
-    """Those who ask for something, of one server."""
+    """Event queue of one server."""
 
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
-    """Whoever waits for it longest is next."""
+    """Lock that runs events one at a time, in order of arrival."""
     arrivals: int = 0
-    """How many have asked."""
+    """Number of events so far."""
     arrived: asyncio.Event = field(default_factory=asyncio.Event)
-    """Set at each arrival."""
+    """Event that is set at each arrival."""
 
 
 _QUEUES: WeakKeyDictionary[asyncio.AbstractEventLoop, _Queue] = WeakKeyDictionary()
@@ -32,17 +32,17 @@ _QUEUES: WeakKeyDictionary[asyncio.AbstractEventLoop, _Queue] = WeakKeyDictionar
 def queued_callback(
     read: Callable[[Any], Read | None], act: Callable[[Read], object], *, is_typed: bool = False
 ) -> Callable[[Any], Awaitable[None]]:
-    """A callback for events of viser, each of which is done when those before it are.
+    """Returns a callback for viser that handles each event after all earlier events.
 
     Args:
-        read: Takes from an event what is to be done, at once: the next message changes what handles say. None: nothing
-            is.
-        act: Does it, in a thread.
-        is_typed: Whether it is asked for at each key: then it is done once no key has followed for a while, or
-            something else is asked for.
+        read: Extracts the data from an event at once, because the next message changes the values of controls. A result
+            of None ignores the event.
+        act: Handles the data, in a thread.
+        is_typed: True for events sent at each key press. They are handled after a pause in typing, or when another
+            event arrives.
     """
     newest = 0
-    """The last of its arrivals."""
+    """Arrival number of this callback's newest event."""
 
     async def callback(event: Any) -> None:
         nonlocal newest
@@ -64,7 +64,7 @@ def queued_callback(
 
 
 async def _wait_for_next_event(queue: _Queue, arrival: int) -> None:
-    """Waits for the next arrival, but not for long."""
+    """Waits for the next event, at most `TYPING_PAUSE_S` seconds."""
     while queue.arrivals == arrival:
         queue.arrived.clear()
         try:
@@ -74,12 +74,12 @@ async def _wait_for_next_event(queue: _Queue, arrival: int) -> None:
 
 
 def value_callback(read: Callable[[Any], Read], act: Callable[[Read], object], *, is_typed: bool = False) -> Any:
-    """A callback for a control: does something with each value that somebody has chosen on a page, in their order.
+    """Returns a callback for a control that handles each value set by a user, in order.
 
     Args:
-        read: Makes what is to be passed on of the control's value.
-        act: Does it, in a thread.
-        is_typed: As of `queued_callback`.
+        read: Converts the control's value to the argument of ``act``.
+        act: Handles the converted value, in a thread.
+        is_typed: True for a control that sends each key press, as in `queued_callback`.
     """
 
     def value_of(event: Any) -> Read | None:
@@ -89,9 +89,9 @@ def value_callback(read: Callable[[Any], Read], act: Callable[[Read], object], *
 
 
 def press_callback(act: Callable[[Any], object]) -> Any:
-    """A callback for a button: does what it is for when all that was asked for before is done.
+    """Returns a callback for a button that runs after all earlier events.
 
     Args:
-        act: Does it, in a thread; it gets the event.
+        act: Handles the event, in a thread.
     """
     return queued_callback(lambda event: event, act)

@@ -1,7 +1,7 @@
-"""Decides who may talk to the viewer (docs/adr/0043-viewer-token-and-message-checks.md), and validates what they send.
+"""Controls access to the viewer (docs/adr/0043-viewer-token-and-message-checks.md); validates messages of pages.
 
-Pages of this machine may that know its token. Messages that are of no known kind, too long or not finite are dropped
-and counted.
+Pages on this machine need the access token. Messages of an unknown type, of excessive length or with values that are
+not finite are dropped and counted.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 from lumisplat.viewer.thresholds import MESSAGE_BYTES_MAX, UPLOAD_BYTES_MAX
 
 Refusal = tuple[http.HTTPStatus, str]
-"""Status and text of an answer to who may not come in."""
+"""HTTP status and text of the answer to a rejected request."""
 
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
-"""Names of this machine that never lead elsewhere."""
+"""Host names that always refer to this machine."""
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address to listen on is reached from this machine alone."""
+    """True if an address to listen on is reachable only from this machine."""
     if host == "localhost":
         return True
     try:
@@ -38,36 +38,35 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True)
 class Guard:
-    """Checks requests before anything else sees them.
+    """Checks each HTTP request before the page server handles it.
 
-    ``Host`` must be a name of this machine, against pages of others whose name is made to lead here; ``Origin``, where
-    a browser sends it, must be the page's own; and the token must come with the address or, from then on, as a cookie
-    that scripts cannot read and other sites' pages do not send.
+    ``Host`` must name this machine, which prevents DNS rebinding. ``Origin``, if a browser sends it, must be the page's
+    own. The token must be in the address or, later, in a cookie that scripts cannot read and other sites do not send.
     """
 
     host: str
     """Address to listen on."""
     port: int
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    """Made anew for each viewer; whoever has it may open any number of pages."""
+    """Random access token of this viewer; its holder can open any number of pages."""
 
     @property
     def url(self) -> str:
-        """The address that opens the viewer, with the token."""
+        """Address that opens the viewer, including the token."""
         shown = "127.0.0.1" if self.host in ("", "0.0.0.0", "::") else self.host.strip("[]")
         return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/?token={self.token}"
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; browsers send one host's cookies to all of its ports."""
+        """Name of the cookie; it contains the port, because browsers share a host's cookies among all its ports."""
         return f"lumisplat-{self.port}"
 
     def refusal(self, path: str, headers: Mapping[str, str]) -> Refusal | None:
-        """Why a request is refused; None: it may come in.
+        """Returns the answer to a request that is rejected; None if the request is allowed.
 
         Args:
             path: Path and query of the request.
-            headers: Of the request, by any case of their names.
+            headers: Headers of the request; lookup ignores case.
         """
         host = headers.get("Host", "")
         if is_loopback(self.host) and host.rsplit(":", 1)[0] not in (*LOOPBACK_NAMES, self.host):
@@ -80,11 +79,11 @@ class Guard:
         return None
 
     def token_of(self, path: str) -> str:
-        """The token in the query of a path; empty: there is none."""
+        """Returns the token in the query of a path; empty if there is none."""
         return parse_qs(_split(path).query).get("token", [""])[0]
 
     def set_cookie(self) -> str:
-        """The value of ``Set-Cookie`` that lets a page come back without the token."""
+        """Returns the ``Set-Cookie`` value that lets a page return without the token."""
         return f"{self.cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
 
     def _cookie_of(self, headers: Mapping[str, str]) -> str:
@@ -92,12 +91,12 @@ class Guard:
         return next((value for name, _, value in pairs if name == self.cookie), "")
 
     def _is_token(self, given: str) -> bool:
-        """Compares in a time that does not depend on where they differ."""
+        """Compares a token in constant time."""
         return hmac.compare_digest(given.encode(errors="replace"), self.token.encode())
 
 
 def _split(address: str) -> SplitResult:
-    """The parts of an address; of one that is none, empty ones."""
+    """Returns the parts of a URL; empty parts if the URL is invalid."""
     try:
         return urlsplit(address)
     except ValueError:
@@ -124,28 +123,28 @@ _KINDS = frozenset(
         "GetRenderResponseMessage",
     }
 )
-"""Messages that pages send; others, such as requests to be shared with the world, are nobody's business here."""
+"""Message types that a page may send. Others are dropped, such as requests for a public share URL."""
 
 _VECTORS = {
     "ViewerCameraMessage": {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3},
     "TransformControlsUpdateMessage": {"wxyz": 4, "position": 3},
 }
-"""Fields that are so many finite numbers."""
+"""Fields that must be lists of finite numbers, with their lengths."""
 
 _NUMBERS = {"ViewerCameraMessage": ("fov", "near", "far", "image_height", "image_width")}
-"""Fields that are finite numbers above 0."""
+"""Fields that must be finite numbers > 0."""
 
 
 class Inbox:
-    """Decides which messages of one page are passed on."""
+    """Validates the messages of one page."""
 
     def __init__(self) -> None:
         self._left: dict[str, int] = {}
-        """Bytes that each upload may still bring."""
+        """Remaining bytes of each upload."""
         self.dropped = 0
 
     def accepts(self, raw: object) -> bool:
-        """Whether a message is one that a page may send; the first that is not is logged."""
+        """Returns True if a message is valid; logs the first invalid one."""
         reason = self._fault(raw)
         if reason is None:
             return True
@@ -155,7 +154,7 @@ class Inbox:
         return False
 
     def _fault(self, raw: object) -> str | None:  # noqa: PLR0911
-        """What is wrong with a message; None: nothing."""
+        """Returns the reason why a message is invalid; None if it is valid."""
         import msgspec
 
         if not isinstance(raw, bytes) or len(raw) > MESSAGE_BYTES_MAX:
@@ -184,7 +183,7 @@ class Inbox:
         return _fault_of_fields(raw)
 
     def _upload_fault(self, kind: str, fields: Mapping[str, Any]) -> str | None:
-        """What is wrong with a part of an upload: it is larger than files may be, or than was said."""
+        """Returns the reason why a part of an upload is invalid; None if it is valid."""
         transfer = fields.get("transfer_uuid")
         if not isinstance(transfer, str):
             return "an upload has no name"
@@ -208,7 +207,7 @@ class Inbox:
 
 
 def _fault_of_fields(raw: bytes) -> str | None:
-    """What viser itself would fail at, which would end the connection."""
+    """Returns the error with which viser would reject a message and close the connection; None if it is valid."""
     from viser import _messages
 
     try:
@@ -230,11 +229,11 @@ def _is_vector(value: object, count: int) -> bool:
 
 
 class FilteredConnection:
-    """A WebSocket whose ``recv`` gives only what an `Inbox` accepts; everything else is the socket's own.
+    """A WebSocket whose ``recv`` returns only messages that an `Inbox` accepts.
 
     Args:
         connection: The WebSocket.
-        is_heard: Whether the server still listens to pages.
+        is_accepting: Returns True while the server handles messages.
     """
 
     def __init__(self, connection: Any, is_accepting: Callable[[], bool]) -> None:
@@ -244,7 +243,7 @@ class FilteredConnection:
         return getattr(self._connection, name)
 
     async def recv(self) -> bytes:
-        """The next message that is accepted."""
+        """Returns the next valid message."""
         while True:
             raw: bytes = await self._connection.recv()
             if self._is_heard() and self._inbox.accepts(raw):

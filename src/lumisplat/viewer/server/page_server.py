@@ -1,4 +1,4 @@
-"""The server of the page: viser's, with its door guarded, its messages filtered, and its page styled."""
+"""The page server: viser with access control, validated messages, and its own style and script."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat.pages")
 
 _SERVE = threading.Lock()
-"""Held while the function by which viser opens its port is replaced."""
+"""Lock held while viser's function that opens the port is replaced."""
 
 
 def import_viser() -> Any:
-    """The package viser.
+    """Imports viser and patches its message buffers for use from several threads.
 
     Raises:
-        MissingExtraError: It is not installed.
+        MissingExtraError: viser is not installed.
     """
     try:
         import viser
@@ -43,15 +43,15 @@ def import_viser() -> Any:
 
 
 class PageServer:
-    """Listens on a port for pages of the viewer.
+    """Serves the pages of a viewer on a port.
 
     Args:
-        host: Address to listen on; a loopback one is reached from this machine alone.
-        port: Port; 0: a free one.
+        host: Address to listen on; a loopback address is reachable only from this machine.
+        port: Port to listen on; 0 takes a free one.
 
     Raises:
         MissingExtraError: viser is not installed.
-        DeviceError: The port cannot be opened, or viser did not ask the guard.
+        DeviceError: The port cannot be opened, or the installed viser bypasses the access control.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -75,11 +75,11 @@ class PageServer:
         self.set_theme(dark=True)
 
     def set_theme(self, *, dark: bool) -> None:
-        """Makes all pages dark or light."""
+        """Sets the dark or light theme on all pages."""
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
 
     def close(self) -> None:
-        """Closes the port and all pages' connections; what they have just asked for is dropped without a word."""
+        """Closes the port and all connections; pending events of pages are dropped without a log line."""
         loop = self.viser.get_event_loop()
         loop.set_exception_handler(_ignore)
         self._is_open = False
@@ -89,10 +89,10 @@ class PageServer:
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
-    """A socket that listens.
+    """Opens a listening socket.
 
     Raises:
-        DeviceError: The address or the port cannot be had; the message says what to do.
+        DeviceError: The address or the port is invalid or not available.
     """
     if not 0 <= port < 2**16:
         raise ls.DeviceError(f"port {port} is none, expected 1 to 65535, or 0 for a free one")
@@ -106,7 +106,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
 @contextlib.contextmanager
 def _guarded(listener: socket.socket, guard: Guard, is_accepting: Callable[[], bool]) -> Generator[list[bool]]:
-    """While it lasts, what viser opens is this socket, behind the guard; the list is not empty once it has."""
+    """Makes viser listen on the given socket, with access control. The yielded list is empty until viser does so."""
     import websockets.asyncio.server as websockets_server
 
     real: Any = websockets_server.serve
@@ -147,7 +147,7 @@ def _guarded(listener: socket.socket, guard: Guard, is_accepting: Callable[[], b
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None]:
-    """Keeps viser's own lines off standard output, which has the viewer's address alone, and out of notebooks."""
+    """Suppresses viser's console output, so that standard output contains only the viewer's address."""
     import rich
 
     console = rich.get_console()
@@ -159,12 +159,12 @@ def _quiet() -> Generator[None]:
 
 
 def _refuse_to_share(verbose: bool = True) -> None:
-    """In place of the tunnel to a public server."""
+    """Replaces viser's tunnel to a public server: logs the request and does nothing."""
     _log.warning("a page asked to be shared with the world, which the viewer does not do")
 
 
 async def _cancel_pending_events() -> None:
-    """Ends the tasks of messages that pages have sent, also those that wait for their turn, while the loop runs."""
+    """Cancels the tasks of page messages, including queued ones, while the event loop runs."""
     names = ("WebsockMessageHandler._handle_incoming_message", "queued_callback.<locals>.callback")
     asked = [task for task in asyncio.all_tasks() if getattr(task.get_coro(), "__qualname__", "") in names]
     for task in asked:
@@ -173,11 +173,11 @@ async def _cancel_pending_events() -> None:
 
 
 def _ignore(_: object, context: dict[str, Any]) -> None:
-    """In place of `_report`, once nobody is there to read it."""
+    """Replaces `_report` while the server closes."""
 
 
 def _report(_: object, context: dict[str, Any]) -> None:
-    """A page's message that viser cannot take: one line instead of a traceback."""
+    """Logs a page message that viser cannot handle as one line, without a traceback."""
     _log.warning("a page's message was dropped: %s", context.get("exception") or context.get("message"))
 
 
@@ -277,11 +277,11 @@ addEventListener('resize', arrange);
 
 @lru_cache(maxsize=2)
 def with_additions(body: bytes, *, is_packed: bool) -> bytes:
-    """Returns viser's page with what the viewer adds to it.
+    """Returns viser's HTML page with the viewer's title, style and script.
 
     Args:
         body: The HTML.
-        is_packed: Whether it is compressed by gzip, and is to be.
+        is_packed: True if the HTML is compressed with gzip; the result then is, too.
     """
     page = gzip.decompress(body) if is_packed else body
     head = f"<title>{TITLE}</title><style>{_STYLE}</style><script>{_SCRIPT}</script>"
@@ -290,14 +290,14 @@ def with_additions(body: bytes, *, is_packed: bool) -> bytes:
 
 
 class AnyThreadEvent(asyncio.Event):
-    """An event that threads without its loop may set, if they then have the loop set it, too.
+    """An asyncio event that other threads may set, provided that the event loop sets it again afterwards.
 
-    viser sets its own so twice for each message; asyncio's goes through those who wait while the loop adds and removes
-    some, and raises "deque mutated during iteration".
+    viser sets its events twice for each message. ``asyncio.Event.set`` iterates over its waiters while the event loop
+    adds and removes some, and then raises "deque mutated during iteration".
     """
 
     def set(self) -> None:
-        """Says that it has happened; in the loop, wakes who waits."""
+        """Sets the event; within the event loop, also wakes the waiters."""
         try:
             asyncio.get_running_loop()
         except RuntimeError:
@@ -309,7 +309,7 @@ class AnyThreadEvent(asyncio.Event):
 
 @cache
 def make_message_buffers_thread_safe() -> None:
-    """From now on, viser's buffers of messages take them from any thread."""
+    """Patches viser so that its message buffers accept messages from any thread."""
     infra: Any = import_module("viser.infra._infra")
     events = ("message_event", asyncio.Event, field(default_factory=AnyThreadEvent))
     infra.AsyncMessageBuffer = make_dataclass("AnyThreadBuffer", [events], bases=(infra.AsyncMessageBuffer,))
