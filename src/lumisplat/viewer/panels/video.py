@@ -196,9 +196,7 @@ def image_address(picture: Picture) -> str:
 
 
 def video_cameras(animation: ls.Animation, view: ls.Camera) -> list[ls.Camera]:
-    """Returns the camera of each video frame: along the camera path, else the page's camera; both with the page's
-    height.
-    """
+    """Returns the camera of each video frame, with the height of ``view``: along the camera path, else ``view``."""
     path, count = animation.camera_path, animation.frame_count
     if path is None:
         return [view] * count
