@@ -26,7 +26,7 @@ def test_a_capture_gets_materials_and_its_environment(tmp_path: Path, capsys: py
     plain = ls.load(output)
     assert isinstance(plain, ls.Gaussians) and plain.albedo is None
     assert main(command) == 0
-    assert "a.environment.exr: the sky" in capsys.readouterr().out
+    assert "a.environment.exr: the environment;" in capsys.readouterr().out
     found = ls.load(output)
     assert isinstance(found, ls.Gaussians)
     assert found.albedo is not None and found.roughness is not None and found.normals is not None
