@@ -19,7 +19,10 @@ from support.files.training_image_files import ring_cameras, write_nerfstudio_im
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", ROOT / "docs" / "conventions.md", *sorted((ROOT / "docs" / "guide").glob("*.md"))]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "docs/index.md", "docs/conventions.md")),
+    *(page for folder in ("tutorials", "guide") for page in sorted((ROOT / "docs" / folder).glob("*.md"))),
+]
 PROGRAMS = [
     pytest.param(block, id=f"{page.stem}-{number}")
     for page in PAGES
