@@ -41,8 +41,9 @@ format: $(DEV) ## format the code and fix what lint can
 	$(BIN)/ruff check --fix --exit-zero .
 	$(BIN)/ruff format .
 
-bench: $(BENCH) ## run the benchmarks against their peer
-	$(BIN)/python -m bench.run
+bench: $(BENCH) ## run the benchmarks beside Mitsuba, and write their tables in docs/benchmarks.md
+	$(BIN)/python -m bench.run --write
+	$(BIN)/python -m bench.path_rate --write
 
 docs: $(DOCS) ## build the documentation under docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html

@@ -1,9 +1,10 @@
 """Measures path samples per second beside Mitsuba, and the cost of camera and bounced rays (2 minutes).
 
-``python -m bench.path_rate [--device cuda]``: a mesh room beside Mitsuba's ``path`` (``llvm_ad_rgb``), with alternating
-frames, and the same room with relit Gaussians, which Mitsuba does not have. Then, for meshes and Gaussians, the time to
-find the hits of a camera ray and of a bounced ray. Times are CPU time of the process over all threads, the minimum of
-some frames, so that other load counts little. On a GPU they are wall time.
+``python -m bench.path_rate [--write] [--device cuda]`` times a mesh room beside Mitsuba's ``path`` (``llvm_ad_rgb``),
+with alternating frames, and the same room with relit Gaussians, which Mitsuba does not have. Then, for meshes and
+Gaussians, it times how long the hits of a camera ray and of a bounced ray take. Times are CPU time of the process over
+all threads, the minimum of some frames, so that other load counts little. On a GPU they are wall time. ``--write``
+replaces the table of docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import numpy as np
 
 import lumisplat as ls
 from bench.mitsuba_peer import load_mitsuba
+from bench.page import CPU_PAGE, Origin, Row, table, write_region
 from bench.presets import BIKER, load_capture, synthetic
-from bench.timing import clock_of, parser, print_head, print_row, quiet_warp
+from bench.timing import clock_of, parser, quiet_warp
 from lumisplat.demo import shapes
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 
@@ -29,36 +31,63 @@ WHITE, RED, GREEN = (0.73, 0.73, 0.73), (0.63, 0.065, 0.05), (0.14, 0.45, 0.09)
 
 
 def main() -> None:
-    """Prints two tables."""
-    options = parser("path_rate", __doc__).parse_args()
+    """Prints the table, and writes it into the page if asked."""
+    given = parser("path_rate", __doc__)
+    given.add_argument("--write", action="store_true", help="replace the table of docs/benchmarks.md")
+    options = given.parse_args()
+    if options.write and options.device != "cpu":
+        given.error("--write needs --device cpu, because Mitsuba runs only there")
     quiet_warp()
-    clock = clock_of(options.device)
-    view = ls.Camera.look_at((0.5, 0.5, -1.3), (0.5, 0.5, 0.5), (0.0, 1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.7)
-    mesh_room = ls.Scene(meshes=room())
-    print_head("scene", "million samples/s", "Mitsuba", "ratio")
-    ours = frames_of(mesh_room, view, options.device)
+    rows = [*rate_rows(options.device), ray_row(options.device)]
+    lines = table(rows, Origin.here(options.device, "bench.path_rate --write"))
+    print("\n".join(lines))
+    if options.write and not any(row.peer for row in rows):
+        print("docs/benchmarks.md: not written, because Mitsuba did not run")
+    elif options.write:
+        write_region(CPU_PAGE, "paths", lines)
+
+
+def rate_rows(device: str) -> list[Row]:
+    """Returns samples per second of one core's time: the mesh room beside Mitsuba, and the room with Gaussians."""
+    clock = clock_of(device)
+    mesh_room, view = ls.Scene(meshes=room()), room_view()
+    ours = frames_of(mesh_room, view, device)
     try:
         peer = mitsuba_frames(mesh_room, view)
     except ImportError as error:
         peer = None
         print(f"no peer: {error}")
-    rates = [1e-6 * SIZE * SIZE * SAMPLES / least for least in least_times(clock, ours, peer)]
-    beside = (f"{rates[1]:.2f}", f"**{rates[0] / rates[1]:.2f}**") if peer else ("", "")
     triangles = sum(one.mesh.face_count for one in mesh_room.meshes)
-    print_row(f"{triangles:,} triangles", f"{rates[0]:.3f}", *beside)
-    for count in (100_000, 1_000_000):
-        (least,) = least_times(clock, frames_of(with_gaussians(count), view, options.device), None)
-        print_row(f"{count:,} Gaussians", f"{1e-6 * SIZE * SIZE * SAMPLES / least:.3f}", "", "")
+    rates = [1e-6 * SIZE * SIZE * SAMPLES / least for least in least_times(clock, ours, peer)]
+    what = "samples per second and core"
+    ours, *theirs = rates
+    beside = (f"Mitsuba {theirs[0]:.2f} million", f"**{ours / theirs[0]:.2f}** of its rate") if theirs else ()
+    rows = [Row(f"{what}, room of {triangles:,} triangles", f"**{ours:.3f} million**", *beside)]
+    counts = 100_000, 1_000_000
+    scenes = [with_gaussians(count) for count in counts]
+    least = [least_times(clock, frames_of(scene, view, device), None)[0] for scene in scenes]
+    counted = "; ".join(f"{count:,}" for count in counts)
+    measured = "; ".join(f"{1e-6 * SIZE * SIZE * SAMPLES / seconds:.3f}" for seconds in least)
+    return [*rows, Row(f"{what}, room with {counted} relit Gaussians", f"{measured} million")]
 
-    print()
-    print_head("time to find hits, ns per ray", "camera", "bounced", "ratio")
-    scenes = {"mesh room": (mesh_room, view), "room, 100,000 Gaussians": (with_gaussians(100_000), view)}
+
+def ray_row(device: str) -> Row:
+    """Returns nanoseconds to find the hits of a camera ray and of a bounced ray, by scene."""
+    scenes = {"mesh room": (ls.Scene(meshes=room()), room_view())}
+    scenes["room with 100,000 Gaussians"] = with_gaussians(100_000), room_view()
     scenes["demo"] = ls.demo_scene_lit(), ls.demo_cameras(640, 360, count=1)[0]
     if BIKER.is_file():
-        scenes["biker, relit, on a floor"] = biker_on_floor()
-    for name, (scene, camera) in scenes.items():
-        camera_ns, bounced_ns = ray_costs(scene, camera, options.device, clock)
-        print_row(name, f"{camera_ns:.0f}", f"{bounced_ns:.0f}", f"**{bounced_ns / camera_ns:.2f}**")
+        scenes["relit biker on a floor"] = biker_on_floor()
+    costs = [ray_costs(scene, camera, device, clock_of(device)) for scene, camera in scenes.values()]
+    times = "; ".join(f"{camera_ns:,.0f}, {bounced_ns:,.0f}" for camera_ns, bounced_ns in costs)
+    ratios = "; ".join(f"{bounced_ns / camera_ns:.2f}" for camera_ns, bounced_ns in costs)
+    what = f"hits of a camera ray, of a bounced ray: {'; '.join(scenes)}"
+    return Row(what, f"{times} ns", "", f"bounced rays take {ratios} times as long")
+
+
+def room_view() -> ls.Camera:
+    """Returns the camera in front of the room."""
+    return ls.Camera.look_at((0.5, 0.5, -1.3), (0.5, 0.5, 0.5), (0.0, 1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.7)
 
 
 def config(samples: int) -> ls.RenderConfig:

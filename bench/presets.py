@@ -39,6 +39,27 @@ class Preset:
         return self.count > 0 or BIKER.is_file()
 
     @property
+    def subject(self) -> str:
+        """Capture and image size, in words."""
+        capture = f"{self.count:,} synthetic Gaussians" if self.count else "biker"
+        return f"{capture}, {self.width} x {self.height}"
+
+    @property
+    def settings(self) -> str:
+        """Settings of the ray tracer, in words after a comma; empty for the rasteriser."""
+        if self.trace is None:
+            return ""
+        strategy, transmittance_min = self.trace
+        if strategy != "sorted":
+            return f", `{strategy}`, 1 sample"
+        return f", `sorted`, to T {transmittance_min:g}" + (", defaults" if self.as_trained else "")
+
+    @property
+    def title(self) -> str:
+        """Title of the preset's row."""
+        return self.subject + self.settings
+
+    @property
     def view(self) -> tuple[int, int, int]:
         """Key of presets that show the same Gaussians from the same camera."""
         return self.count, self.width, self.height

@@ -1,14 +1,15 @@
-"""Writes the rows of `bench.run` as tables, to the terminal and to docs/benchmarks.md."""
+"""Writes the results of `bench.run` as tables, in detail to the terminal and as rows to docs/benchmarks.md."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.presets import KINDS
+from bench.page import CPU_PAGE, Origin, Row, table as page_table, times_as_fast, write_region
+from bench.presets import KINDS, LIGHT, RASTER, TRACE, Preset
 
 RASTER_STAGES = ("sync", "mesh", "project", "sort", "bin", "composite", "download")
 TRACE_STAGES = ("sync", "rays", "mesh", "gaussians", "bounce", "store", "download")
-MARK = "<!-- table: written by make bench -->"
 PIPELINES = ("raster", "trace", "hybrid")
 
 BARS = {
@@ -94,49 +95,115 @@ def shadow_line(name: str, row: dict) -> str:
     )
 
 
-def write_document(
-    path: Path, machine: dict, rows: list[dict], *, lit: list[dict], shadows: dict, quality: dict
-) -> None:
-    """Replaces the text between the two marks of the document by the tables and the facts of the measurement."""
-    before, _, after = path.read_text().split(MARK)
-    views = {(row["gaussians"], row["width"]): row for row in rows if "peer" in row}.values()
-    psnr = ", ".join(
-        f"{row['gaussians']:,} Gaussians at {row['width']}x{row['height']} {row['peer']['psnr_db']:.1f} dB rasterised, "
-        f"{row['peer']['trace_psnr_db']:.1f} dB traced"
-        for row in views
+@dataclass(frozen=True)
+class Results:
+    """Results of a run of the command."""
+
+    rows: list[dict] = field(default_factory=list)
+    """Raster and trace presets."""
+    lit: list[dict] = field(default_factory=list)
+    shadows: dict = field(default_factory=dict)
+    """Convergence of stochastic shadows by scene."""
+    quality: dict = field(default_factory=dict)
+    """Convergence of stochastic frames, and the times of BVHs."""
+    command_ms: dict = field(default_factory=dict)
+
+
+def write_page(results: Results, page: Path = CPU_PAGE) -> list[str]:
+    """Replaces the page's tables of the groups that ran completely, and returns the names of these tables.
+
+    The tables of raster and trace also need the peer: without its figures, the page keeps the tables it has.
+    """
+    by_name = {row["preset"]: row for row in [*results.rows, *results.lit]}
+    raster, traced = ([(one, by_name.get(one.name)) for one in group] for group in (RASTER, TRACE))
+    written = {}
+    if is_complete(raster):
+        written["raster"] = frame_rows(raster), "bench.run raster --write"
+        written["start"] = start_rows(by_name, results.command_ms), "bench.run raster --write"
+    if is_complete(traced) and results.quality:
+        written["trace"] = frame_rows(traced) + quality_rows(results.quality), "bench.run trace --write"
+    if all(one.name in by_name for one in LIGHT) and results.shadows:
+        written["light"] = light_rows(by_name, results.shadows), "bench.run light --write"
+    for region, (rows, command) in written.items():
+        write_region(page, region, page_table(rows, Origin.here("cpu", command)))
+    return list(written)
+
+
+def is_complete(group: list[tuple[Preset, dict | None]]) -> bool:
+    """Returns whether all presets of a group ran, those with a peer beside it."""
+    return all(row is not None and (not preset.peer or "peer" in row) for preset, row in group)
+
+
+def frame_rows(group: list[tuple[Preset, dict | None]]) -> list[Row]:
+    """Returns the frame times of presets beside the peer's, those without a peer, and how alike the images are."""
+    ran = [(preset, row) for preset, row in group if row]
+    beside = [(preset, row, row["peer"]) for preset, row in ran if "peer" in row]
+    alone = [(preset, row) for preset, row in ran if "peer" not in row]
+    rows = []
+    for preset, row, peer in beside:
+        cells = f"**{row['frame_ms']:,.1f} ms**", f"Mitsuba {peer['frame_ms']:,.0f} ms"
+        rows.append(Row(preset.title, *cells, times_as_fast(row["frame_ms"], peer["frame_ms"])))
+    if alone:
+        counts = "; ".join(f"{row['gaussians']:,}" for _, row in alone)
+        times = "; ".join(f"{row['frame_ms']:,.1f}" for _, row in alone)
+        first = alone[0][0]
+        what = f"{counts} synthetic Gaussians, {first.width} x {first.height}{first.settings}"
+        rows.append(Row(what, f"{times} ms"))
+    seen = {preset.view: (preset, peer) for preset, _, peer in beside if not preset.trace}.values()
+    if seen:
+        views = "; ".join(preset.subject for preset, _ in seen)
+        traced, rasterised = (
+            ", ".join(f"{peer[name]:.1f}" for _, peer in seen) for name in ("trace_psnr_db", "psnr_db")
+        )
+        what = f"PSNR against Mitsuba's frames of 16 samples: {views}"
+        rows.append(Row(what, f"rasterised {rasterised} dB; traced {traced} dB"))
+    return rows
+
+
+def quality_rows(quality: dict) -> list[Row]:
+    """Returns the PSNR of the mean of stochastic frames, and the times to build and refit a BVH."""
+    rows = [convergence_row(f"`{name}` frames", row) for name, row in quality["psnr_db"].items()]
+    times = f"{quality['build_s']:.2f} s, {quality['refit_s']:.2f} s"
+    return [*rows, Row("BVH of 1,000,000 Gaussians: build, refit", times)]
+
+
+def light_rows(by_name: dict[str, dict], shadows: dict) -> list[Row]:
+    """Returns the times of lit frames by kind of lighting, and the convergence of stochastic shadows."""
+    rows = []
+    for kind, label in KINDS.items():
+        found = [(name, by_name.get(f"light-{name}-{kind}")) for name in PIPELINES]
+        ran = [(name, row) for name, row in found if row]
+        times = ", ".join(f"{name} {row['frame_ms']:.0f}" for name, row in ran)
+        ratios = ", ".join(f"{row['ratio']:.2f}" for _, row in ran)
+        rows.append(Row(f"demo, {label}", f"{times} ms", "", f"{ratios} times unlit raster"))
+    times = [row["sample_ms"] for row in shadows.values()]
+    ours, exact, ratios = (
+        "; ".join(cells)
+        for cells in (
+            [f"{one['stochastic']:.0f}" for one in times],
+            [f"{one['exact']:.0f}" for one in times],
+            [times_as_fast(one["stochastic"], one["exact"]).removesuffix(" times as fast") for one in times],
+        )
     )
-    peer = next((row["peer"]["peer"] for row in rows if "peer" in row), "no peer")
-    facts = [
-        f"Measured on {machine['date']} at revision `{machine['revision']}`: {machine['cpu']}, "
-        f"{machine['cores']} cores, Python {machine['python']}, Warp {machine['warp']}; peer {peer}. "
-        "Command: `make bench`.",
-        "",
-        *tables(rows),
-        "",
-        *light_lines(lit, shadows),
-        "",
-        "Whole processes, interpreter included: "
-        + ", ".join(f"`{name}` {value:.0f} ms" for name, value in machine["command_ms"].items())
-        + ".",
-        "",
-        f"Agreement with the peer's 16-sample image, PSNR: {psnr}.",
-        "",
-        *quality_lines(quality),
+    names = "; ".join(shadows)
+    rows.append(Row(f"shadows, 1 sample: {names}", f"{ours} ms", f"own exact {exact} ms", f"{ratios} times as fast"))
+    return [*rows, *(convergence_row(f"stochastic shadows, {name}", row["psnr_db"]) for name, row in shadows.items())]
+
+
+def convergence_row(what: str, psnr_db: dict) -> Row:
+    """Returns the PSNR of the mean of some samples against the exact result, by number of samples."""
+    decibels = ", ".join(f"{value:.1f}" for value in psnr_db.values())
+    return Row(f"PSNR of {what}, mean of {', '.join(map(str, psnr_db))} samples, against exact", f"{decibels} dB")
+
+
+def start_rows(by_name: dict[str, dict], command_ms: dict[str, float]) -> list[Row]:
+    """Returns the times of whole processes, and the loading time and peak memory of synthetic captures."""
+    rows = [
+        Row(f"whole process: {', '.join(command_ms)}", ", ".join(f"{ms:.0f}" for ms in command_ms.values()) + " ms")
     ]
-    path.write_text(before + MARK + "\n" + "\n".join(facts) + "\n" + MARK + after)
-
-
-def quality_lines(quality: dict) -> list[str]:
-    """Returns the convergence of stochastic frames, and the times to build and refit BVHs."""
-    lines = []
-    for strategy, row in quality["psnr_db"].items():
-        steps = ", ".join(f"{samples} samples {value:.1f} dB" for samples, value in row.items())
-        lines += [f"Mean of `{strategy}` frames against the sorted one, biker 640x360, PSNR: {steps}.", ""]
-    # A rebuild includes the refit that found the BVH too loose.
-    rebuilt = quality["strew_s"] > quality["build_s"]
-    lines.append(
-        f"BVH of 1,000,000 Gaussians: built in {quality['build_s']:.2f} s, refitted in {quality['refit_s']:.2f} s "
-        f"if all move alike; if each moves at random by half its size, {'rebuilt' if rebuilt else 'refitted'} "
-        f"in {quality['strew_s']:.2f} s."
-    )
-    return lines
+    large = [preset for preset in RASTER if preset.count >= 1_000_000]
+    counts = "; ".join(f"{preset.count:,}" for preset in large)
+    loads = "; ".join(f"{by_name[preset.name]['load_ms']:,.0f}" for preset in large)
+    peaks = "; ".join(f"{by_name[preset.name]['peak_mib']:,.0f}" for preset in large)
+    what = f"{counts} Gaussians of a PLY, SH degree 3: load, package import included; peak memory with a frame"
+    return [*rows, Row(what, f"{loads} ms; {peaks} MiB")]

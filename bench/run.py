@@ -1,9 +1,10 @@
-"""Times all presets beside Mitsuba and writes docs/benchmarks.md (15 minutes; a preset: a minute at most).
+"""Times all presets beside Mitsuba; --write updates docs/benchmarks.md (15 minutes; a preset: a minute at most).
 
-``python -m bench.run [NAME...] [--device cuda]``: a NAME is a preset or a group: raster, trace, light.
+``python -m bench.run [NAME...] [--write] [--device cuda]``: a NAME is a preset or a group: raster, trace, light.
 
-Each preset runs in its own process, its peer right after it. Rows are appended to bench/results/<revision>.jsonl. The
-tables of docs/benchmarks.md are rewritten if all presets ran on the CPU, because the peer runs only there.
+Each preset runs in its own process, its peer right after it. Rows are appended to bench/results/<revision>.jsonl.
+``--write`` replaces the tables of docs/benchmarks.md whose groups ran completely. It needs the CPU, because the peer
+runs only there.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from importlib import metadata
 from pathlib import Path
 
 from bench import ROOT
+from bench.page import cpu_name
 from bench.presets import BIKER, LIGHT, LIT_SIZE, PRESETS, RASTER, TRACE, LitPreset, Preset, store_demo
-from bench.report import light_lines, tables, write_document
+from bench.report import Results, light_lines, tables, write_page
 from bench.timing import device_name, parser
 
 GROUPS = {"raster": RASTER, "trace": TRACE, "light": LIGHT}
@@ -32,7 +34,10 @@ def main() -> None:
     """Times the named presets and groups, or all."""
     given = parser("run", __doc__)
     given.add_argument("names", nargs="*", metavar="NAME")
+    given.add_argument("--write", action="store_true", help="replace the tables of docs/benchmarks.md")
     options = given.parse_args()
+    if options.write and options.device != "cpu":
+        given.error("--write needs --device cpu, because Mitsuba runs only there")
     names, device = options.names, options.device
     everything = [preset.name for group in GROUPS.values() for preset in group]
     unknown = set(names) - set(everything) - set(GROUPS)
@@ -61,9 +66,11 @@ def main() -> None:
         print("\n".join(tables(rows)))
     if lit:
         print("\n".join(light_lines(lit, shadows)))
-    if device == "cpu" and len(rows) + len(lit) == len(everything):
-        quality = child("bench.convergence", device, "trace")
-        write_document(ROOT / "docs" / "benchmarks.md", machine, rows, lit=lit, shadows=shadows, quality=quality)
+    if options.write:
+        traced = any(row["preset"] == TRACE[-1].name for row in rows)
+        quality = child("bench.convergence", device, "trace") if traced else {}
+        for region in write_page(Results(rows, lit, shadows, quality, machine["command_ms"])):
+            print(f"docs/benchmarks.md: wrote '{region}'", flush=True)
 
 
 def run_light(presets: list[LitPreset], device: str) -> tuple[list[dict], dict]:
@@ -106,10 +113,10 @@ def run(preset: Preset, device: str, peers: dict) -> dict:
 
 def command_times() -> dict[str, float]:
     """Returns medians of whole processes, interpreter included: the help page, and loading the biker."""
-    commands = {"lumisplat --help": [sys.executable, "-m", "lumisplat", "--help"]}
+    commands = {"`lumisplat --help`": [sys.executable, "-m", "lumisplat", "--help"]}
     if BIKER.is_file():
         load = f"import lumisplat; lumisplat.load({str(BIKER)!r})"
-        commands[f"loading {BIKER.name}"] = [sys.executable, "-c", load]
+        commands[f"loading `{BIKER.name}`"] = [sys.executable, "-c", load]
     return {name: statistics.median(process_ms(command) for _ in range(5)) for name, command in commands.items()}
 
 
@@ -147,14 +154,6 @@ def describe_machine(device: str) -> dict:
         "python": platform.python_version(),
         "warp": metadata.version("warp-lang"),
     }
-
-
-def cpu_name() -> str:
-    """Returns the processor's model name, if the system reports it."""
-    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
 """Checks and times everything once on a new device, checks first (8 minutes at most).
 
-``python -m bench.first_light [--device cuda] [--out FOLDER]``
+``python -m bench.first_light [--device cuda] [--out FOLDER] [--write]``
 
 Each step runs in its own process, because an error on a GPU breaks everything that its process does later, and is
 stopped after its time limit. After each step, FOLDER has an updated report: first_light.jsonl, a line per step, and
 first_light.md, for reading. Findings before a failure are kept. Frames are compared with those of the CPU in the same
-run. ``--device cpu`` rehearses everything, with the schedule of GPUs on the CPU.
+run. ``--device cpu`` rehearses everything, with the schedule of GPUs on the CPU. ``--write`` replaces the table beside
+gsplat in docs/benchmarks_gpu.md, if gsplat ran.
 
 The exit status is 0 if nothing is wrong. Timings are not judged.
 """
@@ -22,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from bench import ROOT
+from bench import ROOT, page
 from bench.first_light.worker import Finding, Setting
 from bench.timing import parser
 
@@ -97,6 +98,7 @@ def main() -> int:
     given.add_argument(
         "--every", type=int, default=1, metavar="N", help="render only every n-th small frame, for sanitizers"
     )
+    given.add_argument("--write", action="store_true", help="replace the table beside gsplat in docs/benchmarks_gpu.md")
     options = given.parse_args()
     known = {step.name for step in STEPS}
     if unknown := set(options.only or ()) - known:
@@ -110,6 +112,13 @@ def main() -> int:
     )
     steps = [step for step in STEPS if not options.only or step.name in options.only]
     rows = run_steps(steps, setting, options.out, options.budget)
+    beside = gsplat_rows(rows, setting.width)
+    if options.write and beside:
+        command = "bench.first_light --device cuda --write"
+        lines = page.table(beside, page.Origin.here(options.device, command))
+        page.write_region(page.GPU_PAGE, "gsplat", lines)
+    elif options.write:
+        print("docs/benchmarks_gpu.md: not written, because gsplat did not run")
     return 0 if all(row.status in ("ok", "skipped") for row in rows) else 1
 
 
@@ -163,6 +172,26 @@ def tail(log: Path) -> str:
 def whole_lines(path: Path) -> list[str]:
     """Returns the complete lines of a file, without one that a dying process left unfinished."""
     return [line for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
+
+
+def gsplat_rows(rows: Sequence[Row], width: int) -> list[page.Row]:
+    """Returns our times on the device beside gsplat's: of frames, and of their gradients."""
+    found = {finding.name: finding.value for row in rows for finding in row.findings}
+    size, lines = f"{width} x {width * 9 // 16}", []
+    for name, value in found.items():
+        count = name.partition(":")[0]
+        if name == f"{count}: gsplat on the device, ms":
+            kind, theirs, ours = "frame", value, found.get(f"{count}: our stages but sync and download, ms")
+        elif name == f"{count}: gsplat's frame and derivatives, ms":
+            stages = found.get(f"{count}: our stages, ms")
+            ours = isinstance(stages, dict) and sum(ms for one, ms in stages.items() if one.startswith("backward"))
+            kind, theirs = "backward pass", value[-1] if isinstance(value, list) else None
+        else:
+            continue
+        if isinstance(ours, float) and isinstance(theirs, float):
+            cells = f"**{ours:.2f} ms**", f"gsplat {theirs:.2f} ms", page.times_as_fast(ours, theirs)
+            lines.append(page.Row(f"{kind}, {count} Gaussians, {size}", *cells))
+    return lines
 
 
 def write_report(folder: Path, setting: Setting, rows: list[Row]) -> None:

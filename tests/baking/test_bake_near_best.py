@@ -122,7 +122,7 @@ def test_joint_fits_in_parts_cost_little(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_baked_room_is_near_the_best_sh() -> None:
     """A closed room of 1,300 Gaussians from 16 views, against SH that know the bake and 40 other views.
 
-    The target is 1 dB: 29.7 dB against 30.6. Larger scenes miss it (docs/benchmarks.md#baked-captures).
+    The target is 1 dB: 29.7 dB against 30.6. Larger scenes miss it (docs/benchmarks.md#bake).
     """
     case = bench.cases(100)["room"]()
     rng = np.random.default_rng(0)

@@ -1,14 +1,19 @@
-"""Benchmarks run on any device, and report stage times also where a GPU does not time stages itself."""
+"""Benchmarks run on any device, report stage times also where a GPU does not time them, and write their pages."""
 
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
-from bench import timing
+from bench import page, timing
 from bench.__main__ import benchmarks
+from bench.first_light.__main__ import Row as StepRow, gsplat_rows
+from bench.first_light.worker import Finding
+from bench.presets import LIGHT, RASTER, TRACE
+from bench.report import Results, write_page
 
 import lumisplat as ls
 from lumisplat.cli import main
@@ -68,6 +73,95 @@ def test_every_documented_benchmark_is_listed() -> None:
     listed = benchmarks()
     assert {"bench.run", "bench.first_light", "bench.realtime_truth.bias"} <= listed.keys()
     assert not [name for name, line in listed.items() if not re.search(r"\(.*(second|minute)s?\b.*\)\.$", line)]
-    for page in [*(BENCH.parent / "docs").rglob("*.md"), BENCH.parent / "CONTRIBUTING.md"]:
-        for name, after in re.findall(r"python -m (bench\.[a-z_.]*[a-z_])(?= |`)(.*)", page.read_text()):
-            assert name in listed or "until revision" in after, f"{page}: {name}"
+    for path in [*(BENCH.parent / "docs").rglob("*.md"), BENCH.parent / "CONTRIBUTING.md"]:
+        for name, after in re.findall(r"python -m (bench\.[a-z_.]*[a-z_])(?= |`)(.*)", path.read_text()):
+            assert name in listed or "until revision" in after, f"{path}: {name}"
+
+
+@pytest.mark.parametrize("path", [page.CPU_PAGE, page.GPU_PAGE], ids=lambda path: path.stem)
+def test_every_row_of_the_pages_has_a_machine_a_date_and_a_command(path: Path) -> None:
+    """All tables of both pages have the same seven columns."""
+    lines = path.read_text().splitlines()
+    assert len(lines) < 215
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    assert rows.count(list(page.HEAD)) == sum(row[0] == "---" for row in rows) >= 3
+    for row in rows:
+        if row[0] not in ("what", "---"):
+            what, ours, _, _, machine, date, command = row
+            assert what and ours and machine and command, row
+            assert re.fullmatch(r"20\d\d-\d\d-\d\d", date), row
+
+
+def test_tables_that_benchmarks_write_are_on_the_pages() -> None:
+    """Each region between comments holds one table of the page's form."""
+    assert page.regions(page.CPU_PAGE).keys() == {"raster", "trace", "paths", "light", "start"}
+    assert page.regions(page.GPU_PAGE).keys() == {"gsplat"}
+    for lines in [*page.regions(page.CPU_PAGE).values(), *page.regions(page.GPU_PAGE).values()]:
+        assert lines[0] == page.line(page.HEAD)
+        assert all(line.startswith("| ") for line in lines)
+
+
+def raster_rows(*, with_peer: bool) -> list[dict]:
+    """Returns a result of each preset of the rasteriser and the tracer."""
+    figures = {"frame_ms": 20.0, "load_ms": 100.0, "peak_mib": 200.0}
+    peer = {"frame_ms": 500.0, "psnr_db": 31.0, "trace_psnr_db": 43.0}
+    return [
+        {"preset": preset.name, "gaussians": preset.count, **figures}
+        | ({"peer": peer} if with_peer and preset.peer else {})
+        for preset in [*RASTER, *TRACE]
+    ]
+
+
+def test_bench_run_writes_only_the_tables_of_complete_groups(tmp_path: Path) -> None:
+    """A group that did not run, or ran without its peer, keeps the page's table."""
+    copy = Path(shutil.copy(page.CPU_PAGE, tmp_path / "benchmarks.md"))
+    before = page.regions(copy)
+    rows = raster_rows(with_peer=True)
+    assert write_page(Results(raster_rows(with_peer=False)), copy) == []
+    assert write_page(Results(rows[1:]), copy) == []
+    assert page.regions(copy) == before
+    assert write_page(Results(rows, command_ms={"`lumisplat --help`": 9.0}), copy) == ["raster", "start"]
+    after = page.regions(copy)
+    assert {name for name in before if before[name] != after[name]} == {"raster", "start"}
+    assert after["raster"][2].startswith("| biker, 640 x 360 | **20.0 ms** | Mitsuba 500 ms | **25** times as fast | ")
+    assert "| 225" not in copy.read_text() and "whole process: `lumisplat --help` | 9 ms" in copy.read_text()
+
+    quality = {"psnr_db": {"stochastic-hit": {"1": 20.0, "4": 26.0}}, "build_s": 1.0, "refit_s": 0.2}
+    lit = [{"preset": preset.name, "frame_ms": 30.0, "ratio": 1.5} for preset in LIGHT]
+    shadows = {"demo": {"psnr_db": {"1": 20.0}, "sample_ms": {"stochastic": 10.0, "exact": 20.0}}}
+    assert write_page(Results(rows, lit, shadows, quality), copy) == ["raster", "start", "trace", "light"]
+    assert "| own exact 20 ms | **2.0** times as fast |" in copy.read_text()
+    assert page.regions(copy).keys() == before.keys()
+    assert page.regions(copy)["paths"] == before["paths"]
+
+
+def test_a_page_without_the_table_is_refused(tmp_path: Path) -> None:
+    """The message names the comment that the page lacks."""
+    (tmp_path / "page.md").write_text("# Benchmarks\n")
+    with pytest.raises(ValueError, match="expected one line '<!-- written: raster -->', found 0"):
+        page.write_region(tmp_path / "page.md", "raster", [])
+
+
+def test_first_light_compares_gsplat_and_ours_on_the_device() -> None:
+    """Frames take all our stages, gradients those of the backward pass."""
+    frames = [Finding("10: gsplat on the device, ms", 2.0), Finding("10: our stages but sync and download, ms", 1.0)]
+    stages = {"composite": 9.0, "backward: pixels": 1.5, "backward: Gaussians": 0.5}
+    gradients = [Finding("10: gsplat's frame and derivatives, ms", [7.0, 1.0]), Finding("10: our stages, ms", stages)]
+    rows = gsplat_rows([StepRow("frames", "ok", findings=frames), StepRow("gradients", "ok", findings=gradients)], 320)
+    assert rows == [
+        page.Row("frame, 10 Gaussians, 320 x 180", "**1.00 ms**", "gsplat 2.00 ms", "**2.0** times as fast"),
+        page.Row("backward pass, 10 Gaussians, 320 x 180", "**2.00 ms**", "gsplat 1.00 ms", "**0.50** times as fast"),
+    ]
+    assert gsplat_rows([StepRow("frames", "skipped")], 320) == []
+
+
+def test_links_to_the_pages_lead_to_their_headings() -> None:
+    """Anchors of links in README, docs, changelog and source are headings of the page they name."""
+    root = BENCH.parent
+    files = [*root.glob("*.md"), *(root / "docs").rglob("*.md"), *(root / "src").rglob("*.py")]
+    for path in files:
+        for name, anchor in re.findall(r"(benchmarks(?:_gpu)?)\.md#([\w-]+)", path.read_text()):
+            text = (root / "docs" / f"{name}.md").read_text()
+            headings = re.findall(r"^#+ (.*)|^\((.*)\)=$", text, re.MULTILINE)
+            slugs = {re.sub(r"[^\w -]", "", "".join(heading)).lower().replace(" ", "-") for heading in headings}
+            assert anchor in slugs, f"{path}: {name}.md has no heading #{anchor}"
