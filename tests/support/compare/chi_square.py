@@ -1,4 +1,4 @@
-"""Whether counts are what was expected."""
+"""Tests whether counts follow expected frequencies."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 LIMIT = 5.0
-"""Standard deviations that good counts do not exceed; draws come from fixed seeds, so what passes once always does."""
+"""Largest accepted score in standard deviations. Draws come from fixed seeds, so a test that passed once always
+passes."""
 
 
 def chi_square_z(counts: npt.NDArray[np.float64], expected: npt.NDArray[np.float64]) -> float:
-    """Chi-square as a standard normal number (Wilson and Hilferty 1931); bins that expect little are put together."""
+    """Returns chi-square as a standard normal score (Wilson and Hilferty 1931); small bins are merged.
+
+    Bins count as small if fewer than 20 draws are expected.
+    """
     few = expected < 20.0
     counts = np.append(counts[~few], counts[few].sum())
     expected = np.append(expected[~few], max(expected[few].sum(), 1e-9))

@@ -1,4 +1,4 @@
-"""The golden frames: which, and why. One list for the test and for tools/regenerate_goldens.py."""
+"""Lists the golden frames, for their test and for tools/regenerate_goldens.py."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LAYERS = ("color", "normal", "depth")
 
 @dataclass(frozen=True)
 class Golden:
-    """A view of the demo scene, small enough to be stored."""
+    """A view of the demo scene that is small enough to be stored."""
 
     view: str
     """Name of the demo camera."""
@@ -24,11 +24,11 @@ class Golden:
 
     @property
     def path(self) -> Path:
-        """Where the stored arrays are."""
+        """Path of the file with the stored layers."""
         return FOLDER / f"{self.view}.npz"
 
     def render(self, scene: ls.Scene) -> dict[str, np.ndarray]:
-        """The frame as it is now: float images, not encoded ones."""
+        """Renders the layers of the view as float arrays, not as encoded images."""
         camera = next(camera for camera in ls.demo_cameras(160, 90) if camera.name == self.view)
         frame = ls.render(scene, camera, self.config, device="cpu")
         return {layer: getattr(frame, layer) for layer in LAYERS}

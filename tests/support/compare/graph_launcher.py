@@ -1,4 +1,4 @@
-"""CUDA graphs without a GPU: Warp captures and replays on the CPU as well, so a stale graph shows there too."""
+"""Emulates CUDA graphs without a GPU: Warp captures and replays on the CPU too, so stale graphs show there as well."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from lumisplat.runtime.launcher import Launcher, Result
 
 
 class GraphLauncher(Launcher):
-    """Runs the CUDA schedule on the CPU, from captured graphs: addresses, sizes and values stay as captured."""
+    """Runs the CUDA schedule on the CPU from captured graphs; addresses, sizes and values stay as captured."""
 
     draws = 0
-    """Calls of ``replay`` so far."""
+    """Number of calls of ``replay`` so far."""
     launches = 0
-    """Kernels that were launched one by one so far, also while a graph was captured."""
+    """Number of kernel launches outside replays so far, including those recorded during captures."""
 
     def __init__(self) -> None:
         super().__init__("cpu", threads=1, parallel=True)
@@ -23,23 +23,23 @@ class GraphLauncher(Launcher):
 
     @property
     def can_capture(self) -> bool:
-        """As on a GPU with memory pools."""
+        """True unless stages are timed, as on a GPU with memory pools."""
         return not self.profile
 
     def run(self, kernel: Any, count: int, *inputs: Any) -> None:
-        """Keeps the inputs: a stale graph shows old data, where with freed memory it might end the process."""
+        """Launches a kernel, and keeps its inputs alive: a stale graph then reads old data instead of freed memory."""
         self._used.append(inputs)
         self.launches += 1
         super().run(kernel, count, *inputs)
 
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
-        """So does this."""
+        """Launches a kernel over thread blocks, and keeps its inputs alive."""
         self._used.append(inputs)
         self.launches += 1
         super().run_blocks(kernel, blocks, *inputs)
 
     def replay(self, name: str, key: object, work: Callable[[], Result]) -> Result:
-        """As on CUDA; fails instead of drawing the same frame for ever."""
+        """Replays a graph as on CUDA, and fails after 1000 calls, since a stale graph could be redrawn endlessly."""
         self.draws += 1
         assert self.draws < 1000, "is a frame drawn again from a stale graph, for ever?"
         return super().replay(name, key, work)

@@ -1,4 +1,4 @@
-"""Comparing images so that a failure says what differs, where and by how much."""
+"""Compares images, with failure messages that report which values differ, where and by how much."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def assert_close(actual: np.ndarray, expected: np.ndarray, *, atol: float, name: str = "image") -> None:
-    """Every value within ``atol``; infinities must coincide and NaN is never right."""
+    """Asserts that every value is within ``atol`` of the expected one; infinities must coincide, NaN always fails."""
     difference = _difference(actual, expected, name)
     worst = np.unravel_index(difference.argmax(), difference.shape)
     assert difference[worst] <= atol, (
@@ -25,10 +25,10 @@ def assert_close_outside_band(
     band_share: float = 0.25,
     name: str = "image",
 ) -> None:
-    """Every pixel outside ``band`` within ``atol``, those inside within ``band_atol``.
+    """Asserts errors of at most ``atol`` at pixels outside ``band``, and of at most ``band_atol`` inside.
 
-    The band holds the pixels at which rounding may flip a decision. It must leave most of the image to the strict
-    test, or the comparison would prove nothing.
+    The band marks the pixels at which rounding may flip a decision. It may cover at most ``band_share`` of the image,
+    so that the comparison still tests most pixels strictly.
     """
     assert band.mean() <= band_share, f"{name}: the band covers {band.mean():.0%} of the pixels, too many to compare"
     per_pixel = _difference(actual, expected, name).reshape(*band.shape, -1).max(axis=-1)
@@ -44,7 +44,7 @@ def assert_close_outside_band(
 def assert_images_alike(
     actual: np.ndarray, expected: np.ndarray, *, mean: float, within: float, share: float, name: str = "image"
 ) -> None:
-    """Mean absolute error below ``mean``, and at least ``share`` of the pixels with every channel within ``within``."""
+    """Asserts a mean absolute error below ``mean``, and errors up to ``within`` at ``share`` of the pixels or more."""
     difference = _difference(actual, expected, name)
     error = difference.mean()
     alike = (difference.reshape(*actual.shape[:2], -1).max(axis=-1) <= within).mean()

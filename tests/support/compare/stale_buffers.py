@@ -1,4 +1,4 @@
-"""Device arrays that hold NaN before they are written, to show what is never written."""
+"""Fills device buffers with NaN before use, so that elements that a kernel never writes show in its results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 
 
 def fill_with_nan(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """From now on, all elements of the array of that name are NaN whenever it is asked for; on a CPU."""
+    """Patches `Buffers.get` to fill the buffer called ``name`` with NaN at each request; CPU only."""
     get = Buffers.get
 
     def filled(self: Buffers, asked: str, *args: Any, **options: Any) -> DeviceArray:

@@ -1,7 +1,7 @@
-"""The materials' equations as the books have them, in float64: by angles and tangents, a direction a row.
+"""Evaluates BSDFs in float64 with textbook equations in angles and tangents, one direction per row.
 
-Colours have shape (..., 3), directions (..., 3), unit and away from the surface; materials are dictionaries of the
-names of `lumisplat.device.structs.shading.Bsdf`.
+Colours have shape (..., 3), directions (..., 3), unit and away from the surface. Materials are dictionaries with the
+field names of `lumisplat.device.structs.shading.Bsdf`.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ WIDTH_MIN = 1e-6
 
 
 def cosine(a: Array, b: Array) -> Array:
-    """Of the angle between unit vectors."""
+    """Returns the cosine of the angle between unit vectors."""
     return np.sum(a * b, axis=-1)
 
 
 def angle(a: Array, b: Array) -> Array:
-    """Between vectors of any length, without the arc cosine's loss near 0."""
+    """Returns the angle between vectors of any length, without the arc cosine's loss of precision near 0."""
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), cosine(a, b))
 
 
 def schlick(normal_incidence: npt.ArrayLike, grazing: float, cos: Array) -> Array:
-    """Reflectance by angle of incidence, per channel."""
+    """Returns reflectance by the cosine of incidence, per channel."""
     head_on = np.asarray(normal_incidence, dtype=np.float64)
     return head_on + (grazing - head_on) * ((1.0 - cos) ** 5)[..., None]
 
 
 def ggx(theta: Array, alpha: float) -> Array:
-    """D of Walter et al. 2007, equation 33."""
+    """Returns the microfacet distribution D of Walter et al. 2007, equation 33."""
     below = np.cos(theta) ** 4 * (alpha**2 + np.tan(theta) ** 2) ** 2
     return np.where(theta < 0.5 * np.pi, alpha**2 / (np.pi * below), 0.0)
 
 
 def smith(theta: Array, alpha: float) -> Array:
-    """G1 of Walter et al. 2007, equation 34."""
+    """Returns the masking function G1 of Walter et al. 2007, equation 34."""
     return 2.0 / (1.0 + np.sqrt(1.0 + alpha**2 * np.tan(theta) ** 2))
 
 
@@ -49,16 +49,16 @@ def _above(normal: Array, view: Array, light: Array) -> npt.NDArray[np.bool_]:
 
 
 def fresnel(cos: Array, eta: float) -> Array:
-    """Fresnel's equations, unpolarised, by the indices' ratio ``eta``, not above 1."""
+    """Returns unpolarised Fresnel reflectance for a ratio of indices ``eta`` up to 1."""
     beyond = np.sqrt(1.0 - eta**2 * (1.0 - cos**2))
     across, along = (eta * cos - beyond) / (eta * cos + beyond), (cos - eta * beyond) / (cos + eta * beyond)
     return 0.5 * (across**2 + along**2)
 
 
 def directional_albedo(alpha: float, head_on: npt.ArrayLike, grazing: float, cos: Array | None) -> Array:
-    """Share of a white sky that a view at ``cos`` gets by a highlight, as fitted; None: the mean over all views.
+    """Returns the fitted directional albedo of a specular lobe at ``cos``; None returns the cosine-weighted mean.
 
-    With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, it is ``F0 (1 - lost - rising) + F90 rising``.
+    With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, the albedo is ``F0 (1 - lost - rising) + F90 rising``.
     """
     if cos is None:
         rising = np.asarray(1.0 / 21.0 / (1.0 + 2.4 * alpha + 17.0 * alpha**2))
@@ -72,7 +72,7 @@ def directional_albedo(alpha: float, head_on: npt.ArrayLike, grazing: float, cos
 
 
 def mirrored_share(material: Material, cos: Array | None) -> Array:
-    """What the dielectric part mirrors of light from ``cos``, shape (..., 1); None: of even light from all around."""
+    """Returns the dielectric's specular albedo for light from ``cos``, shape (..., 1); None for uniform light."""
     strength, eta = material["dielectric"], material["eta"]
     if material["alpha"] > 0.0:
         head_on = [strength * ((1.0 - eta) / (1.0 + eta)) ** 2]
@@ -84,7 +84,7 @@ def mirrored_share(material: Material, cos: Array | None) -> Array:
 
 
 def pbr_diffuse(material: Material, normal: Array, view: Array, light: Array) -> Array:
-    """Kelemen and Szirmay-Kalos 2001: what is not mirrored at both ends, over what is not mirrored on average."""
+    """Returns the diffuse lobe of Kelemen and Szirmay-Kalos 2001, which gets the energy the specular lobe leaves."""
     if material["dielectric"] == 0.0:
         return np.broadcast_to(np.asarray(material["diffuse"]) / np.pi, np.broadcast_shapes(view.shape, light.shape))
     let_in = 1.0 - mirrored_share(material, cosine(normal, light))
@@ -94,7 +94,7 @@ def pbr_diffuse(material: Material, normal: Array, view: Array, light: Array) ->
 
 
 def pbr_specular(material: Material, normal: Array, view: Array, light: Array) -> Array:
-    """Cook and Torrance's ``D G F / (4 cos cos)``."""
+    """Returns Cook and Torrance's ``D G F / (4 cos cos)``."""
     if material["alpha"] <= 0.0:
         return np.zeros(np.broadcast_shapes(view.shape, light.shape))
     alpha = max(material["alpha"], WIDTH_MIN)
@@ -107,12 +107,12 @@ def pbr_specular(material: Material, normal: Array, view: Array, light: Array) -
 
 
 def mirrored(normal: Array, view: Array) -> Array:
-    """The direction on the other side of the normal."""
+    """Returns the view direction mirrored at the normal."""
     return 2.0 * cosine(normal, view)[..., None] * normal - view
 
 
 def simple(material: Material, normal: Array, view: Array, light: Array) -> Array:
-    """Lambert's and Phong's shares of the light."""
+    """Returns the sum of Lambert's and Phong's lobes, normalised to reflect at most all light."""
     diffuse, specular = (np.asarray(material[name], dtype=np.float64) for name in ("diffuse", "specular"))
     exponent = material["shininess"]
     cos = cosine(mirrored(normal, view), light)
@@ -121,7 +121,7 @@ def simple(material: Material, normal: Array, view: Array, light: Array) -> Arra
 
 
 def evaluate(material: Material, normal: Array, view: Array, light: Array) -> Array:
-    """The BSDF without the cosine."""
+    """Returns the BSDF without the cosine."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         if material["model"] == "simple":
             value = simple(material, normal, view, light)
@@ -131,7 +131,7 @@ def evaluate(material: Material, normal: Array, view: Array, light: Array) -> Ar
 
 
 def pdf(material: Material, normal: Array, view: Array, light: Array) -> Array:
-    """Of the directions that the material picks, per steradian: visible microfacets or Phong's lobe, and the cosine."""
+    """Returns the pdf of sampled directions per steradian: visible microfacets or Phong's lobe, mixed with cosines."""
     lambert = cosine(normal, light) / np.pi
     specular = np.asarray(material["specular"], dtype=np.float64)
     diffuse = np.asarray(material["diffuse"], dtype=np.float64)

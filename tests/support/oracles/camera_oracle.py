@@ -1,4 +1,4 @@
-"""The rays of cameras in float64 NumPy, from the models' definitions: the twin of lumisplat.device.camera.camera."""
+"""Computes camera rays in float64 NumPy from the definitions of the models, as an oracle for the device's cameras."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from support.oracles import random_oracle
 def camera_rays(
     camera: Camera, sample: int = 0, seed: int = 0, jitter: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Origins (H, W, 3), unit directions (H, W, 3) and first distances (H, W); NaN where there is no ray."""
+    """Returns origins (H, W, 3), unit directions (H, W, 3) and near distances (H, W); NaN where a pixel has no ray."""
     y, x = np.mgrid[: camera.height, : camera.width]
     step = sample * np.array([0.7548776662466927, 0.5698402909980532]) if jitter else np.zeros(2)
     offset_x, offset_y = (0.5 + step) % 1.0
@@ -50,7 +50,7 @@ def camera_rays(
 
 
 def world_from_row(camera: Camera, row: float) -> np.ndarray:
-    """Pose at which a row is exposed: slerp as the power of the turn between the two rotations."""
+    """Returns the pose at which a row is exposed; rotations interpolate as powers of the relative rotation."""
     first = np.linalg.inv(camera.camera_from_world)
     last = first if camera.camera_from_world_end is None else np.linalg.inv(camera.camera_from_world_end)
     time = (row + 0.5) / camera.height
@@ -63,12 +63,12 @@ def world_from_row(camera: Camera, row: float) -> np.ndarray:
 
 
 def lens_draw(camera: Camera, sample: int, seed: int, which: int) -> np.ndarray:
-    """The numbers that choose points of the lens, (H, W): 0 for the distance from its centre, 1 for the angle."""
+    """Returns the random numbers that choose lens points, (H, W): ``which`` 0 for the radius, 1 for the angle."""
     pixels = np.arange(camera.height * camera.width).reshape(camera.height, camera.width)
     dimension = (random_oracle.LENS_RADIUS, random_oracle.LENS_ANGLE)[which]
     return random_oracle.draws(random_oracle.sample_keys(pixels, sample, seed), dimension)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Of length 1 along the last axis."""
+    """Returns vectors scaled to length 1 along the last axis."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

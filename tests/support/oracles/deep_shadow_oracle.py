@@ -1,7 +1,7 @@
-"""The float64 twin of deep Gaussian shadow maps: optical depth in closed form, directions as texels, tables, lookups.
+"""Computes deep Gaussian shadow maps in float64: optical depth in closed form, texel directions, tables and lookups.
 
 Written from sections 3.2, 3.3 and 4.4 of Mir et al. 2026, whose equations are cited (docs/method/deep_shadow_maps.md).
-Nothing is cut off: every Gaussian reaches as far as float64 does.
+Gaussians are not cut off; each reaches as far as float64 does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lumisplat.scene.scene import SplatInstance
 from support.oracles.raster_oracle import rotation_from_quaternion, world_gaussians
 
 STENCIL = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-"""Places of the 7-point stencil, in scales."""
+"""Offsets of the 7-point stencil in scales."""
 
 _erf = np.vectorize(math.erf, otypes=[float])
 _erfc = np.vectorize(math.erfc, otypes=[float])
@@ -27,7 +27,7 @@ _erfc = np.vectorize(math.erfc, otypes=[float])
 
 @dataclass(frozen=True)
 class Absorbers:
-    """What stands in the light, in world space."""
+    """Shadow casters as an absorption field in world space."""
 
     mean: np.ndarray  # (G, 3)
     whiten: np.ndarray  # (G, 3, 3), canonical from world: inverse scales times inverse axes; the precision is W^T W
@@ -39,7 +39,7 @@ def absorbers(
     absorption: Absorption = Absorption.AVERAGE,
     strength: float = 1.0,
 ) -> Absorbers:
-    """Casters as an absorption field (equation 1)."""
+    """Converts casters to an absorption field (equation 1)."""
     parts = [casters] if isinstance(casters, Gaussians | SplatInstance) else casters
     rows = [_absorbers_of(part, absorption, strength) for part in parts]
     return Absorbers(*(np.concatenate(columns) for columns in zip(*rows, strict=True)))
@@ -54,7 +54,7 @@ def _absorbers_of(part: Gaussians | SplatInstance, absorption: Absorption, stren
 
 
 def amplitude(opacity: np.ndarray, scales: np.ndarray, absorption: Absorption) -> np.ndarray:
-    """Absorption at the centre of Gaussians without kappa (equation 5 and section 4.4 B), shape (G,).
+    """Returns the absorption at the centre of Gaussians without kappa (equation 5 and section 4.4 B), shape (G,).
 
     ``A`` of section 4.4 is the precision in ``avg``, and the covariance in ``mass`` and ``diag``.
     """
@@ -70,7 +70,7 @@ def amplitude(opacity: np.ndarray, scales: np.ndarray, absorption: Absorption) -
 
 
 def optical_depth(field: Absorbers, origin: np.ndarray, directions: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Optical depth from ``origin`` (..., 3) along unit ``directions`` (..., 3) to the distances ``t`` (...).
+    """Returns optical depths from ``origin`` (..., 3) along unit ``directions`` (..., 3) to distances ``t`` (...).
 
     Shapes are broadcast.
     """
@@ -84,10 +84,11 @@ def optical_depth(field: Absorbers, origin: np.ndarray, directions: np.ndarray, 
 
 
 def gaussian_integral(start: np.ndarray, along: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Integral of exp(-|start + s along|^2 / 2) over s from 0 to t (equation 3), canonical space, broadcast.
+    """Returns the integral of exp(-|start + s along|^2 / 2) over s from 0 to t (equation 3), in canonical space.
 
-    The exponent c - b^2 / a is the squared distance of the line from the centre, taken from the nearest point: as a
-    difference it would cancel for thin or far Gaussians. So would erf of two large numbers of one sign: erfc does not.
+    The exponent c - b^2 / a is computed as the squared distance at the nearest point, since the difference would cancel
+    for thin or distant Gaussians. Differences of erf at two large values of one sign would cancel too; erfc avoids
+    that. Shapes are broadcast.
     """
     a = np.sum(along * along, axis=-1)
     nearest = -np.sum(along * start, axis=-1) / a  # -b / a
@@ -97,8 +98,8 @@ def gaussian_integral(start: np.ndarray, along: np.ndarray, t: np.ndarray) -> np
 
 
 def erf_difference(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """erf(high) - erf(low) for low <= high."""
-    # Where both are below zero, mirrored to above it.
+    """Returns erf(high) - erf(low) for low <= high."""
+    # If both are negative, mirror them to positive values.
     low, high = np.where(high < 0.0, -high, low), np.where(high < 0.0, -low, high)
     tail = low > 0.0
     found = np.empty(low.shape)
@@ -108,7 +109,7 @@ def erf_difference(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def transmittance(field: Absorbers, light: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Share of a point light at ``light`` (3,), or one each, that reaches ``points`` (..., 3) (equation 4)."""
+    """Returns the fraction of a point light at ``light``, (3,) or one per point, at ``points`` (..., 3) (equation 4)."""
     offset = np.asarray(points, float) - light
     distance = np.linalg.norm(offset, axis=-1)
     directions = offset / np.maximum(distance, 1e-300)[..., None]
@@ -119,7 +120,7 @@ def transmittance(field: Absorbers, light: np.ndarray, points: np.ndarray) -> np
 
 
 def encode_octahedral(directions: np.ndarray) -> np.ndarray:
-    """Places (u, v) in -1..1 of directions (..., 3) (equation 6; sgn(0) is 1), shape (..., 2)."""
+    """Maps directions (..., 3) to (u, v) in -1..1, shape (..., 2) (equation 6; sgn(0) is 1)."""
     directions = np.asarray(directions, float)
     q = directions / np.sum(np.abs(directions), axis=-1, keepdims=True)
     folded = _sign(q[..., :2]) * (1.0 - np.abs(q[..., 1::-1]))
@@ -127,7 +128,7 @@ def encode_octahedral(directions: np.ndarray) -> np.ndarray:
 
 
 def decode_octahedral(uv: np.ndarray) -> np.ndarray:
-    """Unit directions of places (u, v) in -1..1, shape (..., 3)."""
+    """Maps (u, v) in -1..1 to unit directions, shape (..., 3)."""
     uv = np.asarray(uv, float)
     z = 1.0 - np.sum(np.abs(uv), axis=-1, keepdims=True)
     xy = np.where(z >= 0.0, uv, _sign(uv) * (1.0 - np.abs(uv[..., ::-1])))
@@ -135,9 +136,9 @@ def decode_octahedral(uv: np.ndarray) -> np.ndarray:
 
 
 def encode_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Faces 0..5 (+x, -x, +y, -y, +z, -z; the first of equals) and places (u, v) in -1..1 of directions (..., 3).
+    """Maps directions (..., 3) to faces 0..5 (+x, -x, +y, -y, +z, -z; ties take the first) and (u, v) in -1..1.
 
-    On the faces of an axis, u and v are the next two axes, cyclically, over the absolute value of it.
+    On the faces of an axis, u and v are the next two axes, cyclically, divided by the axis' absolute value.
     """
     directions = np.asarray(directions, float)
     axis = np.argmax(np.abs(directions), axis=-1)
@@ -146,7 +147,7 @@ def encode_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def decode_cube(face: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Unit directions of places on faces, shape (..., 3)."""
+    """Maps faces and (u, v) to unit directions, shape (..., 3)."""
     face, uv = np.asarray(face), np.asarray(uv, float)
     axis = face // 2
     cyclic = np.concatenate([np.where(face % 2 == 0, 1.0, -1.0)[..., None], uv], axis=-1)
@@ -154,7 +155,7 @@ def decode_cube(face: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def texel_centers(size: int) -> np.ndarray:
-    """Places (u, v) of a square's texels, u along columns, shape (size, size, 2)."""
+    """Returns (u, v) of a square's texel centres, u along columns, shape (size, size, 2)."""
     center = (np.arange(size) + 0.5) * 2.0 / size - 1.0
     return np.stack(np.meshgrid(center, center), axis=-1)
 
@@ -172,7 +173,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Table:
-    """Transmittance at texels and bins: one octahedral square, or six faces of a cube."""
+    """Transmittance at texels and bins, on one octahedral square or six cube faces."""
 
     light: np.ndarray  # (3,)
     t_max: float
@@ -180,12 +181,12 @@ class Table:
 
 
 def bin_centers(bins: int, t_max: float) -> np.ndarray:
-    """Distances t_k = (k + 1/2) t_max / K, shape (K,)."""
+    """Returns distances t_k = (k + 1/2) t_max / K, shape (K,)."""
     return (np.arange(bins) + 0.5) * t_max / bins
 
 
 def tabulate(field: Absorbers, light: np.ndarray, layout: AtlasLayout, size: int, bins: int, t_max: float) -> Table:
-    """The dense table; ``size`` is that of the square, or of each face."""
+    """Computes the dense table; ``size`` is the resolution of the square or of each face."""
     uvs = texel_centers(size)
     if layout is AtlasLayout.OCTAHEDRAL:
         directions = decode_octahedral(uvs)[None]
@@ -196,10 +197,11 @@ def tabulate(field: Absorbers, light: np.ndarray, layout: AtlasLayout, size: int
 
 
 def look_up(table: Table, points: np.ndarray) -> np.ndarray:
-    """Trilinear transmittance at ``points`` (N, 3), shape (N,).
+    """Returns the trilinearly interpolated transmittance at ``points`` (N, 3), shape (N,).
 
-    Half a bin before the first centre, at the light, T is 1; behind the last centre it stays. Octahedral neighbours
-    over an edge of the square are those on the sphere; faces of a cube end at their last texels' centres.
+    Transmittance is 1 at the light, half a bin before the first centre, and constant beyond the last centre. Octahedral
+    neighbours across an edge of the square are neighbours on the sphere; cube faces end at the centres of their last
+    texels.
     """
     offset = np.asarray(points, float) - table.light
     distance = np.linalg.norm(offset, axis=1)
@@ -227,7 +229,7 @@ def look_up(table: Table, points: np.ndarray) -> np.ndarray:
 
 
 def wrapped(column: np.ndarray, row: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Texels of an octahedral square that lie where those up to one outside it would: an edge folds onto itself."""
+    """Returns the texels that continue an octahedral square by one beyond its edges, which fold onto themselves."""
     over = (column < 0) | (column >= size)
     column, row = np.where(over, np.clip(column, 0, size - 1), column), np.where(over, size - 1 - row, row)
     over = (row < 0) | (row >= size)
@@ -238,13 +240,13 @@ def wrapped(column: np.ndarray, row: np.ndarray, size: int) -> tuple[np.ndarray,
 
 
 def footprint_points(receivers: Gaussians, offsets: np.ndarray) -> np.ndarray:
-    """Points of receivers at ``offsets`` (S, 3) or (N, S, 3), in scales along their own axes, shape (N, S, 3)."""
+    """Returns points of receivers at ``offsets`` (S, 3) or (N, S, 3) in scales along their axes, shape (N, S, 3)."""
     axes = rotation_from_quaternion(receivers.rotations_wxyz.astype(float))
     scaled = receivers.scales.astype(float)[:, None, :] * offsets
     return receivers.means.astype(float)[:, None, :] + np.einsum("nij,nsj->nsi", axes, scaled)
 
 
 def stencil_weights() -> np.ndarray:
-    """Gaussian responses at the places of `STENCIL`, of sum 1, shape (7,)."""
+    """Returns Gaussian responses at `STENCIL`, normalised to sum 1, shape (7,)."""
     weights = np.exp(-0.5 * np.sum(STENCIL**2, axis=1))
     return weights / weights.sum()

@@ -1,4 +1,4 @@
-"""Light between diffuse surfaces, in float64."""
+"""Computes radiative transfer between diffuse surfaces in float64."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ Doubles = npt.NDArray[np.float64]
 
 
 def polygon_irradiance(point: npt.ArrayLike, normal: npt.ArrayLike, corners: npt.ArrayLike) -> float:
-    """Irradiance that a polygon of radiance 1 gives, by Lambert's sum (1760): half of ``sum beta_i cos gamma_i``.
+    """Returns the irradiance from a polygon of radiance 1 by Lambert's sum (1760): half of ``sum beta_i cos gamma_i``.
 
     Args:
-        point: Shape (3,).
-        normal: Of the receiver, unit; all of the polygon is on that side.
-        corners: Shape (N, 3); a polygon that is seen counter-clockwise counts as negative.
+        point: Position of the receiver, shape (3,).
+        normal: Unit normal of the receiver; the whole polygon is on this side.
+        corners: Corners, shape (N, 3); a polygon that appears counter-clockwise counts as negative.
     """
     to_corners = np.asarray(corners, np.float64) - np.asarray(point, np.float64)
     to_corners /= np.linalg.norm(to_corners, axis=1, keepdims=True)
@@ -26,7 +26,7 @@ def polygon_irradiance(point: npt.ArrayLike, normal: npt.ArrayLike, corners: npt
 
 
 def opposed_squares(side: float) -> float:
-    """Form factor of two squares that face each other at the distance 1 (Hottel 1931)."""
+    """Returns the form factor of two parallel squares that face each other at distance 1 (Hottel 1931)."""
     x2 = 1.0 + side * side
     across = side * np.sqrt(x2) * np.arctan(side / np.sqrt(x2))
     whole = 0.5 * np.log(x2 * x2 / (x2 + side * side)) + 2.0 * across - 2.0 * side * np.arctan(side)
@@ -34,5 +34,5 @@ def opposed_squares(side: float) -> float:
 
 
 def perpendicular_squares() -> float:
-    """Form factor of two squares with a common edge, at a right angle."""
+    """Returns the form factor of two perpendicular squares with a common edge."""
     return float((2.0 * np.arctan(1.0) - np.sqrt(2.0) * np.arctan(np.sqrt(0.5)) + 0.25 * np.log(0.75)) / np.pi)

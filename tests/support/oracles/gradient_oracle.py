@@ -1,7 +1,7 @@
-"""A float64 twin of an unlit raster frame as one number, and its derivatives by central differences.
+"""Evaluates a loss of an unlit raster frame in float64, and its gradients by central differences.
 
-Unlike ``raster_oracle``, it takes parameters as float64, so that small steps are what they are: the method's equations
-once more (Zwicker et al. 2001, Kerbl et al. 2023), for one Gaussian set, without meshes.
+Unlike ``raster_oracle``, parameters are float64, so that small steps are exact. The code repeats the equations (Zwicker
+et al. 2001, Kerbl et al. 2023) for one Gaussian set without meshes.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, JACOBIAN_CLAMP
 from support.oracles.raster_oracle import normalized, rotation_from_quaternion, sh_basis
 
 STEPS = (1e-5, 3e-6)
-"""Two step sizes: where their differences disagree, some pixel lies on a threshold between the two."""
+"""Two step sizes; if their differences disagree, a pixel crosses a threshold between the two."""
 AGREE = 1e-4
-"""Relative to the mean magnitude of a parameter's derivatives."""
+"""Largest disagreement, relative to the mean magnitude of a parameter's gradients."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class Parameters:
     background: np.ndarray
     camera_from_world: np.ndarray
     features: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    """Any numbers of the Gaussians, (N, C)."""
+    """Additional features of the Gaussians, (N, C)."""
 
     @classmethod
     def of(cls, gaussians: ls.Gaussians, background: tuple[float, float, float], camera: ls.Camera) -> Parameters:
-        """Those of a set, exactly as float32 has them."""
+        """Returns the parameters of a set, exactly as stored in float32."""
         names = ("means", "rotations_wxyz", "scales", "opacities", "sh")
         values = {name: np.array(getattr(gaussians, name), np.float64) for name in names}
         pose = np.array(camera.camera_from_world, np.float64)
@@ -46,9 +46,9 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Loss:
-    """``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame: a number whose derivatives by pixels are known.
+    """Loss ``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame, whose gradients by pixels are given.
 
-    With ``by_features``, also those times sums of features: view depth, normal, and ``Parameters.features``.
+    ``by_features`` adds weighted sums of features: view depth, normal, and ``Parameters.features``.
     """
 
     camera: ls.Camera
@@ -60,14 +60,14 @@ class Loss:
     by_features: np.ndarray | None = None
 
     def __call__(self, p: Parameters) -> float:
-        """The number."""
+        """Returns the loss."""
         shown, transmittance = self.sums(p)
         total = (self.by_color * (shown[..., :3] + transmittance[..., None] * p.background)).sum()
         total += (self.by_alpha * (1.0 - transmittance)).sum()
         return float(total if self.by_features is None else total + (self.by_features * shown[..., 3:]).sum())
 
     def sums(self, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted sums of colours and features, (H, W, 3 + C), and transmittance, (H, W)."""
+        """Returns weighted sums of colours and features, (H, W, 3 + C), and transmittance, (H, W)."""
         camera = self.camera
         view = p.means @ p.camera_from_world[:3, :3].T + p.camera_from_world[:3, 3]
         slopes = view[:, :2] / view[:, 2:]
@@ -99,7 +99,7 @@ class Loss:
     def _covariance(
         self, p: Parameters, view: np.ndarray, slopes: np.ndarray, focal: np.ndarray, center: np.ndarray
     ) -> np.ndarray:
-        """Of splats before they are dilated, pixels^2, (N, 2, 2)."""
+        """Returns covariances of splats before dilation, pixels^2, (N, 2, 2)."""
         size = np.array([self.camera.width, self.camera.height])
         margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
         clamped = np.clip(slopes, -center / focal - margin, (size - center) / focal + margin)
@@ -118,7 +118,7 @@ class Loss:
 
 
 def surfaces(p: Parameters) -> np.ndarray:
-    """View depth, and the shortest axis towards the eye in world space, (N, 4)."""
+    """Returns view depth, and the shortest axis towards the eye in world space, (N, 4)."""
     turn, offset = p.camera_from_world[:3, :3], p.camera_from_world[:3, 3]
     axes = rotation_from_quaternion(normalized(p.rotations_wxyz))
     normal = axes[np.arange(len(axes)), :, p.scales.argmin(axis=1)]
@@ -127,7 +127,7 @@ def surfaces(p: Parameters) -> np.ndarray:
 
 
 def differences(function: Callable[[Parameters], float], p: Parameters, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Central differences by one of the parameters, and where both step sizes agree."""
+    """Returns central differences with respect to one parameter, and a mask where both step sizes agree."""
     base = getattr(p, name)
     found = np.zeros((len(STEPS), *base.shape))
     for number, step in enumerate(STEPS):

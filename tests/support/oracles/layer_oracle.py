@@ -1,4 +1,4 @@
-"""The float64 twin of layers: which Gaussians near a surface block its light (docs/method/shadows.md#layers)."""
+"""Decides in float64 which Gaussians near a surface block its light (docs/method/shadows.md#layers)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from lumisplat.scene.gaussians import Gaussians
 def other_layers(
     gaussians: Gaussians, points: np.ndarray, normals: np.ndarray, directions: np.ndarray, near: np.ndarray
 ) -> np.ndarray:
-    """Whether each of N Gaussians is of another layer than the surface that a ray leaves, shape (N,).
+    """Returns True for each of N Gaussians that is in another layer than the surface that its ray leaves, shape (N,).
 
     Args:
-        gaussians: Those that the rays meet, one each.
-        points: Where the rays start, (N, 3).
-        normals: Of the layers that they leave, unit, (N, 3).
-        directions: Directions of the rays, unit, (N, 3).
-        near: Distances within which Gaussians of these layers do not count, (N,).
+        gaussians: One Gaussian hit by each ray.
+        points: Ray origins, (N, 3).
+        normals: Unit normals of the surfaces that the rays leave, (N, 3).
+        directions: Unit directions of the rays, (N, 3).
+        near: Distance within which Gaussians of the same layer are ignored, (N,).
     """
     scales = np.sort(gaussians.scales.astype(float), axis=1)
     axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(float))

@@ -1,4 +1,4 @@
-"""The filter of light of frames in real time, in float64, image by image (docs/method/realtime.md#filters)."""
+"""Filters the light of real-time frames in float64, image by image (docs/method/realtime.md#filters)."""
 
 from __future__ import annotations
 
@@ -29,39 +29,39 @@ Whole = npt.NDArray[np.int64]
 
 @dataclass(slots=True)
 class Light:
-    """Means of each pixel: diffuse and glossy light, shape (pixels, 2, 3)."""
+    """Running means of diffuse and glossy light at each pixel."""
 
     frames: Doubles
-    """In the means, shape (pixels,)."""
+    """Number of frames in the means, shape (pixels,)."""
     light: Doubles
     moments: Doubles
-    """Of luminances: mean and mean of squares, shape (pixels, 2, 2)."""
+    """Means of luminance and of its square, shape (pixels, 2, 2)."""
 
 
 def luminance(light: Doubles) -> Doubles:
-    """Of linear colours, shape (..., 3)."""
+    """Returns the luminance of linear colours of shape (..., 3)."""
     return np.asarray(light) @ np.array(LUMINANCE)
 
 
 def empty(count: int) -> Light:
-    """Without history."""
+    """Returns means without history."""
     return Light(np.zeros(count), np.zeros((count, 2, 3)), np.zeros((count, 2, 2)))
 
 
 def tolerance(surfaces: VisibleSurfaces, distance: Doubles) -> Doubles:
-    """How far points of one surface may be from each other's planes, scene units."""
+    """Returns the largest distance of points of one surface from each other's tangent planes, scene units."""
     return np.maximum(SAME_SURFACE_PX * distance / surfaces.camera.fx, surfaces.extent)
 
 
 def least_cosine(surfaces: VisibleSurfaces) -> Doubles:
-    """Between normals of one surface."""
+    """Returns the smallest cosine between normals of one surface."""
     return np.where(surfaces.extent > 0.0, SAME_NORMAL_SPLATS, SAME_NORMAL_MESH)
 
 
 def is_same(
     surfaces: VisibleSurfaces, points: Doubles, tolerated: Doubles, image: VisibleSurfaces, taps: Whole
 ) -> Mask:
-    """Whether points with the normals that pixels show are on the surfaces that other pixels of an image show."""
+    """Returns True where a pixel's point and normal belong to the same surface as another pixel of an image."""
     normals, offset = image.normal[taps], image.position[taps] - points
     cosine = (surfaces.normal * normals).sum(axis=1)
     across = np.abs([(offset * surfaces.normal).sum(axis=1), (offset * normals).sum(axis=1)]).max(axis=0)
@@ -69,7 +69,7 @@ def is_same(
 
 
 def neighbours(surfaces: VisibleSurfaces, radius: int, step: int = 1) -> Iterator[tuple[int, int, Whole, Mask]]:
-    """Offsets in rows and columns of steps, the pixels there, and whether they are in the image."""
+    """Yields offsets in rows and columns of steps, the pixels there, and whether those pixels are in the image."""
     width, height = surfaces.camera.width, surfaces.camera.height
     y, x = np.divmod(np.arange(width * height), width)
     for row in range(-radius, radius + 1):
@@ -80,10 +80,10 @@ def neighbours(surfaces: VisibleSurfaces, radius: int, step: int = 1) -> Iterato
 
 
 def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Light) -> Light:
-    """The history of the surfaces that pixels show, by bilinear weights of those pixels that showed them.
+    """Reprojects history to the current pixels, bilinearly over the pixels that showed the same surface.
 
-    If none did, of surfaces that stand still the plain mean of those of the 3 x 3 pixels around, unless samples are at
-    the centres of pixels.
+    If there are none and the surface stands still, the plain mean of the matching 3 x 3 pixels counts, unless samples
+    are at pixel centres.
     """
     camera, found = before.camera, empty(len(surfaces.share))
     known = np.where(np.isnan(surfaces.previous), camera.eye, surfaces.previous)
@@ -118,7 +118,7 @@ def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Lig
 
 
 def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
-    """Share of its history that each pixel keeps, by the samples of 5 x 5 pixels; shape (pixels,)."""
+    """Returns the fraction of history that each pixel retains, from the samples of 5 x 5 pixels; shape (pixels,)."""
     found, expected = luminance(samples), luminance(history.light)
     variance = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
     old = sampled & (history.frames >= YOUNG_FRAMES)
@@ -140,7 +140,7 @@ def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles,
 
 
 def shares_inside(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask) -> Doubles:
-    """Share that each pixel keeps when things move, by the darkest and the brightest of 5 x 5 samples; (pixels,)."""
+    """Returns the retained fraction for moving scenes, (pixels,), from the range of the 5 x 5 surrounding samples."""
     found, held = luminance(samples), luminance(history.light)
     low, high = np.full_like(held, np.inf), np.zeros_like(held)
     for _, _, taps, inside in neighbours(surfaces, 2):
@@ -165,7 +165,7 @@ def accumulated(
     shared: int,
     history_weight: float = 1.0,
 ) -> Light:
-    """A history with the samples of one more frame."""
+    """Adds the samples of one more frame to a history."""
     sampled = sampled & (surfaces.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
     retained = retained_shares(surfaces, history, samples, sampled, shared)
@@ -185,7 +185,7 @@ def accumulated(
 
 
 def variances(surfaces: VisibleSurfaces, history: Light) -> Doubles:
-    """Of the mean over frames of each pixel, shape (pixels, 2); 0 where there is no history."""
+    """Returns the variance of each pixel's mean over frames, shape (pixels, 2); 0 without history."""
     young = history.frames < YOUNG_FRAMES
     each = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
     moments, variance, count = np.zeros_like(history.moments), np.zeros_like(each), np.zeros(len(each))
@@ -203,14 +203,14 @@ def variances(surfaces: VisibleSurfaces, history: Light) -> Doubles:
 
 
 def falloff(x: Doubles | float) -> Doubles:
-    """About exp(-x^2 / 3), but 0 from 3 on."""
+    """Approximates exp(-x^2 / 3) by a function that is 0 from 3 on."""
     return np.maximum(1.0 - np.square(x) / 9.0, 0.0) ** 3
 
 
 def smoothed(
     surfaces: VisibleSurfaces, frames: Doubles, light: Doubles, variance: Doubles, radius: int, step: int
 ) -> tuple[Doubles, Doubles]:
-    """One pass: light and variances as means over neighbours some steps apart."""
+    """Runs one spatial pass: weighted means of light and variance over neighbours ``step`` pixels apart."""
     own = np.repeat((frames > 0.0)[:, None] * 1.0, 2, axis=1)
     bright = luminance(light)
     shown = surfaces.share > 0.0
@@ -240,13 +240,13 @@ def smoothed(
 
 
 class Filter:
-    """The whole filter, frame after frame.
+    """Runs the whole filter frame by frame.
 
     Args:
-        frames: Like the others of `FilterConfig`.
-        passes: Of each frame.
-        radius: Of each pass.
-        shared: Pixels that share a sample.
+        frames: History length, as in `FilterConfig`.
+        passes: Number of spatial passes per frame.
+        radius: Radius of each pass in steps.
+        shared: Number of pixels that share a sample.
     """
 
     def __init__(self, frames: int = 32, passes: int = 4, radius: int = 1, shared: int = 1) -> None:
@@ -257,7 +257,7 @@ class Filter:
     def render(
         self, surfaces: VisibleSurfaces, diffuse: Doubles, glossy: Doubles, sampled: Mask, history_weight: float = 1.0
     ) -> Doubles:
-        """The filtered light of the next frame, shape (pixels, 2, 3), of its samples."""
+        """Returns the filtered light of the next frame, shape (pixels, 2, 3), from its samples."""
         history = empty(len(sampled))
         if self._before is not None:
             history = reprojected(surfaces, self._before, self.history)

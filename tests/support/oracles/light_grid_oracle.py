@@ -1,7 +1,8 @@
-"""The float64 twin of the light grid: which of many lights a cell keeps, and how probable that was.
+"""Chooses the lights of a light grid's cells in float64, with their probabilities.
 
-Efraimidis and Spirakis 2006: the k smallest of exponential draws over weights. Given the next one, tau, each light is
-among them with the probability 1 - exp(-w tau), independently (Cohen and Kaplan 2007): the sum of f / p is that of f.
+A cell keeps the lights of the k smallest exponential draws divided by weights (Efraimidis and Spirakis 2006). Given the
+next value tau, each light is kept independently with probability 1 - exp(-w tau) (Cohen and Kaplan 2007), so the sum of
+f / p over kept lights estimates the sum of f.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 def exponential_draws(key: int, seed: int, frame: int, count: int) -> Array:
-    """Of each light in a cell, in a frame."""
+    """Returns the exponential draw of each light in a cell and frame."""
     word = mix(np.uint32(0x63616368) + mix(np.uint32(key & 0xFFFFFFFF)))
     for counter in (key >> 32, seed, frame):
         word = absorbed(word, counter)
@@ -25,7 +26,7 @@ def exponential_draws(key: int, seed: int, frame: int, count: int) -> Array:
 
 
 def chosen_lights(draws: Array, weights: Array, count: int) -> tuple[npt.NDArray[np.intp], Array]:
-    """Numbers of the lights that a cell keeps, ascending, and the probability of each."""
+    """Returns the indices of the lights that a cell keeps, ascending, and their probabilities."""
     reached = np.flatnonzero(weights > 0.0)
     if len(reached) <= count:
         return reached, np.ones(len(reached))
@@ -36,6 +37,6 @@ def chosen_lights(draws: Array, weights: Array, count: int) -> tuple[npt.NDArray
 
 
 def point_weights(positions: Array, powers: Array, center: Array, half: float) -> Array:
-    """Weights of points without range: their distance counts as half the cell's diagonal at least."""
+    """Returns weights of point lights without range; distances below half the cell's diagonal count as that."""
     distance2 = ((positions - center) ** 2).sum(axis=1)
     return powers @ LUMINANCE / np.maximum(distance2, half**2)

@@ -1,4 +1,4 @@
-"""Lights as geometry has them, in float64: spheres, discs in the sky, parallelograms, and images around the world."""
+"""Evaluates lights from their geometry in float64: points, spheres, cones, polygons and environment maps."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def window(distance: npt.ArrayLike, reach: float) -> Array:
-    """KHR_lights_punctual's fade towards the end of a light's range."""
+    """Returns the fade-out of KHR_lights_punctual towards the end of a light's range."""
     return np.clip(1.0 - (np.asarray(distance) / reach) ** 4, 0.0, 1.0)
 
 
 def cone(angle: npt.ArrayLike, inner: float, outer: float) -> Array:
-    """A spot's share of its intensity, by the angle from its axis, radians; glTF's, squared."""
+    """Returns the attenuation of a spot light by the angle from its axis in radians: glTF's factor, squared."""
     share = (np.cos(angle) - np.cos(outer)) / (np.cos(inner) - np.cos(outer))
     return np.clip(share, 0.0, 1.0) ** 2
 
 
 def cap(half_angle: npt.ArrayLike) -> Array:
-    """Solid angle of a cone."""
+    """Returns the solid angle of a cone."""
     return 4.0 * np.pi * np.sin(0.5 * np.asarray(half_angle)) ** 2
 
 
 def first_hit(origin: Array, direction: Array, center: Array, radius: float) -> Array:
-    """Distance along rays, shape (N, 3), to a sphere; nan: they miss it."""
+    """Returns distances along rays, shape (N, 3), to a sphere; NaN where they miss."""
     to_center = center - origin
     along = direction @ to_center
     across2 = np.sum((to_center - along[:, None] * direction) ** 2, axis=1)
@@ -39,10 +39,10 @@ def first_hit(origin: Array, direction: Array, center: Array, radius: float) -> 
 
 
 def polygon_irradiance(corners: Array, point: Array, normal: Array) -> float:
-    """Over the radiance of a polygon that shines evenly, all above the receiver's horizon (Lambert 1760).
+    """Returns irradiance over radiance for a uniform polygon above the receiver's horizon (Lambert 1760).
 
-    Half the sum over the edges of the angle that each is seen under, times the cosine between the receiver's normal and
-    the edge's plane through the point.
+    The result is half the sum over edges of the angle each subtends, times the cosine between the receiver's normal and
+    the normal of the plane through the edge and the point.
     """
     total = 0.0
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -57,7 +57,7 @@ def polygon_irradiance(corners: Array, point: Array, normal: Array) -> float:
 
 
 def quaternion_rotated(wxyz: npt.ArrayLike, vectors: Array) -> Array:
-    """Vectors, shape (N, 3), turned by a unit quaternion: q v q*, by Hamilton's product."""
+    """Rotates vectors, shape (N, 3), by a unit quaternion with Hamilton's product q v q*."""
     w, *axis = np.asarray(wxyz, dtype=np.float64)
     q = np.array(axis)
 
@@ -71,7 +71,7 @@ def quaternion_rotated(wxyz: npt.ArrayLike, vectors: Array) -> Array:
 
 
 def image_coordinates(wxyz: npt.ArrayLike, directions: Array) -> tuple[Array, Array]:
-    """Where directions of the world are in the image, u and v, 0..1; ``wxyz`` is world from environment."""
+    """Returns the image coordinates u and v, 0..1, of world directions; ``wxyz`` is world_from_environment."""
     w, x, y, z = np.asarray(wxyz, dtype=np.float64)
     local = quaternion_rotated((w, -x, -y, -z), directions)
     u = 0.5 + np.arctan2(local[:, 0], -local[:, 2]) / (2.0 * np.pi)
@@ -79,14 +79,14 @@ def image_coordinates(wxyz: npt.ArrayLike, directions: Array) -> tuple[Array, Ar
 
 
 def direction_at(wxyz: npt.ArrayLike, u: npt.ArrayLike, v: npt.ArrayLike) -> Array:
-    """Directions of the world that the image shows at (u, v)."""
+    """Returns the world directions of image coordinates (u, v)."""
     turn, theta = 2.0 * np.pi * (np.asarray(u) - 0.5), np.pi * np.asarray(v)
     local = np.stack([np.sin(theta) * np.sin(turn), np.cos(theta), -np.sin(theta) * np.cos(turn)], axis=-1)
     return quaternion_rotated(wxyz, local.reshape(-1, 3)).reshape(local.shape)
 
 
 def lookup(image: npt.NDArray[np.floating], u: Array, v: Array) -> Array:
-    """Bilinear, the left edge joined to the right one, the poles' rows continued."""
+    """Interpolates an image bilinearly; u wraps around, and the rows at the poles extend beyond them."""
     height, width = image.shape[:2]
     around = np.concatenate([image[:, -1:], image, image[:, :1]], axis=1).astype(np.float64)
     around = np.concatenate([around[:1], around, around[-1:]], axis=0)
@@ -99,9 +99,10 @@ def lookup(image: npt.NDArray[np.floating], u: Array, v: Array) -> Array:
 
 
 def cell_pdf(image: npt.NDArray[np.floating], fine: int = 64) -> Array:
-    """Density of directions per steradian, shape (H, W): luminance's mean over each texel's cell, by brute force.
+    """Returns the pdf of directions per steradian, shape (H, W), from the mean luminance of each texel's cell.
 
-    Rows count by their mean over the image, not over the sphere, times the solid angle of the row.
+    The means are evaluated by brute force, over the image and not over the sphere; each row is weighted by its solid
+    angle.
     """
     height, width = image.shape[:2]
     u, v = (np.arange(width * fine) + 0.5) / (width * fine), (np.arange(height * fine) + 0.5) / (height * fine)
@@ -113,6 +114,6 @@ def cell_pdf(image: npt.NDArray[np.floating], fine: int = 64) -> Array:
 
 
 def cell_sizes(height: int, width: int) -> Array:
-    """Solid angles of the texels' cells, shape (H, W)."""
+    """Returns the solid angles of the texels' cells, shape (H, W)."""
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
     return np.broadcast_to(((edges[:-1] - edges[1:]) * 2.0 * np.pi / width)[:, None], (height, width))

@@ -1,4 +1,4 @@
-"""What Gaussians show that reflect light each by itself, float64 (docs/method/relightable.md#shading)."""
+"""Shades Gaussians one by one under incident light in float64 (docs/method/relightable.md#shading)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Lit:
-    """N Gaussians, and light from K directions."""
+    """N Gaussians with incident light from K directions.
+
+    ``open`` is the visibility of the environment, ``seen`` the indirect light of other Gaussians.
+    """
 
     means: Array
     normals: Array
@@ -27,12 +30,12 @@ class Lit:
 
 
 def radiance(lit: Lit, eye: Array) -> Array:
-    """What an eye sees of each, linear, shape (N, 3)."""
+    """Returns the linear radiance of each Gaussian towards an eye, shape (N, 3)."""
     return np.array([_of_one(lit, i, lit_view(lit.normals[i], eye - lit.means[i])) for i in range(len(lit.means))])
 
 
 def lit_view(normal: Array, to_eye: Array) -> Array:
-    """The direction of a view; from below the surface, that which a mirror there would have."""
+    """Returns the unit direction to the eye, mirrored to the upper side if the eye is below the surface."""
     view = to_eye / np.linalg.norm(to_eye)
     return view if view @ normal >= 0.0 else view - 2.0 * (view @ normal) * normal
 

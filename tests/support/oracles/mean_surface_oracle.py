@@ -1,7 +1,7 @@
-"""A float64 NumPy twin of the weighted-mean surface of the Gaussians in each pixel.
+"""Computes the weighted mean surface of Gaussians in each pixel in float64 NumPy.
 
-Depths are those of a normal distribution: given a point's image, its mean view depth in a Gaussian is linear in the
-pixel, with the slope that regression has.
+Within a Gaussian, the mean view depth of points that project to a pixel is linear in the pixel, with the slope of a
+linear regression.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Window = tuple[slice, slice]
 
 @dataclass
 class MeanSurface:
-    """What some sets show in each pixel."""
+    """Mean surface of some Gaussian sets."""
 
-    share: Doubles  # (H, W), 0 where they are not
-    depth_z: Doubles  # (H, W), undefined there
-    values: Doubles  # (H, W, C), means of the values that the Gaussians have
+    share: Doubles  # (H, W), coverage of the sets
+    depth_z: Doubles  # (H, W), undefined where ``share`` is 0
+    values: Doubles  # (H, W, C), means of the Gaussians' values
 
 
 def mean_surface(
@@ -40,15 +40,15 @@ def mean_surface(
     *,
     linear: bool = True,
 ) -> MeanSurface:
-    """The surface of the splat instances ``counted``, behind and before all others and before meshes.
+    """Returns the mean surface of the splat instances ``counted``, occluded by other instances and meshes.
 
     Args:
-        scene: What is there.
-        camera: From where.
-        config: Of the rasteriser.
-        counted: Numbers of instances.
-        values: For each instance the values of its Gaussians, shape (N, C); none: no values.
-        linear: Whether depths are linear in the image; else all of a splat is as deep as the mean of its Gaussian.
+        scene: The scene.
+        camera: The camera.
+        config: Settings of the rasteriser.
+        counted: Indices of instances.
+        values: Values of each instance's Gaussians, shape (N, C); empty for none.
+        linear: True for depths that are linear in the image; False for the depth of the mean over the whole splat.
     """
     splats = raster.project(scene, camera, config)
     slopes = depth_slopes(splats, camera) * linear
@@ -67,7 +67,7 @@ def mean_surface(
 
 
 def depth_slopes(splats: raster.Splats, camera: Camera) -> Doubles:
-    """View depth per pixel, to the right and down, shape (N, 2): its covariance with the image over the image's own."""
+    """Returns view depth per pixel to the right and down, (N, 2): covariance with the image over the image's own."""
     axes = np.linalg.inv(splats.canonical)
     in_image = raster.jacobian(splats.mean_camera, camera) @ axes
     shared = in_image @ axes[:, 2, :, None]
@@ -75,7 +75,7 @@ def depth_slopes(splats: raster.Splats, camera: Camera) -> Doubles:
 
 
 def offsets(splats: raster.Splats, i: int, window: Window) -> Doubles:
-    """Pixel centres of a window less the projected mean of splat ``i``, shape (h, w, 2)."""
+    """Returns pixel centres of a window minus the projected mean of splat ``i``, shape (h, w, 2)."""
     x = np.arange(window[1].start, window[1].stop) + 0.5 - splats.mean_px[i, 0]
     y = np.arange(window[0].start, window[0].stop) + 0.5 - splats.mean_px[i, 1]
     return np.stack(np.meshgrid(x, y), axis=-1)
@@ -84,7 +84,7 @@ def offsets(splats: raster.Splats, i: int, window: Window) -> Doubles:
 def weights(
     splats: raster.Splats, fragments: raster.Fragments, camera: Camera, config: RasterConfig
 ) -> Iterator[tuple[int, Window, Doubles]]:
-    """Each splat, front to back, with its window of pixels and its weight in the blend there."""
+    """Yields each splat, front to back, with its window of pixels and its blend weight there."""
     transmittance = np.ones((camera.height, camera.width))
     done = np.zeros(transmittance.shape, bool)
     for i, z in enumerate(splats.depth_z):

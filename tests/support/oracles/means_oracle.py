@@ -1,4 +1,4 @@
-"""The float64 twin of means over frames of what depends on the means of other frames."""
+"""Weights running means over frames whose samples depend on the means of earlier frames, in float64."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ YOUNG_SHARE = 0.5
 
 
 def mean_weight(count: float, history: float) -> float:
-    """For how many samples a mean of ``count`` counts when one more is added: half of them while it is young."""
+    """Returns how many samples a mean of ``count`` counts for when one is added: half while the mean is young."""
     return YOUNG_SHARE * count if count < history else history - 1.0

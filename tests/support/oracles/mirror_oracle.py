@@ -1,7 +1,7 @@
-"""The float64 twin's meshes: the nearest triangle on a ray, and where smooth materials send it on.
+"""Intersects rays with meshes in float64, and continues them at smooth materials, as part of the ray tracing oracle.
 
-Moeller and Trumbore (1997) against every triangle; Fresnel's equations and Snell's law for what does not conduct,
-Schlick (1994) for metals. ``Ray`` also knows how far float32 may have it from where it is here.
+Triangles are intersected by Moeller and Trumbore (1997). Dielectrics use Fresnel's equations and Snell's law, metals
+Schlick (1994). ``Ray`` also carries bounds on its deviation in float32.
 """
 
 from __future__ import annotations
@@ -21,62 +21,62 @@ ROUNDING = 2.0**-22
 
 @dataclass(frozen=True)
 class Ray:
-    """One ray, world space."""
+    """A ray in world space."""
 
     origin: np.ndarray  # (3,)
     direction: np.ndarray  # (3,), unit
-    t_min: float = 0.0  # What is hit no farther than this does not count.
+    t_min: float = 0.0  # Hits at this distance or closer are ignored.
     path_length: float = 0.0  # Length of the path before the origin.
-    spread: float = 0.0  # Width of its pixel over the length of the path.
-    left: int = -1  # The triangle that it starts on, and does not meet again.
-    blur: float = 0.0  # How far float32 may have the origin from here,
-    turn: float = ROUNDING  # and by how many radians the direction.
+    spread: float = 0.0  # Width of the pixel over the length of the path.
+    left: int = -1  # Triangle at the origin, which the ray cannot hit.
+    blur: float = 0.0  # Largest error of the origin in float32.
+    turn: float = ROUNDING  # Largest error of the direction in float32, radians.
 
     @property
     def eye(self) -> np.ndarray:
-        """Where the path would have started had it been straight, shape (3,)."""
+        """Start of the path if it had been straight, shape (3,)."""
         return self.origin - self.path_length * self.direction
 
     def at(self, t: float) -> np.ndarray:
-        """The point at distance ``t``, shape (3,)."""
+        """Returns the point at distance ``t``, shape (3,)."""
         return self.origin + t * self.direction
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """All triangles of a scene, world space."""
+    """All triangles of a scene in world space."""
 
     instances: tuple[MeshInstance, ...]
     corners: np.ndarray  # (F, 3, 3)
-    outward: np.ndarray  # (F, 3), unit, out of the side that the material's outside is on
+    outward: np.ndarray  # (F, 3), unit, towards the material's outside
     instance: np.ndarray  # (F,), among the mesh instances
     face: np.ndarray  # (F, 3), vertices of its mesh
     doubled_area: np.ndarray  # (F,)
-    longest: np.ndarray  # (F,), of the sides
+    longest: np.ndarray  # (F,), length of the longest side
     size: np.ndarray  # (F,), largest coordinate
 
 
 @dataclass(frozen=True)
 class MeshHit:
-    """The nearest triangle on a ray."""
+    """Closest triangle on a ray."""
 
     t: float
     triangle: int  # -1: none
     weights: np.ndarray  # (3,), barycentric
-    error: float  # How far float32 may have t from here.
-    doubtful: bool  # Whether float32 may find another triangle.
+    error: float  # Largest error of t in float32.
+    doubtful: bool  # True if float32 may find another triangle.
 
 
 @dataclass(frozen=True)
 class Branch:
-    """A ray that goes on from a smooth surface."""
+    """A ray that continues from a smooth surface."""
 
-    weight: np.ndarray  # (3,), of what it sees, display-referred
+    weight: np.ndarray  # (3,), weight of the ray's colour, display-referred
     ray: Ray
 
 
 def triangles_of(scene: Scene) -> Triangles:
-    """World-space triangles of all mesh instances; one that mirrors keeps its outside outside."""
+    """Returns the world-space triangles of all mesh instances; mirroring transforms keep the outside outside."""
     corners, outward, number, face = [np.zeros((0, 3, 3))], [np.zeros((0, 3))], [], [np.zeros((0, 3), int)]
     for i, instance in enumerate(scene.meshes):
         linear = instance.transform[:3, :3]
@@ -101,7 +101,7 @@ def triangles_of(scene: Scene) -> Triangles:
 
 
 def nearest(triangles: Triangles, ray: Ray) -> MeshHit:
-    """The nearest triangle beyond ``t_min``, from either side."""
+    """Returns the closest triangle beyond ``t_min``, hit from either side."""
     if not len(triangles.face):
         return MeshHit(np.inf, -1, np.zeros(3), 0.0, False)
     a, b, c = triangles.corners.swapaxes(0, 1)
@@ -132,16 +132,16 @@ def nearest(triangles: Triangles, ray: Ray) -> MeshHit:
 
 @dataclass(frozen=True)
 class Facet:
-    """The surface where a ray meets it."""
+    """Surface at a mesh hit."""
 
     instance: int  # Among the mesh instances.
     material: MaterialPbr
     base: np.ndarray  # (3,), linear base colour
     normal: np.ndarray  # (3,), unit, shading, towards the viewer
     side: np.ndarray  # (3,), unit, of the triangle itself, towards the viewer
-    inside: bool  # Whether the ray comes from within.
-    curvature: float  # Radians per length by which the normal turns at most.
-    doubtful: bool  # Whether float32 may see the other side.
+    inside: bool  # True if the ray comes from inside the body.
+    curvature: float  # Largest change of the normal, radians per length.
+    doubtful: bool  # True if float32 may hit the other side.
 
     @property
     def color(self) -> np.ndarray:
@@ -150,7 +150,7 @@ class Facet:
 
 
 def facet(triangles: Triangles, ray: Ray, hit: MeshHit) -> Facet:
-    """The surface at a hit."""
+    """Returns the surface at a hit."""
     number, face = int(triangles.instance[hit.triangle]), triangles.face[hit.triangle]
     instance, corners = triangles.instances[number], triangles.corners[hit.triangle]
     mesh = instance.mesh
@@ -180,9 +180,9 @@ def facet(triangles: Triangles, ray: Ray, hit: MeshHit) -> Facet:
 
 
 def fresnel(cosine: float, relative_ior: float) -> tuple[float, float]:
-    """Reflectance of unpolarised light, and the cosine beyond; 1 and 0 where all of it is reflected.
+    """Returns reflectance of unpolarised light and the cosine beyond the surface; (1, 0) at total internal reflection.
 
-    ``relative_ior`` is that of the side the ray comes from, over that of the side it meets.
+    ``relative_ior`` is the index on the ray's side over the index on the other side.
     """
     sine2 = relative_ior**2 * (1.0 - cosine**2)
     if sine2 >= 1.0:
@@ -194,25 +194,25 @@ def fresnel(cosine: float, relative_ior: float) -> tuple[float, float]:
 
 
 def schlick(base: np.ndarray, cosine: float) -> np.ndarray:
-    """Reflectance of a metal whose ``base`` colour is the one seen head on, linear, shape (3,)."""
+    """Returns the reflectance of a metal with linear reflectance ``base`` at normal incidence, shape (3,)."""
     return base + (1.0 - base) * (1.0 - cosine) ** 5
 
 
 def reflected(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """The direction, mirrored."""
+    """Mirrors a direction at a normal."""
     return normalized(direction - 2.0 * (direction @ normal) * normal)
 
 
 def refracted(direction: np.ndarray, normal: np.ndarray, relative_ior: float, beyond: float) -> np.ndarray:
-    """The direction past the surface by Snell's law; ``beyond`` is the cosine there."""
+    """Refracts a direction by Snell's law; ``beyond`` is the cosine on the other side."""
     along = direction - (direction @ normal) * normal
     return normalized(relative_ior * along - beyond * normal)
 
 
 def mirror_normal(surface: Facet, direction: np.ndarray, relative_ior: float) -> tuple[np.ndarray, bool]:
-    """The normal that sends rays on: the shading normal, unless it does not send them to the side that they belong on.
+    """Returns the shading normal, or the triangle's normal if the shading normal sends a ray to the wrong side.
 
-    Also whether float32 may decide otherwise.
+    Also returns whether float32 may decide otherwise.
     """
     normal = surface.normal if surface.normal @ surface.side >= 0.0 else -surface.normal
     cosine = -float(direction @ normal)
@@ -225,9 +225,9 @@ def mirror_normal(surface: Facet, direction: np.ndarray, relative_ior: float) ->
 
 
 def branches(surface: Facet, ray: Ray, hit: MeshHit) -> tuple[np.ndarray, list[Branch], bool]:
-    """What a smooth surface shows of itself, display-referred, the rays that go on, and whether that is doubtful.
+    """Returns a smooth surface's own colour (display-referred), its branches, and whether rounding may change them.
 
-    What transmits nothing has no inside: both its sides face air.
+    Materials without transmission have no inside: both sides face air.
     """
     material = surface.material
     relative_ior = material.ior if surface.inside and material.transmission > 0.0 else 1.0 / material.ior
@@ -239,7 +239,7 @@ def branches(surface: Facet, ray: Ray, hit: MeshHit) -> tuple[np.ndarray, list[B
     passing = (1.0 - material.metallic) * (1.0 - reflectance) * surface.color
     mirrored = material.metallic * encode_srgb(schlick(surface.base, cosine)) + (1.0 - material.metallic) * reflectance
 
-    # Rays go on from a little off the surface.
+    # Branches start slightly off the surface.
     blur = hit.error + ray.blur + ray.turn * hit.t + 16.0 * ROUNDING * np.abs(ray.at(hit.t)).max()
     turn = ray.turn + ROUNDING + 2.0 * surface.curvature * blur
 

@@ -1,4 +1,4 @@
-"""Palettes in float64, from the definition: each vector is compared with each entry."""
+"""Computes palettes in float64 by comparing each vector with every entry."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 
 def nearest(values: np.ndarray, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest entry to each vector, the first of equal ones, and its squared distance."""
+    """Returns the entry closest to each vector, the first of ties, and the squared distance."""
     squares = ((values[:, None].astype(np.float64) - entries[None].astype(np.float64)) ** 2).sum(axis=2)
     return squares.argmin(axis=1), squares.min(axis=1)
 
 
 def one_level(values: np.ndarray, count: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Entries and labels by k-means that compares each vector with all entries; unused ones move to what is worst."""
+    """Returns entries and labels of brute-force k-means; unused entries move to the vectors with the largest errors."""
     values = values.astype(np.float64)
     entries = values[np.arange(count) * len(values) // count].copy()
     for _ in range(steps):

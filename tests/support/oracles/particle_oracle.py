@@ -1,6 +1,7 @@
-"""The float64 twin's Gaussians: where they respond to a ray, how much, and what they show there.
+"""Evaluates Gaussians on rays in float64, as part of the ray tracing oracle.
 
-Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing; the degrees of the response are those of Hamdi et al. 2024, GES.
+The equations are those of Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing; kernel degrees are those of Hamdi et al.
+2024, GES.
 """
 
 from __future__ import annotations
@@ -18,22 +19,22 @@ from support.oracles.mirror_oracle import ROUNDING, Ray, Triangles, triangles_of
 from support.oracles.raster_oracle import normalized, sh_basis, world_gaussians
 
 BAND = 1e-5
-"""Relative distance from a threshold within which float32 may decide differently, on top of the hits' own errors."""
+"""Relative distance from a threshold, on top of each hit's error, within which float32 may decide differently."""
 
 
 @dataclass(frozen=True)
 class World:
-    """All of a scene in world space, and how it is traced."""
+    """A whole scene in world space, with its trace settings."""
 
     config: RenderConfig
     triangles: Triangles
-    splat_count: int  # Instances of Gaussians; those of meshes are numbered after them.
+    splat_count: int  # Number of splat instances; mesh instances are numbered after them.
     mean: np.ndarray  # (G, 3)
     whiten: np.ndarray  # (G, 3, 3), canonical from world: inverse scales times inverse axes
     opacity: np.ndarray  # (G,)
-    degree: np.ndarray  # (G,), of the kernel
+    degree: np.ndarray  # (G,), degree of the kernel
     threshold: np.ndarray  # (G,), response below which a Gaussian is ignored
-    reach: np.ndarray  # (G,), canonical distance beyond which it is; NaN: it always is
+    reach: np.ndarray  # (G,), canonical distance beyond which it is ignored; NaN if always
     sh: np.ndarray  # (G, K, 3)
     object_from_world: np.ndarray  # (G, 3, 3), rotation
     instance: np.ndarray  # (G,)
@@ -46,13 +47,13 @@ class World:
 
 @dataclass(frozen=True)
 class Hits:
-    """Gaussians on a ray, by (t, index in the scene), those included that only float32 may find."""
+    """Gaussians on a ray, sorted by (t, index in the scene), including those that only float32 may find."""
 
-    t: np.ndarray  # (H,), by which they are ordered
-    t_error: np.ndarray  # (H,), how far float32 may have it from here
-    peak: np.ndarray  # (H,), where the response is largest
+    t: np.ndarray  # (H,), sort key
+    t_error: np.ndarray  # (H,), largest error of t in float32
+    peak: np.ndarray  # (H,), distance of maximum response
     peak_error: np.ndarray  # (H,)
-    surface: np.ndarray  # (H,), where the surface lies if it is this one's
+    surface: np.ndarray  # (H,), distance of the surface if this hit is the surface
     surface_error: np.ndarray  # (H,)
     d2: np.ndarray  # (H,), squared canonical distance
     alpha: np.ndarray  # (H,)
@@ -61,9 +62,9 @@ class Hits:
     normal: np.ndarray  # (H, 3), world, against the ray
     normal_error: np.ndarray  # (H,)
     index: np.ndarray  # (H,), among all Gaussians of the scene
-    counts: np.ndarray  # (H,), whether it is a hit here
-    doubtful: np.ndarray  # (H,), whether float32 may think otherwise
-    canonical: np.ndarray  # (H, 6), the ray in canonical space: equal for Gaussians that are each other's copies
+    counts: np.ndarray  # (H,), True if the Gaussian is a hit in float64
+    doubtful: np.ndarray  # (H,), True if float32 may decide otherwise
+    canonical: np.ndarray  # (H, 6), the ray in canonical space, equal for copies of a Gaussian
 
     def __len__(self) -> int:
         return len(self.t)
@@ -79,21 +80,21 @@ NONE = Hits(
 
 
 def response(distance: np.ndarray, degree: np.ndarray | int) -> np.ndarray:
-    """Response at a canonical distance; all degrees are exp(-4.5) at 3."""
+    """Returns the response at a canonical distance; all degrees give exp(-4.5) at 3."""
     distance, degree = np.asarray(distance, float), np.asarray(degree)
     linear = np.maximum(1.0 - KERNEL_LINEAR_SLOPE * distance, 0.0)
     return np.where(degree == 0, linear, np.exp(-4.5 / 3.0**degree * distance**degree))
 
 
 def response_threshold(opacity: np.ndarray, config: ResponseConfig) -> np.ndarray:
-    """Response below which Gaussians are ignored, (N,); above one for those that never count."""
+    """Returns the response below which Gaussians are ignored, (N,); above one for those that are always ignored."""
     inverse = np.divide(1.0, opacity, out=np.full_like(opacity, np.inf), where=opacity > 0.0)
     least = config.min_response * (inverse if config.adaptive_clamping and config.min_response > 0.0 else 1.0)
     return np.maximum(ALPHA_MIN * inverse, least)
 
 
 def reach_of(threshold: np.ndarray, degree: np.ndarray) -> np.ndarray:
-    """Canonical distance at which the response is ``threshold``; NaN where it never nearly is that large."""
+    """Returns the canonical distance at which the response is ``threshold``; NaN if it never comes close to it."""
     least = np.where(threshold <= 1.0 + BAND, np.minimum(threshold, 1.0), np.nan)
     exponent = np.maximum(degree, 1)
     smooth = (-np.log(least) * 3.0**exponent / 4.5) ** (1.0 / exponent)
@@ -101,7 +102,7 @@ def reach_of(threshold: np.ndarray, degree: np.ndarray) -> np.ndarray:
 
 
 def world_of(scene: Scene, config: RenderConfig | None) -> World:
-    """A scene made ready for rays."""
+    """Prepares a scene for rays."""
     config = config or RenderConfig()
     rows: dict[str, list[np.ndarray]] = {}
     most = (config.trace.sh_degree + 1) ** 2
@@ -144,15 +145,15 @@ def world_of(scene: Scene, config: RenderConfig | None) -> World:
 
 
 def sh_color(world: World, rows: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """Colour of some Gaussians seen from a world ``eye``; directions are taken in the object's frame, (H, 3)."""
+    """Returns the colour of some Gaussians from a world ``eye``, (H, 3); SH directions are in object space."""
     direction = np.einsum("nij,nj->ni", world.object_from_world[rows], normalized(world.mean[rows] - eye))
     return np.maximum(np.einsum("nk,nkc->nc", sh_basis(direction), world.sh[rows]) + 0.5, 0.0)
 
 
 def dilated(world: World, ray: Ray) -> np.ndarray:
-    """Canonical from world, (G, 3, 3), of the Gaussians as a ray finds them: widened by its footprint at their means.
+    """Returns canonical-from-world matrices, (G, 3, 3), widened by the ray's footprint at each mean.
 
-    A pixel's width there, but for those whose ellipsoid begins long before.
+    The footprint is one pixel wide at the mean, and narrower for Gaussians whose ellipsoid begins long before.
     """
     path = np.maximum(ray.path_length + (world.mean - ray.origin) @ ray.direction, 0.0)
     begins = path - FOOTPRINT_REACH * world.widest
@@ -164,7 +165,7 @@ def dilated(world: World, ray: Ray) -> np.ndarray:
 
 
 def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
-    """All Gaussians whose response peaks on the ray beyond ``t_min``, or their ``begin`` if that is nearer, sorted."""
+    """Returns all Gaussians that peak on the ray beyond ``t_min`` (or their ``begin`` if that is smaller), sorted."""
     config = world.config.trace
     from_mean = ray.origin - world.mean
     distance = np.sqrt(np.einsum("ni,ni->n", from_mean, from_mean))
@@ -175,7 +176,7 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     peak = -np.einsum("ni,ni->n", origin, direction) / speed2
     closest = origin + peak[:, None] * direction
     d2 = np.einsum("ni,ni->n", closest, closest)
-    # Those that may count even if float32 is ``off`` across the thinnest axis; NaN compares false.
+    # Gaussians that may count if float32 is ``off`` along the thinnest axis; NaN compares false.
     rows = np.flatnonzero(np.sqrt(d2) <= 1.01 * world.reach + off * world.sharpest + 0.01)
     if not len(rows):
         return NONE
@@ -184,7 +185,7 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     opacity, degree = world.opacity[rows], world.degree[rows]
     t_min = np.minimum(ray.t_min, np.broadcast_to(begin, len(world.mean))[rows])
 
-    # What is ``off`` moves the ray in canonical space; first order, and second order for what it hits in the middle.
+    # An offset ``off`` moves the ray in canonical space: first order, and second order near the centre.
     along = np.linalg.norm(np.einsum("nij,ni->nj", whiten, direction), axis=-1)
     slope = np.linalg.norm(np.einsum("nij,ni->nj", whiten, closest), axis=-1)
     spread = np.sqrt(np.maximum((whiten**2).sum(axis=(1, 2)) - along**2 / speed2, 0.0))
@@ -199,7 +200,7 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     possible = (inside2 >= -inside2_error) & (peak >= t_min - peak_error)
     doubtful = possible & ((inside2 <= inside2_error) | (peak <= t_min + peak_error))
 
-    # Half the chord through the ellipsoid beyond which the Gaussian is ignored, in canonical space.
+    # Half the chord through the ellipsoid outside of which the Gaussian is ignored, in canonical space.
     half, most, least = (np.sqrt(np.maximum(inside2 + e, 0.0)) for e in (0.0, inside2_error, -inside2_error))
     speed = np.sqrt(speed2)
     if config.normal_method is NormalMethod.ELLIPSOID:
@@ -208,7 +209,7 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
         moved = sharpest * spread * (off + ray.turn * half / speed) + along / speed * (most - least)
         normal, normal_error = gradient_normal(whiten, entry, moved, ray)
     else:
-        undilated = world.whiten[rows]  # no footprint widens it
+        undilated = world.whiten[rows]  # without the footprint
         moved = np.linalg.norm(undilated.transpose(0, 2, 1) @ undilated, axis=(1, 2)) * off
         normal, normal_error = gradient_normal(
             undilated, np.einsum("nij,nj->ni", undilated, ray.eye - world.mean[rows]), moved, ray
@@ -218,7 +219,7 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     if config.hit_distance is HitDistance.HULL:
         t, t_error = peak - half / speed, peak_error + (most - least) / speed
         surface, surface_error = t, t_error
-    if config.hit_distance in (None, HitDistance.MEAN):  # nothing is relit here
+    if config.hit_distance in (None, HitDistance.MEAN):  # None means MEAN, since nothing is relit
         t, t_error = -from_mean[rows] @ ray.direction, off
     found = Hits(
         t=t,
@@ -243,9 +244,9 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
 
 
 def surfaces(world: World, ray: Ray, rows: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where some Gaussians, which no footprint widens, respond most on a ray, (H,), and its error, (H,).
+    """Returns the distance of maximum response of undilated Gaussians on a ray, (H,), and its error, (H,).
 
-    Not before the ray begins, and no farther from where their means project onto it than three of their scales.
+    The distance is clamped to the ray's start, and to three scales around the projection of the mean onto the ray.
     """
     whiten = world.whiten[rows]
     from_mean = ray.origin - world.mean[rows]
@@ -263,10 +264,10 @@ def surfaces(world: World, ray: Ray, rows: np.ndarray, off: np.ndarray) -> tuple
 def gradient_normal(
     whiten: np.ndarray, point: np.ndarray, moved: np.ndarray, ray: Ray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Unit world gradients of the squared canonical distance at canonical points, (H, 3), and their error, (H,).
+    """Returns unit world gradients of squared canonical distance at canonical points, (H, 3), and their error, (H,).
 
-    ``moved`` is how far float32 may have the gradient. From the eye, and from where the ray enters, it is always
-    against the ray, if the peak lies ahead.
+    ``moved`` bounds the error of the gradient in float32. At the eye and at the entry point, the gradient always
+    opposes the ray if the peak lies ahead.
     """
     gradient = np.einsum("nij,ni->nj", whiten, point)
     normal = normalized(gradient)
@@ -275,5 +276,5 @@ def gradient_normal(
 
 
 def picked(found: Hits, rows: np.ndarray | slice) -> Hits:
-    """Some of the hits."""
+    """Returns the selected hits."""
     return Hits(**{name: values[rows] for name, values in vars(found).items()})

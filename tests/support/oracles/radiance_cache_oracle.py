@@ -1,6 +1,6 @@
-"""The float64 twin of the radiance cache: cells in dictionaries, sample after sample, as the method's page says.
+"""Models the radiance cache in float64, with cells in dictionaries and one sample at a time.
 
-What decides where a sample goes is rounded to float32, as kernels do it; the rest is float64.
+Values that choose a sample's cell are rounded to float32 as in the kernels; the rest is float64.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TILE = 8
 
 
 class Cell(NamedTuple):
-    """A square of a face, one cell thick."""
+    """A square cell on one side of a surface, one cell thick."""
 
     level: int
     is_near: bool
@@ -42,7 +42,7 @@ class Mean:
 
 @dataclass
 class Samples:
-    """What N rays have hit, see ``CacheSamples``; all are active."""
+    """Hits of N active rays, with fields as in ``CacheSamples``."""
 
     position: np.ndarray
     normal: np.ndarray
@@ -58,7 +58,7 @@ class Samples:
 
 @dataclass
 class RadianceCacheOracle:
-    """The twin. Nothing is evicted."""
+    """A radiance cache that evicts nothing."""
 
     cell_size: float
     history: int
@@ -84,7 +84,11 @@ class RadianceCacheOracle:
             mean.value = total / mean.weight
 
     def add_bounces(self, rays: Mapping[Cell, Sequence[int]], hits: Samples) -> None:
-        """Adds what the rays of a frame see, by numbers of hits for each cell: four times, so that hits know of it."""
+        """Adds the radiance at a frame's hits to the cells that sent the rays.
+
+        ``rays`` holds the indices of each cell's hits. The step repeats four times, so that hits see each other's
+        light.
+        """
         before = {cell: copy(self.indirect.get(cell, Mean(np.zeros(3)))) for cell in rays}
         for _ in range(4):
             radiance_found = self.look_up(hits)
@@ -96,21 +100,21 @@ class RadianceCacheOracle:
                 self.indirect[cell] = Mean((mean.value * weight + total) / (weight + count), weight_after)
 
     def outdate(self, share: float) -> None:
-        """What is known counts for a share of what it did beside what comes."""
+        """Scales the weights of all means by ``share``."""
         for mean in (*self.direct.values(), *self.indirect.values()):
             mean.weight *= share
             mean.frames = min(mean.frames, max(int(share * mean.frames), 1))
 
     def look_up(self, samples: Samples) -> np.ndarray:
-        """Radiance of each sample's surface."""
+        """Returns the radiance of each sample's surface."""
         return np.array([self.radiance(samples, i) for i in range(len(samples))])
 
     def look_up_indirect(self, samples: Samples) -> np.ndarray:
-        """What each sample's surface reflects of light from other surfaces, by the cells of long rays."""
+        """Returns the reflected indirect light of each sample's surface, from cells of long rays."""
         return np.array([reflected(samples, i, self.far_indirect(samples, i)) for i in range(len(samples))])
 
     def radiance(self, samples: Samples, i: int) -> np.ndarray:
-        """Direct and indirect radiance of one sample's surface."""
+        """Returns the direct and indirect radiance of one sample's surface."""
         cell = self.cell_of(samples, i)
         indirect = self.far_indirect(samples, i)
         if cell.is_near:
@@ -120,16 +124,19 @@ class RadianceCacheOracle:
         return (samples.radiance[i] if direct is None else direct) + reflected(samples, i, indirect)
 
     def far_indirect(self, samples: Samples, i: int) -> np.ndarray | None:
-        """Irradiance over pi of one sample's surface, of light from other ones, in cells of long rays."""
+        """Returns the indirect irradiance over pi at one sample, from cells of long rays; None if unknown."""
         return self.best(self.indirect, self.far_cells(samples, i), self.samples_min)
 
     def far_cells(self, samples: Samples, i: int) -> list[Cell]:
-        """The cell of long rays at a sample, and those of the next coarser and the next finer level."""
+        """Returns the cell of long rays at a sample, and those of the next coarser and finer levels."""
         level = self.level_of(samples, i)
         return [cell_at(samples, i, at, is_near=False) for at in (level, level + 1, level - 1)]
 
     def best(self, means: dict[Cell, Mean], cells: list[Cell], weight_min: float) -> np.ndarray | None:
-        """The finest mean of enough samples around the first cell that has one; else that of the most samples."""
+        """Returns the finest mean with enough samples around the first cell that has one.
+
+        If none has enough, the mean with the most samples is returned, and None if there are no samples.
+        """
         found, weight_max = None, 0.0
         for cell in cells:
             for mip in range(4):
@@ -143,20 +150,20 @@ class RadianceCacheOracle:
         return found
 
     def level_of(self, samples: Samples, i: int) -> int:
-        """Level of the cells of long rays: their width is 2^level."""
+        """Returns the level of cells of long rays, which are 2^level wide."""
         wanted = np.float32(self.cell_size) * np.float32(samples.from_eye[i])
         least = np.abs(samples.position[i].astype(np.float32)).max() / np.float32(8191)
         return int(np.clip(np.floor(np.log2(float(max(wanted, least)))), -13, 14))
 
     def cell_of(self, samples: Samples, i: int) -> Cell:
-        """The cell that a sample goes into."""
+        """Returns the cell of a sample."""
         level = self.level_of(samples, i)
         is_near = bool(np.float32(samples.distance[i]) < np.float32(2.0**level) + np.float32(samples.extent[i]))
         return cell_at(samples, i, level - FINER_NEAR * is_near, is_near=is_near)
 
 
 def cell_at(samples: Samples, i: int, level: int, *, is_near: bool) -> Cell:
-    """The cell of a level that a sample would be in."""
+    """Returns the cell that a sample would have at a level."""
     normal = samples.normal[i]
     axis = int(np.argmax(np.abs(normal)))
     shift = np.where(np.arange(3) == axis, 0.382, 0.0)
@@ -166,7 +173,7 @@ def cell_at(samples: Samples, i: int, level: int, *, is_near: bool) -> Cell:
 
 
 def square(cell: Cell, mip: int) -> list[Cell]:
-    """The 2^mip x 2^mip cells of a tile that a cell is in; at most the tile itself."""
+    """Returns the aligned 2^mip x 2^mip cells around a cell, at most its whole tile."""
     assert 2**mip <= TILE
     side = 2**mip
     u, v = cell.u - cell.u % side, cell.v - cell.v % side
@@ -174,5 +181,5 @@ def square(cell: Cell, mip: int) -> list[Cell]:
 
 
 def reflected(samples: Samples, i: int, indirect: np.ndarray | None) -> np.ndarray:
-    """What a sample's surface reflects of it; where nothing is known, no light."""
+    """Returns the indirect light that a sample's surface reflects; zero if the light is unknown."""
     return np.zeros(3) if indirect is None else np.minimum(samples.albedo[i], ALBEDO_MAX) * indirect

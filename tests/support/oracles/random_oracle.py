@@ -1,4 +1,4 @@
-"""The random numbers of lumisplat.device.math.random computed independently, in NumPy over whole arrays."""
+"""Computes the random numbers of lumisplat.device.math.random independently, in NumPy on whole arrays."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 LENS_RADIUS, LENS_ANGLE, BRANCH_LAST = 2**32 - 1, 2**32 - 2, 2**32 - 3
-"""Dimensions that are not the index of a Gaussian."""
+"""Dimensions that are not indices of Gaussians."""
 
 
 def mix(word: npt.ArrayLike) -> np.ndarray:
-    """The permutation, from its published description: xorshift 16, multiply, xorshift 15, multiply, xorshift 15."""
+    """Permutes words as published: xorshift 16, multiply, xorshift 15, multiply, xorshift 15."""
     word = np.asarray(word, np.uint32)
     with np.errstate(over="ignore"):
         word = (word ^ (word >> 16)) * np.uint32(0x21F0AAAD)
@@ -19,16 +19,16 @@ def mix(word: npt.ArrayLike) -> np.ndarray:
 
 
 def absorbed(sample_key: np.ndarray | np.uint32, counter: npt.ArrayLike) -> np.ndarray:
-    """One step: adds the mixed counter to the key and mixes the sum."""
+    """Adds the mixed counter to the key, and mixes the sum."""
     with np.errstate(over="ignore"):
         return mix(sample_key + mix(np.asarray(counter, np.uint32)))
 
 
 def sample_keys(pixels: npt.ArrayLike, sample: npt.ArrayLike = 0, seed: npt.ArrayLike = 0) -> np.ndarray:
-    """Keys of samples of pixels."""
+    """Returns the keys of the samples of pixels."""
     return absorbed(absorbed(absorbed(np.uint32(0x6C756D69), seed), pixels), sample)
 
 
 def draws(sample_key: np.ndarray, dimension: npt.ArrayLike) -> np.ndarray:
-    """Numbers in [0, 1), float64."""
+    """Returns numbers in [0, 1), float64."""
     return (absorbed(sample_key, dimension) >> 8) * 2.0**-24

@@ -1,10 +1,11 @@
-"""A float64 NumPy twin of the rasteriser: slow, plain, and written from the method's papers, not from the kernels.
+"""Rasterises frames in float64 NumPy, as an oracle for the rasteriser; written from the papers, not from the kernels.
 
 Every step is a small function that can be read next to its equation: EWA projection (Zwicker et al. 2001), spherical
 harmonics, brute-force triangle visibility (Olano and Greer 1997), and front-to-back blending (Kerbl et al. 2023).
-The twin also says where it cannot be trusted to agree with float32: ``band`` marks the pixels at which some decision
-was so close that rounding may take the other side; ``tie`` those of them at which that may change the whole colour
-(a depth order, a triangle's edge), while a threshold of alpha or transmittance changes it by a step of 1/255.
+
+The oracle also reports where float32 may disagree: ``band`` marks the pixels with a decision so close that rounding may
+flip it; ``tie`` marks those of them at which the whole colour may change (a depth order, a triangle's edge), while
+thresholds of alpha or transmittance change the colour by 1/255.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 BAND = 2e-3
-"""Relative distance from a threshold, and BAND_DEPTH between depths, within which float32 may decide differently."""
+"""Relative distance from thresholds within which float32 may decide differently; BAND_DEPTH is that between depths."""
 BAND_DEPTH = 2e-5
 
 
@@ -46,7 +47,7 @@ class Splats:
 
 @dataclass
 class Fragments:
-    """The nearest triangle at every pixel."""
+    """Closest triangle at every pixel."""
 
     depth_z: np.ndarray  # (H, W), inf where no triangle is
     color: np.ndarray  # (H, W, 3), display-referred
@@ -70,14 +71,14 @@ def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> 
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
-    """Camera-space directions with z = 1 through the pixel centres, shape (H, W, 3)."""
+    """Returns camera-space directions with z = 1 through the pixel centres, shape (H, W, 3)."""
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     return np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
 
 
 def normalized(vectors: np.ndarray) -> np.ndarray:
-    """Unit vectors along the last axis; zero stays zero."""
+    """Returns unit vectors along the last axis; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
 
@@ -86,7 +87,7 @@ def normalized(vectors: np.ndarray) -> np.ndarray:
 
 
 def rotation_from_quaternion(wxyz: np.ndarray) -> np.ndarray:
-    """Rotation matrices of unit quaternions, shape (N, 3, 3): column i is the image of axis i."""
+    """Returns rotation matrices of unit quaternions, shape (N, 3, 3); column i is the image of axis i."""
     w, v = wxyz[:, :1, None], wxyz[:, 1:]
     zero = np.zeros(len(v))
     cross = np.stack([zero, -v[:, 2], v[:, 1], v[:, 2], zero, -v[:, 0], -v[:, 1], v[:, 0], zero], -1).reshape(-1, 3, 3)
@@ -94,7 +95,7 @@ def rotation_from_quaternion(wxyz: np.ndarray) -> np.ndarray:
 
 
 def sh_basis(direction: np.ndarray) -> np.ndarray:
-    """Real spherical harmonics up to degree 3 with the Condon-Shortley sign (-1)^m, shape (N, 16)."""
+    """Returns the real SH basis up to degree 3 with the Condon-Shortley sign (-1)^m, shape (N, 16)."""
     x, y, z = direction.T
     c = np.sqrt(
         np.array([1, 3, 15, 5, 15, 35, 105, 21, 7, 105]) / (np.pi * np.array([4, 4, 4, 16, 16, 32, 4, 32, 16, 16]))
@@ -123,7 +124,7 @@ def sh_basis(direction: np.ndarray) -> np.ndarray:
 
 
 def sh_color(instance: SplatInstance, eye: np.ndarray, degree: int) -> np.ndarray:
-    """Colour of every Gaussian seen from a world ``eye``, shape (N, 3); directions are taken in the object's frame."""
+    """Returns the colour of every Gaussian from a world ``eye``, shape (N, 3); SH directions are in object space."""
     object_from_world = np.linalg.inv(instance.transform)
     object_eye = object_from_world[:3, :3] @ eye + object_from_world[:3, 3]
     direction = normalized(instance.gaussians.means.astype(np.float64) - object_eye)
@@ -133,7 +134,7 @@ def sh_color(instance: SplatInstance, eye: np.ndarray, degree: int) -> np.ndarra
 
 
 def world_gaussians(instance: SplatInstance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """World means (N, 3), axes (N, 3, 3) as columns, and standard deviations (N, 3)."""
+    """Returns world means (N, 3), axes (N, 3, 3) as columns, and standard deviations (N, 3)."""
     matrix, gaussians = instance.transform, instance.gaussians
     means = gaussians.means.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     axes = (matrix[:3, :3] / instance.scale) @ rotation_from_quaternion(gaussians.rotations_wxyz.astype(np.float64))
@@ -141,7 +142,7 @@ def world_gaussians(instance: SplatInstance) -> tuple[np.ndarray, np.ndarray, np
 
 
 def jacobian(mean_camera: np.ndarray, camera: Camera) -> np.ndarray:
-    """Derivative of the projection at each mean, taken no further outside the image than the clamp, shape (N, 2, 3)."""
+    """Returns the Jacobian of the projection at each mean, clamped outside the image, shape (N, 2, 3)."""
     x, y, z = mean_camera.T
     margin_x = (JACOBIAN_CLAMP - 1.0) * 0.5 * camera.width / camera.fx
     margin_y = (JACOBIAN_CLAMP - 1.0) * 0.5 * camera.height / camera.fy
@@ -153,7 +154,7 @@ def jacobian(mean_camera: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def project_instance(instance: SplatInstance, number: int, camera: Camera, config: RasterConfig) -> Splats:
-    """The visible Gaussians of one instance, in the order of the asset."""
+    """Returns the visible Gaussians of one instance, in the order of the asset."""
     means, axes, scales = world_gaussians(instance)
     view = camera.camera_from_world
     mean_camera = means @ view[:3, :3].T + view[:3, 3]
@@ -188,12 +189,12 @@ def project_instance(instance: SplatInstance, number: int, camera: Camera, confi
 
 
 def rows(splats: Splats, selection: np.ndarray) -> Splats:
-    """The selected splats (a mask or indices)."""
+    """Returns the selected splats (by a mask or indices)."""
     return Splats(**{name: values[selection] for name, values in vars(splats).items()})
 
 
 def project(scene: Scene, camera: Camera, config: RasterConfig) -> Splats:
-    """All visible Gaussians of a scene, front to back; equal depths keep the order of the scene."""
+    """Returns all visible Gaussians of a scene, front to back; equal depths keep the order of the scene."""
     parts = [project_instance(instance, i, camera, config) for i, instance in enumerate(scene.splats)]
     if not parts:
         empty = np.zeros(0)
@@ -206,7 +207,7 @@ def project(scene: Scene, camera: Camera, config: RasterConfig) -> Splats:
 
 
 def rasterize_meshes(scene: Scene, camera: Camera) -> Fragments:
-    """Every pixel centre against every triangle; the nearest beyond the near plane wins."""
+    """Tests every pixel centre against every triangle; the closest beyond the near plane wins."""
     shape = (camera.height, camera.width)
     fragments = Fragments(
         np.full(shape, np.inf), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, -1), np.zeros(shape, bool)
@@ -220,7 +221,7 @@ def rasterize_meshes(scene: Scene, camera: Camera) -> Fragments:
 def rasterize_triangle(
     fragments: Fragments, instance: MeshInstance, face: np.ndarray, number: int, camera: Camera
 ) -> None:
-    """Depth-tests one triangle, by expressing each pixel's ray in the basis of the camera-space corners."""
+    """Depth-tests one triangle, with each pixel's ray in the basis of the camera-space corners."""
     mesh, matrix, view = instance.mesh, instance.transform, camera.camera_from_world
     corners = mesh.positions[face].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     corners_camera = corners @ view[:3, :3].T + view[:3, 3]
@@ -243,14 +244,14 @@ def rasterize_triangle(
     fragments.color[wins] = encode_srgb(base_color(mesh, face, barycentric[wins]))
     normal = mesh_normal(instance, face, corners, barycentric[wins], ray_world)
     fragments.normal[wins] = normal
-    fragments.band[wins] |= np.abs((normal * ray_world).sum(axis=-1)) < BAND  # May be turned the other way.
+    fragments.band[wins] |= np.abs((normal * ray_world).sum(axis=-1)) < BAND  # The normal may be flipped.
     fragments.instance_index[wins] = number
 
 
 def mesh_normal(
     instance: MeshInstance, face: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, ray: np.ndarray
 ) -> np.ndarray:
-    """World shading normal, turned against the ray, shape (P, 3)."""
+    """Returns the world shading normal, flipped against the ray, shape (P, 3)."""
     if instance.mesh.normals is None:
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])[None].repeat(len(barycentric), axis=0)
     else:
@@ -262,7 +263,7 @@ def mesh_normal(
 
 
 def base_color(mesh: Mesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-    """Linear base colour, shape (P, 3)."""
+    """Returns the linear base colour, shape (P, 3)."""
     color = np.ones((len(barycentric), 3)) * mesh.material.base_color
     if mesh.colors is not None:
         color = color * (barycentric @ mesh.colors[face].astype(np.float64))
@@ -273,7 +274,7 @@ def base_color(mesh: Mesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndar
 
 
 def bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Linear colour at ``uv``, texel centres at +0.5, repeated, filtered after decoding, shape (P, 3)."""
+    """Returns linear colours at ``uv``, shape (P, 3): texel centres at +0.5, repeated, decoded before filtering."""
     height, width = texture.shape[:2]
     texels = decode_srgb(texture[..., :3] / 255.0)
     x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
@@ -290,7 +291,7 @@ def bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def footprint(splats: Splats, i: int, camera: Camera) -> tuple[slice, slice]:
-    """Rows and columns of the pixel centres that the ellipse of alpha = 1/255 can reach."""
+    """Returns rows and columns of the pixel centres that the ellipse of alpha = 1/255 can reach."""
     reach = np.sqrt(2.0 * np.log(splats.opacity[i] / ALPHA_MIN) * np.diag(splats.covariance_px[i])) + 1.0
     low = np.clip(splats.mean_px[i] - reach - 0.5, 0.0, (camera.width, camera.height)).astype(int)
     high = np.clip(splats.mean_px[i] + reach + 0.5, 0.0, (camera.width, camera.height)).astype(int)
@@ -298,7 +299,7 @@ def footprint(splats: Splats, i: int, camera: Camera) -> tuple[slice, slice]:
 
 
 def response(splats: Splats, i: int, window: tuple[slice, slice]) -> np.ndarray:
-    """exp(-d^2 / 2) of one splat at the pixel centres of a window."""
+    """Returns exp(-d^2 / 2) of one splat at the pixel centres of a window."""
     x = np.arange(window[1].start, window[1].stop) + 0.5 - splats.mean_px[i, 0]
     y = np.arange(window[0].start, window[0].stop)[:, None] + 0.5 - splats.mean_px[i, 1]
     (a, b), (_, c) = np.linalg.inv(splats.covariance_px[i])
@@ -306,7 +307,7 @@ def response(splats: Splats, i: int, window: tuple[slice, slice]) -> np.ndarray:
 
 
 def composite(splats: Splats, fragments: Fragments, camera: Camera, config: RasterConfig) -> dict[str, np.ndarray]:
-    """Blends front to back, splat by splat, then the mesh behind them."""
+    """Blends splats front to back, then the mesh behind them."""
     shape = (camera.height, camera.width)
     color, normal, weight = np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape)
     transmittance, last_z = np.ones(shape), np.full(shape, -np.inf)
@@ -362,7 +363,7 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
 
 
 def peak_depth(splats: Splats, i: int, camera: Camera) -> np.ndarray:
-    """View depth at which splat ``i`` responds most on each pixel's ray, within three scales of its mean, (H, W)."""
+    """Returns the view depth of splat ``i``'s peak on each pixel's ray, within three scales of its mean, (H, W)."""
     rays = pixel_rays(camera)
     direction = rays @ splats.canonical[i].T
     z = direction @ (splats.canonical[i] @ splats.mean_camera[i]) / (direction**2).sum(axis=-1)
@@ -371,7 +372,7 @@ def peak_depth(splats: Splats, i: int, camera: Camera) -> np.ndarray:
 
 
 def integrated_normal(normal_sum: np.ndarray, weight_sum: np.ndarray, camera: Camera) -> np.ndarray:
-    """Unit mean normal; towards the camera where the normals cancel out, zero where nothing is."""
+    """Returns the unit mean normal; it faces the camera where normals cancel, and is zero on empty pixels."""
     towards_camera = -normalized(pixel_rays(camera)) @ camera.camera_from_world[:3, :3]
     degenerate = np.linalg.norm(normal_sum, axis=-1) <= NORMAL_DEGENERATE * weight_sum
     normal = np.where(degenerate[..., None], towards_camera, normalized(normal_sum))

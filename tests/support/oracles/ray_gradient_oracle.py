@@ -1,7 +1,8 @@
-"""A float64 twin of an unlit, traced frame as one number: every Gaussian against every ray, all hits sorted.
+"""Evaluates a loss of unlit traced rays in float64: every Gaussian against every ray, with all hits sorted.
 
-Written from the equations (Moenne-Loccoz et al. 2024; docs/method/ray_tracing.md#footprints), by covariances and their
-inverses; the kernels work along the axes of each Gaussian. ``gradient_oracle.differences`` has its derivatives.
+The code follows the equations (Moenne-Loccoz et al. 2024; docs/method/ray_tracing.md#footprints) with covariances and
+their inverses, while the kernels work along the axes of each Gaussian. ``gradient_oracle.differences`` differentiates
+the loss.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from support.oracles.raster_oracle import normalized, rotation_from_quaternion, 
 
 @dataclass(frozen=True)
 class RayLoss:
-    """``sum(by_color * color) + sum(by_alpha * alpha)`` of rays: its derivatives by what these show are known."""
+    """Loss ``sum(by_color * color) + sum(by_alpha * alpha)`` of rays, whose gradients by colour and alpha are given."""
 
     origins: np.ndarray  # (R, 3)
     directions: np.ndarray  # (R, 3), unit
@@ -30,16 +31,16 @@ class RayLoss:
     degree: int = 2
     dilation: float = 0.3
     transmittance_min: float = 1e-4
-    by_peak: bool = False  # the order of hits; else by their means
+    by_peak: bool = False  # True to sort hits by peaks, False by means
 
     def __call__(self, p: Parameters) -> float:
-        """The number."""
+        """Returns the loss."""
         color, transmittance = self.shown(p)
         total = (self.by_color * (color + transmittance[:, None] * p.background)).sum()
         return float(total + (self.by_alpha * (1.0 - transmittance)).sum())
 
     def shown(self, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
-        """Premultiplied colours, (R, 3), and transmittance, (R,)."""
+        """Returns premultiplied colours, (R, 3), and transmittance, (R,)."""
         offset = p.means - self.origins[:, None, :]  # (R, N, 3)
         middle = (offset * self.directions[:, None, :]).sum(axis=2)
         inverse = self._inverse_covariance(p, middle)
@@ -63,7 +64,7 @@ class RayLoss:
         return ((before * alpha)[:, :, None] * color).sum(axis=1), np.prod(1.0 - alpha, axis=1)
 
     def _inverse_covariance(self, p: Parameters, middle: np.ndarray) -> np.ndarray:
-        """Of Gaussians as rays find them, (R, N, 3, 3)."""
+        """Returns inverse covariances of the Gaussians, widened by each ray's footprint, (R, N, 3, 3)."""
         longest = p.scales.max(axis=1)
         path = np.maximum(np.minimum(middle, FOOTPRINT_LEAD * (middle - FOOTPRINT_REACH * longest)), 0.0)
         width = np.minimum(np.sqrt(self.dilation) * self.spreads, FOOTPRINT_MAX)[:, None] * path
@@ -73,6 +74,6 @@ class RayLoss:
 
     @staticmethod
     def _color(p: Parameters, offset: np.ndarray) -> np.ndarray:
-        """Of all Gaussians as all rays see them, (R, N, 3)."""
+        """Returns the colour of each Gaussian from each ray, (R, N, 3)."""
         basis = sh_basis(normalized(offset.reshape(-1, 3)))[:, : p.sh.shape[1]].reshape(*offset.shape[:2], -1)
         return np.maximum(np.einsum("rnk,nkc->rnc", basis, p.sh) + 0.5, 0.0)

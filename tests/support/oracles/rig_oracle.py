@@ -1,4 +1,4 @@
-"""Skinning once more, in float64, vertex by vertex, with SciPy's rotations: nothing of ours is used."""
+"""Skins meshes in float64, vertex by vertex, with SciPy's rotations and none of the package's code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from support.files.rig_files import JOINT_NODES, TubeRig
 
 
 def track_value(times: np.ndarray, values: np.ndarray, interpolation: str, path: str, time: float) -> np.ndarray:
-    """The value of a channel at a time; quaternions xyzw."""
+    """Returns the value of a channel at a time; quaternions are xyzw."""
     times, values = np.asarray(times, float), np.asarray(values, float)
     time = float(np.clip(time, times[0], times[-1]))
     if interpolation == "STEP":
@@ -27,7 +27,7 @@ def track_value(times: np.ndarray, values: np.ndarray, interpolation: str, path:
 
 
 def world_matrices(rig: TubeRig, clip: str | None, time: float) -> list[np.ndarray]:
-    """``world_from_node`` of all nodes."""
+    """Returns ``world_from_node`` of all nodes."""
     local = []
     for node in rig.nodes:
         parts = {"translation": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]} | node
@@ -47,7 +47,7 @@ def world_matrices(rig: TubeRig, clip: str | None, time: float) -> list[np.ndarr
 
 
 def posed(rig: TubeRig, clip: str | None, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and unit normals of all vertices, float64."""
+    """Returns positions and unit normals of all vertices in float64."""
     world = world_matrices(rig, clip, time)
     assert rig.normals is not None and rig.joints is not None and rig.weights is not None
     bind = rig.joint_from_bind

@@ -1,4 +1,4 @@
-"""Screen probes in float64, as docs/method/realtime.md#screen-probes says: one probe or one pixel at a time."""
+"""Evaluates screen probes in float64, one probe or pixel at a time (docs/method/realtime.md#screen-probes)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Doubles = npt.NDArray[np.float64]
 
 
 def square_of(direction: npt.ArrayLike) -> Doubles:
-    """The point of the square, 0..1, of a unit direction, by angles: equal areas, quadrant by quadrant."""
+    """Maps a unit direction to a point of the unit square by angles; the map preserves area, quadrant by quadrant."""
     x, y, z = np.asarray(direction, np.float64)
-    r = np.sqrt(1.0 - abs(z))  # of the diamond whose area is the cap's share of the hemisphere
+    r = np.sqrt(1.0 - abs(z))  # size of the diamond with the cap's fraction of the hemisphere
     share = np.arctan2(abs(y), abs(x)) / (0.5 * np.pi)
     point = np.array([r * (1.0 - share), r * share])
     if z < 0.0:
@@ -25,13 +25,13 @@ def square_of(direction: npt.ArrayLike) -> Doubles:
 
 
 def cell_of(direction: npt.ArrayLike, cells: int) -> int:
-    """The cell of a unit direction."""
+    """Returns the index of the cell of a unit direction."""
     x, y = np.minimum((square_of(direction) * cells).astype(int), cells - 1)
     return int(y * cells + x)
 
 
 def spiral(count: int) -> Doubles:
-    """Unit vectors, spread evenly."""
+    """Returns evenly spread unit vectors on a spiral."""
     steps = np.arange(count) + 0.5
     z = 1.0 - 2.0 * steps / count
     angle = np.pi * (1.0 + np.sqrt(5.0)) * steps
@@ -41,17 +41,17 @@ def spiral(count: int) -> Doubles:
 
 @dataclass(slots=True)
 class Cells:
-    """The cells of one probe."""
+    """Cells of one probe."""
 
     direction: Doubles
-    """Of their centres, shape (N, 3)."""
+    """Directions of the cell centres, shape (N, 3)."""
     radiance: Doubles
     nearness: Doubles
     samples: Doubles
 
 
 def carried(cells: Cells, old: Doubles, new: Doubles, horizon: Doubles | None, history: float) -> Cells:
-    """The cells of a probe at ``old``, as seen from ``new``; ``horizon``: the normal of a mesh."""
+    """Reprojects the cells of a probe from position ``old`` to ``new``; ``horizon`` is the normal of a mesh."""
     count = len(cells.samples)
     side = int(np.sqrt(count))
     moved = Cells(cells.direction, np.zeros((count, 3)), np.zeros(count), np.zeros(count))
@@ -76,7 +76,7 @@ def carried(cells: Cells, old: Doubles, new: Doubles, horizon: Doubles | None, h
 
 @cache
 def cell_means(side: int) -> Doubles:
-    """Means of the harmonics over the evenly spread directions in each cell."""
+    """Returns the mean of each SH basis function over evenly spread directions of each cell."""
     directions = spiral(20_000)
     index = np.array([cell_of(direction, side) for direction in directions])
     basis = sh_basis(directions, 2)
@@ -85,7 +85,7 @@ def cell_means(side: int) -> Doubles:
 
 @cache
 def cosines(side: int, facing: int) -> Doubles:
-    """Means of the clamped cosine over each cell, of surfaces that face the centre of a cell of 16 x 16."""
+    """Returns mean clamped cosines over the cells, for surfaces that face the centre of cell ``facing`` (16 x 16)."""
     directions = spiral(20_000)
     index = np.array([cell_of(direction, side) for direction in directions])
     towards = directions[[cell_of(direction, 16) == facing for direction in directions]].mean(axis=0)
@@ -94,10 +94,10 @@ def cosines(side: int, facing: int) -> Doubles:
 
 
 def probe_irradiance(radiance: Doubles, normal: Doubles, probe_normal: Doubles) -> Doubles:
-    """Irradiance of a surface by the cells of one probe.
+    """Returns the irradiance of a surface from the cells of one probe.
 
-    By harmonics of degree 2 that fit their means; what these leave of the cells is weighted by the cosines of a surface
-    that faces about as the probe does.
+    SH of degree 2 are fitted to the cells' means. The residual of the cells is weighted by the cosines of a surface
+    that faces about the same direction as the probe.
     """
     side = int(np.sqrt(len(radiance)))
     means = cell_means(side)
@@ -116,17 +116,19 @@ class Probe:
     distance: float
     extent: float
     value: Doubles
-    """What it says."""
+    """Value that the probe contributes."""
 
 
 def is_cut_off(point: Doubles, probe_point: Doubles, probe_distance: float, distances: Doubles) -> bool:
-    """Whether a surface is nearer than 0.95 of that a quarter, half or three quarters of the way to a probe.
+    """Returns True if a closer surface lies between a pixel and a probe in the image.
+
+    A surface is closer if its distance is below 0.95 of ``probe_distance`` at 1/4, 1/2 or 3/4 of the line between them.
 
     Args:
-        point: The pixel's centre, (x, y).
-        probe_point: The probe's.
-        probe_distance: The smaller of their distances from the eye.
-        distances: Distances in all pixels, shape (H, W); inf: nothing is there.
+        point: Centre of the pixel, (x, y).
+        probe_point: Centre of the probe's pixel, (x, y).
+        probe_distance: The smaller distance of both from the eye.
+        distances: Distances at all pixels, shape (H, W); inf where nothing is visible.
     """
     points = [point + share * (probe_point - point) for share in (0.25, 0.5, 0.75)]
     return any(distances[int(y), int(x)] < 0.95 * probe_distance for x, y in points)
@@ -140,15 +142,15 @@ def near_mean(
     reach: float,
     probes: list[tuple[float, Probe]],
 ) -> Doubles | None:
-    """Weighted mean over the probes around a pixel that are on its surface; None: there is none.
+    """Returns the weighted mean of the probes around a pixel that lie on its surface, or None if there are none.
 
     Args:
-        position: Of the pixel's surface.
-        normal: Of it.
-        distance: From the eye.
-        extent: As of ``SurfacePixels``.
-        reach: Width of a tile there.
-        probes: Probes, each with its distance from the pixel in the picture, in tiles.
+        position: Position of the pixel's surface.
+        normal: Normal of the surface.
+        distance: Distance of the surface from the eye.
+        extent: Extent as in ``SurfacePixels``.
+        reach: Width of a tile at the surface.
+        probes: Probes with their distances from the pixel in the image, in tiles.
     """
     total, weight = np.zeros(3), 0.0
     for apart, probe in probes:

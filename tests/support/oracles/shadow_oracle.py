@@ -1,6 +1,6 @@
-"""The float64 twin's shadow rays: what of a light comes through, by the formulas and by brute force.
+"""Traces shadow rays in float64, as an oracle: transmittance by formulas and brute force.
 
-Gaussians are ``particle_oracle``'s. Triangles are all that Moeller and Trumbore (1997) find, nearest or not.
+Gaussians are those of ``particle_oracle``. All triangles on a ray count, found by Moeller and Trumbore (1997).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from support.oracles.particle_oracle import Hits, World, hits, picked, world_of
 
 @dataclass(frozen=True)
 class Light:
-    """What arrives at the origins of N rays."""
+    """Light that arrives at the origins of N rays."""
 
     color: np.ndarray  # (N, 3)
-    slack: np.ndarray  # (N,), how far rounding may move it; inf: anywhere
+    slack: np.ndarray  # (N,), largest effect of rounding; inf if unbounded
 
 
 def light(
@@ -35,14 +35,14 @@ def light(
     t_min: np.ndarray | float = 0.0,
     t_max: np.ndarray | float = np.inf,
 ) -> Light:
-    """What of the light from ``t_max`` arrives; of stochastic shadows the mean.
+    """Returns the fraction of light from ``t_max`` that arrives; for stochastic shadows, its mean.
 
     Args:
-        scene: What is in the way.
-        origins: Shape (N, 3).
-        directions: Unit, shape (N, 3).
-        config: Its ``shadow_rays`` and ``response``.
-        t_min: Gaussians do not count nearer than this and their own offset; meshes do.
+        scene: Scene with the occluders.
+        origins: Ray origins, shape (N, 3).
+        directions: Unit directions, shape (N, 3).
+        config: Settings, of which ``shadow_rays``, ``trace`` and ``response`` count.
+        t_min: Gaussians closer than this, or than their own offset if that is smaller, are ignored; meshes are not.
         t_max: Distance of the light.
     """
     trace = replace(config.trace, hit_distance=config.shadow_rays.hit_distance)
@@ -62,7 +62,7 @@ def light(
 
 
 def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
-    """What arrives along one ray, shape (3,), and its slack."""
+    """Returns the light that arrives along one ray, shape (3,), and its slack."""
     past_meshes, unsure = through_meshes(world.triangles, ray, t_max)
     shadow = world.config.shadow_rays
     every = hits(world, ray, shadow.offset * world.widest + shadow.offset_absolute)
@@ -86,7 +86,7 @@ def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
 
 
 def shade(transmittance: float, color: np.ndarray, config: RenderConfig) -> np.ndarray:
-    """Factor of the light that comes through Gaussians of that mean colour, shape (3,)."""
+    """Returns the factor of light that passes Gaussians of this transmittance and mean colour, shape (3,)."""
     shadow = config.shadow_rays
     if transmittance <= max(shadow.transmittance_min, shadow.transmittance_threshold):
         return np.zeros(3)
@@ -97,7 +97,7 @@ def shade(transmittance: float, color: np.ndarray, config: RenderConfig) -> np.n
 
 
 def mean_color(world: World, found: Hits) -> np.ndarray:
-    """Linear, weighted by alpha, of what is the same from all sides; shape (3,)."""
+    """Returns the alpha-weighted mean of the linear view-independent colours, shape (3,)."""
     if not len(found):
         return np.zeros(3)
     display = np.maximum(SH_C0 * world.sh[found.index, 0] + 0.5, 0.0)
@@ -108,7 +108,7 @@ def mean_color(world: World, found: Hits) -> np.ndarray:
 
 
 def through_meshes(triangles: Triangles, ray: Ray, t_max: float) -> tuple[np.ndarray, bool]:
-    """Product over all crossings between the origin and ``t_max``, shape (3,); whether float32 may find others."""
+    """Returns the transmission of all crossings before ``t_max``, shape (3,), and if float32 may find others."""
     color = np.ones(3)
     unsure = False
     for number in range(len(triangles.face)):
@@ -122,7 +122,7 @@ def through_meshes(triangles: Triangles, ray: Ray, t_max: float) -> tuple[np.nda
 
 
 def crossing(triangles: Triangles, ray: Ray, number: int) -> tuple[MeshHit, bool]:
-    """Where the ray's line meets one triangle, at infinity where it does not, and whether that is in doubt."""
+    """Intersects the ray's line with one triangle (t = inf if it misses); also returns if rounding may change that."""
     a, b, c = triangles.corners[number]
     matrix = np.stack([b - a, c - a, -ray.direction], axis=-1)
     if abs(np.linalg.det(matrix)) < 1e-12:
@@ -136,7 +136,10 @@ def crossing(triangles: Triangles, ray: Ray, number: int) -> tuple[MeshHit, bool
 
 
 def passed(surface: Facet, ray: Ray) -> np.ndarray:
-    """Share of the light that a crossing lets through, shape (3,): straight on, as if out of the air each time."""
+    """Returns the fraction of light that a crossing transmits, shape (3,).
+
+    The ray goes straight on, and each crossing is treated as coming from air.
+    """
     material = surface.material
     assert isinstance(material, MaterialPbr)
     if material.roughness > 0.0:

@@ -1,4 +1,4 @@
-"""Smoothness of normals but for edges of a photograph, stated once more in float64, by SciPy's Sobel filter."""
+"""Computes the edge-aware smoothness of normals in float64 with SciPy's Sobel filter."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from scipy.ndimage import sobel
 
 
 def differences(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Along rows and along columns, at pixels inside, shape (H - 2, W - 2, 3)."""
+    """Returns differences along rows and columns at inner pixels, shape (H - 2, W - 2, 3) each."""
     along = (np.stack([sobel(image[..., c], axis) for c in range(3)], axis=-1) for axis in (1, 0))
     across, down = (one[1:-1, 1:-1] / 8.0 for one in along)
     return across, down
 
 
 def smoothness(normals: np.ndarray, color: np.ndarray, weight: np.ndarray) -> float:
-    """The sum over pixels of ``first_order_edge_aware_loss`` of Gao et al. 2024, code; edges of all channels alike.
+    """Returns the sum over pixels of ``first_order_edge_aware_loss`` (code of Gao et al. 2024).
+
+    Edge weights are averaged over the channels.
 
     Args:
-        normals: Blended, shape (H, W, 3).
-        color: Of the photograph, shape (H, W, 3).
-        weight: What counts, shape (H, W).
+        normals: Blended normals, shape (H, W, 3).
+        color: Colours of the training image, shape (H, W, 3).
+        weight: Weight of each pixel, shape (H, W).
     """
     total = np.zeros(tuple(n - 2 for n in weight.shape))
     for change, edge in zip(differences(normals), differences(color), strict=True):

@@ -1,10 +1,13 @@
-"""A float64 NumPy twin of the ray tracer: slow, plain, and written from the method's papers, not from the kernels.
+"""Traces rays through Gaussians and meshes in float64 NumPy, as an oracle for the ray tracer.
 
-Every Gaussian against every ray, all hits sorted (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing), and what random
-strategies show on average, with its variance, in closed form (Hu et al. 2025). ``particle_oracle`` has the Gaussians,
-``mirror_oracle`` the meshes, mirrors and glass. The twin also says where it cannot be trusted to agree with float32:
-``slack`` bounds what rounding may do to colour and alpha (an alpha near 1/255, two hits in the other order, the edge
-of a triangle), ``normal_slack`` and ``depth_slack`` to these, and ``band`` marks rays whose surface may be another one.
+The oracle is slow and plain, and written from the papers, not from the kernels: it tests every Gaussian against every
+ray and sorts all hits (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing). Stochastic strategies are evaluated as
+expectation and variance in closed form (Hu et al. 2025). ``particle_oracle`` has the Gaussians, ``mirror_oracle`` the
+meshes, mirrors and glass.
+
+The oracle also reports where float32 may disagree: ``slack`` bounds the effect of rounding on colour and alpha (an
+alpha near 1/255, two swapped hits, the edge of a triangle), ``normal_slack`` and ``depth_slack`` that on normal and
+depth, and ``band`` marks rays whose surface may differ.
 """
 
 from __future__ import annotations
@@ -23,14 +26,14 @@ from support.oracles.particle_oracle import BAND, Hits, World, hits, picked, wor
 from support.oracles.raster_oracle import normalized
 
 DOUBTS = ("slack", "depth_slack", "normal_slack", "band")
-"""What the twin says about its own agreement with float32, a ray each."""
+"""Names of the values, one for each ray, that bound the disagreement with float32."""
 
 
 def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> dict[str, np.ndarray]:
-    """Renders a frame with one sample a pixel; the keys are those of ``Frame`` and ``DOUBTS``.
+    """Renders a frame with one sample per pixel; the keys are those of ``Frame`` and ``DOUBTS``.
 
-    Of the random strategies, colour and alpha are expectations, there are ``color_variance`` and ``alpha_variance``,
-    and the surface is the sorted one's.
+    For stochastic strategies, colour and alpha are expectations, ``color_variance`` and ``alpha_variance`` their
+    variances, and the surface is that of the sorted strategy.
     """
     world = world_of(scene, config)
     traced = [trace(world, ray, background_of(world)) for ray in camera_rays(camera)]
@@ -47,7 +50,7 @@ def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> 
 def trace_rays(
     scene: Scene, origins: np.ndarray, directions: np.ndarray, config: RenderConfig | None = None
 ) -> dict[str, np.ndarray]:
-    """Traces any rays; the keys are those of ``RayHits`` and ``DOUBTS``."""
+    """Traces arbitrary rays; the keys are those of ``RayHits`` and ``DOUBTS``."""
     world = world_of(scene, config)
     traced = [
         trace(world, Ray(origin, direction, blur=ROUNDING * np.abs(origin).max()), np.zeros(3))
@@ -60,19 +63,19 @@ def trace_rays(
 
 
 def trace_one(scene: Scene, ray: Ray, config: RenderConfig | None = None) -> Traced:
-    """What one ray shows, over the background."""
+    """Traces one ray over the background."""
     world = world_of(scene, config)
     return trace(world, ray, background_of(world))
 
 
 def background_of(world: World) -> np.ndarray:
-    """What is behind everything, shape (3,); black where it is nothing."""
+    """Returns the background colour, shape (3,), or black if there is none."""
     background = world.config.background
     return np.zeros(3) if background is None else np.asarray(background)
 
 
 def camera_rays(camera: Camera) -> list[Ray]:
-    """Rays through the pixel centres, row by row, beginning at the near plane (a fisheye's sphere); without a lens."""
+    """Returns rays through pixel centres, row by row, from the near plane (fisheyes: a sphere) on, without a lens."""
     local = camera.ray_directions()
     turn, eye = camera.camera_from_world[:3, :3], camera.eye
     starts = np.zeros_like(local)
@@ -89,7 +92,7 @@ def camera_rays(camera: Camera) -> list[Ray]:
 
 
 def pixel_spreads(camera: Camera, local: np.ndarray) -> np.ndarray:
-    """Roots of the solid angles of pixels whose rays have these directions in camera space, shape (H, W)."""
+    """Returns square roots of the pixels' solid angles for ray directions in camera space, shape (H, W)."""
     if camera.model is CameraModel.ORTHOGRAPHIC:
         return np.zeros(local.shape[:2])
     cosine = local[..., 2]
@@ -107,17 +110,17 @@ def pixel_spreads(camera: Camera, local: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Blend:
-    """Hits, blended front to back."""
+    """Result of blending hits front to back."""
 
     color: np.ndarray  # (3,), premultiplied
     normal: np.ndarray  # (3,), weighted sum
     transmittance: float
-    surface: int  # The hit of the iso-opacity surface; -1: not reached
-    after: np.ndarray  # (H,), transmittance behind each
+    surface: int  # Index of the hit at the iso-opacity surface; -1 if not reached
+    after: np.ndarray  # (H,), transmittance behind each hit
 
 
 def blend(found: Hits, iso: float, transmittance_min: float = 0.0) -> Blend:
-    """Front-to-back blending; the hit that takes the transmittance to its minimum is the last one."""
+    """Blends hits front to back; the hit that brings transmittance down to the minimum is the last one."""
     after = np.cumprod(1.0 - found.alpha)
     before = np.concatenate([[1.0], after])[:-1]
     accepted = before > transmittance_min
@@ -134,25 +137,28 @@ def blend(found: Hits, iso: float, transmittance_min: float = 0.0) -> Blend:
 
 @dataclass(frozen=True)
 class Outcomes:
-    """What a random strategy may show of the Gaussians on a ray, and how likely; if nothing, what is behind them."""
+    """Possible outcomes of a stochastic strategy on a ray, with their probabilities.
+
+    If the probabilities sum to less than 1, the ray passes all Gaussians with the rest.
+    """
 
     probability: np.ndarray  # (P,)
     color: np.ndarray  # (P, 3)
     normal: np.ndarray  # (P, 3), unit
     depth: np.ndarray  # (P,)
-    index: np.ndarray  # (P,), Gaussian of the surface, among all of the scene
+    index: np.ndarray  # (P,), Gaussian of the surface, index in the whole scene
 
     @property
     def nothing(self) -> float:
-        """Probability of none of them."""
+        """Probability that the ray passes all Gaussians."""
         return max(1.0 - float(self.probability.sum()), 0.0)
 
 
 def outcomes(found: Hits, ray: Ray, config: TraceConfig) -> Outcomes:
-    """Outcomes of a random strategy for hits that all count."""
+    """Returns the outcomes of a stochastic strategy for accepted hits."""
     depth = np.maximum(found.surface, 0.0)
     if config.strategy is TraceStrategy.STOCHASTIC_HIT:
-        # Equations 7-8 of Hu et al.: it wins if it is accepted, and none before it is.
+        # Equations 7-8 of Hu et al.: a hit wins if it is accepted and no earlier hit is.
         chance = np.minimum(found.alpha / config.acceptance_scale, 1.0)
         none_before = np.cumprod(np.concatenate([[1.0], 1.0 - chance]))[:-1]
         return Outcomes(chance * none_before, found.color, found.normal, depth, found.index)
@@ -170,7 +176,10 @@ def outcomes(found: Hits, ray: Ray, config: TraceConfig) -> Outcomes:
 
 
 def mean_normal(normal_sum: np.ndarray, weight: float, ray: Ray) -> tuple[np.ndarray, float]:
-    """Unit mean normal, against the ray where the normals cancel out, zero where nothing is; and the mean's length."""
+    """Returns the unit mean normal and the length of the mean before normalisation.
+
+    The normal opposes the ray where normals cancel, and is zero where there is no surface.
+    """
     if weight <= 0.0:
         return np.zeros(3), 1.0
     length = float(np.linalg.norm(normal_sum)) / weight
@@ -182,9 +191,9 @@ def mean_normal(normal_sum: np.ndarray, weight: float, ray: Ray) -> tuple[np.nda
 
 @dataclass(frozen=True)
 class Traced:
-    """What a ray shows."""
+    """Result of one ray."""
 
-    color: np.ndarray  # (3,), over what is behind everything; its expectation if the strategy is random
+    color: np.ndarray  # (3,), over the background; the expectation for stochastic strategies
     color_variance: np.ndarray  # (3,)
     alpha: float
     alpha_variance: float
@@ -192,14 +201,14 @@ class Traced:
     normal: np.ndarray
     gaussian_index: int
     instance_index: int
-    slack: float  # How far rounding may move colour and alpha,
-    depth_slack: float  # the distance of the surface, if it is the same one,
-    normal_slack: float  # and the normal.
-    band: bool  # Whether rounding may make it another surface.
+    slack: float  # Largest effect of rounding on colour and alpha.
+    depth_slack: float  # Largest effect on the distance of the surface, if it is the same.
+    normal_slack: float  # Largest effect on the normal.
+    band: bool  # True if rounding may change the surface.
 
 
 def hits_before(world: World, ray: Ray, mesh: MeshHit) -> Hits:
-    """The Gaussians that peak before the nearest mesh, those included that only float32 may find there."""
+    """Returns the Gaussians that peak in front of the closest mesh, including those that only float32 may find."""
     every = hits(world, ray)
     limit_error = every.peak_error + mesh.error
     doubtful = every.doubtful | (np.abs(every.peak - mesh.t) <= limit_error)
@@ -211,13 +220,13 @@ def hits_before(world: World, ray: Ray, mesh: MeshHit) -> Hits:
 
 
 def outcomes_on(world: World, ray: Ray) -> Outcomes:
-    """What a random strategy may show of the Gaussians on a ray."""
+    """Returns the outcomes of a stochastic strategy for the Gaussians on a ray."""
     every = hits_before(world, ray, nearest(world.triangles, ray))
     return outcomes(picked(every, every.counts), ray, world.config.trace)
 
 
 def trace(world: World, ray: Ray, background: np.ndarray, bounces: int = 0, throughput: float = 1.0) -> Traced:
-    """Follows a ray and all that it becomes; ``throughput`` is what it weighs in the pixel."""
+    """Traces a ray and its branches at mirrors and glass; ``throughput`` is the ray's weight in the pixel."""
     config = world.config.trace
     sorts = config.strategy is TraceStrategy.SORTED
     mesh = nearest(world.triangles, ray)
@@ -285,7 +294,7 @@ def trace(world: World, ray: Ray, background: np.ndarray, bounces: int = 0, thro
 def shaded(
     world: World, ray: Ray, mesh: MeshHit, surface: Facet, bounces: int, throughput: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Colour of a mesh where a ray meets it, its variance and its slack: flat, or what is seen in it and through it."""
+    """Returns colour, variance and slack of a mesh at a hit: the base colour, or the branches of a smooth surface."""
     if surface.material.roughness > 0.0:
         return surface.color, np.zeros(3), 0.0
     color, onward, doubtful = branches(surface, ray, mesh)
@@ -305,7 +314,7 @@ def shaded(
 
 
 def doubts(every: Hits, found: Hits, blended: Blend, config: TraceConfig, bound: float) -> tuple[float, bool]:
-    """Bound on what rounding may change of the colour, and whether it may change the surface."""
+    """Returns a bound on the effect of rounding on colour, and whether rounding may change the surface."""
     before = np.concatenate([[1.0], blended.after])[:-1]
     at = np.searchsorted(found.t, every.t[every.doubtful])
     remaining = np.concatenate([[1.0], blended.after])[at]

@@ -1,7 +1,7 @@
-"""A float64 twin of frames that are rasterised along rays, written from the models' definitions.
+"""Rasterises frames along rays in float64, written from the definitions of the camera models.
 
-Every Gaussian against every pixel, without tiles: what the boxes of the renderer leave out shows as a difference. And
-the unscented transform by itself (Julier and Uhlmann 1997; Wan and van der Merwe 2000, equations 15).
+Every Gaussian is tested against every pixel without tiles, so that bounding boxes that are too small show as errors.
+The unscented transform stands alone (Julier and Uhlmann 1997; Wan and van der Merwe 2000, equations 15).
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from support.oracles.raster_oracle import rotation_from_quaternion, sh_basis
 
 @dataclass(frozen=True)
 class Rays:
-    """One a pixel, world space."""
+    """One ray per pixel, in world space."""
 
     origin: np.ndarray  # (H, W, 3)
-    direction: np.ndarray  # (H, W, 3), unit; 0: there is none
+    direction: np.ndarray  # (H, W, 3), unit; 0 for pixels without a ray
     t_min: np.ndarray  # (H, W)
 
 
 def rays_of(camera: ls.Camera) -> Rays:
-    """Those of the pixels' centres, each at the time of its row."""
+    """Returns the rays of the pixel centres, each at the exposure time of its row."""
     local = camera.ray_directions()
     poses = np.stack([world_from_row(camera, row) for row in range(camera.height)])
     turned = np.einsum("yij,yxj->yxi", poses[:, :3, :3], local)
@@ -40,7 +40,7 @@ def rays_of(camera: ls.Camera) -> Rays:
 
 
 def image_point(camera: ls.Camera, view: np.ndarray) -> np.ndarray:
-    """Where a point of camera space is in the image, pixels, (..., 2); of a pinhole, before its plane."""
+    """Projects points of camera space to pixels, (..., 2); points of a pinhole must be in front of the camera."""
     across = np.linalg.norm(view[..., :2], axis=-1, keepdims=True)
     radius = across / view[..., 2:]
     if camera.model is ls.CameraModel.FISHEYE:
@@ -50,7 +50,7 @@ def image_point(camera: ls.Camera, view: np.ndarray) -> np.ndarray:
 
 
 def time_of(camera: ls.Camera, point: np.ndarray) -> float:
-    """When the row that sees a point of the world is exposed, 0..1, by as many steps as it takes."""
+    """Returns the time, 0..1, at which the row that sees a world point is exposed, by 20 fixed-point steps."""
     time = 0.5
     for _ in range(20 if camera.camera_from_world_end is not None else 0):
         pose = world_from_row(camera, time * camera.height - 0.5)
@@ -72,7 +72,7 @@ class Parameters:
 
     @classmethod
     def of(cls, gaussians: ls.Gaussians, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Parameters:
-        """Those of a set, exactly as float32 has them."""
+        """Returns the parameters of a set, exactly as stored in float32."""
         names = ("means", "rotations_wxyz", "scales", "opacities", "sh")
         values = {name: np.array(getattr(gaussians, name), np.float64) for name in names}
         return cls(background=np.array(background), **values)
@@ -80,7 +80,7 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Twin:
-    """Frames of a camera."""
+    """Renders the frames of one camera."""
 
     camera: ls.Camera
     dilation: float = 0.3
@@ -91,7 +91,7 @@ class Twin:
         return rays_of(self.camera)
 
     def sums(self, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted sums of colours, (H, W, 3), and transmittance, (H, W)."""
+        """Returns weighted sums of colours, (H, W, 3), and transmittance, (H, W)."""
         rays = self._rays
         axes = rotation_from_quaternion(p.rotations_wxyz / np.linalg.norm(p.rotations_wxyz, axis=1, keepdims=True))
         times = [time_of(self.camera, mean) for mean in p.means]
@@ -114,7 +114,7 @@ class Twin:
         return total, transmittance
 
     def _pixel_variance(self, views: np.ndarray) -> np.ndarray:
-        """Squared width of a pixel at points of camera space: solid angle times distance squared."""
+        """Returns the squared width of a pixel at points of camera space: solid angle times squared distance."""
         distance = np.linalg.norm(views, axis=1)
         cosine = views[:, 2] / distance
         if self.camera.model is ls.CameraModel.FISHEYE:
@@ -127,21 +127,21 @@ class Twin:
 
 @dataclass(frozen=True)
 class Loss:
-    """``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame."""
+    """Loss ``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame."""
 
     twin: Twin
     by_color: np.ndarray
     by_alpha: np.ndarray
 
     def __call__(self, p: Parameters) -> float:
-        """The number."""
+        """Returns the loss."""
         shown, transmittance = self.twin.sums(p)
         total = (self.by_color * (shown + transmittance[..., None] * p.background)).sum()
         return float(total + (self.by_alpha * (1.0 - transmittance)).sum())
 
 
 def alpha_on(rays: Rays, mean: np.ndarray, axes: np.ndarray, scales: np.ndarray, opacity: float) -> np.ndarray:
-    """Alpha of a Gaussian on each ray, by the point of the ray that is nearest to it in its own measure."""
+    """Returns the alpha of a Gaussian on each ray, at the ray's point of smallest Mahalanobis distance."""
     start = (rays.origin - mean) @ axes / scales
     with np.errstate(invalid="ignore", divide="ignore"):
         along = rays.direction @ axes / scales
@@ -158,7 +158,7 @@ def sigma_moments(
     scales: np.ndarray,
     spread: tuple[float, float, float] = (1.0, 2.0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of a function of a Gaussian, by its sigma points; ``spread`` is alpha, beta, kappa."""
+    """Returns mean and covariance of a function of a Gaussian by sigma points; ``spread`` is alpha, beta and kappa."""
     alpha, beta, kappa = spread
     n = len(mean)
     scaling = alpha**2 * (n + kappa) - n

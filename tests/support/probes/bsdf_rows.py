@@ -1,4 +1,4 @@
-"""BSDFs of materials, and their samples, on a device."""
+"""Evaluates and samples the BSDFs of materials on a device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def bsdf_row(material: ls.MaterialPbr, *, compensates: bool = False) -> npt.NDArray[Any]:
-    """The material's BSDF, 1 row."""
+    """Returns the BSDF of a material as an array of one row."""
     mesh = ls.Mesh(np.eye(3), [[0, 1, 2]], material=material)
     table = material_table(ls.Scene(meshes=[mesh]), lambda _: 0, is_lit=True, compensates=compensates)
     bsdf = wp.zeros(1, dtype=Bsdf, device="cpu")
@@ -31,14 +31,14 @@ def bsdf_row(material: ls.MaterialPbr, *, compensates: bool = False) -> npt.NDAr
 
 
 def direction(cosine: npt.ArrayLike, turn: npt.ArrayLike) -> Doubles:
-    """Unit vectors by their cosine with the normal, and their azimuth."""
+    """Returns unit vectors from their cosine with the normal and their azimuth."""
     z, turn = np.broadcast_arrays(np.asarray(cosine, np.float64), np.asarray(turn, np.float64))
     sine = np.sqrt(1.0 - z**2)
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=-1)
 
 
 def samples_of(row: npt.NDArray[Any], view: Doubles, count: int) -> npt.NDArray[Any]:
-    """Sampled directions, weights and densities."""
+    """Returns sampled directions with weights and pdfs."""
     randoms = np.random.default_rng(3).random((count, 3), dtype=np.float32)
     vectors = [np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (UP, view)]
     inputs = [wp.array(np.repeat(row, count), dtype=Bsdf, device="cpu")]

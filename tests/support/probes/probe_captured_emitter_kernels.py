@@ -1,4 +1,4 @@
-"""Runs the functions of captured emitters for rows of points. One item is one row."""
+"""Runs the device functions of captured emitters on rows of points, one row per thread."""
 
 import warp as wp
 
@@ -16,7 +16,7 @@ def sample_boxes(
     directions_out: wp.array[wp.vec3],
     densities_out: wp.array[wp.vec2],
 ):
-    """Samples a direction by four random numbers, and its density."""
+    """Samples a direction from four random numbers, and evaluates its pdf."""
     i = start + wp.tid()
     point = points[i]
     total = total_weight(point, boxes)

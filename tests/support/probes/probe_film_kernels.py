@@ -1,4 +1,4 @@
-"""Kernels that feed one pixel of a film, and read it."""
+"""Kernels that add samples to one pixel of a film, and read the pixel."""
 
 import warp as wp
 
@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def add_stream(values: wp.array[wp.vec3], film: wp.array[FilmData]):
-    """All values, one after another, are samples of pixel 0."""
+    """Adds all values, one after another, as samples of pixel 0."""
     for k in range(values.shape[0]):
         sample = PixelSample()
         sample.color = values[k]
@@ -21,7 +21,7 @@ def add_stream(values: wp.array[wp.vec3], film: wp.array[FilmData]):
 
 @wp.kernel
 def read_pixel(least: float, film: wp.array[FilmData], out: wp.array[wp.vec3], noise_out: wp.array[float]):
-    """Mean, variance of a sample and relative variance of pixel 0."""
+    """Reads mean, sample variance and relative variance of pixel 0."""
     mean = mean_sample(0, film)
     out[0] = mean.color
     out[1] = wp.vec3(sample_variance(0, film))

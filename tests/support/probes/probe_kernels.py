@@ -1,4 +1,4 @@
-"""Kernels that show what the functions of lumisplat.device give on a device, many at once."""
+"""Kernels that run functions of lumisplat.device for many inputs, for their tests."""
 
 import warp as wp
 
@@ -20,7 +20,7 @@ def probe_random(
     branches: wp.array(dtype=wp.uint32),
     draws: wp.array(dtype=float),
 ):
-    """Streams, the streams of their second branch, and draws."""
+    """Computes sample keys, the keys of their second branch, and draws."""
     i = wp.tid()
     sample_key = sample_key_of(pixels[i], samples[i], seeds[i])
     sample_keys[i] = sample_key
@@ -30,14 +30,14 @@ def probe_random(
 
 @wp.kernel
 def probe_sobol(keys: wp.array(dtype=wp.uint32), samples: wp.array(dtype=int), points: wp.array(dtype=wp.vec2)):
-    """Points of the sequences of keys."""
+    """Computes points of Sobol sequences."""
     i = wp.tid()
     points[i] = sobol_2d(keys[i], samples[i])
 
 
 @wp.kernel
 def probe_rays(cameras: wp.array(dtype=CameraData), samples: wp.array(dtype=SampleData), rays: wp.array(dtype=Ray)):
-    """The rays of all pixels."""
+    """Computes the rays of all pixels."""
     i = wp.tid()
     camera = cameras[0]
     rays[i] = camera_ray(camera, samples[0], i % camera.width, i // camera.width)

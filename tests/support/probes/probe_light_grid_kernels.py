@@ -1,4 +1,4 @@
-"""Kernels that show what the light grid gives on a device: weights in cells, and choices at surfaces."""
+"""Kernels that evaluate the light grid for its tests: weights in cells, and choices at surfaces."""
 
 import warp as wp
 
@@ -18,7 +18,7 @@ def probe_reach(
     weights_out: wp.array[float],
     importances_out: wp.array[float],
 ):
-    """Light i in cell i, and what it sends to a point there."""
+    """Evaluates the weight of light i in cell i, and its importance at point i."""
     i = wp.tid()
     cell = GridCell()
     cell.center = centers[i]
@@ -38,7 +38,7 @@ def probe_choices(
     numbers_out: wp.array[int],
     probabilities_out: wp.array[float],
 ):
-    """A choice at one surface for each draw, among the lights of a cell; cell -1: among all."""
+    """Chooses a light at one surface for each draw, among the lights of a cell; cell -1 stands for all lights."""
     i = wp.tid()
     interaction = Interaction()
     interaction.position = position
@@ -61,7 +61,7 @@ def probe_cells(
     centers_out: wp.array[wp.vec3],
     halves_out: wp.array[float],
 ):
-    """The cells that surfaces take."""
+    """Finds the cells of surfaces."""
     i = wp.tid()
     u = draws[i]
     key = grid_key(positions[i], from_eye[i], wp.vec2(u[0], u[1]), wp.vec2(u[2], u[3]))

@@ -1,4 +1,4 @@
-"""Kernels that show what the functions for lights and materials give on a device, many at once."""
+"""Kernels that run device functions of lights and materials for many inputs, for their tests."""
 
 import warp as wp
 
@@ -21,7 +21,7 @@ def probe_bsdf(
     values: wp.array(dtype=wp.vec3),
     densities: wp.array(dtype=float),
 ):
-    """Values and densities of pairs of directions."""
+    """Evaluates BSDFs and pdfs for pairs of directions."""
     i = wp.tid()
     values[i] = bsdf_eval(bsdfs[i], normals[i], views[i], lights[i])
     densities[i] = bsdf_pdf(bsdfs[i], normals[i], views[i], lights[i])
@@ -35,7 +35,7 @@ def probe_bsdf_samples(
     randoms: wp.array(dtype=wp.vec3),
     samples: wp.array(dtype=BsdfSample),
 ):
-    """Picked directions."""
+    """Samples directions of BSDFs."""
     i = wp.tid()
     u = randoms[i]
     samples[i] = bsdf_sample(bsdfs[i], normals[i], views[i], wp.vec2(u[0], u[1]), u[2])
@@ -45,7 +45,7 @@ def probe_bsdf_samples(
 def probe_albedos(
     bsdfs: wp.array(dtype=Bsdf), cosines: wp.array(dtype=float), albedos: wp.array(dtype=wp.vec3, ndim=2)
 ):
-    """Diffuse, glossy and transmitted albedo to views at cosines."""
+    """Evaluates diffuse, glossy and transmitted albedo for cosines of the view."""
     i = wp.tid()
     albedos[i, 0] = diffuse_albedo(bsdfs[i], cosines[i])
     albedos[i, 1] = glossy_albedo(bsdfs[i], cosines[i])
@@ -60,7 +60,7 @@ def probe_lights(
     randoms: wp.array(dtype=wp.vec2),
     samples: wp.array(dtype=LightSample),
 ):
-    """How points see lights."""
+    """Samples lights from points."""
     i = wp.tid()
     samples[i] = sample_light(lights[i], points[i], soft, randoms[i])
 
@@ -72,7 +72,7 @@ def probe_crossings(
     directions: wp.array(dtype=wp.vec3),
     crossings: wp.array(dtype=LightCrossing),
 ):
-    """Where rays from a point cross a light."""
+    """Intersects rays from a point with a light."""
     i = wp.tid()
     crossings[i] = light_crossing(light[0], origin, directions[i])
 
@@ -84,7 +84,7 @@ def probe_environment(
     radiances: wp.array(dtype=wp.vec3),
     densities: wp.array(dtype=float),
 ):
-    """What comes from directions, and how densely they are picked."""
+    """Evaluates the environment's radiance and pdf for directions."""
     i = wp.tid()
     radiances[i] = environment_radiance(environment, directions[i])
     densities[i] = environment_pdf(environment, directions[i])
@@ -94,7 +94,7 @@ def probe_environment(
 def probe_environment_samples(
     environment: EnvironmentData, randoms: wp.array(dtype=wp.vec2), samples: wp.array(dtype=LightSample)
 ):
-    """Picked directions."""
+    """Samples directions of the environment."""
     i = wp.tid()
     samples[i] = sample_environment(environment, randoms[i])
 
@@ -106,7 +106,7 @@ def probe_material(
     inside: bool,
     bsdfs: wp.array(dtype=Bsdf),
 ):
-    """The BSDFs of materials at points without textures."""
+    """Makes the BSDFs of materials without textures."""
     i = wp.tid()
     own = materials[i]
     eta = wp.where(inside and own.transmission > 0.0, own.ior, 1.0 / own.ior)

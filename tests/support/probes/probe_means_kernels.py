@@ -1,4 +1,4 @@
-"""A kernel that calls the weight of means over frames, for its test."""
+"""A kernel that evaluates the weights of running means over frames, for their test."""
 
 import warp as wp
 
@@ -9,6 +9,6 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def probe_weights(counts: wp.array[float], histories: wp.array[float], weights_out: wp.array[float]):
-    """The weight of a mean of so many samples."""
+    """Evaluates the weight of a mean of so many samples."""
     i = wp.tid()
     weights_out[i] = mean_weight(counts[i], histories[i])

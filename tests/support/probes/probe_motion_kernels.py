@@ -1,4 +1,4 @@
-"""Kernels that ask where points were in the frame before, for tests."""
+"""Kernels that compute the positions of points in the previous frame, for tests."""
 
 import warp as wp
 
@@ -19,7 +19,7 @@ def probe_splats(
     motions: wp.array(dtype=InstanceMotion),
     before_out: wp.array(dtype=wp.vec3),
 ):
-    """Points that move with a Gaussian of an instance."""
+    """Finds the previous positions of points that move with a Gaussian of an instance."""
     i = wp.tid()
     before_out[i] = splat_before(points[i], number, gaussian, instances, assets, motions)
 
@@ -34,7 +34,7 @@ def probe_meshes(
     motions: wp.array(dtype=InstanceMotion),
     before_out: wp.array(dtype=wp.vec3),
 ):
-    """Points of a triangle of an instance."""
+    """Finds the previous positions of points on a triangle of an instance."""
     i = wp.tid()
     before_out[i] = mesh_before(points[i], number, face, weights[i], meshes, motions)
 
@@ -43,6 +43,6 @@ def probe_meshes(
 def probe_pixels(
     points: wp.array(dtype=wp.vec3), camera: wp.array(dtype=CameraData), pixels_out: wp.array(dtype=wp.vec3)
 ):
-    """Where a camera shows points."""
+    """Projects points to the pixels of a camera."""
     i = wp.tid()
     pixels_out[i] = pixel_before(points[i], camera)

@@ -1,4 +1,4 @@
-"""Kernels that call the map of directions and the look-ups of screen probes, for their tests."""
+"""Kernels that run the octahedral map and the lookups of screen probes, for their tests."""
 
 import warp as wp
 
@@ -20,7 +20,7 @@ def probe_map(
     back_out: wp.array(dtype=wp.vec3),
     cells_out: wp.array(dtype=int),
 ):
-    """The point and the cell of a direction, and the direction of that point."""
+    """Maps directions to points of the square and to cells, and the points back to directions."""
     i = wp.tid()
     points_out[i] = square_of_direction(directions[i])
     back_out[i] = direction_of_square(points_out[i])
@@ -29,7 +29,7 @@ def probe_map(
 
 @wp.kernel
 def probe_wrapped(cells: int, columns: wp.array(dtype=int), rows: wp.array(dtype=int), out: wp.array(dtype=int)):
-    """The cell at a column and a row."""
+    """Finds the cell at a column and a row, wrapped at the edges."""
     i = wp.tid()
     out[i] = wrapped_cell(columns[i], rows[i], cells)
 
@@ -48,7 +48,7 @@ def probe_light(
     directions: wp.array(dtype=wp.vec3),
     light_out: wp.array(dtype=wp.vec3),
 ):
-    """What probes say of pixels."""
+    """Looks up the light of probes at pixels; -1 where no probe counts."""
     i = wp.tid()
     found = gathered_light(
         pixels[i],
@@ -69,7 +69,7 @@ def probe_light(
 def probe_seen(
     cameras: wp.array(dtype=CameraData), samples: wp.array(dtype=SampleData), pixels_out: wp.array(dtype=wp.vec2)
 ):
-    """Where a camera sees a point on the ray of each of its pixels."""
+    """Projects a point on the ray of each pixel back to the image."""
     i = wp.tid()
     camera = cameras[0]
     ray = camera_ray(camera, samples[0], i % camera.width, i // camera.width)

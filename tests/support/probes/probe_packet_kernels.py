@@ -1,4 +1,4 @@
-"""Kernels that fill the lists of a packet, many at once: sorted hits, and nodes that wait."""
+"""Kernels that fill the lists of ray packets: sorted hits, and stacks of waiting nodes."""
 
 import warp as wp
 
@@ -17,7 +17,7 @@ def probe_hit_list(
     dropped: wp.array2d(dtype=Hit),
     lists: wp.array(dtype=HitList),
 ):
-    """Adds hits to a list, of which some are blended in between."""
+    """Adds hits to a list; some are blended in between."""
     i = wp.tid()
     kept = empty_list(3)
     for step in range(added.shape[1]):
@@ -38,7 +38,7 @@ def probe_push_children(
     leaves: wp.array(dtype=ChildLinks),
     leaf_counts: wp.array(dtype=int),
 ):
-    """Pushes the children of a node onto a stack on which some wait."""
+    """Pushes the children of a node onto a stack that holds other nodes."""
     i = wp.tid()
     top = tops[i]
     found = ChildLinks()

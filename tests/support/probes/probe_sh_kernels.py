@@ -1,4 +1,4 @@
-"""Kernels that call the device's spherical harmonics, for their tests."""
+"""Kernels that evaluate SH on the device, for their tests."""
 
 import warp as wp
 
@@ -11,6 +11,6 @@ wp.set_module_options({"enable_backward": False})
 def probe_sh_colors(
     sh: wp.array(dtype=wp.vec3), degree: int, directions: wp.array(dtype=wp.vec3), colors_out: wp.array(dtype=wp.vec3)
 ):
-    """Colours of one set of coefficients in many directions."""
+    """Evaluates one set of SH coefficients in many directions."""
     i = wp.tid()
     colors_out[i] = sh_color(sh, 0, degree, directions[i])

@@ -1,4 +1,4 @@
-"""Kernels that call what shadows are made of, so that tests reach it."""
+"""Kernels that run the device functions of shadow rays, for their tests."""
 
 import warp as wp
 
@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.kernel
 def draw_all(seed: wp.uint32, samples: int, numbers_out: wp.array2d(dtype=float)):
-    """Row = dimension, column = sample."""
+    """Draws a number for each dimension (row) and sample (column)."""
     dimension, sample = wp.tid()
     settings = ShadowData()
     settings.seed = seed
@@ -27,7 +27,7 @@ def own_all(
     corners: wp.array2d(dtype=wp.vec3),
     owned_out: wp.array2d(dtype=int),
 ):
-    """Row = ray, column = triangle."""
+    """Tests whether each triangle (column) owns the crossing of each ray (row)."""
     i, j = wp.tid()
     shear = ray_shear(directions[i])
     owned_out[i, j] = int(owns_crossing(origins[i], shear, corners[j, 0], corners[j, 1], corners[j, 2]))

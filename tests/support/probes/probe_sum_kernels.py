@@ -1,4 +1,4 @@
-"""Kernels that add up over warps, for their tests. Two kinds of sums, which must not share memory."""
+"""Kernels that sum over warps, for their tests; two kinds of sums must not share memory."""
 
 import warp as wp
 
@@ -22,7 +22,7 @@ def probe_sums(
     shorts_out: wp.array2d[Short],
     longs_out: wp.array2d[Long],
 ):
-    """Sums of the parts of all threads of each block, a row after the other."""
+    """Sums the parts of all threads of each thread block, row by row."""
     block, thread = wp.tid()
     for row in range(ROWS):
         add_short(row, shorts[block, row, thread], has_part[block, row, thread])

@@ -1,4 +1,4 @@
-"""Kernels that look textures up, so that tests reach the functions."""
+"""Kernels that sample textures, for their tests."""
 
 import warp as wp
 
@@ -17,7 +17,7 @@ def probe_texture(
     colors: wp.array(dtype=wp.vec3),
     alphas: wp.array(dtype=float),
 ):
-    """Colour and alpha at coordinates."""
+    """Samples colour and alpha at texture coordinates."""
     i = wp.tid()
     colors[i] = sample_texture(texels, values, texture, uvs[i])
     alphas[i] = sample_alpha(texels, texture, uvs[i])

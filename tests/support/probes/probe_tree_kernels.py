@@ -1,4 +1,4 @@
-"""Kernels that show what Gaussians are to rays, and where packets of rays enter boxes, many at once."""
+"""Kernels that evaluate Gaussians for rays, and intersect ray packets with boxes, for their tests."""
 
 import warp as wp
 
@@ -31,7 +31,7 @@ def probe_responses(
     reaches: wp.array(dtype=float),
     alphas: wp.array(dtype=float),
 ):
-    """Squared reach, and alpha at a distance."""
+    """Evaluates squared reach, and alpha at a distance."""
     i = wp.tid()
     reaches[i] = reach_squared(kernels[i], opacities[i])
     alphas[i] = alpha_of_degree(kernels[i], wp.log(opacities[i]), distances[i] * distances[i])
@@ -47,7 +47,7 @@ def probe_particles(
     boxes: wp.array(dtype=Box),
     normals: wp.array(dtype=wp.vec3),
 ):
-    """Gaussians as rays meet them, their boxes, and the normals of their ellipsoids where rays enter them."""
+    """Converts Gaussians to particles and boxes, and evaluates ellipsoid normals where rays enter."""
     i = wp.tid()
     particles[i] = particle_of(kernel, gaussians, i)
     boxes[i] = particle_box(kernel, gaussians, i)
@@ -69,7 +69,7 @@ def probe_packets(
     slabs: wp.array(dtype=Slabs),
     entries: wp.array(dtype=Children),
 ):
-    """Packets in the space of an instance, as slabs and ray by ray, and where they enter the children of a node."""
+    """Transforms packets to the space of an instance, as slabs and ray by ray, and intersects a node's children."""
     i = wp.tid()
     instance = instances[i]
     storage = RaysStorage()
@@ -97,7 +97,7 @@ def probe_mean_entries(
     ends: wp.array(dtype=float),
     entries: wp.array(dtype=Children),
 ):
-    """Where packets have the means in the children of a node, between two distances."""
+    """Computes the entry distances of packets by the means in a node's children, between two distances."""
     i = wp.tid()
     entered = enter_children(nodes[i], slabs[i], 0.0)
     entries[i] = mean_entries(nodes[i], slabs[i], entered, begins[i], ends[i])
@@ -107,7 +107,7 @@ def probe_mean_entries(
 def probe_take_coherent(
     rays: RayData, waiting: wp.array(dtype=Floats), radius_max: float, taken: wp.array(dtype=Floats)
 ):
-    """The first packet of each item; ``waiting`` becomes what is left."""
+    """Takes the first coherent packet of each item; ``waiting`` keeps the remaining rays."""
     i = wp.tid()
     left = waiting[i]
     taken[i] = take_coherent(rays, i * LANES, left, radius_max)

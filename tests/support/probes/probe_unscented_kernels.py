@@ -1,4 +1,4 @@
-"""Kernels that ask for the moments of projected Gaussians, for tests."""
+"""Kernels that compute moments of projected Gaussians, for tests."""
 
 import warp as wp
 
@@ -16,7 +16,7 @@ def probe_moments(
     gaussians: wp.array(dtype=WorldGaussian),
     moments_out: wp.array(dtype=ImageMoments),
 ):
-    """Of Gaussians."""
+    """Computes the image moments of Gaussians."""
     i = wp.tid()
     moments_out[i] = projected_moments(camera[0], field, gaussians[i])
 
@@ -28,6 +28,6 @@ def probe_points(
     points: wp.array(dtype=wp.vec3),
     pixels_out: wp.array(dtype=wp.vec3),
 ):
-    """Where the image has points."""
+    """Projects points to pixels, at the exposure times of their rows."""
     i = wp.tid()
     pixels_out[i] = pixel_at_row_time(camera[0], field, points[i])

@@ -1,4 +1,4 @@
-"""A radiance cache without a renderer around it: samples are made up, and rays follow in NumPy."""
+"""Runs a radiance cache without a renderer: tests make up samples, and rays are answered in NumPy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def rows(value: Any, count: int) -> np.ndarray:
-    """A vector for each of ``count`` samples, shape (count, 3), from one vector or number for all, or one each."""
+    """Returns vectors of shape (count, 3), from one vector or number for all samples, or one for each."""
     value = np.asarray(value, float)
     if value.ndim == 1 and len(value) == count != 3:
         value = value[:, None]
@@ -42,7 +42,10 @@ def made_samples(
     radiance: Any = 1.0,
     extent: Any = 0.0,
 ) -> Samples:
-    """Samples at positions, shape (N, 3); of others one value for all or one each. By default, cells are 1 wide."""
+    """Returns samples at positions, shape (N, 3); other fields are one value for all or one for each.
+
+    With the default ``from_eye``, cells of the default size are 1 wide.
+    """
     count = len(position)
     numbers = [np.broadcast_to(np.asarray(x, float), count).astype(np.float32) for x in (distance, from_eye, extent)]
     vectors = [rows(x, count) for x in (position, normal, albedo, radiance)]
@@ -52,32 +55,32 @@ def made_samples(
 def on_floor(
     rng: np.random.Generator, count: int, size: float = 16.0, middle: tuple[float, float] = (0.0, 0.0)
 ) -> np.ndarray:
-    """Points on a square of the plane z = 0.5."""
+    """Returns random points on a square of the plane z = 0.5."""
     return np.column_stack([middle + rng.uniform(-size / 2, size / 2, (count, 2)), np.full(count, 0.5)])
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Size of a cache, and tiles that did not fit."""
+    """Size of a cache, and counts of evicted and dropped tiles."""
 
     tiles: int
-    """Live tiles."""
+    """Number of live tiles."""
     cells: int
-    """Cells of these with samples."""
+    """Number of cells with samples in live tiles."""
     evicted: int
-    """Tiles that went before their time, since the start."""
+    """Number of tiles since the start that were evicted early to make room."""
     dropped: int
-    """Tiles that found no room, since the start."""
+    """Number of tiles since the start that found no free slot."""
     bytes: int
-    """Memory of the capacity."""
+    """Memory of the whole capacity in bytes."""
 
 
 class CacheRig:
-    """A cache with its buffers.
+    """Holds a radiance cache with its buffers.
 
     Args:
-        launcher: Runs the kernels; None: one thread.
-        **settings: Of the cache. Unless they say otherwise, light from other surfaces has the history of direct light.
+        launcher: Runs the kernels; None for a CPU launcher with one thread.
+        **settings: Fields of `RadianceCacheConfig`; ``bounce_history`` defaults to ``history``.
     """
 
     def __init__(self, launcher: Launcher | None = None, **settings: Any) -> None:
@@ -90,7 +93,7 @@ class CacheRig:
 
     @property
     def statistics(self) -> Statistics:
-        """Read off the tiles on the device."""
+        """Counts read from the tiles on the device."""
         tiles, noun = self.cache.tiles, cast(Any, CacheTiles)
         counts = device_array(tiles.counts).numpy()
         slots = device_array(tiles.slots).numpy()[: counts[COUNT_LIVE]]
@@ -99,7 +102,7 @@ class CacheRig:
         return Statistics(len(slots), cells, int(counts[COUNT_EVICTED]), int(counts[COUNT_DROPPED]), size)
 
     def upload(self, name: str, samples: Samples, active: Any = True) -> CacheSamples:
-        """Samples on the device."""
+        """Uploads samples to the device."""
         count = len(samples)
         uploaded = self.buffers.struct(name, CacheSamples, count)
         for field in ("position", "normal", "distance", "from_eye", "albedo", "radiance", "extent"):
@@ -113,20 +116,20 @@ class CacheRig:
         self.cache.insert(self.upload("samples", samples, active), frame)
 
     def look_up(self, samples: Samples, active: Any = True) -> np.ndarray:
-        """Radiance of samples, shape (N, 3)."""
+        """Returns the radiance of samples, shape (N, 3)."""
         return self.cache.look_up(self.upload("samples", samples, active)).numpy().copy()
 
     def look_up_indirect(self, samples: Samples, active: Any = True) -> np.ndarray:
-        """Radiance of samples by light from other surfaces, shape (N, 3)."""
+        """Returns the radiance of samples by indirect light, shape (N, 3)."""
         return self.cache.look_up_indirect(self.upload("samples", samples, active)).numpy().copy()
 
     def points(self, frame: int) -> tuple[CachePoints, dict[str, np.ndarray]]:
-        """The points of a frame's bounces, and their fields on the host."""
+        """Returns the points of a frame's bounces, and their fields on the host."""
         points = self.cache.bounce_points(frame)
         return points, {name: getattr(points, name).numpy().copy() for name in CachePoints.vars}  # pyright: ignore
 
     def bounce(self, frame: int, hits_of: Any, *, inserts: bool = True) -> dict[str, np.ndarray]:
-        """One bounce; ``hits_of`` makes the hits from the points, as many, and may say which are active."""
+        """Runs one bounce; ``hits_of`` maps the points to one hit each, and tells which hits are active."""
         points, host = self.points(frame)
         hits, active = hits_of(host)
         uploaded = self.upload("hits", hits, active & host["is_active"])
@@ -137,11 +140,11 @@ class CacheRig:
 
 
 def cosine_directions(rng: np.random.Generator, normal: np.ndarray) -> np.ndarray:
-    """Directions by the cosine of normals, shape (N, 3): a point of the unit sphere on the tip of the normal."""
+    """Returns cosine-weighted directions around normals, shape (N, 3): unit-sphere points added to the normal."""
     sphere = rng.normal(size=normal.shape)
     return unit(normal + 0.9999 * unit(sphere))
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors of length 1."""
+    """Returns vectors scaled to length 1."""
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""A closed box as a capture: a lamp in its ceiling, walls of two paints, and the light between them by radiosity."""
+"""Builds a closed box as a capture: an emitting ceiling panel, walls of two albedos, interreflection by radiosity."""
 
 from __future__ import annotations
 
@@ -15,39 +15,40 @@ Doubles = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 ON_WALL, ACROSS, WITHIN = 120, 8, 4
-"""Gaussians on a wall; patches across a wall, and points across a patch."""
+"""Number of Gaussians on a wall, of patches across a wall, and of points across a patch."""
 LIGHT = np.array((3.0, 3.0, 3.0))
-"""Radiance, in units of display white: captured as white."""
+"""Radiance of the ceiling light in units of display white; the capture clips it to white."""
 ALBEDOS = np.array(((0.6, 0.5, 0.4), (0.3, 0.25, 0.2)))
 ROTATIONS = np.array([np.roll(np.diag(sides), turn, axis=1) for turn in range(3) for sides in ((1, 1, 1), (1, -1, -1))])
-"""From a ceiling, y up, to each of the six walls, world from wall; the first one is the ceiling itself."""
+"""World-from-wall rotations that take a ceiling (y up) to each of the six walls; the first one is the ceiling itself.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapturedBox:
-    """The capture, and what is true of its N Gaussians."""
+    """The capture, with the true material and light of its N Gaussians."""
 
     gaussians: ls.Gaussians
-    """Colours of degree 0, without normals."""
+    """The capture: colours of SH degree 0, without normals."""
     normals: Doubles
-    """Inwards, shape (N, 3)."""
+    """Normals that point into the box, shape (N, 3)."""
     albedo: Doubles
-    """Shape (N, 3); lamps have one, too."""
+    """Albedo, shape (N, 3), also of the Gaussians of the light."""
     irradiance: Doubles
-    """Over pi, shape (N, 3)."""
+    """Irradiance divided by pi, shape (N, 3)."""
     direct: Doubles
-    """The share of it that comes straight from the lamp, shape (N, 3)."""
+    """Part of ``irradiance`` that comes directly from the light, shape (N, 3)."""
     is_emitter: Flags
-    """Shape (N,)."""
+    """True for Gaussians of the light, shape (N,)."""
 
     def with_radiance(self, radiance: Doubles) -> ls.Gaussians:
-        """The capture with other colours, of radiances that a display clips, shape (N, 3)."""
+        """Returns the capture with colours of other linear radiances, shape (N, 3), clipped to 0..1."""
         sh = (encode_srgb(np.clip(radiance, 0.0, 1.0)) - 0.5) / SH_C0
         return replace(self.gaussians, sh=sh[:, None].astype(np.float32))
 
 
 def captured_box() -> CapturedBox:
-    """The box, 2 wide, around the origin."""
+    """Builds the box, 2 units wide and centred at the origin."""
     flat = ls.gaussians_from_mesh(ls.plane(2.0, 2.0), ON_WALL)
     gaussians = ls.merge([_placed(flat, turn) for turn in ROTATIONS])
     normals = np.repeat(-ROTATIONS[:, :, 1], ON_WALL, axis=0).astype(np.float64)
@@ -68,14 +69,14 @@ def captured_box() -> CapturedBox:
 
 
 def _placed(flat: ls.Gaussians, turn: Doubles) -> ls.Gaussians:
-    """A wall, without materials."""
+    """Returns one wall as Gaussians without normals and materials."""
     placed = np.eye(4)
     placed[:3, :3], placed[:3, 3] = turn, turn[:, 1]
     return replace(ls.transform(flat, placed), normals=None, albedo=None, roughness=None)
 
 
 def _points(across: int) -> tuple[Doubles, Doubles]:
-    """Middles of so many squares across each wall, wall by wall and row by row, and their normals."""
+    """Returns the centres and normals of ``across`` x ``across`` squares on each wall, wall by wall and row by row."""
     middles = (np.arange(across) + 0.5) * (2.0 / across) - 1.0
     x, z = np.meshgrid(middles, middles, indexing="ij")
     wall = np.stack([x, np.ones_like(x), z], axis=-1).reshape(-1, 3)
@@ -84,7 +85,7 @@ def _points(across: int) -> tuple[Doubles, Doubles]:
 
 
 def _irradiances(at: Doubles, normals: Doubles, points: Doubles, facing: Doubles) -> Doubles:
-    """Irradiance over pi at places from each patch of radiance 1, shape (A, patches)."""
+    """Returns the irradiance over pi at A points from each patch of radiance 1, shape (A, patches)."""
     offsets = points[None] - at[:, None]
     square = np.maximum((offsets**2).sum(axis=2), 1e-9)
     cosines = np.maximum(np.einsum("apk,ak->ap", offsets, normals), 0.0)
@@ -98,5 +99,5 @@ def _is_emitter(points: npt.NDArray[np.floating]) -> Flags:
 
 
 def _albedo_at(points: npt.NDArray[np.floating]) -> Doubles:
-    """Halves of the box, a paint each."""
+    """Returns the albedo at points; each half of the box has its own."""
     return ALBEDOS[(points[:, 0] + 0.5 * points[:, 2] > 0.1).astype(int)]

@@ -1,4 +1,4 @@
-"""Sequences of frames of the filter of light, whose surfaces and samples are given: no scene, no tracer."""
+"""Runs the light filter over several frames; tests give surfaces and samples, so neither scene nor tracer is needed."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Mask = npt.NDArray[np.bool_]
 
 
 class FilterSequence:
-    """A filter, frame after frame.
+    """Runs a light filter frame by frame.
 
     Args:
         threads: CPU threads.
-        parallel: Of `Launcher`.
-        shared: Pixels that share a sample.
-        **settings: Of `FilterConfig`.
+        parallel: Option of `Launcher`.
+        shared: Number of pixels that share a sample.
+        **settings: Fields of `FilterConfig`.
     """
 
     def __init__(self, threads: int = 1, parallel: bool = False, *, shared: int = 1, **settings: int) -> None:
@@ -37,20 +37,20 @@ class FilterSequence:
         self.filter = LightFilter(launcher, self._buffers, ls.config.FilterConfig(**settings), "light", shared)
         self.frame = 0
         self.history_weight = 1.0
-        """Of the next frames, as of ``Motion``."""
+        """Weight of history in the next frames, as in ``Motion``."""
         self._seen: VisibleSurfaces | None = None
         self._before: SurfacePixels | None = None
 
     def render(
         self, seen: VisibleSurfaces, diffuse: Doubles, glossy: Doubles | None = None, sampled: Mask | None = None
     ) -> Doubles:
-        """The filtered light of the next frame, shape (pixels, 2, 3): diffuse, glossy.
+        """Returns the filtered light of the next frame, shape (pixels, 2, 3): diffuse and glossy.
 
         Args:
-            seen: What the pixels show; ``previous`` is where that was in the last frame.
-            diffuse: Samples, shape (pixels, 3).
-            glossy: As many; None: half of the others.
-            sampled: Which pixels have a sample; None: all.
+            seen: Surfaces at the pixels; ``previous`` holds their positions in the last frame.
+            diffuse: Diffuse samples, shape (pixels, 3).
+            glossy: Glossy samples, shape (pixels, 3); None for half of the diffuse ones.
+            sampled: True for pixels that have a sample; None for all.
         """
         light = SurfaceLight()
         samples = diffuse, 0.5 * diffuse if glossy is None else glossy
@@ -70,16 +70,16 @@ class FilterSequence:
         return np.stack([values(found.diffuse), values(found.glossy)], axis=1)
 
     def history(self) -> LightHistory:
-        """That of the last frame."""
+        """Returns the history of the last frame."""
         assert self._before is not None
         count = len(device_array(self._before.share))
         return self._buffers.struct(f"light.history{(self.frame - 1) % 2}", LightHistory, count)
 
     def ages(self) -> Doubles:
-        """Frames in the history of each pixel."""
+        """Returns the number of frames in each pixel's history."""
         return values(self.history().frames)
 
 
 def values(array: wp.array[Any]) -> Doubles:
-    """A copy of a device array."""
+    """Copies a device array to float64."""
     return device_array(array).numpy().astype(np.float64)

@@ -1,4 +1,4 @@
-"""Surfaces that pixels show, made by intersecting rays with planes in float64: input of passes in real time."""
+"""Intersects pixels with planes in float64, as input of real-time passes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Doubles = npt.NDArray[np.float64]
 
 @dataclass(slots=True)
 class VisibleSurfaces:
-    """What the pixels of a camera show, in float64; row by row."""
+    """Surfaces at the pixels of a camera, in float64, row by row; fields as in ``SurfacePixels``."""
 
     camera: ls.Camera
     share: Doubles
@@ -29,12 +29,12 @@ class VisibleSurfaces:
     extent: Doubles
     previous: Doubles
     face: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Which of the scene's faces; -1: none."""
+    """Index of the scene's face at each pixel; -1 for none."""
     offset: tuple[float, float] = CENTER
-    """Where samples are in their pixels."""
+    """Position of the samples within their pixels."""
 
     def upload(self, device: str = "cpu") -> SurfacePixels:
-        """The struct that kernels read."""
+        """Returns the struct that kernels read."""
         pixels = SurfacePixels()
         albedo = np.ones_like(self.position)
         for name in ("share", "distance", "extent"):
@@ -46,7 +46,7 @@ class VisibleSurfaces:
 
 
 def camera_rows(camera: ls.Camera, device: str = "cpu", offset: tuple[float, float] = CENTER) -> wp.array[CameraData]:
-    """The camera as kernels read it, with samples at a place in their pixels."""
+    """Returns the camera's table on the device, with samples at ``offset`` in their pixels."""
     rows = camera_table(camera, offset)
     table = wp.zeros(1, dtype=CameraData, device=device)
     assert rows.dtype == table_dtype(CameraData)
@@ -55,7 +55,7 @@ def camera_rows(camera: ls.Camera, device: str = "cpu", offset: tuple[float, flo
 
 
 def pixel_rays(camera: ls.Camera, offset: tuple[float, float] = CENTER) -> tuple[Doubles, Doubles]:
-    """Origin, shape (3,), and unit directions, shape (H W, 3), of a pinhole's samples at a place in their pixels."""
+    """Returns the origin (3,) and the unit directions (H W, 3) of a pinhole's samples at ``offset`` in their pixels."""
     x, y = np.meshgrid(np.arange(camera.width) + offset[0], np.arange(camera.height) + offset[1])
     local = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
     directions = local.reshape(-1, 3) @ camera.world_from_camera[:3, :3].T
@@ -63,7 +63,7 @@ def pixel_rays(camera: ls.Camera, offset: tuple[float, float] = CENTER) -> tuple
 
 
 def box_exit(origins: Doubles, directions: Doubles, half: float = 0.5) -> tuple[Doubles, npt.NDArray[np.int64]]:
-    """Distance to the walls of a cube around the origin, from inside, and the wall: 0, 1 are -x, +x, and so on."""
+    """Returns the distance from inside a cube around the origin to its walls, and the wall: 0 for -x, 1 for +x, ..."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.where(directions == 0.0, np.inf, (np.copysign(half, directions) - origins) / directions)
     axis = np.argmin(ends, axis=1)
@@ -72,14 +72,14 @@ def box_exit(origins: Doubles, directions: Doubles, half: float = 0.5) -> tuple[
 
 
 def inward(face: npt.NDArray[np.int64]) -> Doubles:
-    """Normals of the cube's walls, towards its inside."""
+    """Returns inward normals of the cube's walls."""
     normals = np.zeros((len(face), 3))
     normals[np.arange(len(face)), face // 2] = np.where(face % 2, -1.0, 1.0)
     return normals
 
 
 def visible_box(camera: ls.Camera, extent: float = 0.0, offset: tuple[float, float] = CENTER) -> VisibleSurfaces:
-    """The unit cube around the origin from inside."""
+    """Returns the unit cube around the origin as a camera inside sees it."""
     eye, directions = pixel_rays(camera, offset)
     t, face = box_exit(np.broadcast_to(eye, directions.shape), directions)
     position = eye + t[:, None] * directions
@@ -90,7 +90,7 @@ def visible_box(camera: ls.Camera, extent: float = 0.0, offset: tuple[float, flo
 def visible_plane(
     camera: ls.Camera, normal: npt.ArrayLike, extent: float = 0.0, offset: tuple[float, float] = CENTER
 ) -> VisibleSurfaces:
-    """The plane through the origin; pixels that miss it, or see it from below, show nothing."""
+    """Returns a plane through the origin; pixels that miss it or see its back have no surface."""
     eye, directions = pixel_rays(camera, offset)
     normal = np.asarray(normal, np.float64)
     facing = directions @ normal
@@ -105,7 +105,7 @@ def visible_plane(
 
 
 def tilted(normals: Doubles, degrees: float, seed: int) -> Doubles:
-    """Normals, each turned by a normally distributed angle of this standard deviation towards a random side."""
+    """Returns normals rotated to random sides by normally distributed angles with standard deviation ``degrees``."""
     rng = np.random.default_rng(seed)
     side = np.cross(normals, rng.normal(size=normals.shape))
     side /= np.linalg.norm(side, axis=1, keepdims=True)

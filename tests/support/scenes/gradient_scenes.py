@@ -1,4 +1,4 @@
-"""Small clouds, a view, and derivatives by its pixels, for tests of gradients."""
+"""Builds small clouds, a view and gradients of its pixels, for tests of gradients."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BACKGROUND = (0.3, 0.5, 0.2)
 
 
 def cloud(seed: int = 3, count: int = 16, degree: int = 1, *, antialiased: bool = False) -> ls.Gaussians:
-    """Gaussians of all shapes in a unit box; some are opaque enough to end pixels."""
+    """Returns Gaussians of all shapes in a unit box; some are opaque enough to terminate pixels."""
     rng = np.random.default_rng(seed)
     return ls.Gaussians(
         means=rng.uniform(-1.0, 1.0, (count, 3)) * (1.0, 1.0, 0.6),
@@ -27,33 +27,35 @@ def cloud(seed: int = 3, count: int = 16, degree: int = 1, *, antialiased: bool 
 
 
 def view(width: int = SIZE[0], height: int = SIZE[1]) -> ls.Camera:
-    """Not along an axis, so that no derivative is 0 by symmetry."""
+    """Returns a camera that looks along no axis, so that no gradient vanishes by symmetry."""
     return ls.Camera.look_at(
         (0.3, -0.2, -3.0), (0.0, 0.0, 0.0), (0.1, -1.0, 0.0), width=width, height=height, fov_y=0.8
     )
 
 
 def by_pixels(camera: ls.Camera, seed: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives by colour and alpha, of no pattern, as float32 has them."""
+    """Returns random gradients of a loss with respect to colour and alpha, in float32."""
     rng = np.random.default_rng(seed)
     shape = camera.height, camera.width
     return rng.normal(size=(*shape, 3)).astype(np.float32), rng.normal(size=shape).astype(np.float32)
 
 
 def vars_of(found: ls.gradients.SplatGradients | ls.gradients.RayGradients) -> dict[str, np.ndarray]:
-    """The derivatives by the first set, by name."""
+    """Returns the gradients with respect to the first Gaussian set, by name."""
     return {name: getattr(found.sets[0], name) for name in ("means", "rotations_wxyz", "scales", "opacities", "sh")}
 
 
 def check_instances(
     gaussians: ls.Gaussians, place: np.ndarray, find: Callable[[ls.Scene], ls.gradients.SplatGradients]
 ) -> None:
-    """Two instances of a set, both in sight, have the derivatives of two sets together, and the pose those of one set.
+    """Asserts that the gradients of two instances of one set add up to the set's gradient.
+
+    The camera's gradient must not depend on whether instances share a set.
 
     Args:
         gaussians: The set.
-        place: Of the first instance.
-        find: The derivatives of a scene.
+        place: Transform of the first instance.
+        find: Computes the gradients of a scene.
     """
     other = np.eye(4)
     other[:3, :3] = 0.9 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -73,11 +75,11 @@ def check_instances(
 
 
 def check_close(value: np.ndarray, expected: np.ndarray) -> None:
-    """Equal but for the rounding of float32."""
+    """Asserts equality up to the rounding of float32."""
     assert np.abs(value - expected).max() < 3e-4 * np.abs(expected).mean()
 
 
 def opaque(count: int = 700) -> ls.Gaussians:
-    """So many opaque ones that all pixels of a view end long before the last."""
+    """Returns so many opaque Gaussians that every pixel of a view terminates long before the last of them."""
     base = cloud(21, count)
     return replace(base, means=1.3 * base.means, scales=2.0 * base.scales, opacities=np.full(count, 0.98))

@@ -1,4 +1,4 @@
-"""Captures whose light is known: a room lit by lamps, a ground in the sun, with bright things that light nothing."""
+"""Builds captures with known lights: a lit room and a sunlit meadow, both with bright objects that emit no light."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ Point = tuple[float, float, float]
 
 
 def box(center: Point, size: Point) -> ls.Mesh:
-    """A box seen from outside."""
+    """Returns a box whose faces point outwards."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     return ls.Mesh(corners * np.array(size) + center, np.array(_BOX_FACES).reshape(-1, 3))
 
 
 def ball(center: Point, radius: float) -> ls.Mesh:
-    """A sphere."""
+    """Returns a sphere."""
     mesh = icosphere(radius)
     return replace(mesh, positions=mesh.positions + np.asarray(center, np.float32))
 
 
 def painted(mesh: ls.Mesh, count: int, linear: np.ndarray | float) -> ls.Gaussians:
-    """Gaussians on a mesh, of linear colours, one or one each, without the properties that captures do not have."""
+    """Returns Gaussians on a mesh with linear colours (one for all or one for each), without normals and materials."""
     gaussians = ls.gaussians_from_mesh(mesh, count)
     display = encode_srgb(np.broadcast_to(np.asarray(linear, np.float64), (gaussians.count, 3)))
     plain = replace(gaussians, normals=None, albedo=None, roughness=None, metallic=None)
@@ -49,14 +49,14 @@ def lit(
     ambient: float = 0.3,
     level: float = 0.15,
 ) -> ls.Gaussians:
-    """A capture of parts, each a mesh, a number of Gaussians and an albedo, in a known light with its shadows.
+    """Builds a capture of meshes under known lights, with shadows.
 
     Args:
-        parts: What there is.
-        lights: Where lights shine, each as strong as the others and shown as a white ball.
-        sun: Direction towards a sun.
-        ambient: Light from everywhere, over the mean of the other light.
-        level: Median luminance that the capture is exposed for.
+        parts: Meshes, each with its number of Gaussians and its albedo.
+        lights: Positions of lights of equal intensity; each shows as a white ball.
+        sun: Direction towards a sun; None for no sun.
+        ambient: Constant ambient light, relative to the mean of the other light.
+        level: Median luminance to which the capture is exposed.
     """
     world = ls.Scene(meshes=[ls.MeshInstance(mesh) for mesh, *_ in parts])
     sets = [ls.gaussians_from_mesh(mesh, count) for mesh, count, _ in parts]
@@ -72,7 +72,7 @@ def lit(
         if sun is not None:
             light += 3.0 * _cosine(world, points, normals, np.broadcast_to(sun, points.shape), 50.0)
         incident.append(light)
-        # Texture: patches of some tenths of a metre, and grain.
+        # Texture: patches of some tenths of a metre, and noise.
         patches = np.sin(points @ rng.normal(0.0, 5.0, (3, 3))).prod(axis=1)
         albedo.append(part_albedo * np.exp(0.3 * patches + 0.1 * rng.normal(size=len(points))))
     total, mean = np.concatenate(incident), float(np.concatenate(incident).mean())
@@ -88,7 +88,7 @@ def lit(
 
 @cache
 def room(lights: tuple[Point, ...]) -> ls.Gaussians:
-    """A room of 4 x 3 x 5 m about (0, 1.5, 0) with two boxes, three white balls on the floor and a white sheet."""
+    """Returns a room of 4 x 3 x 5 m around (0, 1.5, 0): two boxes, three white balls on the floor, a white sheet."""
     walls = box((0.0, 1.5, 0.0), (4.0, 3.0, 5.0))
     parts = [
         (replace(walls, indices=walls.indices[:, ::-1]), 14_000, 0.5),
@@ -101,7 +101,7 @@ def room(lights: tuple[Point, ...]) -> ls.Gaussians:
 
 @cache
 def meadow(sun: Point | None, lights: tuple[Point, ...] = (), ambient: float = 0.4) -> ls.Gaussians:
-    """A ground of 8 x 8 m with boxes and balls on it, white flowers and a white sheet; y is up."""
+    """Returns a ground of 8 x 8 m with boxes, balls, white flowers and a white sheet; y is up."""
     ground = ls.Mesh(
         np.array([(-4.0, 0.0, -4.0), (-4.0, 0.0, 4.0), (4.0, 0.0, 4.0), (4.0, 0.0, -4.0)]),
         np.array([(0, 1, 2), (0, 2, 3)]),
@@ -118,7 +118,7 @@ def meadow(sun: Point | None, lights: tuple[Point, ...] = (), ambient: float = 0
 
 
 def distractors() -> list[tuple[ls.Mesh, int, float]]:
-    """Bright things that light nothing."""
+    """Returns bright objects that emit no light, as parts for `lit`."""
     flowers = [(1.4, 0.2, 1.3), (-1.5, 0.15, -0.4), (0.3, 0.25, -1.6)]
     return [(ball(position, 0.07), 80, 0.95) for position in flowers] + [
         (box((0.9, 0.006, 0.8), (0.3, 0.012, 0.25)), 200, 0.95)
@@ -128,7 +128,7 @@ def distractors() -> list[tuple[ls.Mesh, int, float]]:
 def _cosine(
     world: ls.Scene, points: np.ndarray, normals: np.ndarray, to_light: np.ndarray, distance: np.ndarray | float
 ) -> np.ndarray:
-    """Cosine to a light, 0 in shadow, shape (N,)."""
+    """Returns the cosine between normals and the light's direction, 0 in shadow, shape (N,)."""
     unit = to_light / np.linalg.norm(to_light, axis=1, keepdims=True)
     cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
     return cosine * ls.transmittance(world, points + 0.004 * normals, unit, distance, device="cpu")

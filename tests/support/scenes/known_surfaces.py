@@ -1,4 +1,4 @@
-"""Makes images of a textured ball over a textured disc by formula, so that surfaces trained on them have a truth."""
+"""Makes images of a textured ball over a textured disc by formula, so that trained surfaces have a ground truth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIZE = 96
 VIEWS = 24
 HELD_OUT = 6
 BALL, DISC, FLOOR = 0.6, 1.3, 0.6
-"""Radii, and how far below the middle of the ball the disc lies; y points down."""
+"""Radii of ball and disc, and distance of the disc below the centre of the ball; y points down."""
 SUPERSAMPLED = 3
 WAVES = np.array([[9, 4, -5], [-3, 11, 6], [5, -7, 10], [3, 2, 1], [1, -3, 2], [-2, 1, 3]], float)
 FINE_WAVE = np.array([23.0, 19.0, -21.0])
@@ -23,35 +23,35 @@ CONFIG = ls.TrainConfig(iterations=1500, cap=3000, initial=1500, sh_degree=1)
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth:
-    """What a camera sees, a value a pixel."""
+    """Exact colour and geometry at the pixels of a camera."""
 
     color: np.ndarray
     is_hit: np.ndarray
     normal: np.ndarray
-    """World space, towards the camera, shape (H, W, 3)."""
+    """World-space normals that face the camera, shape (H, W, 3)."""
     depth: np.ndarray
-    """View depth."""
+    """View depth, shape (H, W)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How near a capture is to what is known."""
+    """Errors of a capture against the ground truth."""
 
     psnr: float
     normals: float
-    """Mean angle between the shortest axes of Gaussians, blended, and the surface, degrees."""
+    """Mean angle between the blended shortest axes of the Gaussians and the true normal, degrees."""
     depth: float
-    """Mean error of depth, scene units."""
+    """Mean absolute error of depth in scene units."""
 
 
 def camera(angle: float, height: float) -> ls.Camera:
-    """One that looks at the ball."""
+    """Returns a camera that looks at the ball."""
     eye = (2.6 * np.cos(angle), -height, 2.6 * np.sin(angle))
     return ls.Camera.look_at(eye, (0.0, 0.1, 0.0), (0.0, -1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.75)
 
 
 def ground_truth(view: ls.Camera) -> GroundTruth:
-    """The nearer of ball and disc on the ray through each pixel's centre."""
+    """Intersects the ray through each pixel centre with ball and disc; the nearer hit counts."""
     rays = view.ray_directions() @ view.camera_from_world[:3, :3]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     along, square = rays @ view.eye, view.eye @ view.eye - BALL**2
@@ -72,14 +72,14 @@ def ground_truth(view: ls.Camera) -> GroundTruth:
 
 
 def texture(points: np.ndarray) -> np.ndarray:
-    """Colours of places, 0..1."""
+    """Returns the colours of the texture at points, 0..1."""
     waves = 0.5 + 0.5 * np.sin(points @ WAVES.T)
     fine_waves = 0.5 + 0.5 * np.sin(points @ FINE_WAVE)
     return np.clip(0.5 * fine_waves[..., None] * waves[..., :3] + 0.25 * waves[..., 3:] + 0.1, 0.0, 1.0)
 
 
 def target_pixels(view: ls.Camera) -> TargetPixels:
-    """Colour and alpha, means over the area of each pixel."""
+    """Returns colour and alpha, averaged over the area of each pixel."""
     fine = ground_truth(view.scaled(SUPERSAMPLED * view.width, SUPERSAMPLED * view.height))
     layers = np.dstack([fine.color, fine.is_hit])
     tiles = layers.reshape(view.height, SUPERSAMPLED, view.width, SUPERSAMPLED, 4).mean(axis=(1, 3)).astype(np.float32)
@@ -87,7 +87,7 @@ def target_pixels(view: ls.Camera) -> TargetPixels:
 
 
 def views() -> list[TrainingView]:
-    """Those to learn from: golden angles around, at changing heights."""
+    """Returns the training views, at golden angles around the ball and at varying heights."""
     views_found: list[TrainingView] = []
     for number in range(VIEWS):
         view = camera(2.399963 * number, 0.4 + (0.618034 * number) % 1.0)
@@ -97,12 +97,12 @@ def views() -> list[TrainingView]:
 
 
 def held_out() -> list[ls.Camera]:
-    """Others, to measure from."""
+    """Returns the cameras of the held-out views."""
     return [camera(1.1 * k + 0.4, 0.45 + 0.17 * k) for k in range(HELD_OUT)]
 
 
 def fitted(config: ls.TrainConfig, device: str = "cpu") -> ls.Gaussians:
-    """What a training makes of them."""
+    """Trains Gaussians on the training views."""
     one = Trainer(views(), config, device=device)
     for _ in range(config.iterations):
         one.step()
@@ -110,7 +110,7 @@ def fitted(config: ls.TrainConfig, device: str = "cpu") -> ls.Gaussians:
 
 
 def score(gaussians: ls.Gaussians, device: str = "cpu") -> Score:
-    """Over what was held out; surfaces inside their outlines, where the capture is opaque."""
+    """Evaluates on the held-out views; normals and depth count where truth and capture are opaque."""
     renderer, scene = ls.DifferentiableRenderer(device=device), ls.Scene([gaussians])
     psnr: list[float] = []
     angles: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""Cameras that no pinhole is, and Gaussians before them, for tests of frames that are rasterised along rays."""
+"""Builds cameras with distortion, fisheyes and rolling shutters, for tests of rasterisation along rays."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ SIZE = 64, 48
 
 
 def pose(eye: tuple[float, float, float] = (0.2, -0.1, -0.3), turn: float = 0.0) -> np.ndarray:
-    """Looks along +z, a little aside and rolled, so that nothing is symmetric."""
+    """Returns a pose that looks roughly along +z, off axis and rolled, so that nothing is symmetric."""
     target = (eye[0] + 0.1 + turn, eye[1] - 0.05, eye[2] + 1.0)
     return np.array(ls.Camera.look_at(eye, target, (0.2 + turn, -1.0, 0.0)).camera_from_world)
 
 
 def lens(focal: float, size: tuple[int, int] = SIZE, **changes: object) -> ls.Camera:
-    """A pinhole, its principal point aside; ``changes`` replace its fields."""
+    """Returns a pinhole with an off-centre principal point; ``changes`` replace its fields."""
     width, height = size
     place = {"cx": 0.5 * width + 1.5, "cy": 0.5 * height - 2.0, "camera_from_world": pose()}
     return replace(ls.Camera(width=width, height=height, fx=focal, fy=1.05 * focal, **place), **changes)
 
 
 def rolling(camera: ls.Camera) -> ls.Camera:
-    """The same with a rolling shutter: it moves by some pixels of what is 3 away, and turns by a degree."""
+    """Adds a rolling shutter: points at distance 3 move by some pixels, and the camera rotates by a degree."""
     return replace(camera, camera_from_world_end=pose((0.27, -0.04, -0.33), turn=0.02))
 
 
 FISHEYE = ls.CameraModel.FISHEYE
 WIDE = (-0.02, 0.003, -0.0005, 0.0, 0.002, 0.001)
-"""A fisheye's distortion, up to 220 degrees across and more."""
+"""Distortion of a fisheye that stays valid beyond a field of view of 220 degrees."""
 
 LENSES = {
     "pinhole": lens(45.0),
@@ -47,7 +47,7 @@ LENSES = {
 
 
 def layers(camera: ls.Camera, seed: int = 5, count: int = 44) -> ls.Gaussians:
-    """Gaussians behind each other, each so much farther than the one before that every order is the same."""
+    """Returns Gaussians in depth order, so far apart that every sort key gives the same order."""
     rng = np.random.default_rng(seed)
     is_round = camera.model is FISHEYE
     distances = 1.2 ** np.arange(count)
@@ -67,7 +67,7 @@ def layers(camera: ls.Camera, seed: int = 5, count: int = 44) -> ls.Gaussians:
 
 
 def large(seed: int, count: int = 4) -> ls.Gaussians:
-    """Gaussians of all sizes all around the origin, many of them as large as the view; some hold the eye."""
+    """Returns Gaussians of all sizes around the origin; many are as large as the view, some contain the eye."""
     rng = np.random.default_rng(seed)
     return ls.Gaussians(
         means=rng.normal(size=(count, 3)) * rng.choice([0.5, 2.0, 5.0], (count, 1)),
@@ -79,9 +79,9 @@ def large(seed: int, count: int = 4) -> ls.Gaussians:
 
 
 def needle(seed: int, camera: ls.Camera) -> ls.Gaussians:
-    """One Gaussian of any shape, within some of its lengths of the direction against the camera's axis.
+    """Returns one Gaussian of random shape near the direction opposite to the camera's axis.
 
-    It is no thinner than a ten-thousandth of its distance: rays of float32 do not resolve much less.
+    The Gaussian is at least a ten-thousandth of its distance thick, since float32 rays resolve little less.
     """
     rng = np.random.default_rng(seed)
     size = 10.0 ** rng.uniform(-2.5, -0.5)

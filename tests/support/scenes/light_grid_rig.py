@@ -1,4 +1,4 @@
-"""A light grid without a renderer around it: cells are given, and their lights chosen frame by frame."""
+"""Runs a light grid without a renderer: tests give the cells, and choose their lights frame by frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CAMERA = ls.Camera.look_at((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), width=8, height=8)
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell."""
+    """A cell of the light grid."""
 
     key: int
     center: np.ndarray
@@ -35,7 +35,7 @@ class Cell:
 
 
 def cell_at(position: Sequence[float], from_eye: float) -> Cell:
-    """The cell that a position is in; its choice is the first."""
+    """Returns the cell of a position, without jitter between cells."""
     keys, centers = wp.zeros(1, dtype=wp.int64, device="cpu"), wp.zeros(1, dtype=wp.vec3, device="cpu")
     halves = wp.zeros(1, dtype=float, device="cpu")
     placement = wp.array([wp.vec3(*position)], dtype=wp.vec3, device="cpu")
@@ -46,11 +46,11 @@ def cell_at(position: Sequence[float], from_eye: float) -> Cell:
 
 
 class LightGridRig:
-    """Lights on the device, and some cells.
+    """Holds lights and some cells on the device.
 
     Args:
-        lights: The lights.
-        cells: The cells.
+        lights: Lights of the scene.
+        cells: Cells of the grid.
     """
 
     def __init__(self, lights: Sequence[Light], cells: Sequence[Cell]) -> None:
@@ -73,7 +73,7 @@ class LightGridRig:
         self.grid.chances = self._buffers.get("chances", wp.float32, size)
 
     def choose(self, frame: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the lights of each cell in a frame, and their chances, shape (cells, slots) each."""
+        """Chooses the lights of each cell for a frame; returns indices and probabilities, shape (cells, slots) each."""
         sample = np.zeros(1, table_dtype(SampleData))
         sample["index"], sample["seed"] = frame, seed
         assign_table(self._sample, sample)
@@ -85,7 +85,7 @@ class LightGridRig:
     def pick(
         self, draws: np.ndarray, cell: int, position: Sequence[float], normal: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The light that each draw picks at a surface, and its probability; cell -1: among all lights."""
+        """Returns the light that each draw selects at a surface, and its probability; cell -1 stands for all lights."""
         count = len(draws)
         numbers, chances = wp.zeros(count, dtype=int, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
         given = wp.array(draws, dtype=float, device="cpu")
@@ -94,7 +94,7 @@ class LightGridRig:
         return numbers.numpy(), chances.numpy()
 
     def reaches(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of light i its weight in cell i, and what it sends to point i."""
+        """Returns the weight of light i in cell i, and the importance of light i at point i."""
         count = len(points)
         weights, importances = (wp.zeros(count, dtype=float, device="cpu") for _ in range(2))
         centers = wp.array(np.array([cell.center for cell in self.cells]), dtype=wp.vec3, device="cpu")

@@ -1,4 +1,4 @@
-"""What tests of light share: a plane in y = 0 seen from above, and lit frames."""
+"""Shares setups of tests of lights: a plane at y = 0 viewed from above, and lit frames."""
 
 from __future__ import annotations
 
@@ -21,42 +21,42 @@ RAYS = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRI
 def above(
     height: float = 5.0, width: int = 64, rows: int = 48, fov_y: float = 0.6, eye: tuple[float, float] = (0.7, 0.9)
 ) -> ls.Camera:
-    """A camera that looks down on the origin, a little from the side."""
+    """Returns a camera above the origin that looks down slightly obliquely."""
     return ls.Camera.look_at(
         (eye[0], height, eye[1]), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0), width=width, height=rows, fov_y=fov_y
     )
 
 
 def floor(material: Material, half: float = 20.0) -> ls.Mesh:
-    """A plane that faces up."""
+    """Returns a plane that faces up."""
     return parallelogram((-half, 0.0, half), (2.0 * half, 0.0, 0.0), (0.0, 0.0, -2.0 * half), material)
 
 
 def floor_points(camera: ls.Camera) -> np.ndarray:
-    """Where the pixels' centres see the plane, shape (H, W, 3)."""
+    """Returns the points of the plane at the pixel centres, shape (H, W, 3)."""
     directions = camera.ray_directions() @ camera.world_from_camera[:3, :3].T
     return camera.eye - camera.eye[1] / directions[..., 1:2] * directions
 
 
 def lit(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
-    """A lit frame."""
+    """Renders a lit frame."""
     config = ls.RenderConfig(pipeline=pipeline, lighting=True)
     return ls.render(scene, camera, replace(config, **settings), device="cpu")
 
 
 def towards(point: npt.ArrayLike, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions to a point, shape (H, W, 3), and distances, (H, W)."""
+    """Returns unit directions to a point, shape (H, W, 3), and distances, shape (H, W)."""
     away = np.array(point) - points
     distances = np.linalg.norm(away, axis=-1)
     return away / distances[..., None], distances
 
 
 def assert_relatively_close(actual: np.ndarray, expected: np.ndarray, rtol: float) -> None:
-    """Within ``rtol`` of the brightest, everywhere."""
+    """Asserts errors of at most ``rtol`` times the largest expected value."""
     assert_close(actual, expected, atol=rtol * float(np.max(expected)))
 
 
 def tile_means(image: np.ndarray, size: int = 8) -> np.ndarray:
-    """Means of square blocks of pixels."""
+    """Returns means over square tiles of pixels; incomplete tiles are left out."""
     rows, columns = (n // size for n in image.shape)
     return image[: rows * size, : columns * size].reshape(rows, size, columns, size).mean(axis=(1, 3))

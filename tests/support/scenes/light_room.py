@@ -1,4 +1,4 @@
-"""A room of Gaussians with lamps whose place and colour are known."""
+"""Builds a room of Gaussians with emitters of known position and colour."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.scene.gaussians import merge_gaussians
 
 SIZE = np.array([4.0, 3.0, 5.0])
-"""Of the room, metres; its corner is the origin, y is up."""
+"""Size of the room in metres (x, y up, z); one corner is the origin."""
 
 
 def captured(means: np.ndarray, linear: np.ndarray, opacity: float = 0.9, scale: float = 0.03) -> ls.Gaussians:
-    """Gaussians of linear colours, the same from everywhere, as a capture of degree 3 holds them."""
+    """Returns Gaussians with view-independent linear colours and SH coefficients of degree 3."""
     count = len(means)
     sh = np.zeros((count, 16, 3))
     sh[:, 0] = (encode_srgb(np.broadcast_to(linear, (count, 3))) - 0.5) / SH_C0
@@ -25,7 +25,7 @@ def captured(means: np.ndarray, linear: np.ndarray, opacity: float = 0.9, scale:
 
 
 def walls(count: int = 12_000, seed: int = 0) -> ls.Gaussians:
-    """The six sides of the room, of mottled grey, each seen a little differently from everywhere."""
+    """Returns the six walls of the room, mottled grey, with slightly view-dependent colours."""
     rng = np.random.default_rng(seed)
     points = rng.random((count, 3)) * SIZE
     side = rng.integers(0, 6, count)
@@ -39,7 +39,7 @@ def walls(count: int = 12_000, seed: int = 0) -> ls.Gaussians:
 def light_ball(
     center: tuple[float, float, float], linear: tuple[float, float, float], radius: float = 0.08, count: int = 50
 ) -> ls.Gaussians:
-    """A ball of light."""
+    """Returns a small ball of bright Gaussians, as a captured lamp looks."""
     rng = np.random.default_rng(count)
     points = rng.normal(size=(count, 3))
     points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
@@ -47,14 +47,14 @@ def light_ball(
 
 
 def bright_wall(linear: float = 1.0, count: int = 4_000) -> ls.Gaussians:
-    """Most of the wall at z = 0: as bright as a lamp, and broad."""
+    """Returns most of the wall at z = 0 as Gaussians that are as bright as a lamp, but spread over a large area."""
     rng = np.random.default_rng(5)
     points = np.column_stack([rng.uniform(0.5, 3.5, count), rng.uniform(0.5, 2.5, count), np.full(count, 0.01)])
     return captured(points, np.full(3, linear))
 
 
 def highlight(center: tuple[float, float, float], towards: np.ndarray, count: int = 50) -> ls.Gaussians:
-    """A highlight: brighter than any lamp for who looks along ``towards``, and dark from behind."""
+    """Returns a specular highlight: brighter than any lamp when viewed along ``towards``, dark from behind."""
     spot = light_ball(center, (0.2, 0.2, 0.2), count=count)
     sh = spot.sh.copy()
     x, y, z = towards / np.linalg.norm(towards)
@@ -63,5 +63,5 @@ def highlight(center: tuple[float, float, float], towards: np.ndarray, count: in
 
 
 def room_with(*parts: ls.Gaussians) -> ls.Gaussians:
-    """The walls and what is in the room, one capture."""
+    """Merges the walls and the given parts into one capture."""
     return merge_gaussians([walls(), *parts])

@@ -1,7 +1,7 @@
-"""Lit mesh scenes that both Mitsuba and we render; tools/make_mitsuba_light_reference.py makes the references of them.
+"""Lit mesh scenes for comparisons with Mitsuba; tools/make_mitsuba_light_reference.py renders their references.
 
-All colours are linear. What Mitsuba and we mean by a material agrees here: white metals, whose Fresnel term is 1 at all
-angles, what is purely diffuse, and clear glass.
+All colours are linear. The scenes use only materials that mean the same in both renderers: white metals (Fresnel term 1
+at all angles), purely diffuse materials, and clear glass.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from support.scenes.raster_scenes import similarity
 
 WIDTH, HEIGHT = 96, 72
 ROTATION_WXYZ = (0.84, 0.10, -0.50, 0.30)
-"""Of the sky: no axis stays in its place."""
+"""Rotation of the environment; no axis maps to itself."""
 
 
 @dataclass(frozen=True)
 class LightScene:
-    """A scene, and what is needed to compare two renderings of it."""
+    """A scene with the settings for a comparison of two renderings."""
 
     name: str
     scene: ls.Scene
     camera: ls.Camera
     shadows: ls.Shadows = ls.Shadows.HARD
-    """SOFT: the light has an extent; images have noise, and average over the pixel."""
+    """SOFT if the light has an extent; such images are noisy and averaged over the pixel area."""
     smooth: bool = False
-    """Whether there are mirrors or glass."""
+    """True if the scene has mirrors or glass."""
 
 
 def light_scenes() -> dict[str, LightScene]:
-    """Every scene, by the name of its reference."""
+    """Returns all scenes, keyed by the names of their references."""
     point = ls.LightPoint((1.6, 2.6, 1.4), color=(1.0, 0.9, 0.7), intensity=30.0)
     spot = ls.LightSpot((1.4, 2.8, 1.6), (-1.4, -2.4, -1.7), intensity=40.0, inner_angle=0.42, outer_angle=0.55)
     sun = ls.LightDirectional((-0.6, -1.0, -0.5), color=(1.0, 0.95, 0.8), intensity=5.0)
@@ -64,29 +64,29 @@ def light_scenes() -> dict[str, LightScene]:
 
 
 def matte(red: float, green: float | None = None, blue: float | None = None) -> ls.MaterialPbr:
-    """A purely diffuse material (Lambert) of that albedo; one number is taken for all three."""
+    """Returns a purely diffuse (Lambertian) material; a single number sets all three channels of the albedo."""
     color = (red, red if green is None else green, red if blue is None else blue)
     return ls.MaterialPbr(base_color=color, roughness=1.0, specular=0.0)
 
 
 def metal(roughness: float) -> ls.MaterialPbr:
-    """A white metal: it reflects all light at every angle, but for what its own roughness shadows."""
+    """Returns a white metal, which reflects all light at every angle except for its own microfacet shadowing."""
     return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=roughness)
 
 
 def clear_glass(ior: float = 1.5) -> ls.MaterialPbr:
-    """Smooth glass without colour."""
+    """Returns smooth colourless glass."""
     return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, ior=ior)
 
 
 def parallelogram(corner: npt.ArrayLike, edge_u: npt.ArrayLike, edge_v: npt.ArrayLike, material: Material) -> ls.Mesh:
-    """Two triangles that face ``cross(edge_u, edge_v)``."""
+    """Returns two triangles that face ``cross(edge_u, edge_v)``."""
     p, u, v = np.array(corner), np.array(edge_u), np.array(edge_v)
     return ls.Mesh(np.stack([p, p + u, p + u + v, p + v]), [[0, 1, 2], [0, 2, 3]], material=material)
 
 
 def box(size: tuple[float, ...], material: ls.MaterialPbr) -> ls.Mesh:
-    """Twelve triangles around the origin, flat."""
+    """Returns a flat-shaded box of twelve triangles centred at the origin."""
     corners = 0.5 * np.array(size) * [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     return ls.Mesh(
@@ -95,13 +95,13 @@ def box(size: tuple[float, ...], material: ls.MaterialPbr) -> ls.Mesh:
 
 
 def ball_at(center: tuple[float, float, float], radius: float, material: ls.MaterialPbr, rows: int = 40) -> ls.Mesh:
-    """A sphere with smooth normals."""
+    """Returns a sphere with smooth normals."""
     placed = transform_mesh(sphere(radius, rows=rows, columns=2 * rows), similarity(offset=center))
     return replace(placed, material=material, uvs=None)
 
 
 def environment_radiance(directions: np.ndarray) -> np.ndarray:
-    """Linear radiance of a sky without any symmetry, with a small sun, shape (..., 3); environment space, unit."""
+    """Returns linear radiance of an environment without symmetry, with a small sun, for unit directions; (..., 3)."""
     x, y, z = np.moveaxis(directions, -1, 0)[..., None]
     radiance = np.array([0.30, 0.45, 0.80]) * (0.6 + 0.4 * y) + np.array([0.05, 0.04, 0.02])
     for lobe, sharpness, color in (
@@ -117,17 +117,17 @@ def environment_radiance(directions: np.ndarray) -> np.ndarray:
 
 
 SUN = (0.55, 0.70, 0.25)
-"""Towards the sky's sun, environment space, any length."""
+"""Direction towards the environment's sun in environment space, of any length."""
 
 
 def environment_image(height: int, width: int) -> np.ndarray:
-    """The sky at the centres of the texels of a latitude-longitude image, shape (height, width, 3)."""
+    """Returns the environment as a latitude-longitude image, shape (height, width, 3), sampled at texel centres."""
     u, v = (np.arange(width) + 0.5) / width, (np.arange(height)[:, None] + 0.5) / height
     return environment_radiance(directions_of(u, v)).astype(np.float32)
 
 
 def directions_of(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Unit directions of a latitude-longitude image: top +y, middle -z, and +x right of the middle."""
+    """Returns unit directions of a latitude-longitude image: +y at the top, -z in the middle, +x to the right."""
     longitude, polar = 2.0 * np.pi * (u - 0.5), np.pi * v
     across = np.sin(polar)
     return np.stack([across * np.sin(longitude), np.cos(polar) + 0.0 * u, -across * np.cos(longitude)], axis=-1)

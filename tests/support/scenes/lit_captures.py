@@ -1,8 +1,7 @@
-"""Draws captures whose light is known, at random: rooms with lamps, nights, grounds in the sun and under clouds.
+"""Draws random captures with known light: rooms with lamps, nights, grounds in the sun and under clouds.
 
-What is built, how it is lit, exposed and turned follows from a seed, so that thresholds that were chosen on some seeds
-are tested on others. They share nothing with the captures that
-tests build by hand.
+Geometry, light, exposure and orientation follow from a seed, so that thresholds that were tuned on some seeds are
+tested on others. The captures share no code with those that tests build by hand.
 """
 
 from __future__ import annotations
@@ -19,32 +18,32 @@ from lumisplat.scene.gaussians import merge_gaussians
 
 KINDS = ("room", "night", "sunny", "overcast")
 DENSITY = 250.0
-"""Gaussians a square metre; small things get some more."""
+"""Gaussians per square metre; small objects get at least 60."""
 SKY_DIRECTIONS = 24
-"""Directions of the sky, each with its shadows."""
+"""Number of directions of sky light, each with its own shadows."""
 CAMERAS = 10
-"""Places from which the capture was taken: what none of them sees is not in it."""
+"""Number of capture cameras; Gaussians that no camera sees are left out."""
 
 
 @dataclass(frozen=True)
 class LitCapture:
-    """A capture, and the light that it was captured in; lengths in scene units."""
+    """A capture with its true lights; lengths in scene units."""
 
     name: str
     scene: ls.Scene
     center: np.ndarray
-    """Where a character would be, shape (3,)."""
+    """Position of an inserted character, shape (3,)."""
     lights: np.ndarray
-    """Where lamps shine, shape (k, 3)."""
+    """Positions of the lamps, shape (k, 3)."""
     sun: np.ndarray | None
-    """Towards the sun, unit."""
+    """Unit direction towards the sun; None without a sun."""
     unit: float
-    """A metre in scene units."""
+    """Length of a metre in scene units."""
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A thing of one albedo."""
+    """An object with one albedo."""
 
     mesh: ls.Mesh
     albedo: float
@@ -52,7 +51,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _World:
-    """The things as meshes, which block light."""
+    """The objects as meshes, for shadow rays."""
 
     scene: ls.Scene
     device: str
@@ -62,11 +61,11 @@ class _World:
         return cls(ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts]), device)
 
     def transmittance(self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray | float) -> np.ndarray:
-        """1 where nothing is in the way, else 0, shape (N,)."""
+        """Returns 1 for rays that reach their distance, 0 for blocked ones, shape (N,)."""
         return ls.transmittance(self.scene, origins, directions, distances, device=self.device)
 
     def is_visible(self, position: np.ndarray, cameras: np.ndarray) -> bool:
-        """Whether nothing hides a place from at least two of the photographs."""
+        """Returns True if at least two cameras see the position."""
         away = cameras - position
         far = np.linalg.norm(away, axis=1)
         return self.transmittance(np.tile(position, (len(away), 1)), away / far[:, None], far).sum() >= 2.0
@@ -74,14 +73,14 @@ class _World:
     def cosines(
         self, points: np.ndarray, normals: np.ndarray, direction: np.ndarray, distance: np.ndarray | float
     ) -> np.ndarray:
-        """Cosine to a light, 0 in shadow, shape (N,)."""
+        """Returns the cosine between normals and the light's direction, 0 in shadow, shape (N,)."""
         unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
         cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
         return cosine * self.transmittance(points + 0.004 * normals, unit, distance)
 
 
 def lit_capture(kind: str, seed: int, device: str = "auto") -> LitCapture:
-    """The capture of a kind and a seed; y is up and a unit is a metre until it is turned and scaled as a whole."""
+    """Builds the capture of a kind and a seed, in metres with y up, then rotates, scales and moves the whole."""
     rng = np.random.default_rng([KINDS.index(kind), seed])
     size = np.array([rng.uniform(3.2, 6.5), rng.uniform(2.4, 3.4), rng.uniform(3.2, 7.5)])
     if kind != "room":
@@ -110,7 +109,7 @@ def lit_capture(kind: str, seed: int, device: str = "auto") -> LitCapture:
 
 
 def _placed(mesh: ls.Mesh, center: tuple[float, ...] | np.ndarray, turn: float = 0.0) -> ls.Mesh:
-    """A mesh turned about y and moved."""
+    """Returns a mesh rotated about y and moved."""
     pose = np.eye(4)
     pose[0, 0] = pose[2, 2] = np.cos(turn)
     pose[0, 2], pose[2, 0] = np.sin(turn), -np.sin(turn)
@@ -119,7 +118,7 @@ def _placed(mesh: ls.Mesh, center: tuple[float, ...] | np.ndarray, turn: float =
 
 
 def _walls(rng: np.random.Generator, size: np.ndarray) -> list[_Part]:
-    """Floor, ceiling and walls, each of its own albedo, and a wall that ends in the room."""
+    """Returns floor, ceiling and walls, each with its own albedo, and in half of the rooms a partition."""
     thick = 0.1
     parts: list[_Part] = []
     for axis in range(3):
@@ -138,14 +137,14 @@ def _walls(rng: np.random.Generator, size: np.ndarray) -> list[_Part]:
 
 
 def _ground(rng: np.random.Generator, size: np.ndarray) -> list[_Part]:
-    """A ground and a raised path of another albedo."""
+    """Returns a ground and a raised path of another albedo."""
     path = _placed(ls.box((1.2, 0.2, size[2])), (rng.uniform(-0.3, 0.3) * size[0], -0.02, 0.0))
     ground = _placed(ls.box((size[0], 0.2, size[2])), (0.0, -0.1, 0.0))
     return [_Part(ground, rng.uniform(0.12, 0.4)), _Part(path, rng.uniform(0.3, 0.7))]
 
 
 def _objects(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Part]:
-    """Boxes, balls on trunks outdoors, and small white things that light nothing: on the ground, on boxes, on walls."""
+    """Returns boxes, trees (outdoors), and small white objects that emit no light, on ground, boxes and walls."""
     parts: list[_Part] = []
     height_max = 1.2 if kind == "room" else 2.5
     for _ in range(rng.integers(3, 8)):
@@ -172,9 +171,9 @@ def _objects(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Par
 def _light_positions(
     rng: np.random.Generator, size: np.ndarray, kind: str, world: _World, cameras: np.ndarray
 ) -> np.ndarray:
-    """One to three in rooms, hanging or standing, one or two at night, on posts, shape (k, 3).
+    """Returns positions of 1 to 3 lamps in rooms, 1 or 2 at night, none by day, shape (k, 3).
 
-    They are apart from each other, and two photographs at least show each: none is within something.
+    Lamps are more than 1.5 m apart, and at least two cameras see each, so that none is inside an object.
     """
     wanted = int({"room": rng.integers(1, 4), "night": rng.integers(1, 3)}.get(kind, 0))
     found: list[np.ndarray] = []
@@ -189,7 +188,7 @@ def _light_positions(
 
 
 def _free_position(rng: np.random.Generator, size: np.ndarray, world: _World, cameras: np.ndarray) -> np.ndarray:
-    """The middle of a character that stands somewhere, not within something, shape (3,)."""
+    """Returns the centre of a standing character, outside of all objects, shape (3,)."""
     while True:
         x, z = rng.uniform(-0.25, 0.25, 2) * size[[0, 2]]
         position = np.array([x, 0.9, z])
@@ -198,13 +197,13 @@ def _free_position(rng: np.random.Generator, size: np.ndarray, world: _World, ca
 
 
 def _sun(rng: np.random.Generator) -> np.ndarray:
-    """15 to 70 degrees above the horizon."""
+    """Returns a unit direction towards a sun 15 to 70 degrees above the horizon."""
     high, azimuth = np.radians(rng.uniform(15.0, 70.0)), rng.uniform(0.0, 2.0 * np.pi)
     return np.array([np.cos(high) * np.cos(azimuth), np.sin(high), np.cos(high) * np.sin(azimuth)])
 
 
 def _camera_positions(rng: np.random.Generator, size: np.ndarray) -> np.ndarray:
-    """Where the capture was taken from, around and within it, at eye level and above, shape (n, 3)."""
+    """Returns camera positions around and within the scene, at eye level and above, shape (n, 3)."""
     azimuth = (np.arange(CAMERAS) + rng.random()) * 2.0 * np.pi / CAMERAS
     reach = 0.45 * size[[0, 2]] * np.where(np.arange(CAMERAS) % 2, 1.0, 0.5)[:, None]
     height = np.where(np.arange(CAMERAS) % 3, 1.6, 2.2 if size[1] else 3.5)
@@ -221,14 +220,14 @@ def _captured(
     sun: np.ndarray | None,
     is_open: bool,
 ) -> list[ls.Gaussians]:
-    """The parts as Gaussians with their light, and the lamps as white balls, at one exposure."""
+    """Returns the visible parts as lit Gaussians and the lamps as white balls, with one exposure."""
     gaussians, albedo = _visible(world, parts, cameras)
     points, normals = gaussians.means.astype(np.float64), np.asarray(gaussians.normals, np.float64)
     light = _irradiance(rng, world, points, normals, lights=lights, sun=sun, is_open=is_open)
     patches = np.sin(points @ rng.normal(0.0, 3.0, (3, 4))).sum(axis=1)
     linear = np.minimum(albedo * np.exp(0.15 * patches + 0.1 * rng.normal(size=len(points))), 0.95) * light
     linear *= np.exp(rng.uniform(np.log(0.06), np.log(0.3))) / np.median(linear)
-    if rng.random() < 0.5:  # A camera's shoulder, or cut at white.
+    if rng.random() < 0.5:  # Highlights are compressed as by a camera, or clipped.
         linear = np.where(linear < 0.5, linear, 1.0 - 0.25 / np.maximum(linear, 0.5))
     tint = rng.uniform(0.7, 1.0, 3)
     balls = [_placed(ls.sphere(rng.uniform(0.05, 0.12), rows=12), position) for position in lights]
@@ -240,7 +239,7 @@ def _captured(
 
 
 def _visible(world: _World, parts: list[_Part], cameras: np.ndarray) -> tuple[ls.Gaussians, np.ndarray]:
-    """Gaussians of the parts that some photograph shows, and the albedo of each."""
+    """Returns the Gaussians that at least one camera sees, and the albedo of each."""
     sets = [ls.gaussians_from_mesh(part.mesh, int(np.clip(DENSITY * _area(part.mesh), 60, 12_000))) for part in parts]
     gaussians = merge_gaussians(sets)
     albedo = np.repeat([part.albedo for part in parts], [one.count for one in sets])
@@ -262,7 +261,7 @@ def _irradiance(
     sun: np.ndarray | None,
     is_open: bool,
 ) -> np.ndarray:
-    """Irradiance of lamps, sun and surroundings, any unit, shape (N,)."""
+    """Returns irradiance from lamps, sun and ambient light, in any unit, shape (N,)."""
     light = np.zeros(len(points))
     for position in lights:
         away = position - points
@@ -283,7 +282,7 @@ def _area(mesh: ls.Mesh) -> float:
 
 
 def _sky_irradiance(world: _World, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Irradiance from a sky that is brighter at its top, with shadows, shape (N,)."""
+    """Returns irradiance from a sky that is brightest at the zenith, with shadows, shape (N,)."""
     k = np.arange(SKY_DIRECTIONS) + 0.5
     y, azimuth = k / SKY_DIRECTIONS, k * np.pi * (1.0 + 5.0**0.5)
     directions = np.stack([np.sqrt(1.0 - y * y) * np.cos(azimuth), y, np.sqrt(1.0 - y * y) * np.sin(azimuth)], axis=1)
@@ -294,7 +293,7 @@ def _sky_irradiance(world: _World, points: np.ndarray, normals: np.ndarray) -> n
 
 
 def _captured_gaussians(rng: np.random.Generator, gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
-    """Gaussians of linear colours, as uneven as captured ones, without the properties that captures do not have."""
+    """Returns Gaussians with linear colours and the irregularities of trained ones, without normals and materials."""
     count = gaussians.count
     sh = np.zeros((count, 4, 3), np.float32)
     sh[:, 0] = (encode_srgb(linear) - 0.5) / SH_C0
@@ -307,7 +306,7 @@ def _captured_gaussians(rng: np.random.Generator, gaussians: ls.Gaussians, linea
 
 
 def _floaters(rng: np.random.Generator, size: np.ndarray, count: int = 200) -> ls.Gaussians:
-    """Haze in the air and beyond, of any colour."""
+    """Returns semi-transparent floaters of random colours in and around the scene."""
     means = rng.uniform(-0.7, 0.7, (count, 3)) * np.maximum(size, 3.0) + (0.0, 0.5 * size[1], 0.0)
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     scales = np.exp(rng.uniform(np.log(0.02), np.log(0.3), (count, 3)))

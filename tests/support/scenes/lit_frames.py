@@ -1,4 +1,4 @@
-"""A lit frame without a renderer: a white ball on a captured floor, by formulas, with every image that there can be."""
+"""Makes a lit frame by formula, without a renderer: a white ball on a captured floor, with every optional layer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.ops.views import world_rays
 
 LIGHTS = {"key": (np.array([2.0, 3.0, 1.0]), 60.0), "": (np.array([-4.0, 2.0, 2.0]), 12.0)}
-"""Positions and candelas."""
+"""Position and intensity in candela of each light, by name."""
 BALL, RADIUS = np.array([0.0, 1.0, 6.0]), 1.0
 
 
@@ -25,7 +25,10 @@ def ball_frame(
     tone_map: ToneMap = ToneMap.NONE,
     exposure: float = 0.0,
 ) -> Frame:
-    """The ball stands on the floor y = 0, half of its image is behind a captured veil; above the floor is nothing."""
+    """Makes the frame of a ball on the floor y = 0; a captured veil covers half of the ball.
+
+    Pixels above the floor are empty.
+    """
     camera = Camera.look_at((0.0, 2.0, 0.0), (0.0, 1.0, 6.0), width=width, height=height)
     camera = replace(camera, exposure=exposure)
     origins, directions = world_rays(camera)
@@ -55,7 +58,7 @@ def ball_frame(
         direct.append((1.0 - veil)[..., None] * albedo / np.pi * cosine * candela / distance**2)
         blocked = np.isfinite(_ball_distance(point, to_light / distance)) & floor
         shadow.append(np.where(blocked, 0.0, 1.0)[..., None] * np.ones(3))
-    # The key light's rim stays dark, so that light is exactly 0 on much of the floor.
+    # Each light has a limited reach, so that its light is exactly 0 on part of the floor.
     reach = [np.linalg.norm(point, axis=-1) < 8.0, ball]
     direct = [part * (inside & (ball | floor))[..., None] for part, inside in zip(direct, reach, strict=True)]
     light = sum(d * s for d, s in zip(direct, shadow, strict=True))
@@ -86,13 +89,13 @@ def ball_frame(
 
 
 def unlit(frame: Frame) -> Frame:
-    """What an unlit frame of the same captures would be."""
+    """Returns the unlit frame of the same captures."""
     lit_only = dict.fromkeys(("captured", "captured_weight", "light"))
     return replace(frame, color=frame.captured, color_space="srgb", **lit_only)
 
 
 def _ball_distance(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Distance to where a ray enters the ball, inf where it does not."""
+    """Returns the distance at which rays enter the ball, inf where they miss."""
     offset = BALL - origins
     middle = (offset * directions).sum(axis=-1)
     inside = middle**2 - (offset**2).sum(axis=-1) + RADIUS**2

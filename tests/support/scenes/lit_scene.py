@@ -1,4 +1,4 @@
-"""A scene with a surface of every kind and a light of most kinds, for tests of whole lit frames."""
+"""Builds a scene with every kind of surface and most kinds of lights, for tests of whole lit frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ENVIRONMENT = ls.LightEnvironment(color=(0.2, 0.3, 0.5), name="sky", visible=Fal
 
 
 def scene(*lights: Light) -> ls.Scene:
-    """Splats and meshes on a floor of splats: a plain ball, a mirror, glass, and a capture that stays as it is."""
+    """Returns splats and meshes on a floor of splats: a matte ball, a mirror, glass, and an unlit capture."""
     paper = ls.MaterialPbr(base_color=(0.8, 0.7, 0.6), roughness=0.7)
     ball = sphere(0.35, rows=10, columns=16)
     floor = ls.Mesh(
@@ -45,10 +45,10 @@ def scene(*lights: Light) -> ls.Scene:
 
 
 def camera(width: int = 48, height: int = 32) -> ls.Camera:
-    """From above the front."""
+    """Returns a camera in front of the scene that looks down on the objects."""
     return ls.Camera.look_at((0.1, 1.0, -2.2), (0.0, 0.25, 0.7), width=width, height=height, fov_y=0.8)
 
 
 def config(pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.RenderConfig:
-    """Settings with a coloured background; ``settings`` replace fields."""
+    """Returns render settings with a coloured background; ``settings`` replace fields."""
     return replace(ls.RenderConfig(pipeline=pipeline, background=(0.1, 0.2, 0.3)), **settings)

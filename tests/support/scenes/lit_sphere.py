@@ -1,4 +1,4 @@
-"""A ball of flat Gaussians of known albedo under a known sky, and photographs of it."""
+"""Builds a ball of Gaussians with known albedo under a known environment, and writes training images of the ball."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Environment = Callable[[np.ndarray], np.ndarray]
 
 
 def ball(count: int = 700) -> ls.Gaussians:
-    """Grey, of radius 0.6, opaque; their shortest axes point outwards."""
+    """Returns an opaque grey ball of radius 0.6; the shortest axes of its Gaussians point outwards."""
     normals = even_directions(count)
     half = normals + np.array([0.0, 0.0, 1.0])  # half a turn about this takes z to the normal
     width = 0.6 * np.sqrt(4.0 * np.pi / count)
@@ -34,7 +34,7 @@ def ball(count: int = 700) -> ls.Gaussians:
 
 
 def matte(gaussians: ls.Gaussians, albedo: np.ndarray, environment: Environment) -> ls.Gaussians:
-    """With the colours of matte Gaussians on a ball, from where nothing blocks the sky."""
+    """Returns the ball with the colours of matte Gaussians that are lit by the unoccluded environment."""
     directions = even_directions(2000)
     normals = gaussians.means / np.linalg.norm(gaussians.means, axis=1, keepdims=True)
     irradiance = np.maximum(normals @ directions.T, 0.0) @ environment(directions) * (4.0 / len(directions))
@@ -43,7 +43,7 @@ def matte(gaussians: ls.Gaussians, albedo: np.ndarray, environment: Environment)
 
 
 def write_training_images(path: Path, gaussians: ls.Gaussians, count: int = 10, size: int = 48) -> Path:
-    """A folder of photographs of a capture, transparent where nothing is."""
+    """Writes images of a capture, transparent outside of the object, with their poses. Returns the folder."""
     (path / "images").mkdir(parents=True)
     renderer = ls.create_renderer(ls.RenderConfig(lighting=False), "cpu")
     frames: list[dict[str, Any]] = []

@@ -1,7 +1,8 @@
-"""Rooms of meshes in which light bounces; tools/make_mitsuba_path_reference.py makes the references of them.
+"""Rooms of meshes for tests of light bounces; tools/make_mitsuba_path_reference.py renders their references.
 
-All colours are linear. What Mitsuba and we mean by a material agrees here: white metals, whose Fresnel term is 1 at all
-angles, what is purely diffuse, and clear glass. Nothing is smoothly shaded, so that both see the same polyhedra.
+All colours are linear. The scenes use only materials that mean the same in both renderers: white metals (Fresnel term 1
+at all angles), purely diffuse materials, and clear glass. No mesh has smooth normals, so both render the same
+polyhedra.
 """
 
 from __future__ import annotations
@@ -18,24 +19,24 @@ from support.scenes.raster_scenes import similarity
 
 WIDTH, HEIGHT = 128, 96
 TILE = 32
-"""Pixels along the side of the blocks whose means are compared."""
+"""Side in pixels of the tiles whose means are compared."""
 BOUNCES = 8
 SIZE = (4.0, 3.0, 5.0)
-"""Of the rooms: x, y up, z; a corner is the origin."""
+"""Size of the rooms (x, y up, z); one corner is the origin."""
 CEILING_LIGHT = ((1.2, 1.4), (2.8, 3.0))
-"""Of the ceiling: two corners (x, z)."""
+"""Two opposite corners (x, z) of the ceiling light."""
 
 
 @dataclass(frozen=True)
 class PathRoom:
-    """A room, and the side from which it is looked into."""
+    """A room and the camera that looks into it."""
 
     scene: ls.Scene
     camera: ls.Camera
 
 
 def path_rooms() -> dict[str, PathRoom]:
-    """Every room, by the name of its reference: what stands in it, and what lights it."""
+    """Returns all rooms, keyed by the names of their references, which join the objects' material and the light."""
     objects = {
         "diffuse": [faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))],
         "metal": [faceted_ball(0.0, metal(0.4)), turned_box(metal(0.6))],
@@ -52,7 +53,7 @@ def path_rooms() -> dict[str, PathRoom]:
 
 
 def with_gaussians(room: PathRoom, count: int | None = None) -> PathRoom:
-    """A closed room whose ball and whose wall at the end are Gaussians, ``count`` each."""
+    """Replaces the ball and the end wall of a closed room by ``count`` Gaussians each."""
     end, ball = 1, len(room.scene.meshes) - 2
     splats = [as_splats(room.scene.meshes[number].mesh, count) for number in (end, ball)]
     meshes = [instance for number, instance in enumerate(room.scene.meshes) if number not in {end, ball}]
@@ -60,13 +61,19 @@ def with_gaussians(room: PathRoom, count: int | None = None) -> PathRoom:
 
 
 def room_camera(width: int = WIDTH, height: int = HEIGHT) -> ls.Camera:
-    """From one end of the room to the other; tilted, so that no edge is along a row of pixels, which sample alike."""
+    """Looks from one end of the room to the other, tilted so that no edge is parallel to a row of pixels.
+
+    Pixels along such an edge would all sample it alike.
+    """
     eye, target = (2.1, 1.5, 4.9), (1.95, 1.15, 0.0)
     return ls.Camera.look_at(eye, target, (0.1, 1.0, 0.0), width=width, height=height, fov_y=0.8)
 
 
 def cornell_box() -> PathRoom:
-    """That of Mitsuba, ``mitsuba.cornell_box()``, seen askew. Its lamp shines to one side, so ours has a lid."""
+    """Returns Mitsuba's ``mitsuba.cornell_box()`` from an oblique view.
+
+    Its light is one-sided, so ours has a black lid.
+    """
     white = matte(0.885809, 0.698859, 0.666422)
     red, green = matte(0.570068, 0.0430135, 0.0443706), matte(0.105421, 0.37798, 0.076425)
     shining = replace(white, emissive=(18.387, 13.9873, 6.75357))
@@ -90,23 +97,23 @@ def cornell_box() -> PathRoom:
 
 
 def block(center: tuple[float, ...], axes: tuple[tuple[float, ...], ...], material: ls.MaterialPbr) -> ls.Mesh:
-    """A parallelepiped by half of its edges."""
+    """Returns a parallelepiped, given half of its edge vectors."""
     around = box((2.0, 2.0, 2.0), material)
     return replace(around, positions=around.positions @ np.array(axes) + np.array(center))
 
 
 def closed_room() -> list[ls.Mesh]:
-    """Six sides, with a lamp in the ceiling."""
+    """Returns six walls with a light in the ceiling."""
     return [*floor_and_walls(), *ceiling(), behind(), ceiling_light()]
 
 
 def open_room() -> list[ls.Mesh]:
-    """Light falls in from above and from behind the camera."""
+    """Returns a room into which light enters from above and from behind the camera."""
     return floor_and_walls()
 
 
 def floor_and_walls() -> list[ls.Mesh]:
-    """The floor, the end of the room, a red side and a green one."""
+    """Returns the floor, the end wall, a red and a green side wall."""
     x, y, z = np.diag(SIZE)
     return [
         parallelogram(0 * x, z, x, matte(0.7, 0.65, 0.6)),
@@ -117,7 +124,7 @@ def floor_and_walls() -> list[ls.Mesh]:
 
 
 def ceiling() -> list[ls.Mesh]:
-    """White, in four pieces around the lamp."""
+    """Returns a white ceiling in four pieces around the light."""
     (x0, z0), (x1, z1) = CEILING_LIGHT
     height = SIZE[1]
     pieces = (
@@ -130,36 +137,36 @@ def ceiling() -> list[ls.Mesh]:
 
 
 def behind() -> ls.Mesh:
-    """The side behind the camera."""
+    """Returns the wall behind the camera."""
     x, y, z = np.diag(SIZE)
     return parallelogram(x + z, -x, y, matte(0.5))
 
 
 def ceiling_light() -> ls.Mesh:
-    """A square that shines downwards."""
+    """Returns an emitting square that faces down."""
     shining = ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0, emissive=(6.0, 5.4, 4.5))
     return level(*CEILING_LIGHT, SIZE[1], shining)
 
 
 def level(start: tuple[float, float], end: tuple[float, float], height: float, material: ls.MaterialPbr) -> ls.Mesh:
-    """A rectangle from one corner (x, z) to the other that faces down."""
+    """Returns a horizontal rectangle that faces down, given two opposite corners (x, z)."""
     across, along = end[0] - start[0], end[1] - start[1]
     return parallelogram((start[0], height, start[1]), (across, 0.0, 0.0), (0.0, 0.0, along), material)
 
 
 def faceted_ball(lift: float, material: ls.MaterialPbr | None = None) -> ls.Mesh:
-    """A ball of flat triangles on the floor, ``lift`` above it."""
+    """Returns a flat-shaded ball, ``lift`` above the floor."""
     ball = ball_at((1.15, 0.7 + lift, 2.1), 0.7, material or matte(0.8, 0.5, 0.2), rows=32)
     return replace(ball, normals=None)
 
 
 def turned_box(material: ls.MaterialPbr) -> ls.Mesh:
-    """A tall box that stands askew."""
+    """Returns a tall box, rotated about y."""
     return transform_mesh(box((1.0, 1.7, 0.9), material), similarity((0.0, 1.0, 0.0), 0.45, offset=(2.75, 0.85, 1.3)))
 
 
 def mild_environment(directions: np.ndarray) -> np.ndarray:
-    """Linear radiance of a sky without a sun, shape (..., 3); environment space, unit: bright ahead, dark below."""
+    """Returns linear radiance of an environment without a sun for unit directions: bright ahead, dark below."""
     x, y, z = np.moveaxis(directions, -1, 0)[..., None]
     return np.array([0.5, 0.7, 1.1]) * (1.0 + 0.7 * y) + np.array([1.1, 0.8, 0.4]) * np.exp(
         3.0 * (0.6 * x - 0.8 * z - 1.0)
@@ -167,7 +174,7 @@ def mild_environment(directions: np.ndarray) -> np.ndarray:
 
 
 def environment_light() -> ls.LightEnvironment:
-    """The sky, turned: it is bright on the right behind the camera."""
+    """Returns the environment as a light, rotated so that its bright side is on the right behind the camera."""
     u, v = (np.arange(256) + 0.5) / 256, (np.arange(128)[:, None] + 0.5) / 128
     image = mild_environment(directions_of(u, v)).astype(np.float32)
     return ls.LightEnvironment(image, rotation_wxyz=(0.0, 0.0, 1.0, 0.0))

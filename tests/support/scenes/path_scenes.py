@@ -1,4 +1,4 @@
-"""Closed scenes of diffuse surfaces, whose light is known, as meshes and as Gaussians."""
+"""Builds closed scenes of diffuse surfaces with known irradiance, as meshes and as Gaussians."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ Doubles = npt.NDArray[np.float64]
 
 
 def diffuse(albedo: float, emitted: float = 0.0) -> ls.MaterialPbr:
-    """Without a highlight."""
+    """Returns a purely diffuse material that may emit."""
     return ls.MaterialPbr(base_color=(albedo,) * 3, specular=0.0, roughness=1.0, emissive=(emitted,) * 3)
 
 
 def ball(radius: float, material: ls.MaterialPbr, *, hollow: bool = False, rows: int = 48) -> ls.Mesh:
-    """A sphere about the origin; ``hollow``, its triangles face inwards."""
+    """Returns a sphere around the origin; with ``hollow``, its triangles face inwards."""
     mesh = sphere(radius, rows=rows, columns=2 * rows)
     indices = mesh.indices[:, ::-1] if hollow else mesh.indices
     return ls.Mesh(mesh.positions, indices, material=material)
 
 
 def as_splats(mesh: ls.Mesh, count: int | None = None) -> ls.SplatInstance:
-    """Its surface as Gaussians that reflect by their albedo."""
+    """Returns the surface of a mesh as relit diffuse Gaussians."""
     return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=ls.MaterialPbr(specular=0.0, roughness=1.0))
 
 
 def quad(corner: npt.ArrayLike, u: npt.ArrayLike, v: npt.ArrayLike, material: ls.MaterialPbr) -> ls.Mesh:
-    """A parallelogram."""
+    """Returns a parallelogram."""
     o, u, v = (np.asarray(x, np.float64) for x in (corner, u, v))
     return ls.Mesh(np.array([o, o + u, o + u + v, o + v]), np.array([[0, 1, 2], [0, 2, 3]]), material=material)
 
 
 def cube_without_ceiling(material: ls.MaterialPbr) -> list[ls.Mesh]:
-    """The floor and the walls of the unit cube."""
+    """Returns the floor and the walls of the unit cube."""
     x, y, z = np.eye(3)
     walls = ((0 * x, x), (z, x), (0 * x, z), (x, z))
     return [quad(0 * x, x, z, material), *(quad(corner, along, y, material) for corner, along in walls)]
 
 
 def wide_sheet(z: float, opacity: float, albedo: float) -> ls.SplatInstance:
-    """One flat Gaussian so wide that it has the same opacity everywhere."""
+    """Returns one flat Gaussian that is wide enough to have the same opacity everywhere in view."""
     gaussians = ls.Gaussians(
         means=np.array([[0.0, 0.0, z]]),
         rotations_wxyz=np.array([[1.0, 0.0, 0.0, 0.0]]),
@@ -60,18 +60,18 @@ def wide_sheet(z: float, opacity: float, albedo: float) -> ls.SplatInstance:
 
 
 def paths(scene: ls.Scene, camera: ls.Camera, samples: int, max_bounces: int, **changes: object) -> ls.Frame:
-    """A frame of paths."""
+    """Renders a frame with the path tracer."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=max_bounces)
     return ls.render(scene, camera, replace(config, **changes), device="cpu")
 
 
 def assert_is(values: npt.NDArray[np.floating], truth: float, *, share: float = 0.01) -> None:
-    """Values of pixels, one expectation for all: their mean is the truth within four standard errors, which are small.
+    """Asserts that the mean of pixel values with a common expectation is within four standard errors of the truth.
 
     Args:
-        values: Independent of one another, any shape.
-        truth: What they are on average.
-        share: The standard error is below this share of it.
+        values: Independent values of any shape.
+        truth: Expectation of the values.
+        share: Largest standard error, relative to the truth; above it, the test is too noisy to prove anything.
     """
     error = values.std() / np.sqrt(values.size)
     assert error < share * truth, "the test is too noisy to show anything"
@@ -79,13 +79,13 @@ def assert_is(values: npt.NDArray[np.floating], truth: float, *, share: float = 
 
 
 def irradiance(frame: ls.Frame, albedo: float) -> Doubles:
-    """Of the diffuse surfaces of a frame that shows nothing else, one value a pixel."""
+    """Returns the irradiance at each pixel of a frame that shows only diffuse surfaces of one albedo."""
     values: Doubles = np.pi / albedo * frame.color[..., 1].astype(np.float64)
     return values
 
 
 def area_of(mesh: ls.Mesh) -> float:
-    """Of all its triangles."""
+    """Returns the total area of a mesh's triangles."""
     areas, _ = face_areas_and_normals(mesh)
     return float(areas.sum())
 
@@ -93,14 +93,14 @@ def area_of(mesh: ls.Mesh) -> float:
 def irradiance_over(
     scene: ls.Scene, meshes: Sequence[ls.Mesh], samples: int, max_bounces: int, count: int = 4096
 ) -> Doubles:
-    """Incident irradiance at points that are evenly spread over diffuse meshes of the scene, shape (count,).
+    """Returns incident irradiance at points spread evenly over diffuse meshes of the scene, shape (count,).
 
     Args:
-        scene: Without instances that are moved.
-        meshes: Those of the scene on which points are, seen from the front.
-        samples: Of each ray.
-        max_bounces: Of paths.
-        count: Of the points.
+        scene: Scene whose instances are not transformed.
+        meshes: Meshes of the scene that get points, on their front sides.
+        samples: Samples per ray.
+        max_bounces: Largest number of bounces.
+        count: Number of points.
     """
     rng = np.random.default_rng(1)
     shares = np.cumsum([area_of(mesh) for mesh in meshes])

@@ -1,10 +1,10 @@
-"""The pipelines that show the same direct light."""
+"""Lists the pipelines that give the same direct light."""
 
 from __future__ import annotations
 
 import lumisplat as ls
 
 DIRECT = [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID]
-"""Those in which light does not bounce."""
+"""Pipelines without light bounces."""
 SAMPLED = [*DIRECT, ls.Pipeline.PATH]
-"""Those whose frames are the mean of samples and know nothing of other frames."""
+"""Pipelines whose frames are means of samples, independent of other frames."""

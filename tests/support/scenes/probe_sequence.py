@@ -1,4 +1,4 @@
-"""Sequences of frames of screen probes whose rays are answered by a function: no scene, no tracer."""
+"""Runs screen probes over several frames; a function answers their rays, so neither scene nor tracer is needed."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from lumisplat.runtime.launcher import Launcher
 from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows
 
 Tracer = Callable[[Doubles, Doubles], tuple[Doubles, Doubles]]
-"""From origins and directions to radiance, shape (N, 3), and distances."""
+"""Maps origins and directions to radiance, shape (N, 3), and hit distances."""
 
 
 class ProbeSequence:
-    """Screen probes, frame after frame.
+    """Runs screen probes frame by frame.
 
     Args:
-        tracer: Answers the rays.
+        tracer: Answers the probes' rays.
         threads: CPU threads.
-        **settings: Of `ProbeConfig`; tiles are 16 pixels wide unless they say otherwise.
+        **settings: Fields of `ProbeConfig`; tiles are 16 pixels wide by default.
     """
 
     def __init__(self, tracer: Tracer, threads: int = 1, **settings: float) -> None:
@@ -38,7 +38,7 @@ class ProbeSequence:
         self.rays: tuple[Doubles, Doubles] = np.zeros((0, 3)), np.zeros((0, 3))
 
     def place(self, surfaces: VisibleSurfaces) -> None:
-        """The first step of a frame."""
+        """Places the probes of a frame, its first step."""
         camera = surfaces.camera
         before = camera_rows(self._before or camera)
         size = camera.width, camera.height
@@ -46,7 +46,7 @@ class ProbeSequence:
         self._before = camera
 
     def trace(self) -> None:
-        """Follows the rays of the frame, and adds what they see."""
+        """Traces the rays of the frame, and adds their radiance to the probes."""
         rays = self.probes.rays(self.frame)
         active = device_array(rays.is_active).numpy()
         origins = device_array(rays.origin).numpy()[active].astype(float)
@@ -60,19 +60,19 @@ class ProbeSequence:
         )
 
     def render(self, surfaces: VisibleSurfaces) -> Doubles:
-        """Irradiance in the next frame, shape (pixels, 3)."""
+        """Returns irradiance in the next frame, shape (pixels, 3)."""
         self.place(surfaces)
         self.trace()
         self.frame += 1
         return self.look_up(surfaces)
 
     def look_up(self, surfaces: VisibleSurfaces) -> Doubles:
-        """Irradiance of surfaces in the last frame."""
+        """Returns irradiance of surfaces from the probes of the last frame."""
         return self.probes.irradiance(surfaces.upload()).numpy().astype(np.float64)
 
 
 def constant(radiance: npt.ArrayLike, distance: float = 1.0) -> Tracer:
-    """Everything is equally bright."""
+    """Returns a tracer that finds the same radiance and distance everywhere."""
 
     def trace(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
         return np.broadcast_to(radiance, directions.shape), np.full(len(directions), distance)

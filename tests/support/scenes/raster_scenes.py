@@ -1,4 +1,4 @@
-"""Deterministic tiny scenes, and the list of frames on which renderer and twin must agree."""
+"""Builds small deterministic scenes, and lists the frames on which renderer and oracle must agree."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 
 def front_camera(width: int = 64, height: int = 48, focal: float = 60.0, **changes: object) -> Camera:
-    """A camera at the origin that looks along +z, its principal point in the centre; ``changes`` replace its fields."""
+    """Returns a camera at the origin that looks along +z, principal point at the centre; ``changes`` replace fields."""
     cx, cy, pose = 0.5 * width, 0.5 * height, np.eye(4)
     camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=cx, cy=cy, camera_from_world=pose)
     return replace(camera, **changes)
 
 
 def flat_sh(colors: np.ndarray) -> np.ndarray:
-    """SH coefficients of view-independent colours, shape (N, 1, 3)."""
+    """Returns SH coefficients of view-independent colours, shape (N, 1, 3)."""
     return ((np.atleast_2d(colors) - 0.5) / SH_C0)[:, None, :]
 
 
@@ -35,19 +35,19 @@ def one_gaussian(
     rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
     **changes: object,
 ) -> Gaussians:
-    """A single Gaussian; ``changes`` replace its fields."""
+    """Returns a single Gaussian; ``changes`` replace its fields."""
     scales = np.broadcast_to(np.asarray(scale, dtype=float), (1, 3))
     return replace(Gaussians([mean], [rotation], scales, [opacity], flat_sh(np.array(color))), **changes)
 
 
 def joined(*sets: Gaussians) -> Gaussians:
-    """One set of the Gaussians of several sets, in that order."""
+    """Concatenates several sets of Gaussians in the given order."""
     names = ("means", "rotations_wxyz", "scales", "opacities", "sh")
     return Gaussians(*(np.concatenate([getattr(s, name) for s in sets]) for name in names))
 
 
 def opposed_sheets() -> Gaussians:
-    """Two sheets seen nearly edge-on from either side: their normals all but cancel out."""
+    """Returns two nearly edge-on sheets that face opposite sides, so that their normals almost cancel."""
     half = 0.5 * np.radians(85.0)
     sheets = [
         one_gaussian((0.0, 0.0, z), (0.6, 0.6, 1e-3), opacity, rotation=(np.cos(half), 0.0, turn * np.sin(half), 0.0))
@@ -65,7 +65,7 @@ def random_gaussians(
     scale_range: tuple[float, float] = (0.03, 0.3),
     **changes: object,
 ) -> Gaussians:
-    """Gaussians of random place, orientation, anisotropy, opacity and colour in a box; ``changes`` replace fields."""
+    """Returns Gaussians with random position, rotation, scales, opacity and colour in a box; ``changes`` set fields."""
     rng = np.random.default_rng(seed)
     sh = rng.normal(0.0, 0.25, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-1.2, 1.6, (count, 3))
@@ -81,7 +81,7 @@ def random_gaussians(
 
 
 def rotation(axis: tuple[float, float, float], angle: float) -> np.ndarray:
-    """Rotation about an axis by an angle in radians, shape (4, 4)."""
+    """Returns a rotation about an axis by an angle in radians, shape (4, 4)."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     matrix = np.eye(4)
@@ -95,7 +95,7 @@ def similarity(
     scale: float = 1.0,
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """Rotation, then uniform scale, then translation, shape (4, 4)."""
+    """Returns a transform that rotates, scales uniformly, then translates, shape (4, 4)."""
     matrix = rotation(axis, angle)
     matrix[:3, :3] *= scale
     matrix[:3, 3] = offset
@@ -103,21 +103,21 @@ def similarity(
 
 
 def quad(z: float, half: float = 1.2, tilt: float = 0.0, **attributes: object) -> Mesh:
-    """Two triangles that face the camera of ``front_camera``; ``tilt`` adds depth along x."""
+    """Returns two triangles that face ``front_camera``; ``tilt`` adds depth along x."""
     x, y = half * np.array([-1.0, 1.0, 1.0, -1.0]), half * np.array([-1.0, -1.0, 1.0, 1.0])
     positions = np.stack([x, y, z + tilt * x], axis=-1)
     return replace(Mesh(positions, [[0, 2, 1], [0, 3, 2]]), **attributes)
 
 
 def octahedron(center: tuple[float, float, float], radius: float, **attributes: object) -> Mesh:
-    """Eight triangles around a point, smooth normals."""
+    """Returns eight triangles around a point with smooth normals."""
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     faces = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
     return replace(Mesh(np.asarray(center) + radius * axes, faces, normals=axes), **attributes)
 
 
 def checker_quad(z: float) -> Mesh:
-    """A tilted quad with a random 5 x 7 texture that repeats, and vertex colours."""
+    """Returns a tilted quad with a repeating random texture of 5 x 7 texels, and vertex colours."""
     texture = np.random.default_rng(3).integers(0, 256, (5, 7, 3), dtype=np.uint8)
     return quad(
         z,
@@ -130,7 +130,7 @@ def checker_quad(z: float) -> Mesh:
 
 @dataclass(frozen=True)
 class Case:
-    """A frame, and why it is in the list."""
+    """A frame with a name that tells its purpose."""
 
     name: str
     scene: Scene
@@ -158,7 +158,7 @@ def _orbit(width: int = 70, height: int = 50) -> Camera:
 
 
 def cases() -> list[Case]:
-    """The frames of the twin agreement."""
+    """Returns the frames on which renderer and oracle must agree."""
     big = random_gaussians(31, count=12, scale_range=(3.0, 30.0))
     needles = random_gaussians(32, count=80, scale_range=(0.001, 0.8))
     around = random_gaussians(33, count=1500, center=(0.0, 0.0, 0.0), extent=(3.0, 3.0, 3.0))
@@ -205,7 +205,7 @@ def cases() -> list[Case]:
 
 
 def gsplat_frames() -> dict[str, tuple[Gaussians, Camera]]:
-    """The synthetic frames that tools/make_gsplat_reference.py renders with gsplat."""
+    """Returns the synthetic frames that tools/make_gsplat_reference.py renders with gsplat."""
     return {
         "sh3": (random_gaussians(51, count=500, degree=3), _orbit(160, 96)),
         "antialiased": (random_gaussians(52, 800, 2, scale_range=(0.004, 0.1), antialiased=True), _orbit(160, 96)),
@@ -214,9 +214,10 @@ def gsplat_frames() -> dict[str, tuple[Gaussians, Camera]]:
 
 
 def mitsuba_frames() -> dict[str, tuple[Gaussians, Camera]]:
-    """The frames that tools/make_mitsuba_reference.py renders with Mitsuba.
+    """Returns the frames that tools/make_mitsuba_reference.py renders with Mitsuba.
 
-    Without SH, which it turns with the ray, and without small Gaussians, which its rays meet twice by rounding.
+    They have no view-dependent SH, which Mitsuba rotates with the ray, and no small Gaussians, which rounding makes
+    Mitsuba's rays hit twice.
     """
     return {
         "dense": (random_gaussians(61, count=200, scale_range=(0.15, 0.4)), _orbit(96, 64)),

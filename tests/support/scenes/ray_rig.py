@@ -1,4 +1,4 @@
-"""Rays through meshes alone: what the ray tracer does around its kernel for Gaussians, to be tested on its own."""
+"""Traces rays through meshes only, to test the ray tracer's mesh path apart from its kernel for Gaussians."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from support.scenes.raster_scenes import front_camera
 
 @dataclass(frozen=True)
 class Hits:
-    """The nearest triangle of each ray, a row for each."""
+    """Closest triangle of each ray, one row per ray."""
 
-    t: np.ndarray  # inf: nothing
-    face: np.ndarray  # among the faces of all meshes; -1: none
+    t: np.ndarray  # (N,), inf if nothing is hit
+    face: np.ndarray  # (N,), index among the faces of all meshes; -1 for none
     instance: np.ndarray
     weights: np.ndarray  # (N, 3), barycentric
 
 
 class RayRig:
-    """Follows rays through scenes of meshes.
+    """Traces rays through scenes of meshes.
 
     Args:
         device: Warp device name.
         threads: CPU threads.
-        color: Colour of the Gaussians that lie before every mesh, the same for each ray.
-        transmittance: Transmittance of these Gaussians.
-        parallel: Work is scheduled as for CUDA; None: on CUDA only.
+        color: Colour of a layer of Gaussians in front of every mesh, the same for each ray.
+        transmittance: Transmittance of that layer.
+        parallel: Use the CUDA schedule; None uses it only on CUDA.
     """
 
     def __init__(
@@ -53,19 +53,19 @@ class RayRig:
     ) -> None:
         self._launcher = Launcher(
             device, threads, parallel=parallel, profile=True
-        )  # rays are read, so there are no graphs
+        )  # the host reads the rays, so nothing is captured as a graph
         self.buffers = Buffers(device)
         self._config = RenderConfig(pipeline=Pipeline.TRACE, lighting=False)
         self.scene = DeviceScene(self._launcher, Buffers(device), self._config)
         self.color, self.transmittance = color, transmittance
         self._meshes = MeshTracer(self._launcher, self.buffers)
         self.waves: list[SimpleNamespace] = []
-        """The rays of each wave of the last call: the fields of ``RayData`` as NumPy arrays, and where they end."""
+        """Rays of each wave of the last call: fields of ``RayData`` as NumPy arrays, and hit distances ``t_max``."""
 
     def hits(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, **limits: float | np.ndarray
     ) -> Hits:
-        """The nearest triangles; ``t_min`` and ``t_max`` are 0 and infinite unless given."""
+        """Returns the closest triangles; ``t_min`` and ``t_max`` default to 0 and infinity."""
         self._sync(scene, RenderConfig(pipeline=Pipeline.TRACE, lighting=False))
         rays = self._rays(origins, directions, **limits)
         hits = self._meshes.find(self.scene, rays, "test.hits")
@@ -85,7 +85,7 @@ class RayRig:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         **limits: float | np.ndarray,
     ) -> np.ndarray:
-        """What rays see, mirrors and glass included, shape (N, 3)."""
+        """Returns the colours of rays, including mirrors and glass, shape (N, 3)."""
         config = RenderConfig(pipeline=Pipeline.TRACE, lighting=False, background=background, max_bounces=bounces)
         plan = self._sync(scene, config)
         self.waves = []
@@ -95,7 +95,7 @@ class RayRig:
         return integrator.shade(self.scene, plan, hits, 0).row.radiance.captured.numpy().copy()
 
     def find_hits(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> PrimaryHits:
-        """Stands in for the ray tracer's: meshes, and the same Gaussians before all of them."""
+        """Replaces the ray tracer's method: finds meshes, and puts the same Gaussians in front of all of them."""
         meshes = self._meshes.find(scene, rays, f"{name}.meshes")
         self._record(rays, meshes)
         gaussians = self.buffers.struct(f"{name}.gaussians", GaussianHits, rays.t_max.shape[0])

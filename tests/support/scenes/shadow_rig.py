@@ -1,4 +1,4 @@
-"""Shadow rays through scenes: what the renderer does between a point and a light, for tests of just that."""
+"""Traces shadow rays through scenes, as the renderer does between a surface and a light."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from support.oracles.random_oracle import sample_keys
 from support.scenes.raster_scenes import front_camera
 
 SCHEDULES = ["cpu", "cpu as cuda", "cpu ray by ray", *(device.alias for device in wp.get_cuda_devices())]
-"""With the CPU's packets and trees, with those of CUDA, each ray alone as in paths, and on every GPU there is."""
+"""CPU packets, the CUDA schedule on the CPU, one ray at a time as in path tracing, and every GPU."""
 
 
 class ShadowRig:
-    """Follows rays to lights.
+    """Traces rays to lights.
 
     Args:
         schedule: One of ``SCHEDULES``.
@@ -41,7 +41,7 @@ class ShadowRig:
         self._buffers = Buffers(device)
         self._shadows: dict[RenderConfig, ShadowRays] = {}
         self._scenes: dict[RenderConfig, DeviceScene] = {}
-        """By the settings that their bounds depend on."""
+        """Scenes on the device, keyed by the settings that change their bounds."""
 
     def light(
         self,
@@ -58,9 +58,12 @@ class ShadowRig:
         opaque: bool = False,
         **shadow: Any,
     ) -> np.ndarray:
-        """What arrives at the origins, shape (N, 3); ``shadow`` are fields of ``ShadowConfig``."""
+        """Returns the fraction of light that arrives at the origins, shape (N, 3).
+
+        ``shadow`` are fields of ``ShadowConfig``.
+        """
         config = replace(config or RenderConfig(), shadow_rays=ShadowConfig(**shadow))
-        # Shadow settings and the seed have no part in what is on the device.
+        # The scene on the device does not depend on shadow settings and the seed.
         bounds = replace(config, shadow_rays=ShadowConfig(), seed=0)
         if bounds not in self._scenes:
             self._scenes[bounds] = DeviceScene(self._launcher, Buffers(self._device), config)

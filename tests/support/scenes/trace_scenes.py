@@ -1,4 +1,4 @@
-"""Scenes and rays for the ray tracer, and the list of frames on which tracer and twin must agree."""
+"""Builds scenes and rays for the ray tracer, and lists the frames on which tracer and oracle must agree."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from support.scenes.raster_scenes import (
 GLASS = MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0)
 MIRROR = MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, metallic=1.0)
 AXIS = Ray(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-"""The optical axis of ``front_camera``."""
+"""Optical axis of ``front_camera``."""
 
 
 def small_camera(width: int = 28, height: int = 21, focal: float = 26.0, **changes: object) -> Camera:
-    """``front_camera`` with few pixels."""
+    """Returns ``front_camera`` with few pixels."""
     return front_camera(width, height, focal, **changes)
 
 
 def side_camera(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), width: int = 28, height: int = 21) -> Camera:
-    """A camera that looks from the side at what ``front_camera`` has 4 before it."""
+    """Returns a camera that looks from the side at the point 4 units in front of ``front_camera``."""
     eye, target = np.add((2.5, -1.5, 0.5), offset), np.add((0.0, 0.0, 4.0), offset)
     return Camera.look_at(eye, target, (0.0, -1.0, 0.0), width=width, height=height, fov_y=0.8)
 
@@ -46,7 +46,7 @@ def side_camera(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), width: int
 def trace_config(
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0), bounces: int = 3, **changes: object
 ) -> RenderConfig:
-    """Settings of a traced frame, hits in the order of their peaks; ``changes`` as for ``changed_rays``."""
+    """Returns settings of a traced frame whose hits are ordered by peaks; ``changes`` as for ``changed_rays``."""
     trace = TraceConfig(hit_distance=HitDistance.PEAK)
     config = RenderConfig(
         pipeline=Pipeline.TRACE, background=background, lighting=False, max_bounces=bounces, trace=trace
@@ -55,7 +55,7 @@ def trace_config(
 
 
 def changed_rays(config: RenderConfig, **changes: object) -> RenderConfig:
-    """Settings with other fields of ``TraceConfig``, of ``ResponseConfig`` or, of neither, of the frame itself."""
+    """Replaces fields of ``TraceConfig``, of ``ResponseConfig`` or, if neither has the field, of the config itself."""
     groups = {name: {field.name for field in fields(getattr(config, name))} for name in ("trace", "response")}
     for key, value in changes.items():
         name = next((name for name, keys in groups.items() if key in keys), None)
@@ -65,7 +65,7 @@ def changed_rays(config: RenderConfig, **changes: object) -> RenderConfig:
 
 
 def random_ray(rng: np.random.Generator) -> Ray:
-    """A ray through the neighbourhood of (0, 0, 4)."""
+    """Returns a ray through the neighbourhood of (0, 0, 4)."""
     origin = rng.normal(0.0, 2.0, 3)
     return Ray(origin, normalized(np.array([0.0, 0.0, 4.0]) + rng.normal(0.0, 0.8, 3) - origin))
 
@@ -73,14 +73,14 @@ def random_ray(rng: np.random.Generator) -> Ray:
 def ball(
     material: MaterialPbr, radius: float = 1.0, center: tuple[float, float, float] = (0, 0, 4), detail: int = 2
 ) -> MeshInstance:
-    """A smooth sphere of 20 * 4^detail triangles."""
+    """Returns a smooth sphere of 20 * 4^detail triangles."""
     unit = icosphere(1.0, subdivisions=detail)
     mesh = Mesh(unit.positions, unit.indices, unit.normals, material=material)
     return MeshInstance(mesh, similarity(scale=radius, offset=center))
 
 
 def slab(z: float, thickness: float, material: MaterialPbr, half: float = 50.0, tilt: float = 0.0) -> Mesh:
-    """Two parallel faces, both with their outside outside."""
+    """Returns two parallel faces that both face outwards."""
     front, back = quad(z, half, tilt), quad(z + thickness, half, tilt)
     return Mesh(
         np.concatenate([front.positions, back.positions]),
@@ -90,7 +90,7 @@ def slab(z: float, thickness: float, material: MaterialPbr, half: float = 50.0, 
 
 
 def copies(count: int, seed: int, opacity: tuple[float, float] = (0.02, 0.2)) -> Gaussians:
-    """Gaussians that differ in nothing but colour and opacity: every ray meets all of them at one distance."""
+    """Returns Gaussians that differ only in colour and opacity, so that every ray hits all of them at one distance."""
     one = one_gaussian((0.1, -0.2, 4.0), (0.7, 0.4, 0.2), rotation=(0.9, 0.3, -0.2, 0.1))
     rng = np.random.default_rng(seed)
     same = {name: np.repeat(values, count, axis=0) for name, values in one.arrays().items()}
@@ -99,14 +99,14 @@ def copies(count: int, seed: int, opacity: tuple[float, float] = (0.02, 0.2)) ->
 
 
 def flattened(gaussians: Gaussians, axes: int, scale: float = 1e-6) -> Gaussians:
-    """The same Gaussians, as good as without extent along some of their axes."""
+    """Shrinks Gaussians along some of their axes to nearly no extent."""
     scales = gaussians.scales.copy()
     scales[:, :axes] = scale
     return replace(gaussians, scales=scales)
 
 
 def moved(scene: Scene, offset: tuple[float, float, float]) -> Scene:
-    """The same instances elsewhere."""
+    """Translates all instances of a scene."""
     shift = similarity(offset=offset)
     return Scene(
         tuple(replace(one, world_from_object=shift @ one.transform) for one in scene.splats),
@@ -116,7 +116,7 @@ def moved(scene: Scene, offset: tuple[float, float, float]) -> Scene:
 
 @dataclass(frozen=True)
 class Case:
-    """A traced frame, and why it is in the list."""
+    """A traced frame with a name that tells its purpose."""
 
     name: str
     scene: Scene
@@ -125,7 +125,7 @@ class Case:
 
 
 def placed_scene() -> Scene:
-    """Two placements of one set, and another set."""
+    """Returns two instances of one set, and an instance of another set."""
     asset = random_gaussians(111, count=60, degree=3, center=(0.0, 0.0, 0.0), extent=(0.8, 0.8, 0.8))
     return Scene(
         [
@@ -137,20 +137,20 @@ def placed_scene() -> Scene:
 
 
 def mirror_scene() -> Scene:
-    """A mirror that shows, beside Gaussians in front of it, some behind the camera."""
+    """Returns a mirror with Gaussians in front of it, and Gaussians behind the camera that the mirror shows."""
     behind = random_gaussians(162, 80, degree=2, center=(0.0, 0.0, -3.0), extent=(2.0, 1.5, 1.0))
     return Scene([random_gaussians(161, 60, degree=1), behind], [quad(5.0, 1.5, tilt=0.1, material=MIRROR)])
 
 
 def glass_scene(material: MaterialPbr = GLASS) -> Scene:
-    """A ball of glass with Gaussians around, behind and inside."""
+    """Returns a glass ball with Gaussians inside, around and behind."""
     inside = random_gaussians(163, 40, degree=1, extent=(0.5, 0.5, 0.5), scale_range=(0.02, 0.1))
     around = random_gaussians(164, 80, degree=1, center=(0.0, 0.0, 5.5), extent=(2.0, 1.5, 1.0))
     return Scene([inside, around], [ball(material)])
 
 
 def cases() -> list[Case]:
-    """The frames of the twin agreement."""
+    """Returns the frames on which tracer and oracle must agree."""
     return [*_gaussian_cases(), *_setting_cases(), *_mesh_cases(), *_smooth_cases()]
 
 
@@ -294,19 +294,19 @@ def _smooth_cases() -> list[Case]:
 
 
 def octahedron_of(material: MaterialPbr) -> Mesh:
-    """Eight flat triangles around (0, 0, 4)."""
+    """Returns eight flat triangles around (0, 0, 4)."""
     smooth = octahedron((0.0, 0.0, 4.0), 1.0, material=material)
     return replace(smooth, normals=None)
 
 
 def stochastic_cases() -> list[Case]:
-    """The frames on which the random strategies must show, on average, what sorting shows."""
+    """Returns the frames on which the stochastic strategies must converge to the sorted result."""
     wide = random_gaussians(171, 150, degree=1, scale_range=(0.1, 0.4))
     camera = small_camera(16, 12, 15.0)
     side = side_camera(width=16, height=12)
     world = (0.3, 0.5, 0.9)
     linear = replace(wide, kernel_degree=0)
-    # Rays meet these before the mirror, and the same again after it: numbers drawn for one must not decide the other.
+    # Rays hit these Gaussians before and after the mirror; the random numbers of both hits must be independent.
     seen_twice = Scene(
         [random_gaussians(173, 80, degree=1, center=(0.0, 0.0, 3.0), extent=(1.5, 1.2, 1.0), scale_range=(0.1, 0.4))],
         [quad(4.5, 6.0, material=MIRROR)],

@@ -1,4 +1,4 @@
-"""Gaussians to be found again, and photographs of them."""
+"""Builds known Gaussians, and images of them for tests of training."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BACKGROUND = (0.1, 0.2, 0.3)
 
 
 def known_gaussians(count: int = 30) -> ls.Gaussians:
-    """What is to be found."""
+    """Returns the Gaussians that training should recover."""
     rng = np.random.default_rng(0)
     return ls.Gaussians(
         means=rng.uniform(-0.6, 0.6, (count, 3)),
@@ -29,7 +29,7 @@ def known_gaussians(count: int = 30) -> ls.Gaussians:
 
 
 def known_parameters() -> TrainedParameters:
-    """The same as it is learnt, before it has moved."""
+    """Returns the known Gaussians as trained parameters before the first step."""
     gaussians = known_gaussians()
     logits = np.log(gaussians.opacities / (1.0 - gaussians.opacities))
     log_scales = np.log(gaussians.scales)
@@ -38,7 +38,7 @@ def known_parameters() -> TrainedParameters:
 
 
 def cameras(count: int, size: int = 40) -> list[ls.Camera]:
-    """Around it, at changing heights."""
+    """Returns cameras around the Gaussians at varying heights."""
     found: list[ls.Camera] = []
     for number in range(count):
         angle, height = 2.4 * number, 0.9 * np.sin(1.7 * number)
@@ -48,7 +48,7 @@ def cameras(count: int, size: int = 40) -> list[ls.Camera]:
 
 
 def views(count: int, size: int = 40, gains: np.ndarray | None = None) -> list[TrainingView]:
-    """Photographs of it that have no noise, each with its gains of channels, (count, 3), if these are given."""
+    """Returns noise-free training views; ``gains`` scales the channels of each image, shape (count, 3)."""
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     scene, found = ls.Scene([known_gaussians()]), []
     for number, camera in enumerate(cameras(count, size)):
@@ -61,7 +61,7 @@ def views(count: int, size: int = 40, gains: np.ndarray | None = None) -> list[T
 
 
 def write_training_folder(path: Path, count: int = 9) -> Path:
-    """A folder of photographs, as instant-ngp has them."""
+    """Writes training images in instant-ngp's layout. Returns the folder."""
     path.mkdir()
     (path / "images").mkdir()
     frames: list[dict[str, Any]] = []

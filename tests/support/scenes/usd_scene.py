@@ -1,4 +1,4 @@
-"""A scene with all that OpenUSD has a place for."""
+"""Builds a scene with everything that OpenUSD can store."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from support.files.splat_files import capture
 
 
 def materials() -> list[ls.MaterialPbr]:
-    """Numbers alone, textures everywhere, glass, and two kinds of alpha."""
+    """Returns materials with constants only, with textures everywhere, glass, and two kinds of alpha."""
     rng = np.random.default_rng(3)
     plain, alpha = (rng.integers(0, 256, (4, 6, k), dtype=np.uint8) for k in (3, 4))
     return [
@@ -56,7 +56,7 @@ def materials() -> list[ls.MaterialPbr]:
 
 
 def lights() -> list[Light]:
-    """One of each kind, and more."""
+    """Returns lights of every type, some twice with other options."""
     sky = np.random.default_rng(4).random((8, 16, 3)).astype(np.float32)
     return [
         ls.LightPoint((1, 2, 3), (1, 0.5, 0.2), 10.0, name="point"),
@@ -72,7 +72,7 @@ def lights() -> list[Light]:
 
 
 def full_scene(up: str | tuple[float, float, float]) -> ls.Scene:
-    """Captures, of which two are one, one relightable and relit; meshes, of which three are one; lights."""
+    """Returns captures (two share Gaussians, one is relit), meshes (three share one mesh) and lights."""
     rng = np.random.default_rng(5)
     shared, made = capture(40, 2), materials()
     columns = {"albedo": rng.random((30, 3)), "roughness": rng.random(30), "normals": rng.normal(size=(30, 3))}
