@@ -109,7 +109,7 @@ def erf_difference(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def transmittance(field: Absorbers, light: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Returns the fraction of a point light at ``light``, (3,) or one per point, at ``points`` (..., 3) (equation 4)."""
+    """Returns the fraction of a point light at ``light``, (3,) or one per point, at ``points`` (..., 3), equation 4."""
     offset = np.asarray(points, float) - light
     distance = np.linalg.norm(offset, axis=-1)
     directions = offset / np.maximum(distance, 1e-300)[..., None]
