@@ -1,4 +1,4 @@
-"""Steps for the tests of `bench.first_light`: what can become of one."""
+"""Steps for the tests of `bench.first_light`, one for each way in which a step can end."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from bench.first_light.worker import Finding, Setting
 
 
 def passes(setting: Setting) -> Iterator[Finding]:
-    """Finds nothing wrong."""
+    """Yields a correct finding."""
     yield Finding("device", setting.device)
 
 
 def finds(_: Setting) -> Iterator[Finding]:
-    """Finds something wrong, and ends."""
+    """Yields a wrong finding and a correct one, and ends."""
     yield Finding("a pixel", [1.0, 2.0], is_wrong=True)
     yield Finding("another", 3)
 
 
 def raises(_: Setting) -> Iterator[Finding]:
-    """Finds something, then fails."""
+    """Yields a finding, then raises an exception."""
     yield Finding("before", 1)
     raise RuntimeError("the context is poisoned")
 
 
 def dies(_: Setting) -> Iterator[Finding]:
-    """Takes its process along."""
+    """Yields a finding, then aborts its process."""
     yield Finding("before", 2)
     os.abort()
 
 
 def hangs(_: Setting) -> Iterator[Finding]:
-    """Does not end."""
+    """Yields a finding, then never ends."""
     yield Finding("before", 3)
     time.sleep(600.0)
 
 
 def skips(_: Setting) -> Iterator[Finding]:
-    """Cannot run here."""
+    """Reports that the step cannot run on this machine."""
     yield Finding("skipped", "no such thing here")

@@ -1,4 +1,4 @@
-"""Ray as the driver of a farm sees it, whose workers do as a test says, one after the other, in this thread."""
+"""Replaces Ray for the farm's driver: workers behave as a test prescribes, one after another in the calling thread."""
 
 from __future__ import annotations
 
@@ -10,50 +10,51 @@ from typing import Any
 from lumisplat.cli.farm.worker import Answer
 
 Does = Callable[[int, int | None], Answer | Exception | None]
-"""What a worker answers, by its number and that of a frame (None: it loads the scene), raises, or never answers."""
+"""Maps the numbers of a worker and a frame (None for loading the scene) to an answer, an exception, or None for
+silence."""
 
 
 class RayError(Exception):
-    """As Ray's: a worker is gone."""
+    """Stands in for Ray's error: a worker is gone."""
 
 
 def died(how: str = "its process has ended") -> RayError:
-    """The end of a worker."""
+    """Returns the error of a dead worker."""
     return RayError(how)
 
 
 def answer(**values: Any) -> Answer:
-    """An answer of a worker of this machine."""
+    """Returns an answer of a worker on this machine."""
     return Answer(**({"lines": [], "host": "here"} | values))
 
 
 @dataclass
 class FakeRay:
-    """A cluster; ``does`` is asked when the driver waits, for the oldest question that has an answer."""
+    """A cluster. While the driver waits, ``does`` answers the oldest pending question that has an answer."""
 
     does: Does
     cpus: int = 2
     gpus: int = 0
     now: float = 0.0
-    """The time: a second passes where nobody answers."""
+    """Current time in seconds; it advances by the timeout when nobody answers."""
     given: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
-    """Workers and frames, in the order in which they were given out."""
+    """Pairs of worker and frame in the order in which frames were assigned."""
     living: set[int] = field(default_factory=set[int])
     started: int = 0
     needs: dict[str, Any] = field(default_factory=dict[str, Any])
     exceptions = SimpleNamespace(RayError=RayError)
 
     def cluster_resources(self) -> dict[str, float]:
-        """What the cluster has."""
+        """Returns the resources of the cluster."""
         return {"CPU": float(self.cpus)} | ({"GPU": float(self.gpus)} if self.gpus else {})
 
     def remote(self, **needs: Any) -> Callable[[type], Any]:
-        """The class of actors."""
+        """Returns a decorator that makes the actor class."""
         self.needs = needs
         return lambda _: SimpleNamespace(remote=self._start)
 
     def wait(self, refs: list[Any], *, num_returns: int, timeout: float) -> tuple[list[Any], list[Any]]:
-        """The first question that has an answer."""
+        """Returns the first question with an answer, and the others."""
         for ref in refs:
             if ref.answer is None:
                 ref.answer = self.does(ref.worker, ref.frame)
@@ -63,13 +64,13 @@ class FakeRay:
         return [], refs
 
     def get(self, ref: Any) -> Answer:
-        """The answer."""
+        """Returns the answer, or raises it if it is an exception."""
         if isinstance(ref.answer, Exception):
             raise ref.answer
         return ref.answer
 
     def kill(self, worker: Any) -> None:
-        """Ends a worker."""
+        """Kills a worker."""
         self.living.discard(worker.number)
 
     def _start(self, *_: object) -> Any:

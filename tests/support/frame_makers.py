@@ -1,4 +1,4 @@
-"""Commands that make frames without a renderer, and misbehave as they are told, for tests of farms."""
+"""Provides farm jobs that make frames without a renderer, and that fail in prescribed ways."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from lumisplat.cli.output.frame_folder import FrameFolder
 
 @dataclass(frozen=True)
 class FakeMaker:
-    """Frames are files with their number in them; ``folder/made`` has a file for each time that one was begun.
+    """Writes frames as files that contain their numbers; ``folder/made`` gets a file each time a frame is begun.
 
-    What goes wrong goes wrong once, unless ``again``.
+    A prescribed failure happens only the first time, unless ``again`` is set.
     """
 
     folder: Path
     count: int = 8
     seconds: float = 0.0
-    """What a frame takes."""
+    """Seconds that each frame takes."""
     wrong: dict[int, str] = field(default_factory=dict[int, str])
-    """Frames and what they do: ``exit``, ``kill``, ``hang``, ``full`` (no space), ``setting`` (a mistake), ``data``,
-    ``extra`` (a package is missing), ``bug`` (a mistake of ours)."""
+    """Failure of each listed frame: ``exit``, ``kill``, ``hang``, ``full`` (disk full), ``setting`` (ConfigError),
+    ``data`` (SceneError), ``extra`` (missing package), ``bug`` (ValueError)."""
     again: bool = False
     needs: Path | None = None
-    """A file without which no worker starts."""
+    """File that must exist for a worker to start."""
     in_sequence: bool = False
     kind: str = "fake"
-    """What the frames are of."""
+    """Kind of the frames in their provenance."""
 
     def open_frames(self, report: Report) -> FrameJob:
-        """The frames."""
+        """Returns the job with all frames."""
         report("loading", 1.0)
         if self.needs is not None and not self.needs.exists():
             raise ls.errors.MissingFileError(self.needs, "no such file")
@@ -53,12 +53,12 @@ class FakeMaker:
 
     @property
     def begun(self) -> list[int]:
-        """Numbers of the frames that were begun, in no order, each as often as it was."""
+        """Numbers of the frames that were begun, sorted, each as often as it was begun."""
         return sorted(int(path.name.split("_")[0]) for path in self._log.iterdir())
 
     @property
     def contents(self) -> dict[str, str]:
-        """The frames that are there."""
+        """Contents of the finished frames by file name."""
         return {path.name: path.read_text() for path in sorted(self.folder.glob("frame_*.png"))}
 
     @property

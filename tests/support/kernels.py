@@ -1,4 +1,4 @@
-"""All kernels, by module: the package's, for one thread's schedule and for CUDA's, and those of the tests."""
+"""Lists and compiles all kernels by module: the package's for the CPU and CUDA schedules, and those of the tests."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kerne
 from lumisplat.runtime.launcher import Launcher
 
 CUDA_ARCHITECTURE = 86
-"""What kernels are compiled for each day: the oldest that is tested, whose code newer ones run, too."""
+"""Architecture for which kernels are compiled daily: the oldest that is tested; newer GPUs run its code too."""
 
 
 def warp_modules(names: Iterable[str]) -> list[wp.Module]:
-    """Warp modules of the kernels of Python modules, which may have several each."""
+    """Returns the Warp modules of the kernels in Python modules, which may have several each."""
     values = [value for name in names for value in vars(importlib.import_module(name)).values()]
     return list({value.module.name: value.module for value in values if isinstance(value, wp.Kernel)}.values())
 
 
 def package_modules() -> list[wp.Module]:
-    """Those of the package."""
+    """Returns the Warp modules of the package."""
     names = [module.name for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")]
     return warp_modules(name for name in names if name.endswith("_kernels"))
 
 
 def cuda_modules() -> list[wp.Module]:
-    """Those that run on CUDA: all but the kernels of tiles, which are the schedule of CPUs."""
+    """Returns the Warp modules that run on CUDA: all except tile kernels, which only the CPU schedule uses."""
     return [module for module in package_modules() if not module.name.endswith("tiles")]
 
 
 def generated_modules(*, parallel: bool) -> list[Any]:
-    """Warp modules of the kernels that are made for a schedule: of rays through Gaussians, and of their shadows."""
+    """Returns the Warp modules generated for a schedule: rays through Gaussians, and their shadow rays."""
     kernels_of_lanes = (gaussian_trace_kernel, shadow_kernel, first_hits_shadow_kernel)
     if not parallel:
         return [kernel_of(PACKET_RAYS).module for kernel_of in kernels_of_lanes]
@@ -48,13 +48,13 @@ def generated_modules(*, parallel: bool) -> list[Any]:
 
 
 def probe_modules() -> list[wp.Module]:
-    """Those of kernels that call the package's device functions for the tests."""
+    """Returns the Warp modules of the tests' probe kernels."""
     paths = sorted((Path(__file__).parent / "probes").glob("probe_*.py"))
     return warp_modules(f"support.probes.{path.stem}" for path in paths)
 
 
 def compile_all() -> None:
-    """Compiles what the cache lacks, for the CPU, for CUDA and for the GPUs here; a warm cache costs a second."""
+    """Compiles kernels that the cache lacks, for the CPU, for CUDA and for local GPUs; a warm cache takes a second."""
     schedules = [*generated_modules(parallel=False), *generated_modules(parallel=True)]
     Launcher("cpu").load([*package_modules(), *schedules, *probe_modules()])
     for device in wp.get_cuda_devices():
@@ -64,6 +64,6 @@ def compile_all() -> None:
 
 
 def compile_for_cuda(module: Any, architecture: int = CUDA_ARCHITECTURE) -> Path:
-    """PTX of a module, from the kernel cache if its sources have not changed."""
+    """Compiles a module to PTX, or takes it from the kernel cache if its sources have not changed."""
     (artifact,) = wp.compile_aot_module(module, arch=architecture, use_ptx=True)
     return artifact

@@ -1,7 +1,7 @@
-"""``lumisplat train`` that kills itself: ``python -m support.killed_training MOMENT NUMBER ARGUMENTS...``.
+"""Runs ``lumisplat train`` and kills it: ``python -m support.killed_training MOMENT NUMBER ARGUMENTS...``.
 
-It writes a checkpoint after each step, and sends itself SIGKILL at the NUMBER-th time that it comes to MOMENT; with
-``never``, it runs to its end.
+The process writes a checkpoint after each step, and sends itself SIGKILL the NUMBER-th time it reaches MOMENT; with the
+moment ``never``, it runs to its end.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from lumisplat.training.trainer import Trainer
 
 
 def die() -> None:
-    """As `kill -9` does it: nothing is tidied."""
+    """Kills the process like `kill -9`, without cleanup."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def dying(function: Callable[..., Any], number: int, *, after: bool) -> Callable[..., Any]:
-    """A function that kills the process at its so many-th call, before or after its work."""
+    """Returns a function that kills the process at its ``number``-th call, before or after its work."""
     calls = 0
 
     def called(*arguments: Any, **options: Any) -> Any:
@@ -45,7 +45,7 @@ def dying(function: Callable[..., Any], number: int, *, after: bool) -> Callable
 
 
 def dying_in_writing(number: int) -> Callable[..., None]:
-    """``numpy.savez`` that kills the process at its so many-th call, with half of the file written."""
+    """Returns a ``numpy.savez`` that kills the process at its ``number``-th call, with half of the file written."""
     calls, savez = 0, np.savez
 
     def called(file: BinaryIO, **arrays: Any) -> None:
@@ -63,7 +63,7 @@ def dying_in_writing(number: int) -> Callable[..., None]:
 
 
 def arm(moment: str, number: int) -> None:
-    """Makes the process die."""
+    """Patches the function of a moment so that the process dies there."""
     match moment:
         case "in a step of materials":
             MaterialFit.step = dying(MaterialFit.step, number, after=True)

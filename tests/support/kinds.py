@@ -1,4 +1,4 @@
-"""Narrows a declared type to what a test knows: asserted when it runs, and known to the type checker."""
+"""Narrows declared types to those that a test expects, at run time and for the type checker."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def present(value: _T | None) -> _T:
 
 
 def pbr_of(mesh: Mesh) -> MaterialPbr:
-    """The material of a mesh, which must be a physically based one."""
+    """Returns the material of a mesh, which must be a `MaterialPbr`."""
     return expect_kind(MaterialPbr, mesh.material)

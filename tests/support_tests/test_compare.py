@@ -1,4 +1,4 @@
-"""The comparisons must fail on images that differ."""
+"""Image comparisons fail on images that differ."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from support.compare.images import assert_close, assert_close_outside_band, asse
 
 @pytest.fixture
 def image() -> np.ndarray:
-    """Noise in 0..1."""
+    """Returns an image of uniform noise in 0..1."""
     return np.random.default_rng(0).uniform(0.0, 1.0, (20, 30, 3))
 
 
 def test_equal_images_pass(image: np.ndarray) -> None:
-    """An image equals itself under every comparison, infinities included."""
+    """An image equals itself in every comparison, infinities included."""
     image[3, 4] = np.inf
     assert_close(image, image, atol=0.0)
     assert_close_outside_band(image, image, np.zeros((20, 30), bool), atol=0.0)
@@ -24,7 +24,7 @@ def test_equal_images_pass(image: np.ndarray) -> None:
 
 @pytest.mark.parametrize("value", [0.02, -0.02, np.nan, np.inf, -np.inf])
 def test_one_wrong_value_fails(image: np.ndarray, value: float) -> None:
-    """A single wrong, NaN or infinite value is found wherever the comparison is strict."""
+    """Every strict comparison finds a single wrong, NaN or infinite value."""
     wrong = image.copy()
     wrong[7, 8, 1] += value
     with pytest.raises(AssertionError):
@@ -36,7 +36,7 @@ def test_one_wrong_value_fails(image: np.ndarray, value: float) -> None:
 
 
 def test_missing_surface_fails(image: np.ndarray) -> None:
-    """A finite depth where there is no surface, and the reverse, are differences."""
+    """A finite depth differs from an infinite one, in both directions."""
     depth = image[..., 0].copy()
     depth[2, 2] = np.inf
     for actual, expected in ((depth, image[..., 0]), (image[..., 0], depth)):
@@ -44,14 +44,14 @@ def test_missing_surface_fails(image: np.ndarray) -> None:
             assert_close(actual, expected, atol=1.0)
 
 
-def test_shape_must_fit(image: np.ndarray) -> None:
-    """An image that would broadcast is refused."""
+def test_different_shapes_fail(image: np.ndarray) -> None:
+    """The comparison refuses an image whose shape would only match by broadcasting."""
     with pytest.raises(AssertionError, match="shape"):
         assert_close(image[:1], image, atol=1.0)
 
 
-def test_band_forgives_inside_only(image: np.ndarray) -> None:
-    """A flip inside the band passes up to the band's own tolerance, the same one outside fails."""
+def test_band_tolerates_errors_only_inside(image: np.ndarray) -> None:
+    """A wrong pixel inside the band passes up to the band's own tolerance; outside, the same error fails."""
     band = np.zeros((20, 30), bool)
     band[7, 8] = True
     wrong = image.copy()
@@ -63,14 +63,14 @@ def test_band_forgives_inside_only(image: np.ndarray) -> None:
         assert_close_outside_band(wrong, image, np.roll(band, 1), atol=1e-6, band_atol=0.2)
 
 
-def test_band_must_not_swallow_the_image(image: np.ndarray) -> None:
-    """A band that covers the image proves nothing and fails."""
+def test_band_that_covers_the_image_fails(image: np.ndarray) -> None:
+    """A band that covers most of the image fails, since the comparison would prove nothing."""
     with pytest.raises(AssertionError, match="too many"):
         assert_close_outside_band(image, image, np.ones((20, 30), bool), atol=1.0)
 
 
-def test_alike_needs_both_bounds(image: np.ndarray) -> None:
-    """A small error everywhere breaks the mean, a large one in a few pixels breaks the share."""
+def test_similar_images_meet_both_bounds(image: np.ndarray) -> None:
+    """A small error everywhere exceeds the mean bound, a large one in a few pixels lowers the share of equal pixels."""
     with pytest.raises(AssertionError, match="mean absolute"):
         assert_images_alike(image + 0.003, image, mean=0.002, within=0.015, share=0.995)
     few = image.copy()

@@ -1,4 +1,4 @@
-"""The deep shadow map's float64 twin against quadrature and geometry: what it takes for the truth must be true."""
+"""The float64 oracle of deep shadow maps agrees with quadrature and geometry."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ vectors = st.tuples(coordinate, coordinate, coordinate).filter(lambda v: np.lina
 
 
 def by_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np.ndarray, t: float) -> float:
-    """Optical depth in `Absorption.SIMPLE`, from Mir et al.'s equations 1 and 2 and nothing else."""
+    """Integrates optical depth in `Absorption.SIMPLE` numerically, only from equations 1 and 2 of Mir et al."""
     total = 0.0
     axes = rotation_from_quaternion(gaussians.rotations_wxyz.astype(float))
     rows = (gaussians.means.astype(float), axes, gaussians.scales.astype(float), gaussians.opacities.astype(float))
@@ -44,15 +44,15 @@ def by_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np.ndarra
 
 
 def assert_as_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np.ndarray, t: float) -> None:
-    """The twin's optical depth is that of the quadrature."""
+    """Asserts that the oracle's optical depth equals the quadrature."""
     field = oracle.absorbers(gaussians, Absorption.SIMPLE)
     expected = by_quadrature(gaussians, origin, direction, t)
     assert oracle.optical_depth(field, origin, direction, np.asarray(t)) == pytest.approx(expected, rel=1e-8, abs=1e-13)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_optical_depth_is_the_integral_of_the_absorption(seed):
-    """Random anisotropic Gaussians, from before, within and behind them."""
+def test_optical_depth_equals_the_integral_of_absorption(seed):
+    """Optical depth of random anisotropic Gaussians equals the quadrature before, within and behind them."""
     rng = np.random.default_rng(seed)
     gaussians = random_gaussians(seed, 6, scale_range=(0.01, 1.0))
     for t in (0.5, 3.5, 4.0, 9.0):
@@ -73,8 +73,8 @@ def test_optical_depth_is_the_integral_of_the_absorption(seed):
         ((0.1, -0.2, -0.3), 0.3, (0.1, -0.2, 4.0)),  # Behind the light, which is still in its tail.
     ],
 )
-def test_the_hard_cases_are_the_integral_too(mean, scale, aim):
-    """Where float cancels: within, thin, far, grazing, behind; before, at and past the centre."""
+def test_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
+    """Optical depth stays exact where floats cancel: light inside, thin, distant, grazed or hindmost Gaussians."""
     gaussian = one_gaussian(mean, scale, 0.9, rotation=(0.9999, 0.004, -0.003, 0.002))
     direction = (np.array(aim) - LIGHT) / np.linalg.norm(np.array(aim) - LIGHT)
     distance = np.linalg.norm(np.array(mean) - LIGHT)
@@ -82,8 +82,8 @@ def test_the_hard_cases_are_the_integral_too(mean, scale, aim):
         assert_as_quadrature(gaussian, LIGHT, direction, max(float(t), 1e-3))
 
 
-def test_a_gaussian_at_a_distance_is_seen_by_its_opacity():
-    """`avg` of an isotropic Gaussian, crossed through its centre: the whole depth is that of its opacity."""
+def test_average_absorption_reproduces_opacity_through_the_centre():
+    """Across the centre of an isotropic Gaussian, `avg` absorption gives the optical depth of its opacity."""
     for scale in (0.01, 0.2):
         field = oracle.absorbers(one_gaussian((0.0, 0.0, 4.0), scale, 0.7))
         depth = oracle.optical_depth(field, np.zeros(3), np.array([0.0, 0.0, 1.0]), np.asarray(9.0))
@@ -92,8 +92,8 @@ def test_a_gaussian_at_a_distance_is_seen_by_its_opacity():
         assert half == pytest.approx(math.sqrt(1.0 - 0.7), abs=1e-6)
 
 
-def test_mappings_differ_by_their_formulas():
-    """Section 4.4 B by hand, for scales 1, 2 and 4; opacity 1 counts as the largest alpha, kappa as a factor."""
+def test_absorptions_equal_their_formulas():
+    """Absorptions equal section 4.4 B by hand for scales 1, 2 and 4; opacity 1 counts as the largest alpha."""
     opacity, scales = np.array([1.0 - math.exp(-2.0)]), np.array([[1.0, 2.0, 4.0]])
     mean_precision = (1.0 + 1.0 / 4.0 + 1.0 / 16.0) / 3.0
     mass = 2.0 / ((2.0 * math.pi) ** 1.5 * 8.0)
@@ -111,8 +111,8 @@ def test_mappings_differ_by_their_formulas():
 
 
 @given(st.floats(-40.0, 40.0), st.floats(0.01, 80.0))
-def test_erf_differences_keep_their_digits(low, width):
-    """Positive and additive, however far out: the tail's own asymptotic series bounds it."""
+def test_erf_differences_keep_precision(low, width):
+    """Differences of erf stay positive and additive far from 0, within the bounds of the asymptotic series."""
     high = low + width
     found = float(oracle.erf_difference(np.asarray(low), np.asarray(high)))
     middle = 0.5 * (low + high)
@@ -125,8 +125,8 @@ def test_erf_differences_keep_their_digits(low, width):
         assert found <= tail
 
 
-def test_placed_casters_absorb_where_they_are_placed():
-    """A rotated, scaled, moved instance under `avg` looks from its own place as the asset does from the light's."""
+def test_transformed_casters_absorb_like_transformed_lights():
+    """A rotated, scaled and moved instance absorbs like its asset with the inversely transformed light."""
     asset = random_gaussians(3, 5)
     placed = SplatInstance(asset, similarity((1.0, 2.0, 0.5), 1.1, 0.7, (-0.4, 0.1, 4.0)))
     points = np.array([[0.3, 0.2, 5.0], [-0.5, 0.4, 4.2]])
@@ -140,8 +140,8 @@ def test_placed_casters_absorb_where_they_are_placed():
 
 
 @given(vectors)
-def test_octahedral_places_decode_to_their_directions(vector):
-    """Round trip on all of the sphere, within the square."""
+def test_octahedral_encoding_preserves_directions(vector):
+    """Directions survive a round trip through the octahedral square, and stay within it."""
     unit = np.array(vector) / np.linalg.norm(vector)
     place = oracle.encode_octahedral(unit)
     assert np.abs(place).max() <= 1.0 + 1e-12
@@ -149,15 +149,15 @@ def test_octahedral_places_decode_to_their_directions(vector):
 
 
 @given(coordinate, coordinate)
-def test_octahedral_directions_encode_to_their_places(u, v):
-    """The other way, away from the rim, where two places are one direction."""
+def test_octahedral_decoding_preserves_points(u, v):
+    """Points of the square survive a round trip, except on the rim, where two points are one direction."""
     place = 0.999 * np.array([u, v])
     assert oracle.encode_octahedral(oracle.decode_octahedral(place)) == pytest.approx(place, abs=1e-12)
 
 
 @given(coordinate, st.sampled_from([-1.0, 1.0]), st.booleans())
-def test_the_rim_folds_onto_itself(along, side, vertical):
-    """Both halves of an edge of the square are the same directions: the map is continuous there."""
+def test_octahedral_edges_fold_onto_themselves(along, side, vertical):
+    """Both halves of an edge of the square decode to the same directions, so that the map is continuous there."""
     near, far = [side, along], [side, -along]
     if vertical:
         near, far = near[::-1], far[::-1]
@@ -165,8 +165,8 @@ def test_the_rim_folds_onto_itself(along, side, vertical):
 
 
 @given(vectors, vectors)
-def test_the_fold_is_continuous(vector, turn):
-    """A small step on the sphere is a small step on the square, or over its rim to the mirrored place."""
+def test_octahedral_map_is_continuous(vector, turn):
+    """A small step on the sphere is a small step on the square, up to the mirrored point across the rim."""
     unit = np.array(vector) / np.linalg.norm(vector)
     other = unit + 1e-7 * np.array(turn)
     a, b = oracle.encode_octahedral(unit), oracle.encode_octahedral(other)
@@ -176,8 +176,8 @@ def test_the_fold_is_continuous(vector, turn):
     assert min(np.abs(a - c).max() for c in mirrored) < 3e-6
 
 
-def test_texels_past_the_edge_are_neighbours_on_the_sphere():
-    """An edge of the square is an arc in the plane y = 0 or x = 0: the next texel is the mirror image of the last."""
+def test_texels_beyond_an_edge_are_neighbours_on_the_sphere():
+    """The texel beyond an edge of the square mirrors the last texel in the plane y = 0 or x = 0."""
     size = 16
     centers = oracle.decode_octahedral(oracle.texel_centers(size))
     along = np.arange(size)
@@ -188,15 +188,15 @@ def test_texels_past_the_edge_are_neighbours_on_the_sphere():
         assert centers[y, x] == pytest.approx(centers[inside, along] * [-1.0, 1.0, 1.0])
 
 
-def test_texels_past_a_corner_are_at_the_pole():
-    """All four corners are -z: out over one, the opposite one comes."""
+def test_texels_beyond_a_corner_are_at_the_pole():
+    """All four corners are -z, so the texel beyond a corner is at the opposite corner."""
     x, y = oracle.wrapped(np.array([-1, 8, -1, 8]), np.array([-1, -1, 8, 8]), 8)
     assert list(zip(x, y, strict=True)) == [(7, 7), (0, 7), (7, 0), (0, 0)]
 
 
 @given(vectors)
-def test_cube_places_decode_to_their_directions(vector):
-    """Round trip over all faces."""
+def test_cube_encoding_preserves_directions(vector):
+    """Directions survive a round trip through all cube faces."""
     unit = np.array(vector) / np.linalg.norm(vector)
     face, place = oracle.encode_cube(unit)
     assert np.abs(place).max() <= 1.0
@@ -207,8 +207,8 @@ def test_cube_places_decode_to_their_directions(vector):
 
 
 @pytest.mark.parametrize("layout", list(AtlasLayout))
-def test_tables_hold_the_closed_form(layout):
-    """At texels' centres and bins' centres a lookup gives what is stored there, on all faces."""
+def test_tables_store_the_closed_form(layout):
+    """At the centres of texels and bins, a lookup returns the stored closed-form transmittance on all faces."""
     light = np.array([0.0, 0.0, 3.0])
     field = oracle.absorbers(random_gaussians(5, 4, scale_range=(0.2, 0.8)))
     size, bins, t_max = 8, 6, 3.0
@@ -223,8 +223,8 @@ def test_tables_hold_the_closed_form(layout):
 
 
 @pytest.mark.parametrize("layout", list(AtlasLayout))
-def test_lookups_converge_with_the_table(layout):
-    """Twice as fine in all directions: errors fall to a quarter, a third allowed, on all of the sphere."""
+def test_lookups_converge_with_resolution(layout):
+    """Doubling the resolution reduces lookup errors to less than a third; a quarter is expected."""
     rng = np.random.default_rng(1)
     light = np.array([0.0, 0.0, 3.5])
     field = oracle.absorbers(random_gaussians(5, 4, scale_range=(0.4, 0.8)))
@@ -240,8 +240,8 @@ def test_lookups_converge_with_the_table(layout):
     assert errors[2] < limit * errors[1]
 
 
-def test_depth_is_one_at_the_light_and_stays_behind_the_last_bin():
-    """Half a bin before the first centre T is 1; past the last centre nothing changes any more."""
+def test_transmittance_is_one_at_the_light_and_constant_beyond_the_last_bin():
+    """Transmittance is 1 half a bin before the first centre, and constant beyond the last centre."""
     field = oracle.absorbers(one_gaussian((0.0, 0.0, 0.0), 0.5, 0.9))
     table = oracle.tabulate(field, np.zeros(3), AtlasLayout.OCTAHEDRAL, 8, 4, 2.0)
     away = oracle.decode_octahedral(oracle.texel_centers(8)[2, 5])
@@ -253,8 +253,8 @@ def test_depth_is_one_at_the_light_and_stays_behind_the_last_bin():
 # --- Footprints ---
 
 
-def test_the_stencil_sits_on_the_axes():
-    """A turned receiver's 7 points: the mean, and one scale both ways along its own axes; weights are responses."""
+def test_stencil_points_lie_on_the_receivers_axes():
+    """The 7 points of a rotated receiver are its mean and one scale along each axis; weights are responses."""
     half = math.sqrt(0.5)
     receiver = one_gaussian((1.0, 2.0, 3.0), (0.1, 0.2, 0.4), rotation=(half, 0.0, 0.0, half))  # x to y, y to -x.
     points = oracle.footprint_points(receiver, oracle.STENCIL)[0] - [1.0, 2.0, 3.0]
@@ -265,8 +265,8 @@ def test_the_stencil_sits_on_the_axes():
     assert weights[1:] / weights[0] == pytest.approx(math.exp(-0.5))
 
 
-def test_casters_come_in_any_number():
-    """Several sets absorb as one of all, and an instance without a placement as its set."""
+def test_several_casters_absorb_like_their_union():
+    """Several sets absorb like their union, and an instance without a transform like its set."""
     parts = [one_gaussian((0.0, 0.0, 3.0)), one_gaussian((0.1, 0.0, 4.0), (0.1, 0.3, 0.2))]
     point = np.array([0.05, 0.0, 6.0])
     whole = oracle.transmittance(oracle.absorbers(joined(*parts)), LIGHT, point)

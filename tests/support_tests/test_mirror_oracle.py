@@ -1,4 +1,4 @@
-"""The twin's triangles, mirrors and glass against mathematics."""
+"""The oracle's triangles, mirrors and glass agree with formulas."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from support.scenes.trace_scenes import AXIS, GLASS, MIRROR, ball, random_ray, s
 
 
 def traced(scene: Scene, ray: Ray = AXIS, background: float = 0.0, **settings: Any) -> Traced:
-    """What a ray shows before a grey background; ``settings`` are those of ``trace_config``."""
+    """Traces a ray over a grey background; ``settings`` are those of ``trace_config``."""
     return trace_one(scene, ray, trace_config((background, background, background), **settings))
 
 
-def test_nearest_triangle() -> None:
-    """The nearest of all instances, with its distance and barycentric weights, from either side."""
+def test_closest_triangle_is_found_from_either_side() -> None:
+    """The closest triangle of all instances is found from either side, with its distance and barycentric weights."""
     rng = np.random.default_rng(0)
     meshes = [MeshInstance(quad(0.0), similarity(tuple(rng.normal(size=3)), i, 0.8, (0, 0, 3.0 + i))) for i in range(4)]
     triangles = triangles_of(Scene([], meshes))
@@ -47,8 +47,8 @@ def test_nearest_triangle() -> None:
     assert met > 20
 
 
-def test_mesh_ends_the_ray() -> None:
-    """Gaussians count that peak before the mesh, also where they are hit before it."""
+def test_meshes_hide_gaussians_behind_them() -> None:
+    """Only Gaussians that peak in front of the mesh count, also in hull mode, where hits precede peaks."""
     scene = Scene([one_gaussian((0.0, 0.0, 4.0), 0.2, 0.2), one_gaussian((0.0, 0.0, 5.0), 0.4, 0.2)], [quad(4.5)])
     color = encode_srgb(np.full(3, 0.8))
     one = traced(scene)
@@ -61,8 +61,8 @@ def test_mesh_ends_the_ray() -> None:
     assert (hull.alpha, hull.instance_index, hull.depth) == (1.0, 2, pytest.approx(4.5))
 
 
-def test_fresnel_by_hand() -> None:
-    """Head on ((n - 1) / (n + 1))^2, half the s part at Brewster's angle, all of it at grazing and beyond critical."""
+def test_fresnel_reflectance_has_its_known_values() -> None:
+    """Reflectance is ((n - 1) / (n + 1))^2 head on, half the s part at Brewster's angle, 1 at grazing."""
     assert fresnel(1.0, 1.0 / 1.5)[0] == pytest.approx(0.04)
     assert fresnel(1.0, 1.5)[0] == pytest.approx(0.04)
     brewster = np.arctan(1.5)
@@ -77,15 +77,15 @@ def test_fresnel_by_hand() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.2])
-def test_snell(angle: float) -> None:
-    """Sines go as the indices, and the ray stays in the plane of incidence."""
+def test_refraction_obeys_snells_law(angle: float) -> None:
+    """Sines are in the ratio of the indices, and the ray stays in the plane of incidence."""
     direction, normal = np.array([np.sin(angle), 0.0, np.cos(angle)]), np.array([0.0, 0.0, -1.0])
     through = refracted(direction, normal, 1.0 / 1.5, fresnel(np.cos(angle), 1.0 / 1.5)[1])
     assert through == pytest.approx([np.sin(angle) / 1.5, 0.0, np.sqrt(1.0 - (np.sin(angle) / 1.5) ** 2)])
 
 
 def watched(scene: Scene, ray: Ray, monkeypatch: pytest.MonkeyPatch, **changes: Any) -> list[Ray]:
-    """All rays that a ray becomes, in the order in which they are followed."""
+    """Returns a list that collects all branches of a ray in the order in which they are traced."""
     rays: list[Ray] = []
 
     def watch(triangles: Triangles, ray: Ray) -> MeshHit:
@@ -99,7 +99,7 @@ def watched(scene: Scene, ray: Ray, monkeypatch: pytest.MonkeyPatch, **changes: 
 
 @pytest.mark.parametrize("angle", [0.2, 0.9])
 def test_slab_shifts_the_ray(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What leaves a slab is parallel to what came, d sin(a) (1 - cos a / (n cos b)) to the side."""
+    """A slab shifts a ray sideways by d sin(a) (1 - cos a / (n cos b)) and keeps its direction."""
     ray = Ray(np.zeros(3), np.array([np.sin(angle), 0.0, np.cos(angle)]))
     rays = watched(Scene([], [slab(4.0, 0.5, GLASS)]), ray, monkeypatch)
     out = [one for one in rays if one.origin[2] > 4.4 and one.direction[2] > 0.0]
@@ -111,8 +111,8 @@ def test_slab_shifts_the_ray(angle: float, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize("height", [0.2, 0.6, 0.9])
-def test_sphere_turns_the_ray(height: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ray through a glass ball is turned by 2 (a - b), with sin a = height / radius and sin b = sin a / n."""
+def test_sphere_deflects_the_ray(height: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A glass ball deflects a ray by 2 (a - b), with sin a = height / radius and sin b = sin a / n."""
     scene = Scene([], [ball(GLASS, detail=5)])
     rays = watched(scene, Ray(np.array([height, 0.01, 0.0]), AXIS.direction), monkeypatch)
     out = rays[np.argmax([one.origin[2] * (one.direction[2] > 0.0) for one in rays])]
@@ -122,8 +122,8 @@ def test_sphere_turns_the_ray(height: float, monkeypatch: pytest.MonkeyPatch) ->
     assert out.direction[0] < 0.0
 
 
-def test_total_reflection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From inside glass beyond the critical angle (41.8 degrees) nothing gets out, and nothing is lost."""
+def test_total_internal_reflection_loses_no_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inside glass beyond the critical angle (41.8 degrees), all light is reflected and none is lost."""
     scene = Scene([], [slab(4.0, 0.5, replace(GLASS, specular=0.0))])
     for angle, count in ((0.71, 2), (0.75, 2)):
         ray = Ray(np.array([0.0, 0.0, 4.2]), np.array([np.sin(angle), 0.0, np.cos(angle)]))
@@ -134,7 +134,7 @@ def test_total_reflection(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_mirror_shows_the_mirrored_view() -> None:
-    """A mirror at 45 degrees shows what an eye behind it would see, colours by direction included."""
+    """A mirror at 45 degrees shows the view of a mirrored eye, including view-dependent colours."""
     half = 9.0
     tilted = Mesh(
         np.array(
@@ -163,8 +163,8 @@ def test_mirror_shows_the_mirrored_view() -> None:
     assert seen > 10
 
 
-def test_tints() -> None:
-    """Metals reflect in their colour, glass lets through in its own, the rest of a dielectric is flat: all encoded."""
+def test_metal_and_glass_tint_their_branches() -> None:
+    """Metals tint reflection, glass tints transmission, the rest of a dielectric is flat colour; all are encoded."""
     base = np.array([0.2, 0.5, 0.8])
     metal = replace(MIRROR, base_color=tuple(base))
     assert traced(Scene([], [quad(4.0, material=metal)]), background=0.5).color == pytest.approx(
@@ -181,7 +181,7 @@ def test_tints() -> None:
 
 
 def test_bounces_end_in_the_background() -> None:
-    """Between two mirrors each bounce is one of ``max_bounces``; the last mirror shows the background."""
+    """Each reflection between two mirrors counts against ``max_bounces``; the last mirror shows the background."""
     mirror = quad(4.0, 2.0, material=MIRROR)
     scene = Scene([], [mirror, MeshInstance(mirror, similarity(offset=(0.0, 0.0, -8.0)))])
     assert traced(Scene([], [mirror]), background=0.5).color == pytest.approx([0.5] * 3)
@@ -198,8 +198,8 @@ def test_bounces_end_in_the_background() -> None:
 
 
 @pytest.mark.parametrize("material", [MIRROR, GLASS, replace(GLASS, metallic=0.3, specular=0.4, ior=2.0)])
-def test_furnace_with_a_ball(material: MaterialPbr, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A white mirror, or clear glass, in a uniform world cannot be seen: energy is neither lost nor made."""
+def test_white_mirrors_and_clear_glass_conserve_energy(material: MaterialPbr, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A white mirror or clear glass is invisible in a uniform world: energy is conserved."""
     monkeypatch.setattr(trace_oracle, "BOUNCE_WEIGHT_MIN", 1e-9)
     scene = Scene([], [ball(material)])
     rng = np.random.default_rng(0)
@@ -213,8 +213,8 @@ def test_furnace_with_a_ball(material: MaterialPbr, monkeypatch: pytest.MonkeyPa
     assert met == 12
 
 
-def test_placement_may_mirror(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Glass keeps its inside where an instance turns its triangles over."""
+def test_mirroring_transforms_keep_the_inside_of_glass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Glass keeps its inside under a mirroring transform."""
     ray = Ray(np.zeros(3), oracles.normalized(np.array([0.3, 0.1, 1.0])))
     plain = slab(4.0, 0.5, GLASS)
     flipped = MeshInstance(plain, similarity(offset=(0.0, 0.0, 8.5)) @ np.diag([1.0, 1.0, -1.0, 1.0]))
@@ -227,8 +227,8 @@ def test_placement_may_mirror(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("material", [MIRROR, GLASS])
-def test_shading_normals_send_no_ray_astray(material: MaterialPbr, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the shading normal would mirror a ray into the surface, the triangle's own normal is used."""
+def test_reflections_stay_outside_of_the_surface(material: MaterialPbr, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The triangle's normal replaces a shading normal that would reflect a ray into the surface."""
     steep = np.tile(oracles.normalized(np.array([1.0, 0.0, -0.3])), (4, 1))
     for normals, expected in ((steep, [0.0, 0.0, -1.0]), (-steep, [0.0, 0.0, -1.0]), (None, [0.0, 0.0, -1.0])):
         mesh = replace(quad(4.0, material=material), normals=normals)
@@ -238,8 +238,8 @@ def test_shading_normals_send_no_ray_astray(material: MaterialPbr, monkeypatch: 
     assert mirrored.direction == pytest.approx(np.array([0.4, 0.0, -0.96]) / 1.04)
 
 
-def test_variance_behind_a_mirror() -> None:
-    """Three outcomes - a Gaussian before the mirror, one in it, the world - have the variance of any three numbers."""
+def test_variance_includes_reflected_outcomes() -> None:
+    """A Gaussian before the mirror, one in the mirror and the background give the variance of three outcomes."""
     before = one_gaussian((0.0, 0.0, 2.0), opacity=0.3)
     dark = one_gaussian((0.0, 0.0, -2.0), opacity=0.6, color=(0.2, 0.3, 0.4))
     # The mirrored ray meets the first Gaussian again, as it would any other.
@@ -254,8 +254,8 @@ def test_variance_behind_a_mirror() -> None:
     assert one.alpha == 1.0
 
 
-def test_grazing_rays_are_in_doubt() -> None:
-    """Which side of a mirror a ray comes from is not for float32 to say where it lies in its plane."""
+def test_grazing_rays_are_doubtful() -> None:
+    """A ray within a mirror's plane is doubtful, since float32 cannot tell from which side it comes."""
     scene = Scene([], [quad(4.0, material=MIRROR)])
     for slope, slack in ((1e-5, np.inf), (1e-2, 0.0)):
         ray = Ray(np.array([-1.5, 0.1, 4.0 - slope]), oracles.normalized(np.array([1.0, 0.0, slope])))

@@ -1,4 +1,4 @@
-"""The tracer's float64 twin against mathematics: what it takes for the truth must follow from pencil and paper."""
+"""The float64 oracle of the ray tracer agrees with hand calculations."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from support.scenes.trace_scenes import AXIS, GLASS, random_ray, trace_config
 
 
 def traced(scene: Scene, ray: Ray = AXIS, **settings: Any) -> Traced:
-    """What a ray shows; ``settings`` are those of ``trace_config``."""
+    """Traces a ray; ``settings`` are those of ``trace_config``."""
     return trace_one(scene, ray, trace_config(**settings))
 
 
 def found_on(scene: Scene, ray: Ray = AXIS, **settings: Any) -> Hits:
-    """The Gaussians that count on a ray."""
+    """Returns the Gaussians that count on a ray."""
     every = hits(world_of(scene, trace_config(**settings)), ray)
     return picked(every, every.counts)
 
 
 def random_world() -> Scene:
-    """Two placements of a set and one set of its own."""
+    """Returns two instances of one set, and an instance of another set."""
     asset = random_gaussians(1, 60, degree=3, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0))
     placed = SplatInstance(asset, similarity((1.0, 2.0, 0.5), 1.1, 0.7, (-0.4, 0.1, 4.0)))
     return Scene([placed, replace(placed, world_from_object=similarity(offset=(0.3, 0.0, 4.0))), random_gaussians(2)])
@@ -53,7 +53,7 @@ def random_world() -> Scene:
 
 
 def golden_section(f: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function of one number with one minimum has it."""
+    """Returns the minimum of a unimodal function of one number."""
     ratio = 0.5 * (np.sqrt(5.0) - 1.0)
     for _ in range(100):
         a, b = high - ratio * (high - low), low + ratio * (high - low)
@@ -62,8 +62,8 @@ def golden_section(f: Callable[[float], float], low: float, high: float) -> floa
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_peak_is_where_the_response_is_largest(seed: int) -> None:
-    """The peak maximises the response along the ray, and alpha is the opacity times exp(-d^2 / 2) there."""
+def test_peak_maximises_the_response(seed: int) -> None:
+    """The peak maximises the response along the ray, and alpha there is opacity times exp(-d^2 / 2)."""
     rng = np.random.default_rng(seed)
     scene, ray = random_world(), random_ray(rng)
     found = found_on(scene, ray)
@@ -86,8 +86,8 @@ def test_peak_is_where_the_response_is_largest(seed: int) -> None:
         assert alpha == pytest.approx(min(0.99, opacities[index] * np.exp(-0.5 * squared(best))), rel=1e-9)
 
 
-def test_hits_are_all_there_are() -> None:
-    """Exactly those count whose peak lies ahead with an alpha of at least 1/255, by distance, then by index."""
+def test_all_hits_are_found_in_order() -> None:
+    """Hits are exactly the Gaussians with a peak ahead and alpha >= 1/255, sorted by distance, then index."""
     scene, rng = random_world(), np.random.default_rng(7)
     world = world_of(scene, None)
     total = 0
@@ -107,7 +107,7 @@ def test_hits_are_all_there_are() -> None:
 
 @pytest.mark.parametrize("scales", [(1e-6, 1.0, 1.0), (1e-6, 1e-6, 1.0), (1e6, 1e6, 1e6), (1e6, 1e-6, 1.0)])
 def test_extreme_scales_keep_their_precision(scales: tuple[float, float, float]) -> None:
-    """A ray aimed at a point at a known canonical distance finds it, however flat or huge the Gaussian is."""
+    """A ray aimed at a known canonical distance measures that distance, however flat or huge the Gaussian is."""
     rng = np.random.default_rng(3)
     gaussians = one_gaussian((0.3, -0.2, 4.0), scales, 0.8, rotation=(0.8, 0.2, -0.5, 0.3))
     world = world_of(Scene([gaussians]), trace_config())
@@ -124,8 +124,8 @@ def test_extreme_scales_keep_their_precision(scales: tuple[float, float, float])
         assert found.t[0] == pytest.approx(3.0, abs=1e-5 * max(1.0, max(scales) * 1e-4))
 
 
-def test_degrees_agree_at_three() -> None:
-    """All degrees respond 1 at the centre and exp(-4.5) at three standard deviations; the second is the Gaussian."""
+def test_kernel_degrees_agree_at_three_deviations() -> None:
+    """All kernel degrees respond 1 at the centre and exp(-4.5) at three deviations; degree 2 is the Gaussian."""
     for degree in range(6):
         assert response(np.array(0.0), degree) == 1.0
         assert response(np.array(3.0), degree) == pytest.approx(np.exp(-4.5), rel=1e-8)
@@ -147,8 +147,8 @@ def test_degrees_agree_at_three() -> None:
         (0.02, {"min_response": 0.1, "adaptive_clamping": False}, 1.0 / 255.0 / 0.02),
     ],
 )
-def test_reach_is_where_it_ends(degree: int, opacity: float, settings: dict, least: float) -> None:
-    """The reach is the distance at which alpha is 1/255 or the response its minimum: hit just inside, not outside."""
+def test_reach_separates_hits_from_misses(degree: int, opacity: float, settings: dict, least: float) -> None:
+    """A Gaussian is hit just inside its reach, where alpha or response are at their minimum, and missed outside."""
     threshold = response_threshold(np.array([opacity]), ResponseConfig(**settings))
     reach = reach_of(threshold, np.array([degree]))[0]
     assert response(reach, degree) == pytest.approx(least, rel=1e-12)
@@ -158,16 +158,16 @@ def test_reach_is_where_it_ends(degree: int, opacity: float, settings: dict, lea
         assert len(found_on(Scene([gaussians]), ray, **settings)) == expected
 
 
-def test_a_setting_overrides_the_capture_s_degree() -> None:
-    """None takes each capture's own kernel degree."""
+def test_setting_overrides_the_captures_kernel_degree() -> None:
+    """The setting overrides each capture's kernel degree; None keeps it."""
     scene = Scene([replace(one_gaussian(opacity=0.5), kernel_degree=1), one_gaussian(opacity=0.5)])
     ray = Ray(np.array([0.2, 0.0, 0.0]), AXIS.direction)
     assert found_on(scene, ray).alpha == pytest.approx([0.5 * np.exp(-1.5), 0.5 * np.exp(-0.5)], rel=1e-6)
     assert found_on(scene, ray, kernel_degree=4).alpha == pytest.approx([0.5 * np.exp(-1.0 / 18.0)] * 2, rel=1e-6)
 
 
-def test_too_faint_never_counts() -> None:
-    """An opacity below 1/255, or below the adaptive minimum, is never a hit; alpha stays below 0.99."""
+def test_faint_gaussians_are_never_hit() -> None:
+    """An opacity below 1/255 or below the adaptive minimum is never a hit; alpha is at most 0.99."""
     assert len(found_on(Scene([one_gaussian(opacity=1.0 / 256.0)]))) == 0
     assert len(found_on(Scene([one_gaussian(opacity=0.0)]))) == 0
     assert len(found_on(Scene([one_gaussian(opacity=0.05)]), min_response=0.06)) == 0
@@ -176,8 +176,8 @@ def test_too_faint_never_counts() -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
-def test_hull_is_entered_at_its_reach(degree: int) -> None:
-    """In hull mode t is the nearer of the two points at which the canonical distance is the reach."""
+def test_hull_hits_lie_at_the_reach(degree: int) -> None:
+    """In hull mode, t is the nearer of the two points at which the canonical distance is the reach."""
     scene = Scene([replace(random_gaussians(4, 80), kernel_degree=degree)])
     world = world_of(scene, None)
     found = found_on(scene, hit_distance=HitDistance.HULL)
@@ -190,16 +190,16 @@ def test_hull_is_entered_at_its_reach(degree: int) -> None:
         assert t < peaks.t[peaks.index == i][0]
 
 
-def test_hull_around_the_eye_counts_at_zero() -> None:
-    """The peak decides whether a Gaussian counts, and no depth is negative."""
+def test_hull_around_the_eye_has_depth_zero() -> None:
+    """The peak decides whether a hull around the eye counts, and its depth is not negative."""
     ahead = Scene([one_gaussian((0.0, 0.0, 0.1), 0.5, 0.9)])
     assert traced(ahead, hit_distance=HitDistance.HULL).depth == 0.0
     assert found_on(ahead, hit_distance=HitDistance.HULL).t[0] < 0.0
     assert len(found_on(ahead, replace(AXIS, t_min=0.2), hit_distance=HitDistance.HULL)) == 0
 
 
-def test_normals_are_gradients() -> None:
-    """Of the squared canonical distance, at the eye (plane) or at the ray's entry (ellipsoid), against the ray."""
+def test_normals_are_gradients_against_the_ray() -> None:
+    """Normals are gradients of the squared canonical distance, at the eye or at the entry point, against the ray."""
     scene, rng = random_world(), np.random.default_rng(5)
     world = world_of(scene, None)
     for _ in range(5):
@@ -220,8 +220,8 @@ def test_normals_are_gradients() -> None:
                 assert normal @ ray.direction < 0.0
 
 
-def test_colours_are_seen_from_the_unfolded_eye() -> None:
-    """SH directions are those of the rasteriser, in each object's frame, from where the path would have started."""
+def test_sh_directions_start_at_the_unfolded_eye() -> None:
+    """SH directions equal the rasteriser's, in object space, from the start of the unfolded path."""
     scene = random_world()
     eye = np.array([0.4, -1.0, 0.3])
     direction = oracles.normalized(np.array([0.0, 0.1, 4.0]) - eye)
@@ -237,14 +237,14 @@ def test_colours_are_seen_from_the_unfolded_eye() -> None:
 
 
 def layers(*opacities: float, colors: tuple[tuple[float, float, float], ...] = ()) -> Scene:
-    """Gaussians one behind the other from z = 3 on, given from back to front."""
+    """Returns Gaussians one behind the other from z = 3 on, listed from back to front."""
     given = colors or ((0.5, 0.5, 0.5),) * len(opacities)
     sets = [one_gaussian((0.0, 0.0, 3.0 + i), 0.3, a, c) for i, (a, c) in enumerate(zip(opacities, given, strict=True))]
     return Scene([joined(*sets[::-1])])
 
 
-def test_two_hits_by_hand() -> None:
-    """The nearer covers the farther; depth, index and normal are those of the first crossing of 0.7."""
+def test_two_hits_blend_front_to_back() -> None:
+    """The nearer hit occludes the farther; depth, index and normal are those at transmittance 0.7."""
     scene = layers(0.25, 0.5, colors=((1.0, 0.0, 0.2), (0.0, 1.0, 0.4)))
     one = traced(scene)
     assert one.color == pytest.approx(0.25 * np.array([1.0, 0.0, 0.2]) + 0.375 * np.array([0.0, 1.0, 0.4]), abs=1e-6)
@@ -258,8 +258,8 @@ def test_two_hits_by_hand() -> None:
     assert (nothing.depth, nothing.gaussian_index, nothing.instance_index) == (np.inf, -1, -1)
 
 
-def test_ray_stops_at_its_minimum() -> None:
-    """The Gaussian that takes the transmittance to 1e-4 is the last one."""
+def test_ray_stops_at_the_minimum_transmittance() -> None:
+    """The Gaussian that brings transmittance down to 1e-4 is the last one."""
     scene = layers(0.9, 0.95, 0.985, 0.5, colors=((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)))
     assert traced(scene).color == pytest.approx([0.9, 0.095, 0.005 * 0.985], abs=1e-6)
     assert traced(scene).alpha == pytest.approx(1.0 - 0.005 * 0.015, abs=1e-6)
@@ -268,7 +268,7 @@ def test_ray_stops_at_its_minimum() -> None:
 
 
 def test_equal_distances_keep_the_order_of_the_scene() -> None:
-    """The first of the set, and the first instance, is in front."""
+    """At equal distances, the first Gaussian of a set and the first instance are in front."""
     red, blue = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0)), one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     for scene in (Scene([joined(red, blue)]), Scene([red, blue])):
         one = traced(scene)
@@ -276,16 +276,16 @@ def test_equal_distances_keep_the_order_of_the_scene() -> None:
         assert one.slack < 1e-4, "copies cannot change places"
 
 
-def test_opposed_normals_fall_back_to_the_viewer() -> None:
-    """A mean normal shorter than 0.2 is the direction to the viewer."""
+def test_cancelling_normals_face_the_viewer() -> None:
+    """A mean normal shorter than 0.2 is replaced by the direction to the viewer."""
     sheets = Scene([opposed_sheets()])
     found = found_on(sheets)
     assert found.normal[0] @ found.normal[1] < -0.9
     assert traced(sheets).normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-12)
 
 
-def test_nothing_there() -> None:
-    """An empty scene, and a ray past everything, show the background and no surface."""
+def test_misses_show_the_background() -> None:
+    """An empty scene, or a ray that misses everything, shows the background without a surface."""
     for scene in (Scene(), layers(0.5)):
         one = traced(scene, Ray(np.zeros(3), np.array([0.0, 0.0, -1.0])), background=(0.3, 0.3, 0.3))
         assert one.color == pytest.approx([0.3] * 3)
@@ -299,8 +299,10 @@ def test_nothing_there() -> None:
 @pytest.mark.parametrize("strategy", [TraceStrategy.STOCHASTIC_HIT, TraceStrategy.STOCHASTIC_PASS])
 @pytest.mark.parametrize("hits_per_pass", [4, 16])
 @pytest.mark.parametrize("meshes", [[], [quad(4.0, 2.0, tilt=0.4)], [quad(4.2, 9.0, tilt=0.4, material=GLASS)]])
-def test_expectation_is_the_sorted_image(strategy: TraceStrategy, hits_per_pass: int, meshes: list[Mesh]) -> None:
-    """To rounding, with meshes, mirrors and glass behind too, where sorting never stops early."""
+def test_stochastic_expectation_equals_the_sorted_image(
+    strategy: TraceStrategy, hits_per_pass: int, meshes: list[Mesh]
+) -> None:
+    """Stochastic expectations equal the sorted image with meshes, mirrors and glass, if sorting never stops early."""
     scene = Scene([random_gaussians(8, 300, degree=2)], meshes)
     rng = np.random.default_rng(1)
     for _ in range(20):
@@ -322,8 +324,8 @@ def test_expectation_is_the_sorted_image(strategy: TraceStrategy, hits_per_pass:
         {"strategy": TraceStrategy.STOCHASTIC_PASS, "hits_per_pass": 4},
     ],
 )
-def test_moments_are_those_of_the_procedure(settings: dict) -> None:
-    """Playing a strategy 100,000 times gives its mean and variance, and each outcome as often as it says."""
+def test_moments_equal_those_of_a_simulation(settings: dict) -> None:
+    """Simulating a strategy 100,000 times gives the oracle's mean, variance and outcome frequencies."""
     scene = Scene([random_gaussians(8, 300, scale_range=(0.1, 0.4))], [quad(4.6, 2.0)])
     found = found_on(scene)
     found = picked(found, found.t < 4.6)
@@ -352,8 +354,8 @@ def test_moments_are_those_of_the_procedure(settings: dict) -> None:
     assert one.alpha == 1.0
 
 
-def test_surface_of_a_pass() -> None:
-    """The iso surface within the pass, which starts at full transmittance; where it has none, the farthest hit."""
+def test_pass_without_iso_surface_takes_its_farthest_hit() -> None:
+    """The surface of a pass is its iso-opacity hit from full transmittance, or its farthest hit if there is none."""
     config = TraceConfig(strategy=TraceStrategy.STOCHASTIC_PASS, hits_per_pass=4)
     found = found_on(layers(0.05, 0.05, 0.05, 0.05, 0.1, 0.1, 0.2, 0.1, 0.3))
     may_show = outcomes(found, AXIS, config)
@@ -364,8 +366,8 @@ def test_surface_of_a_pass() -> None:
     assert may_show.probability == pytest.approx(reached * opacity, rel=1e-6)
 
 
-def test_furnace_of_gaussians() -> None:
-    """Gaussians of the background's colour cannot be seen."""
+def test_gaussians_of_the_background_colour_are_invisible() -> None:
+    """Gaussians with the background's colour are invisible."""
     gaussians = random_gaussians(10, 300)
     uniform = replace(gaussians, sh=flat_sh(np.full((300, 3), 0.37)))
     rng = np.random.default_rng(0)
@@ -380,14 +382,14 @@ def test_furnace_of_gaussians() -> None:
 
 
 def shaken(gaussians: Gaussians, seed: int) -> Gaussians:
-    """The same Gaussians with means one rounding error away."""
+    """Moves the means by one rounding error."""
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], gaussians.means.shape)
     return replace(gaussians, means=gaussians.means * (1.0 + signs * 2.0**-23))
 
 
 @pytest.mark.parametrize("settings", [{}, {"hit_distance": HitDistance.HULL, "normal_method": NormalMethod.ELLIPSOID}])
 def test_slack_covers_rounding(settings: dict) -> None:
-    """Inputs moved by a rounding error change no colour, normal or distance by more than the twin says."""
+    """Moving inputs by a rounding error changes colour, normal and distance by no more than the oracle's slack."""
     needles = random_gaussians(11, 150, degree=1, scale_range=(1e-6, 0.8))
     camera = front_camera(20, 15, 20.0)
     first, second = (
@@ -408,8 +410,8 @@ def test_slack_covers_rounding(settings: dict) -> None:
     assert (shift <= first["depth_slack"][sure] + 1e-6).all()
 
 
-def test_slack_covers_the_middle_of_a_needle() -> None:
-    """A needle thinner than rounding, hit right in its middle, may be missed altogether."""
+def test_slack_covers_the_centre_of_a_needle() -> None:
+    """The slack allows a ray to miss a needle thinner than rounding, even through its centre."""
     needle = one_gaussian((0.1, 0.2, 4.0), (1.0, 1e-6, 1e-6), 0.8)
     through = Ray(np.zeros(3), oracles.normalized(needle.means[0].astype(float)))
     assert traced(Scene([needle]), through).slack > 0.5
@@ -417,7 +419,7 @@ def test_slack_covers_the_middle_of_a_needle() -> None:
 
 
 def test_slack_covers_swapped_hits() -> None:
-    """Two Gaussians closer to one another than rounding may be blended in either order, and either be the surface."""
+    """The slack allows either order, and either surface, for two Gaussians closer than rounding."""
     red, blue = one_gaussian((0.0, 0.0, 4.0), 0.2, 0.8, (1, 0, 0)), one_gaussian((0.0, 0.0, 4.0), 0.3, 0.5, (0, 0, 1))
     for gap, slack, band in ((0.0, 0.4, True), (4e-7, 0.4, True), (1e-4, 0.0, False)):
         behind = replace(blue, means=blue.means + np.array([0.0, 0.0, gap], np.float32))
@@ -427,7 +429,7 @@ def test_slack_covers_swapped_hits() -> None:
 
 
 def test_slack_covers_thresholds() -> None:
-    """An alpha of just 1/255, a peak just at the ray's start, and a transmittance just at a threshold are in doubt."""
+    """An alpha of 1/255, a peak at the ray's start and a transmittance at a threshold are doubtful."""
     faint = one_gaussian((0.0, 0.0, 4.0), opacity=1.0 / 255.0)
     assert traced(Scene([faint])).slack == pytest.approx(1.0 / 255.0, rel=1e-3)
     half = Scene([one_gaussian((0.0, 0.0, 4.0), opacity=0.5)])

@@ -1,4 +1,4 @@
-"""Small files for tests of the command line."""
+"""Writes small files for tests of the command line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from support.scenes.raster_scenes import front_camera, random_gaussians
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command left behind."""
+    """Exit status and output of a command."""
 
     status: int
     out: str
@@ -23,7 +23,7 @@ class Outcome:
 
 
 class Workspace:
-    """A folder with a capture, a camera file of two frames and a mesh, and a way to run commands in it."""
+    """A folder with a capture, a camera file of two frames and a mesh, in which tests run commands."""
 
     def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         self.folder = folder
@@ -33,28 +33,28 @@ class Workspace:
         (folder / "mesh.obj").write_text("v -1 -1 4\nv 1 -1 4\nv 0 1 4\nf 1 2 3\n")
 
     def path(self, name: str) -> Path:
-        """A file of the folder."""
+        """Returns the path of a file in the folder."""
         return self.folder / name
 
     def capture(self, name: str) -> ls.Gaussians:
-        """A capture of the folder."""
+        """Loads a capture from the folder."""
         loaded = ls.load(self.path(name))
         assert isinstance(loaded, ls.Gaussians)
         return loaded
 
     def run(self, *args: str) -> Outcome:
-        """Runs a command; ``@name`` stands for a file of the folder."""
+        """Runs a command; ``@name`` stands for the path of a file in the folder."""
         self._capsys.readouterr()
         status = main([str(self.path(arg[1:])) if arg.startswith("@") else arg for arg in args])
         captured = self._capsys.readouterr()
         return Outcome(status, captured.out, captured.err)
 
     def files(self) -> set[str]:
-        """Names of all files below the folder, also hidden ones."""
+        """Returns the relative names of all files below the folder, including hidden ones."""
         return {str(path.relative_to(self.folder)) for path in self.folder.rglob("*") if path.is_file()}
 
     def write_cameras(self, name: str, **changes: object) -> None:
-        """Writes the camera file with entries of its first frame changed; None removes one."""
+        """Writes the camera file with changed entries of its first frame; None removes an entry."""
         content = json.loads(self.path("cameras.json").read_text())
         content["frames"][0] |= changes
         content["frames"][0] = {key: value for key, value in content["frames"][0].items() if value is not None}

@@ -16,7 +16,7 @@ class ColmapStub:
     """Provides the names of pycolmap that Lumisplat uses; its database is a JSON file of the recorded calls."""
 
     models: Sequence[Sequence[int]] = ((0, 1, 2),)
-    """Indices of the images of each model; empty if no poses are found."""
+    """Image indices of each model; empty if COLMAP finds no poses."""
     interrupt_in: str = ""
     """Name of the step that raises KeyboardInterrupt."""
     features: int = 500

@@ -1,4 +1,4 @@
-"""glTF documents with Gaussians, attribute by attribute as the extension has them; and what captures they are."""
+"""Builds glTF documents with Gaussians attribute by attribute, and loads them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EXTENSION = "KHR_gaussian_splatting"
 
 
 def stored_values(count: int = 5, degree: int = 1, seed: int = 4) -> dict[str, np.ndarray]:
-    """Attributes of Gaussians in the axes of glTF, by their names without the prefix, all float32."""
+    """Returns attributes of Gaussians in glTF's axes, keyed by names without prefix, all float32."""
     rng = np.random.default_rng(seed)
     rotations = rng.normal(size=(count, 4))
     values = {
@@ -31,16 +31,16 @@ def stored_values(count: int = 5, degree: int = 1, seed: int = 4) -> dict[str, n
 
 
 def full_name(name: str) -> str:
-    """The name of an attribute in a file."""
+    """Returns the name of an attribute in a file."""
     return name if name in ("POSITION", "COLOR_0", "NORMAL") or name.startswith("_") else f"{EXTENSION}:{name}"
 
 
 def splat_gltf(values: dict[str, np.ndarray] | None = None, **extension: Any) -> Gltf:
-    """A document with one capture, on one node.
+    """Returns a document with one capture on one node.
 
     Args:
-        values: Attributes by name; integers are normalised. None: `stored_values`.
-        **extension: Properties of the extension that differ from the usual ones.
+        values: Attributes by name, integers normalised; None for `stored_values`.
+        **extension: Properties of the extension that replace the defaults.
     """
     gltf = Gltf()
     gltf.json |= {"extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}]}
@@ -56,21 +56,21 @@ def splat_gltf(values: dict[str, np.ndarray] | None = None, **extension: Any) ->
 
 
 def primitive_of(gltf: Gltf) -> dict[str, Any]:
-    """The primitive of `splat_gltf`."""
+    """Returns the primitive of `splat_gltf`."""
     return gltf.json["meshes"][0]["primitives"][0]
 
 
 def loaded(folder: Path, gltf: Gltf, **options: Any) -> ls.Gaussians | ls.Mesh | ls.Scene:
-    """What a document is loaded as."""
+    """Writes and loads a document."""
     (folder / "splats.glb").write_bytes(gltf.glb())
     return ls.load(folder / "splats.glb", **options)
 
 
 def loaded_gaussians(folder: Path, gltf: Gltf, **options: Any) -> ls.Gaussians:
-    """The capture that a document is loaded as."""
+    """Writes a document, and loads it as a capture."""
     return expect_kind(ls.Gaussians, loaded(folder, gltf, **options))
 
 
 def loaded_scene(folder: Path, gltf: Gltf) -> ls.Scene:
-    """The scene that a document is loaded as."""
+    """Writes a document, and loads it as a scene."""
     return expect_kind(ls.Scene, loaded(folder, gltf))

@@ -1,4 +1,4 @@
-"""glTF documents written by hand, for the tests of what reads them."""
+"""Builds glTF documents by hand, for the tests of their reader."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Gltf:
-    """Builds a glTF document: arrays become accessors over one buffer."""
+    """Builds a glTF document whose arrays become accessors of one buffer."""
 
     def __init__(self) -> None:
         self.json: dict = {
@@ -24,14 +24,14 @@ class Gltf:
         self.data = b""
 
     def view(self, data: bytes, **keys: int) -> int:
-        """Appends bytes, 4-aligned, as a buffer view."""
+        """Appends bytes, 4-aligned, as a buffer view; returns its index."""
         self.data = self.data.ljust(-(-len(self.data) // 4) * 4, b"\0")
         self.json["bufferViews"].append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **keys})
         self.data += data
         return len(self.json["bufferViews"]) - 1
 
     def accessor(self, array: np.ndarray, **keys: object) -> int:
-        """An accessor of one array, (N,), (N, 2..4) or (N, 4, 4) row-major matrices."""
+        """Appends an accessor of an array, (N,), (N, 2..4) or (N, 4, 4) row-major matrices; returns its index."""
         component = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}[array.dtype.str[1:]]
         kind = "MAT4" if array.ndim == 3 else "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
         stored = array.transpose(0, 2, 1) if array.ndim == 3 else array
@@ -40,12 +40,12 @@ class Gltf:
         return len(self.json["accessors"]) - 1
 
     def add(self, collection: str, **item: object) -> int:
-        """Appends an item; returns its index."""
+        """Appends an item to a collection; returns its index."""
         self.json.setdefault(collection, []).append(item)
         return len(self.json[collection]) - 1
 
     def glb(self) -> bytes:
-        """The document as GLB."""
+        """Returns the document as GLB."""
         self.json["buffers"] = [{"byteLength": len(self.data)}]
         text = json.dumps(self.json).encode()
         text += b" " * (-len(text) % 4)
@@ -54,7 +54,7 @@ class Gltf:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
     def gltf(self, uri: str | None = None) -> bytes:
-        """The document as JSON; the buffer at ``uri``, or in the text."""
+        """Returns the document as JSON, with the buffer at ``uri`` or embedded."""
         uri = uri or "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
         self.json["buffers"] = [{"byteLength": len(self.data), "uri": uri}]
         return json.dumps(self.json).encode()

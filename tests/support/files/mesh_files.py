@@ -1,4 +1,4 @@
-"""Small mesh files written by hand, for the tests of the readers."""
+"""Builds small mesh files by hand, for the tests of their readers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from support.files.gltf_writer import Gltf
 QUAD = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=np.float32)
 QUAD_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint16)
 QUAD_UVS = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], dtype=np.float32)
-"""Top-left origin: the quad's lower left corner shows the image's lower left one."""
+"""Texture coordinates with a top-left origin: the quad's lower left corner shows the image's lower left corner."""
 
 TEXELS = np.array([[(255, 0, 0), (0, 255, 0)], [(0, 0, 255), (255, 255, 255)]], dtype=np.uint8)
-"""Red green above blue white."""
+"""Texels: red, green in the upper row, blue, white in the lower row."""
 
 OBJ = """\
 mtllib quad.mtl
@@ -37,14 +37,14 @@ MTL = "newmtl painted\nKd 0.5 0.25 1\nmap_Kd -s 1 1 1 quad texture.png\n"
 
 
 def png_bytes(texels: np.ndarray = TEXELS) -> bytes:
-    """``texels`` as a PNG."""
+    """Encodes ``texels`` as PNG."""
     stream = io.BytesIO()
     Image.fromarray(texels).save(stream, "PNG")
     return stream.getvalue()
 
 
 def write_obj(folder: Path) -> Path:
-    """A textured quad with its material and texture; returns the OBJ."""
+    """Writes a textured quad with its material and texture. Returns the path of the OBJ."""
     (folder / "quad.obj").write_text(OBJ)
     (folder / "quad.mtl").write_text(MTL)
     (folder / "quad texture.png").write_bytes(png_bytes())
@@ -52,7 +52,7 @@ def write_obj(folder: Path) -> Path:
 
 
 def ply_text(order: str = "ascii", quad_first: bool = True) -> bytes:
-    """A coloured quad and a triangle, so that polygons differ in length, in any of the three encodings."""
+    """Encodes a coloured quad and a triangle, polygons of different lengths, in any of the three PLY encodings."""
     header = f"ply\nformat {order} 1.0\ncomment by hand\nelement vertex 4\n"
     header += "".join(f"property float {n}\n" for n in "xyz") + "".join(
         f"property uchar {n}\n" for n in ("red", "green", "blue")
@@ -69,13 +69,13 @@ def ply_text(order: str = "ascii", quad_first: bool = True) -> bytes:
 
 
 def stl_bytes(corners: np.ndarray) -> bytes:
-    """Binary STL of (F, 3, 3) corners; its header starts with the word that marks ASCII files."""
+    """Encodes corners (F, 3, 3) as binary STL whose header starts with the word that marks ASCII files."""
     rows = b"".join(struct.pack("<12fH", 0, 0, 0, *triangle.reshape(-1), 0) for triangle in corners)
     return b"solid but binary".ljust(80) + struct.pack("<I", len(corners)) + rows
 
 
 def stl_text(corners: np.ndarray) -> bytes:
-    """ASCII STL of (F, 3, 3) corners."""
+    """Encodes corners (F, 3, 3) as ASCII STL."""
     facets = "".join(
         "facet normal 0 0 0\nouter loop\n"
         + "".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle)
@@ -86,7 +86,7 @@ def stl_text(corners: np.ndarray) -> bytes:
 
 
 def quad_gltf(textured: bool = True, **node: object) -> Gltf:
-    """The quad under one node; its material is red at half strength, textured or not."""
+    """Returns the quad under one node, with a tinted material that may be textured."""
     gltf = Gltf()
     attributes = {"POSITION": gltf.accessor(QUAD), "TEXCOORD_0": gltf.accessor(QUAD_UVS)}
     pbr: dict = {"baseColorFactor": [0.5, 0.25, 1.0, 1.0], "metallicFactor": 0.25, "roughnessFactor": 0.75}

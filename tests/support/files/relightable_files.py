@@ -1,4 +1,4 @@
-"""A small set with a known truth, made of what a capture itself shows (docs/guide/materials.md#sets)."""
+"""Writes a small data set with known materials and light, rendered from a capture (docs/guide/materials.md#sets)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from support.files.training_image_files import write_blender_images
 SIZE, VIEWS = 32, 2
 CHANNELS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4, jitter=False)
-"""How relit pictures are rendered."""
+"""Render settings of relit images."""
 
 
 def painted_ball() -> ls.Gaussians:
-    """A ball whose colours and roughness vary, with normals and other captured colours."""
+    """Returns a ball with varying albedo, roughness and normals, and captured colours that differ from the albedo."""
     ball = ls.gaussians_from_mesh(ls.sphere(1.0), 800, 3)
     x, y, z = ball.means.T
     albedo = np.clip(np.stack([0.4 + 0.2 * x, 0.5 + 0.3 * y, 0.3 + 0.1 * z], axis=1), 0.0, 1.0)
@@ -31,19 +31,19 @@ def painted_ball() -> ls.Gaussians:
 
 
 def cameras() -> list[ls.Camera]:
-    """Around the ball."""
+    """Returns cameras around the ball."""
     eyes = [(4.0 * np.cos(a), 0.5, 4.0 * np.sin(a)) for a in np.arange(2 + VIEWS) * 1.3]
     return [ls.Camera.look_at(eye, (0, 0, 0), (0, 1, 0), width=SIZE, height=SIZE, fov_y=0.6) for eye in eyes]
 
 
 def panorama(tilt: float = 0.0) -> np.ndarray:
-    """A panorama that differs on all sides."""
+    """Returns a panorama that differs in all directions."""
     x, y, z = np.moveaxis(panorama_directions(16, 32), -1, 0)
     return np.stack([0.6 + 0.3 * x, 0.6 + 0.3 * y, 0.5 + 0.3 * (z + tilt * x)], axis=-1)
 
 
 def write_relightable_set(folder: Path, gaussians: ls.Gaussians) -> Path:
-    """The set of which this capture, with its albedo, knows all."""
+    """Writes the data set whose ground truth is this capture with its albedo. Returns the folder."""
     names = [f"r_{index:03}" for index in range(2 + VIEWS)]
     posed = [replace(camera, name=name) for camera, name in zip(cameras(), names, strict=True)]
     write_blender_images(folder, {"train": posed[:2], "test": posed[2:]})
@@ -69,14 +69,14 @@ def write_relightable_set(folder: Path, gaussians: ls.Gaussians) -> Path:
 
 
 def write_layer(folder: Path, name: str, view: str, values: np.ndarray) -> None:
-    """Writes the truth of a view, (H, W, C)."""
+    """Writes a layer of a view's ground truth, (H, W, C)."""
     path = folder / "truth" / name / f"{view}.exr"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_exr(path, {channel: values[..., i] for i, channel in enumerate(CHANNELS[name])} | {"A": values[..., 0]})
 
 
 def read_layer(folder: Path, name: str, view: str) -> np.ndarray:
-    """The truth of a view, (H, W, C)."""
+    """Reads a layer of a view's ground truth, (H, W, C)."""
     stored = read_exr(folder / "truth" / name / f"{view}.exr")
     return np.stack([stored[channel] for channel in CHANNELS[name]], axis=-1)
 

@@ -1,4 +1,4 @@
-"""A small rig written by hand: a tube along y over three joints, with clips of every kind."""
+"""Builds a small rig by hand: a tube along y with three joints, and clips of every kind."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from support.files.gltf_writer import Gltf
 
 RINGS, SIDES, HEIGHT, RADIUS = 13, 10, 3.0, 0.25
 JOINT_NODES = (2, 3, 4)
-"""Nodes of the joints, each the child of the one before, one unit above it; node 1 holds them, node 0 the mesh."""
+"""Nodes of the joints, each one unit above its parent joint; node 1 is their parent, node 0 has the mesh."""
 
 
 def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions (V, 3), outward normals (V, 3) and counter-clockwise triangles (F, 3) of a tube from y = 0 to 3."""
+    """Returns positions (V, 3), outward normals (V, 3) and counter-clockwise triangles (F, 3) of a tube, y = 0 to 3."""
     angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
     height = np.linspace(0.0, HEIGHT, RINGS)
     normals = np.tile(np.stack([np.cos(angle), np.zeros(SIDES), -np.sin(angle)], axis=1), (RINGS, 1))
@@ -27,7 +27,7 @@ def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def tube_weights(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joints (V, 4) and weights (V, 4): each joint rules its unit of height, with a soft change between."""
+    """Returns joints (V, 4) and weights (V, 4): each joint moves its unit of height, with smooth transitions."""
     closeness = np.clip(1.25 - np.abs(positions[:, 1:2] - (0.5, 1.5, 2.5)), 0.0, None) ** 2
     weights = closeness / closeness.sum(axis=1, keepdims=True)
     joints = np.tile(np.array([0, 1, 2, 0], np.uint8), (len(positions), 1))
@@ -36,7 +36,7 @@ def tube_weights(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class TubeRig:
-    """What goes into the file; tests change it before they write it."""
+    """Content of the file; tests change it before they write the file."""
 
     positions: np.ndarray = field(default_factory=lambda: tube()[0])
     normals: np.ndarray | None = field(default_factory=lambda: tube()[1])
@@ -45,7 +45,7 @@ class TubeRig:
     weights: np.ndarray | None = field(default_factory=lambda: tube_weights(tube()[0])[1])
     joint_from_bind: np.ndarray | None = None
     clips: dict[str, list[tuple]] = field(default_factory=dict)
-    """Name -> (node, path, times, values, interpolation), values as glTF stores them."""
+    """Tracks of each clip: (node, path, times, values, interpolation), with values as glTF stores them."""
     nodes: list[dict] = field(default_factory=lambda: [
         {"mesh": 0, "skin": 0, "name": "tube"},
         {"name": "root", "children": [2]},
@@ -60,7 +60,7 @@ class TubeRig:
     })  # fmt: skip
 
     def gltf(self) -> Gltf:
-        """The document."""
+        """Returns the document."""
         gltf = Gltf()
         arrays = {"POSITION": self.positions, **self.attributes}
         if self.normals is not None:
@@ -98,23 +98,23 @@ class TubeRig:
         return gltf
 
     def write(self, path: Path) -> Path:
-        """Writes the GLB."""
+        """Writes the document as GLB. Returns the path."""
         path.write_bytes(self.gltf().glb())
         return path
 
 
 def quaternion_xyzw(axis: tuple[float, float, float], degrees: float) -> list[float]:
-    """A rotation as glTF stores it."""
+    """Returns a rotation as glTF stores it."""
     half = np.radians(degrees) / 2.0
     return [*(np.sin(half) * np.asarray(axis, float) / np.linalg.norm(axis)), float(np.cos(half))]
 
 
 BEND = [(3, "rotation", [0.0, 1.0], [quaternion_xyzw((0, 0, 1), 0.0), quaternion_xyzw((0, 0, 1), 70.0)])]
-"""The knee bends by 70 degrees in a second."""
+"""Clip that bends the knee by 70 degrees within a second."""
 CARRY = [
     (1, "translation", [0.0, 2.0], [[0.0, 0.0, 0.0], [4.0, 0.0, 2.0]]),
     (1, "rotation", [0.0, 2.0], [quaternion_xyzw((1, 2, 3), 0.0), quaternion_xyzw((1, 2, 3), 120.0)]),
 ]
-"""The whole rig moves and turns, rigidly."""
+"""Clip that moves and rotates the whole rig rigidly."""
 VANISH = [(1, "scale", [0.0, 1.0], [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]])]
-"""It shrinks to nothing in a second."""
+"""Clip that shrinks the rig to nothing within a second."""

@@ -1,4 +1,4 @@
-"""File systems that are full soon."""
+"""Mounts file systems that fill up quickly."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 @contextmanager
 def small_disk(folder: Path, size: str) -> Iterator[Path]:
-    """A file system of a size, ``"200k"``, in a folder that is made; a test skips where none can be mounted."""
+    """Mounts a file system of a size, such as ``"200k"``, on a new folder; skips the test if mounting is impossible."""
     folder.mkdir()
     mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)], check=False, capture_output=True

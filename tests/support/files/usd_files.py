@@ -1,4 +1,4 @@
-"""OpenUSD files written as text, and the library that checks them."""
+"""Writes OpenUSD files as text, and validates files with usd-core."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ EXTENSIONS = (".usda", ".usdc", ".usdz", ".usd")
 
 
 def usd_core(module: str = "Usd") -> Any:
-    """A module of usd-core; without it, the test is skipped."""
+    """Returns a module of usd-core, or skips the test if usd-core is missing."""
     pytest.importorskip("pxr", reason="needs usd-core: pip install 'lumisplat[usd]'")
     return pytest.importorskip(f"pxr.{module}")
 
 
 def write_usda(path: Path, body: str, head: str = 'upAxis = "Y"') -> Path:
-    """Writes a layer of text with that content."""
+    """Writes a text layer with the given body. Returns its path."""
     usd_core()
     path.write_text(f"#usda 1.0\n(\n{head}\n)\n{body}\n")
     return path
@@ -33,7 +33,7 @@ def field(
     name: str = "splats",
     schemas: str = "",
 ) -> str:
-    """A particle field as text: ``count`` particles 1 apart along x, unless ``values`` say otherwise."""
+    """Returns a particle field as text; by default, ``count`` particles 1 apart along x."""
     positions = ", ".join(f"({k}, 0, 0)" for k in range(count))
     given = {"point3f[] positions": f"[{positions}]", **(values or {})}
     lines = "\n".join(f"    {key} = {held}" for key, held in given.items() if held)
@@ -42,7 +42,7 @@ def field(
 
 
 def validation_messages(path: Path) -> list[str]:
-    """What the validators of usd-core say against a file."""
+    """Returns the messages of usd-core's validators about a file."""
     usd, validation = usd_core(), usd_core("UsdValidation")
     validators = validation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) >= 20

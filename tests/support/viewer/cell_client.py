@@ -1,4 +1,4 @@
-"""A notebook without a browser and without a kernel: it opens the widgets' comms, and answers as JupyterLab does."""
+"""Replaces a notebook without browser and kernel: opens the widgets' comms, and answers as JupyterLab does."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from comm.base_comm import BaseComm
 
 
 class CellClient:
-    """While it lasts, widgets that are made are shown here; `send` is a hand on the frame of jupyter_rfb.
+    """Shows widgets created in its context; `send` sends events to the frame of jupyter_rfb.
 
     Args:
-        answers: Whether it says that frames are drawn.
+        answers: Whether the client acknowledges frames.
     """
 
     def __init__(self, *, answers: bool = True) -> None:
         self.answers = answers
         self.pictures: list[tuple[float, bytes]] = []
-        """When pictures came, and their JPEGs."""
+        """Received frames: arrival time and JPEG."""
         self.bytes = 0
-        """Size of the messages with pictures, without what Jupyter puts around them."""
+        """Total size of frame messages, without Jupyter's envelopes."""
         self._frames: BaseComm | None = None
         self._arrived = threading.Condition()
         self._patches = [mock.patch("comm.create_comm", self._open), mock.patch(f"{_HOST}._shell", _notebook_shell)]
@@ -44,20 +44,20 @@ class CellClient:
         self._to_kernel({"method": "custom", "content": {"type": kind, **fields}})
 
     def drag(self, across: float, down: float, *, button: int = 1, modifiers: tuple[str, ...] = ()) -> None:
-        """Drags the pointer from the middle of the frame."""
+        """Drags the pointer from the centre of the frame."""
         held: dict[str, Any] = {"button": button, "modifiers": list(modifiers)}
         self.send("pointer_down", x=320.0, y=180.0, buttons=[button], **held)
         self.send("pointer_move", x=320.0 + across, y=180.0 + down, buttons=[button], **held)
         self.send("pointer_up", x=320.0 + across, y=180.0 + down, buttons=[], **held)
 
     def click(self, across: float, down: float) -> None:
-        """Clicks at shares of the width and height of a frame of 640 x 360."""
+        """Clicks at fractions of the width and height of a frame of 640 x 360."""
         at = {"x": 640.0 * across, "y": 360.0 * down, "button": 1, "modifiers": []}
         self.send("pointer_down", buttons=[1], **at)
         self.send("pointer_up", buttons=[], **at)
 
     def picture(self, after: int = 0, timeout: float = 60.0) -> np.ndarray:
-        """The last picture, once there are more than so many, (H, W, 3) uint8."""
+        """Waits for more than ``after`` frames, and returns the latest, (H, W, 3) uint8."""
         with self._arrived:
             assert self._arrived.wait_for(lambda: len(self.pictures) > after, timeout), "no picture came"
             return simplejpeg.decode_jpeg(self.pictures[-1][1])
@@ -89,7 +89,7 @@ _HOST = "lumisplat.viewer.notebook"
 
 
 class _Comm(BaseComm):
-    """A channel of a widget; what it sends is taken at once, in the thread that sends it."""
+    """Channel of a widget; messages are handled immediately in the sending thread."""
 
     def __init__(self, take: Any, **options: Any) -> None:
         self._take = take
@@ -103,6 +103,6 @@ class _Comm(BaseComm):
 
 
 def _notebook_shell() -> Any:
-    """IPython's shell in a kernel that somebody types into."""
+    """Returns IPython's shell as in a kernel of a notebook that accepts input."""
     kernel = SimpleNamespace(get_parent=lambda channel: {"content": {"allow_stdin": True}})
     return SimpleNamespace(kernel=kernel, display_formatter=SimpleNamespace(active_types=["image/png", "text/plain"]))

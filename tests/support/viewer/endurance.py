@@ -1,9 +1,9 @@
-"""Edits a viewer for long: three pages, and a ledger that says what the document should hold.
+"""Edits a viewer for a long time with three pages, and compares the document with a ledger.
 
-`endured` opens three pages over bare WebSockets on a small lit scene, and edits it by what pages send, as an hour of
-work would: handles are dragged, materials, lights and settings changed, things added, uploaded, duplicated, hidden and
-deleted, edits undone and redone, pages closed and opened again, while all pages move. After each edit, the document is
-compared with a ledger that the same edits are entered in.
+`endured` opens three pages over bare WebSockets on a small lit scene, and sends the messages of an hour of work: it
+drags gizmos, changes materials, lights and settings, adds, uploads, duplicates, hides and deletes objects, undoes and
+redoes edits, and closes and reopens pages, while all cameras move. After each edit, the document must equal a ledger in
+which the same edits are recorded.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from support.viewer.page_client import PageClient
 HEIGHT = 90
 PAGES = 3
 ENTRIES = (3, 9)
-"""Fewest and most things of the scene."""
+"""Smallest and largest number of scene entries."""
 LOST_S = 30.0
-"""An edit that has not been done by then is lost."""
+"""Seconds after which an edit that has no effect counts as lost."""
 WARM_UP = 0.2
-"""Share of the edits before memory is measured: lists of what can be undone, and caches, have filled up."""
+"""Fraction of the edits before memory is measured; by then, undo lists and caches are full."""
 TRIANGLE = b"v 0 0 0\nv 0.3 0 0\nv 0 0.3 0\nf 1 2 3\n"
 WEIGHTS = {
     "drag": 6,
@@ -50,24 +50,24 @@ WEIGHTS = {
     "upload": 1,
     "reconnect": 1,
 }
-"""How often what is done."""
+"""Relative frequency of each kind of edit."""
 
 
 @dataclass(frozen=True)
 class EntryState:
-    """What the ledger knows of an entry."""
+    """State of a scene entry in the ledger."""
 
     is_light: bool
     value: float | None
-    """Intensity of a light, roughness of others; None: as the file has it."""
+    """Intensity of a light, roughness of another entry; None if the file's value is unchanged."""
     position: tuple[float, ...] | None
-    """Of a light."""
+    """Position of a light; None for other entries."""
     is_off: bool = False
 
 
 @dataclass(frozen=True)
 class Content:
-    """What the ledger knows of a state."""
+    """State of a document in the ledger."""
 
     entry_states: dict[int, EntryState]
     exposure: float = 0.0
@@ -75,7 +75,7 @@ class Content:
 
 @dataclass
 class Ledger:
-    """The edits, entered without the viewer; undone as it says that they are."""
+    """Records the edits independently of the viewer, with undo and redo."""
 
     now: Content
     past: list[Content] = field(default_factory=list[Content])
@@ -83,13 +83,13 @@ class Ledger:
     merging: str | None = None
 
     def edit(self, content: Content, merge: str | None = None) -> None:
-        """Goes on; edits of one name in a row are one."""
+        """Records a new state; consecutive edits with the same merge name become one."""
         if merge is None or merge != self.merging:
             self.past = [*self.past[-UNDO_MAX:], self.now]
         self.now, self.merging, self.future = content, merge, []
 
     def put(self, number: int, entry_state: EntryState | None, merge: str | None = None) -> None:
-        """Enters another thing in place of one; None: it is gone."""
+        """Replaces the state of an entry; None removes the entry."""
         entry_states = {key: value for key, value in self.now.entry_states.items() if key != number}
         self.edit(
             replace(
@@ -99,7 +99,7 @@ class Ledger:
         )
 
     def step(self, source: list[Content], target: list[Content]) -> None:
-        """Undoes or does again, if there is anything."""
+        """Undoes or redoes an edit if there is one."""
         if source:
             target.append(self.now)
             self.now, self.merging = source.pop(), None
@@ -107,19 +107,19 @@ class Ledger:
 
 @dataclass(frozen=True)
 class Report:
-    """What came of it."""
+    """Results of a run."""
 
     done: Counter[str]
     memory_mib: tuple[float, ...]
-    """After the warm-up, and in equal steps until the end."""
+    """Memory in MiB, after the warm-up and at equal intervals until the end."""
     threads: tuple[list[str], list[str]]
-    """Names of the viewer's, after the warm-up, and at the end."""
+    """Names of the viewer's threads after the warm-up and at the end."""
     errors: list[str]
-    """What was logged or reported."""
+    """Logged warnings and reported errors."""
 
 
 class LeanPage(PageClient):
-    """A page that forgets what it need not know, so that its memory is not taken for the viewer's."""
+    """A page that drops messages it does not need, so that its memory does not count as the viewer's."""
 
     def _take(self, message: dict[str, Any], buffers: list[bytes]) -> None:
         is_control = isinstance(message.get("props"), dict) and "uuid" in message
@@ -143,11 +143,11 @@ class LeanPage(PageClient):
 
 
 class Editor:
-    """Edits by what pages send, and enters in the ledger what should come of it.
+    """Sends edits from pages, and records their expected effect in the ledger.
 
     Args:
         viewer: The viewer.
-        seed: Of what is done.
+        seed: Seed of the random edits.
     """
 
     def __init__(self, viewer: ls.Viewer, seed: int = 0) -> None:
@@ -160,7 +160,7 @@ class Editor:
         self._camera_moves = 0
 
     def act(self) -> None:
-        """Does the next thing, and waits until it is done."""
+        """Sends a random edit, and waits for its effect."""
         low, high = ENTRIES
         count = len(self.ledger.now.entry_states)
         what = self._random.choices(list(WEIGHTS), list(WEIGHTS.values()))[0]
@@ -176,19 +176,21 @@ class Editor:
         self.done[what] += 1
 
     def _open(self) -> None:
-        """Opens a page; until it is known by its camera, nothing that it says is heard."""
+        """Opens a page, and waits until the viewer knows its camera; earlier messages would be ignored."""
         page = LeanPage(self._viewer.url)
         page.look(orbit(0.0))
         self.pages.append(page)
-        wait_until(lambda: len(self._viewer._pages) == len(self.pages), "a page is not there, or one that has gone is")
+        wait_until(
+            lambda: len(self._viewer._pages) == len(self.pages), "the viewer's pages differ from the connected pages"
+        )
 
     def close(self) -> None:
-        """Closes the pages."""
+        """Closes all pages."""
         for page in self.pages:
             page.close()
 
     def _agree(self, what: str) -> None:
-        """Waits until the viewer shows what the ledger has, and can undo and redo as much."""
+        """Waits until the viewer's document and numbers of undoable and redoable edits equal the ledger's."""
         session, ledger = self._viewer._session, self.ledger
 
         def agrees() -> bool:
@@ -199,7 +201,7 @@ class Editor:
         wait_until(agrees, f"{what} was lost")
 
     def _select(self, fits: Callable[[EntryState], bool] = lambda entry_state: True) -> tuple[int, EntryState] | None:
-        """Selects a thing at random of those that fit; None: none does."""
+        """Selects a random entry among those that fit; returns None if there are none."""
         entry_states = [
             (number, entry_state) for number, entry_state in self.ledger.now.entry_states.items() if fits(entry_state)
         ]
@@ -279,7 +281,7 @@ class Editor:
         number, _ = self._any()
         page.push("delete")
         self.ledger.put(number, None)
-        wait_until(lambda: self._viewer._session.selected is None, "what was deleted is still selected")
+        wait_until(lambda: self._viewer._session.selected is None, "the deleted entry is still selected")
 
     def _add(self, page: LeanPage) -> None:
         page.choose("what", "point light")
@@ -297,7 +299,7 @@ class Editor:
         self._open()
 
     def _new_id(self) -> int:
-        """That of the entry which has come."""
+        """Waits for a new entry, and returns its id."""
         known = self.ledger.now.entry_states.keys()
         wait_until(lambda: content_of(self._viewer).entry_states.keys() > known, "nothing was added")
         (number,) = content_of(self._viewer).entry_states.keys() - known
@@ -305,8 +307,8 @@ class Editor:
 
 
 def content_of(viewer: ls.Viewer) -> Content:
-    """What the viewer shows, as the ledger has it."""
-    with viewer._session.changed:  # whoever edits holds it until all panels show the edit
+    """Returns the viewer's document in the ledger's form."""
+    with viewer._session.changed:  # held by editors until all panels show the edit
         state = viewer._session.state
     entry_states: dict[int, EntryState] = {}
     for entry in state.document.entries:
@@ -319,12 +321,12 @@ def content_of(viewer: ls.Viewer) -> Content:
 
 
 def rounded(position: Any) -> tuple[float, ...]:
-    """A position, to a millionth."""
+    """Rounds a position to a millionth."""
     return tuple(round(float(x), 6) + 0.0 for x in position)
 
 
 def wait_until(holds: Callable[[], bool], what: str) -> None:
-    """Waits for something that threads of the viewer do."""
+    """Waits until a condition holds that the viewer's threads bring about."""
     until = time.monotonic() + LOST_S
     while not holds():
         if time.monotonic() > until:
@@ -333,13 +335,13 @@ def wait_until(holds: Callable[[], bool], what: str) -> None:
 
 
 def orbit(angle: float) -> ls.Camera:
-    """A camera on a circle around the scene."""
+    """Returns a camera on a circle around the scene."""
     eye = (3.5 * np.sin(angle), -0.6, -3.5 * np.cos(angle))
     return ls.Camera.look_at(eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=HEIGHT)
 
 
 def scene_in(folder: Path) -> Path:
-    """A scene file: a relit ball of Gaussians, a box and a lamp."""
+    """Writes a scene file with a relit ball of Gaussians, a box and a point light. Returns its path."""
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(400, 3))
     ball = ls.Gaussians(
@@ -360,20 +362,20 @@ def scene_in(folder: Path) -> Path:
 
 
 class Faults(logging.Handler):
-    """Collects what is logged as a warning or worse."""
+    """Collects logged warnings and errors."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.lines: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Notes a record."""
-        if "upright" not in record.getMessage():  # of a mesh that is added: where it was put
+        """Stores the message of a record."""
+        if "upright" not in record.getMessage():  # expected when a mesh is added
             self.lines.append(record.getMessage())
 
 
 def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Report:
-    """Opens a viewer and edits so many times.
+    """Opens a viewer, and sends ``edits`` random edits.
 
     Raises:
         AssertionError: An edit was lost.
@@ -403,17 +405,19 @@ def endured(edits: int, folder: Path, device: str = "cpu", seed: int = 0) -> Rep
 
 
 def settled_threads(viewer: ls.Viewer) -> list[str]:
-    """Threads of the viewer once all pages that have gone are forgotten."""
+    """Returns the names of the viewer's threads once all closed pages are gone."""
 
     def ours() -> list[str]:
         return sorted(thread.name for thread in threading.enumerate() if thread.name.startswith("lumisplat"))
 
-    wait_until(lambda: len(viewer._pages) == ours().count("lumisplat page") == PAGES, "a page that has gone is there")
+    wait_until(
+        lambda: len(viewer._pages) == ours().count("lumisplat page") == PAGES, "a closed page is still registered"
+    )
     return ours()
 
 
 def memory_mib() -> float:
-    """What this process holds, but for memory that is free, and that the allocator keeps for later."""
+    """Returns the memory of this process in MiB, without free memory that the allocator retains."""
     gc.collect()
     with contextlib.suppress(OSError, AttributeError):  # only glibc has this
         ctypes.CDLL(None).malloc_trim(0)

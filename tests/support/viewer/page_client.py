@@ -1,4 +1,4 @@
-"""A page of the viewer without a browser: it speaks viser's protocol over a bare WebSocket."""
+"""Connects to the viewer without a browser, by viser's protocol on a bare WebSocket."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ import lumisplat as ls
 
 
 class PageClient:
-    """Connects, sends cameras and edits, answers as a page does, and keeps the last picture.
+    """Sends cameras and edits, acknowledges frames as a page does, and stores the received frames.
 
     Args:
-        url: The viewer's address, with its token.
-        answers: Whether it says that frames are there.
+        url: Address of the viewer with its token.
+        answers: Whether the page acknowledges frames.
     """
 
     def __init__(self, url: str, *, answers: bool = True) -> None:
         import viser
 
         self.messages: list[dict[str, Any]] = []
-        """All that it has got, but for pictures."""
+        """All received messages except frames."""
         self.pictures: list[tuple[float, bytes]] = []
-        """When pictures came, and their JPEGs."""
+        """Received frames: arrival time and JPEG."""
         self._answers = answers
         address = url.replace("http", "ws")
         self._socket = connect(address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None)  # pyright: ignore
@@ -48,7 +48,7 @@ class PageClient:
         self.close()
 
     def close(self) -> None:
-        """Leaves."""
+        """Closes the connection."""
         self._socket.close()
         self._thread.join()
 
@@ -57,15 +57,15 @@ class PageClient:
         self._socket.send(msgspec.msgpack.encode({"type": kind, **fields}))
 
     def send_raw(self, raw: bytes) -> None:
-        """Sends bytes."""
+        """Sends raw bytes."""
         self._socket.send(raw)
 
     def ping(self) -> None:
-        """Waits until the viewer's connection has got all that was sent."""
+        """Waits until the viewer's connection has received everything that was sent."""
         assert self._socket.ping().wait(300.0), "the viewer does not answer"
 
     def look(self, camera: ls.Camera, target: Any = (0.0, 0.0, 0.0)) -> None:
-        """Looks from a camera's place."""
+        """Sends a camera."""
         from viser import transforms
 
         world_from_camera = np.linalg.inv(camera.camera_from_world)
@@ -83,13 +83,13 @@ class PageClient:
         )
 
     def picture(self, after: int = 0, timeout: float = 300.0) -> np.ndarray:
-        """The next picture after the first so many, (H, W, 3) uint8."""
+        """Waits for more than ``after`` frames, and returns the latest, (H, W, 3) uint8."""
         with self._arrived:
             assert self._arrived.wait_for(lambda: len(self.pictures) > after, timeout), "no picture came"
             return np.asarray(Image.open(io.BytesIO(self.pictures[-1][1])))
 
     def control(self, label: str, folder: str | None = None) -> str:
-        """The id of a control by its label, and that of its folder where several have that label."""
+        """Returns the id of a control by its label, and by its folder's label where several share one label."""
         until = time.monotonic() + 60.0
         while time.monotonic() < until:
             named = [(m, m["props"]) for m in list(self.messages) if "uuid" in m and isinstance(m.get("props"), dict)]
@@ -109,7 +109,7 @@ class PageClient:
         self.choose(label, True)
 
     def downloads(self) -> dict[str, bytes]:
-        """The files that it was sent whole, by name; of several of one name, the last."""
+        """Returns the completely received files by name; of equal names, the last."""
         messages = list(self.messages)
         whole: dict[str, bytes] = {}
         for start in (message for message in messages if message["type"] == "FileTransferStartDownload"):
@@ -123,7 +123,7 @@ class PageClient:
         return whole
 
     def click(self, across: float, down: float) -> None:
-        """Clicks into the picture."""
+        """Clicks on the frame."""
         at = [[across, down]]
         ray = {"ray_origin": [0.0, 0.0, 0.0], "ray_direction": [0.0, 0.0, 1.0]}
         self.send("ScenePointerMessage", event_type="click", screen_pos=at, modifier=None, **ray)
@@ -137,7 +137,7 @@ class PageClient:
         self.send("FileTransferPart", **shared, part_index=0, content=content)
 
     def notes(self) -> list[str]:
-        """What it was told in passing."""
+        """Returns the texts of the notifications that the page received."""
         shown = (message for message in self.messages if message["type"] == "NotificationShowMessage")
         return [f"{note['props']['title']}: {note['props']['body']}" for note in shown]
 
@@ -172,7 +172,7 @@ class PageClient:
 
 
 def _buffers(raw: bytes, start: int, lengths: list[int]) -> list[bytes]:
-    """The binary buffers behind a window's messages, each at a multiple of 8 bytes."""
+    """Returns the binary buffers after a window's messages, each aligned to 8 bytes."""
     found: list[bytes] = []
     at = start
     for length in lengths:
