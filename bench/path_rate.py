@@ -237,9 +237,9 @@ def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, 
     patched: Any = RayTracer
     find_hits = RayTracer.find_hits
 
-    def timed(tracer: RayTracer, scene: Any, rays: Any, name: str, *, bounced: bool = False) -> Any:
+    def timed(tracer: RayTracer, scene: Any, rays: Any, name: str, *, bounced: bool = False, **others: Any) -> Any:
         begun = clock()
-        hits = find_hits(tracer, scene, rays, name, bounced=bounced)
+        hits = find_hits(tracer, scene, rays, name, bounced=bounced, **others)
         count = int(np.count_nonzero(rays.is_active.numpy()))  # waits for a GPU
         rows.append((bounced, clock() - begun, max(count, 1)))
         return hits
