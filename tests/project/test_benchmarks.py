@@ -74,7 +74,8 @@ def test_every_documented_benchmark_is_listed() -> None:
     assert {"bench.run", "bench.first_light", "bench.realtime_truth.bias"} <= listed.keys()
     assert not [name for name, line in listed.items() if not re.search(r"\(.*(second|minute)s?\b.*\)\.$", line)]
     for path in [*(BENCH.parent / "docs").rglob("*.md"), BENCH.parent / "CONTRIBUTING.md"]:
-        for name, after in re.findall(r"python -m (bench\.[a-z_.]*[a-z_])(?= |`)(.*)", path.read_text()):
+        text = " ".join(path.read_text().split())  # lines may end within a command
+        for name, after in re.findall(r"python -m (bench\.[a-z_.]*[a-z_])(?= |`)(?=(.{0,80}))", text):
             assert name in listed or "until revision" in after, f"{path}: {name}"
 
 
@@ -82,7 +83,7 @@ def test_every_documented_benchmark_is_listed() -> None:
 def test_every_row_of_the_pages_has_a_machine_a_date_and_a_command(path: Path) -> None:
     """All tables of both pages have the same seven columns."""
     lines = path.read_text().splitlines()
-    assert len(lines) < 215
+    assert len(lines) < 200
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
     assert rows.count(list(page.HEAD)) == sum(row[0] == "---" for row in rows) >= 3
     for row in rows:
@@ -162,6 +163,6 @@ def test_links_to_the_pages_lead_to_their_headings() -> None:
     for path in files:
         for name, anchor in re.findall(r"(benchmarks(?:_gpu)?)\.md#([\w-]+)", path.read_text()):
             text = (root / "docs" / f"{name}.md").read_text()
-            headings = re.findall(r"^#+ (.*)|^\((.*)\)=$", text, re.MULTILINE)
-            slugs = {re.sub(r"[^\w -]", "", "".join(heading)).lower().replace(" ", "-") for heading in headings}
+            headings = re.findall(r"^#+ (.*)", text, re.MULTILINE)
+            slugs = {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
             assert anchor in slugs, f"{path}: {name}.md has no heading #{anchor}"
