@@ -130,7 +130,7 @@ def test_three_clicks_define_the_ground(viewer: ls.Viewer) -> None:
         (page,) = viewer._pages.values()
         level.start()
         click(viewer, page, (0.99, 0.01))
-        assert session.ground_points == () and "nothing at that point" in problems[0]
+        assert session.ground_points == () and "no surface at that point" in problems[0]
         for count, (across, along) in enumerate(((-0.8, 0.7), (0.8, 0.7), (0.6, -0.8)), start=1):
             seen = camera().camera_from_world @ np.append(across * SIDE + along * AHEAD, 1.0)
             at = camera().fx * seen[:2] / seen[2] + (camera().cx, camera().cy)

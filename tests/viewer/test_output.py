@@ -75,7 +75,7 @@ def test_an_exr_has_the_layers_that_were_asked_for(page: PageClient, tmp_path: P
 def test_a_video_has_a_frame_for_each_time_of_the_flight(viewer: ls.Viewer, page: PageClient) -> None:
     """Each as seen from there."""
     page.press("add key view")
-    page.choose("seconds to it", 0.5)
+    page.choose("seconds to next", 0.5)
     page.look(camera(1.5))
     settled(viewer, page)
     page.press("add key view")

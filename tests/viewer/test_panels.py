@@ -244,7 +244,7 @@ def test_the_ground_is_where_all_others_end() -> None:
     """Below is +y here: the box's lowest point comes to the floor's."""
     stood = with_entry_on_ground(document(), 0).scene().meshes[0]
     assert stood.bounds()[1][1] == pytest.approx(4.5)
-    with pytest.raises(ls.SceneError, match="to the ground"):
+    with pytest.raises(ls.SceneError, match="place on ground"):
         with_entry_on_ground(document(), 2)
 
 
@@ -297,7 +297,7 @@ def test_names_of_files_are_words_in_the_list(tmp_path: Path) -> None:
     assert evil not in text and "&lt;img" in text and "12 faces · 1 × 1 × 1" in text
     ls.save(tmp_path / "ball.ply", cloud())
     opened = ls.io.SceneDocument.open([tmp_path / "ball.ply", tmp_path / "gone.obj"])
-    assert "left out: " in tree_html(opened, BoxCache()) and "gone.obj" in tree_html(opened, BoxCache())
+    assert "not loaded: " in tree_html(opened, BoxCache()) and "gone.obj" in tree_html(opened, BoxCache())
     assert plain("![x](http://a) <b>{1}</b> `c`|") == "  x (http://a)  b  1  /b   c  "
 
 

@@ -101,5 +101,5 @@ def test_where_no_light_is_found_actors_keep_their_own() -> None:
     document = ls.io.SceneDocument.of(dark)
     for time in (0.0, 1.0):
         assert len(scenes.of(document, CONFIG, time, 0, waits=True).splats) == 2
-    assert len(told) == 1 and told[0].startswith("actors keep their own light")
+    assert len(told) == 1 and told[0].startswith("actors are shown unlit")
     levels.close()

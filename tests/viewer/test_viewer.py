@@ -246,13 +246,13 @@ def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer
     viewer._session.edit(lambda state: replace(state, document=document_in(tmp_path)))
     with PageClient(viewer.url) as page:
         page.look(camera())
-        page.upload("upload a file", "broken.ply", b"ply\nnonsense")
+        page.upload("upload file", "broken.ply", b"ply\nnonsense")
         eventually(lambda: any("broken" in note for note in page.notes()), "nobody was told")
-        page.upload("upload a file", "../../evil.txt", b"text")
+        page.upload("upload file", "../../evil.txt", b"text")
         eventually(lambda: any("evil.txt" in note for note in page.notes()), "nobody was told")
         assert len(viewer.document.entries) == 1 and not list(tmp_path.rglob("*broken*"))
         triangle = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-        page.upload("upload a file", "../a b.obj", triangle)
+        page.upload("upload file", "../a b.obj", triangle)
         eventually(lambda: len(viewer.document.entries) == 2, "the mesh is missing")
         assert (tmp_path / "uploads" / "a_b.obj").read_bytes() == triangle
         settled(viewer, page)
@@ -339,7 +339,7 @@ def test_the_command_line_renders_what_a_page_shows(
     with PageClient(viewer.url) as page:
         page.look(camera(0.7))
         page.choose("scene file", "edited.toml")
-        page.press("save the scene")
+        page.press("save scene")
         eventually((tmp_path / "edited.toml").exists, "nothing was saved")
         shown = settled(viewer, page)
         (open_page,) = viewer._pages.values()
@@ -553,10 +553,10 @@ def test_what_nobody_was_there_for_is_told_to_the_next_page(viewer: ls.Viewer) -
         viewer._session.report("the last one")
         eventually(lambda: len(page.notes()) >= 4, "nobody was told")
         assert page.notes() == [
-            "note: colours of leaves are odd",
-            "that did not work: a file was left out",
-            "that did not work: a crop that leaves nothing",
-            "that did not work: the last one",
+            "warning: colours of leaves are odd",
+            "error: a file was left out",
+            "error: a crop that leaves nothing",
+            "error: the last one",
         ]
 
 
@@ -642,12 +642,12 @@ def test_what_was_left_out_is_not_lost_in_silence(viewer: ls.Viewer, tmp_path: P
         page.picture()
         page.choose("scene file", "scene.toml")
         page.choose("overwrite", True)
-        page.press("save the scene")
+        page.press("save scene")
         eventually(lambda: any("is not replaced" in note for note in page.notes()), "nobody was told")
         assert file.read_text() == text
         page.choose("scene file", "other.toml")
-        page.press("save the scene")
-        eventually(lambda: any("without 1 thing" in note for note in page.notes()), "nobody was told")
+        page.press("save scene")
+        eventually(lambda: any("without 1 object" in note for note in page.notes()), "nobody was told")
         assert (tmp_path / "other.toml").exists()
 
 

@@ -235,7 +235,7 @@ class Gizmo:
         with self._session.changed:
             drag = self._drag or self._new_drag()
             if drag is None or all(entry.id != drag.entry.id for entry in self._session.state.document.entries):
-                self._drag = None  # it was removed under the hand
+                self._drag = None  # another page removed the entry
                 return
             self._dragged_at, extent, now = time.monotonic(), self._session.extent, place.copy()
             now[:3, 3] /= extent.page_from_scene

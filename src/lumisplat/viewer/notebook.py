@@ -354,7 +354,7 @@ class Cell:
                 self.close()
             case "hide":
                 self.page.set_pose(None)
-            case "show":  # or shown anew, by a browser that has nothing yet
+            case "show":  # a browser that shows the cell again has no image yet
                 self.page.set_pose(None)
                 self._look()
             case _:
@@ -379,7 +379,7 @@ def import_widgets() -> tuple[Any, Any]:
         MissingExtraError: jupyter_rfb is not installed.
     """
     try:
-        return import_module("ipywidgets"), import_module("jupyter_rfb")  # whose types are unknown
+        return import_module("ipywidgets"), import_module("jupyter_rfb")  # neither has types
     except ImportError:
         raise ls.errors.MissingExtraError("live frames in a notebook's cell", "notebook") from None
 
@@ -398,9 +398,7 @@ def frame_buffer(width: int, height: int, on_event: Callable[[dict[str, Any]], N
     from IPython.utils.capture import capture_output
 
     _, jupyter_rfb = import_widgets()
-    with capture_output(
-        stdout=False, stderr=False
-    ):  # of the place that it shows for errors of events, an empty line above the frame
+    with capture_output(stdout=False, stderr=False):  # the widget's error output would be an empty line above the frame
         buffer = jupyter_rfb.RemoteFrameBuffer(css_width=f"{width}px", css_height=f"{height}px")
     buffer.handle_event = on_event
     return buffer

@@ -37,7 +37,7 @@ def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Pictur
             outlines.append(points_outline(session.ground_points, _POINT_SIZE * session.extent.size))
         if options.grid:
             outlines.append(_grid(session))
-    if outlines and len(picture) < options.height:  # lines of a view that moves are as fine as those of one at rest
+    if outlines and len(picture) < options.height:  # draws lines of a moving view at full resolution
         size = round(picture.shape[1] * options.height / len(picture)), options.height
         picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BILINEAR))
     picture = draw_outlines(picture, frame, outlines)
@@ -198,7 +198,7 @@ def draw_outlines(
         return picture
     image, scale = Image.fromarray(picture), len(picture) / frame.camera.height
     for outline in outlines:
-        mask = Image.new("L", image.size)  # lines that cross, or meet, are no stronger there
+        mask = Image.new("L", image.size)  # a mask, so that crossing lines are not brighter
         draw = ImageDraw.Draw(mask)
         hidden, seen = (scale * pieces for pieces in _split_by_visibility(frame, outline.lines))
         for strength, pieces in ((_HIDDEN_STRENGTH, hidden), (1.0, seen)):
@@ -217,7 +217,7 @@ def _split_by_visibility(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Poin
     is_drawn = (local[:, 2] > camera.near) & (np.abs(pixels).max(axis=1) < _FARTHEST_PX)
     is_seen = _is_visible(frame, pixels, np.linalg.norm(local, axis=1))
     joined = is_drawn[:-1] & is_drawn[1:]
-    joined[np.cumsum([len(line) for line in lines])[:-1] - 1] = False  # one line ends, and the next one begins
+    joined[np.cumsum([len(line) for line in lines])[:-1] - 1] = False  # the end of a line does not join the next line
     seen, ends = is_seen[:-1] & is_seen[1:], np.hstack([pixels[:-1], pixels[1:]])
     return ends[joined & ~seen], ends[joined & seen]
 

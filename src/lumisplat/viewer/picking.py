@@ -64,7 +64,7 @@ def select(session: Session, frame: ls.Frame, across: float, down: float, *, is_
     except ls.SceneError:  # the frame is older than the scene
         return None
     if entry.id in session.locked:
-        return entry.name, "it is locked: unlock it in the list to edit it"
+        return entry.name, "the object is locked: unlock it in the list to edit it"
     session.select(entry.id)
     place = ", ".join(f"{x:z.4g}" for x in pick.position)
     gaussian = "" if pick.gaussian < 0 or is_level else f"Gaussian {pick.gaussian:,}, "

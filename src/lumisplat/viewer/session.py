@@ -16,9 +16,9 @@ from lumisplat.viewer.scene_extent import BoxCache, Extent
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, MERGE_S, UNDO_BYTES_MAX, UNDO_MAX
 from lumisplat.viewer.words import page_words
 
-_SORTED = "Projection unscented goes with strategy sorted alone."
-_ISO = "Projection unscented goes with surface iso alone."
-_UNSCENTED = "Unscented goes with the pipelines raster and hybrid, strategy sorted and surface iso alone."
+_SORTED = "Projection unscented works only with strategy sorted."
+_ISO = "Projection unscented works only with surface iso."
+_UNSCENTED = "Unscented works only with the pipelines raster and hybrid, strategy sorted and surface iso."
 _BOUNCE_VIEWS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy")
 """Views that only pipelines with indirect light have."""
 _REALTIME_VIEWS = ("motion", "history", "probes", "cache", "cache_cells")
@@ -321,7 +321,7 @@ class Session:
         if before.document.top.get("up") != state.document.top.get("up"):
             self.extent = self.extent.with_ground(self.scene)
         if self.options.view != "color" and self.options.view not in self.views:
-            self.options = replace(self.options, view="color")  # such frames have no image of it
+            self.options = replace(self.options, view="color")  # these frames do not have the view
         self.revision += 1
         self.changed.notify_all()
         self._notify()

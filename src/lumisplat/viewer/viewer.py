@@ -112,8 +112,8 @@ class Viewer:
             if self._failure is not None:
                 raise self._failure
             return self._notebook.bundle(repr(self), self._first_view, include, exclude)
-        except Exception as error:  # a notebook would show a traceback in place of the cell's result
-            return {"text/plain": f"{self!r} (no picture: {error})"}, {}
+        except Exception as error:  # a notebook would show a traceback instead of the result
+            return {"text/plain": f"{self!r} (no image: {error})"}, {}
 
     @property
     def url(self) -> str:
@@ -151,7 +151,7 @@ class Viewer:
         Raises:
             LumisplatError: Loading failed, so there is no scene to show.
         """
-        # An interrupt that comes just before a wait without end begins would be lost.
+        # Waits in intervals, because an interrupt just before an endless wait would be lost.
         while not self._closed_or_failed.wait(INTERRUPT_S):
             pass
         if self._failure is not None:
@@ -206,20 +206,20 @@ class Viewer:
         add = self._viser.gui.add_command
         add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(press_callback(lambda _: self._step("undo")))
         add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(press_callback(lambda _: self._step("redo")))
-        add("Save the scene", hotkey="S", modifier="cmd/ctrl").on_trigger(press_callback(lambda _: self._save()))
-        add("Hide what is selected", hotkey="H").on_trigger(press_callback(self._actor("hide")))
-        add("Delete what is selected", hotkey="X").on_trigger(press_callback(self._actor("delete")))
-        add("Stand what is selected on the ground", hotkey="G").on_trigger(press_callback(self._actor("to the ground")))
-        add("Level: fit the ground").on_trigger(press_callback(lambda _: self._outliner.level.fit()))
-        add("Duplicate what is selected", hotkey="C").on_trigger(press_callback(self._actor("duplicate")))
-        add("Look at all of it", hotkey="F").on_trigger(press_callback(self._viewpoints.look_at_all))
-        add("Look at what is selected", hotkey="F", modifier="shift").on_trigger(
+        add("Save scene", hotkey="S", modifier="cmd/ctrl").on_trigger(press_callback(lambda _: self._save()))
+        add("Hide selected", hotkey="H").on_trigger(press_callback(self._actor("hide")))
+        add("Delete selected", hotkey="X").on_trigger(press_callback(self._actor("delete")))
+        add("Place selected on ground", hotkey="G").on_trigger(press_callback(self._actor("place on ground")))
+        add("Level the scene").on_trigger(press_callback(lambda _: self._outliner.level.fit()))
+        add("Duplicate selected", hotkey="C").on_trigger(press_callback(self._actor("duplicate")))
+        add("Frame all", hotkey="F").on_trigger(press_callback(self._viewpoints.look_at_all))
+        add("Frame selected", hotkey="F", modifier="shift").on_trigger(
             press_callback(self._viewpoints.look_at_selected)
         )
-        add("Play, or stop", hotkey="P").on_trigger(press_callback(lambda _: self._timeline.toggle()))
+        add("Play or stop", hotkey="P").on_trigger(press_callback(lambda _: self._timeline.toggle()))
 
     def _add_theme(self) -> None:
-        dark = self._viser.gui.add_checkbox("dark page", True)
+        dark = self._viser.gui.add_checkbox("dark theme", True)
         dark.on_update(lambda _: self._server.set_theme(dark=bool(dark.value)))
 
     def _actor(self, action: str) -> Callable[[Any], None]:
@@ -236,7 +236,7 @@ class Viewer:
     def _load(self, load: Load) -> None:
         try:
             self._open(load(self._status.progress))
-        except Exception as error:  # who waits must not wait for ever
+        except Exception as error:  # `wait` must not block for ever
             if not isinstance(error, ls.LumisplatError):
                 _log.error("the viewer could not open the scene:\n%s", traceback.format_exc())
             self._failure = error
@@ -299,9 +299,9 @@ class Viewer:
         if (page := self._pages.get(client.client_id)) is not None:
             page.fitted_aspects.add(aspect)
         client.camera.up_direction, client.camera.fov = self._first_view.up, self._first_view.fov_y
-        client.camera.position = position  # first, for it takes along what is looked at
+        client.camera.position = position  # first, because setting the position moves the target
         client.camera.look_at = target
-        self._look(client)  # no frame of where it was, while it answers
+        self._look(client)  # renders no frame at the old position meanwhile
 
     def _fits_scene(self, page: Page, pose: Pose) -> bool:
         """True if a page's camera is where `_fit_scene` put it, so the user has not moved."""

@@ -284,13 +284,13 @@ class Editor:
         wait_until(lambda: self._viewer._session.selected is None, "the deleted entry is still selected")
 
     def _add(self, page: LeanPage) -> None:
-        page.choose("what", "point light")
+        page.choose("type", "point light")
         page.choose("add", True, folder="add")
         number = self._new_id()
         self.ledger.put(number, content_of(self._viewer).entry_states[number])
 
     def _upload(self, page: LeanPage) -> None:
-        page.upload("upload a file", "triangle.obj", TRIANGLE)
+        page.upload("upload file", "triangle.obj", TRIANGLE)
         self.ledger.put(self._new_id(), EntryState(is_light=False, value=None, position=None))
 
     def _reconnect(self, page: LeanPage) -> None:

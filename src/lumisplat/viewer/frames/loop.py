@@ -114,7 +114,7 @@ class Renderers:
 
 def _return_freed_memory() -> None:
     """Returns freed memory to the system. glibc keeps freed blocks of up to 32 MiB, of other sizes each time."""
-    with contextlib.suppress(OSError, AttributeError):  # only glibc has this
+    with contextlib.suppress(OSError, AttributeError):  # only glibc has malloc_trim
         ctypes.CDLL(None).malloc_trim(0)
 
 
@@ -183,7 +183,7 @@ class RenderLoop:
     def add(self, page: Page) -> None:
         """Adds a page to render for."""
         with self._session.changed:
-            if page.is_open:  # else it went before it was here
+            if page.is_open:  # a page may have closed before it was added
                 self._pages.append(page)
             self._session.changed.notify_all()
 
@@ -217,7 +217,7 @@ class RenderLoop:
         def work() -> Generator[None]:
             state = self._session.state
             config = frame_config(state.config, "color")
-            if config.pipeline.is_sequence:  # whose first frame is noisy
+            if config.pipeline.is_sequence:  # the first realtime frame is noisy
                 config = replace(config, pipeline=ls.Pipeline.HYBRID, samples=1)
             scene = self.scenes.of(state.document, config, self._session.options.time, 0, waits=False)
             frame = self._renderers.of(_AT_REST, config).render(scene, camera)
@@ -275,9 +275,9 @@ class RenderLoop:
                         self._render_moving(job)
                 else:
                     self._render_at_rest(job)
-            except ls.errors.StoppedError:  # it is drawn again when there is time
+            except ls.errors.StoppedError:  # the frame is rendered again later
                 pass
-            except Exception as error:  # a frame that fails must not end the session
+            except Exception as error:  # a failed frame must not end the session
                 self._give_up(job, error)
         for steps in self._background:
             steps.close()
@@ -297,7 +297,7 @@ class RenderLoop:
             return
         except StopIteration:
             pass
-        except Exception as error:  # an errand that fails must not end the session
+        except Exception as error:  # a failed job must not end the session
             self._report(error)
         self._background.popleft()
 
@@ -311,10 +311,10 @@ class RenderLoop:
     def _report(self, error: Exception) -> None:
         """Reports an error to the pages and logs the traceback, unless the error is a LumisplatError."""
         if not isinstance(error, ls.LumisplatError):
-            _log.error("the viewer could not render a frame:\n%s", traceback.format_exc())
+            _log.error("the viewer failed to render a frame:\n%s", traceback.format_exc())
         self._session.report(" ".join(str(error).split()) or type(error).__name__)
 
-    # --- What is next; the lock is held ---
+    # --- Scheduling; the caller holds the lock ---
 
     def _next_job(self) -> _Job | None:
         """Returns a frame of a page whose view changed, else of an unfinished still view; None if there is no work."""
@@ -387,7 +387,7 @@ class RenderLoop:
         """Renders a frame of a changed view, with as much detail as the time budget allows."""
         page, state, options = job.page, job.state, job.options
         self._moved_at = time.monotonic()
-        follows = state.config.pipeline.bounces_light  # its time goes with the pixels
+        follows = state.config.pipeline.bounces_light  # the frame time depends on the pixel count
         steps = PIXEL_STEPS if follows else GAUSSIAN_STEPS
         if page.detail.steps is not steps:
             page.detail = DetailController(steps, first=len(steps) - 2)

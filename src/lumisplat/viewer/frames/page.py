@@ -97,7 +97,7 @@ class DetailController:
             finer = self._recent_ms.get(self._index - 1, 2.0 * self._recent_ms[self._index])
             if finer < DETAIL_HEADROOM * budget:
                 self._move(self._index - 1)
-            else:  # what once was slow may be quick now: another view, or fewer other programs
+            else:  # the step may have become faster, by another view or less load
                 self._recent_ms[self._index - 1] = DETAIL_TIME_DECAY * finer
 
     def _move(self, to: int) -> None:
@@ -295,5 +295,5 @@ class BrowserScreen:
                 if time.monotonic() >= until:
                     self._answers = self._has_answered
                     return
-            except RuntimeError:  # it has gone, or keeps nothing, which is an answer, too
+            except RuntimeError:  # the page has closed, or has no storage, which counts as an answer
                 return

@@ -166,6 +166,6 @@ class FirstView:
     def at(self, aspect: float) -> tuple[Point, Point]:
         """Returns the camera position and the target for a page with an aspect ratio."""
         target = np.array(self.target)
-        # The distance that is needed is a convex function of height to width: between two, a line is never below it.
+        # The required distance is convex in 1 / aspect, so linear interpolation never underestimates it.
         share = max(0.0, (1.0 / aspect - 1.0 / self.aspect) / (1.0 / _NARROW - 1.0 / self.aspect))
         return target + (np.array(self.position) - target) * (1.0 + share * (self.narrow - 1.0)), target

@@ -116,7 +116,7 @@ class SceneBuilder:
                 )
             except ls.SceneError as error:
                 stage.has_failed = True
-                self._report(f"actors keep their own light: {error}")
+                self._report(f"actors are shown unlit: {error}")
         splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
         meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
         return replace(still, splats=(*still.splats, *splats), meshes=(*still.meshes, *meshes))

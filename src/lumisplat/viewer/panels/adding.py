@@ -49,16 +49,17 @@ class AddPanel:
 
     def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
         self._session, self._pages = session, pages
-        self._what = gui.add_dropdown("what", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
+        self._what = gui.add_dropdown("type", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
         add: Any = queued_callback(lambda event: (event, str(self._what.value)), self._add)
         gui.add_button("add").on_click(add)
-        hint = "Captures, meshes, and images of the sky."
-        self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
-        hint = "It moves by its own clip, takes on the light of its place, and casts shadows on captures."
-        self._moves = gui.add_checkbox("as an actor", False, hint=hint)
+        hint = "Captures, meshes and environment images in the folder of the scene file."
+        self._file = gui.add_dropdown("file in scene folder", [_NOTHING], hint=hint)
+        hint = "Plays the animation clip of the file, receives light from the capture and casts shadows on it."
+        self._moves = gui.add_checkbox("as actor", False, hint=hint)
         add_file: Any = queued_callback(lambda _: (str(self._file.value), bool(self._moves.value)), self._add_file)
-        gui.add_button("add the file").on_click(add_file)
-        upload = gui.add_upload_button("upload a file", mime_type=",".join(_READABLE), hint="And add it.")
+        gui.add_button("add file").on_click(add_file)
+        hint = "Uploads a file to the scene folder and adds it."
+        upload = gui.add_upload_button("upload file", mime_type=",".join(_READABLE), hint=hint)
         add_upload: Any = queued_callback(lambda event: (event.target.value, bool(self._moves.value)), self._add_upload)
         upload.on_upload(add_upload)
 
@@ -102,7 +103,8 @@ class AddPanel:
         file, moves = asked
         suffix = Path(file.name).suffix.lower()
         if suffix not in _READABLE or suffix == ".gltf":
-            self._session.report(f"{Path(file.name).name}: is no capture, mesh or image of a sky that is one file")
+            name = Path(file.name).name
+            self._session.report(f"{name}: expected a capture, a mesh or an environment image in a single file")
             return
         target = free_name(self._folder / _UPLOADS, Path(file.name).name)
         try:

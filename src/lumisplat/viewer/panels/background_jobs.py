@@ -108,7 +108,7 @@ def captures_html(scene: ls.Scene) -> str:
     """
     captures = ls.Scene(scene.splats, up=scene.up_direction)
     units = Extent.of(captures).page_from_scene
-    server = PageServer("127.0.0.1", 0)  # nobody has its token
+    server = PageServer("127.0.0.1", 0)  # its token is never given out
     try:
         api = server.viser.scene
         api.set_up_direction(captures.up_direction)
@@ -179,7 +179,7 @@ class BackgroundJobs:
         """
         if self._is_busy:
             steps.close()
-            raise ls.ConfigError(f"{label}: wait for what is being made, or cancel it")
+            raise ls.ConfigError(f"{label}: another job is running; wait for it, or cancel it")
         self._is_busy, self._is_cancelled = True, False
         self._line.content = label
         self._show(0.0)

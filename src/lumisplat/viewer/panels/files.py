@@ -50,9 +50,9 @@ class FilesPanel:
         self, gui: viser.GuiApi, notifications: Notifications, session: Session, pages: dict[int, Page]
     ) -> None:
         self._notifications, self._session, self._pages = notifications, session, pages
-        self._name = gui.add_text("scene file", "edited.toml", hint="Beside the scene that was opened.")
-        self._overwrite = gui.add_checkbox("overwrite", False, hint="Replace a file of that name.")
-        gui.add_button("save the scene").on_click(press_callback(lambda _: self.save()))
+        self._name = gui.add_text("scene file", "edited.toml", hint="File name, in the folder of the opened scene.")
+        self._overwrite = gui.add_checkbox("overwrite", False, hint="Replaces an existing file of that name.")
+        gui.add_button("save scene").on_click(press_callback(lambda _: self.save()))
         gui.add_button("command line").on_click(press_callback(self._show_command))
 
     def suggest(self, document: ls.io.SceneDocument) -> None:
@@ -65,13 +65,13 @@ class FilesPanel:
         target = self._target()
         if target is None:
             given = str(self._name.value)[:90]
-            self._session.report(f"scene file is '{given}', expected a plain name that ends in .toml")
+            self._session.report(f"scene file is '{given}', expected a file name that ends in .toml, without folders")
             return
         state = self._session.state
         left_out, overwrites = len(state.document.problems), bool(self._overwrite.value)
         if left_out and overwrites and target.exists():
             self._session.report(
-                f"{target.name} is not replaced: {left_out} of its things could not be read, and would go"
+                f"{target.name} is not replaced: {left_out} of its objects could not be read and would be lost"
             )
             return
         try:
@@ -81,7 +81,7 @@ class FilesPanel:
             return
         self._overwrite.value = False
         self._notifications.notify(
-            "saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}"
+            "saved", f"{target}{f', without {left_out} objects that could not be read' * bool(left_out)}"
         )
 
     def _target(self) -> Path | None:
@@ -96,8 +96,8 @@ class FilesPanel:
         if pose is None:
             return
         line = command_line(self._target() or Path("edited.toml"), pose, self._session)
-        with client.gui.add_modal("the same from the command line") as modal:
-            client.gui.add_markdown("Save the scene first, then run this in a shell:")
+        with client.gui.add_modal("command line") as modal:
+            client.gui.add_markdown("Save the scene, then run this command to render the same view:")
             client.gui.add_html(f'<textarea readonly rows="5" class="lumi-command">{html.escape(line)}</textarea>')
             client.gui.add_button("close").on_click(press_callback(lambda _: modal.close()))
 
@@ -113,7 +113,7 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     state, camera = session.state, pose.camera(_ROWS, session.state.exposure)
     has_actors = any(entry.actor is not None and not entry.hidden for entry in state.document.entries)
     words = ["lumisplat", "animate" if has_actors else "render", shlex.quote(str(scene_file))]
-    # An equals sign: a value that begins with a minus sign would be taken for an option.
+    # The equals sign keeps a negative value from being parsed as an option.
     words += [
         f"{name}={','.join(f'{x:.12g}' for x in at)}"
         for name, at in (("--eye", pose.position), ("--target", pose.target))
@@ -121,7 +121,7 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
     words += session.options.loading
     words += [f"--fov {np.degrees(pose.fov_y):.5g}", f"--width {camera.width}", f"--height {camera.height}"]
     words += [f"--exposure={camera.exposure:g}"] if camera.exposure else []
-    if state.config.samples and not state.config.pipeline.is_sequence:  # there, they are the scene file's
+    if state.config.samples and not state.config.pipeline.is_sequence:  # realtime samples are in the scene file
         words.append(f"--samples {state.config.samples}")
     if has_actors and (animation := state.document.animation) is not None:
         number = min(round(session.options.time * animation.fps), animation.frame_count - 1)
@@ -132,9 +132,9 @@ def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
 FORMATS = ("png", "exr")
 HEIGHTS = (16, 8192)
 _LAYERS_HINT = (
-    "Of an EXR, besides depth, normals, positions and indices, which it always has: some of albedo, emission, "
-    "reflection, lights, hits, sample_count; of paths and in real time direct_diffuse, indirect_diffuse, "
-    "direct_glossy, indirect_glossy, too. With commas."
+    "Extra EXR layers, separated by commas: albedo, emission, reflection, lights, hits, sample_count; for path and "
+    "realtime pipelines also direct_diffuse, indirect_diffuse, direct_glossy, indirect_glossy. Depth, normals, "
+    "positions and indices are always included."
 )
 
 
@@ -149,13 +149,13 @@ class ImagesPanel:
     def __init__(self, gui: viser.GuiApi, context: JobContext) -> None:
         self._context, self._session = context, context.session
         self._height = gui.add_number("height (px)", 1080, min=HEIGHTS[0], max=HEIGHTS[1], step=1)
-        hint = "0: as wide as the page shows it."
+        hint = "0 uses the aspect ratio of the page."
         self._width = gui.add_number("width (px)", 0, min=0, max=HEIGHTS[1], step=1, hint=hint)
         self._samples = gui.add_number("samples per pixel", 64, min=1, max=65536, step=1)
-        self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as shown. EXR: linear light, with layers.")
+        self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as displayed. EXR: linear radiance, with layers.")
         self._layers = gui.add_text("layers", "", hint=_LAYERS_HINT)
         gui.add_button("render image").on_click(press_callback(self._for_page(self._picture)))
-        hint = "One file with the captures as captured, without lights: it opens in any browser, without a server."
+        hint = "Exports the captures, unlit, as one file that opens in any browser without a server."
         gui.add_button("export captures as HTML", hint=hint).on_click(
             press_callback(self._for_page(self._export_captures))
         )
@@ -186,7 +186,8 @@ class ImagesPanel:
         def steps() -> Steps:
             scene = still_renderer.scene(state.document, config, time)
             renderer = still_renderer.renderer(config)
-            _as_file(renderer.render(scene, camera.scaled(height=HEIGHTS[0])), suffix, layers)  # fails now, not at last
+            # A tiny frame first, to report an invalid layer before rendering.
+            _as_file(renderer.render(scene, camera.scaled(height=HEIGHTS[0])), suffix, layers)
             renderer.reset()
             frame = yield from still_renderer.still(renderer, scene, camera, samples)
             client.send_file_download(f"view.{suffix}", _as_file(frame, suffix, layers), save_immediately=True)
@@ -198,7 +199,7 @@ class ImagesPanel:
         document = self._session.state.document
         scene = document.scene() if document.animation is None else document.animation.scene
         if not scene.splats:
-            raise ls.SceneError("export captures as HTML: there is no capture that stands still")
+            raise ls.SceneError("export captures as HTML: the scene has no static capture")
 
         def steps() -> Steps:
             yield 0.0

@@ -34,11 +34,16 @@ _SUN = (
     Setting(
         "azimuth_degrees",
         "number",
-        "About the vertical, counter-clockwise seen from above; 0 is the front.",
+        "Angle about the vertical, counter-clockwise seen from above; 0 is the front of the scene.",
         range=Range(0.0, 360.0),
     ),
-    Setting("elevation_degrees", "number", "Above the horizon.", range=Range(-90.0, 90.0)),
-    Setting("hour", "number", "Solar time at the equinox, 45° north, with south in front.", range=Range(0.0, 24.0)),
+    Setting("elevation_degrees", "number", "Angle above the horizon.", range=Range(-90.0, 90.0)),
+    Setting(
+        "hour",
+        "number",
+        "Sets the sun by solar time at the equinox, at latitude 45° north; south is the front of the scene.",
+        range=Range(0.0, 24.0),
+    ),
 )
 """Fields that replace the direction of a sun."""
 _CAPTURE_SHADING: dict[str, dict[str, Any]] = {
@@ -55,10 +60,10 @@ _MESH_SHADING: dict[str, dict[str, Any]] = {
 }
 """Material types of a mesh, with the entry's keys that select each."""
 _CAPTURE_HINT = (
-    "as captured: its colours are what it emits. relit: lights illuminate a material. shadow catcher: as captured, "
-    "with the shadows of other objects."
+    "as captured: unlit, with the captured colours. relit: lights illuminate a material. shadow catcher: as captured, "
+    "but other objects cast shadows on it."
 )
-_MESH_HINT = "Its colours and numbers are below."
+_MESH_HINT = "The parameters of the material are in the folder below."
 _WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
 """Material fields without a control: fields that only textures use, or that are shown elsewhere."""
 
@@ -146,7 +151,7 @@ class Inspector:
         is_locked = entry.id in self._session.locked
         for field, value in fields:
             self._controls[field.name].show(value)
-            self._controls[field.name].set_unused("Locked: unlock it in the list." if is_locked else None)
+            self._controls[field.name].set_unused("Locked: unlock the object in the list." if is_locked else None)
         if self._crop is not None:
             self._crop.show()
         for follow in self._followers:
@@ -244,7 +249,8 @@ class Inspector:
 
     def _add_temperature(self, entry: ls.io.SceneEntry) -> None:
         number, (low, high) = entry.id, KELVIN_RANGE
-        slider = self._gui.add_slider("temperature (K)", low, high, 50.0, _DEFAULT_K, hint="Colour of a black body.")
+        hint = "Sets the colour to that of a black body."
+        slider = self._gui.add_slider("temperature (K)", low, high, 50.0, _DEFAULT_K, hint=hint)
 
         def change(kelvins: float) -> None:
             color = _rounded_color(kelvins)
@@ -261,7 +267,8 @@ class Inspector:
 
     def _add_rotation(self, entry: ls.io.SceneEntry) -> None:
         number = entry.id
-        slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint="About the vertical.")
+        hint = "Rotates the environment about the vertical."
+        slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint=hint)
         start = _environment_rotation(entry)
         """Environment rotation at the centre of the slider."""
 
@@ -339,8 +346,8 @@ def _transform_fields(matrix: Any) -> list[tuple[Setting, Any]]:
     angles = transforms.SO3.from_matrix(matrix[:3, :3] / scale).as_rpy_radians()
     degrees = tuple(math.degrees(float(angle)) for angle in (angles.roll, angles.pitch, angles.yaw))
     return [
-        (Setting("position", "vector", "World position of its origin, scene units."), tuple(matrix[:3, 3])),
-        (Setting("rotation_degrees", "vector", "Turns about the world's x, then y, then z axis."), degrees),
+        (Setting("position", "vector", "World position of the object's origin, scene units."), tuple(matrix[:3, 3])),
+        (Setting("rotation_degrees", "vector", "Rotation about the world's x, then y, then z axis."), degrees),
         (Setting("scale", "number", "Uniform scale factor.", range=Range(1e-6)), scale),
     ]
 
@@ -359,7 +366,7 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
         moved[:3, 3] = value
     elif name == "scale":
         if not 0.0 < value < math.inf:
-            raise ls.ConfigError(f"scale is {value:g}, expected more than 0")
+            raise ls.ConfigError(f"scale is {value:g}, expected a number > 0")
         moved[:3, :3] *= value / scale
     else:
         moved[:3, :3] = scale * transforms.SO3.from_rpy_radians(*np.radians(value)).as_matrix()
@@ -434,7 +441,7 @@ class Crop:
 
     def _slider(self, gui: viser.GuiApi, axis: int) -> Any:
         low, high = (float(end) for end in self._slider_range[:, axis])
-        hint = "In the file's own coordinates; at its ends a slider leaves out nothing."
+        hint = "Keeps this range of the file's coordinates; at its limits, a slider does not crop."
         step = (high - low) / _STEPS
         slider = gui.add_multi_slider(f"crop {'xyz'[axis]}", low, high, step, (low, high), hint=hint)
         slider.on_update(value_callback(lambda value: (axis, *value), self._change))

@@ -45,7 +45,7 @@ class Outliner:
         self._tree = gui.add_html("")
         self._channel = Channel(gui, {"select": session.select, "hide": self._hide, "lock": session.toggle_lock})
         add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
-        self._placement_buttons = gui.add_button_group("", ["to the ground", "split"])
+        self._placement_buttons = gui.add_button_group("", ["place on ground", "split"])
         press: Any = queued_callback(lambda event: str(event.target.value), self.act)
         self._placement_buttons.on_click(press)
         self._inspector = Inspector(gui, session, gui.add_folder(None))
@@ -63,7 +63,7 @@ class Outliner:
         """Applies an action, named by its button, to the selected entry."""
         number = self._session.selected
         if number is None:
-            self._session.report("nothing is selected: click an object, in the picture or in the list")
+            self._session.report("nothing is selected: click an object in the image or in the list")
             return
         if number in self._session.locked and action != "hide":
             self._session.report(f"{self._session.state.document.entry(number).name} is locked: unlock it in the list")
@@ -72,7 +72,7 @@ class Outliner:
             "duplicate": self._duplicate,
             "hide": lambda document: with_entry_hidden(document, number, not document.entry(number).hidden),
             "delete": lambda document: document.removed(number),
-            "to the ground": lambda document: with_entry_on_ground(document, number),
+            "place on ground": lambda document: with_entry_on_ground(document, number),
             "split": lambda document: document.split(number),
         }
         done = self._session.apply(edits[action])
@@ -134,7 +134,7 @@ def with_entry_on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.Sc
     others = document.removed(number).scene()
     mine = entry.at(0.0)
     if not mine or not (others.splats or others.meshes):
-        raise ls.SceneError("to the ground: it takes a capture, a mesh or an actor, and something else with a ground")
+        raise ls.SceneError("place on ground: select a capture, mesh or actor, in a scene with another object")
     up = others.up_direction
     ground = min(lowest_height(instance, up) for instance in (*others.splats, *others.meshes))
     shift = np.eye(4)
@@ -172,8 +172,8 @@ def tree_html(
         rows += [_detail(detail) for detail in _details(entry, boxes, time)]
         rows += [_detail(f"└ {part}") for part in _parts(document, entry)]
     if not rows:
-        rows.append(_detail("nothing yet: add something below"))
-    rows += [f'<div class="lumi-problem">left out: {html.escape(problem)}</div>' for problem in document.problems]
+        rows.append(_detail("empty scene: add an object below"))
+    rows += [f'<div class="lumi-problem">not loaded: {html.escape(problem)}</div>' for problem in document.problems]
     return f'<div class="lumi-list" data-to="{html.escape(channel)}">{"".join(rows)}</div>'
 
 
@@ -225,9 +225,11 @@ def _parts(document: ls.io.SceneDocument, entry: ls.io.SceneEntry) -> list[str]:
 
 Vector = tuple[float, float, float]
 
-_LEVEL_HINT = "Fits the ground of the captures, and makes its normal up. What stands upright turns with it."
-_CLICK_HINT = "Click three points of the ground in the picture, far apart: their plane becomes horizontal."
-_CLICK = "click 3 points of the ground"
+_LEVEL_HINT = (
+    "Fits the ground plane of the captures and makes its normal the up direction. Upright objects stay upright."
+)
+_CLICK_HINT = "Click three points of the ground in the image, far apart: the plane through them becomes horizontal."
+_CLICK = "click 3 ground points"
 _ON_LINE = 0.02
 """Smallest sine of a triangle angle for which three points define a plane; below it, noise determines the plane."""
 _SAME = math.radians(0.05)
@@ -256,14 +258,16 @@ class LevelPanel:
         try:
             found = ls.editing.find_up(self._session.scene)
         except ls.LumisplatError as error:
-            self._session.report(f"{error}: click three points of the ground")
+            self._session.report(f"{error}: click three points of the ground instead")
             return
         if found.source == "ground":
-            self._put(found.up, f"the ground is {found.share or 0.0:.0%} of what shows")
+            self._put(found.up, f"the ground is {found.share or 0.0:.0%} of the visible surface")
         elif found.source == "stated":
-            self._notify("level", "no ground is found, and up stays as it is: click three points of the ground")
+            self._notify("level", "no ground found, so up is unchanged: click three points of the ground")
         else:
-            self._put(found.up, "no ground is found: up is an axis of the captures (else click three points)")
+            self._put(
+                found.up, "no ground found: up is now an axis of the captures; if it is wrong, click three points"
+            )
 
     def start(self) -> None:
         """Makes the next three clicks ground points; cancels this mode if it is active."""
@@ -285,7 +289,7 @@ class LevelPanel:
             return False
         pick = picked(frame, across, down)
         if pick is None:
-            self._session.report("there is nothing at that point: click a point of the ground")
+            self._session.report("there is no surface at that point: click a point of the ground")
             return True
         x, y, z = (float(value) for value in pick.position)
         points = (*points, (x, y, z))
@@ -295,23 +299,23 @@ class LevelPanel:
         self._session.set_ground_points(None)
         up = ground_normal(points, frame.camera.eye)
         if up is None:
-            self._session.report("the three points lie on a line: click points that are farther apart")
+            self._session.report("the three points are collinear: click points that form a triangle")
         else:
-            self._put(up, "up is at right angles to the three points")
+            self._put(up, "up is perpendicular to the plane of the three points")
         return True
 
     def _put(self, up: Vector, how: str) -> None:
         before = np.array(self._session.scene.up_direction)
         angle = math.atan2(float(np.linalg.norm(np.cross(before, up))), float(before @ np.array(up)))
         if angle < _SAME:
-            self._notify("level", f"it is level: {how}")
+            self._notify("level", f"the scene is level: {how}")
         elif self._session.apply(lambda document: document.with_up(up)):
-            self._notify("level", f"turned by {math.degrees(angle):.1f}°: {how}")
+            self._notify("level", f"rotated by {math.degrees(angle):.1f}°: {how}")
 
     def _show(self) -> None:
         scene, points = self._session.scene, self._session.ground_points
         set_if_changed(self._fits, "disabled", not scene.splats)
-        set_if_changed(self._fits, "hint", _LEVEL_HINT if scene.splats else "It takes a capture. " + _LEVEL_HINT)
+        set_if_changed(self._fits, "hint", _LEVEL_HINT if scene.splats else "Needs a capture. " + _LEVEL_HINT)
         label = _CLICK if points is None else f"{len(points)} of 3 clicked: cancel"
         set_if_changed(self._clicks, "label", label)
 

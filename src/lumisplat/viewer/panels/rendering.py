@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _FIRST = ("pipeline", "shadows", "tone_map", "samples", "noise", "background")
 _QUALITY = ("quality",)
 _EXPOSURE_STOPS = 8.0
-_EXPOSURE_HINT = "Stops by which lit pictures are brightened."
+_EXPOSURE_HINT = "Exposure of lit images, in stops (EV)."
 
 
 class RenderingPanel:
@@ -38,7 +38,7 @@ class RenderingPanel:
         self._exposure.on_update(value_callback(float, self._put_exposure))
         with gui.add_folder("all settings", expand_by_default=False):
             self._rest = SettingsPanel(gui, config, self._put, session.report, without=(*_FIRST, "aovs"))
-        self._actors = gui.add_folder("light of actors", expand_by_default=False, visible=False)
+        self._actors = gui.add_folder("actor lighting", expand_by_default=False, visible=False)
         with self._actors:
             self._lighting = SettingsPanel(gui, ls.config.AvatarLightingConfig(), self._put_lighting, session.report)
         self._top: object = None

@@ -61,7 +61,7 @@ class StatusPanel:
         self._plot = gui.add_uplot(
             (numbers, np.zeros(_FRAMES)),
             ({"label": "frame"}, {"label": "ms", "stroke": "#f5a623", "width": 1}),
-            title="milliseconds a frame",
+            title="frame time (ms)",
             scales={"x": {"time": False}},
             height=140,
         )
@@ -140,7 +140,7 @@ def stage_table(stats: Any) -> str:
     """Returns the ten longest stage times of a frame as a Markdown table."""
     rows = sorted(stats.stage_ms.items(), key=lambda item: -item[1])[:10]
     lines = ["| stage | ms |", "| --- | ---: |", *(f"| {name} | {ms:.1f} |" for name, ms in rows)]
-    return "\n".join([*lines, f"| Gaussians seen | {stats.visible_count:,} |"])
+    return "\n".join([*lines, f"| visible Gaussians | {stats.visible_count:,} |"])
 
 
 QUIET_LOG = logging.getLogger("lumisplat.pages")
@@ -166,7 +166,7 @@ class Notifications:
         self._last: tuple[str, str] | None = None
         self._shown_at = 0.0
         self._waiting: deque[tuple[str, str, bool]] = deque(maxlen=_WAITING_MAX)
-        # A handler would keep lines off the terminal, where they go as long as there is none.
+        # A filter, because a handler would disable the output to the terminal that logging has without handlers.
         _LOG.addFilter(self._show_warning)
 
     def notify(self, title: str, body: str, *, is_problem: bool = False) -> None:
@@ -183,7 +183,7 @@ class Notifications:
 
     def problem(self, body: str) -> None:
         """Shows an error on all pages."""
-        self.notify("that did not work", body, is_problem=True)
+        self.notify("error", body, is_problem=True)
 
     def open(self, client: viser.ClientHandle) -> None:
         """Shows waiting notifications on a new page."""
@@ -198,10 +198,10 @@ class Notifications:
     def _show_warning(self, record: logging.LogRecord) -> bool:
         """Log filter that also shows warnings on pages. Errors are reported where they occur."""
         if record.levelno == logging.WARNING:
-            self.notify("note", page_words(record.getMessage()))
+            self.notify("warning", page_words(record.getMessage()))
         return True
 
 
 def _show(client: viser.ClientHandle, title: str, body: str, *, is_problem: bool) -> None:
-    with contextlib.suppress(RuntimeError):  # it has just gone
+    with contextlib.suppress(RuntimeError):  # the page has just closed
         client.add_notification(title, body, auto_close_seconds=_SHOWN_S, color="red" if is_problem else None)

@@ -52,9 +52,9 @@ class VideoPanel:
         )
         self._thumbnails: dict[str, str] = {}
         """Thumbnails of key views as data URLs, by the content of the key view."""
-        hint = "From the last key view to the next one."
-        self._seconds = gui.add_number("seconds to it", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
-        hint = "The view of this page becomes the next key view."
+        hint = "Time from the last key view to the new one."
+        self._seconds = gui.add_number("seconds to next", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
+        hint = "Appends the view of this page to the camera path."
         gui.add_button("add key view", hint=hint).on_click(press_callback(self._add))
         gui.add_button("delete all key views").on_click(press_callback(self._delete_all))
         self._fps = gui.add_number("frames per second", 25.0, min=1.0, max=50.0, step=1.0)
@@ -62,7 +62,7 @@ class VideoPanel:
         with gui.add_folder("video"):
             self._height = gui.add_number("height (px)", 540, min=HEIGHTS[0], max=HEIGHTS[1], step=2)
             self._samples = gui.add_number("samples per pixel", 8, min=1, max=65536, step=1)
-            self._format = gui.add_dropdown("format", FORMATS, hint="mp4 takes pip install 'lumisplat[video]'.")
+            self._format = gui.add_dropdown("format", FORMATS, hint="mp4 needs: pip install 'lumisplat[video]'")
             gui.add_button("render video").on_click(press_callback(self._render))
         self._shown: object = None
         self._session.on_change(self._show)
@@ -133,7 +133,7 @@ class VideoPanel:
         state, suffix = self._session.state, str(self._format.value)
         animation = state.document.animation
         if animation is None or (len(keys_of(state.document)) == 1 and not animation.actors):
-            self._session.report("there is nothing to render: add two key views, or an actor that moves")
+            self._session.report("there is no animation to render: add two key views, or an animated actor")
             return
         config, height = still_config(state.config), int(np.clip(self._height.value, *HEIGHTS))
         cameras = video_cameras(animation, pose.camera(height, state.exposure))
@@ -154,7 +154,8 @@ class VideoPanel:
             client.send_file_download(f"video.{suffix}", video, save_immediately=True)
 
         try:
-            video_file([np.zeros((16, 16, 3), np.float32)], animation.fps, suffix)  # now, not after an hour of frames
+            # A tiny video first, to report a missing encoder before rendering.
+            video_file([np.zeros((16, 16, 3), np.float32)], animation.fps, suffix)
             self._context.jobs.start(f"video of {len(cameras)} frames", steps())
         except ls.LumisplatError as error:
             self._session.report(" ".join(str(error).split()))
@@ -170,7 +171,7 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
             index of the key view.
     """
     if not keys:
-        return '<div class="lumi-list">no camera path yet: look from where it starts, and add that view</div>'
+        return '<div class="lumi-list">no camera path yet: go to its first view and press add key view</div>'
     cards: list[str] = []
     for number, (key, image) in enumerate(zip(keys, images, strict=True)):
         buttons = "".join(
@@ -181,7 +182,7 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
                 ("delete", "cross", "delete"),
             )
         )
-        look = f'role="button" tabindex="0" data-command="look {number}" title="look from there"'
+        look = f'role="button" tabindex="0" data-command="look {number}" title="go to this view"'
         picture = f'<img src="{image}" alt="key view {number + 1}" {look}>' if image else ""
         time = f'<span class="lumi-name">{float(key["time"]):g} s</span>'
         cards.append(f'<div class="lumi-key">{picture}<div class="lumi-row">{time}{buttons}</div></div>')

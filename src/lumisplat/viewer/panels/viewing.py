@@ -33,23 +33,26 @@ class ViewPanel:
         self._session = session
         options = session.options
         self._view = gui.add_dropdown("view", session.views, initial_value=options.view)
-        self._height = gui.add_slider("height (px)", *HEIGHTS, 10, options.height, hint="Of images at rest.")
+        hint = "Height of the image while the view is still."
+        self._height = gui.add_slider("height (px)", *HEIGHTS, 10, options.height, hint=hint)
         self._budget = gui.add_slider(
             "frame time (ms)",
             *BUDGETS_MS,
             5.0,
             options.budget_ms,
-            hint="What a frame may take while the view moves: fewer Gaussians are drawn first, then fewer pixels.",
+            hint="Time budget of a frame while the view moves: first fewer Gaussians are drawn, then fewer pixels.",
         )
-        hint = "Lines where lights are, and how far they reach."
+        hint = "Shows positions, sizes and ranges of lights, and the selected object."
         self._outlines = gui.add_checkbox("outlines", options.outlines, hint=hint)
-        self._grid = gui.add_checkbox("grid", options.grid, hint="Lines on the ground, a power of ten apart.")
-        self._insets = gui.add_checkbox("insets", options.insets, hint="Depth and normals in the corner.")
+        hint = "Shows a ground grid with a spacing of a power of ten."
+        self._grid = gui.add_checkbox("grid", options.grid, hint=hint)
+        self._insets = gui.add_checkbox("insets", options.insets, hint="Shows depth and normals in a corner.")
         self._splits = gui.add_checkbox(
-            "compare", False, hint="The left part shows the scene as it was opened, or marked."
+            "compare", False, hint="Shows the scene as it was opened, or marked, on the left side."
         )
         self._share = gui.add_slider("compare at", 0.0, 1.0, 0.01, 0.5, visible=False)
-        self._mark = gui.add_button("mark as before", visible=False, hint="Compare with the scene as it is now.")
+        hint = "Makes the current scene the left side of the comparison."
+        self._mark = gui.add_button("mark as before", visible=False, hint=hint)
         self._splits.on_update(lambda _: self._split())
         self._share.on_update(lambda _: self._split())
         self._mark.on_click(press_callback(lambda _: session.mark()))
@@ -88,8 +91,8 @@ class ViewPanel:
         return put
 
 
-_ALL = "all of it"
-_SELECTED = "what is selected"
+_ALL = "all"
+_SELECTED = "selected"
 
 
 class Viewpoints:
@@ -102,8 +105,9 @@ class Viewpoints:
 
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._session = session
-        self._viewpoint = gui.add_dropdown("look at", [_ALL, _SELECTED], hint="Or through a camera of the scene file.")
-        gui.add_button("go there").on_click(press_callback(self._go))
+        hint = "Frames the whole scene or the selected object, or takes the view of a camera in the scene file."
+        self._viewpoint = gui.add_dropdown("look at", [_ALL, _SELECTED], hint=hint)
+        gui.add_button("go to view").on_click(press_callback(self._go))
         self._cameras: dict[str, ls.Camera] = {}
         self._shown: object = None
         session.on_change(self._show)
@@ -111,7 +115,7 @@ class Viewpoints:
     def look_at_all(self, event: Any) -> None:
         """Moves a page to frame the whole scene, without changing the view direction."""
         if event.client is not None:
-            extent = Extent.of(self._session.scene)  # also of what was added or moved
+            extent = Extent.of(self._session.scene)  # includes objects added or moved since the scene was opened
             self._look_at(event.client, np.array(extent.center), 0.5 * extent.size)
 
     def look_at_selected(self, event: Any) -> None:
@@ -119,7 +123,7 @@ class Viewpoints:
         with self._session.changed:
             ball = selected_sphere(self._session)
         if ball is None:
-            self._session.report("nothing is selected that is anywhere: click a thing, or choose it in the list")
+            self._session.report("nothing with a position is selected: click an object in the image or in the list")
         elif event.client is not None:
             self._look_at(event.client, *ball)
 
@@ -150,7 +154,7 @@ class Viewpoints:
         with client.atomic():
             camera.up_direction = self._session.scene.up_direction
             camera.position = scale * (center + backward * radius / math.sin(narrow))
-            camera.look_at = scale * center  # last, for the position takes it along
+            camera.look_at = scale * center  # last, because setting the position moves the target
 
 
 def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
@@ -179,10 +183,10 @@ class Timeline:
 
     def __init__(self, gui: viser.GuiApi, session: Session, fly: Callable[[ls.Camera], None]) -> None:
         self._session, self._fly = session, fly
-        self._time = gui.add_slider("time", 0.0, 1.0, 0.001, 0.0, visible=False, hint="Seconds.")
+        self._time = gui.add_slider("time", 0.0, 1.0, 0.001, 0.0, visible=False, hint="Animation time, seconds.")
         self._plays = gui.add_checkbox("play", False, visible=False)
-        hint = "Pages follow the camera path as time goes on."
-        self._flies = gui.add_checkbox("fly along", False, visible=False, hint=hint)
+        hint = "Pages follow the camera path during playback."
+        self._flies = gui.add_checkbox("follow camera path", False, visible=False, hint=hint)
         self._time.on_update(value_callback(float, self._go))
         self._plays.on_update(lambda _: self._wake.set())
         self._animation: ls.Animation | None = None

@@ -83,7 +83,7 @@ def value_callback(read: Callable[[Any], Read], act: Callable[[Read], object], *
     """
 
     def value_of(event: Any) -> Read | None:
-        return None if event.client_id is None else read(event.target.value)  # else it was set from here
+        return None if event.client_id is None else read(event.target.value)  # None: the program set the value
 
     return queued_callback(value_of, act, is_typed=is_typed)
 

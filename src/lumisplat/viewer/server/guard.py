@@ -70,12 +70,12 @@ class Guard:
         """
         host = headers.get("Host", "")
         if is_loopback(self.host) and host.rsplit(":", 1)[0] not in (*LOOPBACK_NAMES, self.host):
-            return http.HTTPStatus.FORBIDDEN, "Host: this viewer is open to this machine alone\n"
+            return http.HTTPStatus.FORBIDDEN, "Host: this viewer accepts requests from this machine only\n"
         origin = headers.get("Origin")
         if origin is not None and _split(origin).netloc != host:
-            return http.HTTPStatus.FORBIDDEN, "Origin: a page of another site may not use this viewer\n"
+            return http.HTTPStatus.FORBIDDEN, "Origin: pages of other sites are not allowed\n"
         if not (self._is_token(self.token_of(path)) or self._is_token(self._cookie_of(headers))):
-            return http.HTTPStatus.UNAUTHORIZED, "open the address with the token that the viewer has printed\n"
+            return http.HTTPStatus.UNAUTHORIZED, "token missing or wrong: open the address that the viewer printed\n"
         return None
 
     def token_of(self, path: str) -> str:
@@ -150,7 +150,7 @@ class Inbox:
             return True
         self.dropped += 1
         if self.dropped == 1:
-            _log.warning("a page sent something that is no message of the viewer, which was dropped: %s", reason)
+            _log.warning("invalid messages from a page are dropped; the first one: %s", reason)
         return False
 
     def _fault(self, raw: object) -> str | None:  # noqa: PLR0911
@@ -158,13 +158,13 @@ class Inbox:
         import msgspec
 
         if not isinstance(raw, bytes) or len(raw) > MESSAGE_BYTES_MAX:
-            return "it is text, or too long"
+            return "it is text or too long"
         try:
             message: object = msgspec.msgpack.decode(raw)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return "it cannot be decoded"
         if not isinstance(message, dict):
-            return "it is no table"
+            return "it is not a table"
         fields = cast(dict[str, Any], message)
         kind = fields.get("type")
         if not isinstance(kind, str) or kind not in _KINDS:
@@ -174,7 +174,7 @@ class Inbox:
                 return f"{name} of {kind} is not {count} finite numbers"
         for name in _NUMBERS.get(kind, ()):
             if not _is_number(fields.get(name)) or fields[name] <= 0:
-                return f"{name} of {kind} is no number above 0"
+                return f"{name} of {kind} is not a finite number > 0"
         if kind == "GuiUpdateMessage":
             updates = fields.get("updates")
             return None if isinstance(updates, dict) and updates.keys() == {"value"} else "it changes more than a value"
@@ -186,20 +186,20 @@ class Inbox:
         """Returns the reason why a part of an upload is invalid; None if it is valid."""
         transfer = fields.get("transfer_uuid")
         if not isinstance(transfer, str):
-            return "an upload has no name"
+            return "an upload has no id"
         if kind == "FileTransferStartUpload":
             size, parts = fields.get("size_bytes"), fields.get("part_count")
             if not isinstance(size, int) or not 0 <= size <= UPLOAD_BYTES_MAX - sum(self._left.values()):
-                return f"uploads are larger than {UPLOAD_BYTES_MAX // 2**20} MB"
+                return f"uploads exceed {UPLOAD_BYTES_MAX // 2**20} MB"
             if not isinstance(parts, int) or not 0 <= parts <= size:
                 return "an upload has more parts than bytes"
             self._left[transfer] = size
         elif kind == "FileTransferPart":
             if transfer not in self._left:
-                return "a part is of no upload"
+                return "a part belongs to no upload"
             content = fields.get("content")
             if not isinstance(content, bytes) or len(content) > self._left[transfer]:
-                return "an upload is larger than it said"
+                return "an upload exceeds its declared size"
             self._left[transfer] -= len(content)
             if self._left[transfer] == 0:
                 del self._left[transfer]
@@ -212,8 +212,8 @@ def _fault_of_fields(raw: bytes) -> str | None:
 
     try:
         _messages.Message.deserialize(raw)
-    except Exception as error:  # whatever its many constructors raise
-        return f"its fields are wrong: {error}"
+    except Exception as error:  # the constructors raise errors of any type
+        return f"its fields are invalid: {error}"
     return None
 
 

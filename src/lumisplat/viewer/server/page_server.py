@@ -56,7 +56,7 @@ class PageServer:
 
     def __init__(self, host: str, port: int) -> None:
         viser = import_viser()
-        # A page may go at any moment: what was on its way to it is no news.
+        # A page may close at any moment; undelivered messages need no warning.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         listener = listening_socket(host, port)
         self._is_open = True
@@ -67,11 +67,11 @@ class PageServer:
             self.close()
             listener.close()
             raise ls.DeviceError(
-                "this version of viser opens its port in another way, unguarded: pip install viser==1.1.1"
+                "this version of viser bypasses the access control of its port: pip install viser==1.1.1"
             )
         self.viser.request_share_url = _refuse_to_share  # pyright: ignore[reportAttributeAccessIssue]
         self.viser.get_event_loop().set_exception_handler(_report)
-        self.viser.gui.main_panel.dock_right()  # beside the picture, which it would hide
+        self.viser.gui.main_panel.dock_right()  # beside the image, not over it
         self.set_theme(dark=True)
 
     def set_theme(self, *, dark: bool) -> None:
@@ -95,13 +95,13 @@ def listening_socket(host: str, port: int) -> socket.socket:
         DeviceError: The address or the port is invalid or not available.
     """
     if not 0 <= port < 2**16:
-        raise ls.DeviceError(f"port {port} is none, expected 1 to 65535, or 0 for a free one")
+        raise ls.DeviceError(f"port is {port}, expected 1 to 65535, or 0 for a free port")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host.strip("[]"), port), family=family)
     except OSError as error:
         reason = error.strerror or error
-        raise ls.DeviceError(f"port {port} of {host} cannot be opened ({reason}): --port 0 takes a free one") from None
+        raise ls.DeviceError(f"port {port} of {host} cannot be opened ({reason}): --port 0 uses a free port") from None
 
 
 @contextlib.contextmanager
@@ -160,7 +160,7 @@ def _quiet() -> Generator[None]:
 
 def _refuse_to_share(verbose: bool = True) -> None:
     """Replaces viser's tunnel to a public server: logs the request and does nothing."""
-    _log.warning("a page asked to be shared with the world, which the viewer does not do")
+    _log.warning("a page asked for a public share URL, which the viewer does not support")
 
 
 async def _cancel_pending_events() -> None:
@@ -184,17 +184,17 @@ def _report(_: object, context: dict[str, Any]) -> None:
 TITLE = "Lumisplat"
 
 _STYLE = """
-/* Labels and numbers in full: viser squeezes letters, and leaves numbers less room than their arrows. */
+/* Shows labels and numbers in full; viser narrows letters and reserves more space for arrows than for numbers. */
 label, .mantine-Text-root, .mantine-Input-input { letter-spacing: normal !important; }
 label { font-size: 0.8125rem; }
 .mantine-NumberInput-controls { display: none !important; }
 .mantine-NumberInput-input { padding: 0 0.35em !important; font-size: 0.75rem !important; }
 .mantine-Input-input:disabled, .mantine-Input-input[data-disabled] { opacity: 0.4 !important; }
 .mantine-Slider-root + .mantine-NumberInput-root { width: 4.25rem !important; }
-/* No hint over a list that is open. */
+/* Hides tooltips over an open dropdown. */
 body:has(.mantine-Select-dropdown:not([style*="display: none"])) .mantine-Tooltip-tooltip { display: none !important; }
 .lumi-command { box-sizing: border-box; width: calc(100% - 1.25rem); margin: 0 0.625rem 0.5em; font: 0.8rem monospace; }
-/* The channel of lists: what is clicked in them is typed there. */
+/* Hides the text controls that receive clicks in lists. */
 div:has(> .mantine-Flex-root label:empty):has(.mantine-TextInput-input) { display: none !important; }
 .lumi-list { padding: 0 0.5em 0.3em; font-size: 0.875em; overflow-wrap: anywhere; }
 .lumi-row { display: flex; align-items: center; gap: 0.5em; padding: 0.15em 0.4em; border-radius: 4px; }
@@ -214,14 +214,14 @@ div:has(> .mantine-Flex-root label:empty):has(.mantine-TextInput-input) { displa
 .lumi-key img { display: block; width: 100%; cursor: pointer; }
 .lumi-key img:hover { opacity: 0.85; }
 .lumi-key .lumi-row { padding: 0 0.2em; gap: 0; }
-/* Over the picture, while there is none yet. */
+/* Message over the image area until the first image. */
 .lumi-wait { position: fixed; z-index: 5; left: calc(0.5 * (100vw - var(--lumi-panel, 0px)));
   top: calc(0.5 * (100vh - var(--lumi-drawer, 0px))); transform: translate(-50%, -50%);
   width: min(22rem, 70vw); padding: 0.9em 1.2em; border-radius: 8px; color: #eee;
   background: rgba(20, 20, 20, 0.82); pointer-events: none; text-align: center; overflow-wrap: anywhere; }
 .lumi-wait i { display: block; height: 4px; margin-top: 0.7em; border-radius: 2px; background: #555; }
 .lumi-wait b { display: block; height: 4px; border-radius: 2px; background: #4dabf7; transition: width 0.2s; }
-/* Phones: the panel is a drawer of the whole width, and the picture has what it leaves free. */
+/* Phones: the panel is a full-width drawer, and the image fills the rest. */
 @media (max-width: 36em) {
   .mantine-Paper-root[style*="bottom: 0"] { width: 100% !important; max-height: 50% !important; }
   .mantine-Paper-root[style*="bottom: 0"] [style*="width: 20em"] { width: 100% !important; }
@@ -232,7 +232,7 @@ div:has(> .mantine-Flex-root label:empty):has(.mantine-TextInput-input) { displa
 _SCRIPT = """
 const setValue = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
 let sent = 0;
-// An element with data-command was clicked: its words are typed into the text control that data-to names.
+// Types the data-command of a clicked element into the text control that data-to names.
 function sendCommand(element) {
   const to = element.closest('[data-to]');
   const label = to && document.querySelector(`label[for="${to.dataset.to}"]`);
@@ -248,10 +248,10 @@ document.addEventListener('click', (event) => {
 document.addEventListener('keydown', (event) => {
   if (event.key === 'Enter' && event.target.dataset && event.target.dataset.command) sendCommand(event.target);
 });
-// What CSS alone cannot select, or measure.
+// Adjusts elements that CSS cannot select or measure.
 function arrange() {
   for (const note of document.querySelectorAll('.mantine-Notification-root')) {
-    // The pictures are made by the server: only handles are drawn by the browser.
+    // The server renders the images; the browser draws only gizmos, so software WebGL is fast enough.
     if (note.textContent.startsWith('Software WebGL')) note.querySelector('button')?.click();
   }
   const drawer = document.querySelector('.mantine-Paper-root[style*="position: fixed"][style*="bottom: 0"]');
@@ -303,7 +303,7 @@ class AnyThreadEvent(asyncio.Event):
         except RuntimeError:
             self._value = True
             return
-        self._value = False  # otherwise nobody would be woken
+        self._value = False  # otherwise no waiter would be woken
         super().set()
 
 
