@@ -1,4 +1,4 @@
-"""The viewer in a real browser: Chromium, driven by Playwright; skipped where there is none."""
+"""The viewer in Chromium, driven by Playwright; skipped if no Chromium is installed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from test_viewer import HEIGHT, LAMP, TIMEOUT_S, difference, document_in, eventually, lamp_id, lit_scene
+from test_viewer import HEIGHT, LIGHT, TIMEOUT_S, difference, document_in, eventually, light_id, lit_scene
 
 import lumisplat as ls
 from lumisplat.viewer.panels.video import keys_of
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is install
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A browser."""
+    """Launches Chromium."""
     playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
     with playwright.sync_playwright() as started:
         browser = started.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
@@ -41,7 +41,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def viewer() -> Iterator[ls.Viewer]:
-    """A viewer on the lit scene."""
+    """Opens a viewer of the lit scene."""
     viewer = ls.view(
         lit_scene(), height=4 * HEIGHT, device="cpu", config=ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
     )
@@ -51,7 +51,7 @@ def viewer() -> Iterator[ls.Viewer]:
 
 
 def open_page(browser: Any, viewer: ls.Viewer) -> Any:
-    """A page of the viewer, once it shows a finished picture."""
+    """Opens a page of the viewer and waits until its image is finished."""
     page, count = browser.new_page(viewport=SIZE), len(viewer._pages)
     page.goto(viewer.url)
     eventually(lambda: len(viewer._pages) > count, "the page did not connect")
@@ -60,19 +60,19 @@ def open_page(browser: Any, viewer: ls.Viewer) -> Any:
 
 
 def settle(viewer: ls.Viewer) -> None:
-    """Waits until all pages show all that there is to show."""
+    """Waits until all pages show their finished image."""
 
     def rests() -> bool:
         pages, revision = list(viewer._pages.values()), viewer._session.revision
         return bool(pages) and all(page.is_at_rest and page.key == (revision, page.pose_number) for page in pages)
 
-    for _ in range(3):  # a message that is on its way may end the rest once more
+    for _ in range(3):  # a message in transit may start another frame
         time.sleep(0.3)
         eventually(rests, "the picture is not finished")
 
 
 def still(page: Any) -> np.ndarray:
-    """The left part of a page once the browser has decoded and drawn what it was sent: two shots are the same."""
+    """Returns a screenshot of a page's left part, once two screenshots in a row are equal."""
     last = shot(page)
     for _ in range(100):
         page.wait_for_timeout(500)
@@ -84,23 +84,23 @@ def still(page: Any) -> np.ndarray:
 
 
 def shot(page: Any) -> np.ndarray:
-    """The left part of a page, beside the panel."""
+    """Returns a screenshot of a page's left part, without the panel."""
     picture = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
     return picture[200:, :440]
 
 
 def shown(viewer: ls.Viewer) -> np.ndarray:
-    """The same part of what the renderer has rendered for the page."""
+    """Returns the left part of the image that the renderer rendered for the page."""
     (page,) = viewer._pages.values()
     assert page.frame is not None
     camera, height = page.frame.camera, SIZE["height"]
-    size = round(height * camera.width / camera.height), height  # beside the panel
+    size = round(height * camera.width / camera.height), height  # the image is beside the panel
     image = Image.fromarray(np.asarray(page.frame, np.uint8)).resize(size, Image.Resampling.BILINEAR)
     return np.asarray(image)[200:, :440]
 
 
 def shows_its_frame(page: Any, viewer: ls.Viewer) -> bool:
-    """Whether a page shows what the renderer has rendered for it, but for the JPEG; a busy browser may take a while."""
+    """True if a page shows the image rendered for it, up to JPEG error; waits for a busy browser."""
     for _ in range(200):
         if ls.metrics.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0:
             return True
@@ -109,15 +109,15 @@ def shows_its_frame(page: Any, viewer: ls.Viewer) -> bool:
 
 
 def until(holds: Callable[[], bool], page: Any) -> None:
-    """Waits while the browser works."""
+    """Waits for a condition while the browser runs."""
     end = time.monotonic() + TIMEOUT_S
     while not holds():
         assert time.monotonic() < end
         page.wait_for_timeout(50)
 
 
-def test_a_browser_shows_the_renderers_picture(browser: Any, viewer: ls.Viewer) -> None:
-    """All over the page: not mirrored, shifted or too dark."""
+def test_browser_shows_the_rendered_image(browser: Any, viewer: ls.Viewer) -> None:
+    """The browser image equals the rendered one over the whole page: not mirrored, shifted or darker."""
     viewer._session.set_options(outlines=False)
     page = open_page(browser, viewer)
     assert shows_its_frame(page, viewer)
@@ -125,11 +125,11 @@ def test_a_browser_shows_the_renderers_picture(browser: Any, viewer: ls.Viewer) 
 
 
 @pytest.mark.deep
-def test_a_click_and_a_drag_in_a_browser_move_the_lamp(browser: Any, viewer: ls.Viewer) -> None:
-    """The handle of the lamp is dragged along its axis; undo puts it back, and the picture with it."""
+def test_dragging_the_gizmo_in_a_browser_moves_the_light(browser: Any, viewer: ls.Viewer) -> None:
+    """Dragging the gizmo's axis moves the light; undo restores the light and the image."""
     page = open_page(browser, viewer)
     step_back(viewer)
-    viewer._session.select(lamp_id(viewer))
+    viewer._session.select(light_id(viewer))
     settle(viewer)
     before = still(page)
     tip = handle_tip(viewer)
@@ -139,36 +139,36 @@ def test_a_click_and_a_drag_in_a_browser_move_the_lamp(browser: Any, viewer: ls.
         page.mouse.move(tip[0] + 12 * step, tip[1])
         page.wait_for_timeout(60)
     page.mouse.up()
-    until(lambda: viewer.scene.lights[0].position[0] > LAMP[0] + 0.1, page)  # pyright: ignore
+    until(lambda: viewer.scene.lights[0].position[0] > LIGHT[0] + 0.1, page)  # pyright: ignore
     settle(viewer)
     until(lambda: difference(before, still(page)) > 1.0, page)
     page.keyboard.press("Control+z")
-    until(lambda: viewer.scene.lights[0].position[0] == LAMP[0], page)  # pyright: ignore
+    until(lambda: viewer.scene.lights[0].position[0] == LIGHT[0], page)  # pyright: ignore
     settle(viewer)
     until(lambda: difference(before, still(page)) < 0.5, page)
     page.close()
 
 
 def handle_tip(viewer: ls.Viewer) -> tuple[float, float]:
-    """Where the arrow of the handle's x axis is on the page."""
+    """Returns the page position of the tip of the gizmo's x axis."""
     (page,) = viewer._pages.values()
     assert page.pose is not None and viewer._gizmo._handle is not None
     camera = page.pose.camera(SIZE["height"])
-    x, y, z = LAMP
+    x, y, z = LIGHT
     point = camera.camera_from_world @ np.array([x + 0.85 * viewer._gizmo._handle.scale, y, z, 1.0])
     return camera.cx + camera.fx * point[0] / point[2], camera.cy + camera.fy * point[1] / point[2]
 
 
 def step_back(viewer: ls.Viewer) -> None:
-    """Moves the page's camera so far away that the lamp is seen."""
+    """Moves the page's camera back until the light is in view."""
     (page,), (client,) = viewer._pages.values(), viewer._viser.get_clients().values()
     client.camera.look_at = (0.0, -0.5, 0.0)
     client.camera.position = (0.0, -0.5, -5.0)
     eventually(lambda: page.pose is not None and page.pose.position[2] < -4.9, "the camera did not move")
 
 
-def test_a_page_that_is_reloaded_needs_no_token(browser: Any, viewer: ls.Viewer) -> None:
-    """Its cookie lets it in; another browser without either sees 401."""
+def test_reloaded_page_needs_no_token(browser: Any, viewer: ls.Viewer) -> None:
+    """The cookie admits a reloaded page; another browser without token and cookie gets status 401."""
     page = open_page(browser, viewer)
     address = viewer.url.partition("?")[0]
     assert page.goto(address).status == 200
@@ -182,15 +182,15 @@ def test_a_page_that_is_reloaded_needs_no_token(browser: Any, viewer: ls.Viewer)
 
 
 def pixels(viewer: ls.Viewer) -> np.ndarray:
-    """The renderer's own pixels of the frame that the one page shows."""
+    """Returns the rendered pixels of the single page's frame."""
     (page,) = viewer._pages.values()
     assert page.frame is not None
     return np.asarray(page.frame, np.uint8).copy()
 
 
 @pytest.mark.deep
-def test_a_setting_in_a_browser_changes_the_picture_and_undo_restores_its_bits(browser: Any, viewer: ls.Viewer) -> None:
-    """The exposure is typed into its field."""
+def test_undo_in_a_browser_restores_the_image_bit_for_bit(browser: Any, viewer: ls.Viewer) -> None:
+    """Typing an exposure changes the image; undo restores it exactly."""
     page = open_page(browser, viewer)
     before, seen = pixels(viewer), still(page)
     page.get_by_text("Light", exact=True).click()
@@ -208,8 +208,8 @@ def test_a_setting_in_a_browser_changes_the_picture_and_undo_restores_its_bits(b
 
 
 @pytest.mark.deep
-def test_two_browser_pages_have_their_own_views(browser: Any, viewer: ls.Viewer) -> None:
-    """One is turned by the mouse; the other one shows what it showed."""
+def test_browser_pages_have_independent_cameras(browser: Any, viewer: ls.Viewer) -> None:
+    """Orbiting one page with the mouse leaves the image of the other page unchanged."""
     left, right = open_page(browser, viewer), open_page(browser, viewer)
     before = still(left)
     until(lambda: difference(before, still(right)) < 0.5, right)
@@ -227,8 +227,8 @@ def test_two_browser_pages_have_their_own_views(browser: Any, viewer: ls.Viewer)
         page.close()
 
 
-def test_a_broken_upload_in_a_browser_says_so(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
-    """In a note that names the file; the scene is as it was."""
+def test_broken_upload_in_a_browser_shows_an_error(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
+    """A notification names the file, and the scene is unchanged."""
     viewer._session.edit(lambda state: replace(state, document=document_in(tmp_path)))
     page = open_page(browser, viewer)
     (tmp_path / "broken.glb").write_bytes(b"glTF nonsense")
@@ -241,8 +241,8 @@ def test_a_broken_upload_in_a_browser_says_so(browser: Any, viewer: ls.Viewer, t
 
 @pytest.mark.deep
 @pytest.mark.skipif(os.name != "posix", reason="no process can be killed like that")
-def test_a_browser_that_is_killed_can_be_opened_again(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
-    """Its page goes, with its thread; a new one sees the scene as it was left."""
+def test_page_can_be_reopened_after_the_browser_was_killed(browser: Any, viewer: ls.Viewer, tmp_path: Path) -> None:
+    """The killed page and its thread are removed; a new page shows the edited scene."""
     command = [CHROMIUM, "--headless", f"--user-data-dir={tmp_path}", *FLAGS, "--window-size=400,300", viewer.url]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     eventually(lambda: bool(viewer._pages), "the page did not connect")
@@ -250,15 +250,15 @@ def test_a_browser_that_is_killed_can_be_opened_again(browser: Any, viewer: ls.V
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     eventually(lambda: not viewer._pages, "the page is still there")
-    viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
+    viewer._session.apply(lambda document: document.removed(light_id(viewer)))
     page = open_page(browser, viewer)
     viewer._session.set_options(outlines=False)
     assert not viewer.scene.lights and shows_its_frame(page, viewer)
     page.close()
 
 
-def test_objects_are_selected_hidden_and_locked_in_the_list(browser: Any, viewer: ls.Viewer) -> None:
-    """By clicks on their rows, in a tab that has the program's name."""
+def test_outliner_selects_hides_and_locks_objects(browser: Any, viewer: ls.Viewer) -> None:
+    """Clicks on outliner rows select, hide and lock; the browser tab shows the program's name."""
     page = open_page(browser, viewer)
     assert page.title() == "Lumisplat"
     crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
@@ -274,8 +274,8 @@ def test_objects_are_selected_hidden_and_locked_in_the_list(browser: Any, viewer
     page.close()
 
 
-def test_the_first_edit_of_a_material_leaves_its_folder_open(browser: Any, viewer: ls.Viewer) -> None:
-    """And the page where it was scrolled to."""
+def test_first_material_edit_keeps_the_folder_open_and_the_scroll_position(browser: Any, viewer: ls.Viewer) -> None:
+    """The first edit of a material neither closes its folder nor scrolls the panel."""
     page = open_page(browser, viewer)
     page.locator(".lumi-name", has_text="crate").click()
     page.get_by_text("material", exact=True).click()
@@ -291,8 +291,8 @@ def test_the_first_edit_of_a_material_leaves_its_folder_open(browser: Any, viewe
     page.close()
 
 
-def test_on_a_phone_the_panel_is_a_drawer_and_the_scene_fits_above_it(browser: Any, viewer: ls.Viewer) -> None:
-    """As wide as the page; the picture has what is left, and the camera stands back so that all of it is seen."""
+def test_phone_panel_is_a_drawer_and_the_scene_fits_above_it(browser: Any, viewer: ls.Viewer) -> None:
+    """The drawer has the page's width; the camera moves back so that the whole scene fits above the drawer."""
     page, count = browser.new_page(viewport={"width": 390, "height": 844}), len(viewer._pages)
     page.goto(viewer.url)
     eventually(lambda: len(viewer._pages) > count, "the page did not connect")
@@ -310,8 +310,8 @@ def test_on_a_phone_the_panel_is_a_drawer_and_the_scene_fits_above_it(browser: A
     page.close()
 
 
-def test_a_thumbnail_moves_the_page_to_its_view(browser: Any, viewer: ls.Viewer) -> None:
-    """That page alone; the first of two key views is looked from again, and the horizon stays level."""
+def test_clicking_a_thumbnail_moves_the_page_to_its_key_view(browser: Any, viewer: ls.Viewer) -> None:
+    """Only the clicked page moves, to the first of two key views, and its horizon stays level."""
     page, other = open_page(browser, viewer), open_page(browser, viewer)
     (mine, others) = viewer._pages.values()
     page.get_by_role("tab", name="Video").click()

@@ -1,4 +1,4 @@
-"""Long work at the viewer, made short: three pages edit at once."""
+"""A short endurance run of the viewer: three pages edit at the same time."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ import lumisplat as ls
 from support.viewer.endurance import WEIGHTS, LeanPage, endured, orbit, scene_in, wait_until
 
 MEMORY_MIB = 60.0
-"""What a hundred edits may add: undo keeps them, and allocators do not give all back. An edit that is kept for each
-frame, or a page that is never forgotten, takes more."""
+"""Memory that a hundred edits may add, MiB: undo keeps them, and allocators do not return everything. Keeping an edit
+for each frame, or a closed page, would exceed the limit."""
 
 
-@pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")  # of a page that closes while it is sent to
+@pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")  # a page may close during a send
 @pytest.mark.parametrize(
     "edits", [pytest.param(120, id="short"), pytest.param(3000, id="long", marks=pytest.mark.deep)]
 )
-def test_no_edit_is_lost_and_nothing_is_left_behind(edits: int, tmp_path: Path) -> None:
-    """Each edit of a page is in the document, as often as it was undone; pages that close leave no thread."""
+def test_concurrent_edits_are_all_kept_and_leave_no_threads(edits: int, tmp_path: Path) -> None:
+    """The document has every edit that was not undone, and closed pages leave no thread."""
     report = endured(edits, tmp_path, seed=1)
     assert report.done.total() == edits and report.done.keys() == WEIGHTS.keys()
     assert report.threads[0] == report.threads[1] and report.errors == []
     assert report.memory_mib[-1] - report.memory_mib[0] < MEMORY_MIB
 
 
-def test_what_is_pressed_at_once_is_done_in_its_order(tmp_path: Path) -> None:
-    """No press is taken for the next one, and no drag ends before it begins."""
+def test_simultaneous_events_are_handled_in_order(tmp_path: Path) -> None:
+    """No press is mistaken for the next one, and no drag ends before it begins."""
     viewer = ls.view(scene_in(tmp_path), height=90, device="cpu")
     viewer._loader.join()
     session = viewer._session
-    lamp = next(entry.id for entry in viewer.document.entries if entry.kind == "lights")
-    session.select(lamp)
+    light = next(entry.id for entry in viewer.document.entries if entry.kind == "lights")
+    session.select(light)
     with LeanPage(viewer.url) as page:
         page.look(orbit(0.0))
         wait_until(lambda: bool(viewer._pages), "the page is not there")
@@ -47,7 +47,7 @@ def test_what_is_pressed_at_once_is_done_in_its_order(tmp_path: Path) -> None:
             page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
             for button in ("undo", "redo", "undo", "redo"):
                 page.push(button)
-        wait_until(lambda: list(viewer.document.entry(lamp).table["position"]) == [10.0, -1.0, 0.0], "a drag is lost")
+        wait_until(lambda: list(viewer.document.entry(light).table["position"]) == [10.0, -1.0, 0.0], "a drag is lost")
         wait_until(
             lambda: len(session._past) == 10 and not session._future, "a drag is not one edit, or a press is lost"
         )
@@ -55,23 +55,23 @@ def test_what_is_pressed_at_once_is_done_in_its_order(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
-def test_viewers_close_while_pages_go_on_asking(tmp_path: Path) -> None:
-    """Without a word of Python's about what was never begun, which the suite takes for an error."""
+def test_viewer_closes_cleanly_while_pages_send_events(tmp_path: Path) -> None:
+    """Closing causes no warning about coroutines that never ran, which the test suite treats as errors."""
     for _ in range(3):
         viewer = ls.view(scene_in(tmp_path), height=90, device="cpu")
         viewer._loader.join()
         with LeanPage(viewer.url) as page:
             page.look(orbit(0.0))
             wait_until(lambda viewer=viewer: bool(viewer._pages), "the page is not there")
-            asking = threading.Thread(target=ask_on, args=(page,))
+            asking = threading.Thread(target=press_until_closed, args=(page,))
             asking.start()
             viewer.close()
             asking.join()
         gc.collect()
 
 
-def ask_on(page: LeanPage) -> None:
-    """Presses buttons until nobody is there."""
+def press_until_closed(page: LeanPage) -> None:
+    """Presses buttons until the connection closes."""
     with contextlib.suppress(Exception):
         for _ in range(4000):
             page.push("undo")

@@ -1,4 +1,4 @@
-"""What is behind the frames: how fine they are, from where, and what is drawn on them."""
+"""Frames of the viewer: level of detail, cameras, picking and overlays."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from lumisplat.viewer.thresholds import DEPTH_STRIDE, LEVEL_GAUSSIANS_MIN
 FACING = ls.Camera.look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=90)
 
 
-def paced(cost: dict[DetailStep, float], budget: float, frames: int = 200) -> list[DetailStep]:
-    """The steps of frames that take a known time each."""
+def chosen_steps(cost: dict[DetailStep, float], budget: float, frames: int = 200) -> list[DetailStep]:
+    """Returns the chosen steps for frames whose time is given for each step."""
     detail, taken = DetailController(), []
     for _ in range(frames):
         taken.append(detail.step)
@@ -40,12 +40,12 @@ def paced(cost: dict[DetailStep, float], budget: float, frames: int = 200) -> li
 
 
 def costs(full: float) -> dict[DetailStep, float]:
-    """Milliseconds by step: Gaussians count most."""
+    """Returns milliseconds for each step, dominated by the Gaussian count."""
     return {step: full * (1.0, 0.25, 0.125)[step.level] * step.scale for step in GAUSSIAN_STEPS}
 
 
-def test_steps_leave_out_gaussians_first_and_pixels_second() -> None:
-    """Each is coarser than the one before; pixels go once there is a level of a quarter."""
+def test_detail_steps_reduce_gaussians_before_pixels() -> None:
+    """Each step is coarser than the previous one; resolution drops only after the first reduced level of detail."""
     assert (
         GAUSSIAN_STEPS[0] == DetailStep(0, 1.0)
         and GAUSSIAN_STEPS[1] == DetailStep(1, 1.0)
@@ -57,24 +57,24 @@ def test_steps_leave_out_gaussians_first_and_pixels_second() -> None:
 
 
 @pytest.mark.parametrize("full", [20.0, 100.0, 300.0, 2000.0])
-def test_a_pace_keeps_its_budget_and_wastes_little(full: float) -> None:
-    """It ends on the finest step that keeps the time with some room, or on the coarsest of all."""
+def test_detail_controller_uses_the_finest_step_within_the_budget(full: float) -> None:
+    """The controller ends at the finest step with some headroom in the budget, or at the coarsest step."""
     cost = costs(full)
-    last = paced(cost, 40.0)[-1]
+    last = chosen_steps(cost, 40.0)[-1]
     fitting = [step for step in GAUSSIAN_STEPS if cost[step] <= 0.7 * 40.0]
     assert cost[last] <= 40.0 or last == GAUSSIAN_STEPS[-1]
     assert not fitting or GAUSSIAN_STEPS.index(last) <= GAUSSIAN_STEPS.index(fitting[0])
 
 
-def test_a_pace_does_not_flicker() -> None:
-    """Where two steps are on both sides of the budget, it seldom changes between them."""
-    taken = paced({step: 45.0 if step == GAUSSIAN_STEPS[0] else 25.0 for step in GAUSSIAN_STEPS}, 40.0, 400)[50:]
+def test_detail_controller_does_not_flicker_between_steps() -> None:
+    """With the budget between the times of two steps, the controller seldom switches."""
+    taken = chosen_steps({step: 45.0 if step == GAUSSIAN_STEPS[0] else 25.0 for step in GAUSSIAN_STEPS}, 40.0, 400)[50:]
     changes = sum(a != b for a, b in itertools.pairwise(taken))
     assert changes <= 0.06 * len(taken)
 
 
-def test_a_pace_far_beyond_its_budget_leaves_out_much_at_once() -> None:
-    """Two frames say that it is so; a single one may be another program's."""
+def test_detail_controller_skips_steps_after_two_very_slow_frames() -> None:
+    """One slow frame changes little, because another program may have caused it."""
     detail = DetailController()
     detail.record(10.0, 40.0)
     detail.record(900.0, 40.0)
@@ -84,13 +84,13 @@ def test_a_pace_far_beyond_its_budget_leaves_out_much_at_once() -> None:
 
 
 @pytest.mark.parametrize(("count", "level", "scale"), [(1000, 1, 1.0), (2_000_000, 1, 1.0), (3_000_000, 2, 0.5)])
-def test_large_scenes_begin_coarsely(count: int, level: int, scale: float) -> None:
-    """Their first frame has no more Gaussians than can be drawn at once; others begin at a quarter."""
+def test_large_scenes_start_at_a_coarse_step(count: int, level: int, scale: float) -> None:
+    """The first frame of a large scene has at most `MOVING_GAUSSIANS_MAX` Gaussians; others start at a quarter."""
     assert GAUSSIAN_STEPS[first_step(count)] == DetailStep(level, scale)
 
 
-def many(count: int) -> ls.Gaussians:
-    """Gaussians in a unit cube."""
+def random_capture(count: int) -> ls.Gaussians:
+    """Returns a capture of Gaussians in a unit cube."""
     rng = np.random.default_rng(0)
     return ls.Gaussians(
         means=rng.uniform(size=(count, 3)),
@@ -101,11 +101,11 @@ def many(count: int) -> ls.Gaussians:
     )
 
 
-def test_levels_are_made_once_and_stand_where_the_capture_stands() -> None:
-    """Until they are there, what there is is shown; small captures have none."""
+def test_levels_are_built_once_and_keep_the_instance_transform() -> None:
+    """The full capture is shown until its level exists; small captures have no levels."""
     made = threading.Semaphore(0)
     levels = Levels(made.release)
-    capture, small = many(5 * LEVEL_GAUSSIANS_MIN), many(100)
+    capture, small = random_capture(5 * LEVEL_GAUSSIANS_MIN), random_capture(100)
     scene = ls.Scene([ls.SplatInstance(capture, position=(1, 2, 3)), ls.SplatInstance(small)])
     assert levels.scene(scene, 0) is scene
     assert levels.scene(scene, 1).splats[0].gaussians is capture
@@ -118,19 +118,19 @@ def test_levels_are_made_once_and_stand_where_the_capture_stands() -> None:
     levels.close()
 
 
-def test_levels_of_a_large_scene_have_thinned_ones_in_their_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are there at once, and fill as much; many small captures count as one large one."""
+def test_large_scenes_are_thinned_until_their_levels_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thinned captures are available at once with enlarged Gaussians; many small captures count as one large scene."""
     monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.MOVING_GAUSSIANS_MAX", 4 * LEVEL_GAUSSIANS_MIN)
     made, busy = threading.Semaphore(0), threading.Event()
     busy.set()
     levels = Levels(made.release, is_busy=busy.is_set)
-    capture = many(LEVEL_GAUSSIANS_MIN)
+    capture = random_capture(LEVEL_GAUSSIANS_MIN)
     scene = ls.Scene([ls.SplatInstance(capture, position=(x, 0.0, 0.0)) for x in range(5)])
     standing_in = levels.scene(scene, 1).splats[3].gaussians
     assert standing_in.count == capture.count // 4
     np.testing.assert_allclose(standing_in.scales, 0.01 * 4.0 ** (1.0 / 3.0), rtol=1e-6)
     assert np.isin(standing_in.means, capture.means).all() and levels.scene(scene, 1).splats[0].gaussians is standing_in
-    assert not made.acquire(timeout=0.2)  # a view moves: nothing is merged yet
+    assert not made.acquire(timeout=0.2)  # nothing is merged while a view moves
     busy.clear()
     assert made.acquire(timeout=60)
     level = levels.scene(scene, 1)
@@ -138,12 +138,12 @@ def test_levels_of_a_large_scene_have_thinned_ones_in_their_place(monkeypatch: p
     levels.close()
 
 
-def test_levels_are_made_in_blocks_that_are_whole_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each Gaussian is merged within a box of space, and their progress is told up to the end."""
+def test_levels_built_in_blocks_cover_the_whole_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gaussians are merged only within a spatial block, and progress runs from 0 to 1."""
     monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.LEVEL_BLOCK", 8192)
-    made, told = threading.Semaphore(0), list[float]()
-    levels = Levels(made.release, told.append)
-    capture = many(4 * LEVEL_GAUSSIANS_MIN)
+    made, reported = threading.Semaphore(0), list[float]()
+    levels = Levels(made.release, reported.append)
+    capture = random_capture(4 * LEVEL_GAUSSIANS_MIN)
     scene = ls.Scene([capture])
     levels.scene(scene, 1)
     assert made.acquire(timeout=60)
@@ -151,12 +151,12 @@ def test_levels_are_made_in_blocks_that_are_whole_together(monkeypatch: pytest.M
     assert merged.count == pytest.approx(0.25 * capture.count, rel=1e-3)
     octants = [np.bincount((g.means > 0.5) @ (1, 2, 4), minlength=8) for g in (capture, merged)]
     np.testing.assert_allclose(octants[1], 0.25 * octants[0], rtol=0.05)
-    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 1.0 and len(told) == 18
+    assert reported == sorted(reported) and reported[0] == 0.0 and reported[-1] == 1.0 and len(reported) == 18
     levels.close()
 
 
-def test_a_pose_is_the_camera_of_the_page() -> None:
-    """The same rays as of a camera that looks from there, at any number of rows."""
+def test_pose_gives_the_same_rays_as_the_page_camera() -> None:
+    """A pose gives the same rays as a camera at the same position, at any image height."""
     from viser import transforms
 
     wanted = ls.Camera.look_at((1.0, -2.0, -3.0), (0.0, 0.5, 0.0), (0.0, -1.0, 0.0), width=320, height=180, fov_y=0.7)
@@ -170,8 +170,8 @@ def test_a_pose_is_the_camera_of_the_page() -> None:
 
 
 @pytest.mark.parametrize(("size", "units"), [(0.02, 100.0), (1.0, 1.0), (20.0, 1.0), (400.0, 0.01), (1e5, 1e-5)])
-def test_scenes_of_all_sizes_fit_on_a_page(size: float, units: float) -> None:
-    """In powers of ten; those that fit as they are stay so."""
+def test_page_scale_is_a_power_of_ten_and_one_for_common_sizes(size: float, units: float) -> None:
+    """Scenes whose size suits a page are not scaled."""
     cube = ls.Scene(meshes=[ls.MeshInstance(ls.box(size / math.sqrt(3.0)), position=(7.0, 0.0, 0.0))])
     extent = Extent.of(cube)
     assert extent.size == pytest.approx(size, rel=1e-5) and extent.page_from_scene == pytest.approx(units)
@@ -179,19 +179,19 @@ def test_scenes_of_all_sizes_fit_on_a_page(size: float, units: float) -> None:
 
 
 def shifted(z: float) -> np.ndarray:
-    """A translation along the view."""
+    """Returns a translation along the view direction."""
     matrix = np.eye(4)
     matrix[2, 3] = z
     return matrix
 
 
 def box_frame() -> ls.Frame:
-    """A box of two units in the middle, lit."""
+    """Renders a lit box of side length 2 at the origin."""
     return ls.render(ls.Scene(meshes=[ls.box(2.0)]), FACING, device="cpu")
 
 
-def test_picks_are_read_off_the_frame() -> None:
-    """The box's front is 3 units away in the middle; beside it, and outside of the picture, is nothing to pick."""
+def test_picking_reads_the_frames_aovs() -> None:
+    """The box front is 3 units away at the image centre; beside the box and outside the image nothing is picked."""
     frame = box_frame()
     pick = picked(frame, 0.5, 0.5)
     assert pick is not None and (pick.instance, pick.gaussian) == (0, -1)
@@ -200,15 +200,15 @@ def test_picks_are_read_off_the_frame() -> None:
     assert picked(frame, 0.01, 0.5) is None and picked(frame, -3.0, 7.0) is None
 
 
-def test_depth_of_a_page_is_view_depth_in_its_units() -> None:
-    """Of every fourth pixel; where nothing is, as far away as handles need."""
+def test_page_depth_is_view_depth_in_page_units() -> None:
+    """The depth has every fourth pixel; pixels without a surface are farther away than any gizmo."""
     depth = page_depth(box_frame(), 10.0)
     assert depth.shape == (math.ceil((90 - 2) / DEPTH_STRIDE), 160 // DEPTH_STRIDE)
     assert depth[11, 20] == pytest.approx(30.0, rel=1e-3) and depth[0, 0] >= 1000.0
 
 
-def test_lines_are_dimmed_behind_what_is_in_the_frame() -> None:
-    """In front of the box they have their colour, behind it a share of it, and nothing else changes."""
+def test_outlines_are_dimmed_behind_surfaces() -> None:
+    """Lines in front of the box have full colour, lines behind it a fraction, and all other pixels are unchanged."""
     frame = box_frame()
     black = np.zeros((90, 160, 3), np.uint8)
     near, far = (world_corners((np.full(3, -0.2), np.full(3, 0.2)), shifted(z)) for z in (-1.45, 1.45))
@@ -229,8 +229,8 @@ def test_lines_are_dimmed_behind_what_is_in_the_frame() -> None:
         (ls.LightDisk((0, 0, 0), (1, 2, -2), 0.5), 0.5),
     ],
 )
-def test_outlines_reach_as_far_as_lights(light: object, reach: float) -> None:
-    """To their radius or their range."""
+def test_light_outlines_show_radius_and_range(light: object, reach: float) -> None:
+    """Outlines extend to the radius or the range of a light."""
     outline = light_outline(light, 0.1, is_selected=True)
     assert outline is not None
     farthest = max(float(np.linalg.norm(line, axis=1).max()) for line in outline.lines)
@@ -238,8 +238,8 @@ def test_outlines_reach_as_far_as_lights(light: object, reach: float) -> None:
     assert light_outline(ls.LightEnvironment(), 0.1, is_selected=True) is None
 
 
-def test_a_split_picture_is_before_to_the_left_and_after_to_the_right() -> None:
-    """With a white line between, wherever it is."""
+def test_split_image_shows_before_left_and_after_right() -> None:
+    """A white line separates the two sides at any split position."""
     before, after = np.full((4, 10, 3), 10, np.uint8), np.full((4, 10, 3), 90, np.uint8)
     joined = split_image(before, after, 0.3)
     assert (joined[:, :3] == 10).all() and (joined[:, 3] == 255).all() and (joined[:, 4:] == 90).all()
@@ -248,8 +248,8 @@ def test_a_split_picture_is_before_to_the_left_and_after_to_the_right() -> None:
     assert (split_image(before, after, 0.0)[:, 1:] == 90).all()
 
 
-def test_the_log_has_no_word_of_grain_that_is_still_to_go(caplog: pytest.LogCaptureFixture) -> None:
-    """Frames of one sample are no news in the viewer's thread; in any other they are, also while a viewer is open."""
+def test_noise_warnings_of_the_render_thread_are_not_logged(caplog: pytest.LogCaptureFixture) -> None:
+    """Noise warnings of other threads are logged, also while a viewer is open."""
     renderers = Renderers("cpu", lambda label, share: None)
     scene = ls.Scene(meshes=[ls.box(1.0)], lights=[ls.LightEnvironment()])
     config = frame_config(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID), "color")

@@ -1,4 +1,4 @@
-"""Who may talk to the viewer: by the rules alone, and over a real port."""
+"""Access control and message validation, by the rules and over a real port."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ WITH_TOKEN = f"/?token={GUARD.token}"
 
 
 def status(guard: Guard, path: str, headers: dict[str, str]) -> int:
-    """Status of an answer; 200: the request comes in."""
+    """Returns the status of the guard's answer; 200 if the request is allowed."""
     refused = guard.refusal(path, headers)
     return 200 if refused is None else int(refused[0])
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "127.0.0.1"])
-def test_pages_of_this_machine_with_the_token_come_in(host: str) -> None:
-    """By the address, or by the cookie that it has set; whatever other cookies there are."""
+def test_local_requests_with_token_or_cookie_are_accepted(host: str) -> None:
+    """The token in the address or the viewer's cookie admits a request, among any other cookies."""
     assert status(GUARD, WITH_TOKEN, {"Host": host}) == 200
     cookie = GUARD.set_cookie().partition(";")[0]
     assert status(GUARD, "/", {"Host": host, "Cookie": f"a=b; {cookie}; c"}) == 200
@@ -60,13 +60,15 @@ def test_pages_of_this_machine_with_the_token_come_in(host: str) -> None:
         ("/", OWN | {"Cookie": "lumisplat-8080=\udcff"}, 401),
     ],
 )
-def test_others_do_not(path: str, headers: dict[str, str], expected: int) -> None:
-    """No token: 401. A name that is not this machine's, or a page of another site, even with the token: 403."""
+def test_requests_without_token_or_with_foreign_host_or_origin_are_rejected(
+    path: str, headers: dict[str, str], expected: int
+) -> None:
+    """A missing token gives 401. A foreign host name or origin gives 403, even with the token."""
     assert status(GUARD, path, headers) == expected
 
 
-def test_a_viewer_for_others_takes_any_name_but_never_another_origin() -> None:
-    """Then names of this machine are not known; the token still is."""
+def test_public_viewer_accepts_any_host_name_but_no_foreign_origin() -> None:
+    """On a public address any ``Host`` is accepted, but the token stays required."""
     guard = Guard("0.0.0.0", 8080)
     assert not is_loopback("0.0.0.0") and not is_loopback("192.168.1.2") and is_loopback("::1")
     assert status(guard, f"/?token={guard.token}", {"Host": "desk.lan:8080"}) == 200
@@ -77,16 +79,16 @@ def test_a_viewer_for_others_takes_any_name_but_never_another_origin() -> None:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.2", "::1", "[::1]"])
-def test_the_printed_address_opens_the_viewer(host: str) -> None:
-    """Whatever name of this machine it listens on."""
+def test_printed_address_opens_the_viewer(host: str) -> None:
+    """The printed address works for each loopback address to listen on."""
     guard = Guard(host, 8080)
     address = guard.url.removeprefix("http://")
     assert status(guard, f"/?token={guard.token}", {"Host": address.partition("/")[0]}) == 200
     assert "[[" not in address
 
 
-def test_tokens_are_long_and_new() -> None:
-    """Nobody guesses one, and that of another viewer does not help."""
+def test_tokens_are_long_and_unique() -> None:
+    """A token cannot be guessed, and tokens of other viewers do not work."""
     tokens = {Guard("127.0.0.1", 1).token for _ in range(50)}
     assert len(tokens) == 50 and min(map(len, tokens)) >= 32
 
@@ -96,14 +98,14 @@ def test_tokens_are_long_and_new() -> None:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[PageServer]:
-    """A server on a free port."""
+    """Starts a page server on a free port."""
     server = PageServer("127.0.0.1", 0)
     yield server
     server.close()
 
 
 def get(server: PageServer, path: str, **headers: str) -> tuple[int, dict[str, str]]:
-    """Status and headers of an answer."""
+    """Returns status and headers of a response."""
     request = urllib.request.Request(f"http://127.0.0.1:{server.guard.port}{path}", headers=headers)
     try:
         with urllib.request.urlopen(request, timeout=10) as answer:
@@ -113,8 +115,8 @@ def get(server: PageServer, path: str, **headers: str) -> tuple[int, dict[str, s
             return error.code, dict(error.headers)
 
 
-def test_the_page_is_behind_the_guard(server: PageServer) -> None:
-    """Every request asks it: this fails as soon as viser opens its port without."""
+def test_every_page_request_passes_the_guard(server: PageServer) -> None:
+    """The test fails if a new version of viser opens its port without the guard."""
     with_token = f"/?token={server.guard.token}"
     found, headers = get(server, with_token)
     assert found == 200
@@ -130,7 +132,7 @@ def test_the_page_is_behind_the_guard(server: PageServer) -> None:
 
 
 def socket_status(server: PageServer, *, origin: str | None, token: str) -> int:
-    """Status of the answer to a WebSocket; 101: it is open, and says something."""
+    """Returns the status of a WebSocket handshake; 101 if it is open and sends data."""
 
     async def attempt() -> int:
         address = f"ws://127.0.0.1:{server.guard.port}/?token={token}"
@@ -145,14 +147,14 @@ def socket_status(server: PageServer, *, origin: str | None, token: str) -> int:
 
 
 def subprotocol() -> str:
-    """The version that viser's own page speaks."""
+    """Returns the subprotocol of viser's own page."""
     import viser
 
     return f"viser-v{viser.__version__}"
 
 
-def test_the_web_socket_is_behind_the_guard(server: PageServer) -> None:
-    """An evil page's socket gets 403, even with the token, and one without it 401."""
+def test_every_web_socket_passes_the_guard(server: PageServer) -> None:
+    """A socket of another site gets 403 even with the token; a socket without the token gets 401."""
     own, token = f"http://127.0.0.1:{server.guard.port}", server.guard.token
     assert socket_status(server, origin=own, token=token) == 101
     assert socket_status(server, origin=None, token=token) == 101
@@ -160,8 +162,8 @@ def test_the_web_socket_is_behind_the_guard(server: PageServer) -> None:
     assert socket_status(server, origin=own, token="") == 401
 
 
-def test_events_are_set_from_any_thread() -> None:
-    """While others wait for it and go: asyncio's own raises then, and messages to pages, and edits, are lost."""
+def test_events_can_be_set_from_any_thread() -> None:
+    """Setting an event while waiters come and go does not raise, as asyncio's own event would."""
     event, ends, woken = AnyThreadEvent(), threading.Event(), [0]
     errors: list[BaseException] = []
 
@@ -198,24 +200,24 @@ def test_events_are_set_from_any_thread() -> None:
     assert errors == [] and woken[0] >= 49
 
 
-def test_the_server_of_pages_has_such_events(server: PageServer) -> None:
-    """That of all pages; those of each page are made in the same way."""
+def test_page_server_uses_thread_safe_events(server: PageServer) -> None:
+    """The server's message buffer has thread-safe events; those of pages are created in the same way."""
     buffer: Any = server.viser
     assert isinstance(buffer._websock_server._broadcast_buffer.message_event, AnyThreadEvent)
 
 
-def test_a_port_in_use_is_named() -> None:
-    """With what to do; also one that is none."""
+def test_occupied_or_invalid_port_is_reported() -> None:
+    """The error names the port and what to do."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(ls.DeviceError, match=rf"port {port} of 127\.0\.0\.1 .*--port 0 takes a free one"):
+        with pytest.raises(ls.DeviceError, match=rf"port {port} of 127\.0\.0\.1 .*--port 0 uses a free port"):
             PageServer("127.0.0.1", port)
     with pytest.raises(ls.DeviceError, match="port 70000"):
         listening_socket("127.0.0.1", 70000)
 
 
-def test_a_server_that_closes_leaves_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    """Its port is free again, its threads have ended, and it has printed nothing."""
+def test_closed_server_frees_its_port_and_threads(capfd: pytest.CaptureFixture[str]) -> None:
+    """The server also prints nothing."""
     before = set(threading.enumerate())
     server = PageServer("127.0.0.1", 0)
     get(server, f"/?token={server.guard.token}")
@@ -227,7 +229,7 @@ def test_a_server_that_closes_leaves_nothing(capfd: pytest.CaptureFixture[str]) 
     assert capfd.readouterr() == ("", "")
 
 
-# --- What a page may say ---
+# --- Messages from pages ---
 
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -254,13 +256,13 @@ PART = {"type": "FileTransferPart", "source_component_uuid": "u", "transfer_uuid
 
 
 def accepts(*messages: object) -> list[bool]:
-    """Which of the messages of one page are passed on."""
+    """Returns which messages of one page are accepted."""
     inbox = Inbox()
     return [inbox.accepts(msgspec.msgpack.encode(message)) for message in messages]
 
 
-def test_messages_of_the_page_pass() -> None:
-    """A camera, a changed value, and a file in parts."""
+def test_valid_page_messages_are_accepted() -> None:
+    """A camera, a changed value and a file in parts are accepted."""
     start = UPLOAD | {"size_bytes": 5, "part_count": 2}
     parts = [PART | {"part_index": number, "content": content} for number, content in enumerate((b"abc", b"de"))]
     changed = {"type": "GuiUpdateMessage", "uuid": "u", "updates": {"value": 3}}
@@ -289,22 +291,22 @@ def test_messages_of_the_page_pass() -> None:
         {"type": "ScenePointerMessage", "screen_pos": []},
     ],
 )
-def test_nonsense_is_dropped_and_named_once(message: object, caplog: pytest.LogCaptureFixture) -> None:
-    """Whatever it is; one line for a page, however much of it there is."""
+def test_invalid_messages_are_dropped_and_logged_once(message: object, caplog: pytest.LogCaptureFixture) -> None:
+    """The log has one line per page, whatever the number of invalid messages."""
     assert accepts(message, message, CAMERA) == [False, False, True]
     assert len(caplog.records) == 1
 
 
-def test_bytes_that_are_no_message_are_dropped() -> None:
-    """Text, noise, and what nests deeper than it can be read."""
+def test_undecodable_bytes_are_dropped() -> None:
+    """Text, random bytes and messages nested too deeply are dropped."""
     inbox = Inbox()
     for raw in ("text", b"", b"\xc1", b"\xff" * 100, b"\x91" * 5000, bytes(2**23)):
         assert not inbox.accepts(raw)
     assert inbox.dropped == 6
 
 
-def test_uploads_bring_no_more_than_they_said() -> None:
-    """Nor do several at once bring more than one may."""
+def test_uploads_cannot_exceed_their_declared_size() -> None:
+    """Several concurrent uploads together cannot exceed the limit of one."""
     start, part = UPLOAD | {"size_bytes": 4, "part_count": 2}, PART | {"part_index": 0, "content": b"abc"}
     assert accepts(start, part, part) == [True, True, False]
     large = UPLOAD | {"size_bytes": UPLOAD_BYTES_MAX // 2 + 1, "part_count": 1}

@@ -1,4 +1,4 @@
-"""Up of the scene on pages: fitted to the ground, or by three clicks; what follows it, and undo."""
+"""Setting the up direction by fitting the ground or by three clicks, its effects, and undo."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ AHEAD = np.cross(SIDE, UP)
 
 
 def tilted_room() -> ls.Scene:
-    """A floor of flat Gaussians that leans, a heap on it, and a box that stands upright where y is down."""
+    """Returns a tilted floor of flat Gaussians with a heap on it, and a box that is upright in y-down."""
     rng = np.random.default_rng(3)
     across, along = rng.uniform(-1.0, 1.0, (2, 3000))
     heap = 0.15 * rng.normal(size=(600, 3)) + 0.35 * UP
     means = np.vstack([across[:, None] * SIDE + along[:, None] * AHEAD, heap])
-    # The shortest axis, z, is turned to the normal of the floor.
+    # Rotates the shortest axis, z, to the normal of the floor.
     turn = np.array([math.cos(0.25 * math.pi - 0.5 * TILT), math.sin(0.25 * math.pi - 0.5 * TILT), 0.0, 0.0])
     gaussians = ls.Gaussians(
         means=means.astype(np.float32),
@@ -51,7 +51,7 @@ def tilted_room() -> ls.Scene:
 
 @pytest.fixture
 def viewer() -> Iterator[ls.Viewer]:
-    """A viewer on the room that leans."""
+    """Opens a viewer of the tilted room."""
     viewer = ls.view(tilted_room(), height=HEIGHT, device="cpu", config=ls.RenderConfig(lighting=False))
     viewer._loader.join()
     viewer._session.set_options(outlines=False)
@@ -60,18 +60,18 @@ def viewer() -> Iterator[ls.Viewer]:
 
 
 def camera() -> ls.Camera:
-    """Looks at the floor from the front and above."""
+    """Returns a camera that looks at the floor from the front and above."""
     return ls.Camera.look_at((0.3, -1.5, -2.5), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=HEIGHT)
 
 
 def horizon(page: Page) -> float:
-    """Sine of the angle by which the picture of a page leans from the floor."""
+    """Returns the sine of the angle between a page's horizon and the floor."""
     assert page.pose is not None
     return abs(float(page.pose.camera(HEIGHT).camera_from_world[0, :3] @ UP))
 
 
-def test_level_turns_the_scene_upright_and_undo_turns_it_back(viewer: ls.Viewer) -> None:
-    """The page, what stands upright, the angles of the sun, and the ground; the capture and the light stay."""
+def test_levelling_and_undo_change_up_but_not_the_capture(viewer: ls.Viewer) -> None:
+    """Page, upright objects, sun angles and ground follow the new up; capture and light stay in place."""
     session = viewer._session
     crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
     with PageClient(viewer.url) as client:
@@ -100,8 +100,8 @@ def test_level_turns_the_scene_upright_and_undo_turns_it_back(viewer: ls.Viewer)
         assert session.redo() and viewer.scene.up_direction == pytest.approx(tuple(up))
 
 
-def test_a_page_that_nobody_has_moved_sees_all_of_the_turned_scene(viewer: ls.Viewer) -> None:
-    """From the front of it as it is now; one that looks straight down at the new ground does, too."""
+def test_unmoved_page_frames_the_whole_levelled_scene(viewer: ls.Viewer) -> None:
+    """An unmoved page, or one that looks straight down at the new ground, shows the levelled scene from its front."""
     first = viewer._first_view
     viewer._session.apply(lambda document: document.with_up("z-up"))
     assert viewer._first_view.up == (0.0, 0.0, 1.0) != first.up
@@ -119,8 +119,8 @@ def test_a_page_that_nobody_has_moved_sees_all_of_the_turned_scene(viewer: ls.Vi
         np.testing.assert_allclose(page.pose.position, position, atol=1e-5)
 
 
-def test_three_clicks_define_the_ground(viewer: ls.Viewer) -> None:
-    """They select nothing; one into nothing does not count; the next one after them selects again."""
+def test_three_clicks_set_the_up_direction(viewer: ls.Viewer) -> None:
+    """The clicks select nothing, a click on the background does not count, and later clicks select again."""
     session, level = viewer._session, viewer._outliner.level
     problems: list[str] = []
     session.error_listeners.append(problems.append)
@@ -144,12 +144,12 @@ def test_three_clicks_define_the_ground(viewer: ls.Viewer) -> None:
 
 
 def click(viewer: ls.Viewer, page: Page, at: tuple[float, ...]) -> None:
-    """Clicks at a point of the picture, shares of its width and height."""
+    """Clicks at a point of the image, given as fractions of width and height."""
     viewer._pick(page, SimpleNamespace(screen_pos=at))
 
 
-def test_clicks_on_a_line_are_refused(viewer: ls.Viewer) -> None:
-    """In words; up stays, and the mode ends."""
+def test_collinear_ground_points_are_rejected(viewer: ls.Viewer) -> None:
+    """An error is reported, up is unchanged, and the mode ends."""
     problems: list[str] = []
     viewer._session.error_listeners.append(problems.append)
     with PageClient(viewer.url) as client:
@@ -163,8 +163,8 @@ def test_clicks_on_a_line_are_refused(viewer: ls.Viewer) -> None:
     assert "are collinear" in problems[0] and viewer.document is before and viewer._session.ground_points is None
 
 
-def test_a_ground_is_seen_from_above() -> None:
-    """Whatever the order of the three points; points on a line have no plane."""
+def test_ground_normal_points_toward_the_camera() -> None:
+    """The order of the points does not matter; collinear points have no normal."""
     points = [np.array(point) for point in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 2.0))]
     for order in ((0, 1, 2), (1, 0, 2)):
         for side in (1.0, -1.0):
@@ -175,8 +175,8 @@ def test_a_ground_is_seen_from_above() -> None:
 
 
 @pytest.mark.parametrize("size", [(0.4, 3.0, 0.4), (3.0, 0.3, 0.5), (1.0, 1.0, 1.0)])
-def test_the_scene_fits_pages_of_any_shape(size: tuple[float, float, float]) -> None:
-    """All of its corners are seen, and what is tall is no smaller on a phone than it need be."""
+def test_scene_fits_pages_of_any_aspect_ratio(size: tuple[float, float, float]) -> None:
+    """All corners of the scene are in view, and a tall scene is no smaller than necessary on a phone."""
     scene = ls.Scene(meshes=[ls.MeshInstance(ls.box(size))], up="y-up")
     view = FirstView.of(scene)
     low, high = scene.meshes[0].bounds()
@@ -191,25 +191,25 @@ def test_the_scene_fits_pages_of_any_shape(size: tuple[float, float, float]) -> 
             assert np.ptp(pixels[:, 1]) > 600.0
 
 
-def test_an_image_that_is_added_as_sky_stands_upright(tmp_path: Path) -> None:
-    """Its upper edge is up in scenes of every up; an environment that was turned keeps its rotation."""
+def test_added_environment_image_is_upright(tmp_path: Path) -> None:
+    """The image's upper edge faces up for every up direction; an environment that has a rotation keeps it."""
     from viser import transforms
 
     file = tmp_path / "sky.hdr"
     write_hdr(file, np.ones((4, 8, 3), np.float32))
     for up in ("y-down", "y-up", "z-up"):
         document, number = with_environment_image(ls.io.SceneDocument.of(ls.Scene(up=up)), str(file))
-        (sky,) = document.entry(number).lights
-        assert isinstance(sky, ls.LightEnvironment)
-        turned = transforms.SO3(np.asarray(sky.rotation_wxyz, np.float64)).as_matrix()
+        (environment,) = document.entry(number).lights
+        assert isinstance(environment, ls.LightEnvironment)
+        turned = transforms.SO3(np.asarray(environment.rotation_wxyz, np.float64)).as_matrix()
         np.testing.assert_allclose(turned[:, 1], document.scene().up_direction, atol=1e-9)
     document = document.changed(number, rotation_wxyz=[1.0, 0.0, 0.0, 0.0])
     document, number = with_environment_image(document, str(file))
     assert list(document.entry(number).table["rotation_wxyz"]) == [1.0, 0.0, 0.0, 0.0]
 
 
-def test_level_without_a_ground_says_what_to_do() -> None:
-    """Of meshes alone, in words; up stays."""
+def test_levelling_without_captures_reports_what_to_do() -> None:
+    """A scene of meshes reports an error and keeps its up direction."""
     viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0))], up="y-up"), height=HEIGHT, device="cpu")
     viewer._loader.join()
     problems: list[str] = []

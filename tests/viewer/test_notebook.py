@@ -1,4 +1,4 @@
-"""The viewer as the result of a notebook's cell: how its camera turns, what it shows, and what it leaves behind."""
+"""The viewer as the result of a notebook cell: camera control, images, fallbacks and cleanup."""
 
 from __future__ import annotations
 
@@ -30,22 +30,20 @@ EYE, TARGET = (3.0, -2.0, -4.0), (0.5, 0.2, -0.3)
 TILTED = (0.6, -0.8, 0.0)
 
 
-def seen_at(orbit: Orbit, point: Any) -> np.ndarray:
-    """Where a point is in the picture of a camera, in heights of the picture from its middle: right, down."""
+def image_position(orbit: Orbit, point: Any) -> np.ndarray:
+    """Returns a point's image position from the centre, right and down, in image heights."""
     camera = orbit.pose(1.0).camera(100)
     x, y, z = camera.camera_from_world[:3, :3] @ np.asarray(point, float) + camera.camera_from_world[:3, 3]
     return np.array([camera.fx * x / z, camera.fy * y / z]) / 100.0
 
 
-def hand(orbit: Orbit | None = None) -> PointerControl:
-    """A hand on a frame of 640 x 360."""
+def pointer_control(orbit: Orbit | None = None) -> PointerControl:
+    """Returns a pointer control for a frame of 640 x 360."""
     return PointerControl(orbit or Orbit.of(EYE, TARGET, UP, 0.8), 1.0, 640.0, 360.0)
 
 
-def rotation_by_drag(
-    mouse: PointerControl, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()
-) -> Any:
-    """What a drag from the middle of the frame gives."""
+def drag(mouse: PointerControl, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()) -> Any:
+    """Returns the result of a drag from the centre of the frame: the clicked point or None."""
     held: dict[str, Any] = {"button": button, "modifiers": modifiers}
     mouse.handle({"type": "pointer_down", "x": 320.0, "y": 180.0, **held})
     mouse.handle({"type": "pointer_move", "x": 320.0 + across, "y": 180.0 + down, **held})
@@ -54,14 +52,12 @@ def rotation_by_drag(
 
 @pytest.mark.parametrize("up", [UP, TILTED])
 @pytest.mark.parametrize(("around", "above"), [(0.3, 0.0), (-2.0, 0.4), (7.0, -0.9)])
-def test_turning_keeps_the_target_its_distance_and_the_horizon(
-    up: tuple[float, ...], around: float, above: float
-) -> None:
-    """The eye goes around the vertical by the one angle and up by the other, and the target stays in the middle."""
+def test_orbit_rotation_keeps_target_distance_and_horizon(up: tuple[float, ...], around: float, above: float) -> None:
+    """The camera rotates by the given angles about the vertical and upward, with its target at the image centre."""
     before = Orbit.of(EYE, TARGET, up, 0.8)
     after = before.rotated(around, above)
     assert math.dist(after.eye, TARGET) == pytest.approx(math.dist(EYE, TARGET))
-    np.testing.assert_allclose(seen_at(after, TARGET), 0.0, atol=1e-9)
+    np.testing.assert_allclose(image_position(after, TARGET), 0.0, atol=1e-9)
     assert after.elevation == pytest.approx(before.elevation + above)
     level = [np.array(orbit.backward) - np.dot(orbit.backward, up) * np.array(up) for orbit in (before, after)]
     cosine = level[0] @ level[1] / np.linalg.norm(level[0]) / np.linalg.norm(level[1])
@@ -71,8 +67,8 @@ def test_turning_keeps_the_target_its_distance_and_the_horizon(
 
 
 @pytest.mark.parametrize("above", [-50.0, 50.0])
-def test_cameras_stop_short_of_the_poles(above: float) -> None:
-    """And come back from there on the side from which they went."""
+def test_orbit_elevation_is_clamped_at_the_poles(above: float) -> None:
+    """After the clamp, the camera returns to the same side."""
     start = Orbit.of(EYE, TARGET, UP, 0.8)
     steep = start.rotated(0.0, above)
     assert steep.elevation == pytest.approx(math.copysign(ELEVATION_MAX, above))
@@ -80,70 +76,70 @@ def test_cameras_stop_short_of_the_poles(above: float) -> None:
     np.testing.assert_allclose(back.eye, EYE, atol=1e-9)
 
 
-def test_a_camera_straight_above_can_be_turned() -> None:
-    """It looks a little from the side instead."""
+def test_orbit_camera_right_above_the_target_can_rotate() -> None:
+    """The elevation is clamped, so that the up direction is defined."""
     orbit = Orbit.of((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), UP, 0.8)
     assert orbit.elevation == pytest.approx(ELEVATION_MAX) and orbit.distance == pytest.approx(5.0)
     assert np.isfinite(orbit.rotated(1.0, -0.5).pose(1.5).camera(90).camera_from_world).all()
 
 
-def test_the_first_pose_is_the_view_that_it_was_given() -> None:
-    """The camera of a frame looks from the eye at the target, upright, at the aspect of the cell."""
+def test_first_orbit_pose_is_the_given_view() -> None:
+    """The first camera looks from the eye at the target, upright, with the cell's aspect ratio."""
     wanted = ls.Camera.look_at(EYE, TARGET, UP, width=160, height=90, fov_y=0.8)
     camera = Orbit.of(EYE, TARGET, UP, 0.8).pose(16 / 9).camera(90)
     np.testing.assert_allclose(camera.camera_from_world, wanted.camera_from_world, atol=1e-9)
     assert (camera.width, camera.height) == (160, 90) and camera.fy == pytest.approx(wanted.fy)
 
 
-def test_a_moved_target_goes_with_the_pointer() -> None:
-    """By the shares of the picture's height that were asked for; nothing turns."""
+def test_panned_target_follows_the_pointer() -> None:
+    """Panning moves the target by the given fractions of the image height, without rotation."""
     before = Orbit.of(EYE, TARGET, TILTED, 0.8)
     after = before.panned(0.25, -0.1)
-    np.testing.assert_allclose(seen_at(after, TARGET), (0.25, -0.1), atol=1e-9)
+    np.testing.assert_allclose(image_position(after, TARGET), (0.25, -0.1), atol=1e-9)
     assert after.backward == before.backward and after.distance == before.distance
 
 
-def test_zooming_changes_the_distance_alone_within_bounds() -> None:
-    """However often the wheel is turned."""
+def test_zoom_changes_only_the_distance_within_limits() -> None:
+    """Repeated zooming stops at the limits."""
     orbit = Orbit.of(EYE, TARGET, UP, 0.8)
     assert orbit.zoomed(0.5, 0.1, 100.0) == replace(orbit, distance=0.5 * orbit.distance)
     assert orbit.zoomed(1e-9, 0.1, 100.0).distance == 0.1 and orbit.zoomed(1e9, 0.1, 100.0).distance == 100.0
 
 
-def test_a_drag_turns_the_scene_with_the_hand() -> None:
-    """What is nearer than the target follows the pointer; once across the height is once around."""
-    mouse = hand()
+def test_drag_rotates_the_scene_with_the_pointer() -> None:
+    """Points in front of the target follow the pointer; a drag over the frame height is a full rotation."""
+    mouse = pointer_control()
     near = np.array(TARGET) + 0.1 * np.array(mouse.orbit.backward)
-    rotation_by_drag(mouse, 20.0, 0.0)
-    assert seen_at(mouse.orbit, near)[0] > 1e-4
-    mouse = hand()
-    rotation_by_drag(mouse, 0.0, 20.0)
-    assert seen_at(mouse.orbit, near)[1] > 1e-4
-    mouse = hand()
-    rotation_by_drag(mouse, 360.0, 0.0)
+    drag(mouse, 20.0, 0.0)
+    assert image_position(mouse.orbit, near)[0] > 1e-4
+    mouse = pointer_control()
+    drag(mouse, 0.0, 20.0)
+    assert image_position(mouse.orbit, near)[1] > 1e-4
+    mouse = pointer_control()
+    drag(mouse, 360.0, 0.0)
     np.testing.assert_allclose(mouse.orbit.eye, EYE, atol=1e-9)
 
 
 @pytest.mark.parametrize(("button", "modifiers"), [(2, ()), (1, ("Shift",)), (3, ())])
-def test_other_buttons_and_shift_move(button: int, modifiers: tuple[str, ...]) -> None:
-    """The target is where the pointer has gone."""
-    mouse = hand()
-    assert rotation_by_drag(mouse, 72.0, -36.0, button, modifiers) is None
-    np.testing.assert_allclose(seen_at(mouse.orbit, TARGET), (0.2, -0.1), atol=1e-9)
+def test_drag_with_other_buttons_or_shift_pans(button: int, modifiers: tuple[str, ...]) -> None:
+    """The target follows the pointer."""
+    mouse = pointer_control()
+    assert drag(mouse, 72.0, -36.0, button, modifiers) is None
+    np.testing.assert_allclose(image_position(mouse.orbit, TARGET), (0.2, -0.1), atol=1e-9)
 
 
-def test_a_press_without_a_way_is_a_click() -> None:
-    """At its share of the frame as it is now; a drag is none, nor is another button, nor a release without a press."""
-    mouse = hand()
+def test_press_and_release_without_movement_is_a_click() -> None:
+    """The click is a fraction of the current frame size. A drag, another button or a lone release is not a click."""
+    mouse = pointer_control()
     mouse.handle({"type": "resize", "width": 960.0, "height": 240.0})
-    assert mouse.aspect == 4.0 and rotation_by_drag(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
-    assert rotation_by_drag(mouse, 30.0, 0.0) is None and rotation_by_drag(mouse, 0.0, 0.0, button=2) is None
+    assert mouse.aspect == 4.0 and drag(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
+    assert drag(mouse, 30.0, 0.0) is None and drag(mouse, 0.0, 0.0, button=2) is None
     assert mouse.handle({"type": "pointer_up", "x": 1.0, "y": 1.0, "button": 1, "modifiers": ()}) is None
 
 
-def test_moves_without_a_press_and_unknown_events_do_nothing() -> None:
-    """Keys and pointers that pass by leave the camera alone; the wheel does not."""
-    mouse = hand()
+def test_movement_without_a_press_and_unknown_events_are_ignored() -> None:
+    """Keys and pointer movement leave the camera unchanged; the wheel zooms."""
+    mouse = pointer_control()
     start = mouse.orbit
     mouse.handle({"type": "pointer_move", "x": 5.0, "y": 9.0, "button": 0, "modifiers": ()})
     mouse.handle({"type": "key_down", "key": "a", "modifiers": ()})
@@ -157,7 +153,7 @@ def test_moves_without_a_press_and_unknown_events_do_nothing() -> None:
 
 @pytest.fixture
 def viewer() -> Iterator[ls.Viewer]:
-    """A viewer on the lit scene, with outlines off: pictures are the renderer's own."""
+    """Opens a viewer of the lit scene without outlines, so that images equal rendered frames."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     viewer._loader.join()
     viewer._session.set_options(outlines=False)
@@ -167,7 +163,7 @@ def viewer() -> Iterator[ls.Viewer]:
 
 @pytest.fixture
 def notebook() -> Iterator[Any]:
-    """A notebook without a browser."""
+    """Connects a notebook client without a browser."""
     pytest.importorskip("jupyter_rfb", reason="the extra notebook is not installed")
     from support.viewer.cell_client import CellClient
 
@@ -176,7 +172,7 @@ def notebook() -> Iterator[Any]:
 
 
 def settled(viewer: ls.Viewer, notebook: Any) -> np.ndarray:
-    """The picture in the cell, once nothing more is to come."""
+    """Returns the image in the cell when it is finished."""
     notebook.picture()
     page, session = viewer._notebook._cell.page, viewer._session  # pyright: ignore[reportOptionalMemberAccess]
 
@@ -188,14 +184,14 @@ def settled(viewer: ls.Viewer, notebook: Any) -> np.ndarray:
 
 
 def expected(viewer: ls.Viewer, scene: ls.Scene) -> np.ndarray:
-    """What the renderer makes of a scene at the camera of the cell, in bytes."""
+    """Renders a scene with the cell's camera, as bytes."""
     pose = viewer._notebook._cell.page.pose  # pyright: ignore[reportOptionalMemberAccess]
     assert pose is not None
     return 255.0 * ls.render(scene, pose.camera(HEIGHT), CONFIG, device="cpu").pixels_srgb()
 
 
-def test_a_cell_shows_what_the_renderer_renders(viewer: ls.Viewer, notebook: Any) -> None:
-    """At rest the frame is that of as many samples at the cell's camera; the bundle has the widget, and a picture."""
+def test_cell_shows_the_rendered_image(viewer: ls.Viewer, notebook: Any) -> None:
+    """The still image equals a frame with the same samples and camera; the bundle has widget and image."""
     data, about = viewer._repr_mimebundle_()
     assert data[WIDGET]["model_id"] and data["text/plain"] == repr(viewer)
     assert about["image/png"] == {"width": 160, "height": 90} and data["image/png"]
@@ -204,8 +200,8 @@ def test_a_cell_shows_what_the_renderer_renders(viewer: ls.Viewer, notebook: Any
     assert ls.metrics.psnr(shown / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
 
 
-def test_a_drag_in_the_cell_turns_the_picture(viewer: ls.Viewer, notebook: Any) -> None:
-    """To what is seen from there; and back again to what it was."""
+def test_drag_in_a_cell_rotates_the_view_and_back(viewer: ls.Viewer, notebook: Any) -> None:
+    """The image follows the drag; dragging back restores it."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
     notebook.drag(90.0, 40.0)
@@ -216,8 +212,8 @@ def test_a_drag_in_the_cell_turns_the_picture(viewer: ls.Viewer, notebook: Any) 
     assert difference(before, settled(viewer, notebook)) < 1.0
 
 
-def test_edits_of_programs_and_pages_are_seen_in_the_cell(viewer: ls.Viewer, notebook: Any) -> None:
-    """It is one more page of the session: another scene comes, and an undo brings the last one back."""
+def test_cell_shows_edits_of_programs_and_pages(viewer: ls.Viewer, notebook: Any) -> None:
+    """The cell is another page of the session: it shows a new scene, and undo restores the old one."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
     darker = replace(lit_scene(), lights=(ls.LightPoint((0.0, -1.0, -0.8), intensity=0.3),))
@@ -230,12 +226,12 @@ def test_edits_of_programs_and_pages_are_seen_in_the_cell(viewer: ls.Viewer, not
 
 
 def line_of(viewer: ls.Viewer) -> str:
-    """The line below the frame."""
+    """Returns the text line below the frame."""
     return viewer._notebook._cell._line.value  # pyright: ignore[reportOptionalMemberAccess]
 
 
-def test_a_click_in_the_cell_selects(viewer: ls.Viewer, notebook: Any) -> None:
-    """What is seen there; the line below says what, beside the page's address. Nothing is selected where nothing is."""
+def test_click_in_a_cell_selects_the_object(viewer: ls.Viewer, notebook: Any) -> None:
+    """The text line names the object beside the page's address; a click on the background clears the selection."""
     viewer._repr_mimebundle_()
     settled(viewer, notebook)
     assert viewer.url in line_of(viewer)
@@ -250,27 +246,27 @@ def test_a_click_in_the_cell_selects(viewer: ls.Viewer, notebook: Any) -> None:
     assert viewer._session.selected is None and "crate" not in line_of(viewer)
 
 
-def test_problems_are_told_in_the_cell(viewer: ls.Viewer, notebook: Any) -> None:
-    """As text, whatever is in it."""
+def test_cell_shows_errors_as_escaped_text(viewer: ls.Viewer, notebook: Any) -> None:
+    """HTML in an error message is escaped."""
     viewer._repr_mimebundle_()
     viewer._session.report("<b>lamp</b> is broken")
     assert "&lt;b&gt;lamp&lt;/b&gt; is broken" in line_of(viewer)
 
 
 def wait_for_views_that_move(viewer: ls.Viewer) -> None:
-    """Until the loop has nothing to draw for a view that has changed, and goes on with an errand."""
+    """Waits until no changed view is left to draw and the background job continues."""
     begun = threading.Event()
 
-    def errand() -> Generator[None]:
+    def background_job() -> Generator[None]:
         begun.set()
         yield
 
-    viewer._loop.run_in_background(errand())
+    viewer._loop.run_in_background(background_job())
     assert begun.wait(60.0)
 
 
-def test_cells_that_are_out_of_sight_are_not_rendered(viewer: ls.Viewer, notebook: Any) -> None:
-    """Until they are seen again, then with what has changed; a browser that comes anew gets a picture at once."""
+def test_hidden_cells_are_not_rendered(viewer: ls.Viewer, notebook: Any) -> None:
+    """A cell that becomes visible shows later changes; a new browser gets an image at once."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
     notebook.send("hide")
@@ -286,8 +282,8 @@ def test_cells_that_are_out_of_sight_are_not_rendered(viewer: ls.Viewer, noteboo
     notebook.picture(after=count)
 
 
-def test_a_cell_that_is_shown_twice_is_one(viewer: ls.Viewer, notebook: Any) -> None:
-    """Both show the same widget; after that was closed there is another one."""
+def test_cells_share_one_widget_until_it_is_closed(viewer: ls.Viewer, notebook: Any) -> None:
+    """A new widget is created after the first one was closed."""
     first, again = viewer._repr_mimebundle_()[0], viewer._repr_mimebundle_()[0]
     assert first[WIDGET] == again[WIDGET]
     notebook.send("close")
@@ -295,23 +291,23 @@ def test_a_cell_that_is_shown_twice_is_one(viewer: ls.Viewer, notebook: Any) -> 
 
 
 class Buffer:
-    """In place of the widget: it counts frames, and answers when it is told to."""
+    """A fake widget that counts frames and acknowledges them on demand."""
 
     def __init__(self) -> None:
         self.frames = 0
         self.answer: Any = None
 
     def observe(self, answer: Any, names: str) -> None:
-        """Keeps what answers."""
+        """Stores the callback for acknowledgements."""
         self.answer = answer
 
     def send_frame(self, picture: np.ndarray) -> None:
-        """Counts."""
+        """Counts a frame."""
         self.frames += 1
 
 
-def test_a_frame_waits_for_the_answer_to_the_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An answer to an older frame is none; closing ends the wait."""
+def test_screen_waits_for_the_last_frames_acknowledgement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Acknowledgements of older frames do not count; closing ends the wait."""
     monkeypatch.setattr(notebook_cells, "ANSWER_S", 60.0)
     buffer: Any = Buffer()
     screen, shown = CellScreen(buffer), ScreenImage(np.zeros((2, 2, 3), np.uint8), 80)
@@ -338,8 +334,8 @@ def test_a_frame_waits_for_the_answer_to_the_last_one(monkeypatch: pytest.Monkey
     assert not second.is_alive()
 
 
-def test_kernels_that_hear_no_answers_show_frames_all_the_same(viewer: ls.Viewer, notebook: Any) -> None:
-    """As while a cell runs that edits the scene."""
+def test_frames_are_shown_while_a_busy_kernel_gets_no_acknowledgements(viewer: ls.Viewer, notebook: Any) -> None:
+    """A running cell that edits the scene still shows new frames."""
     notebook.answers = False
     viewer._repr_mimebundle_()
     for step in range(3):
@@ -349,8 +345,8 @@ def test_kernels_that_hear_no_answers_show_frames_all_the_same(viewer: ls.Viewer
 
 
 @pytest.mark.parametrize("what", ["viewer", "widget"])
-def test_what_is_closed_leaves_no_thread(what: str, notebook: Any) -> None:
-    """Neither of the cell nor of the viewer; the cell says so, and later edits reach nobody."""
+def test_closed_cell_or_viewer_leaves_no_thread(what: str, notebook: Any) -> None:
+    """The cell shows that it is closed, and later edits do not reach it."""
     before, threads = page_threads(), set(threading.enumerate())
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     viewer._repr_mimebundle_()
@@ -371,22 +367,22 @@ def test_what_is_closed_leaves_no_thread(what: str, notebook: Any) -> None:
     assert viewer._repr_mimebundle_() == ({"text/plain": "Viewer(closed)"}, {})
 
 
-# --- Pictures ---
+# --- Still images ---
 
 
 def shell(*, allow_stdin: bool, types: tuple[str, ...] = ("image/png", "text/plain")) -> SimpleNamespace:
-    """IPython's shell in a kernel."""
+    """Returns a fake IPython shell with a kernel."""
     kernel = SimpleNamespace(get_parent=lambda channel: {"content": {"allow_stdin": allow_stdin}})
     return SimpleNamespace(kernel=kernel, display_formatter=SimpleNamespace(active_types=types))
 
 
 def bundled_image(data: dict[str, Any]) -> np.ndarray:
-    """The picture of a bundle."""
+    """Returns the image of a MIME bundle."""
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data["image/png"]))))
 
 
-def test_without_a_kernel_there_is_a_picture(viewer: ls.Viewer) -> None:
-    """A PNG of the scene as pages see it at first, and the text; no page and no thread is left of it."""
+def test_bundle_without_a_kernel_has_an_image(viewer: ls.Viewer) -> None:
+    """The bundle has a PNG of the first view and the text; no page or thread is left."""
     before = page_threads()
     data, about = viewer._repr_mimebundle_()
     assert (
@@ -399,24 +395,24 @@ def test_without_a_kernel_there_is_a_picture(viewer: ls.Viewer) -> None:
     assert page_threads() == before and not viewer._loop._pages
 
 
-def test_a_program_that_runs_a_notebook_gets_a_picture(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As nbconvert: there is a kernel, but nobody who could type, or turn a camera."""
+def test_notebook_runners_get_a_still_image(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program such as nbconvert has a kernel but no user, so it gets no widget."""
     monkeypatch.setattr(notebook_cells, "_shell", lambda: shell(allow_stdin=False))
     assert set(viewer._repr_mimebundle_()[0]) == {"image/png", "text/plain"}
 
 
-def test_a_terminal_gets_text_alone(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No frame is rendered for what cannot be seen."""
+def test_terminals_get_only_text(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No frame is rendered for a terminal."""
     formatter = SimpleNamespace(active_types=["text/plain"])
     monkeypatch.setattr(notebook_cells, "_shell", lambda: SimpleNamespace(display_formatter=formatter))
     monkeypatch.setattr(Notebook, "_picture", None)
     assert viewer._repr_mimebundle_() == ({"text/plain": repr(viewer)}, {})
 
 
-def test_a_missing_extra_is_named_once(
+def test_missing_extra_is_reported_once(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In the log and in the text, beside the picture."""
+    """The log and the text name the missing package, and the bundle has an image."""
     monkeypatch.setattr(notebook_cells, "_shell", lambda: shell(allow_stdin=True))
     monkeypatch.setitem(sys.modules, "jupyter_rfb", None)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -427,8 +423,8 @@ def test_a_missing_extra_is_named_once(
     assert [record.message for record in caplog.records] == [line]
 
 
-def test_a_notebook_gets_the_types_that_it_asks_for(viewer: ls.Viewer, notebook: Any) -> None:
-    """Types that are not included, or are excluded, are left out; text alone makes no widget and no frame."""
+def test_bundle_respects_included_and_excluded_types(viewer: ls.Viewer, notebook: Any) -> None:
+    """A bundle of only text creates no widget and renders no frame."""
     assert set(viewer._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
     assert set(viewer._repr_mimebundle_(exclude={WIDGET, "image/png", "image/jpeg"})[0]) == {"text/plain"}
     assert viewer._notebook._cell is None
@@ -436,8 +432,8 @@ def test_a_notebook_gets_the_types_that_it_asks_for(viewer: ls.Viewer, notebook:
     assert set(viewer._repr_mimebundle_(include={WIDGET})[0]) == {WIDGET}
 
 
-def test_what_cannot_be_shown_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file that is damaged, and whatever else goes wrong: a cell never gets an exception."""
+def test_bundle_falls_back_to_text_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A damaged file or any other error never raises in a cell."""
     (tmp_path / "damaged.ply").write_bytes(b"no capture")
     viewer = ls.view(tmp_path / "damaged.ply", device="cpu")
     data, about = viewer._repr_mimebundle_()
@@ -445,5 +441,5 @@ def test_what_cannot_be_shown_is_text(tmp_path: Path, monkeypatch: pytest.Monkey
     viewer.close()
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     monkeypatch.setattr(Notebook, "bundle", None)
-    assert "no picture" in viewer._repr_mimebundle_()[0]["text/plain"]
+    assert "no image" in viewer._repr_mimebundle_()[0]["text/plain"]
     viewer.close()

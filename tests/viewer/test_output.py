@@ -1,4 +1,4 @@
-"""What leaves the viewer as a download: pictures with layers, films, captures as a page."""
+"""Downloads from the viewer: images with layers, videos, and captures as HTML."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
 
 @pytest.fixture
 def viewer() -> Iterator[ls.Viewer]:
-    """A viewer on the lit scene."""
+    """Opens a viewer of the lit scene."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     viewer._loader.join()
     yield viewer
@@ -30,15 +30,15 @@ def viewer() -> Iterator[ls.Viewer]:
 
 @pytest.fixture
 def page(viewer: ls.Viewer) -> Iterator[PageClient]:
-    """A page at rest."""
+    """Opens a page and waits until its image is finished."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         settled(viewer, page)
         yield page
 
 
-def test_a_picture_is_the_frame_of_its_size_and_samples(page: PageClient) -> None:
-    """As `lumisplat.render` gives it at the page's camera, whatever the page shows; narrower, if that is asked for."""
+def test_exported_image_has_the_requested_size_and_samples(page: PageClient) -> None:
+    """The image equals `lumisplat.render` with the page's camera, whatever the page displays, at any width."""
     page.choose("height (px)", 120, folder="images")
     page.choose("width (px)", 100)
     page.choose("samples per pixel", 3, folder="images")
@@ -53,8 +53,8 @@ def test_a_picture_is_the_frame_of_its_size_and_samples(page: PageClient) -> Non
     assert np.abs(picture / 255.0 - expected.pixels_srgb()).max() < 0.01
 
 
-def test_an_exr_has_the_layers_that_were_asked_for(page: PageClient, tmp_path: Path) -> None:
-    """Besides those that it always has; one that there is not is told at once, and nothing comes."""
+def test_exported_exr_has_the_requested_layers(page: PageClient, tmp_path: Path) -> None:
+    """The EXR also has the standard layers; an unknown layer is reported at once and nothing is downloaded."""
     import OpenEXR
 
     page.choose("height (px)", 64, folder="images")
@@ -69,11 +69,11 @@ def test_an_exr_has_the_layers_that_were_asked_for(page: PageClient, tmp_path: P
     assert {"depth.Z", "normal.X", "index.instance", "albedo", "light.lamp.shadow"} <= channels
     page.choose("layers", "albdo")
     page.press("render image")
-    eventually(lambda: any("albdo" in note for note in page.notes()), "nobody was told")
+    eventually(lambda: any("albdo" in note for note in page.notes()), "no notification arrived")
 
 
-def test_a_video_has_a_frame_for_each_time_of_the_flight(viewer: ls.Viewer, page: PageClient) -> None:
-    """Each as seen from there."""
+def test_video_has_a_frame_for_each_time_of_the_camera_path(viewer: ls.Viewer, page: PageClient) -> None:
+    """Each frame is rendered from the path's camera at its time."""
     page.press("add key view")
     page.choose("seconds to next", 0.5)
     page.look(camera(1.5))
@@ -98,20 +98,20 @@ def test_a_video_has_a_frame_for_each_time_of_the_flight(viewer: ls.Viewer, page
     assert min(similar) > 30.0
 
 
-def test_work_can_be_cancelled_and_other_work_waits(viewer: ls.Viewer, page: PageClient) -> None:
-    """A picture of a great many samples ends when it is told to; while it goes on, no other is begun."""
+def test_jobs_can_be_cancelled_and_run_one_at_a_time(viewer: ls.Viewer, page: PageClient) -> None:
+    """A long render ends when cancelled; another job is refused while it runs."""
     page.choose("samples per pixel", 60000, folder="images")
     page.press("render image")
     eventually(lambda: bool(viewer._loop._background), "it did not begin")
     page.press("render image")
-    eventually(lambda: any("cancel it" in note for note in page.notes()), "nobody was told")
+    eventually(lambda: any("cancel it" in note for note in page.notes()), "no notification arrived")
     page.press("cancel")
     eventually(lambda: not viewer._loop._background, "it did not end")
     assert not page.downloads()
 
 
-def test_work_that_is_not_done_does_not_keep_a_viewer_open() -> None:
-    """It is closed in the middle of a picture."""
+def test_viewer_closes_during_a_job() -> None:
+    """The viewer closes in the middle of a render."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     viewer._loader.join()
     with PageClient(viewer.url) as page:
@@ -124,8 +124,8 @@ def test_work_that_is_not_done_does_not_keep_a_viewer_open() -> None:
     assert not viewer._loop._thread.is_alive()
 
 
-def test_captures_as_a_page_need_nothing_else() -> None:
-    """No address of another place is in the file, and the Gaussians are, under the transforms of their instances."""
+def test_exported_html_is_self_contained_and_has_all_gaussians() -> None:
+    """The file refers to no external address and has the Gaussians with their instance transforms."""
     scene = ls.Scene([ls.SplatInstance(cloud(), position=(3.0, 0.0, 0.0), scale_by=2.0)])
     text = captures_html(scene)
     assert text.lstrip().lower().startswith("<!doctype html") and 'src="http' not in text and "ws://127" not in text
@@ -136,7 +136,7 @@ def test_captures_as_a_page_need_nothing_else() -> None:
 
 
 def embedded(text: str) -> bytes:
-    """The recording in a page of viser."""
+    """Returns the scene data embedded in an exported HTML page."""
     import re
 
     import zstandard

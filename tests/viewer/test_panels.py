@@ -1,4 +1,4 @@
-"""What panels show of settings, and what they do to entries."""
+"""Panels: how they display settings, and how they edit entries."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ EXTENT = Extent((0.0, 0.0, 0.0), 2.0)
 
 
 class Kind(Enum):
-    """Kinds."""
+    """A kind."""
 
     ONE = "one"
-    """The first. It has more to say."""
+    """The first. This second sentence is not part of the hint."""
     TWO = "two"
     """The second."""
 
@@ -78,7 +78,7 @@ class Inner:
 
 @frozen
 class Sample:
-    """Settings that this package does not have."""
+    """Settings that the package does not have."""
 
     share: Annotated[float, Range(0.0, 0.9, "cd")] = 0.5
     """A share."""
@@ -95,12 +95,12 @@ class Sample:
 
 
 def field(name: str, cls: type = Sample) -> Setting:
-    """A field of settings by its name."""
+    """Returns a setting by its name."""
     return next(one for one in control_settings(cls) if one.name == name)
 
 
-def test_fields_say_their_kind_range_and_help() -> None:
-    """Of settings that nobody has told the panel of: a new one appears by itself."""
+def test_settings_have_kind_range_and_help() -> None:
+    """A dataclass that is not part of the package gets its controls from its declarations."""
     assert [one.name for one in control_settings(Sample)] == ["share", "count", "kind", "base_color", "inner"]
     assert (field("share").kind, field("share").low, field("share").high) == ("number", 0.0, 0.9)
     assert (field("count").kind, field("count").is_optional, field("count").low) == ("whole", True, 2.0)
@@ -112,8 +112,8 @@ def test_fields_say_their_kind_range_and_help() -> None:
 
 
 @pytest.mark.parametrize("cls", [ls.RenderConfig, ls.RealtimeConfig, ls.ShadowConfig, ls.MaterialPbr, ls.LightSpot])
-def test_every_value_survives_its_control(cls: type) -> None:
-    """Defaults of real settings, as they are shown and read back; colours to 8 bits."""
+def test_every_value_round_trips_through_its_control(cls: type) -> None:
+    """Defaults of all settings survive display and reading, colours with 8 bits."""
     for one in control_settings(cls):
         if one.kind == "group" or repr(one.default).startswith("<dataclasses._MISSING"):
             continue
@@ -124,8 +124,8 @@ def test_every_value_survives_its_control(cls: type) -> None:
             assert back == one.default, one.name
 
 
-def test_ranges_of_the_package_are_found() -> None:
-    """From the declarations."""
+def test_declared_ranges_of_settings_are_found() -> None:
+    """Controls have the ranges that the package declares."""
     ends = {
         name: (field(name, cls).low, field(name, cls).high)
         for name, cls in (
@@ -149,20 +149,22 @@ def test_ranges_of_the_package_are_found() -> None:
     ("kelvins", "expected"),
     [(6504.0, (1.0, 1.0, 1.0)), (2856.0, (1.0, 0.447, 0.0807)), (1900.0, (1.0, 0.227, 0.0))],
 )
-def test_colours_of_black_bodies(kelvins: float, expected: tuple[float, float, float]) -> None:
-    """Near daylight nearly white; illuminant A as CIE 15 has its chromaticity; a candle without blue."""
+def test_black_body_colours_match_reference_chromaticities(
+    kelvins: float, expected: tuple[float, float, float]
+) -> None:
+    """Daylight is nearly white, illuminant A has its CIE 15 chromaticity, and candlelight has no blue."""
     np.testing.assert_allclose(color_of_temperature(kelvins), expected, atol=0.06)
 
 
-def test_picked_colours_are_linear_light() -> None:
-    """All 256 shades come back; half of linear light is 188."""
+def test_picked_srgb_colours_become_linear() -> None:
+    """All 256 levels round-trip; linear 0.5 is level 188."""
     for shade in range(256):
         assert color_bytes_from_linear(linear_from_color_bytes((shade, shade, shade))) == (shade, shade, shade)
     assert color_bytes_from_linear((0.5, 2.0, -1.0)) == (188, 255, 0)
 
 
 def document() -> ls.io.SceneDocument:
-    """A box that is turned and placed, a floor below it (y is down), and lights."""
+    """Returns a document with a rotated box, a floor below it (y down), and lights."""
     box = ls.MeshInstance(
         ls.box(1.0), position=(1.0, -2.0, 3.0), rotation_degrees=(0.0, 90.0, 0.0), scale_by=2.0, name="box"
     )
@@ -179,12 +181,14 @@ def document() -> ls.io.SceneDocument:
 
 
 def moved(number: int, move: np.ndarray) -> ls.io.SceneDocument:
-    """The document with the grip of an entry moved."""
-    return moved_of(document(), number, move)
+    """Returns the document with the gizmo of an entry moved."""
+    return with_gizmo_moved(document(), number, move)
 
 
-def moved_of(start: ls.io.SceneDocument, number: int, move: np.ndarray, time: float = 0.0) -> ls.io.SceneDocument:
-    """A document with the grip of an entry moved at a time."""
+def with_gizmo_moved(
+    start: ls.io.SceneDocument, number: int, move: np.ndarray, time: float = 0.0
+) -> ls.io.SceneDocument:
+    """Returns a document with the gizmo of an entry moved at a time."""
     grip = gizmo_pose(start.entry(number), (np.full(3, -1.0), np.full(3, 1.0)), EXTENT, time)
     assert grip is not None
     return with_dragged_entry(
@@ -193,14 +197,14 @@ def moved_of(start: ls.io.SceneDocument, number: int, move: np.ndarray, time: fl
 
 
 def shift(x: float, y: float, z: float) -> np.ndarray:
-    """A translation."""
+    """Returns a translation."""
     matrix = np.eye(4)
     matrix[:3, 3] = (x, y, z)
     return matrix
 
 
-def test_drags_move_things_as_the_hand_does() -> None:
-    """A box keeps its turn and its size; lights go along, a sun on its dome."""
+def test_drag_translates_objects_and_lights() -> None:
+    """A box keeps its rotation and size; lights follow the gizmo, and a sun stays on its dome."""
     before = document().scene()
     after = moved(0, shift(0.5, 0.0, -1.0)).scene()
     np.testing.assert_allclose(after.meshes[0].transform, shift(0.5, 0.0, -1.0) @ before.meshes[0].transform, atol=1e-9)
@@ -208,11 +212,11 @@ def test_drags_move_things_as_the_hand_does() -> None:
     assert [light.position for light in lights] == [(1.5, 2.0, 3.0), (0.5, -2.0, 0.0), *[(0.5, -1.0, 0.0)] * 2]  # pyright: ignore
     sun = moved(4, shift(EXTENT.dome_radius, 0.0, 0.0)).scene().lights[2]
     np.testing.assert_allclose(sun.direction, (-math.sqrt(0.5), math.sqrt(0.5), 0.0), atol=1e-9)  # pyright: ignore
-    assert gizmo_pose(document().entry(7), None, EXTENT) is None  # a sky is nowhere
+    assert gizmo_pose(document().entry(7), None, EXTENT) is None  # an environment has no position
 
 
-def test_turns_turn_what_shines() -> None:
-    """A spot by a quarter about x, from down to along z; a rectangle's edges with it."""
+def test_gizmo_rotation_rotates_the_emission_of_lights() -> None:
+    """A quarter turn about x rotates a spot from down to +z, and the edges of a rectangle light likewise."""
     turn = np.eye(4)
     turn[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     spot = moved(3, shift(0, -2, 0) @ turn @ shift(0, 2, 0)).scene().lights[1]
@@ -223,8 +227,8 @@ def test_turns_turn_what_shines() -> None:
     np.testing.assert_allclose(disk.direction, (0.0, 0.0, 1.0), atol=1e-9)  # pyright: ignore
 
 
-def test_the_inspector_edits_what_it_names() -> None:
-    """Place, scale, material and hiding of a box; angles of a spot in degrees."""
+def test_inspector_fields_edit_the_entry() -> None:
+    """Position, scale, material and visibility of a box, and the angles of a spot in degrees, are applied."""
     edited = put_field(document(), 0, "position", (0.0, 0.0, 9.0))
     edited = put_field(edited, 0, "scale", 0.5)
     edited = put_field(edited, 0, "material.roughness", 0.25)
@@ -240,8 +244,8 @@ def test_the_inspector_edits_what_it_names() -> None:
         put_field(edited, 0, "material.roughness", 3.0)
 
 
-def test_the_ground_is_where_all_others_end() -> None:
-    """Below is +y here: the box's lowest point comes to the floor's."""
+def test_place_on_ground_uses_the_lowest_point_of_the_other_objects() -> None:
+    """With y down, the box's lowest point moves to that of the floor."""
     stood = with_entry_on_ground(document(), 0).scene().meshes[0]
     assert stood.bounds()[1][1] == pytest.approx(4.5)
     with pytest.raises(ls.SceneError, match="place on ground"):
@@ -249,7 +253,7 @@ def test_the_ground_is_where_all_others_end() -> None:
 
 
 def walker(folder: Path) -> ls.io.SceneDocument:
-    """A ball that moves from the left to the right while it turns, in a scene file."""
+    """Returns a document with a ball that rotates and moves from left to right."""
     ls.save(folder / "ball.ply", cloud())
     (folder / "scene.toml").write_text(
         '[[actors]]\npath = "ball.ply"\nscale = 0.5\n'
@@ -260,17 +264,17 @@ def walker(folder: Path) -> ls.io.SceneDocument:
 
 
 @pytest.mark.parametrize("time", [0.0, 1.0, 2.0])
-def test_an_actor_that_is_dragged_takes_its_way_along(tmp_path: Path, time: float) -> None:
-    """At the time of the drag it is where the hand is, whatever its motion; its size stays."""
+def test_dragging_an_actor_moves_its_whole_motion(tmp_path: Path, time: float) -> None:
+    """The actor is at the gizmo at the time of the drag and keeps its size."""
     document = walker(tmp_path)
     before = document.scene(time).splats[0].transform
     move = shift(0.0, -0.5, 0.25)
-    after = moved_of(document, 0, move, time).scene(time).splats[0].transform
+    after = with_gizmo_moved(document, 0, move, time).scene(time).splats[0].transform
     np.testing.assert_allclose(after, move @ before, atol=1e-9)
 
 
-def test_boxes_are_around_what_entries_show(tmp_path: Path) -> None:
-    """In coordinates of their files, whatever their pose; measured again only for other assets."""
+def test_boxes_enclose_entries_and_are_cached(tmp_path: Path) -> None:
+    """Boxes are in file coordinates for any pose; only changed assets are measured again."""
     boxes, start = BoxCache(), document()
     box = boxes.of(start.entry(0))
     assert box is not None
@@ -289,8 +293,8 @@ def test_boxes_are_around_what_entries_show(tmp_path: Path) -> None:
     assert boxes.of(start.entry(2)) is None
 
 
-def test_names_of_files_are_words_in_the_list(tmp_path: Path) -> None:
-    """Neither tags nor scripts, wherever they come from; what could not be read is listed, too."""
+def test_outliner_escapes_names_from_files(tmp_path: Path) -> None:
+    """Names never become tags or scripts; entries that could not be read are listed, too."""
     evil = "<img src=x onerror=alert(1)>"
     mesh = ls.MeshInstance(ls.box(1.0), name=evil)
     text = tree_html(ls.io.SceneDocument.of(ls.Scene(meshes=[mesh])), BoxCache())
@@ -302,15 +306,15 @@ def test_names_of_files_are_words_in_the_list(tmp_path: Path) -> None:
 
 
 def captured() -> ls.io.SceneDocument:
-    """A ball of Gaussians, of radius 0.5, and one stray Gaussian far away."""
+    """Returns a ball of Gaussians of radius 0.5, and one stray Gaussian far away."""
     ball = cloud()
     means = np.array(ball.means)
     means[0] = (50.0, 0.0, 0.0)
     return ls.io.SceneDocument.of(replace(ball, means=means))
 
 
-def test_a_crop_leaves_out_what_is_beyond_its_sliders() -> None:
-    """At its ends a slider leaves out nothing, not even strays; with all at their ends there is no crop."""
+def test_crop_removes_gaussians_outside_the_slider_ranges() -> None:
+    """An end at its limit removes nothing, not even stray Gaussians; with all ends at their limits there is no crop."""
     start, session = captured(), Session(Options())
     everything, reach = crop_ranges(start, 0, session)
     assert everything[1, 0] == pytest.approx(50.0) and 0.4 < reach[1, 0] < 1.0
@@ -326,14 +330,14 @@ def test_a_crop_leaves_out_what_is_beyond_its_sliders() -> None:
     assert "crop_low" not in cropped(half, 0, reach, reach, everything).entry(0).table
 
 
-def test_the_ends_of_a_crop_are_told_in_numbers() -> None:
-    """A row for each axis."""
+def test_crop_table_lists_the_slider_ends() -> None:
+    """The table has one row for each axis."""
     ends = np.array([[-1.0, 0.25, 1e-3], [2.0, 1000.5, 12.3456]])
     assert crop_table(ends).splitlines()[2:] == ["| x | -1 | 2 |", "| y | 0.25 | 1000 |", "| z | 0.001 | 12.35 |"]
 
 
-def test_what_is_added_stands_as_on_the_command_line() -> None:
-    """Beside captures it is placed and scaled as `ls.insert` does it; beside meshes it is not in them either."""
+def test_added_meshes_are_placed_as_by_insert() -> None:
+    """Beside captures, `ls.insert` gives position and scale; beside meshes, the new mesh does not overlap them."""
     capture = random_gaussians(3, count=200)
     for around in (ls.Scene([capture], up="z-up"), ls.Scene(meshes=[ls.box(1.0)])):
         session = Session(Options())
@@ -355,8 +359,8 @@ def test_what_is_added_stands_as_on_the_command_line() -> None:
             session.apply(lambda document, number=number: document.removed(number))
 
 
-def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:
-    """The same entry, with its other keys."""
+def test_added_environment_image_replaces_the_existing_one(tmp_path: Path) -> None:
+    """The entry stays the same and keeps its other keys."""
     for name in ("a.hdr", "b.hdr"):
         write_hdr(tmp_path / name, np.ones((4, 8, 3), np.float32))
     document, number = with_environment_image(ls.io.SceneDocument.of(ls.Scene()), str(tmp_path / "a.hdr"))
@@ -366,8 +370,8 @@ def test_a_sky_takes_the_place_of_another(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("aspect", [0.46, 1.2, 2.0])
-def test_new_lamps_are_seen_and_light_what_is_looked_at(aspect: float) -> None:
-    """However narrow the page is; with the same irradiance at the point that it turns about, by closed forms."""
+def test_new_lights_are_in_view_and_light_the_orbit_centre_equally(aspect: float) -> None:
+    """Any page width works; each type gives the same irradiance at the orbit centre, by closed forms."""
     pose = Pose.through(ls.Camera.look_at((1.0, 2.0, -4.0), (0.5, 0.0, 1.0), (0.0, -1.0, 0.0)), 3.0)
     pose = replace(pose, aspect=aspect)
     view, target = pose.camera(100), np.array(pose.target)
@@ -386,15 +390,15 @@ def test_new_lamps_are_seen_and_light_what_is_looked_at(aspect: float) -> None:
         assert table["intensity"] * area.get(kind, 1.0) / distance**2 == pytest.approx(3.0)
 
 
-def test_a_scale_of_nothing_is_refused_in_words() -> None:
-    """Not as a matrix that is singular, and not as a mirror."""
+def test_scale_that_is_not_positive_is_rejected() -> None:
+    """The error names the scale, not a singular matrix."""
     for scale in (0.0, -2.0, math.inf):
-        with pytest.raises(ls.ConfigError, match=f"^scale is {scale:g}, expected more than 0$"):
+        with pytest.raises(ls.ConfigError, match=f"^scale is {scale:g}, expected a number > 0$"):
             put_field(document(), 0, "scale", scale)
 
 
-def test_meshes_change_between_kinds_of_material() -> None:
-    """From that of their file to another, and back."""
+def test_mesh_material_type_can_be_changed_and_restored() -> None:
+    """A mesh changes from its file's material to another type and back."""
     start = document()
     looks = [shading_of(start.entry(0))]
     for kind in ("simple", "pbr"):
@@ -406,16 +410,16 @@ def test_meshes_change_between_kinds_of_material() -> None:
     assert shading_of(changed.changed(0, material=None).entry(0)) == "as in the file"
 
 
-def test_a_grid_is_on_the_ground() -> None:
-    """At right angles to up, a power of ten apart, as wide as was asked for."""
+def test_grid_is_perpendicular_to_up_with_power_of_ten_spacing() -> None:
+    """The grid has the requested size."""
     outline = grid_outline((1.0, 2.0, 3.0), (0.0, -1.0, 0.0), 6.0)
     points = np.concatenate(outline.lines)
     np.testing.assert_allclose(points[:, 1], 2.0)
     assert len(outline.lines) == 2 * 7 and np.ptp(points[:, 0]) == pytest.approx(6.0)
 
 
-def test_insets_show_depth_and_normals_in_a_corner() -> None:
-    """Framed, in the lower left; the rest of the picture stays."""
+def test_insets_show_depth_and_normals_in_the_corner() -> None:
+    """The framed insets are in the lower left; the rest of the image is unchanged."""
     frame = ls.render(ls.Scene(meshes=[ls.box(2.0)]), camera(), device="cpu")
     picture = np.asarray(frame, np.uint8)
     inset = with_insets(picture, frame)
@@ -423,8 +427,8 @@ def test_insets_show_depth_and_normals_in_a_corner() -> None:
     assert changed.any() and not changed[:60].any() and not changed[:, 100:].any()
 
 
-def test_what_is_selected_is_looked_at() -> None:
-    """The ball around a box is where the box is; around a lamp, a part of the scene; nothing is nowhere."""
+def test_selected_sphere_encloses_the_selected_object() -> None:
+    """A box gets its bounding sphere and a light a fraction of the scene size; no selection gives None."""
     session = Session(Options())
     session.open(State(document()))
     assert selected_sphere(session) is None
@@ -433,14 +437,14 @@ def test_what_is_selected_is_looked_at() -> None:
     assert ball is not None and ball[1] == pytest.approx(math.sqrt(3.0))
     np.testing.assert_allclose(ball[0], (1.0, -2.0, 3.0), atol=1e-6)
     session.select(2)
-    lamp = selected_sphere(session)
-    assert lamp is not None
-    np.testing.assert_allclose(lamp[0], (1.0, 2.0, 3.0))
+    light = selected_sphere(session)
+    assert light is not None
+    np.testing.assert_allclose(light[0], (1.0, 2.0, 3.0))
 
 
 @pytest.mark.parametrize("number", [3, 4, 5])
-def test_what_a_light_looks_at_can_be_edited_as_a_direction(number: int) -> None:
-    """Also of lights that are given by what they aim at: the direction takes its place."""
+def test_light_target_can_be_edited_as_a_direction(number: int) -> None:
+    """Editing the direction of a light with a target replaces the target."""
     start = document()
     keys = {3: {"direction": None}, 4: {"direction": None, "position": [0, -3, 0]}, 5: {"edge_u": None, "edge_v": None}}
     size = {"size": [1.0, 1.0]} if number == 5 else {}
@@ -450,8 +454,8 @@ def test_what_a_light_looks_at_can_be_edited_as_a_direction(number: int) -> None
     np.testing.assert_allclose(getattr(light, name), value, atol=1e-9)
 
 
-def test_numbers_that_follow_each_other_soon_are_one_undo_and_choices_never() -> None:
-    """A slider that is dragged is one; two pipelines, one after the other, are two."""
+def test_quick_number_edits_merge_into_one_undo_but_choices_do_not() -> None:
+    """Dragging a slider is one undo step; choosing two pipelines is two steps."""
     session = Session(Options())
     session.open(State(document()))
     for value in (1.0, 2.0):
@@ -465,8 +469,8 @@ def test_numbers_that_follow_each_other_soon_are_one_undo_and_choices_never() ->
     assert session.undo() and session.state.exposure == 1.0
 
 
-def test_edits_of_several_threads_are_all_there() -> None:
-    """One that takes long, as it reads a file, loses nothing of what is changed meanwhile."""
+def test_edits_of_several_threads_are_all_applied() -> None:
+    """A slow edit that reads a file keeps changes made meanwhile."""
     session, begun, edited = Session(Options()), threading.Event(), threading.Event()
     session.open(State(document()))
 
@@ -486,21 +490,21 @@ def test_edits_of_several_threads_are_all_there() -> None:
     assert session.state.document.entry(2).lights[0].intensity == 5.0  # pyright: ignore
 
 
-def test_every_extension_of_openusd_can_be_added() -> None:
-    """Those that are read."""
+def test_every_readable_usd_extension_can_be_added() -> None:
+    """The upload and file list accept all OpenUSD extensions that the package reads."""
     assert {*USD} <= {*adding._READABLE}
 
 
-def test_long_names_of_uploads_are_cut(tmp_path: Path) -> None:
-    """To what every file system takes; the extension stays."""
+def test_long_upload_names_are_shortened(tmp_path: Path) -> None:
+    """The name fits every file system and keeps its extension."""
     path = free_name(tmp_path, "x" * 400 + ".ply")
     assert path.suffix == ".ply" and len(path.name) <= 100
     path.write_bytes(b"")
     assert free_name(tmp_path, "x" * 400 + ".ply") != path
 
 
-def test_the_command_line_is_of_a_frame_that_there_is(tmp_path: Path) -> None:
-    """At the end of the time the last one; actors that are hidden do not count."""
+def test_command_line_selects_an_existing_frame(tmp_path: Path) -> None:
+    """The end of the animation maps to the last frame; hidden actors do not count."""
     session = Session(Options())
     session.open(State(walker(tmp_path).with_animation(duration=2.0, fps=5.0)))
     session.set_options(time=2.0)
@@ -512,8 +516,8 @@ def test_the_command_line_is_of_a_frame_that_there_is(tmp_path: Path) -> None:
     assert command_line(Path("a.toml"), pose, session).startswith("lumisplat render")
 
 
-def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
-    """Each crop makes a capture of its own; edits that share captures with what is shown cost nothing."""
+def test_undo_history_is_limited_by_capture_memory() -> None:
+    """Each crop creates a capture; edits that share captures with the current state cost nothing."""
     capture = ls.gaussians_from_mesh(ls.box(1.0), 1000, seed=0)
     states = [State(ls.io.SceneDocument.of(capture))]
     for number in range(1, 6):
@@ -522,13 +526,13 @@ def test_undo_keeps_as_many_captures_as_memory_has_room_for() -> None:
         states.append(replace(states[-1], exposure=1.0))
     captures = [state.document.entry(0).splats[0].gaussians for state in states]
     most = sum(array.nbytes for capture in (captures[5], captures[7]) for array in arrays_of(capture))
-    small = 8192  # of matrices and bounds
+    small = 8192  # matrices and bounds
     assert limit_undo_memory(states[:-1], states[-1], most + small) == states[-6:-1]
     assert limit_undo_memory(states[:-1], states[-1]) == states[:-1]
 
 
-def test_undo_counts_the_images_of_environments() -> None:
-    """Each is held by the state that showed it."""
+def test_undo_memory_includes_environment_images() -> None:
+    """Each undo state keeps its own environment image."""
     images = [np.full((32, 64, 3), value, np.float32) for value in (0.5, 1.0, 2.0)]
     states = [State(ls.io.SceneDocument.of(ls.Scene(lights=[ls.LightEnvironment(image=image)]))) for image in images]
     most = images[0].nbytes
@@ -537,12 +541,12 @@ def test_undo_counts_the_images_of_environments() -> None:
 
 
 def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:
-    """All arrays of a capture."""
+    """Returns all arrays of a capture."""
     return [value for one in fields(gaussians) if isinstance(value := getattr(gaussians, one.name), np.ndarray)]
 
 
-def test_the_command_line_has_the_samples_of_the_settings(tmp_path: Path) -> None:
-    """Not those that a picture happens to have; without any, none are given."""
+def test_command_line_uses_the_samples_of_the_settings(tmp_path: Path) -> None:
+    """Samples accumulated in the image do not count; without a setting there is no option."""
     session = Session(Options())
     session.open(State(ls.io.SceneDocument.of(cloud()), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=16)))
     pose = Pose((0.0, 0.0, -3.0), (1.0, 0.0, 0.0, 0.0), 0.8, 1.6, 3.0)
@@ -551,8 +555,8 @@ def test_the_command_line_has_the_samples_of_the_settings(tmp_path: Path) -> Non
     assert "--samples" not in command_line(Path("a.toml"), pose, session)
 
 
-def test_the_command_line_loads_files_as_the_page_did_and_has_all_digits_of_the_view(tmp_path: Path) -> None:
-    """Files with Gaussians that are left out would be refused without the option; scenes may lie far away."""
+def test_command_line_repeats_loading_options_and_the_exact_view(tmp_path: Path) -> None:
+    """Files with invalid Gaussians need the option again; scenes far from the origin need all digits."""
     ls.save(tmp_path / "ball.ply", cloud())
     viewer = ls.view(tmp_path / "ball.ply", device="cpu", drop_invalid=True, lod_budget=1000)
     viewer._loader.join()
@@ -563,8 +567,8 @@ def test_the_command_line_loads_files_as_the_page_did_and_has_all_digits_of_the_
 
 
 @pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
-def test_suns_stand_where_their_angles_and_the_clock_say(up: tuple[float, float, float]) -> None:
-    """Whatever is up: angles survive, it rises in the east at 6, is highest in front at 12, and sets in the west."""
+def test_sun_direction_follows_angles_and_hour(up: tuple[float, float, float]) -> None:
+    """Angles round-trip for every up direction; the sun rises in the east at 6 and is highest, in front, at 12."""
     for azimuth, elevation in ((0.0, 30.0), (90.0, 5.0), (200.0, -40.0), (359.0, 80.0)):
         direction = direction_of_angles(azimuth, elevation, up)
         assert np.linalg.norm(direction) == pytest.approx(1.0)
@@ -580,8 +584,8 @@ def test_suns_stand_where_their_angles_and_the_clock_say(up: tuple[float, float,
     np.testing.assert_allclose(direction_of_hour(12.0, up), noon.camera_from_world[2, :3], atol=1e-9)
 
 
-def test_the_inspector_turns_suns_by_their_angles() -> None:
-    """Each alone; a sun that was placed by words is placed by its direction from then on."""
+def test_inspector_sets_sun_angles_independently() -> None:
+    """Setting one angle keeps the other; a sun given by a target gets a direction instead."""
     scene = ls.Scene(
         meshes=[ls.MeshInstance(ls.box(1.0))], lights=[ls.LightDirectional((0.3, 1.0, 0.4))], up=(0, -1, 0)
     )
@@ -609,21 +613,21 @@ def test_the_inspector_turns_suns_by_their_angles() -> None:
         (math.inf, 8, math.inf),
     ],
 )
-def test_numbers_are_rounded_to_the_room_of_their_control(value: float, room: int, shown: float) -> None:
-    """So that none is cut, and none has zeros that say nothing; digits before the point are never left out."""
+def test_displayed_numbers_fit_their_control(value: float, room: int, shown: float) -> None:
+    """Numbers are neither cut off nor padded with zeros, and keep all digits before the decimal point."""
     assert rounded_for_display(value, room) == shown
 
 
-def test_what_was_not_changed_in_a_vector_keeps_its_digits() -> None:
-    """One number is typed; the others stay what they are, though fewer digits of them are shown."""
+def test_unchanged_vector_components_keep_full_precision() -> None:
+    """Typing one component leaves the others exact, although fewer digits are displayed."""
     before = (12.15493217, 0.0123456789, -3.0)
     field = Setting("position", "vector", "")
     given = (to_control_value(field, before)[0], 0.5, -3.0)
     assert keep_unchanged_numbers(given, before) == (12.15493217, 0.5, -3.0)
 
 
-def test_the_first_edit_of_a_material_keeps_its_folder(tmp_path: Path) -> None:
-    """And its controls, where the type of the material stays, also if the file had said it until then."""
+def test_first_material_edit_keeps_the_folder_and_controls(tmp_path: Path) -> None:
+    """The controls stay if the material type stays, also if the material came from the file before."""
     viewer = ls.view(ls.MeshInstance(ls.box(1.0)).mesh, height=90, device="cpu")
     viewer._loader.join()
     session, inspector = viewer._session, viewer._outliner._inspector
@@ -638,24 +642,24 @@ def test_the_first_edit_of_a_material_keeps_its_folder(tmp_path: Path) -> None:
     viewer.close()
 
 
-def test_the_list_selects_hides_and_locks() -> None:
-    """By what is clicked in it; what is locked is passed by, and not edited."""
+def test_outliner_commands_select_hide_and_lock() -> None:
+    """A locked entry cannot be selected in the image or edited."""
     viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0), name="crate")]), height=90, device="cpu")
     viewer._loader.join()
-    session, things, problems, client = viewer._session, viewer._outliner, [], cast(Any, None)
+    session, outliner, problems, client = viewer._session, viewer._outliner, [], cast(Any, None)
     session.error_listeners.append(problems.append)
-    things._channel._take(("select 0 1", client))
-    assert session.selected == 0 and "lumi-row selected" in things._tree.content
-    things._channel._take(("hide 0 2", client))
+    outliner._channel._take(("select 0 1", client))
+    assert session.selected == 0 and "lumi-row selected" in outliner._tree.content
+    outliner._channel._take(("hide 0 2", client))
     assert viewer.document.entry(0).hidden and not viewer.scene.meshes
-    things._channel._take(("hide 0 3", client))
-    things._channel._take(("lock 0 4", client))
+    outliner._channel._take(("hide 0 3", client))
+    outliner._channel._take(("lock 0 4", client))
     assert session.locked == {0} and viewer._gizmo._handle is None
-    things.act("delete")
+    outliner.act("delete")
     assert viewer.document.entries and problems == ["crate is locked: unlock it in the list"]
-    assert all(control.handle.disabled for control in things._inspector._controls.values())
+    assert all(control.handle.disabled for control in outliner._inspector._controls.values())
     for nonsense in ("", "select", "select x 1", "explode 0 1", "select -1 2"):
-        things._channel._take((nonsense, client))
-    things._channel._take(("lock 0 5", client))
+        outliner._channel._take((nonsense, client))
+    outliner._channel._take(("lock 0 5", client))
     assert not session.locked and session.selected == 0 and viewer._gizmo._handle is not None
     viewer.close()

@@ -1,4 +1,4 @@
-"""Scenes of frames with actors: lit as `lumisplat animate` lights them, quick while something else changes."""
+"""Scenes with actors: lit as by `lumisplat animate`, and fast to update when other objects change."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONFIG = ls.RenderConfig()
 
 
 def floor(count: int = 3000) -> ls.Gaussians:
-    """A captured grey floor, y is down."""
+    """Returns a captured grey floor; y is down."""
     rng = np.random.default_rng(1)
     means = np.column_stack([rng.uniform(-2, 2, count), np.full(count, 0.6), rng.uniform(-2, 2, count)])
     return ls.Gaussians(
@@ -30,7 +30,7 @@ def floor(count: int = 3000) -> ls.Gaussians:
 
 
 def animation(lighting: ls.config.AvatarLightingConfig | None = None) -> ls.Animation:
-    """A ball that goes from the left to the right over the floor, under a sun."""
+    """Returns a ball that moves from left to right over the floor, under a sun."""
     stage = ls.Scene([floor()], lights=[ls.LightDirectional((0.3, 1.0, 0.0))], up=UP)
     ball = ls.Actor(cloud(), ls.Keyframes([0.0, 2.0], positions=[(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)]))
     return ls.Animation(stage, [ball], frame_count=50, lighting=lighting or ls.config.AvatarLightingConfig())
@@ -38,19 +38,19 @@ def animation(lighting: ls.config.AvatarLightingConfig | None = None) -> ls.Anim
 
 @pytest.fixture
 def scenes() -> Iterator[SceneBuilder]:
-    """What makes scenes; nothing may go wrong."""
+    """Returns a scene builder that fails on any report."""
     levels = Levels(lambda: None)
     yield SceneBuilder(levels, "cpu", lambda label, share: None, report=pytest.fail)
     levels.close()
 
 
 def colors(scene: ls.Scene) -> list[np.ndarray]:
-    """The coefficients of all captures."""
+    """Returns the SH coefficients of all captures."""
     return [np.asarray(instance.gaussians.sh) for instance in scene.splats]
 
 
-def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: SceneBuilder) -> None:
-    """Their shadow on the floor and their own light, to the bit; the same scene as long as nothing changes."""
+def test_actors_are_lit_as_in_animation_frames(scenes: SceneBuilder) -> None:
+    """Shadows on the floor and the relit actor are equal bit for bit, and unchanged inputs return the same scene."""
     wanted = animation()
     shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
     expected = ls.AvatarLighter(wanted.scene, config=wanted.lighting, device="cpu").light(wanted.actors_at(1.0))
@@ -59,8 +59,8 @@ def test_actors_are_lit_as_in_the_frames_of_their_animation(scenes: SceneBuilder
     assert np.abs(colors(shown)[0] - colors(wanted.scene)[0]).max() > 0.1  # there is a shadow
 
 
-def test_scenes_are_the_same_object_while_nothing_changes(scenes: SceneBuilder) -> None:
-    """Another time is another one, and so is another setting of the light."""
+def test_unchanged_inputs_return_the_same_scene_object(scenes: SceneBuilder) -> None:
+    """Another time or lighting setting gives another scene."""
     document = ls.io.SceneDocument.of(animation())
     first = scenes.of(document, CONFIG, 1.0, 0, waits=True)
     assert scenes.of(document, CONFIG, 1.0, 0, waits=False) is first
@@ -71,8 +71,8 @@ def test_scenes_are_the_same_object_while_nothing_changes(scenes: SceneBuilder) 
     assert np.abs(colors(half)[0] - colors(first)[0]).max() > 0.05
 
 
-def test_who_cannot_wait_gets_actors_without_light(scenes: SceneBuilder) -> None:
-    """Until the light was prepared once; a change of what stands still takes it away again."""
+def test_actors_are_unlit_until_their_lighting_is_prepared(scenes: SceneBuilder) -> None:
+    """A change of the static scene makes the lighting invalid again."""
     document, plain = ls.io.SceneDocument.of(animation()), colors(animation().scene)[0]
     unlit = scenes.of(document, CONFIG, 1.0, 0, waits=False)
     assert len(unlit.splats) == 2
@@ -84,22 +84,22 @@ def test_who_cannot_wait_gets_actors_without_light(scenes: SceneBuilder) -> None
     np.testing.assert_array_equal(colors(scenes.of(moved, CONFIG, 1.2, 0, waits=False))[0], plain)
 
 
-def test_light_that_is_off_changes_nothing(scenes: SceneBuilder) -> None:
-    """Neither shadows nor light of the place."""
+def test_disabled_actor_lighting_changes_nothing(scenes: SceneBuilder) -> None:
+    """Without shadows and relighting, floor and actor keep their colours."""
     off = ls.config.AvatarLightingConfig(shadows=False, relight=False)
     shown = scenes.of(ls.io.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)
     for ours, theirs in zip(colors(shown), [colors(animation().scene)[0], cloud().sh], strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_where_no_light_is_found_actors_keep_their_own() -> None:
-    """It is told, once, and the frame is there all the same."""
-    told: list[str] = []
+def test_actors_are_unlit_if_no_light_is_found() -> None:
+    """The failure is reported once and the frame is still rendered."""
+    reported: list[str] = []
     levels = Levels(lambda: None)
-    scenes = SceneBuilder(levels, "cpu", lambda label, share: None, report=told.append)
+    scenes = SceneBuilder(levels, "cpu", lambda label, share: None, report=reported.append)
     dark = replace(animation(), scene=replace(animation().scene, lights=[]))
     document = ls.io.SceneDocument.of(dark)
     for time in (0.0, 1.0):
         assert len(scenes.of(document, CONFIG, time, 0, waits=True).splats) == 2
-    assert len(told) == 1 and told[0].startswith("actors are shown unlit")
+    assert len(reported) == 1 and reported[0].startswith("actors are shown unlit")
     levels.close()

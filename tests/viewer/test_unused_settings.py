@@ -1,4 +1,4 @@
-"""Controls offer what has an effect and is accepted, and messages speak of controls, not of Python."""
+"""Controls offer only settings with an effect and valid choices, and messages use the labels of controls."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNLIT = ls.Scene([replace(lit_scene().splats[0], material=None)])
 
 
 def shows(renderer: ls.Renderer, scene: ls.Scene, view: str) -> bool:
-    """Whether a frame has a view."""
+    """True if a frame has a view."""
     try:
         renderer.reconfigure(frame_config(renderer.config, view))
         renderer.render(scene, camera(height=9)).view(view)
@@ -34,8 +34,8 @@ def shows(renderer: ls.Renderer, scene: ls.Scene, view: str) -> bool:
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_the_views_that_are_offered_are_those_that_frames_have(pipeline: ls.Pipeline) -> None:
-    """All of them and no other, by default and where lighting is chosen against it, for a lit and an unlit scene."""
+def test_available_views_are_exactly_those_of_frames(pipeline: ls.Pipeline) -> None:
+    """The test covers lit and unlit scenes, with lighting by default and explicitly on or off."""
     for scene, lighting in ((lit_scene(), None), (lit_scene(), False), (UNLIT, None), (UNLIT, True)):
         config = ls.RenderConfig(pipeline=pipeline, lighting=lighting)
         renderer = ls.create_renderer(config, "cpu")
@@ -44,8 +44,8 @@ def test_the_views_that_are_offered_are_those_that_frames_have(pipeline: ls.Pipe
         assert available_views(config, lit=lit) == ("color", *there), (lighting, scene.lights)
 
 
-def test_a_view_that_other_settings_do_not_have_becomes_the_colour() -> None:
-    """Instead of an error for each frame."""
+def test_unavailable_view_falls_back_to_color() -> None:
+    """The view changes instead of causing an error for each frame."""
     session, problems = Session(Options()), []
     session.error_listeners.append(problems.append)
     session.open(State(ls.io.SceneDocument.of(lit_scene()), ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)))
@@ -54,8 +54,8 @@ def test_a_view_that_other_settings_do_not_have_becomes_the_colour() -> None:
     assert session.options.view == "color" and "cache" not in session.views and not problems
 
 
-def test_settings_without_an_effect_change_no_pixel() -> None:
-    """Those that are disabled for a pipeline, each at another value, but for those that would be refused."""
+def test_unused_settings_change_no_pixel() -> None:
+    """Each setting that a pipeline does not use is given another value, except invalid ones."""
     others: dict[str, Any] = {
         "max_bounces": 0,
         "seed": 7,
@@ -82,25 +82,25 @@ def test_settings_without_an_effect_change_no_pixel() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_no_choice_beside_others_is_refused_by_frames(pipeline: ls.Pipeline) -> None:
-    """Each choice of each setting, in groups too, that is not disabled, beside any of the rasteriser's own choices."""
+def test_enabled_raster_choices_render_without_error(pipeline: ls.Pipeline) -> None:
+    """Every choice of an enabled raster setting is valid with every combination of the other raster settings."""
     combinations = itertools.product(ls.config.Projection, ls.config.RasterStrategy, ls.config.GaussianSurface)
     disabled = 0
     for projection, strategy, surface in combinations:
         raster = ls.RasterConfig(projection=projection, strategy=strategy, surface=surface)
         config = ls.RenderConfig(pipeline=pipeline, raster=raster)
-        if is_refused(config):
+        if is_rejected(config):
             continue
         unused = unused_settings(config, lit=True)
         disabled += any(name.startswith("raster.") for name in unused)
         for field in control_settings(ls.RasterConfig):
             for choice in field.choices if f"raster.{field.name}" not in unused and "raster" not in unused else ():
-                assert not is_refused(replace(config, raster=replace(raster, **{field.name: choice}))), choice
+                assert not is_rejected(replace(config, raster=replace(raster, **{field.name: choice}))), choice
     assert disabled > 0
 
 
-def is_refused(config: ls.RenderConfig) -> bool:
-    """Whether frames of such settings are refused because of the projection."""
+def is_rejected(config: ls.RenderConfig) -> bool:
+    """True if the settings are rejected because of the projection."""
     try:
         check_projection(config)
     except ls.ConfigError:
@@ -108,8 +108,8 @@ def is_refused(config: ls.RenderConfig) -> bool:
     return False
 
 
-def test_controls_of_settings_without_an_effect_are_disabled_and_say_why() -> None:
-    """On the page, as the pipeline changes."""
+def test_controls_of_unused_settings_are_disabled_with_a_reason() -> None:
+    """Controls on the page change with the pipeline and with the scene."""
     viewer = ls.view(
         lit_scene(), height=90, device="cpu", config=ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=2)
     )
@@ -133,8 +133,8 @@ def test_controls_of_settings_without_an_effect_are_disabled_and_say_why() -> No
     viewer.close()
 
 
-def test_each_choice_that_is_offered_is_accepted() -> None:
-    """Of settings and all their groups; means of shadow rays, for one, would be refused."""
+def test_every_offered_choice_is_accepted() -> None:
+    """Choices of all settings and nested groups are valid; ``mean`` of shadow rays, which is not, is not offered."""
     viewer = ls.view(lit_scene(), height=90, device="cpu")
     viewer._loader.join()
     config = ls.RenderConfig()
@@ -154,14 +154,14 @@ def test_each_choice_that_is_offered_is_accepted() -> None:
     viewer.close()
 
 
-def test_whole_numbers_go_by_the_steps_that_are_accepted() -> None:
-    """A shadow map has a multiple of 8 texels."""
+def test_integer_controls_step_by_valid_values() -> None:
+    """The resolution of a shadow map is a multiple of 8 texels."""
     fields = {field.name: field for field in control_settings(ls.config.DeepShadowConfig)}
     assert fields["resolution"].range.step == 8 and fields["resolution"].low == 8
 
 
-def test_no_background_can_be_chosen_and_taken_back() -> None:
-    """Transparent is no colour: it has a control of its own."""
+def test_transparent_background_can_be_set_and_undone() -> None:
+    """A checkbox sets a transparent background; clearing it restores the last colour."""
     viewer = ls.view(lit_scene(), height=90, device="cpu", config=ls.RenderConfig(background=None, samples=2))
     viewer._loader.join()
     session = viewer._session
@@ -194,13 +194,13 @@ def test_no_background_can_be_chosen_and_taken_back() -> None:
         ("set max_bounces.", "set max bounces."),
     ],
 )
-def test_messages_speak_of_the_controls_of_the_page(message: str, words: str) -> None:
-    """By their labels; what is no setting stays."""
+def test_messages_use_the_labels_of_controls(message: str, words: str) -> None:
+    """Words that are not settings are unchanged."""
     assert page_words(message).startswith(words)
 
 
-def test_no_choice_of_a_setting_is_told_as_python_writes_it() -> None:
-    """Of all settings, whatever class they are of."""
+def test_messages_contain_no_python_enum_names() -> None:
+    """The law holds for all choices of all settings."""
 
     def choices(cls: type) -> list[Enum]:
         groups = [choices(field.group) for field in control_settings(cls) if field.group is not None]
@@ -209,5 +209,7 @@ def test_no_choice_of_a_setting_is_told_as_python_writes_it() -> None:
     found = choices(ls.RenderConfig)
     assert len(found) > 20
     for choice in found:
-        told = page_words(f"use {type(choice).__name__}.{choice.name}")
-        assert told.endswith(f" {choice.value}") and not re.search(r"[A-Z]\w*\.|_", told.removesuffix(choice.value))
+        message = page_words(f"use {type(choice).__name__}.{choice.name}")
+        assert message.endswith(f" {choice.value}") and not re.search(
+            r"[A-Z]\w*\.|_", message.removesuffix(choice.value)
+        )

@@ -1,4 +1,4 @@
-"""The viewer as a page sees it, over a bare WebSocket: pictures, edits, and what must not break it."""
+"""The viewer as a page client sees it, over a WebSocket without a browser."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from support.viewer.page_client import PageClient
 
 HEIGHT = 90
 UP = (0.0, -1.0, 0.0)
-LAMP = (0.0, -1.0, -0.8)
+LIGHT = (0.0, -1.0, -0.8)
 TIMEOUT_S = 300.0
-"""How long anything may take on a busy machine; nothing waits that long unless it is wrong."""
+"""Longest wait on a busy machine, seconds; a working viewer never takes that long."""
 
 
 def cloud(seed: int = 3, count: int = 400) -> ls.Gaussians:
-    """A ball of coloured Gaussians, of radius 0.5."""
+    """Returns a ball of coloured Gaussians, radius 0.5."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(count, 3))
     means = 0.5 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -50,37 +50,37 @@ def cloud(seed: int = 3, count: int = 400) -> ls.Gaussians:
 
 
 def lit_scene() -> ls.Scene:
-    """A relit ball to the left, a box to the right, a lamp above."""
+    """Returns a relit ball on the left, a box on the right, and a light above."""
     ball = ls.SplatInstance(cloud(), position=(-0.7, 0.0, 0.0), material=ls.MaterialPbr(), name="ball")
     box = ls.MeshInstance(ls.box(0.8), position=(0.8, 0.0, 0.0), name="crate")
-    return ls.Scene([ball], [box], [ls.LightPoint(LAMP, intensity=2.0, name="lamp")], up=UP)
+    return ls.Scene([ball], [box], [ls.LightPoint(LIGHT, intensity=2.0, name="lamp")], up=UP)
 
 
 def camera(x: float = 0.0, height: int = HEIGHT) -> ls.Camera:
-    """Looks at the scene from in front, from more or less to the right."""
+    """Returns a camera in front of the scene, shifted to the right."""
     return ls.Camera.look_at((x, -0.4, -3.5), (0.0, 0.0, 0.0), UP, width=160 * height // 90, height=height)
 
 
 def eventually(holds: Callable[[], bool], what: str) -> None:
-    """Waits for something that another thread does."""
+    """Waits for a condition that another thread fulfils."""
     until = time.monotonic() + TIMEOUT_S
     while not holds():
         assert time.monotonic() < until, what
         time.sleep(0.01)
 
 
-async def heard() -> None:
-    """Ends when all that pages have asked for before is done; runs on the viewer's own loop."""
-    for _ in range(100):  # it takes a message a turn
+async def wait_for_events() -> None:
+    """Waits until all earlier events of pages are handled; runs on the viewer's event loop."""
+    for _ in range(100):  # each turn of the loop handles one message
         await asyncio.sleep(0)
     queue = event_queue._QUEUES.get(asyncio.get_running_loop())
     if queue is not None:
-        async with queue.lock:  # who waits longest is next
+        async with queue.lock:  # the lock is fair: first come, first served
             pass
 
 
-def looks(viewer: ls.Viewer, number: int) -> bool:
-    """Whether a page looks from where its browser has said last."""
+def has_reported_pose(viewer: ls.Viewer, number: int) -> bool:
+    """True if the viewer has the camera that the page reported last."""
     client, page = viewer._viser.get_clients().get(number), viewer._pages.get(number)
     if client is None or page is None:
         return True
@@ -88,31 +88,31 @@ def looks(viewer: ls.Viewer, number: int) -> bool:
 
 
 def settled(viewer: ls.Viewer, page: PageClient) -> np.ndarray:
-    """The picture of a page once no page has anything more to come."""
+    """Returns a page's image when all pages are finished."""
     page.picture()
 
     def rests() -> bool:
         pages, revision = dict(viewer._pages), viewer._session.revision
         return all(
-            each.is_at_rest and each.key == (revision, each.pose_number) and looks(viewer, number)
+            each.is_at_rest and each.key == (revision, each.pose_number) and has_reported_pose(viewer, number)
             for number, each in pages.items()
         )
 
-    for _ in range(2):  # an answer may ask for more
+    for _ in range(2):  # an acknowledgement may start another frame
         page.ping()
-        asyncio.run_coroutine_threadsafe(heard(), viewer._viser.get_event_loop()).result()
+        asyncio.run_coroutine_threadsafe(wait_for_events(), viewer._viser.get_event_loop()).result()
         eventually(rests, "the pages do not come to rest")
     return page.picture()
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> float:
-    """Mean absolute difference of two pictures, in steps of 255."""
+    """Returns the mean absolute difference of two images, in levels of 255."""
     return float(np.abs(first.astype(float) - second).mean())
 
 
 @pytest.fixture
 def viewer() -> Iterator[ls.Viewer]:
-    """A viewer on the lit scene, with outlines off: pictures are the renderer's own."""
+    """Opens a viewer of the lit scene without outlines, so that images equal rendered frames."""
     viewer = ls.view(
         lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
     )
@@ -122,8 +122,8 @@ def viewer() -> Iterator[ls.Viewer]:
     viewer.close()
 
 
-def test_a_page_shows_what_the_renderer_renders(viewer: ls.Viewer) -> None:
-    """At rest, the picture is that of a frame of as many samples, at the page's camera, but for the JPEG."""
+def test_page_shows_the_rendered_image(viewer: ls.Viewer) -> None:
+    """The still image equals a frame with the same samples and camera, up to JPEG error."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         shown = settled(viewer, page) / 255.0
@@ -132,8 +132,8 @@ def test_a_page_shows_what_the_renderer_renders(viewer: ls.Viewer) -> None:
     assert ls.metrics.psnr(shown.astype(np.float32), expected) > 35.0
 
 
-def test_two_pages_have_their_own_cameras(viewer: ls.Viewer) -> None:
-    """And each keeps its own while the other one moves."""
+def test_pages_have_independent_cameras(viewer: ls.Viewer) -> None:
+    """A page keeps its camera while the other page moves."""
     with PageClient(viewer.url) as left, PageClient(viewer.url) as right:
         left.look(camera(-1.5))
         right.look(camera(1.5))
@@ -144,8 +144,8 @@ def test_two_pages_have_their_own_cameras(viewer: ls.Viewer) -> None:
         np.testing.assert_array_equal(left.picture(), before)
 
 
-def test_a_click_selects_what_is_seen(viewer: ls.Viewer) -> None:
-    """By the last frame: the capture with its Gaussian, the mesh, or nothing."""
+def test_click_selects_the_visible_object(viewer: ls.Viewer) -> None:
+    """The last frame decides: a capture with its Gaussian, a mesh, or nothing."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         settled(viewer, page)
@@ -157,48 +157,50 @@ def test_a_click_selects_what_is_seen(viewer: ls.Viewer) -> None:
         eventually(lambda: viewer.document.entry(selected.selected or 0).name == "crate", "the mesh is not selected")
         page.click(0.02, 0.02)
         eventually(lambda: selected.selected is None, "the background is not nothing")
-        eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "nobody was told")
+        eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "no notification arrived")
 
 
-def test_the_selection_can_change_without_a_trace(viewer: ls.Viewer, recwarn: pytest.WarningsRecorder) -> None:
-    """Controls of one thing after another are made and removed, each once."""
+def test_changing_the_selection_removes_old_controls(viewer: ls.Viewer, recwarn: pytest.WarningsRecorder) -> None:
+    """Controls of one object after another are added and removed exactly once."""
     for entry in (*viewer.document.entries, *viewer.document.entries):
         viewer._session.select(entry.id)
     viewer._session.select(None)
     assert not [str(warning.message) for warning in recwarn]
 
 
-def lamp_id(viewer: ls.Viewer) -> int:
-    """The id of the lamp's entry."""
+def light_id(viewer: ls.Viewer) -> int:
+    """Returns the entry id of the light."""
     return next(entry.id for entry in viewer.document.entries if entry.name == "lamp")
 
 
-def test_a_dragged_handle_moves_the_lamp_and_undo_moves_it_back(viewer: ls.Viewer) -> None:
-    """The picture follows; after one undo for all of the drag, it is the same to the bit."""
+def test_gizmo_drag_moves_the_light_and_one_undo_restores_it(viewer: ls.Viewer) -> None:
+    """The image follows the drag; one undo restores it bit for bit."""
     with PageClient(viewer.url) as page:
         page.look(camera())
-        viewer._session.select(lamp_id(viewer))
+        viewer._session.select(light_id(viewer))
         before, document = settled(viewer, page), viewer.document
         count = len(page.pictures)
         page.send("TransformControlsDragStartMessage", name=viewer._gizmo.node)
         for step in range(1, 6):
-            position = [LAMP[0] + 0.6 * step, LAMP[1], LAMP[2]]
+            position = [LIGHT[0] + 0.6 * step, LIGHT[1], LIGHT[2]]
             page.send(
                 "TransformControlsUpdateMessage", name=viewer._gizmo.node, wxyz=[1.0, 0.0, 0.0, 0.0], position=position
             )
         page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
-        eventually(lambda: viewer.scene.lights[0].position == pytest.approx((3.0, *LAMP[1:])), "the lamp did not move")  # pyright: ignore
+        eventually(
+            lambda: viewer.scene.lights[0].position == pytest.approx((3.0, *LIGHT[1:])), "the light did not move"
+        )  # pyright: ignore
         page.picture(after=count)
         moved = settled(viewer, page)
         assert difference(before, moved) > 2.0
         assert viewer._session.undo() and viewer.document is document
         np.testing.assert_array_equal(settled(viewer, page), before)
-        assert viewer._session.redo() and viewer.scene.lights[0].position == pytest.approx((3.0, *LAMP[1:]))  # pyright: ignore
+        assert viewer._session.redo() and viewer.scene.lights[0].position == pytest.approx((3.0, *LIGHT[1:]))  # pyright: ignore
         np.testing.assert_array_equal(settled(viewer, page), moved)
 
 
-def test_a_setting_on_the_page_changes_the_picture(viewer: ls.Viewer) -> None:
-    """A choice, and a slider; what is refused is told, and changes nothing."""
+def test_page_controls_change_the_image(viewer: ls.Viewer) -> None:
+    """A choice and a slider take effect; an invalid value is reported and changes nothing."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         before = settled(viewer, page)
@@ -209,12 +211,12 @@ def test_a_setting_on_the_page_changes_the_picture(viewer: ls.Viewer) -> None:
         eventually(lambda: viewer._session.state.config.shadows is ls.Shadows.OFF, "the shadows stayed")
         state = viewer._session.state
         page.choose("samples", "many")
-        eventually(lambda: any("many" in note for note in page.notes()), "nobody was told")
+        eventually(lambda: any("many" in note for note in page.notes()), "no notification arrived")
         assert viewer._session.state == state
 
 
-def test_tone_map_exposure_and_view_take_no_new_samples(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The frame that a page at rest shows is developed anew; anything else is rendered."""
+def test_tone_map_exposure_and_view_need_no_new_samples(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The still frame is developed again; other changes render a new frame."""
     render, count = ls.Renderer.render, 0
 
     def counted(*args: Any, **options: Any) -> ls.Frame:
@@ -241,15 +243,15 @@ def test_tone_map_exposure_and_view_take_no_new_samples(viewer: ls.Viewer, monke
         assert count > 0
 
 
-def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer, tmp_path: Path) -> None:
-    """An upload that is no mesh leaves neither an entry nor a file; a mesh becomes an entry, under a plain name."""
+def test_damaged_uploads_are_reported_and_leave_no_trace(viewer: ls.Viewer, tmp_path: Path) -> None:
+    """A damaged upload leaves no entry and no file; a valid mesh becomes an entry under a safe name."""
     viewer._session.edit(lambda state: replace(state, document=document_in(tmp_path)))
     with PageClient(viewer.url) as page:
         page.look(camera())
         page.upload("upload file", "broken.ply", b"ply\nnonsense")
-        eventually(lambda: any("broken" in note for note in page.notes()), "nobody was told")
+        eventually(lambda: any("broken" in note for note in page.notes()), "no notification arrived")
         page.upload("upload file", "../../evil.txt", b"text")
-        eventually(lambda: any("evil.txt" in note for note in page.notes()), "nobody was told")
+        eventually(lambda: any("evil.txt" in note for note in page.notes()), "no notification arrived")
         assert len(viewer.document.entries) == 1 and not list(tmp_path.rglob("*broken*"))
         triangle = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
         page.upload("upload file", "../a b.obj", triangle)
@@ -259,14 +261,14 @@ def test_files_that_are_damaged_say_so_and_the_viewer_lives_on(viewer: ls.Viewer
 
 
 def document_in(folder: Path) -> ls.io.SceneDocument:
-    """A document whose file would be in a folder."""
+    """Returns a document whose file would be in a folder."""
     ls.save(folder / "ball.ply", cloud())
     (folder / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
     return ls.io.SceneDocument.open(folder / "scene.toml")
 
 
-def test_nonsense_from_a_page_disturbs_nobody(viewer: ls.Viewer) -> None:
-    """Neither what cannot be decoded, nor numbers that are no camera, nor values of a wrong kind."""
+def test_invalid_page_messages_have_no_effect(viewer: ls.Viewer) -> None:
+    """Undecodable data, invalid cameras and values of a wrong type are ignored."""
     with PageClient(viewer.url) as page, PageClient(viewer.url) as other:
         page.look(camera())
         other.look(camera())
@@ -286,8 +288,8 @@ def test_nonsense_from_a_page_disturbs_nobody(viewer: ls.Viewer) -> None:
         assert viewer._session.state == state
 
 
-def test_a_frame_that_fails_is_told_and_the_next_one_is_rendered(viewer: ls.Viewer) -> None:
-    """Settings that do not go together are a note, in the words of the page; those before come back."""
+def test_failed_frame_is_reported_and_rendering_continues(viewer: ls.Viewer) -> None:
+    """Incompatible settings give an error with labels of the page; undo restores the image."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         before = settled(viewer, page)
@@ -296,15 +298,16 @@ def test_a_frame_that_fails_is_told_and_the_next_one_is_rendered(viewer: ls.View
         )
         viewer._session.configure(lambda config: replace(config, raster=raster))
         eventually(
-            lambda: any("does not work with projection unscented" in note for note in page.notes()), "nobody was told"
+            lambda: any("does not work with projection unscented" in note for note in page.notes()),
+            "no notification arrived",
         )
         viewer._session.undo()
         np.testing.assert_array_equal(settled(viewer, page), before)
 
 
-def test_what_is_saved_renders_the_same(viewer: ls.Viewer, tmp_path: Path) -> None:
-    """After edits of all kinds, the file gives the frame that the page shows."""
-    document = viewer.document.changed(lamp_id(viewer), intensity=20.0)
+def test_saved_scene_renders_the_same_frame(viewer: ls.Viewer, tmp_path: Path) -> None:
+    """After edits of all kinds, the saved file renders the page's frame."""
+    document = viewer.document.changed(light_id(viewer), intensity=20.0)
     document, number = document.added("meshes", {"shape": "sphere", "size": 0.4, "position": [0.0, -0.6, 0.0]})
     document = document.changed(number, material={"roughness": 0.2})
     config = viewer._session.state.config
@@ -325,13 +328,13 @@ def test_what_is_saved_renders_the_same(viewer: ls.Viewer, tmp_path: Path) -> No
     ],
     ids=["as it is", "soft, toned", "paths", "as captured"],
 )
-def test_the_command_line_renders_what_a_page_shows(
+def test_command_line_renders_the_page_view(
     viewer: ls.Viewer, tmp_path: Path, settings: dict[str, Any], exposure: float
 ) -> None:
-    """Whatever was set: the scene is saved by its button, and the command of the page is run, at the page's size."""
+    """The saved scene and the page's command reproduce the page's image for any settings."""
     ls.save(tmp_path / "ball.ply", cloud())
-    lamp = "[[lights]]\ntype = 'point'\nposition = [0.0, -1.0, -0.8]\nintensity = 2.0\n"
-    (tmp_path / "scene.toml").write_text(f'[[splats]]\npath = "ball.ply"\nmaterial = {{type = "pbr"}}\n{lamp}')
+    light = "[[lights]]\ntype = 'point'\nposition = [0.0, -1.0, -0.8]\nintensity = 2.0\n"
+    (tmp_path / "scene.toml").write_text(f'[[splats]]\npath = "ball.ply"\nmaterial = {{type = "pbr"}}\n{light}')
     document = ls.io.SceneDocument.open(tmp_path / "scene.toml")
     viewer._session.edit(
         lambda state: State(document.with_up((0.1, -1.0, 0.2)), replace(state.config, **settings), exposure)
@@ -353,8 +356,8 @@ def test_the_command_line_renders_what_a_page_shows(
     assert ls.metrics.psnr(ls.load_image(tmp_path / "view.png"), (shown / 255.0).astype(np.float32)) > 35.0
 
 
-def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sample of a view at rest is given up when the view moves, nobody is told, and it is made again afterwards."""
+def test_long_frames_yield_to_a_moving_view(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sample of a still view stops when the view moves, without a message, and is rendered again later."""
     stopped, begun = threading.Event(), threading.Event()
     render = ls.Renderer.render
 
@@ -385,13 +388,13 @@ def test_long_frames_give_way_to_a_view_that_moves(viewer: ls.Viewer, monkeypatc
 
 
 def rendered_at(height: int) -> np.ndarray:
-    """The picture that a page in front of the lit scene should show."""
+    """Renders the image that a page in front of the lit scene should show."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
     return ls.render(lit_scene(), camera(height=height), config, device="cpu").pixels_srgb()
 
 
-def test_pages_that_never_answer_get_frames_all_the_same(viewer: ls.Viewer) -> None:
-    """As programs do that only look."""
+def test_pages_that_never_acknowledge_still_get_frames(viewer: ls.Viewer) -> None:
+    """A client that only watches never acknowledges frames."""
     with PageClient(viewer.url, answers=False) as page:
         for step in range(4):
             count = len(page.pictures)
@@ -400,12 +403,12 @@ def test_pages_that_never_answer_get_frames_all_the_same(viewer: ls.Viewer) -> N
 
 
 def page_threads() -> set[threading.Thread]:
-    """The threads that send to pages."""
+    """Returns the threads that send to pages."""
     return {thread for thread in threading.enumerate() if thread.name == "lumisplat page"}
 
 
-def test_a_page_that_vanishes_and_comes_back_sees_the_edits(recwarn: pytest.WarningsRecorder) -> None:
-    """Its threads end, what was on its way to it warns nobody, and the scene is as it was left."""
+def test_reconnected_page_sees_the_edits(recwarn: pytest.WarningsRecorder) -> None:
+    """The closed page's threads end without warnings, and a new page shows the edited scene."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(samples=2))
     viewer._loader.join()
     before = page_threads()
@@ -413,12 +416,12 @@ def test_a_page_that_vanishes_and_comes_back_sees_the_edits(recwarn: pytest.Warn
     page.look(camera())
     settled(viewer, page)
     (client,) = viewer._viser.get_clients().values()
-    page._socket.socket.shutdown(socket.SHUT_RDWR)  # as of a page whose process is killed
+    page._socket.socket.shutdown(socket.SHUT_RDWR)  # like a page whose process is killed
     eventually(lambda: not viewer._pages, "the page is still there")
     client.scene.set_background_image(np.zeros((4, 4, 3), np.uint8))
     assert not recwarn.list
     eventually(lambda: not page_threads() - before, "the page's thread has not ended")
-    viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
+    viewer._session.apply(lambda document: document.removed(light_id(viewer)))
     with PageClient(viewer.url) as again:
         again.look(camera())
         settled(viewer, again)
@@ -426,8 +429,8 @@ def test_a_page_that_vanishes_and_comes_back_sees_the_edits(recwarn: pytest.Warn
     viewer.close()
 
 
-def test_a_viewer_that_is_closed_leaves_nothing_behind() -> None:
-    """No thread, no port; also while a page is open, and when it is closed twice."""
+def test_closed_viewer_frees_its_port_and_threads() -> None:
+    """Closing works with a page open, and a second time."""
     before = set(threading.enumerate())
     viewer = ls.view(cloud(), height=HEIGHT, device="cpu")
     page = PageClient(viewer.url)
@@ -438,14 +441,14 @@ def test_a_viewer_that_is_closed_leaves_nothing_behind() -> None:
     page.close()
     assert repr(viewer) == "Viewer(closed)"
     del viewer
-    gc.collect()  # the renderers' pools of threads end with them
+    gc.collect()  # frees the renderers' thread pools
     for thread in set(threading.enumerate()) - before:
         thread.join(timeout=10)
         assert not thread.is_alive(), thread
 
 
-def test_files_that_are_not_there_open_no_page(tmp_path: Path) -> None:
-    """Not even for a moment: nobody should be given an address that leads nowhere."""
+def test_missing_files_open_no_page(tmp_path: Path) -> None:
+    """`view` raises before any address exists."""
     for missing in (tmp_path / "a.ply", [tmp_path / "a.ply", str(tmp_path / "b.toml")]):
         threads = threading.active_count()
         with pytest.raises(ls.errors.MissingFileError, match=r"a\.ply: no such file"):
@@ -453,8 +456,8 @@ def test_files_that_are_not_there_open_no_page(tmp_path: Path) -> None:
         assert threading.active_count() == threads
 
 
-def test_nothing_to_see_is_an_error(tmp_path: Path) -> None:
-    """The one who waits is told which file cannot be read."""
+def test_wait_raises_the_error_of_loading(tmp_path: Path) -> None:
+    """The error names the file that cannot be read."""
     (tmp_path / "damaged.ply").write_bytes(b"ply, or not")
     viewer = ls.view(tmp_path / "damaged.ply", device="cpu")
     with pytest.raises(ls.LumisplatError, match=r"damaged\.ply"):
@@ -462,8 +465,8 @@ def test_nothing_to_see_is_an_error(tmp_path: Path) -> None:
     viewer.close()
 
 
-def test_a_scene_whose_animation_is_wrong_is_an_error(tmp_path: Path) -> None:
-    """Though its captures can be read: the one who waits is told, and the viewer can be closed."""
+def test_wait_raises_the_error_of_an_invalid_animation(tmp_path: Path) -> None:
+    """The captures are readable, but the animation is not; the viewer can be closed."""
     ls.save(tmp_path / "ball.ply", cloud())
     (tmp_path / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n[animation]\nfps = -3.0\n')
     viewer = ls.view(tmp_path / "scene.toml", device="cpu")
@@ -472,25 +475,27 @@ def test_a_scene_whose_animation_is_wrong_is_an_error(tmp_path: Path) -> None:
     viewer.close()
 
 
-def test_what_a_page_asks_of_the_view_is_checked(viewer: ls.Viewer) -> None:
-    """A budget that is none, or a view that there is not, is told, and frames go on as before."""
+def test_invalid_view_options_are_reported(viewer: ls.Viewer) -> None:
+    """An invalid budget or view is reported, and rendering continues."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         before, options = settled(viewer, page), viewer._session.options
         page.choose("frame time (ms)", 0.0)
         page.choose("view", "magic")
-        eventually(lambda: sum("expected" in note for note in page.notes()) == 2, "nobody was told")
+        eventually(lambda: sum("expected" in note for note in page.notes()) == 2, "no notification arrived")
         assert viewer._session.options == options
         np.testing.assert_array_equal(settled(viewer, page), before)
 
 
-def test_a_split_picture_shows_before_and_after_at_rest(viewer: ls.Viewer) -> None:
-    """Each as fine as at rest, also while another page moves."""
+def test_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) -> None:
+    """The still comparison is finished also while another page moves."""
     with PageClient(viewer.url) as page, PageClient(viewer.url) as other:
         page.look(camera())
         other.look(camera(1.0))
         before = settled(viewer, page)
-        viewer._session.apply(lambda document: document.changed(lamp_id(viewer), color=[0.2, 0.3, 1.0], intensity=20.0))
+        viewer._session.apply(
+            lambda document: document.changed(light_id(viewer), color=[0.2, 0.3, 1.0], intensity=20.0)
+        )
         after = settled(viewer, page)
         viewer._session.set_options(split=0.5)
         for step in range(6):
@@ -504,15 +509,13 @@ def test_a_split_picture_shows_before_and_after_at_rest(viewer: ls.Viewer) -> No
         assert difference(settled(viewer, page)[64:, :30], joined[64:, :30]) > 4.0, "an inset is on both parts"
 
 
-def test_numbers_that_are_typed_are_taken_when_they_are_whole(
-    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Not at each key, which would refuse, or do, what nobody has meant; at once if something else is asked for."""
-    monkeypatch.setattr(event_queue, "TYPING_PAUSE_S", 10.0)  # keys come slowly on a busy machine
-    lamp, session = lamp_id(viewer), viewer._session
-    session.select(lamp)
+def test_typed_numbers_are_applied_after_a_pause(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Partly typed values are neither applied nor rejected; another event applies a typed value at once."""
+    monkeypatch.setattr(event_queue, "TYPING_PAUSE_S", 10.0)  # keys arrive slowly on a busy machine
+    light, session = light_id(viewer), viewer._session
+    session.select(light)
     seen: list[Any] = []
-    session.on_change(lambda: seen.append(viewer.document.entry(lamp).table.get("intensity")))
+    session.on_change(lambda: seen.append(viewer.document.entry(light).table.get("intensity")))
     with PageClient(viewer.url) as page:
         page.look(camera())
         page.picture()
@@ -521,37 +524,37 @@ def test_numbers_that_are_typed_are_taken_when_they_are_whole(
         for typed in (0, 4, 42, 420):
             page.send("GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": typed})
         page.choose("insets", True)
-        eventually(lambda: viewer.document.entry(lamp).table["intensity"] == 420, "it was not taken")
+        eventually(lambda: viewer.document.entry(light).table["intensity"] == 420, "it was not taken")
         assert len(session._past) == count + 1 and not {0, 4, 42} & set(seen) and not page.notes()
         session.end_merge()
         page.send("GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": 7})
         page.choose("grid", True)
         eventually(lambda: viewer._session.options.grid, "the grid did not come")
-        assert viewer.document.entry(lamp).table["intensity"] == 7, "what was typed before comes before"
+        assert viewer.document.entry(light).table["intensity"] == 7, "what was typed before comes before"
 
 
-def test_handles_do_not_keep_the_turn_of_others(viewer: ls.Viewer) -> None:
-    """A page keeps it by the name of a handle: each selection has a name of its own."""
+def test_each_gizmo_has_a_new_name(viewer: ls.Viewer) -> None:
+    """Pages keep a gizmo's rotation by its name, so a new name prevents a wrong rotation."""
     names: list[str] = []
-    for entry in (viewer.document.entries[0].id, lamp_id(viewer), viewer.document.entries[0].id):
+    for entry in (viewer.document.entries[0].id, light_id(viewer), viewer.document.entries[0].id):
         viewer._session.select(entry)
         names.append(viewer._gizmo.node)
     assert len(set(names)) == 3
 
 
-def test_what_nobody_was_there_for_is_told_to_the_next_page(viewer: ls.Viewer) -> None:
-    """Also what is logged about a scene; a line that comes again and again is one note."""
+def test_notifications_wait_for_the_next_page(viewer: ls.Viewer) -> None:
+    """Log warnings about a scene wait, too; repeated messages are shown once."""
     log = logging.getLogger("lumisplat")
     log.warning("colours of leaves are odd")
     viewer._session.report("a file was left out")
     with PageClient(viewer.url) as page:
         page.look(camera())
-        eventually(lambda: len(page.notes()) == 2, "nobody was told")
+        eventually(lambda: len(page.notes()) == 2, "no notification arrived")
         for _ in range(5):
             viewer._session.report("a crop that leaves nothing")
         log.error("for those at the machine")
         viewer._session.report("the last one")
-        eventually(lambda: len(page.notes()) >= 4, "nobody was told")
+        eventually(lambda: len(page.notes()) >= 4, "no notification arrived")
         assert page.notes() == [
             "warning: colours of leaves are odd",
             "error: a file was left out",
@@ -560,17 +563,17 @@ def test_what_nobody_was_there_for_is_told_to_the_next_page(viewer: ls.Viewer) -
         ]
 
 
-def test_a_page_that_went_before_it_was_added_is_not_kept(viewer: ls.Viewer) -> None:
-    """Nobody would ever remove it."""
+def test_page_closed_before_it_was_added_is_dropped(viewer: ls.Viewer) -> None:
+    """Otherwise the render loop would keep the page for ever."""
     page = Page(BrowserScreen(cast(Any, None)), viewer._session.changed)
     page.close()
     viewer._loop.add(page)
     assert page not in viewer._loop._pages
 
 
-def test_sliders_that_stand_for_something_else_follow_undo(viewer: ls.Viewer) -> None:
-    """A temperature that was chosen is taken back, with its slider: the same one can be chosen again."""
-    viewer._session.select(lamp_id(viewer))
+def test_derived_sliders_follow_undo(viewer: ls.Viewer) -> None:
+    """Undo of a colour temperature resets its slider, so that the same temperature can be chosen again."""
+    viewer._session.select(light_id(viewer))
     with PageClient(viewer.url) as page:
         page.look(camera())
         page.picture()
@@ -580,31 +583,31 @@ def test_sliders_that_stand_for_something_else_follow_undo(viewer: ls.Viewer) ->
             assert viewer._session.undo() and viewer.scene.lights[0].color == (1.0, 1.0, 1.0)
 
 
-def test_a_drag_leaves_alone_what_others_edit(viewer: ls.Viewer) -> None:
-    """What another page has removed stays so; the dragged thing itself may be removed under the hand."""
+def test_drag_keeps_edits_of_other_pages(viewer: ls.Viewer) -> None:
+    """An entry removed by another page stays removed, even if it is the dragged one."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         page.picture()
-        viewer._session.select(lamp_id(viewer))
+        viewer._session.select(light_id(viewer))
         move = {"name": viewer._gizmo.node, "wxyz": [1.0, 0.0, 0.0, 0.0]}
         page.send("TransformControlsDragStartMessage", name=viewer._gizmo.node)
         page.send("TransformControlsUpdateMessage", **move, position=[1.0, -1.0, 0.0])
-        eventually(lambda: viewer.scene.lights[0].position[0] == 1.0, "the lamp did not move")  # pyright: ignore
+        eventually(lambda: viewer.scene.lights[0].position[0] == 1.0, "the light did not move")  # pyright: ignore
         crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
         viewer._session.apply(lambda document: document.removed(crate))
         page.send("TransformControlsUpdateMessage", **move, position=[2.0, -1.0, 0.0])
-        eventually(lambda: viewer.scene.lights[0].position[0] == 2.0, "the lamp did not move")  # pyright: ignore
+        eventually(lambda: viewer.scene.lights[0].position[0] == 2.0, "the light did not move")  # pyright: ignore
         assert not viewer.scene.meshes
-        viewer._session.apply(lambda document: document.removed(lamp_id(viewer)))
+        viewer._session.apply(lambda document: document.removed(light_id(viewer)))
         page.send("TransformControlsUpdateMessage", **move, position=[3.0, -1.0, 0.0])
         page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
-        page.choose("exposure", 1.0)  # which is done after what was sent before
+        page.choose("exposure", 1.0)  # handled after all earlier events
         eventually(lambda: viewer._session.state.exposure == 1.0, "the exposure stayed")
         assert not viewer.scene.lights and not page.notes()
 
 
-def test_looking_at_all_brings_the_scene_back(viewer: ls.Viewer) -> None:
-    """From wherever a page has flown: the middle of the scene is in the middle of the picture."""
+def test_frame_all_centres_the_scene(viewer: ls.Viewer) -> None:
+    """From any position, the scene's centre moves to the image centre."""
     with PageClient(viewer.url) as page:
         away = ls.Camera.look_at((9.0, -0.4, -3.5), (9.0, 0.0, 0.0), UP, width=160, height=HEIGHT)
         page.look(away, target=(9.0, 0.0, 0.0))
@@ -616,22 +619,24 @@ def test_looking_at_all_brings_the_scene_back(viewer: ls.Viewer) -> None:
         np.testing.assert_allclose(backward / np.linalg.norm(backward), (0.0, -0.114, -0.993), atol=1e-2)
 
 
-def test_each_page_reads_of_its_own_picture(viewer: ls.Viewer) -> None:
-    """In its own line: another one's size, or its samples, are not there."""
+def test_status_line_describes_the_pages_own_image(viewer: ls.Viewer) -> None:
+    """The line shows neither the size nor the samples of another page's image."""
     with PageClient(viewer.url) as wide, PageClient(viewer.url) as narrow:
         wide.look(camera())
         narrow.look(replace(camera(), width=60))
         for page in (wide, narrow):
             settled(viewer, page)
         for page, mine, other in ((wide, "160 × 90", "60 × 90"), (narrow, "60 × 90", "160 × 90")):
-            said = [str(m["updates"].get("_markdown", "")) for m in page.messages if m["type"] == "GuiUpdateMessage"]
-            lines = [line for line in said if "ms" in line and "×" in line]
+            lines_sent = [
+                str(m["updates"].get("_markdown", "")) for m in page.messages if m["type"] == "GuiUpdateMessage"
+            ]
+            lines = [line for line in lines_sent if "ms" in line and "×" in line]
             assert lines and all(mine in line and f"· {other}" not in line for line in lines), lines
             assert not any(line.startswith(other) for line in lines)
 
 
-def test_what_was_left_out_is_not_lost_in_silence(viewer: ls.Viewer, tmp_path: Path) -> None:
-    """The file that names it is not replaced; another one is saved, and says what it lacks."""
+def test_saving_does_not_silently_drop_unreadable_objects(viewer: ls.Viewer, tmp_path: Path) -> None:
+    """The file that names an unreadable object is not replaced; saving elsewhere reports the loss."""
     document_in(tmp_path)
     file = tmp_path / "scene.toml"
     file.write_text(file.read_text() + '[[meshes]]\npath = "gone.obj"\n')
@@ -643,16 +648,16 @@ def test_what_was_left_out_is_not_lost_in_silence(viewer: ls.Viewer, tmp_path: P
         page.choose("scene file", "scene.toml")
         page.choose("overwrite", True)
         page.press("save scene")
-        eventually(lambda: any("is not replaced" in note for note in page.notes()), "nobody was told")
+        eventually(lambda: any("is not replaced" in note for note in page.notes()), "no notification arrived")
         assert file.read_text() == text
         page.choose("scene file", "other.toml")
         page.press("save scene")
-        eventually(lambda: any("without 1 object" in note for note in page.notes()), "nobody was told")
+        eventually(lambda: any("without 1 object" in note for note in page.notes()), "no notification arrived")
         assert (tmp_path / "other.toml").exists()
 
 
-def test_settings_that_change_leave_no_renderers_behind(viewer: ls.Viewer) -> None:
-    """There are those of the present settings alone, and they keep the scene that was uploaded."""
+def test_changed_settings_free_unused_renderers(viewer: ls.Viewer) -> None:
+    """Only renderers of the current settings remain, and they keep the uploaded scene."""
     held, session = viewer._loop._renderers._held, viewer._session
     with PageClient(viewer.url) as page:
         page.look(camera())
