@@ -101,5 +101,5 @@ def test_actors_are_unlit_if_no_light_is_found() -> None:
     document = ls.io.SceneDocument.of(dark)
     for time in (0.0, 1.0):
         assert len(scenes.of(document, CONFIG, time, 0, waits=True).splats) == 2
-    assert len(reported) == 1 and reported[0].startswith("actors are shown unlit")
+    assert len(reported) == 1 and reported[0].startswith("actors keep their captured colours")
     levels.close()

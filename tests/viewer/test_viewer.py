@@ -187,9 +187,8 @@ def test_gizmo_drag_moves_the_light_and_one_undo_restores_it(viewer: ls.Viewer) 
                 "TransformControlsUpdateMessage", name=viewer._gizmo.node, wxyz=[1.0, 0.0, 0.0, 0.0], position=position
             )
         page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
-        eventually(
-            lambda: viewer.scene.lights[0].position == pytest.approx((3.0, *LIGHT[1:])), "the light did not move"
-        )  # pyright: ignore
+        expected = pytest.approx((3.0, *LIGHT[1:]))
+        eventually(lambda: viewer.scene.lights[0].position == expected, "the light did not move")  # pyright: ignore
         page.picture(after=count)
         moved = settled(viewer, page)
         assert difference(before, moved) > 2.0

@@ -216,13 +216,13 @@ class Gizmo:
         self._attached = entry.id, grip
 
     def _on_update(self, move: tuple[str, Matrix]) -> None:
-        phase, place = move
+        phase, pose = move
         if phase == "start":
             self._begin()
         elif phase == "update":
-            self._move(place)
+            self._move(pose)
         else:
-            self._end(place)
+            self._end(pose)
 
     def _begin(self) -> None:
         """Starts a drag."""
@@ -230,14 +230,14 @@ class Gizmo:
             self._session.end_merge()
             self._drag, self._dragged_at = self._new_drag(), time.monotonic()
 
-    def _move(self, place: Matrix) -> None:
-        """Moves the entry to the gizmo of a page; ``place`` is ``world_from_gizmo`` in page units."""
+    def _move(self, pose: Matrix) -> None:
+        """Moves the entry to the gizmo of a page; ``pose`` is ``world_from_gizmo`` in page units."""
         with self._session.changed:
             drag = self._drag or self._new_drag()
             if drag is None or all(entry.id != drag.entry.id for entry in self._session.state.document.entries):
                 self._drag = None  # another page removed the entry
                 return
-            self._dragged_at, extent, now = time.monotonic(), self._session.extent, place.copy()
+            self._dragged_at, extent, now = time.monotonic(), self._session.extent, pose.copy()
             now[:3, 3] /= extent.page_from_scene
             name = f"drag {drag.entry.id}"
             self._session.apply(lambda document: with_dragged_entry(document, drag, now, extent), name, within=math.inf)
@@ -249,9 +249,9 @@ class Gizmo:
             return None
         return Drag(entry, self._attached[1].world_from_gizmo, self._session.options.time)
 
-    def _end(self, place: Matrix) -> None:
+    def _end(self, pose: Matrix) -> None:
         with self._session.changed:
-            self._move(place)
+            self._move(pose)
             self._drag, self._dragged_at = None, 0.0
             self._session.end_merge()
             self.follow()

@@ -121,7 +121,7 @@ def _vector(array: npt.ArrayLike) -> Vector:
     return x, y, z
 
 
-_TURN = 2.0 * math.pi
+_ROTATION_PER_HEIGHT = 2.0 * math.pi
 """Rotation while the pointer crosses the frame height, radians."""
 _ZOOM = 0.0015
 """Logarithm of the distance factor per wheel unit; one notch is 100 units."""
@@ -186,7 +186,9 @@ class PointerControl:
         if event["button"] != _LEFT or "Shift" in event["modifiers"]:
             self.orbit = self.orbit.panned(across / self._height, down / self._height)
         else:
-            self.orbit = self.orbit.rotated(-_TURN * across / self._height, _TURN * down / self._height)
+            self.orbit = self.orbit.rotated(
+                -_ROTATION_PER_HEIGHT * across / self._height, _ROTATION_PER_HEIGHT * down / self._height
+            )
 
 
 _log = logging.getLogger("lumisplat")

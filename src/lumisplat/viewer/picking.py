@@ -66,6 +66,6 @@ def select(session: Session, frame: ls.Frame, across: float, down: float, *, is_
     if entry.id in session.locked:
         return entry.name, "the object is locked: unlock it in the list to edit it"
     session.select(entry.id)
-    place = ", ".join(f"{x:z.4g}" for x in pick.position)
+    position = ", ".join(f"{x:z.4g}" for x in pick.position)
     gaussian = "" if pick.gaussian < 0 or is_level else f"Gaussian {pick.gaussian:,}, "
-    return entry.name, f"{gaussian}depth {pick.depth:.4g}, at ({place})"
+    return entry.name, f"{gaussian}depth {pick.depth:.4g}, at ({position})"

@@ -306,8 +306,8 @@ class Viewer:
     def _fits_scene(self, page: Page, pose: Pose) -> bool:
         """True if a page's camera is where `_fit_scene` put it, so the user has not moved."""
         at = self._session.extent.page_from_scene * np.array(pose.position)
-        places = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.fitted_aspects)]
-        return any(np.linalg.norm(at - place) < 1e-3 * np.linalg.norm(place) for place in places)
+        positions = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.fitted_aspects)]
+        return any(np.linalg.norm(at - position) < 1e-3 * np.linalg.norm(position) for position in positions)
 
     def _fly(self, camera: ls.Camera) -> None:
         """Moves all pages to a camera."""
@@ -365,8 +365,8 @@ def _preload_renderer() -> None:
 
 def _looks_along(client: viser.ClientHandle, up: tuple[float, float, float]) -> bool:
     """True if a page looks almost straight up or down, so that it cannot be turned upright in place."""
-    sight = np.asarray(client.camera.look_at) - np.asarray(client.camera.position)
-    return bool(abs(sight @ np.array(up)) > _STEEP_COSINE * np.linalg.norm(sight))
+    forward = np.asarray(client.camera.look_at) - np.asarray(client.camera.position)
+    return bool(abs(forward @ np.array(up)) > _STEEP_COSINE * np.linalg.norm(forward))
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:

@@ -116,7 +116,7 @@ class SceneBuilder:
                 )
             except ls.SceneError as error:
                 stage.has_failed = True
-                self._report(f"actors are shown unlit: {error}")
+                self._report(f"actors keep their captured colours: {error}")
         splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
         meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
         return replace(still, splats=(*still.splats, *splats), meshes=(*still.meshes, *meshes))
@@ -299,8 +299,8 @@ def thinned(gaussians: ls.Gaussians, fraction: float) -> ls.Gaussians:
     and gives the image closest to that of all Gaussians.
     """
     step = round(1.0 / fraction)
-    kept = gaussians.subset(np.arange(min(step // 2, gaussians.count - 1), gaussians.count, step))
-    return replace(kept, scales=kept.scales * np.float32(step ** (1.0 / 3.0)))
+    remaining = gaussians.subset(np.arange(min(step // 2, gaussians.count - 1), gaussians.count, step))
+    return replace(remaining, scales=remaining.scales * np.float32(step ** (1.0 / 3.0)))
 
 
 def _coarsest(count: int) -> int:

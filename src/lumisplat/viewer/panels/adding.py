@@ -155,9 +155,9 @@ def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
     sideways, down, forward = camera.camera_from_world[:3, :3]
     reach = _NEW_LIGHT_POSITION[2] * pose.focus
     slopes = _NEW_LIGHT_POSITION[0] * pose.aspect * sideways + _NEW_LIGHT_POSITION[1] * down
-    place = camera.eye + reach * (forward + math.tan(0.5 * pose.fov_y) * slopes)
-    distance = float(np.linalg.norm(target - place))
-    at, towards, slanted = _listed(place), _listed((target - place) / distance), forward - 2.0 * up
+    position = camera.eye + reach * (forward + math.tan(0.5 * pose.fov_y) * slopes)
+    distance = float(np.linalg.norm(target - position))
+    at, towards, slanted = _listed(position), _listed((target - position) / distance), forward - 2.0 * up
     intensity, size = _NEW_LIGHT_IRRADIANCE * distance**2, 0.15 * distance
     radius = 0.5 * size
     return {
@@ -185,12 +185,12 @@ def with_environment_image(document: ls.io.SceneDocument, path: str) -> tuple[ls
     Raises:
         FormatError: The image cannot be read.
     """
-    sky = next((entry for entry in document.entries if entry.kind == "environment"), None)
+    environment = next((entry for entry in document.entries if entry.kind == "environment"), None)
     upright = {"rotation_wxyz": upright_rotation(document.scene().up_direction)}
-    if sky is None:
+    if environment is None:
         return document.added("environment", {"path": path, **upright})
-    turn = {} if "path" in sky.table or "rotation_wxyz" in sky.table else upright
-    return document.changed(sky.id, path=path, **turn), sky.id
+    rotation = {} if "path" in environment.table or "rotation_wxyz" in environment.table else upright
+    return document.changed(environment.id, path=path, **rotation), environment.id
 
 
 def upright_rotation(up: tuple[float, float, float]) -> list[float]:

@@ -332,9 +332,9 @@ def rotated_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], deg
     """Returns a quaternion rotated by an angle about a world-space axis."""
     from viser import transforms
 
-    turn = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
-    turned = turn @ transforms.SO3(np.array(wxyz))
-    w, x, y, z = (float(turned.wxyz[place]) for place in range(4))
+    rotation = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
+    turned = rotation @ transforms.SO3(np.array(wxyz))
+    w, x, y, z = (float(turned.wxyz[index]) for index in range(4))
     return [w, x, y, z]
 
 
@@ -374,8 +374,8 @@ def _moved(matrix: Any, name: str, value: Any) -> Any:
 
 
 def _environment_rotation(entry: ls.io.SceneEntry) -> tuple[float, ...]:
-    sky: Any = entry.lights[0]
-    return tuple(float(x) for x in sky.rotation_wxyz)
+    environment: Any = entry.lights[0]
+    return tuple(float(x) for x in environment.rotation_wxyz)
 
 
 def _rounded_color(kelvins: float) -> list[float]:

@@ -284,8 +284,8 @@ def without_key(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocume
     times = [float(key["time"]) for key in keys]
     gap = times[number + 1] - times[number] if number + 1 < len(times) else 0.0
     later = [dict(key) | {"time": round(float(key["time"]) - gap, 6)} for key in keys[number + 1 :]]
-    kept: list[Mapping[str, Any]] = [*keys[:number], *later]
-    return _with_keys(document, kept, None)
+    remaining: list[Mapping[str, Any]] = [*keys[:number], *later]
+    return _with_keys(document, remaining, None)
 
 
 def with_key_moved(document: ls.io.SceneDocument, number: int, by: int) -> ls.io.SceneDocument:
@@ -306,7 +306,7 @@ def with_key_moved(document: ls.io.SceneDocument, number: int, by: int) -> ls.io
     order = list(range(len(keys)))
     order[number], order[other] = other, number
     moved: list[Mapping[str, Any]] = [
-        dict(keys[source]) | {"time": keys[place]["time"]} for place, source in enumerate(order)
+        dict(keys[source]) | {"time": keys[index]["time"]} for index, source in enumerate(order)
     ]
     return _with_keys(document, moved, None)
 
