@@ -1,4 +1,4 @@
-"""Lens distortion: OpenCV's published formulas, their inverse, and rays that follow it."""
+"""Lens distortion follows OpenCV's published formulas and their inverse, and rays follow the distortion."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from lumisplat.math.distortion import distort, distortion_reach, undistort
 from support.scenes.raster_scenes import front_camera
 
 FOX = (0.0578421, -0.0805099, 0.0, 0.0, -0.000980296, 0.00015575)
-"""A phone: the fox of instant-ngp."""
+"""Distortion of a phone: instant-ngp's fox."""
 BARREL = (-0.28, 0.09, -0.012, 0.0, 0.0006, -0.0011)
-"""An action camera."""
+"""Distortion of an action camera."""
 CUSHION = (0.21, 0.03, 0.01, 0.002, 0.004, -0.003)
 FISHEYE = (-0.013, 0.0021, -0.0009, 0.0001, 0.0, 0.0)
 NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -22,7 +22,7 @@ LENSES = {"fox": FOX, "barrel": BARREL, "cushion": CUSHION, "fisheye": FISHEYE}
 
 
 def opencv_pinhole(points: np.ndarray, k1, k2, k3, p1, p2) -> np.ndarray:
-    """The x'' and y'' of the camera calibration page of OpenCV, without its denominator and thin prisms."""
+    """Returns x'' and y'' of OpenCV's camera calibration page, without the denominator and thin prisms."""
     x, y = points.T
     r = np.hypot(x, y)
     scale = 1 + k1 * r**2 + k2 * r**4 + k3 * r**6
@@ -32,7 +32,7 @@ def opencv_pinhole(points: np.ndarray, k1, k2, k3, p1, p2) -> np.ndarray:
 
 
 def opencv_fisheye(directions: np.ndarray, k1, k2, k3, k4) -> np.ndarray:
-    """The x' and y' of the fisheye page of OpenCV: theta_d / r times a and b."""
+    """Returns x' and y' of OpenCV's fisheye page: theta_d / r times a and b."""
     a, b = directions[:, 0] / directions[:, 2], directions[:, 1] / directions[:, 2]
     r = np.hypot(a, b)
     theta = np.arctan(r)
@@ -41,20 +41,20 @@ def opencv_fisheye(directions: np.ndarray, k1, k2, k3, k4) -> np.ndarray:
 
 
 def camera_of(lens, model=ls.CameraModel.PINHOLE, **changes) -> ls.Camera:
-    """A camera of 60 x 40 pixels whose corners are 47 degrees off the axis."""
+    """Returns a camera of 60 x 40 pixels whose corners are 47 degrees off the axis."""
     return front_camera(60, 40, 33.0, cx=29.0, cy=20.6, model=model, distortion=lens, **changes)
 
 
 def shown_at(camera: ls.Camera) -> np.ndarray:
-    """The pixels' centres without focal length, (N, 2)."""
+    """Returns the pixel centres divided by the focal length, (N, 2)."""
     y, x = np.mgrid[: camera.height, : camera.width]
     points = np.stack([(x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy], axis=-1)
     return points.reshape(-1, 2)
 
 
 @pytest.mark.parametrize("name", ["fox", "barrel"])
-def test_pinhole_rays_are_shown_where_opencv_shows_them(name):
-    """Each pixel's ray, distorted as OpenCV documents it, arrives at the pixel."""
+def test_pinhole_distortion_equals_opencv(name):
+    """Each pixel's ray, distorted by OpenCV's formula, projects to the pixel."""
     lens = LENSES[name]
     camera = camera_of(lens)
     rays = camera.ray_directions().reshape(-1, 3)
@@ -64,24 +64,24 @@ def test_pinhole_rays_are_shown_where_opencv_shows_them(name):
     )
 
 
-def test_fisheye_rays_are_shown_where_opencv_shows_them():
-    """The same polynomial, of the angle instead of its tangent."""
+def test_fisheye_distortion_equals_opencv():
+    """Each pixel's ray, distorted by OpenCV's polynomial of the angle, projects to the pixel."""
     camera = camera_of(FISHEYE, ls.CameraModel.FISHEYE)
     rays = camera.ray_directions().reshape(-1, 3)
     np.testing.assert_allclose(opencv_fisheye(rays, *FISHEYE[:4]), shown_at(camera), atol=1e-9)
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_undistortion_is_the_inverse(lens):
-    """Within the reach, in both directions."""
+def test_undistortion_inverts_distortion(lens):
+    """Distortion and undistortion are inverse in both directions, within the lens's range."""
     rng = np.random.default_rng(3)
     angle, radius = rng.uniform(0, 2 * np.pi, 500), rng.uniform(0, 0.9 * min(1.2, distortion_reach(lens)), 500)
     points = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     np.testing.assert_allclose(undistort(distort(points, lens), lens), points, atol=1e-9)
 
 
-def test_no_ray_beyond_the_fold():
-    """Where the polynomial turns back, a lens shows nothing: no second image of the middle at the edge."""
+def test_no_rays_beyond_the_fold_of_distortion():
+    """Beyond the fold of the polynomial, pixels have no ray, so that the centre does not reappear at the edge."""
     lens = (-0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
     assert distortion_reach(lens) == pytest.approx(np.sqrt(1 / 1.5))
     largest = distort(np.array([[distortion_reach(lens), 0.0]]), lens)[0, 0]
@@ -92,8 +92,8 @@ def test_no_ray_beyond_the_fold():
     np.testing.assert_array_equal(missing, shown > largest)
 
 
-def test_lenses_without_distortion_keep_their_bits():
-    """Zeros change nothing."""
+def test_zero_distortion_changes_no_bits():
+    """Coefficients of zero change nothing."""
     np.testing.assert_array_equal(camera_of(NONE).ray_directions(), camera_of([0] * 6).ray_directions())
     assert not camera_of(NONE).is_distorted
     assert distortion_reach(NONE) == np.inf
@@ -107,22 +107,22 @@ def test_lenses_without_distortion_keep_their_bits():
         ({"distortion": FOX, "model": ls.CameraModel.ORTHOGRAPHIC}, "this one is orthographic"),
     ],
 )
-def test_wrong_distortions_are_refused(changes, message):
-    """In one line."""
+def test_invalid_distortions_are_refused(changes, message):
+    """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         front_camera(**changes)
 
 
-def test_a_smaller_picture_has_the_same_lens():
-    """Coefficients are of tangents, not of pixels."""
+def test_distortion_does_not_depend_on_image_size():
+    """Coefficients refer to tangents, not to pixels."""
     small, large = camera_of(BARREL).scaled(30, 20), camera_of(BARREL)
     corner = 0.25 * (large.ray_directions()[0, 0] + large.ray_directions()[1, 1])
     corner += 0.25 * (large.ray_directions()[0, 1] + large.ray_directions()[1, 0])
     np.testing.assert_allclose(small.ray_directions()[0, 0], corner / np.linalg.norm(corner), atol=2e-3)
 
 
-def test_a_lens_says_nothing_of_points_that_float64_cannot_hold() -> None:
-    """Points nearly in the camera's plane: no warning of NumPy, and what is lost is not finite."""
+def test_points_near_the_camera_plane_overflow_silently() -> None:
+    """Points nearly in the camera's plane become non-finite, without a warning of NumPy."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         shown = distort(np.array([[1e160, 1e160], [0.1, 0.2]]), (0.1, -0.3, 0.0, 1e8, 0.1, 0.0))

@@ -1,4 +1,4 @@
-"""Fisheye, orthographic and thin-lens cameras and the rolling shutter: validation, and rays computed by hand."""
+"""Fisheye, orthographic and thin-lens cameras and rolling shutters are validated, and have rays as by hand."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
 
 def posed(turn: np.ndarray, eye: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """camera_from_world of a camera with this rotation and this position in the world."""
+    """Returns camera_from_world for a rotation and a position in the world."""
     world_from_camera = turn.copy()
     world_from_camera[:3, 3] = eye
     return np.linalg.inv(world_from_camera)
 
 
 def test_pinhole_rays_project_back() -> None:
-    """Rays have unit length and pass through the pixel centres."""
+    """Rays have unit length, and pass through the pixel centres."""
     camera = front_camera(7, 5, fx=4.0, fy=5.0, cx=3.0, cy=2.0)
     rays = camera.ray_directions()
     assert rays.shape == (5, 7, 3) and rays.dtype == np.float64
@@ -34,7 +34,7 @@ def test_pinhole_rays_project_back() -> None:
 
 
 def test_fisheye_angles_are_distances_in_the_image() -> None:
-    """At 220 degrees over 220 rows, a pixel 100 rows from the centre has a ray 100 degrees from the axis, backwards."""
+    """At 220 degrees over 220 rows, a pixel 100 rows from the centre has a ray 100 degrees off the axis."""
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=221, height=221, fov_y=np.radians(221.0), model=FISHEYE)
     rays = camera.ray_directions()
     assert camera.fov_y == pytest.approx(np.radians(221.0))
@@ -47,8 +47,8 @@ def test_fisheye_angles_are_distances_in_the_image() -> None:
     np.testing.assert_allclose(rays[170, 50], (-side, side, np.cos(diagonal)), atol=1e-12)
 
 
-def test_fisheye_sees_nothing_beyond_its_back() -> None:
-    """At a full turn over the height, corners beyond theta = pi have no ray, all other pixels a unit ray."""
+def test_fisheye_has_no_rays_beyond_its_back() -> None:
+    """At 360 degrees over the height, corners beyond theta = pi have no ray; all other pixels have a unit ray."""
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=64, height=64, fov_y=2.0 * np.pi, model=FISHEYE)
     rays = camera.ray_directions()
     y, x = np.mgrid[:64, :64] + 0.5 - 32.0
@@ -59,7 +59,7 @@ def test_fisheye_sees_nothing_beyond_its_back() -> None:
 
 
 def test_orthographic_rays_are_parallel() -> None:
-    """All rays are parallel to the axis; look_at shows as much as a pinhole camera would at the target."""
+    """All rays are parallel to the axis; look_at covers as much as a pinhole camera would at the target."""
     arguments = {"eye": (0, 0, -4), "target": (0, 0, 0), "width": 30, "height": 20, "fov_y": 0.9}
     camera = ls.Camera.look_at(**arguments, model=ORTHOGRAPHIC)
     np.testing.assert_array_equal(camera.ray_directions(), np.broadcast_to((0.0, 0.0, 1.0), (20, 30, 3)))
@@ -70,7 +70,7 @@ def test_orthographic_rays_are_parallel() -> None:
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
 def test_scaled_keeps_the_view_of_every_model(model: ls.CameraModel) -> None:
-    """With twice as many pixels, the four that replace one surround its ray; lens and shutter are unchanged."""
+    """With twice as many pixels, the four that replace a pixel surround its ray; lens and shutter stay."""
     end = posed(rotation((0.0, 1.0, 0.0), 0.1))
     camera = front_camera(
         8, 6, 5.0, model=model, cx=3.0, aperture=0.2, focus_distance=3.0, camera_from_world_end=end, near=0.5
@@ -85,7 +85,7 @@ def test_scaled_keeps_the_view_of_every_model(model: ls.CameraModel) -> None:
 
 
 def frame_of(camera: ls.Camera, depth: np.ndarray) -> ls.Frame:
-    """A frame of that depth."""
+    """Returns a frame with the given depth."""
     nothing = np.zeros(depth.shape, np.float32)
     color, index = np.zeros((*depth.shape, 3), np.float32), np.zeros(depth.shape, np.int32)
     return ls.Frame(color, nothing, depth.astype(np.float32), color, index, index, camera)
@@ -125,8 +125,8 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
         ({"camera_from_world_end": np.diag([-1.0, 1.0, -1.0, 1.0])}, "rotated by 180 degrees from camera_from_world"),
     ],
 )
-def test_wrong_lenses_are_refused(changes: dict[str, Any], message: str) -> None:
-    """The one line says which value and what was expected."""
+def test_invalid_lenses_are_refused(changes: dict[str, Any], message: str) -> None:
+    """The error names the value and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message) as raised:
         front_camera(**changes)
     assert "\n" not in str(raised.value)
@@ -141,7 +141,7 @@ def test_wrong_lenses_are_refused(changes: dict[str, Any], message: str) -> None
     ],
 )
 def test_fields_of_view_have_bounds(model: ls.CameraModel, fov_y: float, message: str) -> None:
-    """The field of view of a fisheye is at most a full turn."""
+    """A fisheye's field of view is at most a full turn."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Camera.look_at((0, 0, 0), (0, 0, 1), fov_y=fov_y, model=model)
 
@@ -155,7 +155,7 @@ def test_look_at_focuses_on_its_target() -> None:
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(-3.0, 3.0), st.floats(0.0, 6.0))
 def test_shutter_turn_leads_from_pose_to_pose(axis: tuple[float, float, float], angle: float, start: float) -> None:
-    """The first pose, rotated in the world by ``shutter_turn``, is the last; the eye moves by ``shutter_motion``."""
+    """The first pose rotated by ``shutter_turn`` is the last one, and the eye moves by ``shutter_motion``."""
     if np.linalg.norm(axis) < 0.1:
         return
     first = rotation((0.3, -0.5, 0.8), start)
@@ -168,8 +168,8 @@ def test_shutter_turn_leads_from_pose_to_pose(axis: tuple[float, float, float], 
     np.testing.assert_allclose(camera.shutter_motion, (0.5, 0.0, -1.0), atol=1e-12)
 
 
-def test_still_shutters_do_not_move_at_all() -> None:
-    """Without an end pose, and with the same pose twice, motion and turn are zero to the bit."""
+def test_still_shutters_have_zero_motion() -> None:
+    """Without an end pose, or with an equal one, motion and turn are exactly zero."""
     pose = posed(rotation((0.3, -0.5, 0.8), 1.234), (0.1, 0.2, 0.3))
     for end in (None, pose):
         camera = front_camera(camera_from_world=pose, camera_from_world_end=end)
@@ -189,8 +189,8 @@ def test_still_shutters_do_not_move_at_all() -> None:
         ({"camera_from_world_end": np.eye(4)}, "has a rolling shutter"),
     ],
 )
-def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, Any], message: str) -> None:
-    """One line names the feature, and the pipeline that supports it."""
+def test_raster_refuses_unsupported_cameras(changes: dict[str, Any], message: str) -> None:
+    """The error names the feature, and the pipeline that supports it."""
     camera = front_camera(name="left")
     refuse_lens(camera, ls.Pipeline.RASTER)
     with pytest.raises(ls.SceneError, match=message):
@@ -201,8 +201,8 @@ def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, Any], message
         refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER, ls.config.Projection.UNSCENTED)
 
 
-def test_depth_z_of_a_drawn_frame() -> None:
-    """The raster's own depth and ``ray_directions`` agree: a flat Gaussian off the axis has one view depth."""
+def test_depth_z_agrees_with_ray_directions() -> None:
+    """A flat Gaussian off the axis has one view depth, by the raster's depth and ``ray_directions``."""
     scene = ls.Scene([one_gaussian((0.9, -0.7, 3.0), (0.3, 0.3, 1e-4), 0.9)])
     frame = ls.render(scene, front_camera(), device="cpu")
     found = np.isfinite(frame.depth)

@@ -1,4 +1,4 @@
-"""Meshes put into captures: upright, on the ground, beside what stands there, of a sensible size."""
+"""Meshes inserted into captures stand upright on the ground, beside other objects, at a sensible size."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UPS = ("y-down", "y-up", "z-up", "x-down", (0.3, -0.9, 0.2))
 
 
 def capture(up: Any, blocks: tuple[tuple[float, float], ...] = (), ground: float = 0.7) -> ls.Gaussians:
-    """A square of ground of 8 units, at a height, and blocks of 1 unit on it at places to the right and the front."""
+    """Returns a square ground of 8 units at a height, with blocks of 1 unit at (right, front) positions on it."""
     side = np.linspace(-4.0, 4.0, 81)
     x, z = (axis.ravel() for axis in np.meshgrid(side, side))
     points = [np.stack([x, np.full(x.size, ground), z], axis=1)]
@@ -35,7 +35,7 @@ def capture(up: Any, blocks: tuple[tuple[float, float], ...] = (), ground: float
 
 
 def cone(height: float = 1.0, at: tuple[float, float] = (0.0, 0.0)) -> ls.Mesh:
-    """A pyramid with y up: its tip is its highest point, its front edge points to +z."""
+    """Returns a pyramid with y up: its tip is the highest point, its front edge points to +z."""
     x, z = at
     base = [(-0.3, 0, -0.3), (0.3, 0, -0.3), (0.3, 0, 0.3), (-0.3, 0, 0.3), (0, 1, 0)]
     points = height * np.array(base, np.float64) + (x, 5.0, z)
@@ -43,15 +43,15 @@ def cone(height: float = 1.0, at: tuple[float, float] = (0.0, 0.0)) -> ls.Mesh:
 
 
 def corners(scene: ls.Scene, number: int = -1) -> np.ndarray:
-    """World positions of a mesh's corners, x to the right, y up, z to the front."""
+    """Returns world positions of a mesh's corners: x to the right, y up, z to the front."""
     instance = scene.meshes[number]
     world = instance.mesh.positions @ instance.transform[:3, :3].T + instance.transform[:3, 3]
     return world @ y_up_from(scene.up_direction).T
 
 
 @pytest.mark.parametrize("up", UPS, ids=str)
-def test_a_mesh_stands_upright_on_the_ground_under_it(up: Any) -> None:
-    """Whatever is up in the capture: the tip is above the base, the base is on the ground, the place is its own."""
+def test_inserted_mesh_stands_upright_on_the_ground(up: Any) -> None:
+    """For any up, the tip is above the base, the base is on the ground, and the horizontal position stays."""
     scene = ls.insert(ls.Scene([capture(up)], up=up), cone(at=(1.0, -0.5)))
     base, tip = corners(scene)[:4], corners(scene)[4]
     np.testing.assert_allclose(base[:, 1], 0.7, atol=0.06)
@@ -59,8 +59,8 @@ def test_a_mesh_stands_upright_on_the_ground_under_it(up: Any) -> None:
     np.testing.assert_allclose(tip[[0, 2]], [1.0, -0.5], atol=1e-6)
 
 
-def test_it_stands_beside_what_is_there() -> None:
-    """Neither in a captured block nor in a mesh that was put there before, and on the ground all the same."""
+def test_inserted_mesh_avoids_other_objects() -> None:
+    """A mesh overlaps neither a captured block nor a mesh inserted before, and stands on the ground."""
     scene = ls.Scene([capture("y-down", ((0.0, 0.0),))], up="y-down")
     for _ in range(2):
         scene = ls.insert(scene, cone())
@@ -72,12 +72,12 @@ def test_it_stands_beside_what_is_there() -> None:
 
 
 def covered(mesh: ls.Mesh, at: tuple[float, float, float]) -> np.ndarray:
-    """Points on a mesh, moved, with y up."""
+    """Returns points on a mesh, translated, with y up."""
     return ls.gaussians_from_mesh(mesh, 2000).means + np.array(at)
 
 
 def gaussians_at(points: np.ndarray, up: Any = "y-down", scale: float = 0.05) -> ls.Gaussians:
-    """Opaque Gaussians at points with y up, in a scene with another up."""
+    """Returns opaque Gaussians at points with y up, in a scene with another up."""
     count = len(points)
     return ls.Gaussians(
         points @ y_up_from(up_vector(up)), np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), scale),
@@ -86,7 +86,7 @@ def gaussians_at(points: np.ndarray, up: Any = "y-down", scale: float = 0.05) ->
 
 
 def floor_points(y: float = 0.0, count: int = 61) -> np.ndarray:
-    """A grid on a floor of 6 units."""
+    """Returns a grid of points on a floor of 6 units."""
     x, z = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-3.0, 3.0, count)]))
     return np.stack([x, np.full(x.size, y), z], axis=1)
 
@@ -102,18 +102,18 @@ CUPBOARD = [covered(ls.box((1.2, 2.0, 1.2)), (0.0, 1.0, 0.0))]
     [(ARCH, False, (0.6, 0.2)), (ARCH, True, (0.6, 0.2)), (TABLE, True, (0.8, 0.8)), (CUPBOARD, True, (0.6, 0.6))],
     ids=["between legs", "between legs on a floor", "under a table", "in a cupboard"],
 )
-def test_it_stands_beside_a_thing_not_under_or_in_it(
+def test_inserted_mesh_stands_neither_under_nor_inside_objects(
     there: list[np.ndarray], with_floor: bool, outside: tuple[float, float]
 ) -> None:
-    """A thing of half a unit, at whose own place is room that nobody means."""
+    """A mesh of half a unit avoids free space between legs, under a table and inside a cupboard."""
     points = np.concatenate([*there, floor_points()] if with_floor else there)
     placed = corners(ls.insert(ls.Scene([gaussians_at(points)], up="y-down"), cone(0.5)))
     assert (np.abs(placed[4, [0, 2]]) > np.array(outside) + 0.15).any()
     np.testing.assert_allclose(placed[:4, 1], 0.0, atol=0.07)
 
 
-def test_a_plane_that_catches_shadows_takes_no_place() -> None:
-    """A mesh counts as its surface: one stands on a proxy of the ground, and beside a box of the same size."""
+def test_shadow_catcher_planes_are_no_obstacles() -> None:
+    """A mesh stands on a shadow-catching ground plane, but beside a box of similar size."""
     ground = ls.Scene([capture("y-down")], up="y-down")
     plane = ls.MeshInstance(ls.plane(8.0, 8.0), position=(0.0, -0.72, 0.0), up="y-down", shadow_catcher=True)
     on_plane = corners(ls.insert(replace(ground, meshes=[plane]), cone()))
@@ -123,13 +123,10 @@ def test_a_plane_that_catches_shadows_takes_no_place() -> None:
 
 
 @pytest.mark.parametrize(("height", "spread"), [(0.5, 0.0), (4.0, 0.0), (0.5, 200.0)])
-def test_where_the_first_view_shows_no_ground_it_stands_in_view(
+def test_mesh_without_ground_is_placed_in_the_first_view(
     height: float, spread: float, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Before a wall, all of it in the picture, nearer than the wall, and a line says that it stands on nothing.
-
-    Far around is a sky, perhaps, which is no measure of sizes.
-    """
+    """Before a wall, the whole mesh is in view in front of the wall, and a log line reports the missing ground."""
     across, up = (axis.ravel() for axis in np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-2, 2, 41)))
     wall = np.stack([across, up, np.zeros_like(up)], axis=1)
     sky = spread * np.random.default_rng(0).normal(size=(600, 3))
@@ -146,8 +143,8 @@ def test_where_the_first_view_shows_no_ground_it_stands_in_view(
     assert "in view, without a ground, because none is visible" in caplog.text
 
 
-def test_a_thick_floor_is_stood_on_and_a_hollow_object_is_not_entered() -> None:
-    """A slab seen from both sides carries things at its top; an object whose normals face outwards has no inside."""
+def test_mesh_stands_on_thick_floors_and_outside_hollow_objects() -> None:
+    """A mesh stands on top of a slab with two sides, and outside an object whose normals face outwards."""
     slab = ls.Scene([gaussians_at(np.concatenate([floor_points(y) for y in (-0.15, 0.0)]))], up="y-down")
     np.testing.assert_allclose(corners(ls.insert(slab, cone(1.0)))[:4, 1], 0.0, atol=0.06)
     hollow = ls.transform(ls.gaussians_from_mesh(ls.sphere(2.0), 4000), np.diag([1.0, -1.0, -1.0, 1.0]))
@@ -156,16 +153,16 @@ def test_a_thick_floor_is_stood_on_and_a_hollow_object_is_not_entered() -> None:
 
 
 @pytest.mark.parametrize("size", [0.15, 0.5])
-def test_few_gaussians_are_a_ground_as_well(size: float) -> None:
-    """A thing that is smaller than the distance between them."""
+def test_sparse_gaussians_form_a_ground(size: float) -> None:
+    """A mesh smaller than the distance between Gaussians stands on their ground."""
     sparse = ls.Scene([gaussians_at(floor_points(0.7, 13), scale=0.25)], up="y-down")
     placed = corners(ls.insert(sparse, cone(size), scale=1.0))
     np.testing.assert_allclose(placed[:4, 1], 0.7, atol=0.06)
     np.testing.assert_allclose(placed[4, [0, 2]], 0.0, atol=1e-6)
 
 
-def test_a_figure_alone_has_it_at_its_feet() -> None:
-    """A capture of a block without any ground: beside it, as low as its lowest part."""
+def test_mesh_stands_at_the_foot_of_a_lone_object() -> None:
+    """In a capture of a block without ground, the mesh stands beside it, as low as its lowest part."""
     whole = capture("y-down", ((0.0, 0.0),))
     kept = np.abs(whole.means[:, [0, 2]]).max(axis=1) < 0.52
     alone = ls.Gaussians(
@@ -177,8 +174,10 @@ def test_a_figure_alone_has_it_at_its_feet() -> None:
 
 
 @pytest.mark.parametrize(("height", "scaled"), [(1.0, False), (1000.0, True), (0.01, True)])
-def test_other_units_are_scaled_and_said(height: float, scaled: bool, caplog: pytest.LogCaptureFixture) -> None:
-    """Millimetres and kilometres become a quarter of the capture; what fits stays as large as it is."""
+def test_meshes_in_other_units_are_scaled_and_logged(
+    height: float, scaled: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Meshes in millimetres or kilometres become a quarter of the capture; meshes that fit keep their size."""
     ground = ls.Scene([capture("y-down")], up="y-down")
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         placed = corners(ls.insert(ground, cone(height)))
@@ -189,17 +188,17 @@ def test_other_units_are_scaled_and_said(height: float, scaled: bool, caplog: py
     assert np.ptp(corners(ls.insert(ground, cone(height), scale=2.0))[:, 1]) == pytest.approx(2.0 * height, rel=1e-3)
 
 
-def test_scenes_of_meshes_alone_are_only_joined() -> None:
-    """There is no capture to stand in."""
+def test_scenes_without_captures_are_only_merged() -> None:
+    """Without a capture, an inserted mesh keeps its transform."""
     scene = ls.insert(ls.Scene(meshes=[cone()]), cone(2.0))
     np.testing.assert_array_equal(scene.meshes[1].transform, np.eye(4))
 
 
-def test_lights_move_along_and_what_is_wrong_is_said() -> None:
-    """A lamp over a mesh stays over it; what is no mesh is refused."""
+def test_inserted_lights_move_with_their_mesh() -> None:
+    """A light above a mesh stays above it; an argument that is not a mesh is refused."""
     ground = ls.Scene([capture("y-down")], up="y-down")
-    lamp = ls.LightSpot((0.0, 7.0, 0.0), (0.0, -1.0, 0.0))
-    scene = ls.insert(ground, ls.Scene(meshes=[cone()], lights=[lamp]))
+    light = ls.LightSpot((0.0, 7.0, 0.0), (0.0, -1.0, 0.0))
+    scene = ls.insert(ground, ls.Scene(meshes=[cone()], lights=[light]))
     up, tip = np.array(scene.up_direction), scene.meshes[0].bounds()
     (moved,) = scene.lights
     assert isinstance(moved, ls.LightSpot)
@@ -212,7 +211,7 @@ def test_lights_move_along_and_what_is_wrong_is_said() -> None:
 
 
 def scene_file(folder: Path, mesh: str, top: str = 'up = "y-down"') -> Path:
-    """A scene file with the capture and a mesh."""
+    """Writes a scene file with the capture and a mesh. Returns its path."""
     ls.save(folder / "ground.ply", capture("y-down"))
     text = "\n".join(f"v {x} {y} {z}" for x, y, z in cone().positions) + "\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n"
     (folder / "cone.obj").write_text(text)
@@ -222,14 +221,14 @@ def scene_file(folder: Path, mesh: str, top: str = 'up = "y-down"') -> Path:
 
 
 def loaded(file: Path) -> ls.Scene:
-    """The scene of a scene file."""
+    """Loads a scene file as a scene."""
     scene = ls.load(file)
     assert isinstance(scene, ls.Scene)
     return scene
 
 
-def test_an_entry_without_a_place_stands_and_one_line_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The line names the entry, and what undoes it."""
+def test_entry_without_position_stands_upright_and_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One log line names the entry, and the key that disables placement."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         scene = loaded(scene_file(tmp_path, ""))
     (line,) = (record.getMessage() for record in caplog.records)
@@ -243,19 +242,19 @@ def test_an_entry_without_a_place_stands_and_one_line_says_so(tmp_path: Path, ca
     "keys",
     ["position = [0, 0, 0]", "rotation_wxyz = [1, 0, 0, 0]", "rotation_degrees = [0, 0, 0]", "upright = false"],
 )
-def test_an_entry_with_a_place_is_obeyed_as_it_stands(tmp_path: Path, keys: str) -> None:
-    """Each key that says where or how: the mesh is as in its file."""
+def test_entry_with_transform_keys_is_not_placed(tmp_path: Path, keys: str) -> None:
+    """Any key of position or rotation leaves the mesh as in its file."""
     np.testing.assert_array_equal(loaded(scene_file(tmp_path, keys)).meshes[0].transform, np.eye(4))
 
 
-def test_ground_false_leaves_it_at_its_own_height(tmp_path: Path) -> None:
-    """It stands upright about the origin of its file."""
+def test_ground_false_keeps_the_height(tmp_path: Path) -> None:
+    """With ``ground = false``, the mesh stands upright about the origin of its file."""
     transform = loaded(scene_file(tmp_path, "ground = false")).meshes[0].transform
     np.testing.assert_allclose(transform, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-12)
 
 
-def test_files_that_were_saved_keep_their_meaning(tmp_path: Path) -> None:
-    """Up as programs wrote it marks files of before; those of today say each place, and read as they were seen."""
+def test_saved_scene_files_keep_transforms(tmp_path: Path) -> None:
+    """Older saved files, marked by a numeric up, are not placed; newly saved files store every transform."""
     old = loaded(scene_file(tmp_path, "", "up = [0.0, -1.0, 0.0]"))
     np.testing.assert_array_equal(old.meshes[0].transform, np.eye(4))
     made = ls.io.SceneDocument.of(ls.Scene([capture("y-down")], [cone()]))
@@ -268,8 +267,8 @@ def test_files_that_were_saved_keep_their_meaning(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded(tmp_path / "opened.toml").meshes[0].transform, seen.transform)
 
 
-def test_actors_without_places_stand_beside_each_other(tmp_path: Path) -> None:
-    """Two of the same file, in a file of captures: neither is in the other."""
+def test_actors_without_positions_do_not_overlap(tmp_path: Path) -> None:
+    """Two actors of one file stand beside each other in a scene file with captures."""
     file = scene_file(tmp_path, "position = [3.0, 0.0, 3.0]")
     file.write_text(file.read_text() + '[[actors]]\npath = "cone.obj"\nform = "mesh"\n' * 2)
     _, first, second = (np.array(mesh.bounds()) for mesh in loaded(file).meshes)
@@ -277,8 +276,8 @@ def test_actors_without_places_stand_beside_each_other(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("-x", (-1, 0, 0))])
-def test_its_front_faces_who_sees_the_scene_from_the_front(tmp_path: Path, front: str, axis: Any) -> None:
-    """In Python and in a scene file, of a mesh and of an actor; the document that is saved says it in full."""
+def test_front_axis_faces_the_front_camera(tmp_path: Path, front: str, axis: Any) -> None:
+    """The front axis faces the front camera for meshes and actors, in Python, scene files and saved documents."""
     ground = ls.Scene([capture("y-down")], up="y-down")
     actor = f'[[actors]]\npath = "cone.obj"\nform = "mesh"\nfront = "{front}"\n'
     file = scene_file(tmp_path, f'front = "{front}"\n{actor}')
@@ -290,8 +289,8 @@ def test_its_front_faces_who_sees_the_scene_from_the_front(tmp_path: Path, front
         ls.insert(ground, cone(), front="z")
 
 
-def test_a_front_alone_stands_a_mesh_without_captures(tmp_path: Path) -> None:
-    """It is upright in the scene, and turned."""
+def test_front_alone_makes_a_mesh_upright(tmp_path: Path) -> None:
+    """A mesh with only a front axis is upright and rotated, also in a scene without captures."""
     scene_file(tmp_path, "")
     file = tmp_path / "meshes.toml"
     file.write_text('up = "z-up"\n[[meshes]]\npath = "cone.obj"\nfront = "-z"\n')
@@ -306,10 +305,10 @@ def test_a_front_alone_stands_a_mesh_without_captures(tmp_path: Path) -> None:
     [("position = [0, 0, 0]", True), ("ground = 0.5", True), ("position = [0, 0, 0]\nupright = false", False),
      ("position = [0, 0, 0]\nrotation_wxyz = [1, 0, 0, 0]", False), ("position = [0, 0, 0]\nfront = '-z'", False)],
 )  # fmt: skip
-def test_a_place_without_a_rotation_is_told(
+def test_position_without_rotation_is_logged(
     tmp_path: Path, keys: str, said: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Its file's y is not up in the scene: one line says so, and what stands it; what is up to the user is silent."""
+    """If the file's y is not up in the scene, one log line suggests ``upright``; explicit rotations log nothing."""
     file = scene_file(tmp_path, keys)
     for read in (ls.load, ls.io.SceneDocument.open):
         caplog.clear()

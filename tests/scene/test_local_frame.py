@@ -1,4 +1,4 @@
-"""Local frames: nothing that is seen changes, and float32 holds what is there."""
+"""Local frames change no image, and keep coordinates within the precision of float32."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ UTM = np.array([500123.25, 5400987.5, 312.0])
 
 
 def ball(size: float = 1.0, count: int = 300) -> ls.Gaussians:
-    """Gaussians on a sphere."""
+    """Returns Gaussians on a sphere."""
     rng = np.random.default_rng(2)
-    ways = rng.normal(size=(count, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return ls.Gaussians(
-        means=0.5 * size * ways,
+        means=0.5 * size * directions,
         rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
         scales=np.full((count, 3), 0.05 * size),
         opacities=np.full(count, 0.9),
@@ -31,8 +31,8 @@ def ball(size: float = 1.0, count: int = 300) -> ls.Gaussians:
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
 @pytest.mark.parametrize("unit", [1.0, 1000.0, 1e-3])
-def test_a_camera_sees_in_a_frame_what_it_sees_in_the_world(model: ls.CameraModel, unit: float) -> None:
-    """Points of the world and those of the frame fall on the same pixels; poses come back."""
+def test_cameras_see_the_same_in_a_local_frame(model: ls.CameraModel, unit: float) -> None:
+    """World points and their local points project to the same pixels, and poses convert back."""
     eye = UTM + np.array([1.0, 2.0, 3.0])
     camera = ls.Camera.look_at(eye, UTM, (0, 0, 1), model=model, width=64, height=48, near=0.5)
     frame = LocalFrame(UTM + 0.125, unit)
@@ -50,8 +50,8 @@ def test_a_camera_sees_in_a_frame_what_it_sees_in_the_world(model: ls.CameraMode
     np.testing.assert_allclose(frame.world_pose(local.camera_from_world), camera.camera_from_world, atol=1e-8)
 
 
-def test_scenes_around_zero_are_rendered_as_they_are() -> None:
-    """Also with a floor that reaches far, and some sizes off the middle: the same objects, not copies."""
+def test_scenes_near_the_origin_need_no_local_frame() -> None:
+    """Scenes some sizes off the origin are used without copies."""
     scene = ls.Scene([ls.SplatInstance(ball(), position=(3.0, -2.0, 5.0))])
     frame, near = rendered_frame(scene)
     assert frame.is_world and frame.scene(scene) is scene
@@ -60,8 +60,8 @@ def test_scenes_around_zero_are_rendered_as_they_are() -> None:
     assert rendered_frame(ls.Scene())[1] == NEAR_PLANE
 
 
-def test_far_scenes_have_an_origin_that_stays_while_things_move() -> None:
-    """Within some sizes of the scene; lights, meshes and captures move alike, to the last digits of float64."""
+def test_local_origin_stays_while_objects_move() -> None:
+    """The origin stays within some sizes of a moving object; lights and captures move alike in float64."""
     origins = set()
     for step in np.linspace(0.0, 3.0, 7):
         scene = ls.Scene([ls.SplatInstance(ball(), position=UTM + np.array([step, 0.0, 0.0]))])
@@ -82,8 +82,8 @@ def test_far_scenes_have_an_origin_that_stays_while_things_move() -> None:
             np.testing.assert_array_equal(light.position, moved.splats[0].transform[:3, 3])
 
 
-def test_assets_far_from_their_own_zero_are_about_a_middle_the_same_each_time() -> None:
-    """A capture whose float32 means are themselves far away: its places in the world stay."""
+def test_assets_far_from_their_origin_are_recentred_once() -> None:
+    """Distant float32 means are recentred once, and keep their world positions."""
     far = replace(ball(), means=ball().means + np.float32(65536.0))
     scene = ls.Scene([far])
     frame, _ = rendered_frame(scene)
@@ -93,8 +93,8 @@ def test_assets_far_from_their_own_zero_are_about_a_middle_the_same_each_time() 
     np.testing.assert_allclose(first.world_means + frame.origin, scene.splats[0].world_means, rtol=0, atol=1e-9)
 
 
-def test_an_origin_is_taken_only_where_float32_needs_one() -> None:
-    """At a hundredth of the width of things; in any unit alike; strays and values that are not finite do not count."""
+def test_local_origin_depends_on_distance_over_size() -> None:
+    """An origin is needed at a hundred sizes or more in any unit; strays and non-finite values do not count."""
     points = np.random.default_rng(1).normal(size=(500, 3))
     assert not needed_origin(points + 100.0, 0.05).any()
     assert needed_origin(points + UTM, 0.05).any()
@@ -107,8 +107,8 @@ def test_an_origin_is_taken_only_where_float32_needs_one() -> None:
     assert not needed_origin(spoilt, 0.05).any()
 
 
-def test_cameras_are_as_far_apart_in_their_frame_whatever_the_unit() -> None:
-    """Their extent in the frame is what was asked for; of cameras in one place, the unit stays."""
+def test_cameras_have_the_requested_extent_in_their_frame() -> None:
+    """The cameras' extent is as requested for any unit; coincident cameras keep the unit."""
     for unit in (1.0, 1000.0, 1e-3):
         eyes = unit * (UTM + np.random.default_rng(1).normal(size=(6, 3)))
         cameras = [ls.Camera.look_at(eye, unit * UTM, (0, 0, 1)) for eye in eyes]
@@ -118,8 +118,8 @@ def test_cameras_are_as_far_apart_in_their_frame_whatever_the_unit() -> None:
     assert LocalFrame.of_cameras(one, 4.4).unit == 1.0
 
 
-def test_gaussians_come_back_about_an_origin_where_they_need_one() -> None:
-    """In the world they are where the frame had them."""
+def test_gaussians_return_to_world_positions() -> None:
+    """Gaussians keep their world positions, with an origin only where float32 needs one."""
     for origin, unit, needs in ((UTM, 2.0, True), (np.array([1.0, 2.0, 3.0]), 2.0, False)):
         back = LocalFrame(origin, unit).gaussians(ball())
         assert any(back.origin) is needs
@@ -127,15 +127,15 @@ def test_gaussians_come_back_about_an_origin_where_they_need_one() -> None:
         np.testing.assert_allclose(back.scales, unit * ball().scales, rtol=1e-6)
 
 
-def test_the_near_plane_is_halved_until_it_fits() -> None:
-    """At most a thousandth of the size, more than half of that, and never above the default."""
+def test_near_plane_is_halved_until_it_fits() -> None:
+    """The near plane is between 0.0005 and 0.001 of the size, and never above the default."""
     for size in (1e-6, 3e-3, 0.9, 1.0, 9.9):
         assert 0.5e-3 * size < default_near(size) <= 1e-3 * size
     assert default_near(10.0) == default_near(1e9) == default_near(0.0) == NEAR_PLANE
 
 
-def test_parts_of_a_capture_are_rendered_in_the_frame_of_all_of_it(tmp_path: Path) -> None:
-    """Blocks that a view sees: their origin and near plane are not their own."""
+def test_blocks_share_the_frame_of_the_whole_capture(tmp_path: Path) -> None:
+    """Each block of a capture gets the origin and near plane of the whole capture."""
     whole = ls.transform(ball(4.0), translation=(100.0, 0.0, 0.0))
     index = ls.io.write_blocks(tmp_path / "blocks", [whole], cell=1.0)
     frames = [rendered_frame(ls.Scene([ls.io.load_blocks(index, [part])])) for part in ls.io.all_blocks(index)]

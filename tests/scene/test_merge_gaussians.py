@@ -1,4 +1,4 @@
-"""Merging Gaussian sets."""
+"""Merging concatenates Gaussian sets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lumisplat.scene.gaussians import merge_gaussians
 
 
 def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
-    """Some Gaussians whose SH holds ones."""
+    """Returns Gaussians whose SH coefficients are ones."""
     return ls.Gaussians(
         np.full((count, 3), count, dtype=np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
@@ -24,26 +24,26 @@ def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
 
 
 def test_merged_keeps_order_and_pads_sh() -> None:
-    """Rows follow each other; lower degrees get zeros, which add nothing."""
+    """Rows follow each other; lower SH degrees are padded with zeros."""
     both = merge_gaussians([make(2, 1), make(3, 4)])
     np.testing.assert_array_equal(both.means[:, 0], [2, 2, 3, 3, 3])
     np.testing.assert_array_equal(both.sh[:, 1:].any(axis=(1, 2)), [False, False, True, True, True])
     assert both.albedo is not None
 
 
-def test_merged_drops_what_not_all_sets_have() -> None:
+def test_merge_drops_arrays_that_some_sets_lack() -> None:
     """An optional array is kept only if all sets have it."""
     assert merge_gaussians([make(2, 1), make(3, 1, albedo=False)]).albedo is None
 
 
-def test_settings_are_kept() -> None:
+def test_merge_keeps_common_settings() -> None:
     """Settings that all sets share are those of the merged set and of its subsets."""
     both = merge_gaussians([replace(make(2, 1), kernel_degree=4, antialiased=True)] * 2)
     assert (both.kernel_degree, both.antialiased) == (4, True)
     assert both.subset(np.array([0, 3])).kernel_degree == 4
 
 
-def test_merged_refuses_nothing_and_mixed_settings() -> None:
+def test_merge_refuses_empty_lists_and_mixed_settings() -> None:
     """An empty list, and sets whose opacities or scales have different meanings, raise one clear error."""
     with pytest.raises(ls.SceneError, match="expected at least one"):
         merge_gaussians([])

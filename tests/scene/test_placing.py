@@ -1,4 +1,4 @@
-"""Placing things in words: positions, angles, up, targets, the ground; in Python and in scene files."""
+"""Instances are placed by position, angles, up, target and ground, in Python and in scene files."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ BOX = ls.box((1.0, 2.0, 3.0))
 
 
 def moved(point: Any, **words: Any) -> np.ndarray:
-    """Where a point of a mesh goes."""
+    """Returns the position of a mesh point after placement."""
     return ls.MeshInstance(BOX, **words).transform[:3] @ (*point, 1.0)
 
 
-def test_words_are_scaled_turned_moved():
-    """A quarter turn about z takes x to y; x turns first, z last."""
+def test_placement_scales_then_rotates_then_translates():
+    """A quarter turn about z takes x to y; rotations about x come first, about z last."""
     np.testing.assert_allclose(moved((1, 0, 0), position=(1, 2, 3), rotation_degrees=(0, 0, 90)), (1, 3, 3), atol=1e-12)
     np.testing.assert_allclose(moved((0, 1, 0), rotation_degrees=(90, 0, 90), scale_by=2.0), (0, 0, 2), atol=1e-12)
     np.testing.assert_allclose(moved((0, 1, 0), rotation_degrees=(0, 90, 90)), (-1, 0, 0), atol=1e-12)
 
 
-def test_up_stands_upright():
-    """What was made with y up has its top up, and its front before the front camera."""
+def test_up_makes_a_model_upright():
+    """A y-up model has its top along the scene's up, and its front towards the front camera."""
     for up in ls.Scene.UP_NAMES:
         scene = ls.Scene(up=up)
         np.testing.assert_allclose(moved((0, 1, 0), up=up), scene.up_direction, atol=1e-12)
@@ -37,8 +37,8 @@ def test_up_stands_upright():
         np.testing.assert_allclose(moved((0, 0, 1), up=up), eye, atol=1e-12)
 
 
-def test_look_at_turns_the_front():
-    """+z points at the target, and the top stays as upright as it can."""
+def test_look_at_points_the_front_at_the_target():
+    """+z points at the target, and the top stays as upright as possible."""
     words = {"position": (1, 1, 1), "look_at": (4, -3, 1), "up": "y-down"}
     np.testing.assert_allclose(moved((0, 0, 5), **words), (4, -3, 1), atol=1e-12)
     assert (moved((0, 1, 0), **words) - (1, 1, 1)) @ (0, -1, 0) > 0.1
@@ -49,8 +49,8 @@ def test_look_at_turns_the_front():
     ("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("+x", (1, 0, 0)), ("-x", (-1, 0, 0))]
 )
 @pytest.mark.parametrize("up", ["y-down", "z-up"])
-def test_another_axis_may_be_the_front(front, axis, up):
-    """It is turned to the target, or stands before the front camera; the top stays up, and nothing is mirrored."""
+def test_front_axis_can_be_chosen(front, axis, up):
+    """The chosen axis points at the target or the front camera; the top stays up, and nothing is mirrored."""
     scene = ls.Scene(up=up)
     upward = np.array(scene.up_direction)
     target = np.array((1, 1, 1)) + (2, -3, 2) * (1 - np.abs(upward))
@@ -62,8 +62,8 @@ def test_another_axis_may_be_the_front(front, axis, up):
     assert np.linalg.det(ls.MeshInstance(BOX, up=up, front=front).transform[:3, :3]) == pytest.approx(1.0)
 
 
-def test_a_scene_file_names_the_front(tmp_path):
-    """As the word of an instance does; a camera sees the other side of what looks at it."""
+def test_scene_files_set_the_front_axis(tmp_path):
+    """The key ``front`` of a scene file gives the same transform as the argument of an instance."""
     scene = load_scene(
         tmp_path,
         '[[meshes]]\nshape = "box"\nlook_at = [4, 0, 0]\nfront = "-z"\n'
@@ -74,8 +74,8 @@ def test_a_scene_file_names_the_front(tmp_path):
         np.testing.assert_array_equal(one.transform, ls.MeshInstance(BOX, up="y-up", **words).transform)
 
 
-def test_captures_are_placed_by_the_same_words():
-    """And changed like any other instance afterwards."""
+def test_captures_take_the_same_placement_arguments():
+    """A splat instance is placed by the same arguments, and can be changed afterwards."""
     splat = ls.SplatInstance(one_gaussian((0, 0, 1)), position=(1, 0, 0), rotation_degrees=(0, 90, 0), scale_by=2.0)
     np.testing.assert_allclose(splat.world_means, [(3, 0, 0)], atol=1e-6)
     assert splat.scale == pytest.approx(2.0)
@@ -97,8 +97,8 @@ def test_captures_are_placed_by_the_same_words():
         ({"look_at": (0, 5, 0)}, "straight above or below"),
     ],
 )
-def test_wrong_words_are_refused(words, message):
-    """In one line; of both kinds of instances."""
+def test_invalid_placement_arguments_are_refused(words, message):
+    """Both kinds of instances refuse invalid arguments in one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MeshInstance(BOX, **words)
     with pytest.raises(ls.SceneError, match=message):
@@ -106,8 +106,8 @@ def test_wrong_words_are_refused(words, message):
 
 
 @pytest.mark.parametrize("up", [*ls.Scene.UP_NAMES, (0.2, -0.9, 0.1)])
-def test_a_mesh_stands_on_the_ground(up):
-    """Its lowest point is at the height along up; it moves along the vertical only."""
+def test_stand_on_ground_moves_only_vertically(up):
+    """The lowest point is at the height along up, and only the vertical position changes."""
     instance = ls.MeshInstance(BOX, position=(3, 4, 5), rotation_degrees=(20, 30, 40))
     standing = ls.stand_on_ground(instance, 1.5, up=up)
     upward = np.array(ls.Scene(up=up).up_direction)
@@ -118,7 +118,7 @@ def test_a_mesh_stands_on_the_ground(up):
 
 
 def test_strays_do_not_lift_a_capture():
-    """A few faint Gaussians below its feet do not count."""
+    """A few faint Gaussians below a capture do not count for its lowest point."""
     bulk = random_gaussians(5, count=500)
     stray = joined(bulk, one_gaussian((0.0, 60.0, 0.0), opacity=0.3))
     alone, together = (ls.stand_on_ground(ls.SplatInstance(g), up="y-down") for g in (bulk, stray))
@@ -133,19 +133,19 @@ def test_strays_do_not_lift_a_capture():
         (ls.LightDirectional(position=(0, 4, 3)), (0.0, -0.8, -0.6)),
     ],
 )
-def test_lights_are_aimed(light, direction):
-    """At a target, and kept there by changes of something else."""
+def test_lights_point_at_their_target(light, direction):
+    """A light's direction points at its target, and stays when other fields are replaced."""
     np.testing.assert_allclose(light.direction, direction, atol=1e-7)
     assert replace(light, intensity=3.0).direction == light.direction
 
 
-def test_a_disk_faces_its_target():
-    """As a spot does."""
+def test_disk_lights_face_their_target():
+    """A disk light faces its target like a spot light."""
     np.testing.assert_allclose(ls.LightDisk((0, 4, 0), target=(3, 0, 0)).direction, (0.6, -0.8, 0.0), atol=1e-6)
 
 
-def test_a_rect_faces_its_target():
-    """With its width level."""
+def test_rect_lights_face_their_target():
+    """A rect light faces its target with a level width."""
     light = ls.LightRect((0, 4, 0), target=(3, 0, 0), size=(2, 0.5))
     np.testing.assert_allclose(np.cross(light.edge_u, light.edge_v), np.array((0.6, -0.8, 0.0)), atol=1e-6)
     assert np.linalg.norm(light.edge_u) == pytest.approx(2.0) and light.edge_u[1] == pytest.approx(0.0)
@@ -166,8 +166,8 @@ def test_a_rect_faces_its_target():
         (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0), size=(1, 0)), "size is"),
     ],
 )
-def test_wrong_aims_are_refused(make, message):
-    """In one line."""
+def test_invalid_light_targets_are_refused(make, message):
+    """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         make()
 
@@ -201,8 +201,8 @@ size = [1, 2]
 """
 
 
-def test_scene_files_have_the_same_words(tmp_path):
-    """Shapes without files, angles in degrees, the ground along the file's up, and targets of lights."""
+def test_scene_files_take_the_same_placement_keys(tmp_path):
+    """Scene files accept built-in shapes, angles in degrees, the ground along the file's up, and light targets."""
     scene = load_scene(tmp_path, FILE)
     first, second = scene.meshes
     corners = first.mesh.positions @ first.transform[:3, :3].T + first.transform[:3, 3]
@@ -228,8 +228,8 @@ def test_scene_files_have_the_same_words(tmp_path):
         ("target = [3, 0, 0]", "target = [0, -4, 0]", "target of a spot is at its position"),
     ],
 )
-def test_wrong_words_of_scene_files_are_refused(tmp_path, old, new, message):
-    """At their line."""
+def test_invalid_placement_keys_are_refused(tmp_path, old, new, message):
+    """The error names the line of the scene file."""
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, FILE.replace(old, new, 1))
     refuses(caught, tmp_path, message)
@@ -237,7 +237,7 @@ def test_wrong_words_of_scene_files_are_refused(tmp_path, old, new, message):
 
 @pytest.mark.parametrize("mesh", [ls.box((1, 2, 3)), ls.sphere(2.0, rows=12), ls.plane(2, 3)])
 def test_shapes_face_outwards_and_have_normals_and_uvs(mesh):
-    """Triangles turn as their normals do, uvs are within the texture, normals are of unit length."""
+    """Triangles face along their unit normals, and texture coordinates are within 0..1."""
     a, b, c = (mesh.positions[mesh.indices[:, k]].astype(float) for k in range(3))
     face = np.cross(b - a, c - a)
     mean = mesh.normals[mesh.indices].mean(axis=1)
@@ -249,7 +249,7 @@ def test_shapes_face_outwards_and_have_normals_and_uvs(mesh):
 
 
 def test_shapes_have_their_sizes():
-    """Bounds, area and volume."""
+    """Bounds and volume match the sizes, and invalid sizes are refused."""
     np.testing.assert_allclose(ls.box((1, 2, 3)).bounds(), [(-0.5, -1, -1.5), (0.5, 1, 1.5)])
     np.testing.assert_allclose(ls.plane(2, 4).bounds(), [(-1, 0, -2), (1, 0, 2)])
     ball = ls.sphere(2.0, rows=64)
@@ -266,7 +266,7 @@ def test_shapes_have_their_sizes():
 
 
 def test_smooth_normals_break_at_creases():
-    """Of a box none are smooth, of a sphere all; a crease angle of 0 is flat."""
+    """A box stays faceted, a sphere becomes smooth, and a crease angle of 0 gives no normals."""
     sharp = ls.editing.smooth_normals(replace(BOX, normals=None))
     assert sharp.normals is not None
     assert sharp.vertex_count == 24
@@ -284,7 +284,7 @@ def test_smooth_normals_break_at_creases():
 
 
 def test_objs_without_normals_are_smooth(tmp_path):
-    """Unless asked for flat ones; those of a file are kept; a scene file says it in degrees."""
+    """OBJ files without normals become smooth unless a small crease angle is set; scene files give it in degrees."""
     ball = ls.sphere(1.0, rows=8)
     lines = [f"v {x} {y} {z}" for x, y, z in ball.positions] + [
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in ball.indices
@@ -299,8 +299,8 @@ def test_objs_without_normals_are_smooth(tmp_path):
     assert normals is not None and np.abs(normals - instance.mesh.positions).max() > 0.1
 
 
-def test_crease_angle_of_objs_in_a_scene_file(tmp_path):
-    """An angle that is given for all OBJs holds for those that a scene file names; an entry's own goes before it."""
+def test_crease_angle_applies_to_objs_of_a_scene_file(tmp_path):
+    """The crease angle given to `load` applies to all OBJ files of a scene file without their own."""
     corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
     (tmp_path / "corner.obj").write_text(corners + "f 1 2 3\nf 1 3 4\nf 1 4 2\n")
     entry = '[[meshes]]\npath = "corner.obj"\n'

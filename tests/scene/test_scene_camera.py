@@ -1,4 +1,4 @@
-"""The pinhole camera: validation, look_at, and the same view at other sizes."""
+"""The pinhole camera is validated, looks at targets, and keeps its view at other sizes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ coordinates = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
 
 
 def pixel_of(camera: ls.Camera, point: np.ndarray) -> np.ndarray:
-    """The pixel of a world point, and its view depth."""
+    """Returns the pixel of a world point, and its view depth."""
     x, y, z = camera.camera_from_world[:3, :3] @ point + camera.camera_from_world[:3, 3]
     return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z])
 
 
 @given(coordinates, coordinates)
 def test_look_at_centres_the_target(eye: tuple[float, ...], target: tuple[float, ...]) -> None:
-    """The target lands in the image's centre at its distance, up is up and right is right."""
+    """The target is at the image centre at its distance; up is up and right is right."""
     offset = np.subtract(target, eye)
     distance = float(np.linalg.norm(offset))
     if np.linalg.norm(np.cross(offset, (0.0, 1.0, 0.0))) < 1e-3 * distance or distance < 1e-3:
@@ -60,8 +60,8 @@ def test_look_at_centres_the_target(eye: tuple[float, ...], target: tuple[float,
         ({"camera_from_world": np.full((4, 4), np.nan)}, "non-finite"),
     ],
 )
-def test_wrong_cameras_are_refused(changes: dict[str, Any], message: str) -> None:
-    """The one line says which value and what was expected."""
+def test_invalid_cameras_are_refused(changes: dict[str, Any], message: str) -> None:
+    """The error names the value and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message):
         front_camera(**changes)
 

@@ -1,4 +1,4 @@
-"""Validation of ``Gaussians``: accepted and refused values, and clear messages."""
+"""`Gaussians` accepts valid values, and refuses invalid ones with clear messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from support.scenes.raster_scenes import random_gaussians
 
 
 def fields(**changes: Any) -> dict[str, Any]:
-    """Arguments of two valid Gaussians."""
+    """Returns the arguments of two valid Gaussians."""
     return {
         "means": np.zeros((2, 3)),
         "rotations_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
@@ -25,7 +25,7 @@ def fields(**changes: Any) -> dict[str, Any]:
 
 
 def test_arrays_become_read_only_float32() -> None:
-    """Any input becomes read-only float32, and the caller's arrays stay as they are."""
+    """Any input becomes read-only float32, and the caller's arrays stay writable."""
     means = np.ones((2, 3), dtype=np.float32)
     gaussians = ls.Gaussians(**fields(means=means, opacities=[0, 1]))
     assert gaussians.count == 2 and gaussians.sh_degree == 1
@@ -90,28 +90,28 @@ def test_normalising_twice_changes_nothing() -> None:
         ({"metallic": [0.0, np.nan]}, "metallic has 1 non-finite"),
     ],
 )
-def test_wrong_values_are_refused(changes: dict[str, Any], message: str) -> None:
-    """The one line says which property, how many, and what was expected."""
+def test_invalid_values_are_refused(changes: dict[str, Any], message: str) -> None:
+    """The error names the property, the number of invalid values and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message) as caught:
         ls.Gaussians(**fields(**changes))
     assert "\n" not in str(caught.value)
 
 
-def test_none_is_refused() -> None:
-    """Zero Gaussians are an error, not an empty picture."""
+def test_zero_gaussians_are_refused() -> None:
+    """Zero Gaussians are an error, not an empty image."""
     empty = fields(**{name: values[:0] for name, values in fields().items()})
     with pytest.raises(ls.SceneError, match="zero Gaussians"):
         ls.Gaussians(**empty)
 
 
 def test_values_beyond_float32_are_refused() -> None:
-    """A double that overflows float32 is not silently infinite."""
+    """A double that overflows float32 is refused instead of becoming infinite."""
     with pytest.raises(ls.SceneError, match="non-finite"):
         ls.Gaussians(**fields(means=np.full((2, 3), 1e300)))
 
 
 def test_subset_keeps_order_and_metadata() -> None:
-    """Rows are selected in the given order; flags and comments are kept."""
+    """Rows are selected in the given order; flags and comments are preserved."""
     gaussians = dataclasses.replace(
         random_gaussians(1, 5, degree=2, antialiased=True), roughness=np.linspace(0, 1, 5), comments=("made",)
     )
@@ -122,7 +122,7 @@ def test_subset_keeps_order_and_metadata() -> None:
     assert gaussians.subset(np.arange(5) == 2).means.tolist() == gaussians.means[2:3].tolist()
 
 
-def test_bounds() -> None:
-    """The box of the means."""
+def test_bounds_enclose_the_means() -> None:
+    """The bounds are the box of the means."""
     low, high = random_gaussians(2, 50, center=(1.0, 2.0, 3.0), extent=(1.0, 1.0, 1.0)).bounds()
     assert (low >= [0, 1, 2]).all() and (high <= [2, 3, 4]).all() and (low < high).all()

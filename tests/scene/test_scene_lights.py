@@ -1,4 +1,4 @@
-"""Lights and scenes of lights: accepted, normalised and refused values."""
+"""Lights are normalised and validated, alone and in scenes."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ REQUIRED: dict[type, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("kind", REQUIRED, ids=lambda kind: kind.__name__)
-def test_defaults(kind: type) -> None:
+def test_default_light_is_white_and_casts_shadows(kind: type) -> None:
     """A light with only a position is white, has intensity 1, is enabled and casts shadows."""
     light = kind(**REQUIRED[kind])
     assert (light.color, light.intensity, light.enabled, light.casts_shadow) == ((1.0, 1.0, 1.0), 1.0, True, True)
 
 
 def test_directions_become_unit() -> None:
-    """A direction may be of any length, and of any kind of sequence."""
+    """A direction may have any length, and be any kind of sequence."""
     spot = ls.LightSpot(position=[1, 2, 3], direction=np.array([0, 3, -4]))
     assert spot.position == (1.0, 2.0, 3.0)
     np.testing.assert_allclose(spot.direction, (0.0, 0.6, -0.8))
     np.testing.assert_allclose(ls.LightDirectional((2.0, 0.0, 0.0)).direction, (1.0, 0.0, 0.0))
 
 
-def test_disks_move_with_what_they_belong_to() -> None:
-    """Position, direction and radius follow a turn about x by a quarter, a scale of 2 and a shift."""
+def test_disk_lights_follow_transforms() -> None:
+    """Position, direction and radius follow a quarter turn about x, a scale of 2 and a translation."""
     matrix = np.array([[2, 0, 0, 1], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]], np.float64)
     disk = move_light(ls.LightDisk((0, 3, 0), (0, -1, 0), 0.25), matrix)
     assert isinstance(disk, ls.LightDisk)
@@ -61,8 +61,8 @@ def test_disks_move_with_what_they_belong_to() -> None:
     ],
     ids=lambda value: getattr(value, "kind", ""),
 )
-def test_the_extent_of_a_light_is_scaled_with_what_it_belongs_to(light: Any, size: float) -> None:
-    """Of all that have an extent; intensity and position in the object are those of before."""
+def test_light_extents_scale_with_transforms(light: Any, size: float) -> None:
+    """Extents of all lights scale with the transform; the intensity does not change."""
     moved: Any = move_light(light, np.diag([2.0, 2.0, 2.0, 1.0]))
     extent = np.linalg.norm(moved.edge_u) if isinstance(moved, ls.LightRect) else moved.radius
     assert extent == pytest.approx(2.0 * size)
@@ -76,8 +76,8 @@ FLAT = [
 
 
 @pytest.mark.parametrize(("light", "area"), FLAT, ids=lambda value: getattr(value, "kind", ""))
-def test_flat_lights_have_an_area_and_one_side(light: ls.LightRect | ls.LightDisk, area: float) -> None:
-    """Their extent by rays from below, of which the share that reaches them is their area; from above, none does."""
+def test_flat_lights_are_one_sided(light: ls.LightRect | ls.LightDisk, area: float) -> None:
+    """Rays from below hit a flat light in proportion to its area; rays from above miss it."""
     rng = np.random.default_rng(3)
     assert light.boundary()[:, 1] == pytest.approx(2.0)
     starts = np.stack([rng.uniform(-0.5, 0.5, 40000), np.zeros(40000), rng.uniform(-0.5, 0.5, 40000)], axis=1)
@@ -92,8 +92,8 @@ def test_flat_lights_have_an_area_and_one_side(light: ls.LightRect | ls.LightDis
     np.testing.assert_allclose(below, (area / 100, 0.5 * area / 100, 0.0), atol=1e-12)
 
 
-def test_environments() -> None:
-    """The image is kept as read-only float32, the rotation as a unit quaternion."""
+def test_environments_normalise_their_input() -> None:
+    """The image becomes read-only float32, the rotation a unit quaternion."""
     image = np.ones((2, 4, 3))
     light = ls.LightEnvironment(image=image, rotation_wxyz=(0, 2, 0, 0))
     assert light.image is not None and light.image.dtype == np.float32 and not light.image.flags.writeable
@@ -147,14 +147,14 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightEnvironment, {"visible": "no"}, "visible is 'no', expected True or False"),
     ],
 )
-def test_wrong_lights_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
-    """An invalid value is named."""
+def test_invalid_lights_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
+    """The error names the invalid value."""
     with pytest.raises(ls.SceneError, match=message):
         kind(**(REQUIRED[kind] | changes))
 
 
-def test_a_scene_takes_one_enabled_environment() -> None:
-    """Further environments may be disabled; there may be any number of other lights."""
+def test_scene_accepts_one_enabled_environment() -> None:
+    """Further environments must be disabled; the number of other lights is not limited."""
     on, off = ls.LightEnvironment(), ls.LightEnvironment(enabled=False)
     lights = [on, off, ls.LightPoint(ORIGIN), ls.LightPoint(ORIGIN)]
     assert ls.Scene(lights=lights).lights == tuple(lights)
@@ -166,7 +166,7 @@ def test_a_scene_takes_one_enabled_environment() -> None:
     ("lights", "message"),
     [([quad(1.0)], "lights holds a Mesh"), (ls.LightPoint(ORIGIN), "lights is a LightPoint, expected a list")],
 )
-def test_what_is_no_light_is_refused(lights: Any, message: str) -> None:
+def test_invalid_light_lists_are_refused(lights: Any, message: str) -> None:
     """``lights`` must be a list of lights."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Scene(lights=lights)
@@ -182,7 +182,7 @@ def test_what_is_no_light_is_refused(lights: Any, message: str) -> None:
         ({"shadow_catcher": 1}, "shadow_catcher is 1, expected True or False"),
     ],
 )
-def test_how_splats_take_light_is_checked(settings: dict[str, Any], message: str) -> None:
+def test_splat_instance_settings_are_validated(settings: dict[str, Any], message: str) -> None:
     """Material, SH degree and ``shadow_catcher`` of an instance must have the right types."""
     with pytest.raises(ls.SceneError, match=message):
         ls.SplatInstance(random_gaussians(0, 3), **settings)

@@ -1,4 +1,4 @@
-"""Materials: factors per channel, textures, and refused values."""
+"""Materials take factors per channel and textures, and refuse invalid values."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ TEXELS = np.zeros((2, 2, 3), np.uint8)
 
 
 def test_one_number_is_a_grey() -> None:
-    """Colours may be given as one number for all three channels."""
+    """A colour may be given as one number for all three channels."""
     material = ls.MaterialSimple(diffuse=0.5, emissive=2)
     assert (material.diffuse, material.emissive) == ((0.5, 0.5, 0.5), (2.0, 2.0, 2.0))
     assert ls.MaterialPbr(base_color=np.float32(0.5)).base_color == (0.5, 0.5, 0.5)
 
 
-def test_a_simple_material_shines_as_captured() -> None:
-    """Its defaults are those of a splat set without material: it shines, and reflects nothing."""
+def test_default_simple_material_emits_captured_radiance() -> None:
+    """The defaults equal those of a splat set without material: it emits its captured colours, and reflects nothing."""
     material = ls.MaterialSimple()
     assert material.emissive == material.base_color == (1.0, 1.0, 1.0)
     assert material.ambient == material.diffuse == material.specular == (0.0, 0.0, 0.0)
 
 
 def test_smooth_is_roughness_zero() -> None:
-    """Only perfectly smooth physical materials reflect or refract rays."""
+    """Only PBR materials with roughness 0 reflect or refract rays."""
     assert ls.MaterialPbr(roughness=0.0).is_smooth
     assert not ls.MaterialPbr(roughness=1e-3).is_smooth
     assert not ls.MaterialSimple(shininess=1e4).is_smooth
@@ -38,8 +38,8 @@ def test_smooth_is_roughness_zero() -> None:
     "name",
     [f"{kind}_texture" for kind in ("base_color", "metallic_roughness", "normal", "occlusion", "emissive")],
 )
-def test_textures_are_kept(name: str) -> None:
-    """Each texture is copied and frozen, and has to be 8-bit RGB or RGBA."""
+def test_textures_are_copied_and_frozen(name: str) -> None:
+    """Each texture is copied and frozen, and must be 8-bit RGB or RGBA."""
     texels = TEXELS.copy()
     stored = getattr(replace(ls.MaterialPbr(), **{name: texels}), name)
     texels[:] = 255
@@ -66,7 +66,7 @@ def test_textures_are_kept(name: str) -> None:
         (ls.MaterialSimple, {"base_color_texture": TEXELS[0]}, "base_color_texture is uint8"),
     ],
 )
-def test_wrong_materials_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
-    """Values outside their physical range are named."""
+def test_invalid_materials_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
+    """The error names values outside of their physical range."""
     with pytest.raises(ls.SceneError, match=message):
         kind(**changes)

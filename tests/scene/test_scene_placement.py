@@ -1,4 +1,4 @@
-"""Instances and scenes: which transforms are accepted, what a scene holds."""
+"""Instances and scenes validate their transforms and content."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import lumisplat as ls
 from support.scenes.raster_scenes import quad, random_gaussians, rotation, similarity
 
 
-def test_similarity_is_kept() -> None:
-    """Rotation, uniform scale and translation are a splat instance's transform; its scale is known."""
+def test_similarity_transforms_are_kept() -> None:
+    """A splat instance keeps rotation, uniform scale and translation, and reports its scale."""
     matrix = similarity((1.0, 2.0, 3.0), 0.7, 2.5, (1.0, 0.0, -4.0))
     instance = ls.SplatInstance(random_gaussians(0, 3), matrix)
     np.testing.assert_array_equal(instance.transform, matrix)
@@ -38,7 +38,7 @@ TURN = similarity((1.0, 2.0, 3.0), 0.7, 3.0, (0.0, 0.0, 0.0))[:3, :3]
     ],
 )
 def test_splats_take_similarities_only(linear: np.ndarray, reason: str) -> None:
-    """Transforms that are no similarity are refused, with the numbers; a mesh takes any invertible transform."""
+    """Splats refuse other transforms and report the numbers; a mesh accepts any invertible transform."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear
     taken = "rotation, uniform scale and translation only"
@@ -57,20 +57,20 @@ def test_rounded_poses_are_similarities(noise: float) -> None:
 
 @pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, 0.0, 1.0]), np.full((4, 4), np.nan), np.eye(3), np.ones((4, 4))])
 def test_impossible_transforms_are_refused(matrix: np.ndarray) -> None:
-    """Singular, non-finite, wrongly shaped and projective matrices are no placement."""
+    """Singular, non-finite, wrongly shaped and projective matrices are refused."""
     with pytest.raises(ls.SceneError, match="world_from_object"):
         ls.MeshInstance(quad(1.0), matrix)
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
-def test_scale_does_not_make_singular(factor: float) -> None:
-    """Very small and very large objects are placed like any other."""
+def test_extreme_scales_are_not_singular(factor: float) -> None:
+    """Very small and very large objects are accepted."""
     matrix = similarity((0.0, 1.0, 0.0), 0.3, factor)
     assert ls.SplatInstance(random_gaussians(0, 3), matrix).scale == pytest.approx(factor)
 
 
 def test_bare_assets_are_placed_at_the_origin() -> None:
-    """Gaussians and meshes need no wrapping; lists become tuples."""
+    """Gaussians and meshes need no instance; lists become tuples."""
     scene = ls.Scene([random_gaussians(0, 7)], [quad(1.0)])
     assert isinstance(scene.splats, tuple) and isinstance(scene.splats[0], ls.SplatInstance)
     assert isinstance(scene.meshes[0], ls.MeshInstance)
@@ -78,8 +78,8 @@ def test_bare_assets_are_placed_at_the_origin() -> None:
     assert (ls.Scene().gaussian_count, ls.Scene().face_count) == (0, 0)
 
 
-def test_strangers_are_refused() -> None:
-    """A mesh among the splats, or anything else, is named."""
+def test_invalid_scene_content_is_refused() -> None:
+    """A mesh among the splats, or any other type, is named in the error."""
     with pytest.raises(ls.SceneError, match="splats holds a Mesh"):
         ls.Scene([quad(1.0)])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="meshes holds a str"):
@@ -92,8 +92,8 @@ def test_strangers_are_refused() -> None:
         ls.MeshInstance(random_gaussians(0, 3))  # pyright: ignore[reportArgumentType]
 
 
-def test_bounds_are_in_the_world() -> None:
-    """The box contains means and vertices in the world."""
+def test_bounds_are_in_world_space() -> None:
+    """The bounds contain means and vertices in world space."""
     gaussians = random_gaussians(4, 40, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0))
     turned = rotation((0.0, 0.0, 1.0), np.pi / 2)
     turned[:3, 3] = (10.0, 0.0, 0.0)
@@ -107,6 +107,6 @@ def test_bounds_are_in_the_world() -> None:
 
 @pytest.mark.parametrize("matrix", [np.diag([1e-20, 1e-20, 1e-20, 1.0]), np.diag([1e20, 1e20, 1e20, 1.0])])
 def test_transforms_beyond_float32_are_refused(matrix: np.ndarray) -> None:
-    """A scale that kernels could not hold, or not invert, is an error and not an infinity."""
+    """A scale that float32 cannot hold or invert is refused instead of becoming infinite."""
     with pytest.raises(ls.SceneError, match="scales or moves by more"):
         ls.MeshInstance(quad(1.0), matrix)

@@ -1,4 +1,4 @@
-"""Up and first view of a scene: of itself, of its captures, else a guess, and which of these it is."""
+"""Up and first view of a scene come from the scene, its captures or a guess, and the source is reported."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import lumisplat as ls
 from support.files.splat_files import capture
 from support.kinds import present
 
-TURN = ls.SplatInstance(capture(1), rotation_degrees=(90.0, 0.0, 0.0)).transform
+ROTATION = ls.SplatInstance(capture(1), rotation_degrees=(90.0, 0.0, 0.0)).transform
 
 
-def test_a_scene_says_where_its_up_comes_from() -> None:
-    """Its own counts before that of its captures, and that before a guess."""
+def test_scene_reports_the_source_of_up() -> None:
+    """The scene's own up counts before its captures', and theirs before a guess."""
     plain, tilted = capture(5), replace(capture(5), up=(0.0, 1.0, 1.0))
     assert (ls.Scene([plain]).up_direction, ls.Scene([plain]).up_source) == ((0.0, -1.0, 0.0), "guess")
     assert ls.Scene().up_source == "guess"
@@ -27,18 +27,18 @@ def test_a_scene_says_where_its_up_comes_from() -> None:
     assert (given.up_direction, given.up_source) == ((0.0, 0.0, 1.0), "scene")
 
 
-def test_up_and_first_view_turn_with_the_instance() -> None:
-    """A capture that is placed turned has its up turned, and is looked at from the turned eye."""
+def test_up_and_first_view_rotate_with_the_instance() -> None:
+    """A rotated instance rotates its capture's up and first view."""
     view = ls.Camera.look_at((0.0, 0.0, 4.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
-    instance = ls.SplatInstance(replace(capture(5), up="y-up", first_view=view), TURN)
+    instance = ls.SplatInstance(replace(capture(5), up="y-up", first_view=view), ROTATION)
     scene = ls.Scene([capture(2), instance])
     assert scene.up_direction == (0.0, 0.0, 1.0)
     np.testing.assert_allclose(present(scene.first_view).eye, (0.0, -4.0, 0.0), atol=1e-12)
     assert ls.Scene([capture(2)]).first_view is None
 
 
-def test_up_of_a_capture_is_checked() -> None:
-    """A direction that is none is refused by name, and a first view is a camera."""
+def test_up_and_first_view_of_captures_are_validated() -> None:
+    """An invalid up is refused by name, and a first view must be a camera."""
     with pytest.raises(ls.SceneError, match="up is 'sideways'"):
         replace(capture(1), up="sideways")
     with pytest.raises(ls.SceneError, match="first_view is 'front', expected a Camera"):
@@ -46,8 +46,8 @@ def test_up_of_a_capture_is_checked() -> None:
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "a.glb"])
-def test_a_scene_file_without_up_takes_that_of_its_capture(tmp_path: Path, name: str) -> None:
-    """As its entry turns it; what the file says counts before, and what is stood upright says nothing."""
+def test_scene_file_without_up_takes_its_captures_up(tmp_path: Path, name: str) -> None:
+    """Up follows the entry's rotation; the file's own up counts first, and ``upright`` entries give no up."""
     ls.save(tmp_path / name, replace(capture(5), up="z-up"))
     file = tmp_path / "scene.toml"
 

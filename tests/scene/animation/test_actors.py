@@ -1,4 +1,4 @@
-"""Actors and animations: placement and subject at a time, and refused values."""
+"""Actors show their subject at its transform at each time, and refuse invalid values."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from support.files.rig_files import BEND, CARRY, TubeRig
 from support.kinds import expect_kind
 from support.scenes.raster_scenes import random_gaussians
 
-TURN = np.array([[0.0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+ROTATION = np.array([[0.0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 MOVE = ls.Keyframes([0.0, 2.0], positions=[[0, 0, 0], [0, 4, 0]])
 
 
 @pytest.fixture
 def rig(tmp_path: Path) -> ls.avatars.Rig:
-    """A rig of two clips, of one and of two seconds."""
+    """Returns a rig with two clips of one and two seconds."""
     return ls.avatars.load_rig(TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb"))
 
 
-def test_keyframes_carry_what_is_placed():
-    """A point is placed first, then moved: the pose is the motion times the placement."""
+def test_pose_is_motion_times_placement():
+    """An actor's pose is its motion times its placement; without motion, it is the placement."""
     gaussians = random_gaussians(1, count=5)
-    actor = ls.Actor(gaussians, MOVE, TURN, name="one")
+    actor = ls.Actor(gaussians, MOVE, ROTATION, name="one")
     (instance,) = actor.at(1.0)
     assert expect_kind(ls.SplatInstance, instance).gaussians is gaussians and instance.name == "one"
-    np.testing.assert_allclose(instance.transform, MOVE.at(1.0) @ TURN)
-    (still,) = ls.Actor(gaussians, world_from_object=TURN).at(1.0)
-    np.testing.assert_array_equal(still.transform, TURN)
+    np.testing.assert_allclose(instance.transform, MOVE.at(1.0) @ ROTATION)
+    (still,) = ls.Actor(gaussians, world_from_object=ROTATION).at(1.0)
+    np.testing.assert_array_equal(still.transform, ROTATION)
 
 
 def test_clips_repeat_or_hold(rig: ls.avatars.Rig) -> None:
-    """A clip repeats at the actor's speed, or stays at its end."""
+    """A clip repeats at the actor's speed, or holds its last pose."""
     rigged = ls.bind_gaussians(rig, 300)
 
     def means(time: float, **settings: object) -> np.ndarray:
@@ -51,29 +51,29 @@ def test_clips_repeat_or_hold(rig: ls.avatars.Rig) -> None:
     assert ls.Actor(rigged, speed=2.0).own_duration == 0.5
 
 
-def test_every_subject_is_shown(rig: ls.avatars.Rig) -> None:
+def test_every_kind_of_subject_becomes_instances(rig: ls.avatars.Rig) -> None:
     """Meshes and rigs become mesh instances, scenes all of their instances, each with its own placement."""
     (posed,) = ls.Actor(rig).at(0.5)
     np.testing.assert_array_equal(expect_kind(ls.MeshInstance, posed).mesh.positions, rig.pose(0.5).positions)
-    scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN)], meshes=[rig.mesh])
+    scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), ROTATION)], meshes=[rig.mesh])
     splat, mesh = ls.Actor(scene, MOVE).at(2.0)
-    np.testing.assert_allclose(splat.transform, MOVE.at(2.0) @ TURN)
+    np.testing.assert_allclose(splat.transform, MOVE.at(2.0) @ ROTATION)
     assert expect_kind(ls.MeshInstance, mesh).mesh is scene.meshes[0].mesh
     (instance,) = ls.Actor(rig.mesh, MOVE, np.diag([1.0, 2.0, 3.0, 1.0])).at(0.0)
     assert expect_kind(ls.MeshInstance, instance).mesh is rig.mesh
 
 
-def test_captures_of_a_scene_stay_as_they_are_lit():
-    """Materials, SH degrees and ``shadow_catcher`` are kept, and so are names unless the actor has one."""
+def test_captures_of_a_scene_keep_their_settings():
+    """Materials, SH degrees and ``shadow_catcher`` are preserved, and so are names unless the actor has one."""
     settings = {"material": ls.MaterialPbr(), "sh_degree": 1, "shadow_catcher": True, "name": "prop"}
-    scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN, **settings)])
+    scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), ROTATION, **settings)])
     (instance,) = ls.Actor(scene, MOVE).at(1.0)
     assert {name: getattr(instance, name) for name in settings} == settings
     assert ls.Actor(scene, name="walker").at(1.0)[0].name == "walker"
 
 
-def test_an_animation_has_its_times(rig: ls.avatars.Rig) -> None:
-    """Frames have a constant distance in time, and actors are in order."""
+def test_animation_times_are_evenly_spaced(rig: ls.avatars.Rig) -> None:
+    """Frame times are evenly spaced, and actors keep their order."""
     gaussians = random_gaussians(1, count=5)
     animation = ls.Animation(ls.Scene(), [ls.Actor(gaussians, MOVE), ls.Actor(rig)], fps=10.0, frame_count=20)
     np.testing.assert_allclose(animation.times, np.arange(20) / 10.0)
@@ -87,7 +87,7 @@ def test_an_animation_has_its_times(rig: ls.avatars.Rig) -> None:
     ("settings", "problem"),
     [
         ({"subject": 3}, "an actor is a int, expected Gaussians"),
-        ({"motion": TURN}, "motion is a ndarray, expected Keyframes"),
+        ({"motion": ROTATION}, "motion is a ndarray, expected Keyframes"),
         ({"world_from_object": np.diag([1.0, 2.0, 1.0, 1.0])}, "scales the axes by 1, 2 and 1"),
         ({"world_from_object": np.full((4, 4), np.nan)}, "world_from_object has non-finite values"),
         ({"speed": -1.0}, "speed is -1.0, expected a number at least 0"),
@@ -97,14 +97,14 @@ def test_an_animation_has_its_times(rig: ls.avatars.Rig) -> None:
         ({"clip": "walk"}, "clip is 'walk', but the actor has no rig"),
     ],
 )
-def test_bad_actors_are_refused(settings, problem):
-    """Invalid values are refused when the actor is made, not at some frame."""
+def test_invalid_actors_are_refused(settings, problem):
+    """Invalid values are refused when the actor is created, not at a frame."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Actor(**{"subject": random_gaussians(1, count=5), **settings})
 
 
-def test_a_clip_that_is_not_there_is_refused(rig: ls.avatars.Rig) -> None:
-    """The message lists the clips."""
+def test_unknown_clips_are_refused(rig: ls.avatars.Rig) -> None:
+    """The error lists the rig's clips."""
     with pytest.raises(ls.SceneError, match="no clip 'walk', it has 'bend', 'carry'"):
         ls.Actor(rig, clip="walk")
 
@@ -121,7 +121,7 @@ def test_a_clip_that_is_not_there_is_refused(rig: ls.avatars.Rig) -> None:
         ({"lighting": 1}, "lighting is 1, expected an AvatarLightingConfig"),
     ],
 )
-def test_bad_animations_are_refused(settings, problem):
-    """One line that names the setting."""
+def test_invalid_animations_are_refused(settings, problem):
+    """The error names the setting in one line."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Animation(**{"scene": ls.Scene(), **settings})

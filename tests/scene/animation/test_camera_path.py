@@ -1,4 +1,4 @@
-"""Cameras that move: smooth interpolation, files of paths, keyframes of scene files."""
+"""Camera paths interpolate smoothly, and load from nerfstudio's files and from keyframes of scene files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from support.scenes.raster_scenes import front_camera
 
 
 def look(eye, target=(0, 0, 0), **changes: Any) -> ls.Camera:
-    """A small camera with y up."""
+    """Returns a small camera with y up."""
     return ls.Camera.look_at(eye, target, width=32, height=24, **changes)
 
 
@@ -24,8 +24,8 @@ KEYS = [look((4, 1, 0)), look((0, 2, 4), fov_y=0.5), look((-4, 1, 1)), look((0, 
 TIMES = [0.0, 1.0, 1.5, 4.0]
 
 
-def test_a_path_goes_through_its_cameras():
-    """At their times, exactly; before and after, it stands still."""
+def test_path_passes_through_its_cameras():
+    """A path equals each camera at its time, and stands still before the first and after the last."""
     path = ls.CameraPath(KEYS, TIMES)
     for time, key in zip(TIMES, KEYS, strict=True):
         np.testing.assert_allclose(path.at(time).camera_from_world, key.camera_from_world, atol=1e-12)
@@ -36,8 +36,8 @@ def test_a_path_goes_through_its_cameras():
 
 
 @pytest.mark.parametrize("targets", [None, np.zeros((4, 3))])
-def test_a_path_has_no_corners(targets):
-    """Position, direction and lens have the same speed just before and just after each key."""
+def test_path_speed_is_continuous(targets):
+    """Position, direction and lens change at the same speed just before and just after each key."""
     path = ls.CameraPath(KEYS, TIMES, targets)
     step = 1e-5
     for time in TIMES[1:-1]:
@@ -47,15 +47,15 @@ def test_a_path_has_no_corners(targets):
             np.testing.assert_allclose(speeds[0] / step, speeds[1] / step, atol=2e-3 * max(1.0, at.fx))
 
 
-def test_a_straight_even_motion_stays_one():
-    """Cubics reproduce it: the eye is where a constant speed takes it."""
+def test_constant_speed_along_a_line_is_preserved():
+    """Cubic interpolation reproduces a straight motion at constant speed."""
     path = ls.CameraPath([look((x, 1, 5), (x, 0, 0)) for x in (0, 2, 4, 6)])
     np.testing.assert_allclose(path.at(1.3).eye, (2.6, 1, 5), atol=1e-9)
     np.testing.assert_allclose(path.at(1.3).camera_from_world[:3, :3], path.at(0).camera_from_world[:3, :3], atol=1e-9)
 
 
-def test_with_targets_the_target_stays_in_the_middle():
-    """All the way, and the nearer of two ways round is taken without them."""
+def test_paths_with_targets_keep_the_target_centred():
+    """The target is centred at all times; without targets, the camera rotates the shorter way."""
     path = ls.CameraPath(KEYS, TIMES, np.zeros((4, 3)))
     for time in np.linspace(0.0, 4.0, 37):
         x, y, z = path.at(time).camera_from_world[:3, 3]
@@ -66,8 +66,8 @@ def test_with_targets_the_target_stays_in_the_middle():
     assert forward @ (-middle.eye / np.linalg.norm(middle.eye)) > 0.99
 
 
-def test_frames_and_stretching():
-    """Frames from the first time to the last; a stretched path takes as long as asked for."""
+def test_stretched_paths_have_the_requested_duration():
+    """Frames cover the first to the last time, and a stretched path has the requested duration."""
     path = ls.CameraPath(KEYS, [2.0, 3.0, 4.0, 5.0])
     frames = path.frames(10.0)
     assert len(frames) == 31 and frames[0].name == "frame_00000"
@@ -88,8 +88,8 @@ def test_frames_and_stretching():
         (lambda: ls.CameraPath(KEYS).at(math.nan), "time is nan"),
     ],
 )
-def test_wrong_paths_are_refused(make, message):
-    """In one line."""
+def test_invalid_paths_are_refused(make, message):
+    """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         make()
 
@@ -98,14 +98,14 @@ FRAME = {"camera_to_world": [1, 0, 0, 2, 0, 1, 0, 3, 0, 0, 1, 4, 0, 0, 0, 1], "f
 
 
 def nerfstudio(**changes: Any) -> dict[str, Any]:
-    """A file as nerfstudio's viewer writes it."""
+    """Writes a file in the format of nerfstudio's viewer."""
     turned = {**FRAME, "camera_to_world": [0, 0, 1, 0, 0, 1, 0, 3, -1, 0, 0, 4, 0, 0, 0, 1]}
     shared = {"camera_type": "perspective", "render_width": 60, "render_height": 40, "fps": 30, "seconds": 0.1}
     return {"keyframes": [], **shared, "is_cycle": False, "camera_path": [FRAME, turned, FRAME], **changes}
 
 
-def test_nerfstudio_paths(tmp_path):
-    """OpenGL poses row by row, vertical degrees, one camera for each frame at the file's rate."""
+def test_nerfstudio_paths_load_frame_by_frame(tmp_path):
+    """Poses are OpenGL row by row, fields of view vertical degrees, and each frame is one camera at the file's rate."""
     (tmp_path / "camera_path.json").write_text(json.dumps(nerfstudio()))
     first, second, _ = ls.load_cameras(tmp_path / "camera_path.json")
     assert (first.width, first.height) == (60, 40)
@@ -131,8 +131,8 @@ def test_nerfstudio_paths(tmp_path):
         ({"fps": 0}, "has fps 0"),
     ],
 )
-def test_wrong_nerfstudio_paths_are_refused(tmp_path, changes, message):
-    """In one line that names the file."""
+def test_invalid_nerfstudio_paths_are_refused(tmp_path, changes, message):
+    """The error is one line that names the file."""
     (tmp_path / "camera_path.json").write_text(json.dumps(nerfstudio(**changes)))
     with pytest.raises(ls.FormatError, match=message):
         ls.io.load_camera_path(tmp_path / "camera_path.json")
@@ -162,13 +162,13 @@ eye = [4, 1, 0]
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    """A folder with a mesh."""
+    """Returns a folder with a mesh."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     return tmp_path
 
 
-def test_keyframes_of_a_scene_file(folder):
-    """The first moving camera is the path; what a keyframe leaves out stays; a list of cameras has its first view."""
+def test_scene_file_keyframes_define_the_path(folder):
+    """The first moving camera is the path; omitted values keep the previous ones; camera lists take its first view."""
     path = ls.io.load_camera_path(write_scene(folder, FLIGHT))
     assert path.duration == 2.5 and [camera.name for camera in path.cameras] == ["flight"] * 2
     assert path.cameras[1].fov_y == pytest.approx(math.radians(40))
@@ -179,8 +179,8 @@ def test_keyframes_of_a_scene_file(folder):
     np.testing.assert_allclose(flight.eye, (0, 1, 4), atol=1e-12)
 
 
-def test_a_moving_camera_makes_an_animation(folder):
-    """Without actors; it lasts as long as the camera moves."""
+def test_moving_camera_makes_an_animation(folder):
+    """A moving camera makes an animation without actors, which lasts as long as the camera moves."""
     animation = ls.load_animation(write_scene(folder, FLIGHT + "[animation]\nfps = 10\n"))
     assert animation.frame_count == 25 and animation.camera_path is not None
 
@@ -195,8 +195,8 @@ def test_a_moving_camera_makes_an_animation(folder):
         (FLIGHT.replace("eye = [4, 1, 0]", "eye = [0, 1, 0]"), "eye and target apart"),
     ],
 )
-def test_wrong_keyframes_are_refused(folder, text, message):
-    """At their line."""
+def test_invalid_keyframes_are_refused(folder, text, message):
+    """The error names the line of the keyframe."""
     with pytest.raises(ls.FormatError) as caught:
         ls.io.load_camera_path(write_scene(folder, text))
     refuses(caught, folder, message)

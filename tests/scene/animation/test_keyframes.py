@@ -1,4 +1,4 @@
-"""Keyframes: poses at and between keys, the shorter rotation, and refused values."""
+"""Keyframes interpolate poses along the shorter rotation, and refuse invalid values."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import lumisplat as ls
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 
 
-def test_poses_at_and_between_keys():
-    """Positions and scales are linear in time, and hold before the first and after the last key."""
+def test_positions_and_scales_are_linear_between_keys():
+    """Positions and scales are linear in time, and constant before the first and after the last key."""
     frames = ls.Keyframes([1.0, 3.0], positions=[[0, 0, 0], [4, -2, 0]], scales=[1.0, 3.0])
     for time, share in ((-5.0, 0.0), (1.0, 0.0), (1.5, 0.25), (3.0, 1.0), (8.0, 1.0)):
         pose = frames.at(time)
@@ -25,7 +25,7 @@ def test_poses_at_and_between_keys():
 
 @given(seed=st.integers(0, 2**32 - 1), time=st.floats(-0.5, 3.5))
 def test_rotations_match_scipy(seed, time):
-    """Slerp over several keys is SciPy's, whatever the lengths and signs of the quaternions given."""
+    """Slerp over several keys equals SciPy's, for any length and sign of the quaternions."""
     rng = np.random.default_rng(seed)
     quaternions = rng.standard_normal((4, 4))
     pose = ls.Keyframes(np.arange(4.0), rotations_wxyz=quaternions).at(time)
@@ -33,8 +33,8 @@ def test_rotations_match_scipy(seed, time):
     np.testing.assert_allclose(pose[:3, :3], wanted.as_matrix(), atol=1e-7)
 
 
-def test_a_tiny_turn_is_not_lost():
-    """A rotation of a microradian between two keys is half done half way."""
+def test_tiny_rotations_are_not_lost():
+    """A rotation by a microradian between two keys is half done half-way."""
     turn = Rotation.from_rotvec([0.0, 0.0, 1e-6]).as_quat()
     pose = ls.Keyframes([0.0, 1.0], rotations_wxyz=[[1, 0, 0, 0], np.roll(turn, 1)]).at(0.5)
     assert pose[1, 0] == pytest.approx(5e-7, rel=1e-6)
@@ -42,7 +42,7 @@ def test_a_tiny_turn_is_not_lost():
 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_matrices_and_quaternions_are_inverse(seed):
-    """Quaternions become SciPy's matrices, and come back up to their sign."""
+    """Quaternions convert to SciPy's matrices and back, up to their sign."""
     quaternions = np.random.default_rng(seed).standard_normal((20, 4))
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     matrices = matrices_from_quaternions(quaternions)
@@ -69,14 +69,14 @@ NAN = float("nan")
         ({"times": ["soon"]}, "times is not an array of numbers"),
     ],
 )
-def test_bad_keyframes_are_refused(values, problem):
-    """The message names the array and the key."""
+def test_invalid_keyframes_are_refused(values, problem):
+    """The error names the array and the key."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Keyframes(**values)
 
 
 @pytest.mark.parametrize("time", [NAN, np.inf, None, "0"])
-def test_bad_times_are_refused(time):
+def test_invalid_times_are_refused(time):
     """Times must be finite numbers."""
     with pytest.raises(ls.SceneError, match="time is"):
         ls.Keyframes([0.0]).at(time)

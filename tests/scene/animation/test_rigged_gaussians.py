@@ -1,4 +1,4 @@
-"""Gaussians bound to a rig: the pose at rest, rigid and affine motion exactly, no holes, no flips, no flicker."""
+"""Gaussians bound to a rig follow rigid and affine motion exactly, without holes, flips or flicker."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COUNT = 1500
 
 
 def covariances(gaussians: ls.Gaussians, thin: bool = True) -> np.ndarray:
-    """Shape (N, 3, 3); without the thin axis of what the wide ones span alone."""
+    """Returns covariances, (N, 3, 3); optionally only of the two wide axes."""
     from scipy.spatial.transform import Rotation
 
     axes = Rotation.from_quat(np.roll(gaussians.rotations_wxyz.astype(float), -1, axis=1)).as_matrix()
@@ -24,12 +24,12 @@ def covariances(gaussians: ls.Gaussians, thin: bool = True) -> np.ndarray:
 
 
 def bound(rig: TubeRig, folder, count: int = COUNT) -> ls.RiggedGaussians:
-    """The rig, written, read and bound."""
+    """Writes a rig, reads it, and binds Gaussians to it."""
     return ls.bind_gaussians(ls.avatars.load_rig(rig.write(folder / "tube.glb")), count)
 
 
 def affine_rig(matrix: np.ndarray) -> TubeRig:
-    """A rig without normals that a clip maps as a whole: by a turn, within it a scale, within that another turn."""
+    """Returns a rig without normals whose clip rotates, scales and rotates again, as nested nodes."""
     left, factors, right = np.linalg.svd(matrix)
     if np.linalg.det(left) < 0.0:
         left[:, 2], right[2] = -left[:, 2], -right[2]
@@ -46,8 +46,8 @@ def affine_rig(matrix: np.ndarray) -> TubeRig:
     return rig
 
 
-def test_rest_is_the_mesh_as_gaussians(tmp_path):
-    """At rest they are the Gaussians of `gaussians_from_mesh`, with the same look, and posing them changes nothing."""
+def test_rest_pose_equals_gaussians_of_the_mesh(tmp_path):
+    """At rest, the Gaussians equal those of `gaussians_from_mesh` in position and look."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path)
     alone = ls.gaussians_from_mesh(rigged.rig.mesh, COUNT)
     np.testing.assert_array_equal(rigged.gaussians.means, alone.means)
@@ -62,7 +62,7 @@ def test_rest_is_the_mesh_as_gaussians(tmp_path):
 
 
 def test_rigid_motion_is_exact(tmp_path):
-    """Where the whole rig moves, means, covariances and normals move as a rigid body's."""
+    """If the whole rig moves rigidly, means, covariances and normals move rigidly."""
     rig = TubeRig(clips={"carry": CARRY})
     rigged = bound(rig, tmp_path)
     root = world_matrices(rig, "carry", 1.2)[1]
@@ -77,7 +77,7 @@ def test_rigid_motion_is_exact(tmp_path):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_affine_motion_is_exact_in_the_plane(seed, tmp_path):
-    """Stretched and sheared, the wide axes span the ellipse of the mapped covariance; the thin one is square to it."""
+    """Under stretch and shear, the wide axes span the mapped ellipse, and the thin axis is perpendicular to it."""
     rng = np.random.default_rng(seed)
     matrix = np.eye(3) + 0.4 * rng.standard_normal((3, 3))
     matrix[:, 0] *= np.sign(np.linalg.det(matrix))
@@ -92,7 +92,7 @@ def test_affine_motion_is_exact_in_the_plane(seed, tmp_path):
 
 
 def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.ndarray:
-    """Of the triangle under each Gaussian, shape (N, 3)."""
+    """Returns the normal of the triangle under each Gaussian, shape (N, 3)."""
     mesh = rigged.rig.mesh if time is None else rigged.rig.pose(time)
     binding = rigged.bindings[0]
     a, b, c = mesh.positions.astype(float)[binding.corners[binding.triangles]].swapaxes(0, 1)
@@ -101,7 +101,7 @@ def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.nd
 
 
 def test_centres_stay_on_their_triangles(tmp_path):
-    """In a bent pose, every centre is at its barycentric coordinates between the twin's vertices."""
+    """In a bent pose, every centre has its barycentric coordinates between the oracle's vertices."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
     positions, _ = posed(rig, "bend", 0.8)
@@ -112,7 +112,7 @@ def test_centres_stay_on_their_triangles(tmp_path):
 
 
 def test_discs_lie_on_the_posed_surface(tmp_path):
-    """In a bent pose, thin axes and normals point out of the surface: no disc is flipped or perpendicular."""
+    """In a bent pose, thin axes and normals point out of the surface; no disc is flipped or perpendicular."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
     shown, outwards = rigged.at(1.0), face_normals(rigged, 1.0)
@@ -123,7 +123,7 @@ def test_discs_lie_on_the_posed_surface(tmp_path):
     assert rigged.at(1.0).count == COUNT
 
 
-def test_a_posed_rig_has_no_holes(tmp_path):
+def test_posed_rig_has_no_holes(tmp_path):
     """In a bent pose, from four sides, the Gaussians are opaque wherever the inner part of the mesh is."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path, 4000)
     mesh = rigged.rig.pose(1.0)
@@ -139,8 +139,8 @@ def test_a_posed_rig_has_no_holes(tmp_path):
         assert alpha[inside].min() > 0.9
 
 
-def test_what_shrinks_to_nothing_vanishes(tmp_path):
-    """Gaussians of a rig that is scaled to nothing have opacity 0; their number stays."""
+def test_gaussians_scaled_to_zero_are_transparent(tmp_path):
+    """Gaussians of a rig that is scaled to zero have opacity 0; their number stays."""
     rigged = bound(TubeRig(clips={"vanish": VANISH}), tmp_path)
     half = rigged.at(0.5)
     np.testing.assert_allclose(half.scales, 0.5 * rigged.gaussians.scales, rtol=1e-4)
@@ -149,8 +149,8 @@ def test_what_shrinks_to_nothing_vanishes(tmp_path):
     assert gone.count == COUNT and not gone.opacities.any()
 
 
-def test_a_still_rig_is_still(tmp_path):
-    """The same time gives the same bits, and so does any time after the end."""
+def test_equal_times_give_equal_poses(tmp_path):
+    """The same time gives identical arrays, and so does any time after the end."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path)
     for time in (0.4, 5.0):
         first, second = rigged.at(time), rigged.at(time if time < 1.0 else 9.0)
@@ -159,7 +159,7 @@ def test_a_still_rig_is_still(tmp_path):
 
 
 def test_several_meshes_share_the_count(tmp_path):
-    """Gaussians of a rig with two materials are as many as asked for, each part coloured by its own."""
+    """Gaussians of a rig with two materials are as many as requested, each with its own material's colour."""
     gltf = TubeRig(clips={"bend": BEND}).gltf()
     first = gltf.json["meshes"][0]["primitives"][0]
     black = gltf.add("materials", pbrMetallicRoughness={"baseColorFactor": [0.0, 0.0, 0.0, 1.0]})
@@ -174,22 +174,22 @@ def test_several_meshes_share_the_count(tmp_path):
 
 @pytest.mark.parametrize("count", [0, -5, 2.5, True, 10**9])
 def test_impossible_counts_are_refused(count, tmp_path):
-    """A count is a whole number that there is room for."""
+    """A count must be a whole number that fits into memory."""
     rig = ls.avatars.load_rig(TubeRig().write(tmp_path / "tube.glb"))
     with pytest.raises(ls.SceneError, match="count is"):
         ls.bind_gaussians(rig, count)
 
 
 def test_only_rigs_are_bound(tmp_path):
-    """A mesh is not a rig and is refused."""
+    """A mesh is refused, since it is not a rig."""
     rig = ls.avatars.load_rig(TubeRig().write(tmp_path / "tube.glb"))
     with pytest.raises(ls.SceneError, match="takes a Rig of load_rig, got a Mesh"):
         ls.bind_gaussians(rig.mesh)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.data
-def test_the_walker_stays_whole(data_dir):
-    """The real avatar over its clip: always as many, all on the posed mesh, discs facing out of it."""
+def test_walking_avatar_keeps_its_surface(data_dir):
+    """Throughout its clip, the real avatar keeps all Gaussians, on the posed mesh and facing outwards."""
     rigged = ls.bind_gaussians(ls.avatars.load_rig(data_dir / "avatars" / "walk.glb", vertex_colors=False), 5000)
     for time in np.linspace(0.0, rigged.rig.duration(), 5):
         shown = rigged.at(float(time))

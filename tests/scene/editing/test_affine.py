@@ -1,4 +1,4 @@
-"""Captures under affine transforms: covariances follow the matrix exactly, colours its rotation."""
+"""Affine transforms map covariances of captures by the matrix, and SH by its rotation."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
 def covariances(gaussians: ls.Gaussians) -> npt.NDArray[np.float64]:
-    """Covariance matrices, shape (N, 3, 3)."""
+    """Returns covariance matrices, shape (N, 3, 3)."""
     axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64)) * gaussians.scales[:, None, :]
     return axes @ axes.transpose(0, 2, 1)
 
 
 def matrix_of(linear: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """A transform that also moves, shape (4, 4)."""
+    """Returns a transform with a translation, shape (4, 4)."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, (1.0, -2.0, 0.5)
     return matrix
@@ -31,7 +31,7 @@ def matrix_of(linear: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 @pytest.mark.parametrize("linear", [STRETCH, MIRROR, STRETCH @ MIRROR, 3.0 * np.eye(3)])
 def test_means_and_covariances_follow_the_matrix(linear: npt.NDArray[np.float64]) -> None:
-    """Sigma becomes M Sigma M^T, and a mean M x + t; normals stay perpendicular to what they were perpendicular to."""
+    """Sigma becomes M Sigma M^T, and a mean M x + t; normals stay perpendicular to the surface."""
     before = capture(normals=np.random.default_rng(1).normal(size=(300, 3)))
     after = under_affine(before, matrix_of(linear))
     expected = linear @ covariances(before) @ linear.T
@@ -44,8 +44,8 @@ def test_means_and_covariances_follow_the_matrix(linear: npt.NDArray[np.float64]
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_colours_turn_and_mirror(degree: int) -> None:
-    """The colour in a direction that was turned, or mirrored, is that of the direction before."""
+def test_sh_colours_rotate_and_mirror(degree: int) -> None:
+    """The colour in a rotated or mirrored direction equals the colour in the original direction."""
     before = capture(20, degree)
     turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]) @ MIRROR
     after = under_affine(before, matrix_of(turn))
@@ -55,8 +55,8 @@ def test_colours_turn_and_mirror(degree: int) -> None:
     np.testing.assert_allclose(turned, seen, atol=2e-6)
 
 
-def test_agrees_with_transform() -> None:
-    """A rotation with uniform scale gives what `lumisplat.transform` gives."""
+def test_similarities_agree_with_transform() -> None:
+    """A rotation with uniform scale gives the result of `lumisplat.transform`."""
     before = capture(degree=3)
     turn = matrix_of(2.0 * np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]))
     ours, theirs = under_affine(before, turn), ls.transform(before, turn)
@@ -65,7 +65,7 @@ def test_agrees_with_transform() -> None:
     assert (error / np.abs(covariances(theirs)).max(axis=(1, 2))).max() < 2e-6
 
 
-def test_a_flattening_matrix_is_refused() -> None:
-    """A matrix without an inverse has no Gaussians."""
+def test_singular_matrices_are_refused() -> None:
+    """A matrix without an inverse is refused."""
     with pytest.raises(ls.SceneError, match="singular"):
         under_affine(capture(5), matrix_of(np.diag([1.0, 1.0, 0.0])))

@@ -1,4 +1,4 @@
-"""Captures cut by place, value and neighbours, and the rest unchanged."""
+"""Captures are cut by region, value and neighbours, and remaining Gaussians stay unchanged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from support.scenes.raster_scenes import random_gaussians
 
 
 def rows_of(part: ls.Gaussians, whole: ls.Gaussians) -> list[int]:
-    """Which Gaussians of a capture a part consists of, found by their means; all else must be theirs, too."""
+    """Returns the indices of a part's Gaussians in a capture, found by means, and checks all other properties."""
     index = {bytes(mean): row for row, mean in enumerate(np.ascontiguousarray(whole.means))}
     rows = [index[bytes(mean)] for mean in np.ascontiguousarray(part.means)]
     for name, values in part.arrays().items():
@@ -24,13 +24,13 @@ def rows_of(part: ls.Gaussians, whole: ls.Gaussians) -> list[int]:
 
 @pytest.fixture
 def capture() -> ls.Gaussians:
-    """A hundred Gaussians in a box, with materials."""
+    """Returns a hundred Gaussians in a box, with materials."""
     rng = np.random.default_rng(5)
     return random_gaussians(3, count=100, degree=2, roughness=rng.random(100), metallic=rng.random(100))
 
 
-def test_crop_by_a_box(capture: ls.Gaussians) -> None:
-    """Opposite corners, in any order; the faces belong to the inside; the outside is the rest."""
+def test_crop_by_a_box_keeps_the_inside(capture: ls.Gaussians) -> None:
+    """Corners may come in any order, faces belong to the inside, and the outside is the complement."""
     low, high = np.array([-1.0, -0.5, 3.5]), np.array([0.5, 1.0, 5.0])
     expected = [i for i, mean in enumerate(capture.means) if (mean >= low).all() and (mean <= high).all()]
     assert 5 < len(expected) < 95
@@ -44,8 +44,8 @@ def test_crop_by_a_box(capture: ls.Gaussians) -> None:
     assert rows_of(ls.editing.crop(capture, box=(one, one)), capture) == [7]
 
 
-def test_crop_by_a_sphere_and_both(capture: ls.Gaussians) -> None:
-    """Within the radius; box and sphere together keep what is in both."""
+def test_crop_by_box_and_sphere_keeps_their_intersection(capture: ls.Gaussians) -> None:
+    """A sphere keeps Gaussians within its radius; box and sphere together keep the intersection."""
     center, radius = np.array([0.2, 0.1, 4.0]), 1.2
     inside = np.linalg.norm(capture.means.astype(np.float64) - center, axis=1) <= radius
     assert rows_of(ls.editing.crop(capture, sphere=(center, radius)), capture) == np.flatnonzero(inside).tolist()
@@ -54,8 +54,8 @@ def test_crop_by_a_sphere_and_both(capture: ls.Gaussians) -> None:
     assert rows_of(ls.editing.crop(capture, box=box, sphere=(center, radius)), capture) == np.flatnonzero(both).tolist()
 
 
-def test_nothing_to_do_is_the_same_capture(capture: ls.Gaussians) -> None:
-    """What removes nothing copies nothing."""
+def test_cuts_that_remove_nothing_return_the_same_capture(capture: ls.Gaussians) -> None:
+    """A cut that removes nothing copies nothing."""
     assert ls.editing.crop(capture, sphere=((0, 0, 4), 100.0)) is capture
     assert ls.editing.select(capture, opacity=(0.0, 1.0)) is capture
     assert ls.editing.limit_sh_degree(capture, 2) is capture
@@ -83,7 +83,7 @@ def test_nothing_to_do_is_the_same_capture(capture: ls.Gaussians) -> None:
     ],
 )
 def test_select_by_each_value(capture: ls.Gaussians, name: str, values: Any) -> None:
-    """Limits on one side or both."""
+    """Each value can be limited on one side or both."""
     all_values = values(capture)
     low, high = (float(x) for x in np.quantile(all_values, (0.313, 0.717)))
     for limits in ((low, None), (None, high), (low, high)):
@@ -93,14 +93,14 @@ def test_select_by_each_value(capture: ls.Gaussians, name: str, values: Any) -> 
         assert rows_of(selected, capture) == np.flatnonzero(kept).tolist()
 
 
-def test_select_by_several_values(capture: ls.Gaussians) -> None:
-    """All ranges count."""
+def test_select_by_several_values_requires_all(capture: ls.Gaussians) -> None:
+    """A selected Gaussian is within all given ranges."""
     both = ls.editing.select(capture, opacity=(0.5, None), z=(None, 4.0))
     assert rows_of(both, capture) == np.flatnonzero((capture.opacities >= 0.5) & (capture.means[:, 2] <= 4)).tolist()
 
 
 def cloud_with_strays() -> tuple[ls.Gaussians, int]:
-    """A dense sheet of small Gaussians, a far background of few wide ones, and three small strays at the end."""
+    """Returns a dense sheet of small Gaussians, a sparse background of wide ones, and three small strays."""
     rng = np.random.default_rng(1)
     sheet = np.column_stack([rng.uniform(-1, 1, (2000, 2)), np.full(2000, 4.0)])
     far = np.column_stack([10.0 * np.indices((5, 5)).reshape(2, -1).T - 20.0, np.full(25, 50.0)])
@@ -114,7 +114,7 @@ def cloud_with_strays() -> tuple[ls.Gaussians, int]:
 
 
 def test_floaters_are_removed_and_backgrounds_stay() -> None:
-    """Lonely small Gaussians go; lonely wide ones, which reach others, stay."""
+    """Isolated small Gaussians are removed; isolated wide ones, which reach others, stay."""
     cloud, solid = cloud_with_strays()
     heard: list[float] = []
     assert rows_of(ls.editing.remove_floaters(cloud, progress=heard.append), cloud) == list(range(solid))
@@ -123,7 +123,7 @@ def test_floaters_are_removed_and_backgrounds_stay() -> None:
 
 @pytest.mark.parametrize(("neighbours", "reach"), [(1, 1.0), (4, 3.0), (20, 2.0)])
 def test_neighbours_are_counted_exactly(neighbours: int, reach: float) -> None:
-    """The same Gaussians as by comparing each with each."""
+    """The result equals that of comparing each Gaussian with every other."""
     capture = random_gaussians(8, count=700, scale_range=(0.001, 0.9))
     capture = replace(capture, scales=capture.scales * 0.5)
     largest = capture.scales.max(axis=1)
@@ -135,8 +135,8 @@ def test_neighbours_are_counted_exactly(neighbours: int, reach: float) -> None:
     assert rows_of(ls.editing.remove_floaters(capture, neighbours, reach), capture) == kept.tolist()
 
 
-def test_limited_harmonics_keep_the_lower_ones(capture: ls.Gaussians) -> None:
-    """Degrees above go, those below keep their bits."""
+def test_sh_limit_keeps_lower_degrees(capture: ls.Gaussians) -> None:
+    """Higher SH degrees are removed, lower ones stay identical."""
     for degree in (0, 1):
         limited = ls.editing.limit_sh_degree(capture, degree)
         assert limited.sh_degree == degree
@@ -144,8 +144,8 @@ def test_limited_harmonics_keep_the_lower_ones(capture: ls.Gaussians) -> None:
         assert limited.means is capture.means
 
 
-def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
-    """A permutation, by which neighbours in memory are nearer to each other."""
+def test_morton_order_is_a_permutation(capture: ls.Gaussians) -> None:
+    """Morton order permutes the Gaussians, and brings spatial neighbours closer in memory."""
     ordered = ls.editing.sort_morton(capture)
     assert sorted(rows_of(ordered, capture)) == list(range(100))
     walk = [np.linalg.norm(np.diff(one.means, axis=0), axis=1).mean() for one in (ordered, capture)]
@@ -188,15 +188,15 @@ def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
         (lambda g: ls.merge(cast(Any, g.means[0, 0])), "captures is a float32, expected a list"),
     ],
 )
-def test_mistakes_are_one_line(capture: ls.Gaussians, change: Any, message: str) -> None:
-    """Every wrong argument is named, and what was expected."""
+def test_invalid_arguments_are_refused_in_one_line(capture: ls.Gaussians, change: Any, message: str) -> None:
+    """The error names the argument and what was expected."""
     with pytest.raises(ls.SceneError, match=message) as error:
         change(capture)
     assert "\n" not in str(error.value)
 
 
-def test_merge_says_what_it_leaves_out(capture: ls.Gaussians, caplog: pytest.LogCaptureFixture) -> None:
-    """Materials that only one of the captures has are named in a log line."""
+def test_merge_logs_dropped_materials(capture: ls.Gaussians, caplog: pytest.LogCaptureFixture) -> None:
+    """A log line names the material properties that only one of the captures has."""
     both = ls.merge([capture, replace(capture, roughness=None)])
     assert (both.count, both.roughness is None, both.metallic is None) == (200, True, False)
     assert [r.getMessage() for r in caplog.records] == ["merge: roughness left out, because not all captures have it"]

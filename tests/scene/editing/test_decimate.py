@@ -1,4 +1,4 @@
-"""Decimation keeps mass, mean, covariance and colour, and looks better than leaving Gaussians out."""
+"""Decimation preserves mass, mean, covariance and colour, and looks better than dropping Gaussians."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from support.scenes.sphere import sphere_quadrature, unit
 
 
 def covariances(gaussians: ls.Gaussians) -> np.ndarray:
-    """Shape (N, 3, 3), float64."""
+    """Returns covariances, shape (N, 3, 3), float64."""
     axes = matrices_from_quaternions(gaussians.rotations_wxyz) * gaussians.scales[:, None, :].astype(np.float64)
     return axes @ axes.transpose(0, 2, 1)
 
 
-def test_the_area_is_the_mean_outline() -> None:
-    """The closed form is the root mean square, over all directions, of the square root of n adj(C) n."""
+def test_area_is_the_mean_silhouette() -> None:
+    """The closed form is the root mean square over all directions n of the silhouette's sqrt(n adj(C) n)."""
     gaussians = random_gaussians(2, count=20, scale_range=(0.01, 2.0))
     directions, weights = sphere_quadrature(8)
     adjugates = np.linalg.inv(covariances(gaussians)) * np.linalg.det(covariances(gaussians))[:, None, None]
@@ -34,7 +34,7 @@ def test_the_area_is_the_mean_outline() -> None:
 
 
 def test_one_gaussian_has_the_moments_of_all() -> None:
-    """Twin in plain NumPy: the mixture of all has their mass, mean, covariance, harmonics and materials."""
+    """The single Gaussian has the mass, mean, covariance, SH and materials of a plain NumPy mixture."""
     rng = np.random.default_rng(7)
     normals = unit(5, 40)
     normals[:, 2] = np.abs(normals[:, 2])
@@ -62,8 +62,8 @@ def test_one_gaussian_has_the_moments_of_all() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 57, 299, 300])
-def test_sums_over_the_whole_capture_stay(count: int) -> None:
-    """However many are left: exactly that number, and mean and covariance of the whole mixture as before."""
+def test_moments_of_the_whole_capture_are_preserved(count: int) -> None:
+    """Any target count is met exactly, and mean and covariance of the whole mixture stay."""
     gaussians = random_gaussians(4, count=300, degree=1, scale_range=(0.2, 0.9))
     gaussians = replace(gaussians, opacities=gaussians.opacities * 0.01)  # none reaches opacity 1
     fewer = ls.editing.decimate(gaussians, count)
@@ -77,7 +77,7 @@ def test_sums_over_the_whole_capture_stay(count: int) -> None:
 
 
 def test_discs_of_a_plane_stay_flat() -> None:
-    """Discs side by side in a plane become larger discs in it, as opaque as their sum covers."""
+    """Adjacent discs in a plane merge to larger discs in it, with the opacity that covers their sum."""
     x, y = np.meshgrid(np.arange(32.0), np.arange(32.0))
     means = np.column_stack([x.ravel(), y.ravel(), np.full(1024, 5.0)])
     scales = np.tile([0.7, 0.7, 1e-4], (1024, 1))
@@ -88,8 +88,8 @@ def test_discs_of_a_plane_stay_flat() -> None:
     np.testing.assert_allclose(fewer.means[:, 2], 5.0, atol=1e-5)
 
 
-def test_colours_are_kept_apart() -> None:
-    """Of a red and a blue half at the same place, none becomes purple while there is another way."""
+def test_different_colours_are_not_merged() -> None:
+    """Coincident red and blue Gaussians do not merge to purple while other merges are possible."""
     rng = np.random.default_rng(0)
     sh = np.where(np.arange(400)[:, None, None] < 200, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
     mixed = ls.Gaussians(
@@ -100,8 +100,8 @@ def test_colours_are_kept_apart() -> None:
     assert np.count_nonzero(purple) <= 5
 
 
-def test_copies_and_invisible_ones() -> None:
-    """A thousand copies of one Gaussian, transparent and opaque, end in one pass after the other, finite."""
+def test_copies_and_transparent_gaussians_merge() -> None:
+    """A thousand copies of one Gaussian, transparent or opaque, merge within some passes to finite values."""
     one = random_gaussians(1, count=1, degree=1)
     for opacity in (0.0, 1.0):
         copies = replace(one.subset(np.zeros(1000, np.int64)), opacities=np.full(1000, opacity))
@@ -114,8 +114,8 @@ def test_copies_and_invisible_ones() -> None:
         np.testing.assert_allclose(np.sort(fewer.scales), np.sort(np.repeat(one.scales, 3, axis=0)), rtol=1e-4)
 
 
-def test_the_same_bits_again_and_progress() -> None:
-    """Nothing is random; progress grows to 1."""
+def test_decimation_is_deterministic_and_reports_progress() -> None:
+    """Two runs are identical, and progress grows to 1."""
     gaussians = random_gaussians(9, count=3000)
     heard: list[float] = []
     first, second = ls.editing.decimate(gaussians, 200, progress=heard.append), ls.editing.decimate(gaussians, 200)
@@ -124,8 +124,8 @@ def test_the_same_bits_again_and_progress() -> None:
     assert heard == sorted(heard) and heard[-1] == 1.0 and len(heard) > 4
 
 
-def test_shapes_of_covariances() -> None:
-    """Rotations and scales give the covariances back, also of needles and discs."""
+def test_covariances_survive_rotations_and_scales() -> None:
+    """Rotations and scales reproduce the covariances, also of needles and discs."""
     gaussians = random_gaussians(12, count=200, scale_range=(1e-3, 2.0))
     packed = moments_of(gaussians).covariances
     rotations, scales = shapes(packed)
@@ -136,8 +136,8 @@ def test_shapes_of_covariances() -> None:
 
 
 @pytest.mark.parametrize(("share", "better"), [(0.25, 6.0), (0.10, 6.0)])
-def test_better_than_leaving_out(data_dir: Path, share: float, better: float) -> None:
-    """On the biker: by far nearer to the whole capture than as many Gaussians chosen at random, or by opacity."""
+def test_decimation_beats_random_and_opacity_selection(data_dir: Path, share: float, better: float) -> None:
+    """The decimated biker is closer to the original than equally many Gaussians chosen at random or by opacity."""
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     count = int(biker.count * share)
     passes: list[float] = []

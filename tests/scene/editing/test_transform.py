@@ -1,4 +1,4 @@
-"""Moved captures look the same to a camera that is moved alike: harmonics turn exactly."""
+"""A transformed capture looks the same to an equally transformed camera: SH rotate exactly."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from support.scenes.sphere import unit
 
 
 def random_rotation(seed: int) -> np.ndarray:
-    """Any rotation."""
+    """Returns a random rotation."""
     return rotation_matrix(np.random.default_rng(seed).normal(size=4))
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_harmonics_turn_exactly(seed: int) -> None:
-    """A turned function has at a turned direction the value that it had: up to degree 8, to rounding of doubles."""
+def test_sh_rotation_is_exact(seed: int) -> None:
+    """A rotated function has its old value in the rotated direction, up to degree 8 and the rounding of doubles."""
     turn, directions = random_rotation(seed), unit(1, 200)
     matrix = sh_rotation(turn, 8)
     coefficients = np.random.default_rng(seed).normal(size=81)
@@ -32,8 +32,8 @@ def test_harmonics_turn_exactly(seed: int) -> None:
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(81), atol=1e-12)
 
 
-def test_harmonics_of_the_first_degree_are_a_vector() -> None:
-    """By hand: -y, z, -x; a quarter turn about z takes x to y and y to -x."""
+def test_sh_of_degree_one_rotate_like_a_vector() -> None:
+    """Degree 1 is (-y, z, -x): a quarter turn about z takes x to y and y to -x."""
     turned = sh_rotation(rotation_from_degrees(np.array([0.0, 0.0, 90.0])), 1)
     x, y, z = np.array([0, 0, 0, -1.0]), np.array([0, -1.0, 0, 0]), np.array([0, 0, 1.0, 0])
     np.testing.assert_allclose(turned @ x, y, atol=1e-15)
@@ -42,14 +42,14 @@ def test_harmonics_of_the_first_degree_are_a_vector() -> None:
 
 
 def test_angles_are_about_fixed_axes_x_first() -> None:
-    """A quarter about x takes y to z; then a quarter about z leaves it."""
+    """A quarter turn about x takes y to z, which the following turn about z leaves."""
     turn = rotation_from_degrees(np.array([90.0, 0.0, 90.0]))
     np.testing.assert_allclose(turn @ [0, 1, 0], [0, 0, 1], atol=1e-15)
     np.testing.assert_allclose(turn @ [1, 0, 0], [0, 1, 0], atol=1e-15)
 
 
 def moved_camera(camera: ls.Camera, new_from_old: np.ndarray, scale: float) -> ls.Camera:
-    """The camera that stands in the moved world as the old one stood in the old."""
+    """Returns the camera transformed together with the world."""
     world_from_camera = new_from_old @ np.linalg.inv(np.asarray(camera.camera_from_world, np.float64))
     world_from_camera[:3, :3] /= scale
     return replace(camera, camera_from_world=np.linalg.inv(world_from_camera), near=scale * camera.near)
@@ -57,8 +57,8 @@ def moved_camera(camera: ls.Camera, new_from_old: np.ndarray, scale: float) -> l
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
 @pytest.mark.parametrize(("scale", "seed"), [(1.0, 0), (2.5, 1), (0.3, 2)])
-def test_a_moved_camera_sees_the_same(pipeline: ls.Pipeline, scale: float, seed: int) -> None:
-    """Degree 3, turned, scaled and moved, beside the same camera turned, scaled and moved."""
+def test_camera_moved_with_the_capture_sees_the_same(pipeline: ls.Pipeline, scale: float, seed: int) -> None:
+    """A capture of degree 3 and a camera, rotated, scaled and moved alike, give the same frame."""
     capture = random_gaussians(4, count=200, degree=3)
     camera = ls.Camera.look_at((0.4, -0.3, 0.0), (0, 0, 4), (0, -1, 0), width=96, height=72, fov_y=0.8, near=0.01)
     new_from_old = np.eye(4)
@@ -78,8 +78,8 @@ def test_a_moved_camera_sees_the_same(pipeline: ls.Pipeline, scale: float, seed:
     assert ls.metrics.psnr(np.clip(after.color, 0, 1), np.clip(instance.color, 0, 1)) > 70.0
 
 
-def test_shapes_normals_and_materials() -> None:
-    """Covariances become s^2 R C R^T, normals turn, and what has no direction stays the same array."""
+def test_covariances_and_normals_rotate() -> None:
+    """Covariances become s^2 R C R^T, normals rotate, and arrays without direction are the same objects."""
     rng = np.random.default_rng(0)
     normals = unit(3, 150)
     capture = random_gaussians(6, normals=normals, roughness=rng.random(150), comments=("kept",))
@@ -95,13 +95,13 @@ def test_shapes_normals_and_materials() -> None:
 
 
 def covariances(gaussians: ls.Gaussians) -> np.ndarray:
-    """Shape (N, 3, 3)."""
+    """Returns covariances, shape (N, 3, 3)."""
     axes = np.stack([rotation_matrix(q) for q in gaussians.rotations_wxyz]) * gaussians.scales[:, None, :]
     return axes @ axes.transpose(0, 2, 1)
 
 
-def test_scale_then_turn_then_move() -> None:
-    """The three in this order, after the matrix."""
+def test_scale_applies_before_rotation_and_translation() -> None:
+    """Scale, rotation and translation apply in this order, after the matrix."""
     capture = random_gaussians(1, count=5)
     together = ls.transform(capture, scale=2.0, rotation_degrees=(0, 90, 0), translation=(1, 0, 0))
     x, y, z = capture.means.T
@@ -125,7 +125,7 @@ def test_scale_then_turn_then_move() -> None:
         ({"matrix": np.zeros((3, 3))}, r"matrix has shape \(3, 3\)"),
     ],
 )
-def test_other_transforms_are_refused(arguments: dict[str, Any], message: str) -> None:
-    """What would shear or mirror Gaussians, or leave none, is named."""
+def test_shears_and_mirrors_are_refused(arguments: dict[str, Any], message: str) -> None:
+    """Transforms that would shear, mirror or flatten Gaussians are refused by name."""
     with pytest.raises(ls.SceneError, match=message):
         ls.transform(random_gaussians(1, count=3), **arguments)

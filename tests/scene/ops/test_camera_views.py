@@ -1,4 +1,4 @@
-"""Up and first view from the cameras of images, in worlds turned any way."""
+"""Up and first view follow from the cameras of images, in any orientation of the world."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SOME = np.random.default_rng(0).normal(size=(50, 3))
 
 
 def turn_to(up: tuple[float, float, float]) -> np.ndarray:
-    """A rotation that turns z to a direction."""
+    """Returns a rotation that takes z to a direction."""
     z = np.array(up) / np.linalg.norm(up)
     x = np.cross(z, (0.3, 0.9, 0.1))
     x /= np.linalg.norm(x)
@@ -26,7 +26,7 @@ def turn_to(up: tuple[float, float, float]) -> np.ndarray:
 def around(
     turn: np.ndarray, degrees: float = 360.0, *, below: float = 0.4, count: int = 24, roll: float = 0.05, side: int = 0
 ) -> list[ls.Camera]:
-    """Cameras on an arc that look down at a point, held with some roll; every ``side``-th one is held on its side."""
+    """Returns rolled cameras on an arc that look down at a point; every ``side``-th one is in portrait orientation."""
     rng = np.random.default_rng(1)
     cameras: list[ls.Camera] = []
     for k in range(count):
@@ -40,34 +40,34 @@ def around(
 
 
 def tilt(found: tuple[float, float, float] | None, up: tuple[float, float, float]) -> float:
-    """Degrees between two directions."""
+    """Returns the angle between two directions in degrees."""
     return math.degrees(math.acos(min(1.0, float(present(found) @ np.array(up)) / float(np.linalg.norm(up)))))
 
 
 @pytest.mark.parametrize("up", UPS)
 @pytest.mark.parametrize("degrees", [360.0, 120.0, 60.0])
-def test_up_is_that_of_people_who_walk_round_a_thing(up: tuple[float, float, float], degrees: float) -> None:
-    """Also from one side, where the mean of the cameras' ups leans away from what all of them look down at."""
+def test_up_of_cameras_around_an_object_is_vertical(up: tuple[float, float, float], degrees: float) -> None:
+    """Up is found within 4 degrees, also from arcs where the mean of the cameras' ups leans."""
     turn = turn_to(up)
     assert tilt(up_of_cameras(around(turn, degrees)), up) < 4.0
 
 
-def test_the_mean_alone_would_lean() -> None:
-    """What least squares are for: from a third of a circle, looking down by 23 degrees, it is off by more than ten."""
+def test_mean_of_camera_ups_leans() -> None:
+    """On a third of a circle, looking down by 23 degrees, the mean up is off by more than 10 degrees."""
     cameras = around(np.eye(3), 120.0)
     mean = -np.mean([camera.camera_from_world[1, :3] for camera in cameras], axis=0)
     assert tilt(tuple(mean / np.linalg.norm(mean)), (0.0, 0.0, 1.0)) > 10.0
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_cameras_held_on_their_side_do_not_tilt_up(up: tuple[float, float, float]) -> None:
-    """A third of the images in portrait, without anybody having turned them."""
+def test_portrait_images_do_not_tilt_up(up: tuple[float, float, float]) -> None:
+    """A third of the images in portrait orientation does not change up."""
     assert tilt(up_of_cameras(around(turn_to(up), side=3)), up) < 4.0
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_up_of_aerial_images_is_whence_they_look(up: tuple[float, float, float]) -> None:
-    """An aircraft that flies to and fro: ups cancel, views agree."""
+def test_up_of_aerial_images_opposes_the_view(up: tuple[float, float, float]) -> None:
+    """For an aircraft flying back and forth, image ups cancel, so that up is opposite to the view."""
     turn = turn_to(up)
     flown = [
         ls.Camera.look_at(turn @ (x, y, 50.0), turn @ (x, y, 0.0), turn @ (0.0, 1.0 - 2.0 * (y % 2), 0.0))
@@ -77,15 +77,15 @@ def test_up_of_aerial_images_is_whence_they_look(up: tuple[float, float, float])
     assert tilt(up_of_cameras(flown), up) < 1e-6
 
 
-def test_cameras_that_do_not_agree_say_nothing() -> None:
-    """Those of a probe that looks to all sides, held every way."""
+def test_contradicting_cameras_give_no_up() -> None:
+    """Cameras that look to all sides with any roll give no up."""
     everywhere = [ls.Camera.look_at((0, 0, 0), one, np.roll(one, 1)) for one in (*np.eye(3), *-np.eye(3))]
     assert up_of_cameras(everywhere) is None
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_the_first_view_is_one_of_the_images_focused_on_what_all_look_at(up: tuple[float, float, float]) -> None:
-    """Its eye, view and field of view are those of a camera; the distance is to where the axes meet."""
+def test_first_view_is_an_image_focused_on_the_common_target(up: tuple[float, float, float]) -> None:
+    """The first view has a camera's pose and lens, and focuses where the optical axes meet."""
     turn = turn_to(up)
     cameras = around(turn, 90.0)
     view = first_view_of(cameras, SOME)
@@ -97,8 +97,8 @@ def test_the_first_view_is_one_of_the_images_focused_on_what_all_look_at(up: tup
     assert 30.0 < angle < 60.0  # the middle of the arc
 
 
-def test_the_first_view_of_images_side_by_side_is_focused_on_what_is_seen() -> None:
-    """Where no axes meet, the depth in the middle of the image counts."""
+def test_first_view_of_parallel_cameras_focuses_on_the_surface() -> None:
+    """If no optical axes meet, the depth at the image centre gives the focus distance."""
     cameras = [ls.Camera.look_at((x, 0.0, -5.0), (x, 0.0, 0.0), (0.0, -1.0, 0.0)) for x in (-1.0, 0.0, 1.0)]
     wall = np.column_stack([*np.meshgrid(np.linspace(-3, 3, 20), np.linspace(-3, 3, 20))]).reshape(-1, 2)
     view = first_view_of(cameras, np.column_stack([wall, np.full(len(wall), 2.0)]))
@@ -108,7 +108,7 @@ def test_the_first_view_of_images_side_by_side_is_focused_on_what_is_seen() -> N
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_few_cameras_are_enough(count: int) -> None:
-    """One image has a view, and an up."""
+    """One image is enough for a first view and an up."""
     cameras = around(np.eye(3), count=count)
     assert up_of_cameras(cameras) is not None
     assert first_view_of(cameras, SOME).focus_distance > 0.0

@@ -1,4 +1,4 @@
-"""Harmonics of linear colours as harmonics of display colours."""
+"""SH of linear colours convert to SH of display colours."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from lumisplat.scene.ops.colors import display_sh
 
 
 def colors(sh: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Colours in all directions, shape (D, N, 3)."""
+    """Returns colours in all directions, shape (D, N, 3)."""
     return np.maximum(np.einsum("dk,nkc->dnc", basis, sh.astype(np.float64)) + 0.5, 0.0)
 
 
-def test_one_colour_is_exact() -> None:
-    """Without view dependence the encoded colour is that of the transfer function."""
+def test_view_independent_colours_are_exact() -> None:
+    """A view-independent colour is encoded by the transfer function exactly."""
     linear = np.linspace(0.0, 1.5, 12).reshape(4, 1, 3)
     sh = display_sh((linear - 0.5) / SH_C0)
     np.testing.assert_allclose(SH_C0 * sh + 0.5, encode_srgb(linear), atol=1e-6)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_no_other_harmonics_are_nearer(degree: int) -> None:
-    """The mean square error over many directions is least: changing any coefficient makes it larger."""
+def test_display_sh_minimise_the_squared_error(degree: int) -> None:
+    """Changing any coefficient increases the mean squared error over many directions."""
     rng = np.random.default_rng(degree)
     sh = rng.normal(0.0, 0.15, (3, (degree + 1) ** 2, 3))
     basis = sh_basis(even_directions(3000), degree)
@@ -44,8 +44,8 @@ def test_no_other_harmonics_are_nearer(degree: int) -> None:
     assert least < 0.05**2
 
 
-def test_small_contrasts_follow_the_slope() -> None:
-    """For small changes of light the display coefficient is the linear one times the slope of the curve."""
+def test_small_contrasts_scale_by_the_slope() -> None:
+    """For small contrasts, display coefficients are linear ones times the slope of the transfer function."""
     sh = np.zeros((1, 4, 3))
     sh[0, 2] = 1e-4
     slope = (encode_srgb(0.5 + 1e-6) - encode_srgb(0.5 - 1e-6)) / 2e-6

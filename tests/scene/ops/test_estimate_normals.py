@@ -1,4 +1,4 @@
-"""Estimated normals: along those of the surface, and outwards."""
+"""Estimated normals follow the surface and point outwards."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ AXIS, PLANE = ls.config.NormalEstimate.SMALLEST_AXIS, ls.config.NormalEstimate.P
 
 
 def _plate() -> ls.Mesh:
-    """Two large sides close to each other, open nowhere."""
+    """Returns a closed thin plate with two large sides."""
     return shapes.rounded_box((1.0, 0.04, 1.0), 0.01)
 
 
 def _bowl() -> ls.Mesh:
-    """Inside of a bowl is outside, too: it is concave, and faces its own centre."""
+    """Returns a bowl, whose inner side is outside too: concave, and facing its own centre."""
     angle = np.linspace(0.0, 0.5 * np.pi, 24)
     outer = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
     return shapes.lathe(np.concatenate([0.85 * outer, outer[::-1]]))
 
 
 def bare(mesh: ls.Mesh, count: int = 6000) -> tuple[ls.Gaussians, np.ndarray]:
-    """Gaussians over a mesh without their normals, and these."""
+    """Returns Gaussians on a mesh without normals, and the removed normals."""
     gaussians = ls.gaussians_from_mesh(mesh, count)
     assert gaussians.normals is not None
     return replace(gaussians, normals=None), gaussians.normals
@@ -50,7 +50,7 @@ SHAPES = {
 @pytest.mark.parametrize("method", [AXIS, PLANE])
 @pytest.mark.parametrize("name", SHAPES)
 def test_normals_point_outwards(name: str, method: ls.config.NormalEstimate) -> None:
-    """Of more than 99 % of the Gaussians, convex or concave, and they are about the surface's own."""
+    """More than 99 % of the normals point outwards on convex and concave shapes, close to the surface's normals."""
     gaussians, truth = bare(SHAPES[name], 12_000)
     normals = ls.estimate_normals(gaussians, method)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
@@ -59,8 +59,8 @@ def test_normals_point_outwards(name: str, method: ls.config.NormalEstimate) -> 
     assert np.median(np.abs(cosine)) > np.cos(np.radians(5.0))
 
 
-def test_openings_do_not_turn_the_inside_out() -> None:
-    """A vase with a hole in its wall: what is seen through a hole from few directions is still inside."""
+def test_holes_do_not_flip_normals() -> None:
+    """A hole in a vase's wall does not make its inside count as outside."""
     gaussians, truth = bare(shapes.sphere(), 12_000)
     wall = gaussians.means @ unit(1, 1)[0] < 0.85
     normals = ls.estimate_normals(gaussians.subset(wall), AXIS)
@@ -68,7 +68,7 @@ def test_openings_do_not_turn_the_inside_out() -> None:
 
 
 def with_faint(gaussians: ls.Gaussians, means: np.ndarray, opacity: float, scale: float) -> ls.Gaussians:
-    """The set, and after it balls of little opacity."""
+    """Returns the set with additional Gaussians of low opacity."""
     count = len(means)
     faint = ls.Gaussians(
         means,
@@ -81,7 +81,7 @@ def with_faint(gaussians: ls.Gaussians, means: np.ndarray, opacity: float, scale
 
 
 def test_strays_and_haze_change_little() -> None:
-    """Distant Gaussians do not coarsen the voxels, and faint ones around the set are not a wall."""
+    """Distant Gaussians do not coarsen the voxels, and faint ones around the set do not count as a wall."""
     gaussians, truth = bare(shapes.torus(1.0, 0.3), 12_000)
     haze = np.random.default_rng(3).uniform(-1.6, 1.6, (3000, 3))
     strays = np.random.default_rng(4).uniform(-300.0, 300.0, (40, 3))
@@ -90,16 +90,16 @@ def test_strays_and_haze_change_little() -> None:
     assert np.mean(np.einsum("ij,ij->i", normals, truth) > 0.0) > 0.99
 
 
-def test_planes_go_by_opacity() -> None:
-    """Faint Gaussians off the surface hardly tilt them."""
+def test_plane_fits_weight_by_opacity() -> None:
+    """Faint Gaussians off the surface hardly tilt fitted planes."""
     gaussians, truth = bare(shapes.sphere(), 4000)
     off = gaussians.means * np.random.default_rng(6).uniform(0.9, 1.1, (4000, 1))
     normals = ls.estimate_normals(with_faint(gaussians, off, 0.01, 0.02), PLANE)[:4000]
     assert np.mean(np.abs(np.einsum("ij,ij->i", normals, truth)) > np.cos(np.radians(5.0))) > 0.95
 
 
-def test_normals_move_with_the_set() -> None:
-    """Turned, scaled and moved, a set has its normals turned."""
+def test_normals_rotate_with_the_set() -> None:
+    """A rotated, scaled and moved set has rotated normals."""
     mesh = SHAPES["knot"]
     pose = similarity((1.0, -2.0, 0.5), 1.3, 40.0, (300.0, -20.0, 7.0))
     normals, moved = (ls.estimate_normals(bare(one)[0], AXIS) for one in (mesh, shapes.transform_mesh(mesh, pose)))
@@ -108,8 +108,8 @@ def test_normals_move_with_the_set() -> None:
     assert normals.shape == moved.shape
 
 
-def test_a_set_s_own_normals_count() -> None:
-    """A set's own normals are returned, unless another method is requested."""
+def test_stored_normals_are_returned() -> None:
+    """Stored normals are returned unless another method is requested."""
     gaussians = ls.gaussians_from_mesh(shapes.sphere(), 500)
     upward = replace(gaussians, normals=np.tile([[0.0, 1.0, 0.0]], (500, 1)))
     assert ls.estimate_normals(upward) is upward.normals
@@ -117,8 +117,8 @@ def test_a_set_s_own_normals_count() -> None:
     assert np.mean(cosines) > 0.99
 
 
-def test_planes_are_smoother_where_gaussians_are_round() -> None:
-    """Balls on a sphere have no thin axis: planes through their means find the sphere's normals."""
+def test_plane_fits_find_normals_of_round_gaussians() -> None:
+    """Spherical Gaussians on a sphere have no thin axis, but planes through their means give the sphere's normals."""
     flat, truth = bare(shapes.sphere(), 4000)
     wide = flat.scales.max(axis=1, keepdims=True)
     rng = np.random.default_rng(5)
@@ -133,8 +133,8 @@ def test_planes_are_smoother_where_gaussians_are_round() -> None:
 
 @pytest.mark.parametrize("method", [AXIS, PLANE])
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_a_few_gaussians_have_normals(method: ls.config.NormalEstimate, count: int) -> None:
-    """Unit ones, whatever there is around them; all in one place, too."""
+def test_few_gaussians_have_unit_normals(method: ls.config.NormalEstimate, count: int) -> None:
+    """Even single, isolated or coincident Gaussians get unit normals."""
     for gaussians in (random_gaussians(6, count), one_gaussian(opacity=0.0, scale=(0.1, 0.2, 1e-6))):
         for some in (gaussians, replace(gaussians, means=np.zeros((gaussians.count, 3)))):
             normals = ls.estimate_normals(some, method)
@@ -142,8 +142,8 @@ def test_a_few_gaussians_have_normals(method: ls.config.NormalEstimate, count: i
             np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
 
 
-def test_a_sheet_has_one_side() -> None:
-    """If both sides are equally open, neighbours agree on one, whatever the signs of their axes."""
+def test_normals_of_a_sheet_agree() -> None:
+    """If both sides are equally open, neighbours agree on one side, whatever the signs of their axes."""
     flat, truth = bare(shapes.plane(2.0, 2.0), 2000)
     w, x, y, z = flat.rotations_wxyz.T
     flipped = np.stack([-x, w, z, -y], axis=1)  # half a turn about the Gaussian's own first axis
@@ -153,7 +153,7 @@ def test_a_sheet_has_one_side() -> None:
     np.testing.assert_allclose(np.abs(cosine.mean()), 1.0, atol=1e-3)
 
 
-def test_mistakes_are_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     """An invalid method and an argument that is not a set are refused."""
     with pytest.raises(ls.ConfigError, match="method is 'mean', expected 'auto', 'smallest-axis' or 'pca'"):
         ls.estimate_normals(one_gaussian(), "mean")
@@ -162,16 +162,16 @@ def test_mistakes_are_refused() -> None:
 
 
 @pytest.mark.data
-def test_normals_of_meshes_that_are_open(data_dir) -> None:
-    """The bunny has holes below, through which the flood fill enters."""
+def test_normals_of_open_meshes_point_outwards(data_dir) -> None:
+    """The bunny's normals point outwards although the flood fill enters through the holes below."""
     bunny = ls.load(data_dir / "meshes" / "stanford-bunny.obj")
     assert isinstance(bunny, ls.Mesh)
     gaussians, truth = bare(bunny, 20_000)
     assert np.mean(np.einsum("ij,ij->i", ls.estimate_normals(gaussians), truth) > 0.0) > 0.99
 
 
-def test_a_dense_cluster_is_looked_at_in_part() -> None:
-    """Thousands of Gaussians in one place do not pair all with all, and planes elsewhere stay what they are."""
+def test_dense_clusters_are_subsampled() -> None:
+    """Thousands of coincident Gaussians are not all paired, and planes elsewhere do not change."""
     rng = np.random.default_rng(0)
     sphere = rng.normal(size=(6000, 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)

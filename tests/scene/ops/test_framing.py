@@ -1,4 +1,4 @@
-"""Cameras from any side of a scene, and the scene's own up."""
+"""Cameras frame a scene from any side, relative to the scene's up."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UPS = [*ls.Scene.UP_NAMES, (0.1, -0.9, 0.3)]
 
 
 def placed(up: Any, **sides: float) -> tuple[np.ndarray, np.ndarray, ls.Camera]:
-    """Up, the direction from the middle of the scene to the eye, and the camera."""
+    """Returns up, the direction from the scene's centre to the eye, and the camera."""
     scene = ls.Scene(SCENE.splats, up=up)
     camera = ls.frame_camera(scene, distance=7.0, **cast(Any, sides))
     return np.array(scene.up_direction), (camera.eye - CENTER) / 7.0, camera
@@ -29,7 +29,7 @@ def placed(up: Any, **sides: float) -> tuple[np.ndarray, np.ndarray, ls.Camera]:
 @pytest.mark.parametrize("up", UPS)
 @pytest.mark.parametrize("elevation", [-1.2, 0.0, 0.7])
 def test_elevation_is_the_angle_above_the_horizon(up, elevation):
-    """For any up: its sine is the share of up in the direction to the eye, and up stays up in the image."""
+    """For any up, elevation is the angle of the eye above the horizon, and up stays up in the image."""
     upward, outward, camera = placed(up, azimuth=0.4, elevation=elevation)
     assert outward @ upward == pytest.approx(math.sin(elevation))
     assert camera.camera_from_world[1, :3] @ upward < -0.1
@@ -38,7 +38,7 @@ def test_elevation_is_the_angle_above_the_horizon(up, elevation):
 
 @pytest.mark.parametrize("up", UPS)
 def test_azimuth_turns_to_the_right(up):
-    """A quarter turn looks from where the front camera has its right; a full one is the front again."""
+    """A quarter turn moves the eye to the front camera's right, and a full turn back to the front."""
     _, _, front = placed(up, elevation=0.0)
     _, right, _ = placed(up, azimuth=0.5 * math.pi, elevation=0.0)
     np.testing.assert_allclose(right, front.camera_from_world[0, :3], atol=1e-12)
@@ -47,16 +47,16 @@ def test_azimuth_turns_to_the_right(up):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_poles_have_an_up_too(side):
-    """Straight from above and from below, the image is turned as it is a moment before."""
+def test_views_from_the_poles_keep_their_orientation(side):
+    """Views from straight above and below have the orientation of views close to the pole."""
     _, outward, pole = placed("y-up", azimuth=0.3, elevation=0.5 * math.pi * side)
     assert abs(outward[1]) == pytest.approx(1.0)
     _, _, near = placed("y-up", azimuth=0.3, elevation=(0.5 * math.pi - 0.01) * side)
     np.testing.assert_allclose(pole.camera_from_world[:3, :3], near.camera_from_world[:3, :3], atol=0.011)
 
 
-def test_target_is_in_the_middle():
-    """A target of one's own is seen in the middle of the image, and all of the scene still fits."""
+def test_target_is_centred():
+    """A given target is at the centre of the image."""
     target = CENTER + np.array((0.5, 0.2, -0.1))
     camera = ls.frame_camera(SCENE, target=target, azimuth=1.0)
     x, y, z = camera.camera_from_world[:3, :3] @ target + camera.camera_from_world[:3, 3]
@@ -74,21 +74,21 @@ def test_target_is_in_the_middle():
         ({"azimuth": math.nan}, "azimuth is nan"),
     ],
 )
-def test_wrong_arguments_are_refused(arguments, message):
-    """Degrees above all."""
+def test_invalid_arguments_are_refused(arguments, message):
+    """Invalid values are refused, above all angles in degrees."""
     with pytest.raises(ls.SceneError, match=message):
         ls.frame_camera(SCENE, **arguments)
 
 
 @pytest.mark.parametrize("up", ["sideways", (0, 0, 0), (1, 2), (math.inf, 0, 0)])
-def test_up_is_a_direction(up):
-    """Anything else is refused by the scene."""
+def test_invalid_up_is_refused(up):
+    """A scene refuses an up that is not a direction."""
     with pytest.raises(ls.SceneError, match="up is"):
         ls.Scene(up=up)
 
 
-def test_what_is_upright_shows_its_front():
-    """A model made with y up, turned by `Scene.upright_wxyz`, looks as it does in a scene of its own."""
+def test_upright_models_face_the_camera():
+    """A y-up model rotated by `Scene.upright_wxyz` looks as in a scene of its own."""
     from lumisplat.math.transforms import rotation_matrix
 
     mesh = ls.Mesh([(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 1, 2)])
@@ -103,22 +103,22 @@ def test_what_is_upright_shows_its_front():
         )
 
 
-def test_up_of_a_scene_follows_what_it_holds():
-    """Captures are y down, meshes alone y up, unless the scene says otherwise."""
+def test_default_up_depends_on_the_scenes_content():
+    """Captures are y down, meshes alone y up, unless the scene states its up."""
     assert SCENE.up_direction == (0.0, -1.0, 0.0)
     assert ls.Scene([], [quad(1.0)]).up_direction == (0.0, 1.0, 0.0)
     assert ls.Scene(SCENE.splats, up=(0, 0, 2)).up_direction == (0.0, 0.0, 1.0)
 
 
 def seen(camera: ls.Camera, points: np.ndarray) -> bool:
-    """Whether all points are in the image."""
+    """Returns True if all points are in the image."""
     x, y, z = camera.camera_from_world[:3, :3] @ points.T + camera.camera_from_world[:3, 3:]
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     return bool((z > 0).all() and (abs(u - 640) <= 640).all() and (abs(v - 360) <= 360).all())
 
 
-def test_an_orbit_shows_all_of_the_scene_all_the_way_round():
-    """Also of a long one, of which the front camera would lose the ends; its front camera is that of a full circle."""
+def test_orbits_show_the_whole_scene():
+    """Every camera of an orbit shows all corners of a long scene; at the front camera's distance, some are cut."""
     long = ls.Scene([random_gaussians(4, extent=(0.3, 0.2, 4.0), center=(1, 2, 3))])
     low, high = long.bulk_bounds()
     corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
@@ -129,8 +129,8 @@ def test_an_orbit_shows_all_of_the_scene_all_the_way_round():
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_an_orbit_is_a_circle_of_frame_cameras(up):
-    """Camera k of n is that of azimuth 2 pi k / n; half a turn is half of it, and negative turns go back."""
+def test_orbits_consist_of_frame_cameras(up):
+    """Camera k of n has azimuth 2 pi k / n; fractional and negative turns scale the angle."""
     scene = ls.Scene(SCENE.splats, up=up)
     start = ls.frame_camera(scene, distance=5.0)
     for k, camera in enumerate(ls.orbit_cameras(scene, 5, start)):
@@ -144,8 +144,8 @@ def test_an_orbit_is_a_circle_of_frame_cameras(up):
     )
 
 
-def test_an_orbit_about_a_point_keeps_its_distance():
-    """And everything else of the first camera: a rolling shutter, a lens."""
+def test_orbits_around_a_point_keep_the_distance():
+    """An orbit around a point keeps the distance and all other settings of the first camera."""
     first = ls.Camera.look_at((5, -3, 4), (5, -2, 9), (0, -1, 0), aperture=0.1, fov_y=0.5, width=64, height=48)
     for camera in ls.orbit_cameras(SCENE, 7, first, target=(4, -2, 8)):
         assert np.linalg.norm(camera.eye - (4, -2, 8)) == pytest.approx(np.linalg.norm(first.eye - (4, -2, 8)))
@@ -161,16 +161,16 @@ def test_an_orbit_about_a_point_keeps_its_distance():
         ({"count": 4, "camera": "front"}, "orbit_cameras takes a Camera"),
     ],
 )
-def test_wrong_orbits_are_refused(arguments, message):
-    """In one line."""
+def test_invalid_orbits_are_refused(arguments, message):
+    """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.orbit_cameras(SCENE, **arguments)
 
 
 @pytest.mark.parametrize("spread", [0.0, 1.0, 1e6])
 @pytest.mark.parametrize("count", [1, 2, 50, 5000])
-def test_the_bulk_leaves_out_two_percent_of_the_opacity_at_each_end(count, spread):
-    """To the bit as after sorting all of them, also where most are equally high, or one is far away."""
+def test_bulk_excludes_two_percent_of_opacity_at_each_end(count, spread):
+    """The bulk equals the result of sorting, to the bit, also with ties and distant outliers."""
     rng = np.random.default_rng(count)
     heights = np.round(rng.standard_cauchy(count), 1) * spread
     weights = rng.uniform(0.0, 1.0, count).astype(np.float32)
@@ -180,8 +180,8 @@ def test_the_bulk_leaves_out_two_percent_of_the_opacity_at_each_end(count, sprea
     assert bulk_extent(heights, weights) == tuple(heights[order[ends]])
 
 
-def test_the_bulk_follows_its_capture():
-    """It is measured once for a place, and anew for another."""
+def test_bulk_moves_with_its_capture():
+    """The bulk of a moved instance moves with it, although bounds are cached."""
     capture = SCENE.splats[0].gaussians
     low, high = ls.Scene([ls.SplatInstance(capture)]).bulk_bounds()
     for shift in (1.0, 0.0, 2.0):
@@ -193,32 +193,32 @@ VIEW = ls.Camera.look_at((4.0, 1.0, -3.0), (5.0, -2.0, 9.0), (0.1, -1.0, 0.0), w
 
 
 def viewed(up: Any = None, view: ls.Camera = VIEW) -> ls.Scene:
-    """A capture that states a first view."""
+    """Returns a scene with a capture that states a first view."""
     return ls.Scene([replace(SCENE.splats[0].gaussians, first_view=view)], up=up)
 
 
-def test_a_scene_is_seen_from_its_first_view_upright():
-    """The eye is that of the image, what it looks at is in the middle, and up is that of the scene, without roll."""
+def test_frame_camera_takes_the_first_view_without_roll():
+    """The camera has the first view's eye and direction, and the scene's up without roll."""
     scene = viewed("y-down")
     camera = ls.frame_camera(scene)
     np.testing.assert_allclose(camera.eye, VIEW.eye)
     np.testing.assert_allclose(camera.camera_from_world[2], VIEW.camera_from_world[2], atol=1e-12)
     assert camera.camera_from_world[0, 1] == pytest.approx(0.0, abs=1e-12)
     assert camera.camera_from_world[1, 1] > 0.9
-    assert camera.fov_y == pytest.approx(1.1)  # a portrait, whose height counts in a wide picture
+    assert camera.fov_y == pytest.approx(1.1)  # a portrait view, whose height fits a wide frame
     assert camera.focus_distance == pytest.approx(VIEW.focus_distance)
 
 
-def test_all_of_the_image_of_the_first_view_is_seen():
-    """In a picture that is narrower than it, the field of view grows until its width fits."""
+def test_narrow_frames_keep_the_first_views_width():
+    """In a narrower frame, the field of view grows until the first view's width fits."""
     camera = ls.frame_camera(viewed("y-down"), width=45, height=160)
     across = math.tan(0.5 * camera.fov_y) * 45 / 160
     assert across == pytest.approx(math.tan(0.55) * 90 / 160)
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_arguments_count_from_the_first_view(up):
-    """Azimuths begin at its side; distance, target and elevation are its own unless they are given."""
+def test_azimuth_starts_at_the_first_view(up):
+    """Azimuths start at the first view; distance, target and elevation default to the first view's."""
     scene = viewed(up)
     view, upward = ls.frame_camera(scene), np.array(scene.up_direction)
     turned = ls.frame_camera(scene, azimuth=math.pi)
@@ -233,15 +233,15 @@ def test_arguments_count_from_the_first_view(up):
 
 
 @pytest.mark.parametrize("height", [5.0, -5.0])
-def test_a_first_view_from_straight_above_keeps_what_is_up_in_its_image(height):
-    """An aerial image has no horizon: its own up stays up."""
+def test_vertical_first_views_keep_their_up(height):
+    """An aerial view has no horizon, so its own up is used."""
     view = ls.Camera.look_at((0.0, height, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
     camera = ls.frame_camera(viewed("y-up", view))
     np.testing.assert_allclose(camera.camera_from_world, view.camera_from_world, atol=1e-9)
 
 
 def pole(*more: np.ndarray) -> ls.Gaussians:
-    """A ball with a thin pole on it, of 1 % of its Gaussians, and more."""
+    """Returns a ball with a thin pole of 1 % of its Gaussians, and further means."""
     ball = np.random.default_rng(5).normal(size=(5000, 3)) * 0.3
     up = np.column_stack([np.zeros(50), np.linspace(-0.5, -2.5, 50), np.zeros(50)])
     means = np.concatenate([ball, up, *more])
@@ -254,8 +254,8 @@ def pole(*more: np.ndarray) -> ls.Gaussians:
     )
 
 
-def test_thin_ends_are_in_the_picture_and_strays_are_not():
-    """A pole of 1 % of the opacity hangs together with the ball; what floats by itself does not widen the view."""
+def test_connected_thin_parts_are_framed_and_strays_are_not():
+    """A pole of 1 % of the opacity connects to the ball and is framed; floating strays do not widen the view."""
     strays = np.random.default_rng(6).uniform(-30.0, 30.0, (40, 3))
     plain, strewn = (ls.frame_camera(ls.Scene([pole(*more)])) for more in ((), (strays,)))
     tip = plain.camera_from_world @ (0.0, -2.5, 0.0, 1.0)
@@ -263,11 +263,11 @@ def test_thin_ends_are_in_the_picture_and_strays_are_not():
     assert 0.0 < row < 0.1 * plain.height
     assert strewn.focus_distance == pytest.approx(plain.focus_distance, rel=0.05)
     low, high = ls.Scene([pole()]).bulk_bounds()
-    assert low[1] > -1.0 and high[1] < 1.0  # which the bulk alone would have cut off
+    assert low[1] > -1.0 and high[1] < 1.0  # the bulk alone would cut the pole off
 
 
-def test_gaps_end_what_hangs_together():
-    """A second ball at some distance is another thing, unless it is part of the bulk."""
+def test_parts_across_a_gap_are_not_framed():
+    """A second ball across a gap does not count unless it is part of the bulk."""
     other = np.array([0.0, -6.0, 0.0]) + np.random.default_rng(7).normal(size=(30, 3)) * 0.05
     apart = ls.frame_camera(ls.Scene([pole(other)]))
     assert apart.focus_distance == pytest.approx(ls.frame_camera(ls.Scene([pole()])).focus_distance, rel=0.05)

@@ -1,4 +1,4 @@
-"""Gaussians from a mesh: positions, density, appearance, and refused arguments."""
+"""Gaussians sampled on a mesh have even density and the mesh's appearance; invalid arguments are refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COUNT = 3000
 
 
 def rotations(gaussians: ls.Gaussians) -> np.ndarray:
-    """Rotation matrices of the Gaussians' quaternions, shape (N, 3, 3)."""
+    """Returns rotation matrices of the Gaussians' quaternions, shape (N, 3, 3)."""
     w, x, y, z = gaussians.rotations_wxyz.T.astype(np.float64)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -34,7 +34,7 @@ def rotations(gaussians: ls.Gaussians) -> np.ndarray:
 
 
 def alpha_at(gaussians: ls.Gaussians, points: np.ndarray) -> np.ndarray:
-    """Opacity of all discs together at points of their plane, seen from straight above."""
+    """Returns the combined opacity of all discs at points of their plane, viewed from straight above."""
     near = cross_pairs(points, gaussians.means, 4.0 * float(gaussians.scales.max()))
     step = points[near.first] - gaussians.means[near.second]
     local = np.einsum("ij,ijk->ik", step, rotations(gaussians)[near.second]) / gaussians.scales[near.second]
@@ -44,12 +44,12 @@ def alpha_at(gaussians: ls.Gaussians, points: np.ndarray) -> np.ndarray:
 
 
 def square(count: int = COUNT) -> tuple[ls.Gaussians, float]:
-    """A unit square in y = 0 and its spacing."""
+    """Returns a unit square in y = 0, and its spacing."""
     return gaussians_from_mesh(shapes.plane(1.0, 1.0), count), (1.0 / count) ** 0.5
 
 
 def test_equal_seeds_repeat_and_others_differ() -> None:
-    """The same seed gives the same bits; another seed another set."""
+    """The same seed gives identical arrays; another seed gives another set."""
     mesh = shapes.torus(rows=16, columns=32)
     one, same, other = (gaussians_from_mesh(mesh, 500, seed=seed) for seed in (1, 1, 2))
     for name in ("means", "rotations_wxyz", "scales", "sh"):
@@ -58,8 +58,8 @@ def test_equal_seeds_repeat_and_others_differ() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 17, 1000])
-def test_count_is_kept(count: int) -> None:
-    """Exactly as many Gaussians as asked for."""
+def test_count_is_exact(count: int) -> None:
+    """The number of Gaussians is exactly the requested one."""
     assert gaussians_from_mesh(shapes.icosphere(subdivisions=2), count).count == count
 
 
@@ -86,8 +86,8 @@ def test_discs_lie_flat_on_a_sphere() -> None:
     assert gaussians.opacities.min() > 0.99
 
 
-def test_discs_lie_on_the_faces_where_shading_normals_lean() -> None:
-    """On a cube whose eight vertices share normals, thin axes are the faces' own; ``normals`` are the leaning ones."""
+def test_discs_follow_faces_instead_of_shading_normals() -> None:
+    """On a cube with shared vertex normals, thin axes are face normals, while ``normals`` are the shading normals."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
@@ -100,14 +100,14 @@ def test_discs_lie_on_the_faces_where_shading_normals_lean() -> None:
 
 
 def test_vertex_normals_of_zero_length_are_replaced() -> None:
-    """A mesh that fills missing normals with zeros is sampled as if it had none."""
+    """A mesh that fills missing normals with zeros is sampled like a mesh without normals."""
     plane = replace(shapes.plane(1.0, 1.0), normals=np.zeros((4, 3)))
     gaussians = gaussians_from_mesh(plane, 50)
     np.testing.assert_allclose(present(gaussians.normals), np.tile([0.0, 1.0, 0.0], (50, 1)), atol=1e-6)
 
 
 def test_centres_are_blue_noise() -> None:
-    """Nearest neighbours are never close: random points would come a hundred times nearer."""
+    """Nearest neighbours are never close; random points would come a hundred times nearer."""
     gaussians = gaussians_from_mesh(shapes.sphere(0.5), COUNT)
     spacing = (np.pi / COUNT) ** 0.5
     pairs = neighbour_pairs(gaussians.means, 1.2 * spacing)
@@ -118,8 +118,8 @@ def test_centres_are_blue_noise() -> None:
     assert np.median(nearest) > 0.75 * spacing
 
 
-def test_density_is_even_whatever_the_triangles() -> None:
-    """Counts in equal cells scatter less than random ones would, where one half has 1600 times smaller triangles."""
+def test_density_does_not_depend_on_triangle_sizes() -> None:
+    """Counts in equal cells vary less than random ones, although one half has 1600 times smaller triangles."""
     fine = shapes.transform_mesh(shapes.plane(0.5, 1.0, segments=(20, 40)), translated(-0.25))
     coarse = shapes.transform_mesh(shapes.plane(0.5, 1.0), translated(0.25))
     gaussians = gaussians_from_mesh(shapes.join_meshes([fine, coarse]), 4000)
@@ -130,14 +130,14 @@ def test_density_is_even_whatever_the_triangles() -> None:
 
 
 def translated(x: float) -> np.ndarray:
-    """A move along x."""
+    """Returns a translation along x."""
     matrix = np.eye(4)
     matrix[0, 3] = x
     return matrix
 
 
-def test_a_square_has_no_holes_up_to_its_edge() -> None:
-    """Nearly opaque everywhere inside with one layer of discs; at the edges and in corners at least mostly."""
+def test_square_has_no_holes_up_to_its_edge() -> None:
+    """One layer of discs is nearly opaque inside, and mostly opaque at edges and corners."""
     gaussians, spacing = square()
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 3)) * (1.0, 0.0, 1.0)
     alpha = alpha_at(gaussians, points)
@@ -147,8 +147,8 @@ def test_a_square_has_no_holes_up_to_its_edge() -> None:
     assert alpha[~inside].min() > 0.55
 
 
-def test_discs_do_not_stand_out_over_an_open_edge() -> None:
-    """Beyond the edge, opacity is mostly gone after one sampling distance, and all gone after two and a half."""
+def test_discs_do_not_extend_beyond_open_edges() -> None:
+    """Opacity beyond the edge is mostly gone after one spacing, and zero after two and a half."""
     gaussians, spacing = square()
     along = np.linspace(-0.45, 0.45, 500)
     beyond = [alpha_at(gaussians, np.stack([0.5 + k * spacing + 0 * along, 0 * along, along], 1)) for k in (1.0, 2.5)]
@@ -171,7 +171,7 @@ def test_both_sides_of_a_thin_sheet_are_covered() -> None:
 
 
 def test_colour_is_material_times_vertex_colour_times_texture() -> None:
-    """On a smooth texture, albedo is the linear product at the Gaussian's own uv, and SH its sRGB encoding."""
+    """Albedo is the linear product at the Gaussian's uv, and SH its sRGB encoding."""
     v, u = np.mgrid[0:64, 0:64] / 63.0
     texture = np.round(255.0 * np.stack([0.2 + 0.6 * u, 0.3 + 0.5 * v, 0.5 + 0.0 * u], axis=-1)).astype(np.uint8)
     material = ls.MaterialPbr(base_color=(0.9, 0.8, 0.7), metallic=0.25, roughness=0.6, base_color_texture=texture)
@@ -190,8 +190,8 @@ def test_colour_is_material_times_vertex_colour_times_texture() -> None:
     np.testing.assert_array_equal(gaussians.roughness, np.float32(0.6))
 
 
-def test_a_simple_material_has_no_roughness_to_pass_on() -> None:
-    """Gaussians of such a mesh have its colour; the material of their instance defines how they reflect light."""
+def test_simple_materials_give_no_roughness() -> None:
+    """Gaussians of a simple material have its colour only; their instance's material defines reflection."""
     material = ls.MaterialSimple(base_color=(0.9, 0.8, 0.7), diffuse=1.0)
     gaussians = gaussians_from_mesh(replace(shapes.plane(1.0, 1.0), material=material), 50)
     assert gaussians.roughness is None and gaussians.metallic is None
@@ -199,13 +199,13 @@ def test_a_simple_material_has_no_roughness_to_pass_on() -> None:
 
 
 def textured(texture: np.ndarray) -> ls.Mesh:
-    """A unit square with a texture."""
+    """Returns a unit square with a texture."""
     material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture)
     return replace(shapes.plane(1.0, 1.0), material=material)
 
 
 def test_fine_textures_are_averaged_in_linear_light() -> None:
-    """Black and white noise, hundreds of texels a Gaussian, is an even grey of 0.5; sizes need not be powers of two."""
+    """Black and white noise of hundreds of texels per Gaussian averages to 0.5; sizes need not be powers of two."""
     noise = np.random.default_rng(0).integers(0, 2, (1000, 777, 1)).astype(np.uint8) * np.uint8(255)
     gaussians = gaussians_from_mesh(textured(np.repeat(noise, 3, axis=2)), COUNT)
     assert gaussians.albedo is not None
@@ -213,8 +213,8 @@ def test_fine_textures_are_averaged_in_linear_light() -> None:
     assert gaussians.albedo.std() < 0.07
 
 
-def test_textures_keep_their_place_and_colour_at_every_level() -> None:
-    """A ramp, averaged down to a few texels, stays the same ramp; one colour, whatever the size, is that colour."""
+def test_averaged_textures_keep_position_and_colour() -> None:
+    """A ramp stays the same ramp at every level, and a constant texture of any size stays its colour."""
     ramp = np.round(255.0 * encode_srgb((np.arange(1001) + 0.5) / 1001.0)).astype(np.uint8)
     gaussians = gaussians_from_mesh(textured(np.tile(ramp[None, :, None], (3, 1, 3))), 200)
     u = gaussians.means[:, 0] + 0.5
@@ -226,7 +226,7 @@ def test_textures_keep_their_place_and_colour_at_every_level() -> None:
 
 
 def test_degenerate_triangles_are_skipped() -> None:
-    """Lines and points among the triangles change nothing; all centres lie on the real one."""
+    """Lines and points among the triangles change nothing; all centres lie on the real triangle."""
     positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [9.0, 9.0, 9.0], [2.0, 0.0, 0.0]]
     mesh = ls.Mesh(np.array(positions, np.float32), np.array([[3, 3, 3], [0, 1, 2], [0, 1, 4], [3, 0, 3]], np.int32))
     gaussians = gaussians_from_mesh(mesh, 300)
@@ -234,15 +234,15 @@ def test_degenerate_triangles_are_skipped() -> None:
     assert (gaussians.means.sum(axis=1) <= 1.0 + 1e-6).all()
 
 
-def test_a_sliver_takes_no_more_memory_than_its_count_is_worth() -> None:
-    """All edge and no area: the points along the edges are limited, where the spacing would ask for billions."""
+def test_slivers_do_not_exhaust_memory() -> None:
+    """Points along edges are limited for a triangle without area, where the spacing would need billions."""
     sliver = ls.Mesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-11, 0.0]], [[0, 1, 2]])
     normal = np.array([[0.0, 0.0, 1.0]])
     assert 400 <= len(crease_points(sliver, normal, 1e-9, limit=1000).positions) <= 1003
     assert gaussians_from_mesh(sliver, 40).count == 40
 
 
-def test_impossible_requests_are_refused() -> None:
+def test_invalid_requests_are_refused() -> None:
     """A count below one, a fraction, too many, and an argument that is not a mesh raise one clear error."""
     with pytest.raises(ls.SceneError, match="count is 0"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 0)
@@ -257,7 +257,7 @@ def test_impossible_requests_are_refused() -> None:
 
 
 def test_creases_are_sharp_and_open_edges_only() -> None:
-    """A cone's rim and a square's outline are creases; a sphere, coarse facets of one, and a diagonal have none."""
+    """A cone's rim and a square's outline are creases; spheres and diagonals have none."""
     assert creases_of(shapes.icosphere(subdivisions=3)).size == 0
     assert creases_of(shapes.icosphere(subdivisions=1)).size == 0  # facets of 18 to 23 degrees
     outline = creases_of(shapes.plane(1.0, 1.0))
@@ -269,7 +269,7 @@ def test_creases_are_sharp_and_open_edges_only() -> None:
 
 
 def creases_of(mesh: ls.Mesh) -> np.ndarray:
-    """Points every 2 cm along the mesh's creases."""
+    """Returns points every 2 cm along the mesh's creases."""
     corners = mesh.positions.astype(np.float64)[mesh.indices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return crease_points(mesh, normals / np.linalg.norm(normals, axis=1, keepdims=True), 0.02, limit=10_000).positions
@@ -277,8 +277,8 @@ def creases_of(mesh: ls.Mesh) -> np.ndarray:
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000))
-def test_quaternions_turn_back_into_their_matrices(seed: int) -> None:
-    """Any rotation, half turns included, survives matrix to quaternion to matrix."""
+def test_matrices_survive_quaternions(seed: int) -> None:
+    """Any rotation, including half turns, survives conversion from matrix to quaternion and back."""
     rng = np.random.default_rng(seed)
     frames, _ = np.linalg.qr(rng.normal(size=(8, 3, 3)))
     frames *= np.linalg.det(frames)[:, None, None]
@@ -304,8 +304,8 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_rendered_as_gaussians_it_is_solid_and_looks_like_the_mesh(name: str) -> None:
-    """At the default density: opaque inside the silhouette from all sides, mesh colour, nothing far outside."""
+def test_sampled_gaussians_render_like_the_mesh(name: str) -> None:
+    """From all sides, the silhouette is opaque in the mesh's colour, and nothing shows far outside."""
     mesh = SHAPES[name]()
     gaussians = gaussians_from_mesh(mesh)
     renderer = ls.create_renderer(ls.RenderConfig(lighting=False), device="cpu")
@@ -322,14 +322,14 @@ def test_rendered_as_gaussians_it_is_solid_and_looks_like_the_mesh(name: str) ->
 
 
 def shrunk(mask: np.ndarray, steps: int) -> np.ndarray:
-    """The mask without the pixels within ``steps`` of its border."""
+    """Returns the mask without pixels within ``steps`` of its border."""
     for _ in range(steps):
         mask = mask & np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1)
     return mask
 
 
-def test_its_outline_is_that_of_the_mesh() -> None:
-    """Cameras do not widen what no trainer has made narrower: of a small ball, less than a fifth is too much."""
+def test_outline_equals_that_of_the_mesh() -> None:
+    """Dilation by cameras enlarges a small ball's area by less than a fifth."""
     mesh = ls.sphere(1.0)
     camera = ls.Camera.look_at((0, 0, -8), (0, 0, 0), (0, 1, 0), width=48, height=48, fov_y=0.5)
     config = ls.RenderConfig(samples=16, jitter=True, background=(0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Rays of pixels in the world, and their points on surfaces."""
+"""Pixel rays are in world space, and their points lie on surfaces."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from support.scenes.lit_frames import BALL, RADIUS, ball_frame
 
 
 def camera(model: CameraModel = CameraModel.PINHOLE, **changes: object) -> Camera:
-    """A camera with an oblique view and its principal point off the centre."""
+    """Returns a camera with an oblique view and an off-centre principal point."""
     base = Camera.look_at((1.0, -2.0, 3.0), (0.5, 0.4, 8.0), (0.1, 1.0, 0.2), width=12, height=9, model=model)
     return replace(base, cx=4.5, cy=5.25, **changes)
 
 
 def shuttered(model: CameraModel) -> Camera:
-    """A camera that rotates and moves while its rows are exposed."""
+    """Returns a camera that rotates and moves while its rows are exposed."""
     end = camera(model).camera_from_world @ Camera.look_at((0.3, 0.0, 0.1), (1.0, 0.2, 3.0)).camera_from_world
     return camera(model, camera_from_world_end=end)
 
 
 @pytest.mark.parametrize("model", list(CameraModel))
 @pytest.mark.parametrize("moving", [False, True])
-def test_rays_are_those_of_the_tracer(model: CameraModel, moving: bool) -> None:
-    """Rays are those of the device's oracle: for all models, and with a pose per row for a rolling shutter."""
+def test_pixel_rays_equal_the_tracers_rays(model: CameraModel, moving: bool) -> None:
+    """Rays equal the oracle's for all camera models, and for a rolling shutter with one pose per row."""
     view = shuttered(model) if moving else camera(model)
     origins, directions, _ = camera_rays(view, jitter=False)
     found = world_rays(view)
@@ -39,8 +39,8 @@ def test_rays_are_those_of_the_tracer(model: CameraModel, moving: bool) -> None:
         assert np.abs(found[1] - world_rays(camera(model))[1]).max() > 0.1
 
 
-def test_no_ray_where_a_fisheye_is_blind() -> None:
-    """Beyond half a turn directions are zero."""
+def test_fisheye_directions_beyond_half_a_turn_are_zero() -> None:
+    """Pixels more than 180 degrees off the axis have direction zero."""
     view = camera(CameraModel.FISHEYE, fx=1.5, fy=1.5)
     blind = ~view.ray_directions().any(axis=2)
     assert blind.any() and not blind.all()
@@ -48,7 +48,7 @@ def test_no_ray_where_a_fisheye_is_blind() -> None:
 
 
 def test_positions_are_on_the_surfaces() -> None:
-    """Points of the ball are one radius from its centre, those of the floor at height 0, the others are zero."""
+    """Positions lie on the ball or on the floor, and are zero where nothing is visible."""
     frame = ball_frame()
     position = frame.position
     assert position.dtype == np.float32

@@ -1,4 +1,4 @@
-"""scale_light: linear light on display-referred, view-dependent colours."""
+"""`scale_light` scales linear light in display-referred, view-dependent colours."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from support.oracles.raster_oracle import sh_basis
 
 
 def gaussians(count: int, coefficients: int = 16, seed: int = 0) -> ls.Gaussians:
-    """Random Gaussians whose view-dependent colours dip below 0 and rise above 1."""
+    """Returns random Gaussians whose view-dependent colours dip below 0 and rise above 1."""
     rng = np.random.default_rng(seed)
     sh = rng.normal(0.0, 0.2, (count, coefficients, 3))
     sh[:, 0] = (rng.uniform(-0.1, 1.2, (count, 3)) - 0.5) / SH_C0
@@ -29,17 +29,17 @@ def gaussians(count: int, coefficients: int = 16, seed: int = 0) -> ls.Gaussians
 
 
 def mean_color(asset: ls.Gaussians) -> np.ndarray:
-    """Display-referred colour without its view-dependent part, unclamped."""
+    """Returns the display-referred colour without its view-dependent part, unclamped."""
     return asset.sh[:, 0].astype(np.float64) * SH_C0 + 0.5
 
 
 def color_towards(asset: ls.Gaussians, direction: np.ndarray) -> np.ndarray:
-    """max(SH + 0.5, 0), shape (N, 3)."""
+    """Returns max(SH + 0.5, 0), shape (N, 3)."""
     basis = sh_basis(direction)[: asset.sh.shape[1]]
     return np.maximum(np.einsum("k,nkc->nc", basis, asset.sh.astype(np.float64)) + 0.5, 0.0)
 
 
-def test_the_mean_colour_gets_its_share_of_linear_light() -> None:
+def test_mean_colour_scales_linearly() -> None:
     """The decoded mean colour is multiplied by the factor, for each channel and each Gaussian."""
     before = gaussians(500)
     factors = np.random.default_rng(1).uniform(0.0, 3.0, (500, 3))
@@ -52,7 +52,7 @@ def test_the_mean_colour_gets_its_share_of_linear_light() -> None:
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
 def test_every_direction_is_scaled_alike(coefficients: int) -> None:
-    """max(SH + 0.5, 0) is scaled by the same factor from all directions: highlights keep their contrast."""
+    """max(SH + 0.5, 0) scales by the same factor in all directions, so that highlights keep their contrast."""
     before = gaussians(200, coefficients)
     after = scale_light(before, np.random.default_rng(1).uniform(0.1, 2.0, 200))
     directions = np.random.default_rng(2).normal(size=(20, 3))
@@ -63,21 +63,21 @@ def test_every_direction_is_scaled_alike(coefficients: int) -> None:
     np.testing.assert_allclose(seen_after, gain * seen_before, atol=2e-6)
 
 
-def test_black_takes_the_factor_itself() -> None:
-    """Below black, where display gain has no meaning, the straight foot of the curve gives the factor."""
+def test_black_scales_by_the_factor() -> None:
+    """Below black, the linear part of the transfer function applies the factor."""
     black = ls.Gaussians(np.zeros((1, 3)), [[1, 0, 0, 0]], np.ones((1, 3)), [1.0], np.full((1, 1, 3), -0.6 / SH_C0))
     np.testing.assert_allclose(mean_color(scale_light(black, [0.5]))[0], -0.05, atol=1e-6)
 
 
-def test_no_light_is_black() -> None:
-    """At factor 0 the colour is black from all directions."""
+def test_zero_light_is_black() -> None:
+    """At factor 0, the colour is black from all directions."""
     dark = scale_light(gaussians(100), np.zeros(100))
     for direction in np.eye(3):
         assert np.abs(color_towards(dark, direction)).max() < 1e-6
 
 
-def test_what_is_lit_as_before_keeps_its_bits() -> None:
-    """Factor 1 changes nothing, a channel at a time, and only sh becomes another array."""
+def test_factor_one_changes_no_bits() -> None:
+    """Factor 1 leaves a channel identical, and only ``sh`` becomes another array."""
     before = gaussians(50)
     factors = np.ones((50, 3))
     factors[7, 1] = 0.5
@@ -100,7 +100,7 @@ def test_what_is_lit_as_before_keeps_its_bits() -> None:
         ([1, np.nan, np.inf, 1, 1], "2 non-finite"),
     ],
 )
-def test_bad_factors_are_refused(factors: npt.ArrayLike, said: str) -> None:
+def test_invalid_factors_are_refused(factors: npt.ArrayLike, said: str) -> None:
     """Invalid shapes and numbers are refused."""
     with pytest.raises(ls.SceneError, match=said):
         scale_light(gaussians(5), factors)

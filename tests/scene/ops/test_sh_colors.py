@@ -1,4 +1,4 @@
-"""Colours from spherical harmonics, against the tests' own twin."""
+"""SH colours on the device agree with the oracle."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from support.scenes.raster_scenes import random_gaussians
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_colours_are_the_twins(degree: int) -> None:
-    """Clamped colours of a set of degree 3, up to each degree."""
+def test_sh_colours_equal_the_oracle(degree: int) -> None:
+    """Clamped colours of a set of degree 3 equal the oracle's, up to each degree."""
     instance = ls.SplatInstance(random_gaussians(5, degree=3))
     eye = np.array([0.3, -2.0, 1.0])
     along = instance.gaussians.means - eye
