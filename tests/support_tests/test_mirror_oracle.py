@@ -255,7 +255,7 @@ def test_variance_includes_reflected_outcomes() -> None:
 
 
 def test_grazing_rays_are_doubtful() -> None:
-    """A ray within a mirror's plane is doubtful, since float32 cannot tell from which side it comes."""
+    """A ray within a mirror's plane is doubtful, since rounding decides from which side the ray comes."""
     scene = Scene([], [quad(4.0, material=MIRROR)])
     for slope, slack in ((1e-5, np.inf), (1e-2, 0.0)):
         ray = Ray(np.array([-1.5, 0.1, 4.0 - slope]), oracles.normalized(np.array([1.0, 0.0, slope])))

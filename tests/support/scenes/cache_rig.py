@@ -129,7 +129,7 @@ class CacheRig:
         return points, {name: getattr(points, name).numpy().copy() for name in CachePoints.vars}  # pyright: ignore
 
     def bounce(self, frame: int, hits_of: Any, *, inserts: bool = True) -> dict[str, np.ndarray]:
-        """Runs one bounce; ``hits_of`` maps the points to one hit each, and tells which hits are active."""
+        """Runs one bounce; ``hits_of`` maps the points to one hit each and a mask of active hits."""
         points, host = self.points(frame)
         hits, active = hits_of(host)
         uploaded = self.upload("hits", hits, active & host["is_active"])

@@ -39,7 +39,7 @@ def walls(count: int = 12_000, seed: int = 0) -> ls.Gaussians:
 def light_ball(
     center: tuple[float, float, float], linear: tuple[float, float, float], radius: float = 0.08, count: int = 50
 ) -> ls.Gaussians:
-    """Returns a small ball of bright Gaussians, as a captured lamp looks."""
+    """Returns a small ball of bright Gaussians, as a captured light source looks."""
     rng = np.random.default_rng(count)
     points = rng.normal(size=(count, 3))
     points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
@@ -47,14 +47,14 @@ def light_ball(
 
 
 def bright_wall(linear: float = 1.0, count: int = 4_000) -> ls.Gaussians:
-    """Returns most of the wall at z = 0 as Gaussians that are as bright as a lamp, but spread over a large area."""
+    """Returns most of the wall at z = 0 as Gaussians that are as bright as a light, but spread over a large area."""
     rng = np.random.default_rng(5)
     points = np.column_stack([rng.uniform(0.5, 3.5, count), rng.uniform(0.5, 2.5, count), np.full(count, 0.01)])
     return captured(points, np.full(3, linear))
 
 
 def highlight(center: tuple[float, float, float], towards: np.ndarray, count: int = 50) -> ls.Gaussians:
-    """Returns a specular highlight: brighter than any lamp when viewed along ``towards``, dark from behind."""
+    """Returns a specular highlight: brighter than any light when viewed along ``towards``, dark from behind."""
     spot = light_ball(center, (0.2, 0.2, 0.2), count=count)
     sh = spot.sh.copy()
     x, y, z = towards / np.linalg.norm(towards)

@@ -1,4 +1,4 @@
-"""Draws random captures with known light: rooms with lamps, nights, grounds in the sun and under clouds.
+"""Draws random captures with known light: lit rooms, nights, grounds in the sun and under clouds.
 
 Geometry, light, exposure and orientation follow from a seed, so that thresholds that were tuned on some seeds are
 tested on others. The captures share no code with those that tests build by hand.
@@ -34,7 +34,7 @@ class LitCapture:
     center: np.ndarray
     """Position of an inserted character, shape (3,)."""
     lights: np.ndarray
-    """Positions of the lamps, shape (k, 3)."""
+    """Positions of the lights, shape (k, 3)."""
     sun: np.ndarray | None
     """Unit direction towards the sun; None without a sun."""
     unit: float
@@ -171,9 +171,9 @@ def _objects(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Par
 def _light_positions(
     rng: np.random.Generator, size: np.ndarray, kind: str, world: _World, cameras: np.ndarray
 ) -> np.ndarray:
-    """Returns positions of 1 to 3 lamps in rooms, 1 or 2 at night, none by day, shape (k, 3).
+    """Returns positions of 1 to 3 lights in rooms, 1 or 2 at night, none by day, shape (k, 3).
 
-    Lamps are more than 1.5 m apart, and at least two cameras see each, so that none is inside an object.
+    Lights are more than 1.5 m apart, and at least two cameras see each, so that none is inside an object.
     """
     wanted = int({"room": rng.integers(1, 4), "night": rng.integers(1, 3)}.get(kind, 0))
     found: list[np.ndarray] = []
@@ -220,7 +220,7 @@ def _captured(
     sun: np.ndarray | None,
     is_open: bool,
 ) -> list[ls.Gaussians]:
-    """Returns the visible parts as lit Gaussians and the lamps as white balls, with one exposure."""
+    """Returns the visible parts as lit Gaussians and the lights as white balls, with one exposure."""
     gaussians, albedo = _visible(world, parts, cameras)
     points, normals = gaussians.means.astype(np.float64), np.asarray(gaussians.normals, np.float64)
     light = _irradiance(rng, world, points, normals, lights=lights, sun=sun, is_open=is_open)
@@ -261,7 +261,7 @@ def _irradiance(
     sun: np.ndarray | None,
     is_open: bool,
 ) -> np.ndarray:
-    """Returns irradiance from lamps, sun and ambient light, in any unit, shape (N,)."""
+    """Returns irradiance from lights, sun and ambient light, in any unit, shape (N,)."""
     light = np.zeros(len(points))
     for position in lights:
         away = position - points

@@ -130,7 +130,7 @@ def checker_quad(z: float) -> Mesh:
 
 @dataclass(frozen=True)
 class Case:
-    """A frame with a name that tells its purpose."""
+    """A frame whose name states its purpose."""
 
     name: str
     scene: Scene

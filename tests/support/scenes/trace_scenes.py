@@ -116,7 +116,7 @@ def moved(scene: Scene, offset: tuple[float, float, float]) -> Scene:
 
 @dataclass(frozen=True)
 class Case:
-    """A traced frame with a name that tells its purpose."""
+    """A traced frame whose name states its purpose."""
 
     name: str
     scene: Scene

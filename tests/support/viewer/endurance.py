@@ -176,7 +176,7 @@ class Editor:
         self.done[what] += 1
 
     def _open(self) -> None:
-        """Opens a page, and waits until the viewer knows its camera; earlier messages would be ignored."""
+        """Opens a page, and waits until the viewer has its camera; earlier messages would be ignored."""
         page = LeanPage(self._viewer.url)
         page.look(orbit(0.0))
         self.pages.append(page)
