@@ -46,7 +46,7 @@ bench: $(BENCH) ## run the benchmarks beside Mitsuba, and write their tables in 
 	$(BIN)/python -m bench.path_rate --write
 
 docs: $(DOCS) ## build the documentation under docs/_build/html
-	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -q -j auto -b html docs docs/_build/html
 
 clean: ## remove the environment and everything that was built
 	rm -rf $(VENV) out docs/_build .pytest_cache .ruff_cache .hypothesis

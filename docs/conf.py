@@ -24,6 +24,7 @@ html_search_scorer = str(Path(__file__).parent / "_static" / "scorer.js")
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
+smartquotes_action = "qe"  # not dashes, which are options
 
 # Equations of docs/method are numbered by page and place, (2.9), so that other pages can refer to them.
 numfig = True

@@ -263,13 +263,6 @@ def test_a_converter_accepts_more_types_than_the_field_stores() -> None:
         Taken("no")
 
 
-def test_the_settings_page_equals_the_declarations() -> None:
-    """The tool writes the page without changes."""
-    from tools.make_settings_page import PAGE, page
-
-    assert PAGE.read_text(encoding="utf-8") == page(), "run tools/make_settings_page.py"
-
-
 @pytest.mark.parametrize("stops", [np.float32(0.5), np.array(0.5), [0.5, np.float64(0.5)], np.array([0.5, 0.5])])
 def test_exposures_of_images_are_numbers_of_any_type(stops: Any) -> None:
     """One number applies to all images, or each has its own."""

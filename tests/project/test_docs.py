@@ -101,45 +101,21 @@ def test_scene_files_of_the_docs_load(text, beside):
         assert isinstance(ls.load("scene.toml"), ls.Scene)
 
 
-def test_the_guide_shows_every_setting(tmp_path):
-    """The guide's settings are exactly the saved defaults."""
-    ls.save_config(tmp_path / "settings.toml", ls.RenderConfig())
-    shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
-    assert f"```toml\n{(tmp_path / 'settings.toml').read_text()}```" in shown
+@pytest.mark.parametrize("name", ["settings.md", "options.md", "scene_file.md"])
+def test_reference_pages_equal_the_declarations(name):
+    """The tool writes the pages without changes."""
+    from tools.make_reference import PAGES
+
+    assert (ROOT / "docs" / name).read_text(encoding="utf-8") == PAGES[name](), "run tools/make_reference.py"
 
 
-def test_the_guide_shows_every_key_of_a_scene_file():
-    """Keys of entries, lights, materials, the environment and cameras are on the page about scene files."""
-    from lumisplat.io.scene_toml import (
-        assets,
-        cameras as scene_cameras,
-        lights as scene_lights,
-        materials as scene_materials,
-    )
-    from lumisplat.io.scene_toml.toml_table import schema
-
-    shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
-    keys = {key for keys in assets.ENTRY_KEYS.values() for key in keys}
-    keys |= {
-        *scene_cameras._FILE_KEYS,
-        *scene_cameras._VIEW_KEYS,
-        *scene_lights.LIGHT_KINDS,
-        *scene_materials.MATERIAL_KINDS,
-    }
-    for kind in (*scene_lights.LIGHT_KINDS.values(), *scene_materials.MATERIAL_KINDS.values(), ls.LightEnvironment):
-        keys |= set(schema(kind)) - {"image"}
-    missing = [key for key in sorted(keys) if f"`{key}`" not in shown and f'`"{key}"`' not in shown]
-    assert not missing
-
-
-def test_the_guide_shows_every_key_of_an_animation():
-    """Keys of actors, keyframes and the animation are on the page about them."""
-    from lumisplat.io.scene_toml.actors import ACTOR_KEYS, KEYFRAME_KEYS
-    from lumisplat.io.scene_toml.scene_file import ANIMATION_KEYS
-
-    shown = (ROOT / "docs" / "guide" / "animate.md").read_text()
-    keys = {*ACTOR_KEYS, *KEYFRAME_KEYS, *ANIMATION_KEYS}
-    assert not [key for key in sorted(keys) if f"`{key}`" not in shown]
+def test_every_key_of_a_scene_file_has_a_help():
+    """No row of the reference of scene files, options and settings lacks its text."""
+    for name, column in (("settings.md", 4), ("options.md", 2), ("scene_file.md", -2)):
+        rows = re.findall(r"^\| `.*", (ROOT / "docs" / name).read_text(encoding="utf-8"), re.MULTILINE)
+        cells = [re.split(r"(?<!\\)\|", row) for row in rows]
+        assert len(rows) > 100
+        assert not [row for row, texts in zip(rows, cells, strict=True) if not texts[column].strip()]
 
 
 def test_all_python_of_the_docs_is_marked():

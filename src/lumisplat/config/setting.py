@@ -207,7 +207,7 @@ def _shown(value: object) -> str:
 @cache
 def settings_of(cls: type) -> tuple[Setting, ...]:
     """Returns the declarations of a dataclass's fields, in their order."""
-    hints, helps = get_type_hints(cls, include_extras=True), _docstrings(cls)
+    hints, helps = get_type_hints(cls, include_extras=True), docstrings_of(cls)
     return tuple(_setting(one, hints[one.name], helps.get(one.name, "")) for one in fields(cls))
 
 
@@ -365,13 +365,13 @@ def _span(value: object, name: str, limits: Range, kind: type, error: type[Lumis
 
 def _choice_help(cls: type[Enum]) -> list[str]:
     """Returns the meaning of each member of an enum, shortened to its first sentence."""
-    helps = _docstrings(cls)
+    helps = docstrings_of(cls)
     firsts = {name: _SENTENCE_END.split(" ".join(text.split()), 1)[0].rstrip(".") for name, text in helps.items()}
     return [f"{member.value}: {firsts[member.name]}." for member in cls if member.name in firsts]
 
 
 @cache
-def _docstrings(cls: type) -> dict[str, str]:
+def docstrings_of(cls: type) -> dict[str, str]:
     """Returns the docstrings below the fields or members of a class, including inherited ones, by name."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__[:-1]):

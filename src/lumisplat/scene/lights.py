@@ -152,7 +152,9 @@ class LightPoint:
     aim_keys: ClassVar[tuple[str, ...]] = ()
 
     position: Vector = given(converter=to_vector)
+    """World position."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
     """Luminous intensity."""
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
@@ -160,8 +162,11 @@ class LightPoint:
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
     """Radius of the light for soft shadows; 0: hard shadows."""
     enabled: bool = field(default=True, kw_only=True)
+    """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
+    """Let objects block the light; without, it passes through everything."""
     name: str = field(default="", kw_only=True)
+    """Name of the light, also of its layers."""
 
     __post_init__ = take_scene_fields
 
@@ -189,9 +194,11 @@ class LightSpot:
     aim_keys: ClassVar[tuple[str, ...]] = ("target",)
 
     position: Vector = given(converter=to_vector)
+    """World position."""
     direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Axis of the cone, any length; normalised. Required unless there is a ``target``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
     """Luminous intensity along the axis."""
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
@@ -203,8 +210,11 @@ class LightSpot:
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
     """Radius of the light for soft shadows; 0: hard shadows."""
     enabled: bool = field(default=True, kw_only=True)
+    """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
+    """Let objects block the light; without, it passes through everything."""
     name: str = field(default="", kw_only=True)
+    """Name of the light, also of its layers."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Point that the light aims at, world position, shape (3,); replaces ``direction``."""
 
@@ -242,18 +252,22 @@ class LightDirectional:
     direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Direction in which the light travels, any length; normalised. Required unless there is a ``position``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="lux")] = 1.0
     """Illuminance of a surface that faces the light."""
     angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
     """Angular radius of the light for soft shadows; the sun's is 0.27 degrees (0.0047)."""
     enabled: bool = field(default=True, kw_only=True)
+    """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
+    """Let objects block the light; without, it passes through everything."""
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
     """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
     Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
+    """Name of the light, also of its layers."""
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """World position from which the light travels towards ``target``, at any distance; replaces ``direction``."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
@@ -284,17 +298,22 @@ class LightSphere:
     aim_keys: ClassVar[tuple[str, ...]] = ()
 
     position: Vector = given(converter=to_vector)
+    """World position."""
     radius: Annotated[float, Range(0.0, unit="scene units", above=True)]
     """Radius of the sphere."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
+    """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
+    """Let objects block the light; without, it passes through everything."""
     visible: bool = field(default=True, kw_only=True)
     """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
     """
     name: str = field(default="", kw_only=True)
+    """Name of the light, also of its layers."""
 
     __post_init__ = take_scene_fields
 
@@ -336,14 +355,18 @@ class LightRect:
     edge_v: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Second edge. The light shines to the side of ``cross(edge_u, edge_v)``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
+    """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
+    """Let objects block the light; without, it passes through everything."""
     visible: bool = field(default=True, kw_only=True)
     """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
     """
     name: str = field(default="", kw_only=True)
+    """Name of the light, also of its layers."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Point that the light faces, world position, shape (3,); with ``size``, replaces the edges."""
     size: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
@@ -404,14 +427,18 @@ class LightDisk:
     radius: Annotated[float, Range(0.0, unit="scene units", above=True)] = 0.5
     """Radius of the disk."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
+    """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
+    """Let objects block the light; without, it passes through everything."""
     visible: bool = field(default=True, kw_only=True)
     """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
     """
     name: str = field(default="", kw_only=True)
+    """Name of the light, also of its layers."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Point that the light faces, world position, shape (3,); replaces ``direction``."""
 
@@ -463,6 +490,7 @@ class LightEnvironment:
     image: FloatArray | None = given(converter=_radiance, default=None)
     """Linear Rec.709 radiance, shape (H, W, 3); None: 1 everywhere."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
+    """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="x image")] = 1.0
     """Factor applied to the image's radiance."""
     rotation_wxyz: tuple[float, float, float, float] = given(converter=_unit_quaternion, default=(1.0, 0.0, 0.0, 0.0))
@@ -471,13 +499,16 @@ class LightEnvironment:
     visible: bool = True
     """Show the environment as the background; mirrors always show it."""
     enabled: bool = field(default=True, kw_only=True)
+    """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
+    """Let objects block the light; without, it passes through everything."""
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
     """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
     Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
+    """Name of the light, also of its layers."""
 
     __post_init__ = take_scene_fields
 

@@ -188,6 +188,7 @@ class MaterialPbr:
     alpha_cutoff: Annotated[float, Range(0.0)] = 0.5
     """Smallest alpha at which the surface exists with ``AlphaMode.MASK``; above 1, it exists nowhere."""
     name: str = ""
+    """Name of the material, also of its matte."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -246,12 +247,17 @@ class MaterialSimple:
     base_color_texture: Texture | None = given(converter=to_texture, default=None)
     """sRGB-encoded texels, as in `MaterialPbr`."""
     wrap_u: TextureWrap = TextureWrap.REPEAT
-    """Wrap mode along u. This and the next fields are as in `MaterialPbr`."""
+    """Wrap mode of the texture along u, as in `MaterialPbr`."""
     wrap_v: TextureWrap = TextureWrap.REPEAT
+    """Wrap mode of the texture along v."""
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
+    """Meaning of alpha on meshes, as in `MaterialPbr`."""
     alpha: Share = 1.0
+    """Factor of the base colour texture's alpha."""
     alpha_cutoff: Annotated[float, Range(0.0)] = 0.5
+    """Smallest alpha at which the surface exists with ``AlphaMode.MASK``."""
     name: str = ""
+    """Name of the material, also of its matte."""
 
     __post_init__ = take_scene_fields
 

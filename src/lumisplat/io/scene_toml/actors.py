@@ -47,23 +47,32 @@ from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 ACTOR_KEYS = {
-    "path": TEXT,
+    "path": TEXT.about(
+        "A `.glb` or `.gltf` with a skin or animation, a folder of frames, a capture or a mesh. Required."
+    ),
     **PLACEMENT,
     **STANDING,
-    "name": TEXT,
-    "form": TEXT,
-    "count": WHOLE,
-    "vertex_colors": FLAG,
-    "fps": NUMBER,
-    "clip": TEXT,
-    "loop": FLAG,
-    "speed": NUMBER,
-    "casts_shadow": FLAG,
-    "relight": FLAG,
-    "hidden": FLAG,
-    "keyframes": TABLES,
+    "name": TEXT.about("Name of its instances."),
+    "form": TEXT.about('Form of a rig or mesh: `"gaussians"` (default) or `"mesh"`.'),
+    "count": WHOLE.about("Number of Gaussians of a rig or mesh. Default: neighbours are 1/300 of its size apart."),
+    "vertex_colors": FLAG.about("Multiplies the colours of a rig by COLOR_0. Default: true."),
+    "fps": NUMBER.about("Frames a second of a folder of frames. Default: 25."),
+    "clip": TEXT.about("Animation of a rig, by its name. Default: the first."),
+    "loop": FLAG.about("Repeats the clip or frames; false holds the last pose or frame. Default: true."),
+    "speed": NUMBER.about("Speed of the clip or frames relative to the animation. Default: 1."),
+    "casts_shadow": FLAG.about("Casts shadows on captures. Default: true."),
+    "relight": FLAG.about("Lights the actor by the light at its position; false keeps its own colours. Default: true."),
+    "hidden": FLAG.about("Reads and checks the actor without rendering it. Default: false."),
+    "keyframes": TABLES.about("Motion of the placed actor: the tables `[[actors.keyframes]]`."),
 }
-KEYFRAME_KEYS = {"time": NUMBER, **PLACEMENT}
+KEYFRAME_KEYS = {
+    "time": NUMBER.about("Time in the animation, seconds; times increase. Required."),
+    "position": PLACEMENT["position"].about("Translation at that time. Default: that of the keyframe before, or 0."),
+    "rotation_wxyz": PLACEMENT["rotation_wxyz"].about(
+        "Rotation at that time, a quaternion, scalar first. Default: that of the keyframe before, or none."
+    ),
+    "scale": PLACEMENT["scale"].about("Scale at that time. Default: that of the keyframe before, or 1."),
+}
 _FORMS = ("gaussians", "mesh")
 _KEY_OWNERS = {
     "count": "a rig or a mesh as Gaussians",

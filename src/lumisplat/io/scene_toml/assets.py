@@ -71,33 +71,46 @@ _SIZE = Kind("a number, two (plane) or three (box)", _is_size)
 """Edge lengths of a box or a plane, or the diameter of a sphere."""
 
 _ENTRY = {
-    "path": TEXT,
     **PLACEMENT,
     **STANDING,
-    "ground": NUMBER_OR_FALSE,
-    "name": TEXT,
-    "material": TEXT_OR_TABLE,
-    "hidden": FLAG,
+    "ground": NUMBER_OR_FALSE.about(
+        "Height along up of its lowest point; 2 % of the opacity of a capture may lie below. False: an unplaced mesh "
+        "stays at the height of its file."
+    ),
+    "name": TEXT.about("Name, instead of the one in the file."),
+    "material": TEXT_OR_TABLE.about("Name of a `[materials.NAME]`, or a table with the keys of a material."),
+    "hidden": FLAG.about("Reads and checks the entry without rendering it. Default: false."),
 }
 ENTRY_KEYS = {
     "splats": {
+        "path": TEXT.about("File or folder of the capture, relative to the scene file. Required."),
         **_ENTRY,
-        "kernel_degree": WHOLE,
-        "sh_degree": WHOLE,
-        "shadow_catcher": FLAG,
-        "lod": WHOLE,
-        "lod_budget": WHOLE,
-        "crop_low": VECTOR,
-        "crop_high": VECTOR,
+        "kernel_degree": WHOLE.about(
+            "Kernel that the capture was trained with, 0 to 5. Default: that of the file, else 2 (Gaussian)."
+        ),
+        "sh_degree": WHOLE.about("Highest SH degree of its colours, 0 to 3; lower ones remove captured highlights."),
+        "shadow_catcher": FLAG.about(
+            "Keeps the capture as captured, but for the shadows of other objects. Default: false."
+        ),
+        "lod": WHOLE.about("Level of detail of a streamed SOG; 0 (default) is the finest."),
+        "lod_budget": WHOLE.about("Loads the finest level of a streamed SOG with at most so many Gaussians."),
+        "crop_low": VECTOR.about("Lower corner of a box, file coordinates: Gaussians outside of it are removed."),
+        "crop_high": VECTOR.about("Upper corner of that box."),
     },
     "meshes": {
+        "path": TEXT.about("File of the mesh or glTF scene, relative to the scene file. Required without `shape`."),
+        "shape": TEXT.about('Primitive instead of a file: `"box"`, `"plane"` or `"sphere"`.'),
+        "size": _SIZE.about("Edges of the box (one or three) or plane (one or two), or diameter. Default: 1."),
         **_ENTRY,
-        "shape": TEXT,
-        "size": _SIZE,
-        "lights": FLAG,
-        "crease_angle_degrees": NUMBER,
-        "part": NAME_OR_NUMBER,
-        "shadow_catcher": FLAG,
+        "lights": FLAG.about("Loads the lights of a glTF file, too. Default: true."),
+        "crease_angle_degrees": NUMBER.about(
+            "Computes normals that are smooth where faces meet at less than this, 0 to 180 degrees. Default: the "
+            "normals of the file, or 51.6 for an OBJ without."
+        ),
+        "part": NAME_OR_NUMBER.about("Loads one mesh of the file, by its name or its number from 0, without lights."),
+        "shadow_catcher": FLAG.about(
+            "Shows the mesh only where it is shadowed, or mirrors other objects. Default: false."
+        ),
     },
 }
 """Allowed keys of captures and meshes, by heading."""

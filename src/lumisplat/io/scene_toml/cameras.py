@@ -50,27 +50,42 @@ from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.placing import Vector, up_vector
 
-_SIZE = {"width": WHOLE, "height": WHOLE}
-_FILE_KEYS = {"path": TEXT, **PLACEMENT, **_SIZE, "exposure": NUMBER}
-_VIEW_KEYS = {
-    "eye": VECTOR,
-    "target": VECTOR,
-    "up": DIRECTION,
-    "fov_y_degrees": NUMBER,
-    **_SIZE,
-    "name": TEXT,
-    "model": TEXT,
-    "near": NUMBER,
-    "exposure": NUMBER,
-    "aperture": NUMBER,
-    "focus_distance": NUMBER,
-    "distortion": COEFFICIENTS,
-    "keyframes": TABLES,
+_EXPOSURE = NUMBER.about("Exposure of lit images, stops. Default: 0, or that of the file.")
+CAMERA_FILE_KEYS = {
+    "path": TEXT.about(
+        "`transforms.json`, `cameras.json`, `camera_path.json`, a COLMAP folder, or a glTF or OpenUSD scene. Required."
+    ),
+    **PLACEMENT,
+    "width": WHOLE.about("Image width, pixels; alone, it keeps the aspect ratio. Default: that of the file."),
+    "height": WHOLE.about("Image height, pixels; alone, it keeps the aspect ratio. Default: that of the file."),
+    "exposure": _EXPOSURE,
 }
-_CAMERA_KEYFRAME_KEYS = {
-    "time": NUMBER,
+"""Keys of the cameras of a file."""
+CAMERA_VIEW_KEYS = {
+    "eye": VECTOR.about("Position of the camera. Required."),
+    "target": VECTOR.about("Point in the middle of the image. Required."),
+    "up": DIRECTION.about("Direction that is up in the image. Default: the scene's up."),
+    "fov_y_degrees": NUMBER.about("Vertical field of view, degrees. Default: 45.8."),
+    "width": WHOLE.about("Image width, pixels. Default: 1280."),
+    "height": WHOLE.about("Image height, pixels. Default: 720."),
+    "name": TEXT.about("Name of the camera and its images."),
+    "model": TEXT.about('`"pinhole"` (default), `"fisheye"` or `"orthographic"`.'),
+    "near": NUMBER.about(
+        "View depth below which nothing is drawn, scene units. Default: 0.01, or less in small scenes."
+    ),
+    "exposure": _EXPOSURE,
+    "aperture": NUMBER.about("Radius of the lens, scene units; 0 (default) has everything in focus."),
+    "focus_distance": NUMBER.about("View depth of the plane in focus. Default: the distance of the target."),
+    "distortion": COEFFICIENTS.about("Lens distortion k1 k2 k3 k4 p1 p2 of OpenCV. Default: 0."),
+    "keyframes": TABLES.about("Motion of the camera: the tables `[[cameras.keyframes]]`."),
+}
+"""Keys of a camera that the scene file describes."""
+CAMERA_KEYFRAME_KEYS = {
+    "time": NUMBER.about("Time in the animation, seconds; times increase. Required."),
     **{
-        key: _VIEW_KEYS[key]
+        key: CAMERA_VIEW_KEYS[key]._replace(
+            help=f"{CAMERA_VIEW_KEYS[key].help.split('. ')[0].rstrip('.')}. Default: that of the keyframe before."
+        )
         for key in ("eye", "target", "up", "fov_y_degrees", "exposure", "aperture", "focus_distance")
     },
 }
@@ -115,7 +130,7 @@ def read_scene_cameras(
 
 
 def _cameras_of_file(table: TomlTable, load: LoadCameras, width: int | None, height: int | None) -> list[Camera]:
-    given = table.take(_FILE_KEYS)
+    given = table.take(CAMERA_FILE_KEYS)
     file = table.file("path")
     if file.suffix.lower() == ".toml":
         raise table.error(f"path is {given['path']!r}, a scene file itself: list its cameras here instead", "path")
@@ -142,18 +157,18 @@ def _entry_camera(table: TomlTable, up: Vector) -> Camera:
     """Reads the camera of an entry; a moving camera is taken at its first keyframe."""
     if "keyframes" in table.values:
         return _entry_path(table, up).cameras[0]
-    return _camera(table, table.take(_VIEW_KEYS, required=("eye", "target")), up)
+    return _camera(table, table.take(CAMERA_VIEW_KEYS, required=("eye", "target")), up)
 
 
 def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
     """Reads the keyframes of an entry. A keyframe inherits missing keys from the previous keyframe."""
-    last = table.take(_VIEW_KEYS)
+    last = table.take(CAMERA_VIEW_KEYS)
     del last["keyframes"]
     times: list[float] = []
     cameras: list[Camera] = []
     targets: list[list[float]] = []
     for entry in table.tables("keyframes"):
-        given = entry.take(_CAMERA_KEYFRAME_KEYS, required=("time",))
+        given = entry.take(CAMERA_KEYFRAME_KEYS, required=("time",))
         time = given.pop("time")
         if not np.isfinite(time) or (times and time <= times[-1]):
             raise entry.wrong("time", f"seconds after {times[-1]:g}: times must increase" if times else "seconds")

@@ -37,9 +37,18 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 _log = logging.getLogger("lumisplat")
 
-PLACEMENT = {"position": VECTOR, "rotation_wxyz": QUATERNION, "scale": NUMBER}
+PLACEMENT = {
+    "position": VECTOR.about("Translation, scene units; a point is scaled, then rotated, then translated. Default: 0."),
+    "rotation_wxyz": QUATERNION.about("Rotation as a quaternion, scalar first. Default: none."),
+    "scale": NUMBER.about("Uniform scale, above 0. Default: 1."),
+}
 """Keys that place an entry: position, rotation and scale."""
-STANDING = {"rotation_degrees": VECTOR, "look_at": VECTOR, "front": TEXT, "upright": FLAG}
+STANDING = {
+    "rotation_degrees": VECTOR.about("Rotation about x, then y, then z, degrees, instead of `rotation_wxyz`."),
+    "look_at": VECTOR.about("Point to which the front is turned, with the object upright."),
+    "front": TEXT.about('Axis of the object that is its front: `"+z"` (default), `"-z"`, `"+x"` or `"-x"`.'),
+    "upright": FLAG.about("Rotates an object with y up so that it stands upright in the scene; false leaves it."),
+}
 """Further rotation keys of captures, meshes and actors, instead of a quaternion."""
 
 
@@ -271,6 +280,11 @@ def _may_be_direction(value: object) -> bool:
 
 DIRECTION = Kind("the name of an axis, such as y-down, or three numbers", _may_be_direction)
 """Kind of value that is a direction: an axis name or a vector."""
+UP = DIRECTION.about(
+    'Up direction of the scene, such as `"y-down"` or `"z-up"`. Default: that of the first capture that states one, '
+    "else y down with captures, y up without."
+)
+"""Kind of the key ``up`` at the top of a scene file."""
 
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".json", "")
 """File extensions of captures; .json is an unpacked SOG, and folders of frames have no extension."""

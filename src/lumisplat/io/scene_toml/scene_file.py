@@ -58,7 +58,14 @@ from lumisplat.scene.lights import Light
 from lumisplat.scene.placing import up_vector
 from lumisplat.scene.scene import Scene
 
-ANIMATION_KEYS = {"fps": NUMBER, "duration": NUMBER, "frames": WHOLE, "lighting": TABLE}
+ANIMATION_KEYS = {
+    "fps": NUMBER.about("Frames a second. Default: 25."),
+    "duration": NUMBER.about(
+        "Length in seconds. Default: until the last keyframe, else once through the longest clip."
+    ),
+    "frames": WHOLE.about("Number of frames, instead of `duration`, at most 1,000,000."),
+    "lighting": TABLE.about("Light of actors: the table `[animation.lighting]`."),
+}
 _FPS = 25.0
 
 _HEADINGS = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")

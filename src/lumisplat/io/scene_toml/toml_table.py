@@ -164,6 +164,12 @@ class Kind(NamedTuple):
     """Description for error messages, such as ``three numbers``."""
     accepts: Callable[[object], bool]
     """Returns whether a value is of this kind."""
+    help: str = ""
+    """Meaning of the key that declares the kind, one line for docs/scene_file.md."""
+
+    def about(self, text: str) -> Kind:
+        """Returns the same kind with the help text of a key."""
+        return self._replace(help=text)
 
 
 def _is_number_or_false(value: object) -> bool:
