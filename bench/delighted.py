@@ -221,11 +221,11 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     figures["captured_relit_db"] = psnr(relit(case, shown * old_factor, turned, unknown, device), true_lit)
     if case.floor is not None and case.material is not MATT:
         figures["relit_db_all_0.8"] = psnr(relit(case, albedo * factor, turned, unknown, device), true_lit)
-        figures["roughness"] = roughness_figures(case, rough, found.sureness[:count], agree)
+        figures["roughness"] = roughness_figures(case, rough, found.roughness_confidence[:count], agree)
     return figures, rows_of(case, (shown, albedo * factor, truth), device)
 
 
-def roughness_figures(case: Case, found: FloatArray, sureness: FloatArray, agree: Flags) -> dict[str, Any]:
+def roughness_figures(case: Case, found: FloatArray, roughness_confidence: FloatArray, agree: Flags) -> dict[str, Any]:
     """Returns roughness errors of Gaussians with correct normals: all, confident ones, and by part and true value."""
     true, on_floor = np.asarray(case.truth.roughness), np.zeros(len(found), bool)
     on_floor[case.floor] = True
@@ -233,13 +233,13 @@ def roughness_figures(case: Case, found: FloatArray, sureness: FloatArray, agree
     def rmse(rows: Flags) -> float:
         return round(float(np.sqrt(np.square(found - true)[rows].mean())), 3)
 
-    figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_sure": rmse(agree & (sureness > CONFIDENT))}
+    figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_sure": rmse(agree & (roughness_confidence > CONFIDENT))}
     figures["rmse_all_0.8"] = round(float(np.sqrt(np.square(0.8 - true)[agree].mean())), 3)
-    figures["sure"] = round(float((sureness > CONFIDENT).mean()), 3)
+    figures["sure"] = round(float((roughness_confidence > CONFIDENT).mean()), 3)
     for name, part in (("floor", on_floor), ("cow", ~on_floor)):
         for value in GLOSSY:
             rows = agree & part & np.isclose(true, value)
-            mean, sure = (round(float(values[rows].mean()), 2) for values in (found, sureness))
+            mean, sure = (round(float(values[rows].mean()), 2) for values in (found, roughness_confidence))
             figures[f"{name} {value}"] = {"mean": mean, "rmse": rmse(rows), "sureness": sure}
     return figures
 

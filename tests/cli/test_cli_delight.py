@@ -37,7 +37,18 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 def test_a_capture_gets_albedo_roughness_and_normals(work):
     """The Gaussians stay the same; remarks name guesses, and the environment is written as an image."""
     done = work.run(
-        "delight", "@ball.ply", "-o", "@out.ply", "--cells", "4", "--sky", "@sky.exr", "--device", "cpu", "--up", "y-up"
+        "delight",
+        "@ball.ply",
+        "-o",
+        "@out.ply",
+        "--cells",
+        "4",
+        "--save-environment",
+        "@sky.exr",
+        "--device",
+        "cpu",
+        "--up",
+        "y-up",
     )
     assert (done.status, done.err) == (0, "")
     assert "700 Gaussians with albedo, roughness and normals" in done.out
@@ -70,7 +81,7 @@ def test_a_room_has_no_environment_image(work, monkeypatch):
     assert isinstance(capture, ls.Gaussians)
     found = ls.inverse.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")
     monkeypatch.setattr(ls.inverse, "estimate_materials", lambda *_, **__: found)
-    done = work.run("delight", "@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--device", "cpu")
+    done = work.run("delight", "@ball.ply", "-o", "@out.ply", "--save-environment", "@sky.exr", "--device", "cpu")
     assert (done.status, done.err) == (0, "") and f"{work.path('sky.exr')}: not written: a room has" in done.out
     assert work.path("out.ply").exists() and not work.path("sky.exr").exists()
 
@@ -79,7 +90,16 @@ def test_a_full_disk_for_the_environment_is_one_line(work):
     """The line has the system's reason; no partial image is left, and the capture is written."""
     with small_disk(work.path("disk"), "4k") as disk:
         done = work.run(
-            "delight", "@ball.ply", "-o", "@out.ply", "--cells", "4", "--sky", str(disk / "sky.exr"), "--device", "cpu"
+            "delight",
+            "@ball.ply",
+            "-o",
+            "@out.ply",
+            "--cells",
+            "4",
+            "--save-environment",
+            str(disk / "sky.exr"),
+            "--device",
+            "cpu",
         )
         assert done.status == 2 and done.out == ""
         assert done.err.splitlines() == [
@@ -98,10 +118,10 @@ def test_a_full_disk_for_the_environment_is_one_line(work):
             "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others cannot store materials",
         ),
         (("@ball.ply", "-o", "@out.compressed.ply"), "expected .ply"),
-        (("@ball.ply", "-o", "@out.ply", "--sky", "@sky.png"), "expected .exr"),
+        (("@ball.ply", "-o", "@out.ply", "--save-environment", "@sky.png"), "expected .exr"),
         (("@ball.ply", "-o", "@out.ply", "--cells", "2"), "cells is 2"),
         (
-            ("@ball.ply", "-o", "@out.ply", "--sky", "@sky.exr", "--inside", "yes"),
+            ("@ball.ply", "-o", "@out.ply", "--save-environment", "@sky.exr", "--inside", "yes"),
             "--inside yes means a room",
         ),
         (

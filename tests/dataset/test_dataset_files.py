@@ -212,12 +212,12 @@ def test_data_set_settings_are_read(tmp_path) -> None:
     file = tmp_path / "set.toml"
     file.write_text(
         'views = 9\nlayers = ["mask", "depth"]\nsplit = [8, 1, 1]\n[poses]\nwhere = "inside"\nfov = 50\n'
-        '[lights]\nsuns = "auto"\nlamps = [1, 2]\n[objects]\nfiles = ["duck.obj"]\n'
+        '[lights]\nsuns = "auto"\npoints = [1, 2]\n[objects]\nfiles = ["duck.obj"]\n'
     )
     config = ls.io.load_dataset_config(file)
     assert (config.views, config.layers, config.split) == (9, ("depth", "mask"), (0.8, 0.1, 0.1))
     assert (config.poses.where, config.poses.fov) == (ls.config.PosePlaces.INSIDE, (50.0, 50.0))
-    assert (config.lights.suns, config.lights.lamps) == (None, (1, 2))
+    assert (config.lights.suns, config.lights.points) == (None, (1, 2))
     assert config.objects.files == (str(tmp_path / "duck.obj"),)
 
 
@@ -258,6 +258,7 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
             "line 2, poses: elevation is (60, 5), expected the least and the largest value",
         ),
         ('[poses]\nwhere = "domes"', "line 2, poses: where is 'domes', did you mean 'dome'?"),
+        ("[lights]\nlamps = [1, 2]", "line 2, lights: unknown 'lamps', it is called 'points' now"),
         ("[poses]\nfov = [10, 200]", "fov is (10, 200), expected the least and the largest value, 1 to 179"),
         ("[lights]\nlamps = [0.5, 2]", "lamps is (0.5, 2), expected the least and the largest number, whole ones"),
         ("[lights]\nsun_elevatoin = 3", "unknown 'sun_elevatoin', did you mean 'sun_elevation'?"),

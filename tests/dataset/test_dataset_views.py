@@ -188,10 +188,10 @@ def test_objects_without_free_space_are_left_out_and_named(object_file) -> None:
 def test_view_depends_only_on_its_index(object_file) -> None:
     """Neither the number of views, nor earlier views, nor other groups of settings change it."""
     objects = ls.config.DatasetObjects(files=(object_file,))
-    config = small_config(objects=objects, lights=ls.config.DatasetLights(lamps=(1, 2)))
+    config = small_config(objects=objects, lights=ls.config.DatasetLights(points=(1, 2)))
     views = ls.dataset.DatasetViews(block_scene(), config, device="cpu")
     first = [views.view(index) for index in (0, 3)]
-    other = replace(config, views=1000, lights=replace(config.lights, lamps=(0, 0)), layers=("depth",))
+    other = replace(config, views=1000, lights=replace(config.lights, points=(0, 0)), layers=("depth",))
     again = [ls.dataset.DatasetViews(block_scene(), other, device="cpu").view(index) for index in (3, 0)][::-1]
     for one, same in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.camera.camera_from_world, same.camera.camera_from_world)
@@ -206,7 +206,7 @@ def test_view_depends_only_on_its_index(object_file) -> None:
 def test_lights_are_within_their_ranges() -> None:
     """Suns by elevation, lux and angle; point lights by illuminance at the middle; a sky if there is no environment."""
     lights = ls.config.DatasetLights(
-        suns=(1, 2), sun_elevation=(30.0, 60.0), sun_lux=(2.0, 3.0), lamps=(1, 1), tint=0.1
+        suns=(1, 2), sun_elevation=(30.0, 60.0), sun_lux=(2.0, 3.0), points=(1, 1), tint=0.1
     )
     for view in views_of(small_config(lights=lights)):
         suns = [light for light in view.scene.lights if isinstance(light, LightDirectional)]

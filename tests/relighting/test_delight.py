@@ -197,7 +197,7 @@ def test_albedo_in_constant_light_is_recovered(ball: tuple[ls.Gaussians, np.ndar
     assert (cosines > 0.9).mean() > 0.99
     ratio = np.asarray(found.gaussians.albedo) / albedo
     assert np.percentile(np.abs(ratio / np.median(ratio, axis=0) - 1.0), 95) < 0.05
-    assert np.allclose(found.sky_image().mean(axis=(0, 1)), found.sky.mean(axis=0), rtol=0.2)
+    assert np.allclose(found.environment_image().mean(axis=(0, 1)), found.environment.mean(axis=0), rtol=0.2)
 
 
 def test_shading_is_removed_from_a_ball(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
@@ -232,7 +232,7 @@ def test_relighting_by_the_estimated_light_gives_the_capture() -> None:
     apart = {}
     for matt in (False, True):
         found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=6, matt=matt), device="cpu")
-        _, again = lit(found.gaussians, ls.LightEnvironment(found.sky_image()))
+        _, again = lit(found.gaussians, ls.LightEnvironment(found.environment_image()))
         apart[matt] = np.median(np.abs(again / wanted - 1.0)[is_dark])
     assert apart[False] < 0.08 and apart[True] > 0.25
 
@@ -257,10 +257,10 @@ def test_capture_without_view_dependence_is_rough(ball: tuple[ls.Gaussians, np.n
     config = ls.DelightConfig(cells=4)
     found = ls.inverse.estimate_materials(replace(flat, sh=sh), config, device="cpu")
     assert np.median(np.asarray(found.gaussians.roughness)) > 0.65
-    assert found.sureness.shape == (plain.count,)
+    assert found.roughness_confidence.shape == (plain.count,)
     unknown = ls.inverse.estimate_materials(flat, config, device="cpu")
     assert (np.asarray(unknown.gaussians.roughness) == np.float32(0.8)).all()
-    assert not unknown.sureness.any()
+    assert not unknown.roughness_confidence.any()
 
 
 def test_given_normals_are_kept_to_the_bit(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
@@ -501,5 +501,5 @@ def test_remarks_count_impossible_albedos_and_unexplained_colors(ball: tuple[ls.
     assert "25.0% of the Gaussians are clipped at display white" in text
     assert "20.0% of the Gaussians are darker in a channel than their specular reflection" in text
     assert "highlights determine the roughness of 50% of the Gaussians" in text
-    unsure = "\n".join(replace(estimate, sureness=np.zeros(n, np.float32)).remarks)
+    unsure = "\n".join(replace(estimate, roughness_confidence=np.zeros(n, np.float32)).remarks)
     assert "roughness is 0.8 everywhere" in unsure

@@ -89,7 +89,7 @@ def test_sun_is_located_by_refined_cells() -> None:
     sh = (encode_srgb(albedo * light) - 0.5)[:, None, None] / SH_C0 * np.ones(3)
     captured = replace(plain, sh=sh.astype(np.float32), albedo=None, roughness=None, normals=None)
     found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=4, matt=True), device="cpu")
-    brightest = found.cells.directions[found.sky.mean(axis=1).argmax()]
+    brightest = found.cells.directions[found.environment.mean(axis=1).argmax()]
     assert np.degrees(np.arccos(brightest @ sun)) < 10.0
     assert np.log(np.asarray(found.gaussians.albedo).mean(axis=1) / albedo).std() < 0.1
 
@@ -144,8 +144,10 @@ def test_environment_image_respects_its_rotation() -> None:
     )
     rotation = np.array([0.8, 0.4, -0.2, 0.4])
     directions = panorama_directions(40, 80).reshape(-1, 3)
-    plain = panorama_lookup(found.sky_image(), directions)
-    turned = panorama_lookup(found.sky_image(rotation), directions @ rotation_matrix(rotation))  # image from world
+    plain = panorama_lookup(found.environment_image(), directions)
+    turned = panorama_lookup(
+        found.environment_image(rotation), directions @ rotation_matrix(rotation)
+    )  # image from world
     assert np.median(np.abs(plain - turned)) < 0.01
     nearest = np.argmax(directions @ cells.directions.T, axis=1)
     assert np.median(np.abs(plain - environment[nearest])) < 0.01

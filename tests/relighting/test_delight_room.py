@@ -39,8 +39,8 @@ def estimate(box: CapturedBox) -> MaterialEstimate:
 
 def test_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """Rays that escape pass gaps between Gaussians; the emitter is brighter than could be recorded."""
-    assert estimate.is_inside and not len(estimate.cells) and estimate.sky.shape == (0, 3)
-    assert not estimate.sky_image().any()
+    assert estimate.is_inside and not len(estimate.cells) and estimate.environment.shape == (0, 3)
+    assert not estimate.environment_image().any()
     np.testing.assert_array_equal(estimate.emitter_of == 0, box.is_emitter)
     assert estimate.emitters.shape == (1, 3)
     assert (estimate.emitters > 1.5).all() and (estimate.emitters < 2.0 * LIGHT).all()

@@ -87,7 +87,7 @@ def test_materials_have_the_same_bits_on_any_number_of_threads(tmp_path: Path) -
     capture = matte(ball(200), GREY, bright_above)
     folder, config = (
         write_training_images(tmp_path, capture),
-        ls.config.MaterialsConfig(directions=32, sky_steps=20, iterations=4),
+        ls.config.MaterialsConfig(directions=32, environment_steps=20, iterations=4),
     )
     first, second = (
         ls.inverse.find_materials(capture, folder, config, device="cpu", threads=n).gaussians for n in (1, 3)
@@ -192,7 +192,7 @@ def test_images_of_changing_exposure_are_reported(tmp_path: Path, caplog: pytest
     """Every third image is a stop darker, every third a stop brighter; images of one exposure are not reported."""
     capture = matte(ball(200), 0.5 * GREY, constant_radiance)
     folder = write_training_images(tmp_path, capture, count=9, size=32)
-    quick = ls.config.MaterialsConfig(directions=32, sky_steps=1, iterations=0)
+    quick = ls.config.MaterialsConfig(directions=32, environment_steps=1, iterations=0)
     ls.inverse.find_materials(capture, folder, quick, device="cpu")
     assert "exposure" not in caplog.text
     for number, path in enumerate(sorted(folder.rglob("*.png"))):

@@ -14,7 +14,7 @@ from lumisplat.training import find_materials
 from support.scenes.lit_sphere import ball, matte, write_training_images
 
 GREY = np.array([0.5, 0.4, 0.3])
-CONFIG = ls.config.MaterialsConfig(directions=32, sky_steps=20, iterations=9)
+CONFIG = ls.config.MaterialsConfig(directions=32, environment_steps=20, iterations=9)
 
 
 class Killed(Exception):

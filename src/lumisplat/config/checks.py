@@ -252,9 +252,15 @@ def listed_names(value: object) -> tuple[str, ...] | None:
     return tuple(texts) if len(texts) == len(names) else None
 
 
+_RENAMED = {"lamps": "points", "lamp_lux": "point_lux", "sky": "ambient", "sky_steps": "environment_steps"}
+"""Former names of settings, with the present ones."""
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Returns a question with the most similar known name, or one that begins like it; else lists all known names."""
+    """Returns what an unknown name is called now, or a question with the most similar one; else lists all names."""
     known = list(known)
+    if _RENAMED.get(name) in known:
+        return f"it is called {_RENAMED[name]!r} now"
     near = difflib.get_close_matches(name, known, n=1)
     near = near or [one for one in known if len(name) > 2 and one.startswith(name)]
     return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"

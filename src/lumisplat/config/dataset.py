@@ -130,11 +130,11 @@ class DatasetLights:
     """Illuminance of a sun on a surface that faces it: at pi, a white surface is as bright as display white."""
     sun_angle: Annotated[Span, Range(0.0, 90.0, "degrees")] = (0.0, 2.0)
     """Angular radius of suns, which softens their shadows."""
-    lamps: Annotated[WholeSpan, Range(0, 16)] = (0, 0)
+    points: Annotated[WholeSpan, Range(0, 16)] = (0, 0)
     """Number of point lights: above and around the scene, or with ``INSIDE`` in its free space."""
-    lamp_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
+    point_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
     """Illuminance of a point light at the centre of the scene."""
-    sky: Annotated[Span, Range(0.0, 1e6)] = (0.1, 0.5)
+    ambient: Annotated[Span, Range(0.0, 1e6)] = (0.1, 0.5)
     """Radiance of a constant, invisible environment in views that have suns or point lights, and no other environment.
     """
     tint: Share = 0.2

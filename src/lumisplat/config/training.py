@@ -180,7 +180,7 @@ class MaterialsConfig:
     directions: Annotated[int, Range(32, 2048)] = 256
     """Number of directions in which light is traced and the environment is stored. Memory is about 40 bytes for each
     direction and Gaussian."""
-    sky_steps: Annotated[int, Range(1, 100_000)] = 300
+    environment_steps: Annotated[int, Range(1, 100_000)] = 300
     """Steps that estimate the environment, from the assumption that albedos are similar."""
     iterations: Annotated[int, Range(0, 10_000_000)] = 300
     """Steps that refine materials and environment, each with one image."""

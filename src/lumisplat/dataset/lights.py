@@ -45,30 +45,30 @@ class LightSampler:
     ) -> None:
         self._config, self._space, self._environments, self._where = config, space, list(environments), where
         own_lights = [light for light in space.scene.lights if light.enabled] if config.own else []
-        is_dark = needs_light and not own_lights and not environments and config.lamps[1] == 0
+        is_dark = needs_light and not own_lights and not environments and config.points[1] == 0
         self._suns = config.suns if config.suns is not None else (1, 1) if is_dark else (0, 0)
         self._own = own_lights
 
     @property
     def has_lights(self) -> bool:
         """True if views may have lights."""
-        return bool(self._own or self._environments or self._suns[1] or self._config.lamps[1])
+        return bool(self._own or self._environments or self._suns[1] or self._config.points[1])
 
     def lights(self, draws: Draws) -> tuple[Light, ...]:
         """Returns the lights of a view."""
         config = self._config
         angle, brightness = 2.0 * math.pi * draws.unit() * config.turned, draws.factor(config.brightness)
-        which, sky = draws.unit(), draws.between(config.sky)
-        sky_color = self._color(draws)
+        which, ambient = draws.unit(), draws.between(config.ambient)
+        ambient_color = self._color(draws)
         suns = [self._sun(draws, number) for number in range(draws.whole(self._suns))]
-        lamps = [self._point_light(draws, number) for number in range(draws.whole(config.lamps))]
+        points = [self._point_light(draws, number) for number in range(draws.whole(config.points))]
         lights = [self._rotated(light, angle, brightness) for light in self._own if not self._is_replaced(light)]
         if self._environments:
             chosen = self._environments[int(which * len(self._environments))]
             lights.append(self._rotated(chosen, angle, brightness))
-        elif (suns or lamps) and not any(isinstance(light, LightEnvironment) for light in lights) and sky > 0.0:
-            lights.append(LightEnvironment(color=sky_color, intensity=sky, visible=False, name="sky"))
-        return (*lights, *suns, *lamps)
+        elif (suns or points) and not any(isinstance(light, LightEnvironment) for light in lights) and ambient > 0.0:
+            lights.append(LightEnvironment(color=ambient_color, intensity=ambient, visible=False, name="sky"))
+        return (*lights, *suns, *points)
 
     def exposure(self, draws: Draws) -> float:
         """Returns the exposure offset of a view, stops."""
@@ -106,7 +106,7 @@ class LightSampler:
         return LightPoint(
             position=tuple(position),
             color=self._color(draws),
-            intensity=draws.between(self._config.lamp_lux) * distance * distance,
+            intensity=draws.between(self._config.point_lux) * distance * distance,
             name=f"lamp {number}",
         )
 

@@ -253,12 +253,12 @@ class _Delighter:
         return MaterialEstimate(
             gaussians=self._with_materials(albedo, normals, rough.value),
             cells=cells,
-            sky=light.environment,
+            environment=light.environment,
             emitters=light.emitters,
             emitter_of=emitters,
             residual=_unexplained(outgoing, explained),
             confidence=np.clip(observed, 0.0, 1.0).astype(np.float32),
-            sureness=rough.confidence,
+            roughness_confidence=rough.confidence,
             is_inside=inside,
             out_of_range=(albedo > 1.0).any(axis=1) & (emitters < 0),
             is_white=white & (emitters < 0),
@@ -373,7 +373,7 @@ class MaterialEstimate:
     """The capture with ``albedo`` (linear), ``roughness`` and ``normals`` for each Gaussian."""
     cells: EnvironmentCells
     """K cells of the environment; none if the capture was taken from inside of it."""
-    sky: Doubles
+    environment: Doubles
     """Radiance of each environment cell, linear, in units of display white, shape (K, 3)."""
     emitters: Doubles
     """Radiance of each emitter, a group of Gaussians clipped at display white, linear, in the same units, shape (L,
@@ -386,7 +386,7 @@ class MaterialEstimate:
     confidence: FloatArray
     """Fraction of the irradiance at each Gaussian that is visible in the capture rather than estimated, 0..1, shape
     (N,)."""
-    sureness: FloatArray
+    roughness_confidence: FloatArray
     """Confidence of each Gaussian's roughness, 0..1, shape (N,): how much highlights narrow it down. At 0 the
     roughness is an assumed 0.8, as in a capture whose colours do not change with the view direction."""
     is_inside: bool
@@ -400,7 +400,7 @@ class MaterialEstimate:
     """Gaussians darker in a channel than the specular reflection of a dielectric, shape (N,). Relit, they become
     lighter in that channel, and saturated colours paler."""
 
-    def sky_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
+    def environment_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
         """Returns the environment as a latitude-longitude image, shape (H, 2 H, 3); black if there is none.
 
         Args:
@@ -416,19 +416,21 @@ class MaterialEstimate:
         within = np.cos(np.sqrt(self.cells.solid_angles / np.pi))
         # The cell whose disc holds the direction closest to its centre, relative to the radius of the disc.
         nearest = np.argmax((cosines - 1.0) / (1.0 - within), axis=-1)
-        return self.sky[nearest].astype(np.float32)
+        return self.environment[nearest].astype(np.float32)
 
-    def save_sky(self, path: str | os.PathLike[str], rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
-        """Writes `sky_image` as an EXR file.
+    def save_environment(
+        self, path: str | os.PathLike[str], rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    ) -> None:
+        """Writes `environment_image` as an EXR file.
 
         Args:
             path: File to write, .exr.
-            rotation_wxyz: As for `sky_image`.
+            rotation_wxyz: As for `environment_image`.
 
         Raises:
             FormatError: The file cannot be written.
         """
-        write_radiance(path, self.sky_image(rotation_wxyz))
+        write_radiance(path, self.environment_image(rotation_wxyz))
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -443,8 +445,8 @@ class MaterialEstimate:
         if len(self.emitters):
             brightness = ", ".join(f"{emitter.mean():.3g}" for emitter in self.emitters)
             lines.append(f"radiances of emitters, relative to display white: {brightness}")
-        if self.sureness.any():
-            share = float((self.sureness > CONFIDENT).mean())
+        if self.roughness_confidence.any():
+            share = float((self.roughness_confidence > CONFIDENT).mean())
             lines.append(
                 f"highlights determine the roughness of {share:.0%} of the Gaussians; for others it tends to 0.8"
             )

@@ -207,7 +207,7 @@ class _Search:
         white, outgoing = incident.irradiance(normals), mean_outgoing(gaussians, normals)
         rng = np.random.default_rng([config.seed, 8])
         environment = fit_environment(
-            outgoing, white, weights, directions, steps=config.sky_steps, rng=rng, report=self._progress
+            outgoing, white, weights, directions, steps=config.environment_steps, rng=rng, report=self._progress
         )
         albedo = outgoing / white_radiance(white, environment)
         too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))

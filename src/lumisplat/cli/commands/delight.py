@@ -42,10 +42,10 @@ class Delight(LevelsCommand, DeviceCommand):
     """Write .ply, glTF or OpenUSD, which hold materials; - is standard output."""
     inside: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
     """Treat the capture as a room, which has no environment: auto, yes or no."""
-    sky: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    save_environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the environment that was found as an image, .exr."""
     up: UpOption = "auto"
-    """Set the up direction in the image of --sky."""
+    """Set the up direction in the image of --save-environment."""
     cells: Annotated[int | None, setting("4..32", "12")] = None
     """Trace light in N x N directions; time grows with N x N."""
     matt: Flag = False
@@ -73,21 +73,21 @@ class Delight(LevelsCommand, DeviceCommand):
                 raise ls.FormatError(self.capture, str(error)) from None
             report("writing", 0.0)
             ls.save(self.output, found.gaussians)
-            if self.sky is not None and not found.is_inside:
-                self._save_environment(found, self.sky, capture)
+            if self.save_environment is not None and not found.is_inside:
+                self._save_environment(found, self.save_environment, capture)
         print(f"{self.output}: {counted(capture.count, 'Gaussian')} with albedo, roughness and normals")
         for remark in found.remarks:
             print(remark)
-        if self.sky is not None:
+        if self.save_environment is not None:
             outcome = "the environment as an image" if not found.is_inside else "not written: a room has no environment"
-            print(f"{self.sky}: {outcome}")
+            print(f"{self.save_environment}: {outcome}")
 
-    def _save_environment(self, found: ls.inverse.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
+    def _save_environment(self, found: ls.inverse.MaterialEstimate, path: Path, capture: ls.Gaussians) -> None:
         """Writes the image of the environment."""
         try:
             scene = upright(ls.Scene([capture]), self.up)
             warn_if_up_is_guessed(scene)
-            found.save_sky(sky, scene.upright_wxyz)
+            found.save_environment(path, scene.upright_wxyz)
         except ls.FormatError as error:
             error.add_note(f"{self.output} is written")
             raise
@@ -95,17 +95,17 @@ class Delight(LevelsCommand, DeviceCommand):
     def _check_outputs(self) -> None:
         """Refuses outputs that cannot be written, before anything slow is done."""
         parse_up(self.up)
-        if self.sky is not None and self.inside == "yes":
-            raise ls.ConfigError("--sky needs an object outdoors, but --inside yes means a room: leave out one of them")
+        if self.save_environment is not None and self.inside == "yes":
+            raise ls.ConfigError("--save-environment and --inside yes exclude each other: a room has no environment")
         if not holds_materials(self.output):
             raise ls.FormatError(
                 self.output,
                 "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others cannot store materials",
             )
         ls.io.check_format(self.output)  # whether what writes it is installed
-        if self.sky is not None and self.sky.suffix.lower() != ".exr":
-            raise ls.FormatError(self.sky, "unknown extension for an environment image, expected .exr")
-        for path in (self.output, self.sky):
+        if self.save_environment is not None and self.save_environment.suffix.lower() != ".exr":
+            raise ls.FormatError(self.save_environment, "unknown extension for an environment image, expected .exr")
+        for path in (self.output, self.save_environment):
             if path is not None:
                 check_folder(path.absolute().parent, path)
 

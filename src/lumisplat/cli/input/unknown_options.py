@@ -59,6 +59,7 @@ FORMER_OPTIONS = {
     "--lod-budget": "--lod budget={}",
     "--lod-pixels": "--lod pixels={}",
     "--path": "--camera-path {}",
+    "--sky": "--save-environment {}",
     "--split-samples": "--tiles samples",
     "--warm-up": "--samples {}",
 }
