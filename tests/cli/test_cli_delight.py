@@ -122,7 +122,7 @@ def test_a_full_disk_for_the_environment_is_one_line(work):
         (("@ball.ply", "-o", "@out.ply", "--cells", "2"), "cells is 2"),
         (
             ("@ball.ply", "-o", "@out.ply", "--save-environment", "@sky.exr", "--inside", "yes"),
-            "--inside yes means a room",
+            "--inside yes exclude each other",
         ),
         (
             ("@ball.ply", "-o", "/proc/lumisplat.ply"),
