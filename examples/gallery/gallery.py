@@ -1,0 +1,374 @@
+"""Renders the pictures and videos of the gallery (docs/guide/gallery.md) from three real captures.
+
+    python examples/gallery/gallery.py DATA NAME -o OUT [--width 1280] [--samples 16] [--unlit] [--environments hdri]
+
+DATA holds splats/playbot, splats/biker.spz, splats/logo_sog and meshes/spot.obj, teapot.obj, statue.glb.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import lumisplat as ls
+
+Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""The captures have y down; the pictures have y up."""
+MEADOW = ((1.0, 0.33, 2.45), (0.02, 0.53, 0.0), 0.5)
+"""Eye, target and vertical field of view of most pictures of the robot."""
+
+EARTH = (0.022, 0.024, 0.013)
+Shot = tuple[ls.Scene, ls.Camera]
+
+
+def turned(degrees: float) -> np.ndarray:
+    """Returns the transform that stands a capture upright and turns it about the vertical."""
+    angle = np.radians(degrees)
+    turn = np.eye(4)
+    turn[0, 0] = turn[2, 2] = np.cos(angle)
+    turn[0, 2], turn[2, 0] = np.sin(angle), -np.sin(angle)
+    return turn @ Y_UP
+
+
+def moved(x: float, z: float, degrees: float) -> np.ndarray:
+    """Returns ``turned`` moved over the ground."""
+    transform = turned(degrees)
+    transform[[0, 2], 3] = x, z
+    return transform
+
+
+def sun_at(elevation: float, azimuth: float) -> np.ndarray:
+    """Returns the unit vector to the sun, degrees; azimuth 0 is -z, 90 is +x."""
+    high, around = np.radians(elevation), np.radians(azimuth)
+    return np.array([np.cos(high) * np.sin(around), np.sin(high), -np.cos(high) * np.cos(around)])
+
+
+def sky(elevation: float, azimuth: float, height: int = 512) -> list[ls.LightEnvironment | ls.LightDirectional]:
+    """Returns a clear sky and its sun, which is warmer and dimmer the lower it stands."""
+    v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(2 * height) + 0.5) / (2 * height), indexing="ij")
+    polar, around = np.pi * v, 2.0 * np.pi * (u - 0.5)
+    towards = np.stack([np.sin(polar) * np.sin(around), np.cos(polar), -np.sin(polar) * np.cos(around)], axis=-1)
+    sun = sun_at(elevation, azimuth)
+    day = np.clip((elevation + 4.0) / 34.0, 0.0, 1.0)
+    up = np.maximum(towards[..., 1:2], 0.0)
+    cosine = (towards @ sun)[..., None]
+    zenith = (1 - day) * np.array([0.025, 0.045, 0.14]) + day * np.array([0.10, 0.24, 0.62])
+    horizon = (1 - day) * np.array([0.42, 0.15, 0.11]) + day * np.array([0.62, 0.74, 0.90])
+    glow = np.array([1.0, 0.42, 0.14]) * (1.3 * np.exp(10.0 * (cosine - 1.0)) + 6.0 * np.exp(90.0 * (cosine - 1.0)))
+    image = zenith + (horizon - zenith) * np.exp(-3.5 * up) + glow * (0.35 + 0.65 * np.exp(-3.0 * up))
+    image = np.where(towards[..., 1:2] < 0.0, 0.12 * horizon, image)
+    warmth = np.clip(elevation / 35.0, 0.0, 1.0)
+    color = (1.0, 0.50 + 0.42 * warmth, 0.22 + 0.60 * warmth)
+    strength = 16.0 * float(np.clip((elevation + 1.5) / 6.0, 0.0, 1.0))
+    rays = ls.LightDirectional(tuple(-sun), color, strength, angle=0.012, enabled=strength > 0.0)
+    return [ls.LightEnvironment(image.astype(np.float32)), rays]
+
+
+def photographed(file: Path, intensity: float, degrees: float) -> ls.LightEnvironment:
+    """Returns an environment map turned about the vertical."""
+    half = np.radians(degrees) / 2.0
+    return ls.LightEnvironment(
+        ls.io.load_radiance(file),
+        intensity=intensity,
+        rotation_wxyz=(float(np.cos(half)), 0.0, float(np.sin(half)), 0.0),
+    )
+
+
+def camera(
+    eye: tuple[float, float, float], target: tuple[float, float, float], fov: float, width: int, exposure: float = 0.0
+) -> ls.Camera:
+    """Returns a camera of 16:9."""
+    view = ls.Camera.look_at(eye, target, width=width, height=9 * width // 16, fov_y=fov)
+    return replace(view, exposure=exposure)
+
+
+def ground(color: tuple[float, float, float], height: float = 0.0, roughness: float = 0.9) -> ls.MeshInstance:
+    """Returns a wide floor."""
+    return ls.MeshInstance(
+        ls.plane(2000, 2000, material=ls.MaterialPbr(base_color=color, roughness=roughness, specular=0.0)),
+        position=(0.0, height, 0.0),
+    )
+
+
+class Captures:
+    """The captures and meshes of a data folder, with normals of each Gaussian's neighbourhood."""
+
+    def __init__(self, data: Path, environments: Path) -> None:
+        """Stores the folders of the captures and of the environment maps."""
+        self.data, self.environments = data, environments
+        self.loaded: dict[str, ls.Gaussians] = {}
+
+    def gaussians(self, name: str) -> ls.Gaussians:
+        """Loads a capture, with normals fitted to neighbouring Gaussians, as single axes are too noisy."""
+        if name not in self.loaded:
+            loaded = ls.load(self.data / "splats" / name)
+            assert isinstance(loaded, ls.Gaussians)
+            self.loaded[name] = replace(loaded, normals=ls.estimate_normals(loaded, "pca"))
+        return self.loaded[name]
+
+    def robot(self, transform: np.ndarray = Y_UP) -> list[ls.SplatInstance]:
+        """Returns the robot and its ground: Gaussians of its lamps stay as captured, all others are relit."""
+        capture = self.gaussians("playbot/0_0/meta.json")
+        red, green, blue = (0.5 + 0.2821 * capture.sh[:, 0, :]).T
+        x, y, _ = capture.means.T
+        teal = np.minimum(green, blue) - red > 0.2
+        hot = (red > 0.8) & (green > blue + 0.12) & (np.abs(x) > 0.25) & (y < -0.35)
+        shines = teal | hot
+        surface = ls.MaterialSimple(emissive=(0.15,) * 3, diffuse=(0.85,) * 3)
+        return [
+            ls.SplatInstance(capture.subset(shines), transform, name="lamps"),
+            ls.SplatInstance(capture.subset(~shines), transform, material=surface, name="robot"),
+        ]
+
+    def meadow(self, reach: int = 2) -> list[ls.SplatInstance]:
+        """Returns copies of a coarser level of the robot's ground around it, without the robot."""
+        level = self.gaussians("playbot/3_0/meta.json")
+        turf = level.subset(level.means[:, 1] > -0.13)
+        red, green, blue = turf.sh[:, 0, :].T
+        glows = np.minimum(green, blue) - red > 0.15  # lit by the robot's lamp, which the copies lack: made dark grey
+        sh = turf.sh.copy()
+        sh[glows] = np.minimum(sh[glows].min(axis=2, keepdims=True), 0.0)
+        turf = replace(turf, sh=sh)
+        surface = ls.MaterialSimple(emissive=(0.1,) * 3, diffuse=(0.9,) * 3)
+        tiles = [(i, k) for i in range(-reach, reach + 1) for k in range(-2 * reach, 2) if (i, k) != (0, 0)]
+        return [
+            ls.SplatInstance(turf, moved(1.97 * i, 1.97 * k, 90.0 * ((3 * i + k) % 4)), material=surface, name="meadow")
+            for i, k in tiles
+        ]
+
+    def biker(self, transform: np.ndarray, roughness: float = 0.5) -> ls.SplatInstance:
+        """Returns the biker, relit."""
+        return ls.SplatInstance(self.gaussians("biker.spz"), transform, material=ls.MaterialPbr(roughness=roughness))
+
+    def logo(self, transform: np.ndarray) -> ls.SplatInstance:
+        """Returns the cube of fur, relit."""
+        fur = ls.MaterialPbr(roughness=1.0, specular=0.2)
+        return ls.SplatInstance(self.gaussians("logo_sog/meta.json"), transform, material=fur)
+
+    def mesh(self, name: str) -> ls.Mesh:
+        """Returns a mesh."""
+        loaded = ls.load(self.data / "meshes" / name)
+        assert isinstance(loaded, ls.Mesh)
+        return loaded
+
+
+def sunset(captures: Captures, width: int, elevation: float = 7.0) -> Shot:
+    """Returns the robot in the last sun."""
+    scene = ls.Scene([*captures.robot(), *captures.meadow()], [ground(EARTH, -0.06)], sky(elevation, 264.0 - elevation))
+    low = 1.0 - float(np.clip(elevation / 30.0, 0.0, 1.0))
+    return scene, camera(*MEADOW, width, exposure=0.1 + 0.7 * low)
+
+
+def night(captures: Captures, width: int, angle: float = 40.0) -> Shot:
+    """Returns the robot at night, by a lantern and the moon."""
+    around = np.radians(angle)
+    place = (0.8 * np.sin(around), 0.22, 0.8 * np.cos(around))
+    lantern = ls.LightSphere(place, 0.022, (1.0, 0.5, 0.16), 1600.0)
+    moon = ls.LightDirectional((0.6, -0.7, 0.5), (0.45, 0.6, 1.0), 0.7, angle=0.02)
+    dark = ls.LightEnvironment(color=(0.010, 0.016, 0.035))
+    scene = ls.Scene(
+        [*captures.robot(), *captures.meadow()],
+        [ground(EARTH, -0.06), lamp(lantern)],
+        [replace(lantern, visible=False), moon, dark],
+    )
+    return scene, camera(*MEADOW, width, exposure=0.9)
+
+
+def lamp(light: ls.LightSphere) -> ls.MeshInstance:
+    """Returns a ball that looks like a light, smaller than it, for the pipelines that do not show lights."""
+    glow = ls.MaterialSimple(emissive=tuple(1.6 * np.array(light.color)), base_color=(1.0, 1.0, 1.0))
+    return ls.MeshInstance(ls.sphere(0.9 * light.radius, material=glow), position=light.position)
+
+
+def cow(captures: Captures, width: int, time: float = 0.55) -> Shot:
+    """Returns a cow in the meadow, which stays as captured and takes her shadow."""
+    body = replace(captures.mesh("spot.obj"), material=ls.MaterialPbr(base_color=(0.4, 0.36, 0.32), roughness=0.45))
+    hop = 0.05 * abs(np.sin(4.0 * np.pi * time))
+    at = (-0.75 + 2.2 * time, 0.135 + hop, 0.72)
+    spot = ls.MeshInstance(body, position=at, rotation_degrees=(0, 250, 0), scale_by=0.19)
+    place = ls.SplatInstance(
+        captures.gaussians("playbot/0_0/meta.json"),
+        Y_UP,
+        material=ls.MaterialSimple(ambient=(0.2,) * 3),
+        shadow_catcher=True,
+    )
+    scene = ls.Scene([place, *captures.meadow()], [spot, ground(EARTH, -0.06)], sky(22.0, 255.0))
+    return scene, camera((0.85, 0.40, 2.55), (0.1, 0.42, 0.0), 0.5, width)
+
+
+def teapot(captures: Captures, width: int) -> Shot:
+    """Returns a polished teapot that mirrors the robot, and a ball of glass."""
+    chrome = replace(
+        captures.mesh("teapot.obj"), material=ls.MaterialPbr(base_color=(0.95, 0.93, 0.9), metallic=1.0, roughness=0.0)
+    )
+    glass = ls.sphere(
+        0.11, rows=96, material=ls.MaterialPbr(base_color=(1, 1, 1), roughness=0.0, transmission=1.0, ior=1.5)
+    )
+    pot = ls.stand_on_ground(
+        ls.MeshInstance(chrome, position=(0.5, 0, 0.55), rotation_degrees=(0, 30, 0), scale_by=0.1),
+        height=0.02,
+        up="y-up",
+    )
+    ball = ls.MeshInstance(glass, position=(-0.15, 0.13, 0.8))
+    scene = ls.Scene([*captures.robot(), *captures.meadow()], [pot, ball, ground(EARTH, -0.06)], sky(16.0, 250.0))
+    return scene, camera((0.75, 0.44, 2.8), (0.08, 0.43, 0.0), 0.5, width, exposure=0.3)
+
+
+def biker(captures: Captures, width: int) -> Shot:
+    """Returns the biker in the evening light of Venice."""
+    place = photographed(captures.environments / "sunset.exr", 1.0, 0.0)
+    scene = ls.Scene([captures.biker(turned(80), 0.4)], [], [place])
+    return scene, camera((0.7, 2.2, 3.9), (0.15, 2.35, 0.0), 0.5, width, exposure=0.3)
+
+
+def studio(captures: Captures, width: int, angle: float = -55.0) -> Shot:
+    """Returns the biker in a dark studio: a warm light that may go round him, and a blue one behind."""
+    around = np.radians(angle)
+    key = ls.LightSphere((4.0 * np.sin(around), 4.2, 4.0 * np.cos(around)), 0.4, (1.0, 0.74, 0.5), 260.0, visible=False)
+    rim = ls.LightSphere((3.4, 3.6, -2.6), 0.5, (0.3, 0.5, 1.0), 80.0, visible=False)
+    fill = ls.LightEnvironment(color=(0.35, 0.42, 0.55), intensity=0.05, visible=False)
+    scene = ls.Scene([captures.biker(turned(100), 0.42)], [backdrop((0.07, 0.07, 0.075), 9.0)], [key, rim, fill])
+    return scene, camera((0.0, 1.75, 7.0), (0.0, 1.6, 0.0), 0.52, width, exposure=1.0)
+
+
+def backdrop(
+    color: tuple[float, float, float] = (0.16, 0.16, 0.17), depth: float = 3.0, height: float = 0.0
+) -> ls.MeshInstance:
+    """Returns a floor that curves up into a wall."""
+    bend = np.radians(np.linspace(0.0, 90.0, 65))
+    outline = [(12.0, 0.0), *((-depth - 3.0 * np.sin(a), 3.0 - 3.0 * np.cos(a)) for a in bend), (-depth - 3.0, 14.0)]
+    points = [(x, y + height, z) for z, y in outline for x in (-20.0, 20.0)]
+    faces = [f for i in range(0, len(points) - 2, 2) for f in ((i, i + 1, i + 3), (i, i + 3, i + 2))]
+    return ls.MeshInstance(ls.Mesh(points, faces, material=ls.MaterialPbr(base_color=color, roughness=0.8)))
+
+
+def fur(captures: Captures, width: int) -> Shot:
+    """Returns the cube of fur in a low sun."""
+    sun = ls.LightDirectional((0.8, -0.55, -0.45), (1.0, 0.86, 0.68), 9.0, angle=0.02)
+    soft = ls.LightEnvironment(color=(0.75, 0.85, 1.0), intensity=0.7, visible=False)
+    scene = ls.Scene([captures.logo(turned(-20))], [backdrop((0.42, 0.40, 0.38), 2.0, -0.2)], [sun, soft])
+    return scene, camera((0.6, 2.5, 6.6), (0.25, 1.2, 0.0), 0.58, width)
+
+
+def three(captures: Captures, width: int) -> Shot:
+    """Returns three captures on one floor, under one light."""
+    robot = [
+        replace(one, world_from_object=scaled(one.world_from_object, 2.2, (-2.5, 0.08, -0.5)))
+        for one in captures.robot()
+    ]
+    logo = captures.logo(turned(-35))
+    logo = replace(logo, world_from_object=scaled(logo.world_from_object, 0.62, (2.1, 0.17, 0.0)))
+    key = ls.LightSphere((-4.5, 6.0, 4.5), 0.7, (1.0, 0.82, 0.62), 230.0, visible=False)
+    rim = ls.LightSphere((4.5, 4.0, -3.0), 0.7, (0.4, 0.55, 1.0), 110.0, visible=False)
+    fill = ls.LightEnvironment(color=(0.5, 0.55, 0.7), intensity=0.12, visible=False)
+    scene = ls.Scene([*robot, captures.biker(turned(95)), logo], [backdrop((0.22, 0.21, 0.21), 3.5)], [key, rim, fill])
+    return scene, camera((0.2, 2.1, 9.2), (-0.35, 1.3, 0.0), 0.56, width, exposure=0.2)
+
+
+def scaled(transform: np.ndarray | None, size: float, place: tuple[float, float, float]) -> np.ndarray:
+    """Returns a transform made larger and moved."""
+    assert transform is not None
+    result = np.array(transform)
+    result[:3] *= size
+    result[:3, 3] += place
+    return result
+
+
+def statue(captures: Captures, width: int) -> Shot:
+    """Returns the biker before a monument of bronze."""
+    bronze = ls.MaterialPbr(base_color=(0.55, 0.36, 0.18), metallic=1.0, roughness=0.38)
+    loaded = ls.load(captures.data / "meshes/statue.glb")
+    assert isinstance(loaded, ls.Scene)
+    parts = [
+        replace(
+            one,
+            mesh=replace(one.mesh, material=bronze),
+            world_from_object=scaled(one.world_from_object, 0.36, (1.7, 0.0, -2.2)),
+        )
+        for one in loaded.meshes
+    ]
+    scene = ls.Scene([captures.biker(turned(70), 0.6)], [*parts, ground((0.16, 0.15, 0.14), 0.0)], sky(14.0, 250.0))
+    return scene, camera((-0.6, 1.3, 7.2), (0.8, 1.95, 0.0), 0.64, width, exposure=0.1)
+
+
+def flight(captures: Captures, width: int, time: float = 0.5) -> Shot:
+    """Returns a view on a flight through the meadow at night."""
+    scene, _ = night(captures, width, 60.0)
+    eye = (1.5 - 2.4 * time, 0.22 + 0.3 * np.sin(np.pi * time) ** 2, 1.9 - 0.7 * np.sin(np.pi * time))
+    return scene, camera(eye, (0.0, 0.45, 0.0), 0.62, width, exposure=0.9)
+
+
+PICTURES: dict[str, Callable[[Captures, int], Shot]] = {
+    one.__name__: one for one in (sunset, night, cow, teapot, biker, studio, fur, three, statue)
+}
+VIDEOS: dict[str, tuple[Callable[[Captures, int, float], Shot], list[float], int]] = {
+    "hero": (sunset, list(np.linspace(32.0, -3.5, 16)), 10),
+    "light_round": (studio, list(np.linspace(-180.0, 180.0, 24, endpoint=False)), 10),
+    "cow_walk": (cow, list(np.linspace(0.0, 1.0, 24)), 10),
+    "flight": (flight, list(np.linspace(0.0, 1.0, 16)), 8),
+}
+"""Function of the shot, its argument in each frame, and frames a second. Two play forwards, then backwards."""
+
+
+def develop(shot: Shot, samples: int, *, lit: bool) -> Image.Image:
+    """Returns a lit and denoised image of a shot, or one of its captures alone, as captured."""
+    scene, view = shot
+    if not lit:
+        alone = ls.Scene(
+            [replace(one, material=None, shadow_catcher=False) for one in scene.splats if one.name != "meadow"]
+        )
+        return picture(ls.render(alone, replace(view, exposure=0.0), ls.RenderConfig(lighting=False)))
+    config = ls.RenderConfig(
+        pipeline=ls.Pipeline.HYBRID,
+        shadows=ls.Shadows.SOFT,
+        samples=samples,
+        tone_map=ls.ToneMap.NEUTRAL,
+        aovs=("albedo",),
+    )
+    return picture(ls.render(scene, view, config).denoised())
+
+
+def picture(frame: ls.Frame) -> Image.Image:
+    """Returns a developed frame as an 8-bit image."""
+    return Image.fromarray((255.0 * frame.pixels_srgb()[..., :3] + 0.5).astype(np.uint8))
+
+
+def main() -> None:
+    """Renders one picture or video."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("name", choices=[*PICTURES, *VIDEOS])
+    parser.add_argument(
+        "--environments", type=Path, default=Path("hdri"), help="folder of environment maps (environments.py)"
+    )
+    parser.add_argument("--width", type=int, default=1280)
+    parser.add_argument("--samples", type=int, default=16)
+    parser.add_argument("--unlit", action="store_true", help="show the captures as they were captured")
+    parser.add_argument("-o", "--output", type=Path, required=True, help=".jpg, .png or .webp")
+    options = parser.parse_args()
+
+    captures = Captures(options.data, options.environments)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    if options.name in PICTURES:
+        image = develop(PICTURES[options.name](captures, options.width), options.samples, lit=not options.unlit)
+        image.save(options.output, quality=90)
+        return
+    make, values, fps = VIDEOS[options.name]
+    frames = []
+    for value in values:
+        frames.append(develop(make(captures, options.width, value), options.samples, lit=True))
+        print(f"{len(frames)} of {len(values)}", flush=True)
+    if options.name in ("hero", "flight"):
+        frames += frames[-2:0:-1]
+    frames[0].save(
+        options.output, save_all=True, append_images=frames[1:], duration=1000 // fps, loop=0, quality=82, method=6
+    )
+
+
+if __name__ == "__main__":
+    main()
