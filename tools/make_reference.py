@@ -161,7 +161,7 @@ def _paragraphs(kind: type) -> list[str]:
 
 
 def _guides(text: str) -> list[str]:
-    """Returns the pages in ``Guide: docs/guide/NAME.md, NAME.md.``."""
+    """Returns the names of the guide pages that a help text ends with."""
     found = re.search(r"Guide: (.*?\.md)\.", text)
     return re.findall(r"(\w+)\.md", found[1]) if found else []
 
