@@ -28,7 +28,7 @@ class Blocks(LoadingCommand):
 
     render and orbit then load the blocks that a view sees.
     Memory and loads of several workers: lumisplat blocks city --plan --cameras transforms.json --workers 3
-    Guide: docs/guide/captures.md.
+    Guide: docs/guide/large_captures.md.
     First try: lumisplat blocks north.ply south.ply --coarser 3 -o city
     """
 

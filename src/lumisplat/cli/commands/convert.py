@@ -32,7 +32,7 @@ class Convert(LevelsCommand):
 
     Edits apply in the order of this list: join, --box and --sphere, --keep, --floaters,
     --sh-degree, --decimate, --level, --scale, --rotate, --translate, --morton.
-    Guide: docs/guide/edit.md, captures.md.
+    Guide: docs/guide/edit.md, convert_captures.md.
     First try: lumisplat convert garden.ply garden.spz
     """
 

@@ -40,7 +40,7 @@ _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 class Info(LevelsCommand):
     """Show what is in captures, meshes, scenes, cameras and images.
 
-    Guide: docs/guide/captures.md.
+    Guide: docs/guide/convert_captures.md.
     First try: lumisplat info garden.ply
     """
 

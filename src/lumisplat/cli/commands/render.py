@@ -68,7 +68,7 @@ class _ImageJob:
 class Render(ViewsCommand, FrameCommand):
     """Render a scene to images.
 
-    Guide: docs/guide/captures.md, light.md, outputs.md.
+    Guide: docs/guide/captures.md, light.md, image_layers.md.
     First try: lumisplat render garden.ply -o garden.png
     """
 

@@ -1,6 +1,6 @@
 """Host pass: debug layers, which draw the motion of surfaces and the state that real time carries between frames.
 
-Each layer is an image of one vec3 a camera ray (docs/guide/outputs.md).
+Each layer is an image of one vec3 a camera ray (docs/guide/image_layers.md).
 """
 
 from __future__ import annotations
