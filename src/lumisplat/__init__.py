@@ -2,5 +2,5 @@
 
 from lumisplat import lazy
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __getattr__, __dir__, __all__ = lazy.names_of_stub(__name__, __file__)
