@@ -22,7 +22,7 @@ class ExtractFrames(Command):
     """Extract sharp frames from a video, as training images.
 
     Needs pip install 'lumisplat[video]'.
-    Guide: docs/guide/from_a_film.md.
+    Guide: docs/tutorials/phone_video.md.
     First try: lumisplat extract-frames walk.mp4 -o walk
     """
 
