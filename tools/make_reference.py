@@ -131,7 +131,7 @@ def _plain() -> dict[type, str]:
 def _command(name: str, kind: type[Any], plain: type[Any] | None) -> Iterator[str]:
     """Yields the section of a command. One with a plain form lists only the options that this has not."""
     first, *texts = _paragraphs(kind)
-    guides = ", ".join(f"[{page}](guide/{page}.md)" for text in texts for page in _guides(text))
+    guides = ", ".join(f"[{page.partition('/')[2]}]({page}.md)" for text in texts for page in _guides(text))
     tried = [found[1] for text in texts if (found := re.search(r"First try: (.+)", text))]
     tables = _tables(kind)
     files = [name.strip("`").replace("\\|", "|") for name, *_ in tables[""][1] if not name.startswith("`-")]
@@ -161,9 +161,9 @@ def _paragraphs(kind: type) -> list[str]:
 
 
 def _guides(text: str) -> list[str]:
-    """Returns the names of the guide pages that a help text ends with."""
-    found = re.search(r"Guide: (.*?\.md)\.", text)
-    return re.findall(r"(\w+)\.md", found[1]) if found else []
+    """Returns the pages that a help text ends with, each with its folder in docs, such as ``guide/light``."""
+    found = re.search(r"Guide: docs/(\w+)/(.*?\.md)\.", text)
+    return [f"{found[1]}/{name}" for name in re.findall(r"(\w+)\.md", found[2])] if found else []
 
 
 def _tables(kind: type[Any]) -> dict[str, tuple[str, list[tuple[str, ...]]]]:
