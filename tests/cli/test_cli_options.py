@@ -11,6 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import _Command, _commands, main
 from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.delight import Delight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.input.arguments import options_of
 from lumisplat.cli.input.unknown_options import FORMER_OPTIONS, FORMER_SETTINGS
@@ -124,7 +125,8 @@ def test_mistakes_of_set_are_one_line(text: str, message: str, capsys: pytest.Ca
 @pytest.mark.parametrize("option", [*FORMER_SETTINGS, *FORMER_OPTIONS])
 def test_a_former_option_is_answered_with_its_present_form(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The line has arguments that render or animate accept."""
-    assert main(["animate" if option in ("--direct", "--gamma") else "render", "a.toml", option, "8"]) == 2
+    command = {"--direct": "animate", "--gamma": "animate", "--sky": "delight"}.get(option, "render")
+    assert main([command, "a.toml", option, "8"]) == 2
     error = capsys.readouterr().err
     assert re.match(rf"error: {option} is (a setting|now)[: ]", error) and error.count("\n") == 1
     known = {name for name, _ in settings(ls.RenderConfig())} | {"meshes.crease_angle_degrees"}
@@ -132,7 +134,7 @@ def test_a_former_option_is_answered_with_its_present_form(option: str, capsys: 
     for name in re.findall(r"--set ([\w.]+)=", error):
         assert name in known
     for typed in re.findall(r"(--[a-z-]+)", error.partition(" is ")[2]):
-        assert typed in options_of(Render)
+        assert typed in options_of(Delight if command == "delight" else Render)
 
 
 def test_existing_options_are_not_taken_for_former_ones(capsys: pytest.CaptureFixture[str]) -> None:

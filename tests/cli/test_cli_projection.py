@@ -56,4 +56,4 @@ def test_projection_is_refused_for_other_pipelines_than_raster(work, caplog):
         "render", "@a.ply", "-o", "@a.png", "--set=raster.strategy=stochastic", "--set=raster.projection=unscented"
     )
     assert refused.status == 2
-    assert "--set raster.strategy=stochastic does not go with --set raster.projection=unscented" in refused.err
+    assert "--set raster.strategy=stochastic does not work with --set raster.projection=unscented" in refused.err

@@ -260,7 +260,7 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
         ('[poses]\nwhere = "domes"', "line 2, poses: where is 'domes', did you mean 'dome'?"),
         ("[lights]\nlamps = [1, 2]", "line 2, lights: unknown 'lamps', it is called 'points' now"),
         ("[poses]\nfov = [10, 200]", "fov is (10, 200), expected the least and the largest value, 1 to 179"),
-        ("[lights]\nlamps = [0.5, 2]", "lamps is (0.5, 2), expected the least and the largest number, whole ones"),
+        ("[lights]\npoints = [0.5, 2]", "points is (0.5, 2), expected the least and the largest number, whole ones"),
         ("[lights]\nsun_elevatoin = 3", "unknown 'sun_elevatoin', did you mean 'sun_elevation'?"),
         ('[objects]\nfiles = ["lost.glb"]', "line 2, objects: files has 'lost.glb', no such file"),
         ('[objects]\nfiles = "lost.glb"', "files is 'lost.glb', expected a list of file names"),

@@ -140,7 +140,9 @@ def test_environment_image_respects_its_rotation() -> None:
     cells, environment = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
     found = replace(
-        ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=environment
+        ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"),
+        cells=cells,
+        environment=environment,
     )
     rotation = np.array([0.8, 0.4, -0.2, 0.4])
     directions = panorama_directions(40, 80).reshape(-1, 3)

@@ -169,7 +169,7 @@ SPOT = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\n
         (SPOT + "outer_angle_degrees = 0", "line 5, lights[0]: inner_angle_degrees is 0, expected less than"),
         (
             '[[lights]]\ntype = "directional"\ndirection = [0, 0, 0]',
-            "line 3, lights[0]: a directional light needs a direction",
+            "line 3, lights[0]: direction has no length: ",
         ),
         (POINT + POINT + "radius = -1", "line 7, lights[1]: radius is -1"),
         ("[lights]\ntype = 'point'", "line 1: lights must be written with double brackets: [[lights]]"),

@@ -248,7 +248,7 @@ def test_unsupported_settings_are_refused() -> None:
     for change in ({"strategy": ls.config.RasterStrategy.STOCHASTIC}, {"surface": ls.config.GaussianSurface.MEAN}):
         with pytest.raises(ls.ConfigError, match=r"^\w+\.(STOCHASTIC|MEAN) does not work with Projection\.UNSCENTED"):
             ls.render(scene, lens(40.0), unscented(**change), device="cpu")
-    with pytest.raises(ls.ConfigError, match=r"^Projection\.UNSCENTED does not go with Pipeline\.REALTIME"):
+    with pytest.raises(ls.ConfigError, match=r"^Projection\.UNSCENTED does not work with Pipeline\.REALTIME"):
         ls.render(scene, lens(40.0), replace(unscented(), pipeline=ls.Pipeline.REALTIME), device="cpu")
 
 

@@ -73,6 +73,7 @@ _SYNONYMS = {
     "--integrator": "--pipeline",
     "--hdri": "--environment",
     "--envmap": "--environment",
+    "--sky": "--environment",
     "--outdir": "--output",
 }
 """Options by the names that other renderers give them."""
