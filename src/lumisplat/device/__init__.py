@@ -1,1 +1,1 @@
-"""Device code of the renderer: Warp structs and functions, callable from plain Python, without kernels or host code."""
+"""Device code of the renderer: Warp structs and functions, which also run as plain Python; no kernels, no host code."""

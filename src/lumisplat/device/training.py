@@ -37,9 +37,7 @@ class StepRates:
     """Bias correction of the first moment, 1 / (1 - beta1^step); ``second_scale`` corrects the second moment."""
     second_scale: float
     by_opacity: float
-    """Derivative of the opacity regulariser with respect to each opacity.
-
-    ``by_scale`` is that of the scale regulariser."""
+    """Derivative of the opacity regulariser with respect to each opacity; ``by_scale``: of the scale regulariser."""
     by_scale: float
 
 
@@ -48,7 +46,8 @@ class NoiseData:
     """Exploration noise added to positions (Kheradmand et al. 2024, equation 9)."""
 
     strength: float
-    """Factor of covariance times a standard normal vector, for transparent Gaussians."""
+    """Factor of the noise, which is a standard normal vector times the covariance; it applies to transparent
+    Gaussians."""
     iteration: int
     seed: wp.uint32
 
@@ -58,13 +57,14 @@ class SplatRecord:
     """Statistics of each Gaussian collected between two densification steps."""
 
     motion: wp.array[float]
-    """Sum over frames of the image-space position gradient of the splat, in units of half the image size."""
+    """Sum over frames of the magnitude of the gradient by the splat's image position, in units of half the image size.
+    """
     turns: wp.array[float]
-    """Sum over frames of the gradient that rotates the Gaussian's normal, times the number of counted pixels.
+    """Sum over frames of the gradient of the surface losses by rotation of the Gaussian's normal.
 
-    The gradient is that of the surface losses."""
+    Each term is multiplied by the number of pixels that the losses count."""
     frames: wp.array[float]
-    """Number of frames in which the Gaussian was drawn."""
+    """Number of frames that showed the Gaussian."""
 
 
 @struct
@@ -76,7 +76,7 @@ class TargetImage:
     weight: wp.array[float]
     """Weight of each pixel in the loss, 0..1; empty: all pixels count fully."""
     alpha: wp.array[float]
-    """Target alpha of the frame; empty: unknown."""
+    """Alpha that the frame is to have; empty: unknown."""
 
 
 @struct
@@ -120,7 +120,7 @@ class SurfaceMaps:
     across: wp.array[wp.vec3]
     """Derivatives with respect to the vector from the left to the right neighbour's surface point.
 
-    ``down`` is the same from the upper to the lower neighbour.
+    ``down`` has the derivatives with respect to the vector from the upper to the lower neighbour's surface point.
     """
     down: wp.array[wp.vec3]
     alpha: wp.array[float]
@@ -134,7 +134,7 @@ class SmoothnessMaps:
     terms: wp.array[float]
     """Loss terms."""
     across: wp.array[wp.vec3]
-    """Derivatives with respect to the difference of normals along the row; ``down`` likewise."""
+    """Derivatives with respect to the difference of normals between pixels of a row; ``down``: of a column."""
     down: wp.array[wp.vec3]
 
 
@@ -145,9 +145,9 @@ class LossMaps:
     shown: wp.array[wp.vec3]
     """Blurred frame; later the derivatives with respect to the frame's local mean."""
     squared: wp.array[wp.vec3]
-    """Blurred squares of the frame; later the derivatives with respect to them."""
+    """Blurred squares of the frame; later the derivatives with respect to the blurred squares."""
     product: wp.array[wp.vec3]
-    """Blurred products of frame and training image; later the derivatives with respect to them."""
+    """Blurred products of frame and training image; later the derivatives with respect to the blurred products."""
     target: wp.array[wp.vec3]
     """Blurred training image."""
     target_squared: wp.array[wp.vec3]
@@ -178,20 +178,23 @@ class GaussianMaterials:
 
 @struct
 class DirectionalLight:
-    """Incident light on N Gaussians from K directions that sample the sphere, each with its own solid angle."""
+    """Incident light on N Gaussians from K directions that sample the sphere, each standing for a solid angle."""
 
     directions: wp.array[wp.vec3]
-    """Unit directions towards the light, shape (K,)."""
+    """Unit directions towards the light, one for each of K directions."""
     solid_angle: float
-    """Solid angle of each direction, steradians."""
+    """Solid angle that each direction stands for, steradians."""
     environment: wp.array[wp.vec3]
-    """Environment radiance in each direction, linear, shape (K,)."""
+    """Environment radiance from each of K directions, linear."""
     open: wp.array2d[float]
-    """Fraction of the environment's light that reaches a Gaussian, 0..1, shape (N, K)."""
+    """Fraction, 0..1, of the environment's light from each of K directions that reaches each of N Gaussians, shape (N,
+    K)."""
     seen: wp.array2d[wp.vec3]
-    """Indirect radiance: light from surfaces that block the environment, linear, shape (N, K)."""
+    """Indirect radiance from each of K directions at each of N Gaussians, linear, shape (N, K).
+
+    It is the light of surfaces that block the environment."""
     spread: float
-    """Value added to the squared alpha of highlights, so that they are wider than the spacing of the directions."""
+    """Value added to the squared GGX alpha of highlights, so that they are wider than the spacing of the directions."""
 
 
 @struct

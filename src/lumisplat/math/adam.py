@@ -13,14 +13,14 @@ from lumisplat.math.arrays import Doubles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adam:
-    """Moments of an array that is updated as a whole, or row by row with a step count for each row."""
+    """Moments of an array that Adam updates as a whole, or row by row with a step count for each row."""
 
     first: Doubles
     """First moments, in the shape of the array."""
     second: Doubles
     """Second moments, in the shape of the array."""
     steps: Doubles
-    """Number of updates so far: of the array, shape (), or of each row, shape (K,)."""
+    """Number of updates so far: one count for the array, shape (), or one for each of its K rows, shape (K,)."""
 
     @classmethod
     def still(cls, shape: tuple[int, ...], *, by_rows: bool = False) -> Adam:

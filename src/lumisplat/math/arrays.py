@@ -25,10 +25,10 @@ _Float = TypeVar("_Float", bound=np.floating[Any])
 _LAST_ROW = np.array((0.0, 0.0, 0.0, 1.0))
 """Last row of every affine transform."""
 _LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
-"""Tolerance for the last row."""
+"""Largest accepted error of each entry of the last row of an affine transform."""
 
 _UNIT_ERROR = 2e-15
-"""Tolerance for the length of a vector that was normalised before."""
+"""Difference from 1 up to which the length of a vector counts as rounding error of an earlier normalisation."""
 
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -105,7 +105,7 @@ def three_numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Returns ``values`` as a float64 array of shape (3,), rounded to float32 as kernels receive them.
 
     Raises:
-        SceneError: They are not three finite numbers.
+        SceneError: The values are not three finite numbers.
     """
     array = float_array(name, values)
     if array.shape != (3,):
@@ -160,7 +160,7 @@ def refuse_outside_unit(name: str, values: FloatArray) -> None:
 
 
 def normalise_rows(name: str, vectors: FloatArray) -> FloatArray:
-    """Returns the rows scaled to unit length, read-only; rows that have unit length already keep their bits.
+    """Returns the rows scaled to unit length, read-only; rows that already have unit length do not change by a bit.
 
     Raises:
         SceneError: Some rows have zero length.
@@ -178,13 +178,13 @@ def normalise_rows(name: str, vectors: FloatArray) -> FloatArray:
 
 
 def unit_vector(vector: Doubles) -> Doubles:
-    """Normalises a vector of any length above 0; a vector of unit length, up to rounding, keeps its bits."""
+    """Normalises a vector of any length above 0; a vector of unit length, up to rounding, does not change by a bit."""
     length = np.linalg.norm(vector)
     return vector if abs(length - 1.0) < _UNIT_ERROR else vector / length
 
 
 def read_only_array(values: npt.ArrayLike, dtype: type[_Scalar]) -> npt.NDArray[_Scalar]:
-    """Returns ``values`` as a read-only, C-contiguous array: the same array if it is that already, else a copy."""
+    """Returns ``values`` as a read-only, C-contiguous array; copies them unless they are such an array already."""
     # A view of another package's memory is copied, even where NumPy cannot write to it: that package can.
     is_fixed = isinstance(values, np.ndarray) and not values.flags.writeable
     values = host_array(values)

@@ -10,7 +10,10 @@ from lumisplat.math.arrays import Doubles
 
 
 def decode_srgb(encoded: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    """Converts display-referred sRGB values to linear ones. Odd and unclamped, so that round trips lose nothing."""
+    """Converts display-referred sRGB values to linear ones, as an odd function without clamping.
+
+    Values below 0 and above 1 therefore survive a round trip.
+    """
     encoded = np.asarray(encoded)
     encoded = encoded if encoded.dtype.kind == "f" else encoded.astype(np.float32)
     magnitude = np.abs(encoded)
@@ -19,7 +22,7 @@ def decode_srgb(encoded: npt.ArrayLike) -> npt.NDArray[np.floating]:
 
 
 def encode_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    """Converts linear values to display-referred sRGB. Odd and unclamped."""
+    """Converts linear values to display-referred sRGB, as an odd function without clamping."""
     linear = np.asarray(linear)
     linear = linear if linear.dtype.kind == "f" else linear.astype(np.float32)
     magnitude = np.abs(linear)

@@ -54,9 +54,9 @@ def panorama_lookup(image: npt.NDArray[np.floating], directions: Doubles) -> Dou
 
 
 _POINTS = 64
-"""Quadrature points along each side of a cell for integrals of SH."""
+"""Quadrature points along each side of an octahedral cell for integrals of SH."""
 _COSINE_POINTS = 16
-"""Quadrature points along each side of a cell for integrals of clamped cosines."""
+"""Quadrature points along each side of an octahedral cell for integrals of clamped cosines."""
 
 
 def directions_of_square(points: npt.ArrayLike) -> Doubles:
@@ -75,45 +75,45 @@ def cell_means(cells: int, degree: int) -> Doubles:
     """Returns the mean of each SH basis function over each cell of the octahedral map.
 
     Args:
-        cells: Cells along each side of the map.
+        cells: Number of cells along each side of the map.
         degree: Highest SH degree.
 
     Returns:
-        Shape (cells^2, (degree + 1)^2), cells row by row.
+        Means, shape (cells^2, (degree + 1)^2): one row for each cell, row by row of the map.
     """
     return np.array([sh_basis(directions_of_square(points), degree).mean(axis=0) for points in _points(cells, _POINTS)])
 
 
 def sh_fit_of_cells(cells: int, degree: int) -> Doubles:
-    """Returns the weights that turn cell means of radiance into the SH coefficients of the least-squares fit to them.
+    """Returns the weights that turn the mean radiances of cells into the SH coefficients of a least-squares fit.
 
-    The fit is exact for radiance of no higher degree. Integrating SH over the cells would be exact only for constant
-    radiance, because a cell's mean is flatter than the function: for 8 x 8 cells by 3 % in degree 1, and by 5 to 15 %
-    in degree 2.
+    The fit is exact for radiance whose SH have at most degree ``degree``. Integrating SH over the cells would be exact
+    only for constant radiance, because a cell's mean is flatter than the function: for 8 x 8 cells by 3 % in degree 1,
+    and by 5 to 15 % in degree 2.
 
     Args:
-        cells: Cells along each side of the octahedral map.
+        cells: Number of cells along each side of the octahedral map.
         degree: Highest SH degree.
 
     Returns:
-        Weights, shape (cells^2, (degree + 1)^2), cells row by row.
+        Weights, shape (cells^2, (degree + 1)^2): one row for each cell, row by row of the map.
     """
     return np.asarray(np.linalg.pinv(cell_means(cells, degree)).T, np.float64)
 
 
 def irradiance_residual(cells: int, degree: int, normals: int) -> Doubles:
-    """Returns the weights that turn cell means of radiance into the irradiance that their SH fit leaves out.
+    """Returns the weights that turn the mean radiances of cells into the irradiance that their SH fit leaves out.
 
-    They are the clamped cosine integrated over the cells, less its projection on the fit: radiance of no higher degree
-    contributes nothing.
+    A weight is the clamped cosine integrated over a cell, minus the irradiance that the SH fit of this cell gives.
+    Radiance whose SH have at most degree ``degree`` contributes nothing.
 
     Args:
-        cells: Cells along each side of the octahedral map.
+        cells: Number of cells along each side of the octahedral map of radiance.
         degree: Highest SH degree of the fit.
-        normals: Cells along each side of a second map, whose centres are the surface normals.
+        normals: Number of cells along each side of a second octahedral map; the centres of its cells are the normals.
 
     Returns:
-        Weights, shape (normals^2, cells^2), both row by row.
+        Weights, shape (normals^2, cells^2): one row for each normal, one column for each cell, row by row of the maps.
     """
     directions = directions_of_square(_points(cells, _COSINE_POINTS))
     centers = directions_of_square(_points(normals, 1)[:, 0])
@@ -124,7 +124,10 @@ def irradiance_residual(cells: int, degree: int, normals: int) -> Doubles:
 
 
 def _points(cells: int, count: int) -> Doubles:
-    """Returns a regular grid of points in each cell, shape (cells^2, count^2, 2)."""
+    """Returns a regular grid of ``count`` x ``count`` points in each cell of the unit square.
+
+    The shape is (cells^2, count^2, 2).
+    """
     steps = (np.arange(count) + 0.5) / count
     within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     corners = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)

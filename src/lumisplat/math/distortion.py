@@ -23,7 +23,7 @@ Coefficients = tuple[float, float, float, float, float, float]
 
 @np.errstate(over="ignore", invalid="ignore")
 def distort(points: Doubles, coefficients: Coefficients) -> Doubles:
-    """Applies the lens distortion to points, shape (..., 2); points too far out for float64 become non-finite."""
+    """Applies the lens distortion to points, shape (..., 2); points too far out for float64 become infinite or NaN."""
     *_, p1, p2 = coefficients
     u, v, s, radial = _radial(points, coefficients)
     return np.stack(
@@ -36,9 +36,10 @@ def distort(points: Doubles, coefficients: Coefficients) -> Doubles:
 
 
 def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
-    """Inverts the lens distortion at points, shape (..., 2), by Newton's method; NaN where there is no inverse.
+    """Inverts the lens distortion at points, shape (..., 2), by Newton's method; NaN for a point without a solution.
 
-    If there are several solutions, the one inside `distortion_reach` counts: beyond it the polynomial folds back.
+    If a point has several solutions, the one inside `distortion_reach` is returned: beyond it the polynomial folds
+    back.
     """
     if not any(coefficients):
         return points
@@ -67,7 +68,7 @@ def distortion_reach(coefficients: Coefficients) -> float:
 
 
 def distortion_jacobian(points: Doubles, coefficients: Coefficients) -> Doubles:
-    """Returns the Jacobian of `distort`, shape (..., 2, 2)."""
+    """Returns the Jacobian of `distort` at points, shape (..., 2, 2)."""
     k1, k2, k3, k4, p1, p2 = coefficients
     u, v, s, radial = _radial(points, coefficients)
     slope = 2.0 * (k1 + s * (2.0 * k2 + s * (3.0 * k3 + s * 4.0 * k4)))
@@ -78,7 +79,7 @@ def distortion_jacobian(points: Doubles, coefficients: Coefficients) -> Doubles:
 
 
 def _radial(points: Doubles, coefficients: Coefficients) -> tuple[Doubles, Doubles, Doubles, Doubles]:
-    """Returns u, v, u^2 + v^2 and the radial polynomial of points, shape (...) each."""
+    """Returns u, v, u^2 + v^2 and the radial polynomial at points (u, v), four arrays of shape (...)."""
     k1, k2, k3, k4, _, _ = coefficients
     u, v = points[..., 0], points[..., 1]
     s = u * u + v * v
@@ -93,7 +94,7 @@ def _solved(matrices: Doubles, vectors: Doubles) -> Doubles:
 
 
 def _within(points: Doubles, reach: float) -> Doubles:
-    """Moves points outside a circle around 0 onto it."""
+    """Moves points outside the circle of radius ``reach`` around the origin onto the circle."""
     if reach == np.inf:
         return np.array(points)
     radius = np.linalg.norm(points, axis=-1, keepdims=True)

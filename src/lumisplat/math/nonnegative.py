@@ -1,4 +1,4 @@
-"""Least squares with inequality constraints, from the normal equations: many rows, few unknowns."""
+"""Least squares with inequality constraints from the normal equations, for many equations in few unknowns."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from scipy.optimize import nnls
 from lumisplat.math.arrays import Doubles
 
 RANK_TOLERANCE = 1e-13
-"""Eigenvalue, relative to the largest, below which a direction counts as undetermined."""
+"""Eigenvalue, relative to the largest, below which a direction of the unknowns counts as undetermined."""
 
 
 def nonnegative_least_squares(gram: Doubles, moments: Doubles) -> Doubles:
-    """Returns the x >= 0 that minimises ``x^T G x / 2 - m^T x``.
+    """Returns the vector x >= 0 of n unknowns that minimises ``x^T G x / 2 - m^T x``.
 
-    With ``G = A^T A`` and ``m = A^T y`` it minimises ``|A x - y|``.
+    With ``G = A^T A`` and ``m = A^T y``, x minimises ``|A x - y|``.
 
     Args:
         gram: G, symmetric, positive semidefinite, shape (n, n).
         moments: m, in the range of G, shape (n,).
 
     Returns:
-        Shape (n,); unknowns at their bound are exactly 0.
+        x, shape (n,); unknowns at their bound are exactly 0.
     """
     # All A and y with the same normal equations have the same solution: the eigenvectors of G give a small square A.
     values, vectors = np.linalg.eigh(gram)
@@ -33,7 +33,7 @@ def nonnegative_least_squares(gram: Doubles, moments: Doubles) -> Doubles:
 
 
 def bounded_least_squares(gram: Doubles, moments: Doubles, bounded: Doubles, least: Doubles) -> Doubles:
-    """Returns the x with ``B x >= b`` that minimises ``x^T G x / 2 - m^T x``.
+    """Returns the vector x of n unknowns with ``B x >= b`` that minimises ``x^T G x / 2 - m^T x``.
 
     Relative to the unconstrained minimum, and in coordinates in which G is the identity, x is the shortest vector that
     satisfies the inequalities: a non-negative least-squares problem (least distance programming, Lawson and Hanson
@@ -42,11 +42,11 @@ def bounded_least_squares(gram: Doubles, moments: Doubles, bounded: Doubles, lea
     Args:
         gram: G, symmetric, positive definite, shape (n, n).
         moments: m, shape (n,).
-        bounded: B, shape (k, n).
+        bounded: B, one row for each of k constraints, shape (k, n).
         least: b, shape (k,); some x satisfies all constraints.
 
     Returns:
-        Shape (n,); the constraints hold up to rounding.
+        x, shape (n,); the constraints hold up to rounding.
     """
     lower = np.linalg.cholesky(gram)
     free: Doubles = np.asarray(np.linalg.solve(gram, moments), np.float64)

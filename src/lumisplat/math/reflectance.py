@@ -11,7 +11,7 @@ from lumisplat.constants import SHEEN_ROUGHNESS_MIN
 from lumisplat.math.arrays import Doubles
 
 _NODES = 64
-"""Quadrature nodes: relative errors stay below 1e-9 for every index of refraction."""
+"""Number of quadrature nodes; relative errors stay below 1e-9 for every index of refraction."""
 
 
 def fresnel(cosine: npt.ArrayLike, ior: float) -> npt.NDArray[np.float64]:
@@ -51,21 +51,21 @@ SHEEN_CURVES = 16
 """Number of intervals in roughness of the sheen albedo table."""
 _TABLE_STEPS = 64
 _TABLE_MARGIN = 0.015
-"""Offset added to the log albedos of the table, because interpolation between its entries underestimates."""
+"""Offset added to the logarithms in the albedo table, because interpolation between its entries underestimates."""
 _SHAPE = np.array(
     [[21.5473, 25.3245], [3.82987, 3.32435], [0.19823, 0.16801], [-1.97760, -1.27393], [-4.32054, -4.85967]]
 )
-"""Parameters of the masking fit of Estevez and Kulla (2017), for roughness 1 and 0."""
+"""Parameters of the fit of sheen masking by Estevez and Kulla (2017): columns for roughness 1 and 0."""
 
 
 def masking_curve(alpha: float) -> Doubles:
-    """Returns the five parameters of {eq}`sheen-masking` for alpha, the squared roughness, shape (5,)."""
+    """Returns the five parameters of {eq}`sheen-masking`, shape (5,), for ``alpha``, the squared roughness."""
     smooth = (1.0 - alpha) ** 2
     return _SHAPE @ np.array([1.0 - smooth, smooth])
 
 
 def masking(cosine: Doubles, alpha: float) -> Doubles:
-    """Returns Lambda of {eq}`sheen-masking`."""
+    """Returns Lambda, the masking function of {eq}`sheen-masking`."""
     a, b, c, d, e = masking_curve(alpha)
 
     def exponent(x: Doubles) -> Doubles:
@@ -76,7 +76,7 @@ def masking(cosine: Doubles, alpha: float) -> Doubles:
 
 
 def sheen_albedo(cosine: float, alpha: float, steps: int = _STEPS) -> float:
-    """Returns the directional albedo of white sheen by the midpoint rule; it exceeds 1 at grazing angles."""
+    """Returns the directional albedo of white sheen, integrated by the midpoint rule; above 1 at grazing angles."""
     z, azimuth = np.meshgrid(*2 * [(np.arange(steps) + 0.5) / steps], indexing="ij")
     sine, view = np.sqrt(1.0 - z**2), np.sqrt(1.0 - cosine**2)
     half = np.stack([sine * np.cos(np.pi * azimuth) + view, sine * np.sin(np.pi * azimuth), z + cosine])

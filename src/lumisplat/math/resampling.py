@@ -57,7 +57,10 @@ def area_mean(image: _Image, width: int, height: int) -> FloatArray:
 
 
 def _row_means(image: _Image, count: int) -> FloatArray:
-    """Averages rows over ``count`` bands of equal height, whose edges may lie within a row."""
+    """Averages the rows of an image over ``count`` strips of equal height.
+
+    A strip may begin or end within a row, which then counts by the fraction inside the strip.
+    """
     rows = len(image)
     if rows == count:
         return image.astype(np.float32)
@@ -71,6 +74,9 @@ def _row_means(image: _Image, count: int) -> FloatArray:
 
 
 def _cubic(share: _Image) -> list[_Image]:
-    """Returns the Catmull-Rom weights (1974) of four neighbours, for a point at a fraction between the middle two."""
+    """Returns the Catmull-Rom weights (1974) of four neighbours for a point between the middle two.
+
+    ``share`` is the fraction of the distance from the second to the third neighbour.
+    """
     s, r = share, 1 - share
     return [-0.5 * s * r * r, 1 + s * s * (1.5 * s - 2.5), 1 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s]

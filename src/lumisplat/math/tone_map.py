@@ -185,7 +185,7 @@ def remove_tone_map(display: npt.ArrayLike, tone_map: ToneMap) -> Doubles:
 
 
 def _without_neutral(shown: npt.NDArray[np.floating]) -> Doubles:
-    """Inverts Khronos PBR Neutral."""
+    """Inverts `_neutral`: returns the linear light of linear display values."""
     peak = np.minimum(shown.max(axis=-1, keepdims=True), _WHITE)
     room = 1.0 - NEUTRAL_START
     bright = np.maximum(peak, NEUTRAL_START)
@@ -199,7 +199,7 @@ def _without_neutral(shown: npt.NDArray[np.floating]) -> Doubles:
 
 
 def _without_agx(shown: npt.NDArray[np.floating]) -> Doubles:
-    """Inverts AgX."""
+    """Inverts `_agx`: returns the linear light of linear display values."""
     low, high = AGX_STOPS
     rec2020 = np.maximum(shown @ np.linalg.inv(REC709_FROM_REC2020.astype(np.float64)).T, 0.0)
     curved = rec2020 ** (1.0 / AGX_GAMMA) @ np.linalg.inv(REC2020_FROM_AGX.astype(np.float64)).T
@@ -208,7 +208,7 @@ def _without_agx(shown: npt.NDArray[np.floating]) -> Doubles:
 
 
 def _before_agx_curve(curved: npt.NDArray[np.floating]) -> Doubles:
-    """Inverts the sigmoid; the result lies in 0..1."""
+    """Inverts the sigmoid of `_agx_curve`; the result lies in 0..1."""
     pivot_x, pivot_y = AGX_PIVOT
     x = np.zeros(curved.shape)
     for side, run, rise, power in (

@@ -74,7 +74,7 @@ def quaternions_from_matrices(matrices: _Floats) -> _Floats:
 
 
 def multiply_quaternions(left: _Floats, right: _Floats) -> _Floats:
-    """Returns the Hamilton products of one quaternion, (4,), with each of N, (N, 4): ``right`` rotates first."""
+    """Returns the Hamilton products of one quaternion, (4,), with N others, (N, 4): ``right`` rotates first."""
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return right @ matrix.T
@@ -119,7 +119,7 @@ def rotation_between(start: Doubles, end: Doubles) -> Doubles:
 
 
 _SMALL = 1e-4
-"""Angle in radians below which series replace quotients that lose digits."""
+"""Angle in radians below which power series replace quotients that would lose digits."""
 
 
 def cross_matrix(v: npt.ArrayLike) -> Doubles:
@@ -159,7 +159,7 @@ def twist_from_rigid(motion: npt.ArrayLike) -> Doubles:
 
 
 def _series(angle: float) -> tuple[float, float, float]:
-    """Returns ``sin a / a``, ``(1 - cos a) / a^2`` and ``(a - sin a) / a^3``."""
+    """Returns ``sin a / a``, ``(1 - cos a) / a^2`` and ``(a - sin a) / a^3`` for the angle a in radians."""
     square = angle * angle
     if angle < _SMALL:
         return 1.0 - square / 6.0, 0.5 - square / 24.0, (1.0 - square / 20.0) / 6.0
@@ -167,17 +167,23 @@ def _series(angle: float) -> tuple[float, float, float]:
 
 
 def transform_points(matrix: Doubles, points: _Floats) -> Doubles:
-    """Transforms points, shape (V, 3), by one affine transform, shape (3 or 4, 4)."""
+    """Transforms V points, shape (V, 3), by one affine transform of 3 or 4 rows, shape (3 or 4, 4)."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def transform_points_each(matrices: _Floats, points: _Floats) -> Doubles:
-    """Transforms points, shape (V, 3), each by its own affine transform, shape (V or 1, 3 or 4, 4)."""
+    """Transforms V points, shape (V, 3), each by its own affine transform, or all by a single one.
+
+    V transforms have shape (V, 3 or 4, 4), a single one (1, 3 or 4, 4).
+    """
     return (matrices[:, :3, :3] @ points[:, :, None])[:, :, 0] + matrices[:, :3, 3]
 
 
 def transform_normals_each(matrices: _Floats, normals: _Floats) -> Doubles:
-    """Transforms normals, shape (V, 3), each by its own transform, shape (V or 1, 3 or 4, 4). Lengths are arbitrary."""
+    """Transforms V normals, shape (V, 3), each by its own affine transform, or all by a single one.
+
+    V transforms have shape (V, 3 or 4, 4), a single one (1, 3 or 4, 4). The returned normals have any length.
+    """
     # Cofactors transform normals as the inverse transpose does, up to length, and exist for singular matrices too.
     # Where a matrix mirrors, the cofactors flip the normal.
     a, b, c = matrices[:, :3, 0], matrices[:, :3, 1], matrices[:, :3, 2]
@@ -187,5 +193,5 @@ def transform_normals_each(matrices: _Floats, normals: _Floats) -> Doubles:
 
 
 def is_mirroring(matrices: _Floats) -> bool:
-    """Returns whether most matrices mirror, which reverses the winding of triangles."""
+    """Returns whether most of the matrices mirror (negative determinant), which reverses the winding of triangles."""
     return bool(np.median(np.linalg.det(matrices[:, :3, :3])) < 0.0)

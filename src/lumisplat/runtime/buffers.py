@@ -15,9 +15,9 @@ from lumisplat.memory import usable_memory
 from lumisplat.runtime.downloads import Downloads
 
 UNCHECKED_BYTES = 2**20
-"""Size in bytes below which an array is allocated without reading the memory limits first.
+"""Size in bytes below which an array is allocated without first querying the memory limits.
 
-A first frame allocates 150 arrays, most of them smaller, and reading the limits takes 0.3 ms (measured in a container).
+A first frame allocates 150 arrays, most of them smaller, and a query takes 0.3 ms (measured in a container).
 """
 
 Struct = TypeVar("Struct")
@@ -26,7 +26,7 @@ Struct = TypeVar("Struct")
 if TYPE_CHECKING:
 
     class DeviceArray(wp.array[Any]):
-        """A Warp array with type annotations for host code; Warp leaves most members without annotations."""
+        """A Warp array with type annotations for host code; Warp leaves most members of its arrays unannotated."""
 
         shape: tuple[int, ...]
         ptr: int
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
         device: wp.Device
 
         def __getitem__(self, key: slice) -> DeviceArray:
-            """Returns a view of some elements."""
+            """Returns a view of the elements that a slice selects."""
             ...
 
         def reshape(self, shape: int | tuple[int, ...]) -> DeviceArray:
-            """Returns a view of another shape."""
+            """Returns a view of the array with another shape."""
             ...
 
         def assign(self, src: npt.NDArray[Any] | wp.array[Any]) -> None:
-            """Copies all elements from the host or from another array."""
+            """Copies all elements of a host array or another device array into this array."""
             ...
 
         def fill_(self, value: object) -> None:
-            """Sets all elements."""
+            """Sets all elements to one value."""
             ...
 
         def numpy(self, *, _suppress_bfloat16_warning: bool = False) -> npt.NDArray[Any]:
@@ -65,7 +65,7 @@ def device_array(array: wp.array[Any]) -> DeviceArray:
 
 
 def assign_table(array: DeviceArray, table: npt.NDArray[np.void]) -> None:
-    """Copies a table into an array of structs byte by byte, ten times faster than Warp's own conversion."""
+    """Copies a NumPy table into an array of structs byte by byte, ten times faster than Warp's own conversion."""
     assert table.flags.c_contiguous and table.dtype.itemsize == wp.types.type_size_in_bytes(array.dtype)
     array.assign(DeviceArray(ptr=table.ctypes.data, dtype=array.dtype, shape=len(table), device="cpu", copy=False))
 
@@ -78,7 +78,7 @@ def rows_of(structs: Sequence[object]) -> npt.NDArray[np.void]:
 
 
 def bytes_of(*arrays: wp.array[Any]) -> int:
-    """Returns the memory of arrays in bytes."""
+    """Returns the total memory of arrays in bytes."""
     return sum(device_array(array).capacity for array in arrays)
 
 
@@ -89,10 +89,10 @@ def grown_capacity(count: int) -> int:
 
 
 class Buffers:
-    """Device arrays by name.
+    """Device arrays by name, which are allocated once and reused.
 
-    A request that is no larger than an earlier one returns a view of the same memory: after the first frame of a size,
-    nothing is allocated.
+    A request that is no larger than an earlier one of its name returns a view of the same memory, so that nothing is
+    allocated after the first frame of a size.
 
     Args:
         device: Warp device name.
@@ -103,10 +103,10 @@ class Buffers:
         self._arrays: dict[str, DeviceArray] = {}
         self._views: dict[tuple[str, tuple[int, ...]], DeviceArray] = {}
         self.downloads = Downloads(is_lazy=device != "cpu")
-        """Copies arrays to the host."""
+        """Pool of memory that arrays are copied to the host with."""
         self._rows: dict[str, bytes] = {}
         self.allocations = 0
-        """Number of allocations so far; a change makes captured graphs stale."""
+        """Number of allocations so far; captured CUDA graphs of an earlier number use memory that was freed."""
 
     def get(self, name: str, dtype: type[object], shape: int | tuple[int, ...]) -> DeviceArray:
         """Returns an array of ``shape`` with undefined contents.
@@ -140,10 +140,10 @@ class Buffers:
         return array
 
     def table(self, name: str, struct: type[object], rows: Sequence[object]) -> DeviceArray:
-        """Returns an array of structs whose fields may be arrays of these buffers.
+        """Returns an array of structs; fields of the structs may be arrays of this `Buffers` object.
 
-        It is written only if the rows have changed. Therefore a captured pass may call this in every frame: between two
-        replays nobody else writes the array.
+        The array is written only if ``rows`` differ from those of the last call. A pass that is captured as a CUDA
+        graph may therefore call this method in every frame: nothing else writes the array between two replays.
         """
         data = rows_of(rows)
         array = self.get(name, struct, len(rows))
@@ -180,7 +180,7 @@ class Buffers:
     def struct(self, name: str, struct_type: type[Struct], count: int, without: Collection[str] = ()) -> Struct:
         """Returns a struct whose fields are arrays of ``count`` undefined elements, named ``name.field``.
 
-        Fields named in ``without`` get no array, and are false in kernels.
+        Fields named in ``without`` get no array; kernels then read the field as False.
         """
         struct: Any = struct_type
         filled = struct_type()
@@ -191,7 +191,7 @@ class Buffers:
 
     @property
     def bytes(self) -> int:
-        """Device memory held, in bytes."""
+        """Device memory of all arrays in bytes."""
         return sum(array.capacity for array in self._arrays.values()) + self.downloads.device_bytes
 
     def _allocate(self, name: str, dtype: type[object], size: int) -> DeviceArray:

@@ -1,8 +1,8 @@
 """Downloads of device arrays to the host.
 
-A GPU writes page-locked memory directly; other memory is copied through a small staging buffer. Page-locked memory is
-slow to allocate and scarce for the whole system, so a few blocks are reused: a block belongs to a frame as long as
-somebody holds the frame, and a program that holds many frames gets the others in ordinary memory.
+A GPU writes directly to page-locked memory; it copies to other memory through a small staging buffer. Page-locked
+memory is slow to allocate and scarce for the whole system, so a few blocks are reused. A block belongs to a frame as
+long as somebody holds the frame; if a program holds many frames, the images of the others use ordinary memory.
 
 A frame's images are first copied on the GPU, which takes a fraction of the download's time, and each image is
 downloaded when it is read. The next frame can render meanwhile, and images that nobody reads are never downloaded.
@@ -21,46 +21,48 @@ import numpy.typing as npt
 import warp as wp
 
 FRAME_BLOCKS_MAX = 3
-"""Frames per renderer that may hold page-locked memory at a time, and as many that may hold a copy on the GPU: one on
-display, one being saved, one being rendered."""
+"""Largest number of frames per renderer that hold page-locked memory, and of frames that hold a copy on the GPU.
+
+Three suffice for one frame on display, one being saved and one being rendered."""
 
 DeviceArray = Any
-"""A Warp array. buffers.py, which imports this module, declares its type for host code."""
+"""A Warp array, here typed as Any: buffers.py declares its type but imports this module, so that it cannot be
+imported."""
 
 Value = TypeVar("Value")
 
 
 class Copies(Protocol):
-    """Copies of several arrays, by name."""
+    """Copies of several device arrays by name, on the host or still on the device."""
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """Returns ``count`` 32-bit words of an array starting at ``first``; None: all that follow."""
+        """Returns ``count`` 32-bit words of array ``name``, starting at word ``first``; None: all that follow."""
         ...
 
     def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """Returns the result of ``read``, or ``read`` itself if the words should be downloaded only when needed."""
+        """Returns the result of ``read``, or ``read`` itself if its words should be downloaded only when needed."""
         ...
 
 
 class HostCopies:
-    """Copies that are already on the host."""
+    """Copies of device arrays that are already on the host."""
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         self._words = {name: values.reshape(-1).view(np.float32) for name, values in arrays.items()}
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """Returns words of an array, see `Copies`."""
+        """Returns ``count`` 32-bit words of array ``name``, starting at word ``first``; None: all that follow."""
         return self._words[name][first : None if count is None else first + count]
 
     def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """Returns the result of ``read``."""
+        """Returns the result of ``read``, because the copies are already on the host."""
         return read()
 
 
 class DeviceCopies:
-    """Copies on the device, in one pooled block; parts of it are downloaded when they are read.
+    """Copies of arrays in one block of pooled device memory; words are downloaded when they are read.
 
-    Downloads run on a stream of their own, so that any thread may read while another one captures a graph.
+    Downloads run on a separate CUDA stream, so that any thread may read while another thread captures a graph.
     """
 
     def __init__(self, arrays: Mapping[str, DeviceArray], block: DeviceArray, downloads: Downloads) -> None:
@@ -76,7 +78,10 @@ class DeviceCopies:
         self._host: tuple[DeviceArray, npt.NDArray[np.float32]] | None = None
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """Downloads words of an array, see `Copies`, and waits for them."""
+        """Downloads ``count`` 32-bit words of array ``name``, starting at word ``first``, and waits for them.
+
+        ``count`` None: all words from ``first`` on.
+        """
         start, size = self._spans[name]
         begin, count = start + first, size - first if count is None else count
         if self._host is None:
@@ -90,7 +95,7 @@ class DeviceCopies:
         return values[begin : begin + count]
 
     def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """Returns ``read`` itself."""
+        """Returns ``read`` itself, so that words are downloaded when it is called."""
         return read
 
     def _download(self, target: DeviceArray, target_first: int, first: int, count: int) -> None:
@@ -106,8 +111,9 @@ class DeviceCopies:
 class Downloads:
     """Pool of memory for downloads, shared by all threads.
 
-    A block returns to the pool when its holder is finalised, on any thread and at any moment, even while that thread
-    takes a block. Finalizers therefore take no lock; they append the block to a deque, whose operations are atomic.
+    A block returns to the pool when the object that holds it is finalised, on any thread and at any moment, even while
+    that thread takes a block. Finalizers therefore take no lock; they append the block to a deque, whose operations are
+    atomic.
 
     Args:
         is_lazy: Copy frames on the device, and download images when they are read.
@@ -124,14 +130,14 @@ class Downloads:
 
     @property
     def lent(self) -> dict[str, int]:
-        """Number of blocks in use, by kind of memory."""
+        """Number of memory blocks in use, for each kind of memory."""
         with self._lock:
             self._take_back()
             return dict(self._lent)
 
     @property
     def device_bytes(self) -> int:
-        """Device memory of the pool in bytes, in use or free."""
+        """Device memory of the pool in bytes, both in use and free."""
         with self._lock:
             self._take_back()
             return self._block_bytes * (len(self._free["device"]) + self._lent["device"])
@@ -148,7 +154,7 @@ class Downloads:
     def lend_host(self, source: DeviceArray) -> tuple[DeviceArray, npt.NDArray[np.float32]] | None:
         """Returns a page-locked block as large as an array; None if all blocks are in use.
 
-        The block is in use until all views of it are gone.
+        The block is in use until nothing references the returned arrays any more.
         """
         pinned = not source.device.is_cpu  # without a GPU there is no page-locked memory
         block = self._lend("host", source.size, lambda: _empty(source.size, device="cpu", pinned=pinned))
@@ -165,7 +171,7 @@ class Downloads:
         return self._stream
 
     def _lend_device(self, arrays: Mapping[str, DeviceArray]) -> DeviceArray | None:
-        """Returns device memory for copies of arrays; None if all blocks are in use, or the device has no room."""
+        """Returns device memory for copies of arrays; None if all blocks are in use or the device is out of memory."""
         device = next(iter(arrays.values())).device
         size = sum(_words_of(array).size for array in arrays.values())
         try:
@@ -176,7 +182,10 @@ class Downloads:
         return block
 
     def _lend(self, kind: str, size: int, make: Callable[[], DeviceArray]) -> DeviceArray | None:
-        """Takes a block from the pool, or makes one; free blocks of other sizes are dropped."""
+        """Takes a free block of ``size`` words from the pool, or makes one; None if all blocks are in use.
+
+        Free blocks of other sizes are released.
+        """
         with self._lock:
             self._take_back()
             if self._lent[kind] >= FRAME_BLOCKS_MAX:
@@ -195,7 +204,7 @@ class Downloads:
 
 
 def _as_array(values: npt.NDArray[np.float32]) -> DeviceArray:
-    """Returns a Warp array over a NumPy array's memory."""
+    """Returns a Warp array that shares a NumPy array's memory."""
     return cast(Any, wp).array(values, dtype=wp.float32, device="cpu", copy=False)
 
 

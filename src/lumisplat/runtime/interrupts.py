@@ -10,9 +10,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def deferred_interrupt() -> Generator[Callable[[], bool]]:
-    """Defers the first Ctrl C: yields a function that returns whether it was pressed. The second Ctrl C interrupts.
+    """Defers the first Ctrl C; yields a function that returns whether Ctrl C was pressed. A second Ctrl C interrupts.
 
-    In other threads than the main one, and in programs with a handler of their own, nothing changes.
+    Nothing changes in threads other than the main one, and in programs that have set a handler for Ctrl C.
     """
     pressed = threading.Event()
 

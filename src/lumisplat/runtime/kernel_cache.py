@@ -30,10 +30,10 @@ _ELF_SECTIONS_OFFSET, _ELF_SECTIONS_SIZE = struct.Struct("<40xQ"), struct.Struct
 """Fields of a 64-bit ELF header: offset of the section table; size of an entry, and number of entries."""
 
 _OWNER = "lumisplat.pid"
-"""Name of the file that holds the process id of a folder's owner."""
+"""Name of the file that stores the id of the process that uses a folder."""
 _OF_NVRTC = re.compile(r"__nvrtc_auto_pch_(\d+)_\d+")
 _ABANDONED_AFTER_S = 24 * 3600.0
-"""Age in seconds above which a folder of precompiled headers without a known owner counts as abandoned."""
+"""Age in seconds above which a folder of precompiled headers counts as abandoned if no process id is stored."""
 
 
 def load_module(module: KernelModule, device: str, block_threads: int) -> None:
@@ -131,7 +131,7 @@ def warp_module_of(module: KernelModule) -> wp.Module:
 
 
 def _is_damaged(file: Path) -> bool:
-    """Returns whether a cached file is truncated or invalid, before a loader prints lines about it."""
+    """Returns whether a cached file is truncated or invalid; the loader would print lines about such a file."""
     if file.suffix == ".meta":
         try:
             json.loads(file.read_bytes())

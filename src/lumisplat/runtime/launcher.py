@@ -1,8 +1,9 @@
-"""Runs work on a device: device choice, kernel launches, CPU bands, CUDA graphs, stage timers. The only launch site.
+"""Runs work on a device: device choice, kernel launches, CPU bands, CUDA graphs, stage timers.
 
-A Warp CPU launch is single-threaded but releases the GIL, so one launch is cut into bands over the calling thread and a
-thread pool. CPU atomics are not atomic across threads: a banded kernel writes each output element from one item only.
-Every kernel that may be banded takes ``start`` first and works on item ``start + tid``.
+All kernels are launched here. A Warp launch on the CPU uses one thread but releases the GIL, so a launch is cut into
+bands (ranges of items) that run on the calling thread and a thread pool. CPU atomics are not atomic across threads, so
+a kernel run in bands writes each output element from one item only. Its first parameter is ``start``, the first item of
+the band, and it works on item ``start + tid``.
 """
 
 from __future__ import annotations
@@ -34,17 +35,19 @@ if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 
 COMPILING_ANNOUNCED_S = 1.0
-"""Loading time in seconds after which modules must be compiling; this is then announced."""
+"""Loading time in seconds after which modules must be compiling, so that a warning announces the compilation."""
 
 THREADS_VARIABLE = "LUMISPLAT_THREADS"
 """Environment variable that limits the CPU threads of a process, for machines with other work."""
 
 POOL_BYTES = 2**30
-"""Memory in bytes that a GPU's pool retains when idle. Otherwise the scratch space of sums and sorts, about 16 bytes
-for each (tile, Gaussian) pair, is allocated anew in every frame that is not replayed from a graph."""
+"""Memory in bytes that a GPU's pool retains when idle.
+
+Without it, the scratch space of sums and sorts, about 16 bytes for each (tile, Gaussian) pair, is allocated anew in
+every frame that is not replayed from a graph."""
 
 Kernel = wp.Kernel | Callable[..., None]
-"""A Warp kernel; type checkers see the Python function that it is made from."""
+"""A Warp kernel; type checkers see the Python function from which the kernel is made."""
 
 Result = TypeVar("Result")
 
@@ -69,7 +72,7 @@ def resolve_device(name: str = "auto") -> str:
 
 
 def retain_pool(device: str) -> None:
-    """Makes a GPU's memory pool retain what frames allocate and free, unless the program already retains more."""
+    """Makes a GPU's memory pool retain `POOL_BYTES` of freed memory, unless the program already retains more."""
     pool: Any = wp.get_device(device)
     if pool.is_mempool_enabled and wp.get_mempool_release_threshold(device) < POOL_BYTES:
         wp.set_mempool_release_threshold(device, POOL_BYTES)
@@ -96,7 +99,7 @@ def block_threads(compiled: Any) -> int:
 
 @contextmanager
 def _joined(jobs: list[Future[None]]) -> Generator[None]:
-    """Waits at exit until no job is running, also after an error or interrupt; pending jobs are cancelled."""
+    """Waits on exit until none of the jobs is running, also after an error or interrupt; pending jobs are cancelled."""
     try:
         yield
     finally:
@@ -107,7 +110,7 @@ def _joined(jobs: list[Future[None]]) -> Generator[None]:
 
 @contextmanager
 def _blocks_on_cpus() -> Generator[None]:
-    """Lets CPUs run thread blocks as fibers of one thread: slow, for tests of CUDA's kernels."""
+    """Lets CPUs run thread blocks as fibers of one thread: slow, used by tests of kernels made for CUDA."""
     with _CPU_BLOCKS:
         before, wp.config.enable_cpu_blocks = wp.config.enable_cpu_blocks, True
         try:
@@ -118,7 +121,7 @@ def _blocks_on_cpus() -> Generator[None]:
 
 @dataclass(slots=True)
 class _Replayed:
-    """Work that ran with a key, and its CUDA graph once it is captured."""
+    """Work that `Launcher.replay` ran with a key, and its CUDA graph once the graph is captured."""
 
     key: object
     graph: wp.Graph | None = None
@@ -154,24 +157,24 @@ class Launcher:
         """Clock of the stage times in seconds: wall time by default; ``time.process_time`` on shared machines."""
         self._pass = ""
         self._stop: Callable[[], bool] | None = None
-        """Function that is called before each band."""
+        """Function that is called before each band of a CPU launch; True stops the launch."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
         self._loaded: dict[int, KernelModule] = {}
-        """Loaded modules by identity; the reference keeps the identity valid."""
+        """Loaded modules by ``id``; the reference to the module keeps the id from being reused."""
         self._banded: set[object] = set()
-        """Modules whose kernels have run in bands."""
+        """Modules whose kernels have run in bands on several threads."""
         if self.is_cuda:
             retain_pool(self.device)
 
     def room(self, ends: DeviceArray, most: int | None = None) -> int:
-        """Returns a capacity for a list whose length the device has just computed; 0 if it is empty.
+        """Returns the capacity to allocate for a list whose length a kernel has just computed; 0 if the list is empty.
 
-        The CPU reads the length from its own memory. The parallel schedule does not wait for a GPU: it returns the
-        largest possible length, and kernels skip elements beyond the real one.
+        The CPU reads the length from its own memory. The parallel schedule does not wait for a GPU to finish: it
+        returns the largest possible length, and kernels skip elements beyond the actual length.
 
         Args:
-            ends: Inclusive prefix sums of flags (0 or 1); the last one is the length.
+            ends: Inclusive prefix sums of flags (0 or 1); the last one is the length of the list.
             most: Upper bound of the capacity; None: the number of flags.
         """
         most = len(ends) if most is None else min(most, len(ends))
@@ -227,10 +230,11 @@ class Launcher:
                 )
 
     def run_banded(self, kernel: Kernel, count: int, *inputs: object, bands: int | None = None) -> None:
-        """Runs ``count`` items of ``kernel(start, *inputs)``, on the CPU in bands over all threads.
+        """Runs ``count`` items of ``kernel(start, *inputs)``; on the CPU in bands (ranges of items) on all threads.
 
         Args:
-            kernel: Write-once kernel whose first parameter is the first item of the band.
+            kernel: Kernel that writes each output element from one item; its first parameter is the first item of the
+                band.
             count: Number of items.
             *inputs: Other parameters of the kernel.
             bands: Number of bands; more bands balance uneven work better. None: one per thread.
@@ -264,16 +268,17 @@ class Launcher:
                 job.result()
 
     def _load_for_bands(self, kernel: Kernel) -> None:
-        """Loads a kernel's module before threads launch it, so that none runs a module that another replaces."""
+        """Loads a kernel's module before threads launch it, so that no thread replaces a module that another runs."""
         module: Any = getattr(kernel, "module", None)
         if module is not None and module not in self._banded:
             self._load(module)
             self._banded.add(module)
 
     def _run_band(self, launch: Any, kernel: Kernel, start: int, end: int, inputs: Sequence[object]) -> Any:
-        """Runs one band, reusing this thread's previous launch if there is one; returns the launch.
+        """Runs the items from ``start`` to ``end`` of a kernel on this thread, and returns the recorded launch.
 
-        Packing all parameters again would take longer than many bands.
+        If ``launch``, the recorded launch of the thread's previous band, is given, only its range is changed. Packing
+        all parameters again would take longer than running many of the bands.
         """
         if launch is None:
             launch = wp.launch(  # pyright: ignore[reportUnknownMemberType]
@@ -309,9 +314,9 @@ class Launcher:
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:
-        """Times a block of work under ``name``; on CUDA only when profiling, because it must wait for the device.
+        """Times a block of work under ``name``; on CUDA only when profiling, because timing waits for the device.
 
-        The time of inner stages is not part of the outer one's.
+        The time of a stage does not include the stages within it.
         """
         name = f"{self._pass}: {name}" if self._pass else name
         with self._timed(name):
@@ -319,7 +324,7 @@ class Launcher:
 
     @contextmanager
     def frame_pass(self, name: str) -> Generator[None]:
-        """Times a pass of a frame under ``name``, and the stages in it under ``name: stage``."""
+        """Times a pass of a frame under ``name``, and the stages within it under ``name: stage``."""
         outer, self._pass = self._pass, name
         try:
             with self._timed(name):
@@ -329,7 +334,7 @@ class Launcher:
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:
-        """Adds the time of a block of work, minus its inner blocks, to that of ``name``."""
+        """Adds the time of a block of work, minus that of timed blocks within it, to the time of ``name``."""
         timed = not self.is_cuda or self.profile
         started, before = self.clock(), sum(self.stage_ms.values())
         try:
@@ -342,11 +347,12 @@ class Launcher:
                 self.stage_ms[name] = self.stage_ms.get(name, 0.0) + elapsed
 
     def replay(self, name: str, key: object, work: Callable[[], Result]) -> Result:
-        """Runs ``work`` and returns its result; on CUDA as a graph, captured anew when ``key`` changes.
+        """Runs ``work`` and returns its result; on CUDA as a graph, which is captured anew when ``key`` changes.
 
-        ``work`` must only launch: no allocation, no readback, and values that change between calls must be in arrays.
-        The same holds for its return value, because a graph returns the value of its capture. The first call with a key
-        runs the work directly, which allocates and compiles; the second call captures.
+        ``work`` must only launch kernels, without allocation or readback. Values that change between calls, including
+        those that ``work`` returns, must be stored in arrays, because a graph always returns the value of its capture.
+        The first call with a key runs the work directly, which allocates and compiles; the second call captures the
+        graph.
         """
         if not self.can_capture:
             return work()
@@ -369,20 +375,20 @@ class Launcher:
 
     @property
     def can_capture(self) -> bool:
-        """True if repeated work is captured as graphs: on CUDA, unless stages are timed one by one.
+        """True if repeated work is captured as CUDA graphs: on CUDA, unless stages are timed one by one.
 
-        Sums and sorts allocate scratch space during capture, which needs memory pools; some virtual GPUs, and the
-        Windows Subsystem for Linux, have none.
+        Capturing also needs memory pools, because sums and sorts allocate scratch space. Some virtual GPUs and the
+        Windows Subsystem for Linux have no pools.
         """
         device: Any = wp.get_device(self.device)
         return self.is_cuda and not self.profile and bool(device.is_mempool_enabled)
 
     def _threads_of(self, kernel: Kernel) -> int:
-        """Returns the threads per block of a kernel whose items are independent."""
+        """Returns the threads per block with which a kernel of independent items is launched."""
         return block_threads(kernel) if self.is_cuda else 1
 
     def _load(self, module: KernelModule) -> None:
-        """Compiles and loads a module for the block size of its launches."""
+        """Compiles and loads a module for the block size with which its kernels are launched."""
         warp_module = warp_module_of(module)
         has_blocks = warp_module.name.endswith("blocks")
         threads = block_threads(warp_module) if has_blocks or self.is_cuda else 1

@@ -1,8 +1,8 @@
 """Checked wrappers of Warp's parallel primitives: prefix sums, sorts and copies of device arrays.
 
-Warp's sums and sorts use the CUDA context that is current in the thread, whichever device their arrays are on, and its
-sorts return no status: without memory for scratch space, a sort leaves a message, and the keys unsorted. This module
-handles both.
+Warp's sums and sorts use the CUDA context that is current in the thread, whichever device their arrays are on. Its
+sorts return no status: if there is no memory for scratch space, a sort only leaves an error message and the keys
+unsorted. The functions here set the context and raise errors.
 """
 
 # Warp leaves the elements of their arrays without annotations, and its messages without a public name.
@@ -23,26 +23,26 @@ from lumisplat.runtime.buffers import DeviceArray
 
 
 def prefix_sum(values: DeviceArray, sums: DeviceArray, *, inclusive: bool) -> None:
-    """Writes the prefix sums of ``values``, inclusive or exclusive.
+    """Writes the inclusive or exclusive prefix sums of ``values`` to ``sums``.
 
     Raises:
-        DeviceError: The device has no room for scratch space, or has failed before.
+        DeviceError: The device has no memory for scratch space, or an earlier operation on it has failed.
     """
     with _checked("sum", values):
         wp.utils.array_scan(values, sums, inclusive=inclusive)
 
 
 def sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, bits: int | None = None) -> None:
-    """Sorts the first ``count`` keys ascending, and their values with them; the sort is stable.
+    """Sorts the first ``count`` keys in ascending order, and their values with them; the sort is stable.
 
     Args:
-        keys: Keys, with room for 2 ``count``; the second half is scratch space.
-        values: Values, with the same room.
-        count: Elements to sort.
+        keys: Keys, an array of at least 2 ``count`` elements; the second half is scratch space.
+        values: Values, an array of the same size.
+        count: Number of elements to sort.
         bits: Number of low bits of the keys to sort by; None: all.
 
     Raises:
-        DeviceError: The device has no room for scratch space, or has failed before.
+        DeviceError: The device has no memory for scratch space, or an earlier operation on it has failed.
     """
     try:
         _sort_pairs(keys, values, count, bits)
@@ -57,7 +57,7 @@ def _sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, bits: int | 
 
 
 def copy_elements(source: DeviceArray, target: DeviceArray, count: int) -> None:
-    """Copies the first ``count`` elements."""
+    """Copies the first ``count`` elements of ``source`` to ``target``."""
     wp.copy(target, source, count=count)
 
 
@@ -80,7 +80,7 @@ def _checked(verb: str, array: DeviceArray) -> Generator[None]:
 
 @cache
 def error_message() -> ctypes.Array[ctypes.c_char]:
-    """Returns the memory of the Warp library's last error message; the library never clears it."""
+    """Returns the buffer that holds the Warp library's last error message; the library never clears the buffer."""
     library: Any = cast(Any, wp)._src.context.runtime.core
     address = ctypes.CFUNCTYPE(ctypes.c_void_p)(("wp_get_error_string", library))()
     return (ctypes.c_char * 4096).from_address(address)

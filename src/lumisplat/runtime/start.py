@@ -12,7 +12,7 @@ from lumisplat.runtime.kernel_cache import cache_error, remove_abandoned_headers
 
 @cache
 def start_warp() -> None:
-    """Initialises Warp, once.
+    """Initialises Warp, unless it is initialised already.
 
     Without a CUDA driver, Warp's native code writes a warning to file descriptor 2, whatever its log level. Running on
     a CPU is no mistake, so the warning is discarded.

@@ -19,10 +19,10 @@ def table_dtype(struct: type[object]) -> np.dtype[np.void]:
 
 
 def upload_structs(rows: Sequence[object], struct: type[object], device: str) -> DeviceArray:
-    """Uploads structs whose fields may be arrays, and keeps these arrays alive as long as the table.
+    """Uploads structs whose fields may be arrays, and keeps these arrays alive as long as the returned table.
 
-    On a GPU, some of them are copies that nothing else references, while the table holds bare addresses. Without rows,
-    the table has one empty struct, because an array without elements has no address.
+    On a GPU, the table holds the addresses of the arrays, some of which are copies that nothing else references.
+    Without rows, the table has one empty struct, because an array without elements has no address.
     """
     instances: Any = list(rows) or [struct()]
     table = DeviceArray(shape=len(instances), dtype=struct, device=device)

@@ -14,7 +14,7 @@ from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
 
 DISTORTION_RESIDUAL_FLOAT = 2e-6
-"""Largest error of the inverse distortion in float32, relative to one plus the radius.
+"""Largest accepted error of the inverse distortion in float32, relative to one plus the radius of the point.
 
 It corresponds to 16 roundings, a hundredth of a pixel of the largest images."""
 
@@ -71,7 +71,7 @@ def within_reach(camera: CameraData, point: wp.vec2) -> wp.vec2:
 
 @wp.func
 def undistorted(camera: CameraData, shown: wp.vec2) -> wp.vec2:
-    """Inverts the lens distortion at a point by Newton's method; NaN where no point maps there."""
+    """Inverts the lens distortion at a point by Newton's method; NaN if no undistorted point maps to it."""
     found = within_reach(camera, shown)
     for _ in range(STEPS):
         step = wp.inverse(distortion_jacobian(camera, found)) * (distorted(camera, found) - shown)
@@ -226,9 +226,9 @@ ROW_STEPS = wp.constant(SHUTTER_STEPS)
 def image_point(camera: CameraData, field: float, view: wp.vec3) -> wp.vec2:
     """Projects a camera-space point of a pinhole or fisheye to pixels, extended beyond the field of view.
 
-    The extension moves outwards with the angle from the axis everywhere, so that invisible points never fall inside the
-    image. Beyond ``field``, the tangent of an angle, a pinhole is linear in the angle. Beyond the monotonic radius of
-    the lens polynomial, points are displaced without further distortion.
+    The extended projection moves outwards with the angle from the axis everywhere, so that invisible points never fall
+    inside the image. Beyond ``field``, the tangent of an angle, the projection of a pinhole is linear in the angle.
+    Beyond the radius up to which the lens polynomial is monotonic, points are displaced without further distortion.
     """
     plane = wp.vec2(view[0], view[1])
     across = wp.length(plane)
@@ -271,11 +271,12 @@ def view_at(camera: CameraData, point: wp.vec3, time: float) -> wp.vec3:
 
 @wp.func
 def pixel_at_row_time(camera: CameraData, field: float, point: wp.vec3) -> wp.vec3:
-    """Projects a point to the row that exposes it; returns x and y in pixels and the change of the last iteration.
+    """Projects a point to the image row that exposes it; returns x and y in pixels and the last iteration's change.
 
     With a rolling shutter, each row sees the point at another position, so the row is found by fixed-point iteration.
 
-    ``field`` is as for ``image_point``, ``point`` as for ``view_at``.
+    ``field`` is the tangent of the angle from a pinhole's axis beyond which the projection is extended linearly.
+    ``point`` is relative to the eye at the start of the first row, in world orientation.
     """
     at = image_point(camera, field, view_at(camera, point, 0.5))
     error = float(0.0)

@@ -135,14 +135,17 @@ def tile_corner(camera: CameraData, tile: int) -> wp.vec2i:
 
 @wp.func
 def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
-    """Returns the pixel of an item, where items are ordered tile by tile, row by row; it may lie outside the window."""
+    """Returns the pixel of element ``item`` of an array that is ordered tile by tile, and row by row in each tile.
+
+    The pixel may lie outside the window.
+    """
     corner = tile_corner(camera, item // TILE_PIXELS)
     return wp.vec2i(corner[0] + item % TILE, corner[1] + (item // TILE) % TILE)
 
 
 @wp.func
 def is_listed(rect: TileRect) -> bool:
-    """Returns whether a splat touches any tile; culled splats touch none."""
+    """Returns whether a splat is listed in any tile; culled splats are listed in none."""
     return rect.x0 < rect.x1
 
 
@@ -154,14 +157,17 @@ def rect_area(rect: TileRect) -> int:
 
 @wp.func
 def pair_slot(rect: TileRect, first: int, tile_x: int, tile_y: int) -> int:
-    """Returns the slot of the record of a splat and one of its tiles, if the splat's records start at ``first``."""
+    """Returns the index of the record of a splat in one of its tiles.
+
+    A splat has one record for each tile of ``rect``, row by row, from index ``first`` on.
+    """
     return first + (tile_y - int(rect.y0)) * (int(rect.x1) - int(rect.x0)) + tile_x - int(rect.x0)
 
 
 # --- Tiles divided into squares, one for each warp of a CUDA thread block ---
 
 WARP_THREADS = 32
-"""Threads of a warp, which sum values without a barrier; the same on all NVIDIA GPUs."""
+"""Threads of a warp, which can sum values without a barrier; the same number on all NVIDIA GPUs."""
 
 TILE_WARPS = 4
 """Warps that process a tile."""
@@ -173,13 +179,13 @@ THREADS = wp.constant(TILE_THREADS)
 _LANES = wp.constant(WARP_THREADS)
 
 _SIDE = wp.constant(TILE_PX // 2)
-"""Side of the pixel square of a warp."""
+"""Side of the square of pixels that one warp processes."""
 
 ROWS = wp.constant(TILE_PX * TILE_PX // TILE_THREADS)
-"""Pixels of a thread: one in each fourth row of the square."""
+"""Number of pixels of a thread, which lie in one column of its warp's square of pixels."""
 
 STRIDE = wp.constant(WARP_THREADS // (TILE_PX // 2))
-"""Rows between two pixels of a thread."""
+"""Distance in rows between two successive pixels of a thread."""
 
 ThreadFloats = wp.types.vector(length=TILE_PX * TILE_PX // TILE_THREADS, dtype=wp.float32)
 """Vector type with one float for each pixel of a thread."""

@@ -22,9 +22,9 @@ from lumisplat.device.structs.shading import CatcherLight, ShadingScene, WaveDat
 
 @wp.func
 def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
-    """Returns the iso-opacity surface of the Gaussians or, if it is not reached, the mesh behind.
+    """Returns the iso-opacity surface of the Gaussians on a ray or, if it is not reached, the mesh behind them.
 
-    The normals of Gaussians and mesh are blended.
+    Its normal is a blend of the normals of the Gaussians and of the mesh.
     """
     surface = FirstSurface()
     surface.depth = wave[0].gaussians.depth[i]
@@ -65,7 +65,7 @@ def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array[wp.vec3]):
-    """Updates an image's pixel, a running mean, with a sample of any colour."""
+    """Adds the colour of sample number ``sample`` to a pixel of ``image``, which stores the mean of all samples."""
     if sample == 0:
         image[pixel] = color
     else:
@@ -101,7 +101,10 @@ def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData])
 
 @wp.func
 def straight_radiance(color: wp.vec3, weight: float) -> wp.vec3:
-    """Decodes a captured colour, display-referred and premultiplied by its weight, to linear radiance."""
+    """Converts a captured colour, display-referred and premultiplied by ``weight``, to linear radiance.
+
+    The radiance is not premultiplied.
+    """
     if weight <= 0.0:
         return wp.vec3(0.0)
     return decode_srgb_color(color / weight)
@@ -118,11 +121,12 @@ def captured_factor(
     blocked: wp.vec3,
     film: wp.array[FilmData],
 ) -> wp.vec3:
-    """Returns the factor of a captured colour by the change of light on its shadow catcher, per channel.
+    """Returns the factor, per channel, by which added objects change a pixel's captured colour.
 
-    ``part`` of ``whole``, the captured colour of the pixel, belongs to the catcher; ``radiance`` is its linear,
-    non-premultiplied colour. ``change`` is the change of the irradiance by lights, ``emitted_change`` of the irradiance
-    by captures, and ``blocked`` the ambient irradiance that added objects block.
+    ``whole`` is the captured colour of the pixel, ``part`` the part of it that shows a shadow catcher, and ``radiance``
+    the linear, non-premultiplied colour of the catcher. ``change`` is the change of the catcher's irradiance by lights,
+    ``emitted_change`` that of its irradiance by captures, and ``blocked`` the ambient irradiance that added objects
+    block.
     """
     factor = wp.vec3(1.0)
     for channel in range(3):
@@ -168,7 +172,7 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
 
 @wp.func
 def sample_of_pixel(pixel: int, film: wp.array[FilmData]) -> PixelSample:
-    """Returns the only sample of a pixel, read from its images."""
+    """Returns the sample of a pixel that has only one, read from the pixel's images."""
     sample = PixelSample()
     sample.color = film[0].pixels.color[pixel]
     sample.alpha = film[0].pixels.alpha[pixel]
@@ -190,7 +194,7 @@ def radiance_of(sample: PixelSample, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def add_to_sums(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
-    """Adds a sample, already included in the count, to the sums of a pixel."""
+    """Adds a sample to the sums of its pixel, whose number of samples already includes it."""
     radiance = wp.vec3d(radiance_of(sample, film))
     before = wp.float64(film[0].count[pixel] - 1)
     total = film[0].sums.radiance[pixel]
@@ -243,7 +247,7 @@ def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
 
 @wp.func
 def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
-    """Returns the factor of a pixel's captured colour by shadows and added light; 1 where nothing changes it."""
+    """Returns the factor by which shadows and added light change a pixel's captured colour; 1: no change."""
     weight = film[0].lit.captured_weight[pixel]
     if film[0].capture_factor:
         return straight_factor(film[0].capture_factor[pixel], weight)
@@ -263,10 +267,10 @@ def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
-    """Returns the linear change of a pixel's captured colour by shadows and added light.
+    """Returns the linear light that shadows and added light add to a pixel's captured colour; negative: light removed.
 
-    The change is the mean colour times a ratio with its own mean, because means of display-referred and of linear
-    colours cannot be subtracted.
+    The change is the mean captured colour times ``FilmData.ratio`` - 1. It is no difference of two means, because
+    captured colours are averaged as display-referred values and light as linear values.
     """
     if not film[0].ratio:
         return wp.vec3(0.0)

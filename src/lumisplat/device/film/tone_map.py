@@ -51,7 +51,10 @@ GAMMA = wp.constant(wp.float32(AGX_GAMMA))
 
 
 def curve_scale(run: float, rise: float, power: float) -> float:
-    """Returns the distance of AgX's asymptote from the pivot such that one side of the curve passes its end point."""
+    """Returns the distance of AgX's asymptote from the pivot such that one side of the curve passes its end point.
+
+    ``run`` and ``rise`` lead from the pivot to the end point; ``power`` is the exponent of this side of the curve.
+    """
     return AGX_SLOPE * run / ((AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
 
 
@@ -104,7 +107,7 @@ def agx(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
 
 @wp.func
 def tone_mapped(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
-    """Tone maps linear light, 0 to the brightest, to a display-referred colour."""
+    """Tone maps linear light, at least 0, to a display-referred colour, 0..1."""
     color = light
     if settings.tone_map == TONE_NEUTRAL:
         color = neutral(light)
@@ -145,7 +148,7 @@ def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMa
 
 @wp.func
 def channels_finite(color: wp.vec3) -> bool:
-    """Returns whether no channel is NaN or infinite; their sum may still overflow."""
+    """Returns whether no channel is NaN or infinite; the sum of finite channels may overflow and is not tested."""
     return wp.isfinite(color[0]) and wp.isfinite(color[1]) and wp.isfinite(color[2])
 
 

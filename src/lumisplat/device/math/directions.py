@@ -1,4 +1,4 @@
-"""Directions: angles, directions around an axis, and the equal-area octahedral map of the sphere."""
+"""Directions: angles, directions around an axis, and the equal-area octahedral map between sphere and unit square."""
 
 import math
 
@@ -38,10 +38,10 @@ def angle_of(y: float, x: float) -> float:
 
 @wp.func
 def flipped_to_front(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """Returns a unit direction to the eye, mirrored at the surface if it lies below the horizon of a unit normal.
+    """Returns a unit direction to the eye, mirrored to the front side of a surface if it points behind the surface.
 
-    Silhouettes show Gaussians slightly beyond the horizon, which represent surface as far in front of the horizon
-    (docs/method/gaussians.md#normals).
+    At silhouettes, pixels show Gaussians whose unit ``normal`` points slightly away from the eye. They are shaded as if
+    the normal pointed towards the eye by the same angle (docs/method/gaussians.md#normals).
     """
     return to_eye - 2.0 * wp.min(wp.dot(to_eye, normal), 0.0) * normal
 
@@ -82,7 +82,7 @@ def signed_as(size: float, sign: float) -> float:
 
 @wp.func
 def direction_of_square(point: wp.vec2) -> wp.vec3:
-    """Maps a point of the unit square to a unit direction."""
+    """Maps a point of the unit square to a unit direction by the octahedral map."""
     u = 2.0 * point[0] - 1.0
     v = 2.0 * point[1] - 1.0
     inside = 1.0 - (wp.abs(u) + wp.abs(v))  # positive: in the diamond
@@ -98,7 +98,7 @@ def direction_of_square(point: wp.vec2) -> wp.vec3:
 
 @wp.func
 def square_of_direction(direction: wp.vec3) -> wp.vec2:
-    """Maps a unit direction to a point of the unit square."""
+    """Maps a unit direction to a point of the unit square by the octahedral map."""
     x = wp.abs(direction[0])
     y = wp.abs(direction[1])
     r = wp.sqrt((x * x + y * y) / (1.0 + wp.abs(direction[2])))
@@ -119,7 +119,10 @@ def square_of_direction(direction: wp.vec3) -> wp.vec2:
 
 @wp.func
 def cell_of_direction(direction: wp.vec3, cells: int) -> int:
-    """Returns the index, in row order, of the cell of a ``cells`` x ``cells`` map that contains a unit direction."""
+    """Returns the index, in row order, of the cell of an octahedral map that contains a unit direction.
+
+    The map has ``cells`` x ``cells`` cells.
+    """
     point = square_of_direction(direction)
     x = wp.clamp(int(point[0] * float(cells)), 0, cells - 1)
     y = wp.clamp(int(point[1] * float(cells)), 0, cells - 1)
@@ -128,7 +131,10 @@ def cell_of_direction(direction: wp.vec3, cells: int) -> int:
 
 @wp.func
 def direction_in_cell(cell: int, cells: int, within: wp.vec2) -> wp.vec3:
-    """Returns the unit direction at a position within a cell, 0..1 along each side; the cell's centre is (0.5, 0.5)."""
+    """Returns the unit direction at a point of a cell of the octahedral map.
+
+    ``within`` is the point's position in the cell, 0..1 along each side; the cell's centre is (0.5, 0.5).
+    """
     y = cell // cells
     x = cell - y * cells
     size = 1.0 / float(cells)
@@ -137,13 +143,16 @@ def direction_in_cell(cell: int, cells: int, within: wp.vec2) -> wp.vec3:
 
 @wp.func
 def cell_width(cells: int) -> float:
-    """Returns the square root of a cell's solid angle, radians."""
+    """Returns the angular width of a cell of the octahedral map: the square root of its solid angle, radians."""
     return 2.0 * wp.sqrt(PI) / float(cells)
 
 
 @wp.func
 def wrapped_cell(x: int, y: int, cells: int) -> int:
-    """Returns the cell at a column and row that may lie one beyond the map, whose border is folded onto itself."""
+    """Returns the index of the cell at a column and row of an octahedral map that may lie one beyond its border.
+
+    The border of the map is folded onto itself, so that each cell beyond it is another cell of the map.
+    """
     if x < 0 or x >= cells:
         x = wp.clamp(x, 0, cells - 1)
         y = cells - 1 - y

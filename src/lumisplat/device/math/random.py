@@ -41,7 +41,7 @@ LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
 """Dimension of branch 0 of a key; the dimensions of other branches count down from it."""
 CAPTURED_OR_RELIT = wp.constant(wp.uint32(0x80000000))
-"""Dimension of the choice between captured and relit splat sets on a ray: the first one after those of the Gaussians.
+"""Dimension of the choice between captured and relit splat sets on a ray: the first one behind those of the Gaussians.
 """
 
 
@@ -73,7 +73,10 @@ def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
 
 @wp.func
 def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
-    """Draws a number as ``draw`` does, for a dimension that is already mixed and shared by many keys."""
+    """Draws a number as ``draw`` does, for a dimension that ``mix`` was already applied to.
+
+    ``mixed`` is computed once for the many keys that share the dimension.
+    """
     return float(int(wp.rshift(mix(sample_key + mixed), BITS_8))) * UNIT
 
 
@@ -100,8 +103,8 @@ def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
 def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
     """Draws a stratified random number in [0, 1), a multiple of 2^-24.
 
-    Of 16 consecutive samples that begin with a multiple of 16 and share a key, one lies in each sixteenth. Different
-    dimensions are independent.
+    Among 16 consecutive samples of one key that begin with a multiple of 16, each sixteenth of the range receives one
+    number. The numbers of different dimensions are independent.
     """
     word = mix(key + mix(wp.uint32(dimension)))
     stratum = wp.bit_and(wp.uint32(sample), LOW_4)
@@ -111,7 +114,7 @@ def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
 
 @wp.func
 def swapped_bits(word: wp.uint32, mask: wp.uint32, shift: wp.uint32) -> wp.uint32:
-    """Exchanges the bits of ``mask`` with the bits ``shift`` above them."""
+    """Exchanges the bits of a word that ``mask`` selects with the bits that are ``shift`` positions above them."""
     return wp.bit_or(wp.lshift(wp.bit_and(word, mask), shift), wp.bit_and(wp.rshift(word, shift), mask))
 
 
@@ -127,9 +130,9 @@ def reversed_bits(word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
-    """Owen-scrambles a bit-reversed word; the result is bit-reversed too (Laine and Karras 2011).
+    """Owen-scrambles a number whose bits are reversed; the result is bit-reversed, too (Laine and Karras 2011).
 
-    Whether a bit flips depends on the key and on the lower bits, which are the higher bits of the number.
+    Whether a bit flips depends on the key and on the lower bits of the word, which are the number's higher bits.
     """
     word = word + key
     word = wp.bit_xor(word, word * KARRAS_1)
@@ -142,8 +145,9 @@ def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
 def second_sobol(index: wp.uint32) -> wp.uint32:
     """Returns point ``index`` of the second Sobol dimension, bit-reversed.
 
-    Bit j is the sum, modulo 2, of the index bits k for which the binomial coefficient of k over j is odd. By Lucas's
-    theorem, these are the k whose binary digits include those of j: one sum for each binary digit.
+    Bit j is the sum, modulo 2, of those bits k of the index for which the binomial coefficient of k over j is odd. By
+    Lucas's theorem, these are the k whose binary digits include those of j. The sums are therefore formed in five
+    steps, one for each binary digit of k.
     """
     index = wp.bit_xor(index, wp.rshift(index, BITS_16))
     index = wp.bit_xor(index, wp.bit_and(wp.rshift(index, BITS_8), wp.uint32(0x00FF00FF)))

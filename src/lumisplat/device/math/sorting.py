@@ -31,9 +31,9 @@ def morton_code(point: wp.vec3, low: wp.vec3, per_cell: wp.vec3) -> int:
 
 @wp.func
 def first_not_below(values: wp.array[Any], count: int, limit: Any) -> int:
-    """Returns the index of the first of ``count`` ascending values that is >= ``limit``, or ``count`` if none is.
+    """Returns the index of the first of ``count`` ascending values that is >= ``limit``; ``count`` if there is none.
 
-    Warp's ``lower_bound`` never returns the end.
+    Warp's ``lower_bound`` would never return ``count``.
     """
     low = int(0)
     high = int(count)

@@ -23,11 +23,11 @@ class RayShear:
     """Shear that turns a ray into an axis (Woop, Benthin and Wald 2013)."""
 
     axis: int
-    """Largest component of the direction."""
+    """Index of the largest component of the ray's direction."""
     slope: wp.vec2
-    """The other two components, in cyclic order after ``axis``, divided by it."""
+    """The direction's other two components, in cyclic order after ``axis``, divided by the component along ``axis``."""
     inverse: float
-    """Ray parameter per unit along the axis."""
+    """Reciprocal of the direction's component along ``axis``: ray distance per unit along the axis."""
 
 
 @struct
@@ -39,7 +39,7 @@ class MeshRay:
     """Direction, of any length."""
     shear: RayShear
     begin: float
-    """Distance of its origin from the origin of the world-space ray."""
+    """Distance from the origin of the world-space ray to the point where this ray starts."""
 
 
 @struct
@@ -48,7 +48,8 @@ class MeshHit:
 
     t: float
     local_t: float
-    """Distance from the ray's start in object space: more precise than ``t``, and used to order faces of one mesh."""
+    """Distance of the hit from the start of the ray in object space; more precise than ``t``, it orders faces of one
+    mesh."""
     face: int
     """Index of the triangle in its mesh; -1: none."""
     instance: int
@@ -62,7 +63,7 @@ class TriangleHit:
     t: float
     """Distance; inf: the ray misses the triangle."""
     weights: wp.vec2
-    """Barycentric weights of the second and third corner."""
+    """Barycentric weights of the triangle's second and third corner at the hit."""
 
 
 @wp.func
@@ -92,7 +93,10 @@ def ray_shear(direction: wp.vec3) -> RayShear:
 
 @wp.func
 def edge_side(a: wp.vec2, b: wp.vec2) -> float:
-    """Returns on which side of an edge the ray passes; the two triangles of the edge get exactly opposite numbers."""
+    """Returns a number whose sign tells on which side of an edge the ray passes.
+
+    The two triangles of the edge get exactly opposite numbers.
+    """
     return a[0] * b[1] - a[1] * b[0]
 
 
@@ -100,7 +104,7 @@ def edge_side(a: wp.vec2, b: wp.vec2) -> float:
 def intersect_triangle(
     origin: wp.vec3, direction: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3
 ) -> TriangleHit:
-    """Intersects the ray's line with a triangle, from either side.
+    """Intersects the infinite line of a ray with a triangle, from either side.
 
     The distance is a weighted mean of the corners' distances, so that it stays between them even at grazing angles.
     """
@@ -134,7 +138,7 @@ def flat_corner(corner: wp.vec3, origin: wp.vec3, shear: RayShear) -> wp.vec2:
 
 @wp.func
 def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
-    """Returns whether a triangle owns the points on its edge; ``around`` is positive if it is counter-clockwise.
+    """Returns whether a triangle owns the points on its edge; ``around`` is positive for a counter-clockwise triangle.
 
     Of the two triangles at an edge, exactly one owns it, as if the ray passed slightly to the left of the edge.
     """
@@ -148,7 +152,8 @@ def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
 def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
     """Returns whether a triangle counts as crossed when the ray hits it exactly on an edge or a corner.
 
-    A count of crossings would otherwise include both triangles at the edge, or all around the corner.
+    Without this rule, a count of crossings would include both triangles at the edge, or all triangles around the
+    corner.
     """
     flat_a = flat_corner(v0, origin, shear)
     flat_b = flat_corner(v1, origin, shear)
@@ -166,9 +171,9 @@ BACK = wp.constant(wp.float32(RAY_START_BACK))
 
 @wp.func
 def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> wp.vec2:
-    """Returns the distances at which a ray's line enters and leaves a box.
+    """Returns the distances at which the infinite line of a ray enters and leaves a box.
 
-    ``inverse`` holds the reciprocals of the direction's components, finite.
+    ``inverse`` holds the reciprocals of the direction's components, limited to finite values.
     """
     a = wp.cw_mul(low - origin, inverse)
     b = wp.cw_mul(high - origin, inverse)
@@ -177,9 +182,10 @@ def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> 
 
 @wp.func
 def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
-    """Transforms a ray to object space, starting at ``t_min`` or shortly before it enters the instance's box.
+    """Transforms a ray to the object space of a mesh instance.
 
-    So close to the box, rounding errors are relative to its size instead of the distance.
+    The ray starts at ``t_min`` or shortly before ``entry``, the distance at which it enters the instance's box. So
+    close to the box, rounding errors are relative to the size of the box instead of the distance from the ray's origin.
     """
     ray = MeshRay()
     ray.begin = wp.max(entry - BACK * wp.abs(entry), t_min)
@@ -243,7 +249,7 @@ def walk_instance(
     scene: MeshBvh,
     nearest: wp.ref[MeshHit],
 ):
-    """Finds the nearest triangle of instance ``number``, using the stack above ``top``."""
+    """Finds the nearest triangle of instance ``number`` by traversing its BVH; uses the stack entries above ``top``."""
     span = box_span(origin, inverse_or_large(direction), scene.instances[number].low, scene.instances[number].high)
     if not (span[0] <= span[1] and span[1] > t_min and span[0] <= nearest.t):
         return
@@ -275,7 +281,7 @@ def nearest_triangle(
     sample_key: wp.uint32,
     scene: MeshBvh,
 ) -> MeshHit:
-    """Returns the nearest triangle between two distances; without a hit, its distance is ``t_max``."""
+    """Returns the nearest triangle hit between ``t_min`` and ``t_max`` on a ray; t is ``t_max`` without a hit."""
     nearest = MeshHit()
     nearest.t = t_max
     nearest.face = -1

@@ -41,7 +41,7 @@ def texel_alpha(texels: wp.array[wp.uint32], index: int) -> float:
 
 @wp.func
 def wrapped(x: float, mode: int) -> float:
-    """Wraps a coordinate into the texture, 0..1."""
+    """Wraps a texture coordinate to 0..1 by a wrap mode."""
     if mode == WRAP_REPEAT:
         return x - wp.floor(x)
     if mode == WRAP_CLAMP:
@@ -128,7 +128,7 @@ def hit_uv(meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec2:
 
 @wp.func
 def surface_color(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec3:
-    """Returns the linear base colour at barycentric ``weights`` of a triangle with those vertices."""
+    """Returns the linear base colour at barycentric ``weights`` of the triangle with the vertex indices ``corners``."""
     color = wp.cw_mul(
         instance.base_color,
         weights[0] * meshes.colors[corners[0]]
@@ -143,7 +143,7 @@ def surface_color(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
 
 @wp.func
 def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> float:
-    """Returns the coverage of the surface, 0..1; masks give 0 or 1."""
+    """Returns the alpha of the surface at barycentric ``weights``, 0..1; an alpha mask gives 0 or 1."""
     if instance.alpha.mode == ALPHA_OPAQUE:
         return 1.0
     alpha = instance.alpha.factor
@@ -204,7 +204,7 @@ SHEEN_MIN = wp.constant(wp.float32(SHEEN_ROUGHNESS_MIN))
 
 @struct
 class Layers:
-    """Transmission and layers at a surface point."""
+    """Transmission, clearcoat and sheen at a surface point."""
 
     transmission: float
     coat: float
@@ -224,7 +224,7 @@ def factor(meshes: MeshData, texture: TextureData, uv: wp.vec2, channel: int) ->
 
 @wp.func
 def curve_at(curves: wp.array[wp.vec4], roughness: float) -> wp.vec4:
-    """Interpolates the sheen albedo curve for a roughness in a table that is denser at low roughness."""
+    """Interpolates sheen albedo coefficients for a roughness, in a table that is denser at low roughness."""
     last = curves.shape[0] - 1
     position = wp.sqrt((roughness - SHEEN_MIN) / (1.0 - SHEEN_MIN)) * float(last)
     k = wp.min(int(position), last - 1)
@@ -233,7 +233,7 @@ def curve_at(curves: wp.array[wp.vec4], roughness: float) -> wp.vec4:
 
 @wp.func
 def layers_at(varied: int, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> Layers:
-    """Evaluates element ``varied`` of the textured layers at barycentric ``weights`` of a triangle."""
+    """Evaluates transmission, clearcoat and sheen of ``meshes.varied[varied]`` at barycentric ``weights`` of a face."""
     uv = hit_uv(meshes, corners, weights)
     material = meshes.varied[varied]
     layers = Layers()
@@ -258,7 +258,7 @@ def layers_at(varied: int, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3
 
 @wp.func
 def with_layers(bsdf: Bsdf, layers: Layers) -> Bsdf:
-    """Returns a BSDF with the layers of a point."""
+    """Returns a BSDF with the clearcoat and sheen of ``layers``."""
     layered = bsdf
     layered.coat = layers.coat
     layered.coat_alpha = layers.coat_alpha

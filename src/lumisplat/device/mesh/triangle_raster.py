@@ -15,7 +15,7 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
 @wp.func
 def comes_first(a: wp.vec3, b: wp.vec3) -> bool:
-    """Returns whether a point precedes another in lexicographic order."""
+    """Returns whether point ``a`` precedes point ``b`` in lexicographic order."""
     if a[0] != b[0]:
         return a[0] < b[0]
     if a[1] != b[1]:
@@ -25,10 +25,11 @@ def comes_first(a: wp.vec3, b: wp.vec3) -> bool:
 
 @wp.func
 def edge_function(a: wp.vec3, b: wp.vec3) -> wp.vec3:
-    """Returns the cross product of two corners, accurate to their difference.
+    """Returns the cross product of two corners, accurate to the difference of the corners.
 
-    ``cross(a, b)`` itself cancels for corners that are close to each other and far from the eye. The same end comes
-    first for both triangles of an edge, so that their edge functions are exact negatives.
+    ``cross(a, b)`` computed directly would cancel for corners that are close to each other and far from the eye. Both
+    triangles of an edge start from the corner that is first in lexicographic order, so that their edge functions are
+    exact negatives of each other.
     """
     if comes_first(a, b):
         return wp.cross(a, b - a)
@@ -76,9 +77,9 @@ def project_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
 
 @wp.func
 def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec4:
-    """Extends a pixel box (x0, y0, x1, y1) by corner ``a`` and its edge to ``b``.
+    """Extends a pixel box (x0, y0, x1, y1) by corner ``a`` of a triangle and its edge from ``a`` to ``b``.
 
-    Of the edge, the point where it crosses the near plane counts.
+    If the edge crosses the near plane, the box is extended by the crossing point.
     """
     if a[2] >= camera.near:
         p = project_point(camera, a)

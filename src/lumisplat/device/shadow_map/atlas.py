@@ -80,7 +80,7 @@ def sign_of(value: float) -> float:
 
 @wp.func
 def octahedral_from_direction(direction: wp.vec3) -> wp.vec2:
-    """Maps a direction to the octahedral map, -1..1 each (docs/method/deep_shadow_maps.md#octahedral)."""
+    """Maps a direction to octahedral coordinates, -1..1 each (docs/method/deep_shadow_maps.md#octahedral)."""
     q = direction / (wp.abs(direction[0]) + wp.abs(direction[1]) + wp.abs(direction[2]))
     if q[2] >= 0.0:
         return wp.vec2(q[0], q[1])
@@ -128,7 +128,10 @@ def unit_from_texels(atlas: Atlas, x: float, y: float) -> wp.vec2:
 
 @wp.func
 def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
-    """Returns the atlas position of a direction, of any length, for a point light; its distance is 0."""
+    """Returns the atlas coordinates of a direction from a point light; the point's distance is set to 0.
+
+    The direction may have any length.
+    """
     position = AtlasPoint()
     if atlas.layout == OCTAHEDRAL:
         at = texels_from_unit(atlas, octahedral_from_direction(direction))
@@ -149,7 +152,10 @@ def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
 
 @wp.func
 def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
-    """Returns the atlas position of a world-space point; the light itself is at distance 0 in any direction."""
+    """Returns the atlas coordinates of a world-space point.
+
+    At the light's own position, the distance is 0 and the direction arbitrary.
+    """
     offset = point - atlas.origin
     if atlas.layout == PARALLEL:
         local = wp.transpose(atlas.axes) * offset
@@ -168,7 +174,7 @@ def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
 
 @wp.func
 def ray_through(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
-    """Returns the light ray through a position of a face, in texels."""
+    """Returns the ray from the light through a position of an atlas face, given in texels."""
     ray = LightRay()
     if atlas.layout == PARALLEL:
         ray.origin = atlas.origin + atlas.axes * wp.vec3(

@@ -9,7 +9,9 @@ from lumisplat.device.shadow_map.optical_depth import Casters, reach_squared_of
 from lumisplat.device.structs import struct
 
 SHADOW_BOUND_STEP = 4
-"""Texels between the points that bound a tile; atlas edges fold at multiples of it, as sizes are multiples of 8."""
+"""Distance in texels between the points on a tile's edges from which the tile's cone is computed.
+
+The edges of the atlas fold at multiples of this distance, because the sizes of atlases are multiples of 8."""
 
 
 @struct
@@ -21,24 +23,25 @@ class Footprint:
     """
 
     extent: int
-    """NOTHING: no part. SOMETHING: the rectangle below. EVERYTHING: the whole atlas."""
+    """NOTHING: the whole optical depth is negligible. SOMETHING: the rectangle from ``low`` to ``high``. EVERYTHING:
+    the whole atlas."""
     direction: wp.vec3
-    """Direction from the light, unit."""
+    """Unit direction from the light to the occluder."""
     cosine: float
-    """Cosine of the half angle of the circular cone around the caster."""
+    """Cosine of the half angle of the circular cone around the occluder."""
     sine: float
     first: wp.vec3
     """First axis of the plane: the longer axis of the occluder's shadow."""
     second: wp.vec3
     low: wp.vec2
-    """Lower bounds along the two axes."""
+    """Lower bounds of the rectangle along the plane's two axes."""
     high: wp.vec2
-    """Upper bounds along the two axes."""
+    """Upper bounds of the rectangle along the plane's two axes."""
 
 
 @struct
 class Cell:
-    """A square of texels and a bound of the rays through it: a cone, or for parallel light a cylinder."""
+    """A square of texels with a bounding cone of the rays through it; for parallel light, a bounding cylinder."""
 
     axis: wp.vec3
     """Unit axis of the cone; for parallel light, the centre of the square relative to the light's origin."""
@@ -47,7 +50,7 @@ class Cell:
     sine: float
     """Sine of the cone's half angle; for parallel light, the cylinder's radius, scene units."""
     parent: int
-    """Index of the list, among those given for culling, whose casters may intersect this cell."""
+    """Index of the list of casters that culling tests against this cell."""
 
 
 @struct
@@ -55,7 +58,7 @@ class CasterLists:
     """Lists of casters, stored one after another."""
 
     ends: wp.array[int]
-    """End of each list, which is the begin of the next one."""
+    """End of each list in ``items``, which is the start of the next list."""
     items: wp.array[int]
     """Indices of casters, ascending in each list."""
 
@@ -67,9 +70,9 @@ MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 @wp.func
 def longer_axis(ellipsoid: wp.mat33, direction: wp.vec3) -> wp.vec3:
-    """Returns the unit longer axis of an ellipsoid's shadow across a direction.
+    """Returns the unit vector along the longer axis of an ellipsoid's shadow in the plane across a direction.
 
-    ``ellipsoid`` has the semi-axes as columns.
+    The columns of ``ellipsoid`` are the semi-axes.
     """
     u = around(direction, 0.0, 1.0, 0.0)
     v = wp.cross(direction, u)
@@ -81,10 +84,11 @@ def longer_axis(ellipsoid: wp.mat33, direction: wp.vec3) -> wp.vec3:
 
 @wp.func
 def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> Footprint:
-    """Returns the footprint of caster ``i``: the ellipsoid outside which its depth is negligible, seen from the light.
+    """Returns the footprint of caster ``i``: the ellipsoid beyond which it casts no shadow, seen from the light.
 
-    The rectangle lies along the axes of the covariance across the light, and bounds the ellipsoid's perspective image
-    exactly, by its dual quadric (docs/method/deep_shadow_maps.md#footprint).
+    Beyond the ellipsoid, the caster's optical depth is negligible. The rectangle of the footprint lies along the axes
+    of the covariance across the light, and bounds the ellipsoid's perspective image exactly, by its dual quadric
+    (docs/method/deep_shadow_maps.md#footprint).
     """
     footprint = Footprint()
     scale = casters.scales[i]
@@ -132,7 +136,7 @@ def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> F
 
 @wp.func
 def perimeter_point(k: int, side: int) -> wp.vec2:
-    """Returns point ``k`` on the perimeter of a square of ``side`` texels; points are ``STEP`` apart."""
+    """Returns point ``k`` on the perimeter of a square of ``side`` texels; the points are ``STEP`` texels apart."""
     steps = side // STEP
     along = float((k % steps) * STEP)
     edge = k // steps
@@ -147,10 +151,10 @@ def perimeter_point(k: int, side: int) -> wp.vec2:
 
 @wp.func
 def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell:
-    """Returns the cell of a square of ``side`` texels, bounded by points on its edges.
+    """Returns the cell of a square of ``side`` texels, with the cone or cylinder that bounds points on its edges.
 
-    Between two points of an edge that does not fold lies a great circle, which is nearer to the cone's axis than one of
-    the points.
+    Between two points of an edge that does not fold lies a great circle, all of which is nearer to the cone's axis than
+    one of the two points. The cone therefore bounds the whole edge.
 
     ``corner`` has face, x and y of the first texel; ``side`` is a multiple of ``STEP``.
     """
@@ -180,11 +184,11 @@ def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell
 
 @wp.func
 def overlaps(axis_cosine: float, forward: float, sine: float, low: float, high: float) -> bool:
-    """Returns whether a cone's image in the plane at distance 1 lies between two lines across one of the plane's axes.
+    """Returns whether a cone's image in the plane at distance 1 overlaps the strip between two lines of the plane.
 
-    ``axis_cosine`` is the cosine of the cone's axis with that plane axis, ``forward`` with the plane's normal.
-    ``forward`` is above ``sine``, the sine of the cone's half angle; ``low`` and ``high`` are the coordinates of the
-    lines.
+    The lines are orthogonal to one axis of the plane, with coordinates ``low`` and ``high`` along it. ``axis_cosine``
+    is the cosine of the angle between the cone's axis and that axis of the plane, ``forward`` the cosine of the angle
+    between the cone's axis and the plane's normal. ``forward`` exceeds ``sine``, the sine of the cone's half angle.
     """
     behind = forward * forward - sine * sine
     middle = axis_cosine * forward / behind
@@ -194,7 +198,10 @@ def overlaps(axis_cosine: float, forward: float, sine: float, low: float, high: 
 
 @wp.func
 def may_intersect(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
-    """Returns whether rays through a cell may have more than negligible depth in a caster; conservative."""
+    """Returns whether rays through a cell may have more than negligible optical depth in the caster of a footprint.
+
+    The test is conservative: it never returns False for such a ray.
+    """
     if footprint.extent != SOMETHING:
         return footprint.extent == EVERYTHING
     forward = wp.dot(cell.axis, footprint.direction)
@@ -225,7 +232,7 @@ def list_begin(lists: CasterLists, i: int) -> int:
 
 @wp.func
 def part_of_list(lists: CasterLists, i: int, part: int, parts: int):
-    """Returns begin and end of a part of list ``i``."""
+    """Returns begin and end of part number ``part`` of list ``i``, which is divided into ``parts`` equal parts."""
     begin = list_begin(lists, i)
     end = lists.ends[i]
     size = (end - begin + parts - 1) // parts

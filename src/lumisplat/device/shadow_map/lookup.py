@@ -10,12 +10,15 @@ from lumisplat.device.shadow_map.atlas import EVERYTHING, NOTHING, PARALLEL, Atl
 from lumisplat.device.structs import struct
 
 SHADOW_TEXEL_ANGLE = 12.0
-"""Angle, radians times texels across a face, within which lookups read their texels.
+"""Largest angle between a sample's direction and the texels that its lookup reads, times the texels across a face;
+radians.
 
-Octahedral maps stretch up to 3 radians over a unit of two, and a lookup reads a texel's diagonal away."""
+A lookup reads texels up to one texel diagonal away. A texel is 2 / size wide in octahedral coordinates, which stretch
+to at most 3 radians per unit."""
 
 SHADOW_STENCIL_WEIGHT = 0.6065306597126334
-"""Weight of the stencil's outer points, at one standard deviation, relative to the centre: exp(-1/2)."""
+"""Weight of the stencil's outer points relative to its centre: exp(-1/2), because they lie at one standard deviation.
+"""
 
 CENTER: int = wp.constant(0)
 
@@ -37,10 +40,11 @@ class Receivers:
 
 @struct
 class ShadowBound:
-    """Cone from the light, or cylinder for parallel light, around everything that casters can darken."""
+    """Cone from the light, or cylinder for parallel light, around all points that casters can darken."""
 
     extent: int
-    """NOTHING: no shadow. SOMETHING: within the bound below. EVERYTHING: unbounded."""
+    """NOTHING: no point is shadowed. SOMETHING: only points in the cone or cylinder are. EVERYTHING: any point may be.
+    """
     axis: wp.vec3
     """Unit axis of the cone; for the cylinder, a point on its axis relative to the atlas's origin."""
     radius: float
@@ -49,12 +53,12 @@ class ShadowBound:
 
 @struct
 class FootprintSampling:
-    """Pattern of points in a receiver's footprint at which the map is sampled."""
+    """Pattern of sample points within a receiver's extent at which the shadow map is read."""
 
     pattern: int
     """CENTER, STENCIL or RANDOM."""
     count: int
-    """Points for each receiver."""
+    """Number of sample points for each receiver."""
     seed: wp.uint32
 
 
@@ -73,13 +77,13 @@ ERF_ARGUMENT_MAX = wp.constant(wp.float32(1.0 - 2.0**-23))
 
 @wp.func
 def normal_from_unit(u: float) -> float:
-    """Returns the standard normal quantile of ``u``, 0..1."""
+    """Returns the quantile of the standard normal distribution for a probability ``u``, 0..1."""
     return SQRT_2 * wp.erfinv(wp.clamp(2.0 * u - 1.0, -ERF_ARGUMENT_MAX, ERF_ARGUMENT_MAX))
 
 
 @wp.func
 def sample_offset(sampling: FootprintSampling, receiver: int, sample: int) -> wp.vec3:
-    """Returns a sample's offset from its receiver's mean, in standard deviations along the axes."""
+    """Returns a sample's offset from its receiver's mean, in standard deviations along the receiver's axes."""
     offset = wp.vec3(0.0)
     if sampling.pattern == STENCIL and sample > 0:
         offset[(sample - 1) // 2] = wp.where(sample % 2 == 1, 1.0, -1.0)
@@ -101,7 +105,7 @@ def sample_weight(sampling: FootprintSampling, sample: int) -> float:
 
 @wp.func
 def sample_point(receivers: Receivers, sampling: FootprintSampling, receiver: int, sample: int) -> wp.vec3:
-    """Returns a sample's world-space position: x = mu + R (s * z)."""
+    """Returns a sample's world-space position: the receiver's mean plus its scaled and rotated ``sample_offset``."""
     mean = receivers.means[receiver]
     if sampling.pattern == CENTER:
         return mean
@@ -111,7 +115,7 @@ def sample_point(receivers: Receivers, sampling: FootprintSampling, receiver: in
 
 @wp.func
 def may_be_shadowed(atlas: Atlas, bound: ShadowBound, receivers: Receivers, receiver: int) -> bool:
-    """Returns whether a receiver's samples may read a texel that casters reach.
+    """Returns whether the samples of a receiver may read a texel that casters reach.
 
     The test is cheap and rejects most receivers.
     """

@@ -13,9 +13,9 @@ from lumisplat.device.shadow_map.atlas import PARALLEL, TILE_TEXELS, Atlas, Ligh
 from lumisplat.device.structs import struct
 
 SHADOW_DEPTH_MIN = 1e-6
-"""Optical depth of a whole Gaussian along a ray below which culling ignores it.
+"""Largest optical depth of a whole Gaussian along a ray that culling ignores.
 
-A thousand such tails change the transmittance by 0.001."""
+A thousand ignored Gaussians change the transmittance by 0.001."""
 
 SHADOW_ERF_MAX = 4.0
 """Argument from which the error function counts as one: erfc(4) is 1.5e-8, below float32's last digit."""
@@ -42,7 +42,7 @@ class Occluder:
     canonical_from_world: wp.mat33
     """Inverse of rotation times scale; the precision A is its transpose times itself."""
     absorption: float
-    """Amplitude beta, per scene unit; 0: no absorption."""
+    """Absorption at the mean (amplitude beta), per scene unit; 0: the caster absorbs nothing."""
     radius2: float
     """Squared distance from the mean beyond which the optical depth is negligible, scene units."""
 
@@ -52,33 +52,33 @@ class DepthProfile:
     """Optical depth of one occluder along a ray: an error function of the distance."""
 
     total: float
-    """Optical depth of the whole line."""
+    """Optical depth along the whole line of the ray, in both directions."""
     peak: float
-    """Distance along the ray of the strongest absorption, scene units; negative: behind the light."""
+    """Distance along the ray at which absorption is strongest, scene units; negative: behind the light."""
     sharpness: float
     """sqrt(a / 2) of docs/method/deep_shadow_maps.md#optical-depth, per scene unit."""
 
 
 @struct
 class Column:
-    """Tabulated bins of a texel."""
+    """Range of distance bins of a texel for which the table stores transmittances."""
 
     first: int
-    """Index of the first bin."""
+    """Index of the first stored bin."""
     count: int
-    """Number of bins; 0: the texel is lit at all distances."""
+    """Number of stored bins; 0: the texel is lit at all distances."""
     offset: int
-    """Position of the first bin in the table."""
+    """Position of the first stored bin in ``Table.values``."""
 
 
 @struct
 class Table:
-    """Tabulated transmittances of an atlas."""
+    """Transmittances of an atlas by texel and distance bin."""
 
     slots: wp.array[int]
-    """Slot of each tile of the atlas; -1: the tile is fully lit and has no columns."""
+    """Position of each atlas tile's columns in ``columns``, in tiles; -1: the tile is fully lit and has no columns."""
     columns: wp.array[Column]
-    """Columns of the texels, consecutive for each slot."""
+    """Columns of the texels, one tile after another."""
     values: wp.array[float]
     """Transmittances of each column, bin by bin."""
 
@@ -100,11 +100,11 @@ SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
 
 @wp.func
 def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3) -> float:
-    """Returns amplitude beta for an opacity.
+    """Returns the absorption at a Gaussian's mean (amplitude beta), per scene unit, that corresponds to its opacity.
 
-    AVERAGE uses the precision matrix A (docs/method/deep_shadow_maps.md#absorption).
-
-    MASS also covers Mir et al.'s ``diag``: the root of the covariance's determinant is the product of the scales.
+    Mapping AVERAGE gives the opacity to the mean over directions, by the precision matrix
+    (docs/method/deep_shadow_maps.md#absorption). Mapping MASS divides by the volume, as Mir et al.'s ``diag`` does: the
+    product of the scales is the root of the covariance's determinant.
     """
     depth = -strength * wp.log(1.0 - wp.min(opacity, OPACITY_MAX))
     if mapping == AVERAGE:
@@ -117,9 +117,9 @@ def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3)
 
 @wp.func
 def reach_squared_of(absorption: float, scale: wp.vec3) -> float:
-    """Returns the squared canonical distance of a line from the mean beyond which its optical depth is negligible.
+    """Returns the squared canonical distance from the mean at which a line's optical depth becomes negligible.
 
-    The distance holds for lines of any direction. It is negative where the depth is always negligible.
+    The distance holds for lines of any direction. It is negative if the optical depth is negligible on every line.
     """
     if absorption <= 0.0:
         return -1.0
@@ -141,7 +141,10 @@ def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: 
 
 @wp.func
 def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
-    """Returns whether a ray passes close enough to an occluder: a cheap test that rejects most rays of a tile."""
+    """Returns whether a ray passes close enough to an occluder to be darkened.
+
+    The test is cheap and rejects most rays of a tile.
+    """
     to_mean = occluder.offset - (ray.origin - light)
     nearest = wp.dot(to_mean, ray.direction)
     across = to_mean - nearest * ray.direction
@@ -172,7 +175,7 @@ def depth_profile(occluder: Occluder, ray: LightRay, light: wp.vec3) -> DepthPro
 
 @wp.func
 def erf_between(low: float, high: float) -> float:
-    """Returns erf(high) - erf(low), for low <= high, with full precision also if both are near one."""
+    """Returns erf(high) - erf(low), for low <= high, with full precision even if both values are near one."""
     if low > 0.0:
         return wp.erfc(low) - wp.erfc(high)
     if high < 0.0:
@@ -182,9 +185,9 @@ def erf_between(low: float, high: float) -> float:
 
 @wp.func
 def depth_until(profile: DepthProfile, start: float, distance: float) -> float:
-    """Returns the optical depth from ``start``, the argument of the error function where light starts, to a distance.
+    """Returns the optical depth of an occluder from the start of the light to a distance.
 
-    Source: docs/method/deep_shadow_maps.md#optical-depth.
+    ``start`` is the argument of the error function at the start (docs/method/deep_shadow_maps.md#optical-depth).
     """
     end = profile.sharpness * (distance - profile.peak)
     if start <= -ERF_MAX and end >= ERF_MAX:
@@ -194,7 +197,7 @@ def depth_until(profile: DepthProfile, start: float, distance: float) -> float:
 
 @wp.func
 def start_of(atlas: Atlas, profile: DepthProfile) -> float:
-    """Returns the argument of the error function at which light starts; parallel light starts infinitely far away."""
+    """Returns the error function's argument at the start of the light; parallel light starts infinitely far away."""
     if atlas.layout == PARALLEL:
         return -ERF_MAX
     return -profile.sharpness * profile.peak
@@ -211,7 +214,7 @@ def bin_below(atlas: Atlas, distance: float) -> float:
 
 @wp.func
 def column_number(table: Table, texel: int) -> int:
-    """Returns the index of a texel's column; -1: none."""
+    """Returns the index of a texel's column in ``Table.columns``; -1: the tile is fully lit and has no columns."""
     if texel < 0:
         return -1
     slot = table.slots[texel // TILE_TEXELS]
@@ -220,7 +223,7 @@ def column_number(table: Table, texel: int) -> int:
 
 @wp.func
 def add_depths(atlas: Atlas, table: Table, column: Column, profile: DepthProfile):
-    """Adds to each bin of a column the optical depth of an occluder between this bin and the previous one.
+    """Adds an occluder's optical depth to a column: to each bin, the depth between this bin and the previous one.
 
     Bins behind the occluder gain nothing and are skipped.
     """
@@ -242,9 +245,8 @@ def add_depths(atlas: Atlas, table: Table, column: Column, profile: DepthProfile
 def loss_in(table: Table, column: int, number: int) -> float:
     """Returns the fraction of light lost at the centre of bin ``number`` of a column.
 
-    The loss is 0 before the first bin and without a column.
-
-    Behind the last bin, its value is returned: lost light does not come back.
+    The loss is 0 before the first stored bin and for ``column`` -1. Behind the last stored bin, it is that of the last
+    bin, because lost light does not come back.
     """
     if column < 0 or table.columns[column].count == 0 or number < table.columns[column].first:
         return 0.0

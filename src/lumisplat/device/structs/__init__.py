@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     Struct = TypeVar("Struct")
 
     def struct(struct_type: type[Struct]) -> type[Struct]:
-        """Keeps the class as it is for type checkers, because host code uses the struct as a plain class."""
+        """Declares a Warp struct; type checkers see the class itself, because host code uses it as a normal class."""
         return struct_type
 else:
     struct = wp.struct

@@ -30,7 +30,7 @@ class Particle:
     """Mean in object space."""
     log_opacity: float
     reach2: float
-    """Squared canonical distance beyond which rays ignore the Gaussian; negative: rays always ignore it."""
+    """Squared canonical distance beyond which rays ignore the Gaussian; negative: rays ignore it at any distance."""
     index: int
     """Index of the Gaussian in its asset."""
     largest_scale: float
@@ -56,7 +56,7 @@ class Node:
     high_y: Children
     high_z: Children
     link: ChildLinks
-    """Index of each child node, or ~index of a leaf item in BVH order.
+    """Index of each child node or, for a leaf, ~index of its Gaussian, triangle or instance in BVH order.
 
     An empty child has the link NO_CHILD and an inverted box."""
 
@@ -68,7 +68,9 @@ HIT_HULL: int = wp.constant(1)
 """The hit distance is where the ray enters the bounding ellipsoid of the Gaussian."""
 
 HIT_MEAN: int = wp.constant(2)
-"""Hits are ordered by the projection of the mean onto the ray; their surface lies where the Gaussian responds most."""
+"""Hits are ordered by the projection of the Gaussian's mean onto the ray.
+
+The surface of a hit lies where the Gaussian responds most along the ray."""
 
 
 @struct
@@ -108,7 +110,7 @@ class MeshBvh:
     """The two-level BVH of all mesh instances: the leaves of the top-level tree refer to trees of triangles."""
 
     tlas_nodes: wp.array[Node]
-    """Nodes of the top-level tree over the instances, the root first."""
+    """Nodes of the top-level tree over the mesh instances, the root first."""
     tlas_order: wp.array[int]
     """Index of the mesh instance at each leaf of the top-level tree."""
     assets: wp.array[TriangleBvh]
@@ -121,15 +123,15 @@ class SceneBvh:
     """The two-level BVH of all splat instances: the leaves of the top-level tree refer to the BVHs of their assets."""
 
     tlas_nodes: wp.array[Node]
-    """Nodes of the top-level tree over the instances, the root first."""
+    """Nodes of the top-level tree over the splat instances, the root first."""
     instances: wp.array[SplatInstanceData]
     assets: wp.array[AssetBvh]
     packet_radius: float
     """Largest distance between the origins of rays that share a packet, world space."""
     footprint: float
-    """Largest footprint of any instance, in pixel widths."""
+    """Largest ``SplatInstanceData.footprint`` of all instances, in pixel widths."""
     hit_distance: int
-    """HIT_MEAN if any instance uses it, else the value that all instances share."""
+    """HIT_MEAN if any instance uses HIT_MEAN; else HIT_PEAK or HIT_HULL, which all instances then share."""
 
 
 DRAWS_NONE: int = wp.constant(0)
@@ -151,21 +153,22 @@ class ShadowData:
     draws: int
     """DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
     acceptance_scale: float
-    """Factor of the random numbers, 0..1; below 1, rays are blocked sooner."""
+    """Factor, 0..1, that the random numbers of blocking are multiplied by; below 1, more rays are blocked."""
     hit_distance: int
     """HIT_PEAK or HIT_HULL: the distance that orders the first hits."""
     transmittance_min: float
-    """Transmittance up to which a shadow is fully black."""
+    """Transmittance at or below which a shadow is fully black."""
     threshold: float
-    """Transmittance up to which a shadow is black; larger transmittances are rescaled to 0..1."""
+    """Transmittance at or below which a shadow is black; transmittances above it are rescaled to 0..1."""
     color_strength: float
     offset: float
-    """Distance, in scales of a Gaussian, within which the Gaussian casts no shadow on a surface of Gaussians."""
+    """Distance from a surface of Gaussians, in multiples of a Gaussian's largest scale, within which the Gaussian does
+    not shadow that surface."""
     offset_absolute: float
-    """Distance added to ``offset``, scene units."""
+    """Distance in scene units, added to ``offset`` times the largest scale."""
     seed: wp.uint32
     sample: int
-    """Index of the sample, which selects the random numbers that rays share."""
+    """Index of the sample, which selects the random numbers that all shadow rays of the sample share."""
 
 
 STRATEGY_SORTED: int = wp.constant(0)
@@ -186,18 +189,19 @@ class TraceData:
     hit_buffer_size: int
     """Number of nearest hits that a ray stores, sorted, while it traverses the BVH (the k of a k-buffer)."""
     ellipsoid_normal: int
-    """1: use the normal of the bounding ellipsoid where the ray enters it."""
+    """1: the normal of a hit is that of the Gaussian's bounding ellipsoid where the ray enters the ellipsoid."""
     transmittance_min: float
     depth_iso_transmittance: float
     acceptance_scale: float
     sh_degree: int
     """Highest SH degree that is evaluated."""
     offset: float
-    """Distance, in largest scales of a Gaussian, beyond which it counts even before the ray's ``t_min``.
+    """Distance along the ray, in multiples of a Gaussian's largest scale, from which the Gaussian counts even before
+    ``t_min``.
 
-    With FAR, it never counts before ``t_min``."""
+    With FAR, no Gaussian counts before ``t_min``, the start of the ray."""
     offset_absolute: float
-    """Distance added to ``offset``, scene units."""
+    """Distance in scene units, added to ``offset`` times the largest scale."""
 
 
 # --- Packets: coherent rays, their bounds, traversal stacks and hit lists ---
@@ -207,18 +211,19 @@ class TraceData:
 class Slabs:
     """Bounding volume of a packet of rays, prepared for slab tests against boxes.
 
-    Each axis has two planes, up and down. For a box plane at distance b, a plane of the packet bounds t by
-    ``b * factor + term``: from above (far) where the packet leaves the slab, from below (near) where it enters. A plane
-    without such a bound has factor 0 and a term (``void``) of FAR or -FAR.
+    Along each axis, one plane bounds the packet from above and one from below. A box plane at coordinate b limits the
+    ray distance t to ``b * factor + term``: a far limit where the packet leaves the box, a near limit where it enters.
+    A plane that sets no such limit has factor 0 and a term (``void``) of FAR or -FAR.
     """
 
     low: wp.vec3
     """Lower corner of a box around the ray origins, widened by the footprints of the rays."""
     high: wp.vec3
     slow: wp.vec3
-    """Smallest components of the ray directions over their squared length; used to project means onto the rays."""
+    """Smallest component of the ray directions along each axis, over their squared length; projects means onto the
+    rays."""
     fast: wp.vec3
-    """Largest components of the ray directions over their squared length."""
+    """Largest component of the ray directions along each axis, over their squared length."""
     up_far: wp.vec3
     up_far_void: wp.vec3
     up_near: wp.vec3
@@ -234,7 +239,7 @@ class PacketRays:
     """The rays of a packet, one lane for each ray; local arrays of a kernel."""
 
     origin: wp.array(dtype=float, ndim=2)
-    """Origins in the space of the current tree; rows x, y, z, one column for each lane."""
+    """Ray origins in the space of the current tree; rows x, y and z, one column for each lane."""
     direction: wp.array(dtype=float, ndim=2)
     t_min: wp.array[float]
     limit: wp.array[float]
@@ -247,7 +252,7 @@ class PacketRays:
     """Standard deviation by which the ray widens Gaussians, divided by the path length, in the space of the current
     tree."""
     t_max: wp.array[float]
-    """Distance up to which Gaussians of the current tree count; -FAR: none counts."""
+    """Distance up to which Gaussians of the current tree count on the ray; -FAR: no Gaussian counts."""
     group: int
     """Bit mask of the CUDA threads that traverse in step with this one; 0: none."""
 
@@ -257,11 +262,11 @@ class PacketTree:
     """The tree of the scene's BVH that a packet currently traverses."""
 
     number: int
-    """Index of the instance whose tree it is, or WORLD."""
+    """Index of the instance that the tree belongs to, or WORLD for the top-level tree."""
     instance: SplatInstanceData
-    """The instance itself; undefined for WORLD."""
+    """Data of instance ``number``; undefined if ``number`` is WORLD."""
     slabs: Slabs
-    """Bound of the packet's rays in the space of the tree."""
+    """Bounding volume of the packet's rays in the space of the tree."""
 
 
 @struct
@@ -285,12 +290,12 @@ class TreeRay:
     origin: wp.vec3
     direction: wp.vec3
     inverse: wp.vec3
-    """Reciprocals of the direction's components, finite."""
+    """Reciprocals of the direction's components, limited to finite values."""
     footprint: float
     """Standard deviation by which the ray widens Gaussians, divided by the path length."""
     path_length: float
     slabs: Slabs
-    """Bound of the ray; set if the ray has a footprint, or hits are ordered by means."""
+    """Bounding volume of the ray; set only if the ray has a footprint or hits are ordered by means."""
 
 
 @struct
@@ -300,7 +305,7 @@ class WaitingLink:
     entry: float
     """Distance at which the ray enters the child's box."""
     link: int
-    """Child node or ~leaf item, as in ``Node.link``."""
+    """Index of the child node, or ~index of the leaf's item, as in ``Node.link``."""
 
 
 @struct
@@ -319,8 +324,8 @@ class HitList:
     """Sorted hits of one ray, stored in the ray's range of a shared array of Hit."""
 
     begin: int
-    """First slot of the ray."""
+    """First slot of the ray's range."""
     head: int
     """Slot of the first stored hit; earlier slots hold hits that were already blended."""
     tail: int
-    """Slot after the last hit."""
+    """Slot after the last stored hit."""

@@ -9,11 +9,11 @@ from lumisplat.device.structs import struct
 class CameraData:
     """Camera parameters for one sample of each pixel.
 
-    They live in a 1-element array, so that captured CUDA graphs read changes.
+    The parameters live in a 1-element array, so that a replayed CUDA graph reads their current values.
     """
 
     world_from_camera: wp.mat33
-    """Rotation; with a rolling shutter, the rotation at the start of the first row."""
+    """Rotation from camera to world axes; with a rolling shutter, the rotation at the start of the first row."""
     eye: wp.vec3
     """Centre of projection, world space; with a rolling shutter, its position at the start of the first row."""
     model: int
@@ -27,9 +27,11 @@ class CameraData:
     raster_center: wp.vec2
     """Principal point plus 0.5 minus ``offset``: makes the rasteriser's pixel centres coincide with the samples."""
     jacobian_min: wp.vec2
-    """Smallest x/z and y/z at which the projection is linearised."""
+    """Smallest x/z and y/z at which the projection's Jacobian is evaluated; Gaussians farther out use the Jacobian
+    there."""
     jacobian_max: wp.vec2
-    """Largest x/z and y/z at which the projection is linearised."""
+    """Largest x/z and y/z at which the projection's Jacobian is evaluated; Gaussians farther out use the Jacobian
+    there."""
     width: int
     """Width of the rendered window (or of the full frame, without a window), pixels."""
     height: int
@@ -55,15 +57,15 @@ class CameraData:
     tangential: wp.vec2
     """Tangential distortion coefficients p1 and p2."""
     distortion_reach: float
-    """Undistorted radius up to which the distortion is one-to-one."""
+    """Undistorted radius up to which the lens distortion is one-to-one."""
     shutter: int
     """1: rolling shutter; the pose changes from row to row by the rotation and translation below."""
     rotation_axis: wp.vec3
     """Axis of the camera's rotation while the rows are exposed, world space, unit."""
     rotation_angle: float
-    """Rotation angle at the end of the last row, radians."""
+    """Angle by which the camera has rotated at the end of the last row, radians."""
     motion: wp.vec3
-    """Translation of the eye until the end of the last row, world space."""
+    """Translation of the eye from the start of the first row to the end of the last row, world space."""
 
 
 @struct
@@ -71,7 +73,9 @@ class SampleData:
     """The current sample of each pixel, in a 1-element array."""
 
     index: int
-    """Index of the sample, from 0; with adaptive sampling, the index in pixels that receive every sample."""
+    """Index of the current sample, from 0.
+
+    Adaptive sampling skips pixels; the index is then that of pixels that receive every sample."""
     seed: wp.uint32
 
 
@@ -80,9 +84,9 @@ class ListedRays:
     """Rays of the pixels that adaptive sampling selects for this sample; empty arrays: the rays of all pixels."""
 
     ray: wp.array[int]
-    """Index of the ray among the rays of all pixels; -1: there is none."""
+    """Index of the ray among the rays of all pixels; -1: the element lists no ray."""
     sample: wp.array[int]
-    """Index of the sample in its pixel."""
+    """Index of the sample within its pixel."""
     offset: wp.array[wp.vec2]
     """Position of the sample in its pixel, 0..1."""
 
@@ -121,9 +125,9 @@ class LitPixels:
     """Additional images of a lit frame; the arrays are empty in an unlit frame."""
 
     captured_weight: wp.array[float]
-    """Fraction of the pixel that shows captured colour."""
+    """Fraction of the pixel's colour that is captured colour."""
     light: wp.array[wp.vec3]
-    """Linear light added to the captured colour; negative where shadows remove light."""
+    """Linear light that adds to the captured colour; negative where shadows remove light."""
     color: wp.array[wp.vec3]
     """Linear sum of captured colour and light, written after the last sample."""
 
@@ -133,10 +137,11 @@ class PixelSums:
     """Sums over the samples of each pixel, in double precision so that 100,000 samples lose no digits."""
 
     color: wp.array[wp.vec3d]
-    """Sum of ``PixelData.color``; the fields below sum the other images of `PixelData` and `LitPixels`."""
+    """Sum of ``PixelData.color``; the fields below are sums of the fields of the same name in `PixelData` and
+    `LitPixels`."""
     alpha: wp.array[wp.float64]
     captured_weight: wp.array[wp.float64]
-    """Sum of captured weights; empty in an unlit frame, as ``light``."""
+    """Sum of ``LitPixels.captured_weight``; empty in an unlit frame, like the sum ``light``."""
     light: wp.array[wp.vec3d]
     radiance: wp.array[wp.vec3d]
     """Sum of the values whose variance is measured: linear radiance, or display-referred colour in an unlit frame."""
@@ -158,28 +163,31 @@ class PixelSample:
 
 @struct
 class FilmData:
-    """The film, in a 1-element array; kernels take it by reference, for the reason given in `WaveData`."""
+    """The film: images and sums of all pixels, in a 1-element array.
+
+    Kernels take the array by reference, because by value every thread would copy the descriptors of all its arrays.
+    """
 
     width: int
     height: int
     in_blocks: int
     """1: rays are ordered in square groups of pixels, as camera rays are; 0: rays are in row order."""
     in_sequence: int
-    """1: each sample is a frame of its own, whatever its index."""
+    """1: every sample starts a new frame of a real-time sequence, even if the index of the sample is above 0."""
     first_sample: int
-    """Index of the first sample added; above 0 only in partial frames."""
+    """Index of the first sample of the frame; above 0 only in partial frames, which render a range of the samples."""
     pixels: PixelData
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
-    """Mean over samples of `RayRadiance.capture_factor`; empty if no splat set is a shadow catcher."""
+    """Mean fraction of the captured colour that remains after shadows; empty if no splat set is a shadow catcher."""
     captured_all: wp.array[wp.vec3]
     """Mean linear captured colour.
 
-    This array and the next eight are empty unless path tracing measures the light on shadow catchers."""
+    The nine arrays from here on are empty unless path tracing measures the light on shadow catchers."""
     captured_part: wp.array[wp.vec3]
     """Part of ``captured_all`` that shadow catchers contribute."""
     captured_received: wp.array[wp.vec3]
-    """Fraction of the samples that measured the irradiance fields below."""
+    """Fraction of the samples that measured the irradiance of a shadow catcher."""
     captured_unshadowed: wp.array[wp.vec3]
     """Mean irradiance of the shadow catcher by lights, without added objects.
 
@@ -187,14 +195,14 @@ class FilmData:
     captured_shadowed: wp.array[wp.vec3]
     """Mean irradiance of the shadow catcher by lights, with all added objects."""
     captured_emitted_unshadowed: wp.array[wp.vec3]
-    """Mean irradiance by surrounding captures, without added objects; see `RayRadiance.emitted_unshadowed`."""
+    """Mean irradiance of the shadow catcher by the radiance of surrounding captures, without added objects."""
     captured_emitted_shadowed: wp.array[wp.vec3]
     captured_ambient: wp.array[wp.vec3]
-    """Mean ambient irradiance."""
+    """Mean ambient irradiance of the shadow catcher."""
     captured_open: wp.array[wp.vec3]
-    """Part of the ambient irradiance that no added object blocks."""
+    """Part of ``captured_ambient`` that no added object blocks."""
     ratio: wp.array[wp.vec3]
-    """Factor of a pixel's captured colour by shadows and added light, after all samples.
+    """Factor by which shadows and added light change the pixel's captured colour, computed after the last sample.
 
     The array is empty in frames without shadow catchers."""
     count: wp.array[int]

@@ -34,9 +34,9 @@ class SplatGradient:
 class RaySplatGradient:
     """Gradient of the loss with respect to a Gaussian rasterised along pixel rays; 56 bytes.
 
-    It sums over one tile or all pixels. ``point``, ``squares`` and ``products`` are sums over rays: each term takes the
-    point of the ray nearest to the mean, in canonical space, times the derivative with respect to the logarithm of the
-    ray's alpha.
+    It sums over the rays of one tile or of all pixels. ``point``, ``squares`` and ``products`` are sums of the
+    coordinates, their squares and their products, of the point of each ray that is nearest to the mean in canonical
+    space. Each term is multiplied by the derivative of the loss with respect to the logarithm of the ray's alpha.
     """
 
     color: wp.vec3
@@ -45,9 +45,9 @@ class RaySplatGradient:
     """Sum of the Gaussian's blending weights."""
     point: wp.vec3
     squares: wp.vec3
-    """Sums of the squared coordinates of the rays' nearest points."""
+    """Sums of the squared coordinates of the points nearest to the mean."""
     products: wp.vec3
-    """Sums of the products y z, z x and x y of the coordinates of the rays' nearest points."""
+    """Sums of the coordinate products y z, z x and x y of the points nearest to the mean."""
 
 
 @struct
@@ -56,7 +56,9 @@ class GaussianGradient:
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
-    """Gradient of a quaternion that is normalised after each step: orthogonal to the quaternion."""
+    """Gradient with respect to the quaternion.
+
+    The gradient is orthogonal to the quaternion, because the quaternion is normalised after each step."""
     scales: wp.array[wp.vec3]
     opacities: wp.array[float]
     sh: wp.array[wp.vec3]
@@ -66,7 +68,7 @@ class GaussianGradient:
 
 @struct
 class PoseGradient:
-    """Gradient of the loss with respect to the camera pose, from some Gaussians of one instance."""
+    """Gradient of the loss with respect to the camera pose, as far as it comes from some Gaussians of one instance."""
 
     camera_from_object: wp.mat33
     camera_from_object_offset: wp.vec3
@@ -81,7 +83,7 @@ class RayGradient:
     color: wp.array[wp.vec3]
     """Gradient with respect to the ray's colour."""
     behind: wp.array[float]
-    """Loss contribution of the whole ray: its colour and transmittance, each times its gradient."""
+    """Loss contribution of the whole ray: the sum of its colour and its transmittance, each times its gradient."""
 
 
 @struct
@@ -90,6 +92,6 @@ class HitGradients:
 
     ray: wp.array[int]
     log_alpha: wp.array[float]
-    """Derivative with respect to the logarithm of alpha; 0 where alpha is clamped."""
+    """Derivative of the loss with respect to the logarithm of the hit's alpha; 0 where alpha is clamped."""
     weight: wp.array[float]
     """Blending weight of the Gaussian."""

@@ -65,7 +65,7 @@ class TileRect:
 
 @struct
 class ChunkData:
-    """Key range and counts of one chunk of depth keys."""
+    """Smallest and largest depth key of one chunk of splats, and its numbers of visible and of non-finite splats."""
 
     key_min: wp.uint32
     key_max: wp.uint32
@@ -75,7 +75,7 @@ class ChunkData:
 
 @struct
 class MeshPixels:
-    """Nearest mesh surface of each pixel; for primary hits of lit frames, only the depth is written."""
+    """Nearest mesh surface of each pixel; for the first hits of lit frames, kernels write only the depth."""
 
     depth_z: wp.array[float]
     """View depth; inf: no mesh."""
@@ -98,9 +98,9 @@ class BlendState:
     transmittance: float
     """Transmittance so far; a negative value marks a finished pixel whose transmittance is the magnitude."""
     surface: int
-    """Gaussian at which the iso-opacity surface is reached; -1: not reached."""
+    """Index of the Gaussian at which the iso-opacity surface is reached; -1: not reached."""
     first: int
-    """First Gaussian blended; -1: none."""
+    """Index of the first Gaussian blended; -1: none."""
     hits: int
     """Number of Gaussians blended."""
 
@@ -145,7 +145,7 @@ class RayRasterData:
     """Settings of the rasteriser that evaluates Gaussians along pixel rays, in a 1-element array."""
 
     dilation: float
-    """Variance added to Gaussians without antialiasing, in squared pixel widths at the Gaussian."""
+    """Variance by which Gaussians without antialiasing are widened, in squared widths of a pixel at the Gaussian."""
     sh_degree: int
     """Highest SH degree that is evaluated."""
     transmittance_min: float
@@ -192,4 +192,4 @@ class PixelRays:
 
     rays: RayData
     limits: wp.array[float]
-    """Distance along each ray up to which Gaussians count."""
+    """Distance along each ray beyond which Gaussians are ignored."""

@@ -1,4 +1,4 @@
-"""Structs of rays and of what they hit."""
+"""Structs of rays and their hits: meshes, blended Gaussians, specular bounces and media."""
 
 import warp as wp
 
@@ -13,7 +13,7 @@ class Ray:
     direction: wp.vec3
     """Direction, unit."""
     t_min: float
-    """Distance up to which hits are ignored."""
+    """Distance along the ray up to which hits are ignored."""
     path_length: float
     """Length of the path from the eye to the origin, over all bounces."""
     spread: float
@@ -34,15 +34,15 @@ class RayData:
     path_length: wp.array[float]
     spread: wp.array[float]
     normal: wp.array[wp.vec3]
-    """Unit normal, on the ray's side, of the layer of flat Gaussians that the ray leaves.
+    """Unit normal, on the ray's side, of the layer of flat Gaussians at which the ray starts.
 
-    Gaussians of another layer then count even before ``t_min``. Zero: no Gaussian counts before ``t_min``."""
+    Gaussians of another layer count even before ``t_min``. Zero: no Gaussian counts before ``t_min``."""
     sample_key: wp.array[wp.uint32]
     """Key of the ray's random numbers."""
     pixel_key: wp.array[wp.uint32]
     """Key of the low-discrepancy sequences that all samples of a pixel share."""
     sample: wp.array[int]
-    """Index of the ray's sample in these sequences, from 0."""
+    """Index of the ray's sample in the low-discrepancy sequences of ``pixel_key``, from 0."""
 
 
 @struct
@@ -50,13 +50,13 @@ class MeshHits:
     """Nearest triangle hit by each ray."""
 
     t: wp.array[float]
-    """Hit distance; without a hit, the ray's ``t_max`` (undefined if there is no ray)."""
+    """Hit distance; the ray's ``t_max`` if it hits no mesh, and undefined if the ray does not exist."""
     face: wp.array[int]
     """Index of the triangle in MeshData (first triangle of the mesh plus its own index); -1: no hit."""
     instance: wp.array[int]
-    """Index among the mesh instances."""
+    """Index of the hit instance among the mesh instances."""
     weights: wp.array[wp.vec2]
-    """Barycentric weights of the second and third corner."""
+    """Barycentric weights of the triangle's second and third corner at the hit."""
 
 
 @struct
@@ -66,7 +66,7 @@ class GaussianHits:
     color: wp.array[wp.vec3]
     """Blended colour, premultiplied, display-referred sRGB."""
     normal: wp.array[wp.vec3]
-    """Sum of unit normals with the blending weights of the colours, world space."""
+    """Sum of the Gaussians' unit normals, weighted like their colours; world space."""
     transmittance: wp.array[float]
     depth: wp.array[float]
     """Distance of the iso-opacity surface; inf: not reached."""
@@ -75,19 +75,21 @@ class GaussianHits:
     hits: wp.array[int]
     """Number of Gaussians blended."""
     relit_color: wp.array[wp.vec3]
-    """Part of ``color`` from relit splat sets.
+    """Part of ``color`` that relit splat sets contribute.
 
-    This and the fields below are empty unless relit and other sets are mixed."""
+    The three ``relit`` arrays are empty unless the scene has both relit splat sets and others."""
     relit_weight: wp.array[float]
-    """Blending weight of relit sets on the ray."""
+    """Blending weight of the relit splat sets on the ray."""
     relit_gaussian: wp.array[int]
-    """Surface Gaussian if it is of a relit set, else the first relit Gaussian; undefined if their weight is 0."""
-    mean_depth: wp.array[float]
-    """Weighted mean distance of the Gaussians of relit sets; inf: there are none.
+    """Gaussian at the iso-opacity surface if its splat set is relit, else the first relit Gaussian on the ray.
 
-    This and the field below are empty unless surfaces are computed as means."""
+    The index is undefined if ``relit_weight`` is 0."""
+    mean_depth: wp.array[float]
+    """Weighted mean distance of the relit Gaussians on the ray; inf: the ray hits no relit Gaussian.
+
+    The two ``mean`` arrays are empty unless surfaces are the weighted means of a ray's Gaussians."""
     mean_finish: wp.array[wp.vec2]
-    """Weighted mean roughness and metallic of the Gaussians of relit sets."""
+    """Weighted mean roughness and metallic of the relit Gaussians on the ray."""
 
 
 @struct
@@ -98,7 +100,8 @@ class HitProfiles:
     """
 
     first: wp.array[int]
-    """Element of each ray's first hit, followed by the end of the last ray's hits: one element more than rays."""
+    """Index of each ray's first element; one more entry than rays, the last one being the end of the last ray's hits.
+    """
     t: wp.array[float]
     """Distance by which hits are ordered."""
     alpha: wp.array[float]
@@ -112,7 +115,7 @@ RELIT_FIELDS = ("relit_color", "relit_weight", "relit_gaussian")
 """Fields of `GaussianHits` that scenes with both relit and other splat sets need."""
 
 MEAN_FIELDS = ("mean_depth", "mean_finish")
-"""Fields of `GaussianHits` that mean surfaces need."""
+"""Fields of `GaussianHits` for frames whose surfaces are the weighted means of a ray's Gaussians."""
 
 EXTRA_FIELDS = RELIT_FIELDS + MEAN_FIELDS
 """Fields of `GaussianHits` that only some frames need."""
@@ -123,19 +126,19 @@ class Bounce:
     """Specular reflection and refraction of a ray at a surface."""
 
     color: wp.vec3
-    """Contribution of the surface itself: display-referred sRGB, or linear in lit frames."""
+    """Contribution of the surface's own colour, without bounces: display-referred sRGB, or linear in lit frames."""
     reflected: wp.vec3
     """Weight of the reflected ray; zero: no reflected ray."""
     refracted: wp.vec3
     """Weight of the refracted ray; zero: no refracted ray."""
     normal: wp.vec3
-    """Shading normal used for reflection and refraction; unit, on the ray's side."""
+    """Shading normal by which the ray is reflected and refracted; unit, on the ray's side."""
     side: wp.vec3
-    """Geometric normal; unit, on the ray's side."""
+    """Geometric normal of the surface; unit, on the ray's side."""
     eta: float
     """Index of refraction on the ray's side over the index behind the surface, used for refraction."""
     media: wp.vec4i
-    """Media on the ray's side, as in ``Boundary``."""
+    """Media that the arriving ray is inside of: mesh instance indices plus one, as in ``Boundary``."""
     media_behind: wp.vec4i
 
 
@@ -148,7 +151,8 @@ class Boundary:
     eta: float
     """Index of refraction on the ray's side over the index behind the surface."""
     media: wp.vec4i
-    """Media on the ray's side: mesh instance indices plus one, in the order in which the ray entered them."""
+    """Media that the arriving ray is inside of: mesh instance indices plus one, in the order in which the ray entered
+    them."""
     media_behind: wp.vec4i
     is_unentered: bool
     """True if the ray leaves a medium that it never entered."""
@@ -156,7 +160,7 @@ class Boundary:
 
 @struct
 class FirstSurface:
-    """First surface on a ray, of Gaussians or a mesh; fields as in `PixelData`."""
+    """First surface on a ray, of Gaussians or of a mesh; fields as in `PixelData`."""
 
     depth: float
     normal: wp.vec3

@@ -47,16 +47,16 @@ class KernelData:
 
 @struct
 class SplatInstanceData:
-    """One instance of a Gaussian asset, with what rasteriser, ray tracer and shading need."""
+    """One instance of a Gaussian asset: the data that rasteriser, ray tracer and shading need."""
 
     camera_from_object: wp.mat33
-    """Rotation times uniform scale."""
+    """Linear part of the transform from object to camera space: rotation times uniform scale."""
     camera_from_object_offset: wp.vec3
     object_from_world: wp.mat33
-    """Rotation times uniform scale."""
+    """Linear part of the transform from world to object space: rotation times uniform scale."""
     object_from_world_offset: wp.vec3
     world_from_object: wp.mat33
-    """Rotation only."""
+    """Rotation from object to world space, without the scale."""
     scale: float
     """Uniform scale from object to world space."""
     eye: wp.vec3
@@ -64,10 +64,10 @@ class SplatInstanceData:
     first: int
     """Index of the instance's first Gaussian among all Gaussians of the scene."""
     asset: int
-    """Index among the scene's Gaussian assets."""
+    """Index of the instance's asset among the scene's Gaussian assets."""
     kernel: KernelData
     antialiased: int
-    """1: compensate the opacity for the dilation (Mip-Splatting)."""
+    """1: the opacity is reduced to compensate for the dilation of the projected Gaussian (Mip-Splatting)."""
     footprint: float
     """Standard deviation by which rays widen Gaussians, in pixel widths; 0: no widening."""
     hit_distance: int
@@ -79,7 +79,7 @@ class SplatInstanceData:
     stored_normals: int
     """1: use the normals stored in the asset."""
     shadow_only: int
-    """1: the instance is a shadow catcher, which some shadow rays pass unattenuated."""
+    """1: the instance is a shadow catcher; shadow rays that start at a shadow catcher pass it unattenuated."""
     relit: int
     """1: the instance is fully relit and shows none of its captured colour."""
 
@@ -99,7 +99,7 @@ class TextureData:
 
 @struct
 class VariedData:
-    """Transmission and layers of a material with textures for them: constant factors and textures."""
+    """Transmission, clearcoat and sheen of a material that has a texture for any of them: constants and textures."""
 
     transmission: float
     transmission_texture: TextureData
@@ -124,17 +124,17 @@ class MeshData:
     colors: wp.array[wp.vec3]
     """Vertex colours, linear."""
     indices: wp.array[wp.vec3i]
-    """Vertex indices of the triangles of all meshes, into the arrays above."""
+    """Vertex indices of the triangles of all meshes, into the vertex arrays ``positions`` to ``colors``."""
     texels: wp.array[wp.uint32]
     """RGBA8 texels, sRGB-encoded, of all textures one after another."""
     linear_from_byte: wp.array[float]
     """Decoding table from sRGB bytes to linear values, 256 entries."""
     unit_from_byte: wp.array[float]
-    """Table of byte values over 255."""
+    """Decoding table from bytes to byte / 255, 256 entries."""
     varied: wp.array[VariedData]
-    """Transmission and layer data of materials with such textures; element 0 is unused."""
+    """Textured transmission, clearcoat and sheen, one element for each material that has them; element 0 is unused."""
     sheen_curves: wp.array[wp.vec4]
-    """Coefficients of the sheen albedo for a range of roughnesses; empty: no texture varies sheen roughness."""
+    """Table of sheen albedo coefficients by roughness; empty: no texture varies the roughness of a sheen."""
 
 
 @struct
@@ -144,7 +144,7 @@ class AlphaData:
     mode: int
     """ALPHA_OPAQUE, ALPHA_MASK or ALPHA_BLEND."""
     factor: float
-    """Factor of the texture's alpha."""
+    """Constant factor by which the alpha of the texture is multiplied."""
     cutoff: float
     """Smallest alpha that counts as opaque with ALPHA_MASK."""
     is_drawn: int
@@ -154,8 +154,8 @@ class AlphaData:
     is_bent: int
     """1: path rays continue behind the surface as through glass.
 
-    Shadow rays that glass blocks then end at the surface, whatever its alpha: the continued rays find the light behind
-    it."""
+    Shadow rays that glass blocks then end at the surface whatever its alpha is, because the continuing path rays find
+    the light behind the surface."""
 
 
 @struct
@@ -188,26 +188,28 @@ class SmoothData:
 
 @struct
 class MeshInstanceData:
-    """One instance of a mesh, with what rasteriser, ray tracer and shading need."""
+    """One instance of a mesh: the data that rasteriser, ray tracer and shading need."""
 
     camera_from_object: wp.mat33
-    """Linear part of the transform."""
+    """Linear part of the transform from object to camera space."""
     camera_from_object_offset: wp.vec3
     world_from_object: wp.mat33
-    """Linear part of the transform."""
+    """Linear part of the transform from object to world space."""
     world_from_object_normal: wp.mat33
-    """Inverse transpose of the linear part, up to scale; transforms normals."""
+    """Inverse transpose of ``world_from_object``, up to scale; transforms normals."""
     object_from_world: wp.mat33
-    """Inverse of the linear part."""
+    """Inverse of ``world_from_object``."""
     position: wp.vec3
     """Object origin in world space."""
     low: wp.vec3
     """Lower corner of a world-space bounding box with a margin for rounding."""
     high: wp.vec3
     asset: int
-    """Index of the TriangleBvh that holds the mesh's triangles; this and the fields below are used by rays only."""
+    """Index of the TriangleBvh that holds the mesh's triangles.
+
+    Only rays use this field and the fields below."""
     root: int
-    """Root node of the mesh's tree in that TriangleBvh."""
+    """Root node of the mesh's tree in TriangleBvh ``asset``."""
     first: int
     """Index of the instance's first triangle among all triangles of the scene."""
     face_first: int

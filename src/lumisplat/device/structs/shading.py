@@ -29,7 +29,9 @@ class LightData:
     edge_u: wp.vec3
     edge_v: wp.vec3
     range: float
-    """Distance at which a point light or spot ends, or up to which infinitely distant light casts shadows; else inf."""
+    """Distance at which the light of a point light or spot ends; inf: it does not end.
+
+    For infinitely distant lights, it is the largest distance at which objects block them."""
     radius: float
     """Radius of a point light, spot or disk, scene units; angular radius of a directional light, radians."""
     inner: float
@@ -37,7 +39,7 @@ class LightData:
     outer: float
     """1 - cosine of the angle from a spot's axis beyond which the spot is dark.
 
-    Plain cosines would lose digits for narrow cones."""
+    Angles are stored as 1 - cosine, because the cosines themselves would lose digits for narrow cones."""
     casts_shadow: int
     visible: int
     """1: path rays can hit the light, as a flat shape or a sphere."""
@@ -54,16 +56,16 @@ class EnvironmentData:
     world_from_environment: wp.mat33
     """Rotation of the environment."""
     power: wp.vec3
-    """Factor of the image."""
+    """Factor of the image's radiance."""
     mean: float
-    """Mean luminance over all directions."""
+    """Mean luminance of the environment over all directions."""
     texels: wp.array[wp.vec3]
     width: int
     height: int
     row_ends: wp.array[float]
-    """Marginal CDF: fraction of the light up to the end of each row."""
+    """Marginal CDF over the rows of the image: fraction of the light up to the end of each row."""
     column_ends: wp.array[float]
-    """Conditional CDF: fraction of a row's light up to the end of each texel."""
+    """Conditional CDF within each row of the image: fraction of the row's light up to the end of each texel."""
 
 
 @struct
@@ -79,7 +81,7 @@ class EmitterTriangle:
     lift: float
     """Factor of ``across`` by which sample points are lifted off the triangle, so that shadow rays do not hit it."""
     inside: wp.vec3
-    """Smallest barycentric weights of sample points; closer to an edge they could lie behind an adjacent wall."""
+    """Smallest barycentric weights of sample points; points closer to an edge could lie behind an adjacent wall."""
 
 
 @struct
@@ -94,7 +96,7 @@ class EmitterData:
     first: wp.array[int]
     """First emissive triangle of each mesh instance; -1: the instance is not emissive."""
     power: float
-    """Sum over all triangles of luminance times area."""
+    """Sum of luminance times area over all emissive triangles."""
     center: wp.vec3
     """Centre of a sphere that contains most emissive triangles, world space."""
     radius: float
@@ -131,7 +133,7 @@ class Bsdf:
     shininess: float
     """BSDF_SIMPLE: Phong exponent of the highlight."""
     dielectric: float
-    """BSDF_PBR: strength of the dielectric reflection; light it does not reflect reaches the diffuse lobe."""
+    """BSDF_PBR: strength of the dielectric reflection; light that is not reflected reaches the diffuse lobe."""
     eta: float
     """BSDF_PBR: index of refraction on the viewer's side over the index behind the surface."""
     mean_mirrored: float
@@ -141,7 +143,7 @@ class Bsdf:
 
     Zero means no transmission; the next three fields are then undefined."""
     thin_walled: bool
-    """True if transmitted light passes straight; otherwise it is refracted."""
+    """True if transmitted light passes straight through; false if it is refracted."""
     metallic: float
     metal: wp.vec3
     """Reflectance of the metal at normal incidence, times ``metallic``."""
@@ -161,7 +163,7 @@ class Bsdf:
 
 @struct
 class CatcherLight:
-    """Irradiance of a shadow catcher in one channel, as `lumisplat.baking.gaussian_views.CatcherLight`."""
+    """Irradiance of a shadow catcher in one channel; fields as in `lumisplat.baking.gaussian_views.CatcherLight`."""
 
     unshadowed: float
     change: float
@@ -249,15 +251,18 @@ class ShadingSettings:
     soft: int
     """1: lights are sampled over their extent (soft shadows)."""
     more_draws: int
-    """Extra directions in which each interaction samples an environment that casts no shadow."""
+    """Number of extra directions in which each interaction samples an environment that casts no shadow."""
     changes_shadows: int
-    """1: shadow rays use a threshold or tint that other rays do not, so that the two cannot be combined by MIS."""
+    """1: light samples and scattered rays cannot be combined by MIS.
+
+    Shadow rays then use a threshold or a tint that the scattered rays do not use."""
     capture_gain: float
     """Factor of the captured radiance where it lights other surfaces; direct views of the capture are unchanged."""
     shadow_offset: float
-    """Shadow offset in scales of a Gaussian."""
+    """Distance from a surface of Gaussians within which Gaussians do not shadow it, in multiples of their largest
+    scale."""
     shadow_offset_absolute: float
-    """Shadow offset in scene units, added to ``shadow_offset``."""
+    """Distance in scene units, added to ``shadow_offset`` times the largest scale."""
 
 
 @struct
@@ -283,7 +288,8 @@ class SplatSurface:
     """Surface of the Gaussians in front of the nearest mesh on a ray, and their captured colours."""
 
     instance: int
-    """Instance of the surface or, without a surface, of the first Gaussian; -1: no Gaussian."""
+    """Index of the surface's instance or, if there is no surface, of the first Gaussian's; -1: no Gaussian on the ray.
+    """
     gaussian: int
     """Index in its asset of the Gaussian whose appearance lights change; -1: none."""
     depth: float
@@ -294,7 +300,7 @@ class SplatSurface:
     captured: wp.vec3
     """Captured colour, display-referred sRGB, premultiplied by ``weight``.
 
-    It is composited over the background if nothing else is behind."""
+    If nothing else lies behind the Gaussians, the colour is composited over the background."""
     weight: float
     """Fraction of the ray's colour that is captured colour."""
     captured_share: float
@@ -307,7 +313,7 @@ class SplatSurface:
 
 @struct
 class Interaction:
-    """Interaction of a ray with a surface: everything that lighting reads of both."""
+    """Interaction of a ray with a surface: all data about the ray and the surface that lighting reads."""
 
     exists: bool
     """True if there is a surface that reflects light."""
@@ -316,9 +322,9 @@ class Interaction:
     normal: wp.vec3
     """Shading normal, world space, unit, on the side of ``wo``."""
     horizon_normal: wp.vec3
-    """Normal below whose horizon no light arrives; world space, unit, on the side of ``wo``.
+    """Normal of the plane below which no light arrives; world space, unit, on the side of ``wo``.
 
-    It is the interpolated normal without normal map, or the triangle's normal if there is none."""
+    It is the interpolated normal without the normal map, or the triangle's normal if the mesh has no vertex normals."""
     geometric_normal: wp.vec3
     """Normal of the triangle, world space, unit, on the side of ``wo``; for Gaussians the shading normal."""
     smooth_height: float
@@ -336,9 +342,10 @@ class Interaction:
 
 @struct
 class Interactions:
-    """Interactions of a wave of rays, two for each ray, as ``Interaction``: written once and read by every light.
+    """Interactions of a wave of rays, two for each ray: written once and read by every light.
 
-    Element ``ray`` is the surface of the Gaussians, element ``stride + ray`` the mesh behind them.
+    The first half of each array holds the surfaces of the Gaussians, one for each ray; the second half the meshes
+    behind the Gaussians. Fields are as in ``Interaction``.
     """
 
     exists: wp.array[wp.bool]
@@ -358,14 +365,14 @@ class Interactions:
     transmitted: wp.array[wp.vec3]
     """``Bsdf.transmitted`` of each interaction.
 
-    This array and the next three are empty unless rough surfaces transmit."""
+    The four arrays from here on are empty unless rough surfaces transmit."""
     thin_walled: wp.array[wp.bool]
     metallic: wp.array[float]
     metal: wp.array[wp.vec3]
     rescattered: wp.array[wp.vec3]
     """``Bsdf.rescattered`` of each interaction.
 
-    This array and the next five are empty unless there are layers or compensated rough metals."""
+    The six arrays from here on are empty unless there is clearcoat, sheen or an energy-compensated rough metal."""
     coat: wp.array[float]
     coat_alpha: wp.array[float]
     sheen: wp.array[wp.vec3]
@@ -377,9 +384,9 @@ class Interactions:
     spawn_point: wp.array[wp.vec3]
     """Origin of shadow rays; this and the arrays below are empty in frames without shadow rays."""
     spawn_t_min: wp.array[float]
-    """Distance along shadow rays within which Gaussians of the same layer do not block, scene units."""
+    """Distance along shadow rays within which Gaussians of the surface's own layer do not block, scene units."""
     geometric_normal: wp.array[wp.vec3]
-    """``Interaction.geometric_normal``, but for Gaussians the normal of their layer.
+    """Unit normal of the triangle or, for Gaussians, of their layer; on the side of the ray.
 
     The normal is zero for Gaussians that are not flat or are seen from behind."""
     smooth_height: wp.array[float]
@@ -398,7 +405,7 @@ class Contribution:
 
 @struct
 class RayRadiance:
-    """Radiance of rays: display-referred captured colours, and linear light kept separate from them."""
+    """Radiance of rays: display-referred captured colours, and linear light in separate arrays."""
 
     captured: wp.array[wp.vec3]
     """Captured colour, display-referred sRGB, premultiplied by ``captured_weight``.
@@ -416,11 +423,11 @@ class RayRadiance:
     captured_all: wp.array[wp.vec3]
     """Linear captured colour.
 
-    This array and the next eight are empty unless path tracing measures the light on shadow catchers."""
+    The nine arrays from here on are empty unless path tracing measures the light on shadow catchers."""
     captured_part: wp.array[wp.vec3]
     """Part of ``captured_all`` that a shadow catcher contributes."""
     received: wp.array[wp.vec3]
-    """1 where the path measured the irradiance fields below, else 0."""
+    """1 where the path measured the irradiance of a shadow catcher, else 0."""
     unshadowed: wp.array[wp.vec3]
     """Irradiance of the shadow catcher by lights, without the added objects."""
     shadowed: wp.array[wp.vec3]
@@ -428,20 +435,17 @@ class RayRadiance:
     emitted_unshadowed: wp.array[wp.vec3]
     """Irradiance of the shadow catcher by the radiance of surrounding captures, without the added objects."""
     emitted_shadowed: wp.array[wp.vec3]
-    """Irradiance by surrounding captures with all added objects, including the emission of added surfaces."""
+    """Irradiance of the shadow catcher by surrounding captures, with all added objects and the light that they emit."""
     ambient: wp.array[wp.vec3]
-    """Ambient irradiance of the shadow catcher, see `catcher_change`."""
+    """Ambient irradiance of the shadow catcher."""
     open: wp.array[wp.vec3]
-    """Part of the ambient irradiance that no added object blocks."""
+    """Part of ``ambient`` that no added object blocks."""
     reflection: wp.array[wp.vec3]
-    """Part of ``light`` from specular bounces.
-
-    This and the next two arrays are empty unless the frame has the layer.
-    """
+    """Part of ``light`` from specular bounces; empty unless the frame has this light layer."""
     albedo: wp.array[wp.vec3]
-    """Linear base colour of the surfaces."""
+    """Linear base colour of the surfaces; empty unless the frame has this layer."""
     emission: wp.array[wp.vec3]
-    """Linear emission plus reflected ambient light."""
+    """Linear emission plus reflected ambient light; empty unless the frame has this layer."""
 
 
 @struct
@@ -454,9 +458,9 @@ class WaveData:
     from_camera: int
     """1: the rays are camera rays, not reflected or refracted ones."""
     traces_paths: int
-    """1: the path integrator continues behind this wave with one ray for each path.
+    """1: the path integrator continues each path behind this wave with one ray.
 
-    The integrator then adds the light of the environment itself."""
+    The path integrator, instead of this wave's shading, then adds the light of the environment."""
     may_branch: int
     """1: smooth meshes spawn reflected and refracted rays where their weight is large enough."""
     rays: RayData
@@ -469,7 +473,7 @@ class WaveData:
     weights: wp.array[wp.vec3]
     """Weight of each ray in the colour of its parent ray; empty in the first wave."""
     media: wp.array[wp.vec4i]
-    """Media that each ray has entered, as in ``Boundary``; empty: none."""
+    """Media that each ray is inside of, as in ``Boundary``; empty: no ray is in a medium."""
     unentered: wp.array[int]
     """1 for mesh instances that a camera ray leaves without having entered them.
 
@@ -479,10 +483,10 @@ class WaveData:
     sees_environment: wp.array[wp.bool]
     """True if the ray sees the environment and the background; empty if all rays do."""
     branches: wp.array[int]
-    """Number of rays, 0 or 1, that each ray spawns: reflected, refracted, and in a highlight.
+    """Number of rays, 0 or 1, of each kind that each ray spawns.
 
-    Element ``ray`` is the reflected ray, ``stride + ray`` the refracted one, and ``2 stride + ray`` that of a
-    highlight, in frames that have such rays."""
+    The array has one section per kind, each with one element per ray: reflected rays, refracted rays and, in frames
+    that have them, rays within highlights."""
     branch_ends: wp.array[int]
     """Inclusive prefix sum of ``branches``: one more than the index of the spawned ray in the next wave."""
 
@@ -494,11 +498,11 @@ class CatcherIrradiance:
     unshadowed: wp.array[wp.vec3]
     """Irradiance without shadows of added objects."""
     shadowed: wp.array[wp.vec3]
-    """Irradiance with shadows."""
+    """Irradiance with shadows of added objects."""
     open: wp.array[wp.vec3]
     """Sum of the transmittances of the ambient rays."""
     reflectance: wp.array[wp.vec3]
-    """Captured radiance over the irradiance under which it was captured."""
+    """Captured radiance over the irradiance that the surface received while it was captured."""
 
 
 @struct
