@@ -29,8 +29,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
 def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
     """Reads a stage with its time samples, from its first time code to its last, at its frame rate.
 
-    Transforms become keyframes at their time samples. Deforming prims are read again at each rendered time. A deforming
-    prim of a point instancer keeps its first shape, with a log line.
+    Time samples of transforms become keyframes. Deforming prims are read again at each rendered time. A deforming prim
+    that a point instancer copies keeps its shape of the first time code, and a log line names the prim.
 
     Args:
         path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
@@ -44,7 +44,7 @@ def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
 
 
 def _animation_of(path: Path, drop_invalid: bool) -> Animation:
-    """Reads an animation in the current process, which later reads deforming prims too; see `read_usd_animation`."""
+    """Reads an animation in the current process, which later reads the deforming prims; see `read_usd_animation`."""
     with reading_usd(path):
         file = open_usd(path)
         animation = _read(file, drop_invalid)
@@ -98,7 +98,15 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
 def _instances_at(
     reader: StageReader, placed: PlacedPrim, first: float, rate: float, time: float
 ) -> tuple[Instance, ...]:
-    """Returns the instances of a deforming prim at a time in seconds."""
+    """Returns the instances of a deforming prim at a time.
+
+    Args:
+        reader: Reader of the stage.
+        placed: The prim.
+        first: Time code of time 0.
+        rate: Time codes per second.
+        time: Seconds.
+    """
     with reading_usd(reader.file.path):
         instances = tuple(reader.instances_at(placed, first + time * rate))
         check_loaded(reader.file.path)
@@ -110,7 +118,7 @@ def _cameras(file: UsdFile) -> Iterator[Any]:
 
 
 def _transform_time_codes(prim: Any) -> Doubles:
-    """Returns the time codes with samples of a prim's transform or an ancestor's, shape (K,)."""
+    """Returns the sorted time codes at which the transform of a prim or of an ancestor has samples."""
     xformable, found = pxr().UsdGeom.Xformable, set[float]()
     while prim and not prim.IsPseudoRoot():
         xform = xformable(prim)
@@ -123,7 +131,7 @@ def _transform_time_codes(prim: Any) -> Doubles:
 
 
 def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
-    """Returns the first and last time code: those of the stage if authored, else those of all time samples."""
+    """Returns the first and last time code: those of the stage if authored, else the first and last of ``codes``."""
     if file.stage.HasAuthoredTimeCodeRange():
         return float(file.stage.GetStartTimeCode()), float(file.stage.GetEndTimeCode())
     sampled = np.concatenate([np.zeros(0), *codes])
@@ -131,14 +139,14 @@ def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
 
 
 def _world_transforms(file: UsdFile, prim: Any, codes: Doubles) -> Doubles:
-    """Returns ``world_from_prim`` at each time code, shape (K, 4, 4)."""
+    """Returns ``world_from_prim`` at each of K time codes, shape (K, 4, 4)."""
     px = pxr()
     caches = (px.UsdGeom.XformCache(px.Usd.TimeCode(float(code))) for code in codes)
     return np.array([file.world_transform(cache.GetLocalToWorldTransform(prim)) for cache in caches])
 
 
 def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles, seconds: Doubles) -> Iterator[Actor]:
-    """Yields an actor for each instance of a prim; ``seconds`` are the times of ``codes``."""
+    """Yields an actor for each instance of a prim. ``seconds`` holds the same times as the time codes in ``codes``."""
     transforms = _world_transforms(file, prim, codes)
     rest = np.eye(4)
     try:
@@ -161,9 +169,9 @@ def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles,
 
 
 def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns quaternions, shape (K, 4), and uniform scales, shape (K,), of transforms.
+    """Returns the quaternions, shape (K, 4), and the uniform scales, shape (K,), of K transforms.
 
-    A remark records transforms that stretch or mirror.
+    A remark reports transforms that stretch or mirror.
     """
     linear = transforms[:, :3, :3]
     left, factors, right = np.linalg.svd(linear)
@@ -175,7 +183,7 @@ def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tupl
 
 
 def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) -> CameraPath | None:
-    """Returns the path of the first animated camera, with a keyframe at each time sample; None if no camera moves."""
+    """Returns the path of the first animated camera, with a keyframe at each time sample; None if none moves."""
     if not moving:
         return None
     px, codes, at_start = pxr(), _transform_time_codes(moving[0]), file.time

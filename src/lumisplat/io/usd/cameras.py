@@ -1,7 +1,7 @@
 """Reads and writes OpenUSD cameras (UsdGeomCamera).
 
-These cameras look along -z with y up, and give apertures and focal lengths in tenths of a stage unit. They have no
-image size in pixels; it comes from render products.
+OpenUSD cameras look along -z with y up, and give apertures and focal lengths in tenths of a stage unit. They have no
+image size in pixels: image sizes are attributes of render products (UsdRenderProduct).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _APERTURE_UNIT = 0.1
 """Unit of apertures and focal lengths of UsdGeomCamera, in stage units."""
 
 _Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Rotation between USD cameras (y up, looking along -z) and Lumisplat cameras (y down, looking along z)."""
+"""Rotation between OpenUSD camera axes (y up, looking along -z) and Lumisplat's (y down, looking along z)."""
 _FAR = 1e6
-"""Far end of the clippingRange of written cameras, metres."""
+"""Distance of the far end of the clippingRange of written cameras, metres."""
 _RENDER = "/Render"
 
 
@@ -48,10 +48,11 @@ def read_usd_cameras(path: PathLike, width: int | None = None, height: int | Non
 
     Args:
         path: The file.
-        width: Image width in pixels; None: that of the camera's render product, else from the height and the aspect
-            ratio of the apertures.
-        height: Image height in pixels; None likewise. Without width, height and render product, the image is the
-            largest within 1280 x 720. The vertical field of view is always that of the file.
+        width: Image width in pixels. None uses the width in the camera's render product; without a render product, the
+            width follows from ``height`` and the aspect ratio of the camera's apertures.
+        height: Image height in pixels. None uses the render product, or follows from ``width`` and the aspect ratio. If
+            there is neither a size nor a render product, the image is the largest that fits into 1280 x 720. The
+            vertical field of view is always that of the file.
 
     Raises:
         FormatError: The file cannot be read, or a camera is invalid; the message names the camera.
@@ -84,7 +85,7 @@ def cameras_of(file: UsdFile, width: int | None = None, height: int | None = Non
 
 
 def _product_sizes(file: UsdFile) -> dict[str, _Size]:
-    """Returns the resolutions of render products and render settings, by the paths of their cameras."""
+    """Returns image sizes from render products and render settings, by the path of the camera that they render."""
     px, sizes = pxr(), dict[str, _Size]()
     for prim in file.stage.Traverse():
         if prim.IsA(px.UsdRender.SettingsBase) and prim.GetAttribute("resolution").HasAuthoredValue():
@@ -142,7 +143,7 @@ def _camera(
 
 
 def _exposure(file: UsdFile, prim: Any) -> float:
-    """Returns the exposure in stops: exposure compensation plus that of exposure time, ISO, f-stop and responsivity."""
+    """Returns a camera's exposure in stops: compensation plus the effect of time, ISO, f-stop and responsivity."""
     time, iso, responsivity = (
         number(file, prim, f"exposure:{name}", default)
         for name, default in (("time", 1.0), ("iso", 100.0), ("responsivity", 1.0))
@@ -212,7 +213,7 @@ def camera_values(camera: Camera) -> dict[str, Any]:
 
 
 def _write_render_product(writer: StageWriter, camera: Camera, prim: Any) -> None:
-    """Writes a render product for a camera, which stores its image size and pixel aspect ratio."""
+    """Writes a render product for a camera, with the camera's image size and pixel aspect ratio."""
     px, stage = pxr(), writer.stage
     if not stage.GetPrimAtPath(_RENDER):
         px.UsdGeom.Scope.Define(stage, _RENDER)

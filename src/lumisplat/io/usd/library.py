@@ -1,6 +1,7 @@
 """Wraps usd-core: its modules, its messages, its errors, and the files that it may open.
 
-The library opens whatever a layer names. Lumisplat therefore collects the layers of a stage before composing it.
+The library opens every file that a layer names. Lumisplat therefore finds and checks all layers of a stage before the
+library composes the stage.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ USD_LAYERS_MAX = 10_000
 
 _MODULES = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdRender", "UsdShade", "UsdVol", "Vt")
 _REASON_MAX = 160
-"""Largest number of characters of a library error that a message quotes."""
+"""Largest number of characters of the library's error text that a message of Lumisplat quotes."""
 
 _INTERNAL = re.compile(r"pxrInternal_\w+?__(::)?")
-"""Internal namespace prefixes in the library's error messages."""
+"""Matches the prefixes of internal namespaces, which error messages leave out."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -61,7 +62,7 @@ def pxr() -> Any:
 def reading_usd(path: PathLike) -> Generator[None]:
     """Silences the library inside the block, and turns its errors into one `FormatError` about ``path``.
 
-    Log lines of Lumisplat are emitted after the block, because standard output and error are redirected inside.
+    Standard output and error are redirected inside the block. Log lines of Lumisplat are therefore emitted after it.
 
     Raises:
         FormatError: The content cannot be read.
@@ -90,7 +91,7 @@ def writing_usd(path: PathLike) -> Generator[None]:
 
 
 def _reason(error: Exception, path: PathLike) -> str:
-    """Returns the library's error message on one line after a colon, without internal names and the file's own path."""
+    """Returns the library's error text after a colon, on one line, without internal names and the file's path."""
     first: object = error.args[0] if error.args else ""
     text = " ".join(str(getattr(first, "commentary", first)).split())
     for name in (os.path.abspath(path), os.fspath(path)):
@@ -105,7 +106,7 @@ def _reason(error: Exception, path: PathLike) -> str:
 
 @contextmanager
 def _log_deferred() -> Generator[None]:
-    """Defers log records until the end of the block."""
+    """Holds back the log records of the block, and emits them at its end."""
     records: list[logging.LogRecord] = []
 
     def hold(record: logging.LogRecord) -> bool:
@@ -122,18 +123,19 @@ def _log_deferred() -> Generator[None]:
 
 
 def check_layers(path: Path, text: str) -> list[Any]:
-    """Checks a file and all layers of its stage, each before it is opened.
-
-    Returns layers that must stay referenced. They come from text with a byte order mark, which the library cannot open
-    itself, and the library finds them only while they are alive.
+    """Checks a file and all layers of its stage, each before the library opens it.
 
     Args:
         path: The file.
-        text: A UTF-8 path of the file, as the library needs it.
+        text: The path of the file in UTF-8, as the library needs it.
+
+    Returns:
+        Layers that the caller must keep referenced. The library cannot open text with a byte order mark, so such layers
+        are created in memory, and the library finds them only as long as they exist.
 
     Raises:
-        FormatError: A layer is no regular file, its path leaves the folder of ``path`` without permission, or it is
-            named by an expression or with arguments, so that the file it means is unknown.
+        FormatError: A layer is no regular file; its path leaves the folder of ``path`` without permission; or its name
+            is an expression or has arguments, so that the file is unknown.
     """
     px, home = pxr(), path.parent
     waiting, checked, layers = [path], {os.path.abspath(path)}, list[Any]()
@@ -165,7 +167,7 @@ def check_layers(path: Path, text: str) -> list[Any]:
 
 
 def _marked_layer(file: Path, name: str) -> Any | None:
-    """Returns the layer of a text file with a byte order mark, which the library does not read; None for other files.
+    """Creates the layer of a text file with a byte order mark, which the library cannot open; None for other files.
 
     Raises:
         FormatError: The file is not text.
@@ -182,7 +184,17 @@ def _marked_layer(file: Path, name: str) -> Any | None:
 
 
 def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
-    """Returns the file that a layer names, or the package that holds it; arguments and errors as in `check_layers`."""
+    """Returns the file that a layer refers to by ``name``; for a file inside of a package, returns the package.
+
+    Args:
+        path: File of the stage, named in errors.
+        layer: The layer that contains the reference.
+        name: The reference.
+        home: Folder that the file must not leave without permission.
+
+    Raises:
+        FormatError: See `check_layers`.
+    """
     px = pxr()
     if px.Sdf.VariableExpression.IsExpression(name):
         raise FormatError(
@@ -199,10 +211,12 @@ def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
 
 
 def check_loaded(path: Path) -> None:
-    """Checks that the library has opened no layer outside of the file's folder, not even while reading values.
+    """Checks which layers the library has open: none may lie outside of the folder of ``path`` without permission.
+
+    Reading values can open further layers, so this check runs after all values are read.
 
     Raises:
-        FormatError: The library has opened such a layer without permission.
+        FormatError: The library has opened a layer outside of the folder without permission.
     """
     px = pxr()
     for layer in px.Sdf.Layer.GetLoadedLayers():
@@ -214,7 +228,7 @@ def check_loaded(path: Path) -> None:
 
 
 def _layer_dependencies(layer: Any) -> Iterator[str]:
-    """Yields the layers that a layer names: sublayers, references, payloads and value clips, also in variants."""
+    """Yields the names that a layer gives of other layers: sublayers, references, payloads, clips, also in variants."""
     yield from (str(name) for name in layer.GetCompositionAssetDependencies() if name)
     clips: list[Any] = []
 
@@ -231,7 +245,7 @@ def _layer_dependencies(layer: Any) -> Iterator[str]:
 
 
 def _asset_packages(layer: Any) -> Iterator[str]:
-    """Yields asset values that name files in packages or use expressions: the library opens such files itself."""
+    """Yields asset values that name files in packages or are expressions: the library opens such files itself."""
     px, values = pxr(), list[Any]()
 
     def collect(at: Any) -> None:

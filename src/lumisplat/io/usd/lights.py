@@ -60,19 +60,20 @@ _UNREAD_INPUTS = {
     "inputs:specular": ("diffuse and specular multipliers of lights", 1.0),
     "inputs:shaping:focus": ("shaping:focus of lights", 0.0),
 }
-"""Inputs that are not read: the remark about each, and the value that has no effect."""
+"""Light inputs that Lumisplat does not read. For each: the remark to log, unless the input has its neutral value."""
 _SOFTNESS_MIN = 1e-6
 """Smallest softness of a cone's edge, as a fraction of its angle."""
 
 _DOME_FROM_ENVIRONMENT = np.diag([-1.0, 1.0, -1.0])
-"""Rotation from a `LightEnvironment` image, with -z in its middle and +x to the right, to a dome light: a half turn."""
+"""Rotation from a `LightEnvironment` image, which has -z in its middle and +x to the right, to a dome light: a half
+turn."""
 _Z_FROM_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Rotation of a dome light whose pole axis is z: y goes to z, and the middle of the image faces -y."""
+"""Rotation of a dome light whose pole axis is z: it maps y to z, and the middle of the image then faces -y."""
 _RADIANCE = (".hdr", ".pic", ".exr")
 
 
 def is_light(prim: Any) -> bool:
-    """Returns whether a prim has UsdLux.LightAPI, whatever its type."""
+    """Returns whether a prim of any type has UsdLux.LightAPI."""
     return prim.HasAPI(pxr().UsdLux.LightAPI)
 
 
@@ -107,7 +108,7 @@ def read_light(file: UsdFile, placed: PlacedPrim) -> Light | None:
 
 
 def _custom_fields(light: Light, custom_data: dict[str, Any]) -> dict[str, Any]:
-    """Returns the light's fields that Lumisplat stores in customData, because UsdLux has no attribute for them."""
+    """Returns the fields of a light that UsdLux has no attribute for, from the customData that Lumisplat writes."""
     kinds = {"range": (float, int), "visible": (bool,)}
     return {
         name: custom_data[name]
@@ -117,7 +118,7 @@ def _custom_fields(light: Light, custom_data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _emission(file: UsdFile, prim: Any) -> float:
-    """Returns intensity times 2^exposure: radiance in nits, unless the light is normalized."""
+    """Returns intensity times 2^exposure of a light: its radiance in nits, unless the light is normalized."""
     default = 50000.0 if str(prim.GetTypeName()) == "DistantLight" else 1.0
     exposure = np.clip(number(file, prim, "inputs:exposure", 0.0), -126.0, 126.0)
     return number(file, prim, "inputs:intensity", default) * 2.0 ** float(exposure)
@@ -143,7 +144,7 @@ def _scale(placed: PlacedPrim) -> float:
 
 
 def _shadow_distance(file: UsdFile, placed: PlacedPrim) -> float:
-    """Returns the largest distance at which objects cast shadows, world units; negative values mean no limit."""
+    """Returns the largest distance at which objects cast shadows, world units; inf if the file has a negative value."""
     distance = number(file, placed.prim, "inputs:shadow:distance", -1.0)
     return distance * _scale(placed) if distance > 0.0 else math.inf
 
@@ -173,7 +174,7 @@ def _sphere(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str
 
 
 def _distant(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
-    """Reads a DistantLight as a directional light, at most a hemisphere wide."""
+    """Reads a DistantLight as a directional light. Its cone is clamped to a hemisphere."""
     angle = math.radians(min(max(number(file, placed.prim, "inputs:angle", 0.53), 0.0), 360.0)) / 2.0
     lux = emission
     if angle > 0.0 and not _normalises(file, placed.prim):
@@ -221,7 +222,7 @@ def _disk(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, 
 
 
 def _flat_radiance(file: UsdFile, placed: PlacedPrim, emission: float, area: float, kind: str) -> float:
-    """Returns the radiance of a rectangle or disk; the emission of a normalized light is divided by its area."""
+    """Returns the radiance of a rectangle or disk light; the emission of a normalized light is divided by ``area``."""
     if _has_cone(placed.prim):
         file.remarks.add(f"cones of {kind} lights", str(placed.prim.GetPath()))
     return emission * (file.unit**2 / area) if _normalises(file, placed.prim) else emission
@@ -343,7 +344,11 @@ def _set(prim: Any, name: str, value: Any) -> None:
 
 
 def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[Any, float]:
-    """Writes a point or spot as a normalized SphereLight, with treatAsPoint if the light has no radius."""
+    """Writes a point or spot light as a normalized SphereLight, with ``treatAsPoint`` if its radius is 0.
+
+    Returns:
+        The prim and its intensity.
+    """
     prim = _define(writer, light, "SphereLight")
     _set(prim, "inputs:radius", light.radius or USD_POINT_RADIUS)
     _set(prim, "inputs:normalize", True)
@@ -363,7 +368,7 @@ def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[An
 
 
 def _write_distant(writer: StageWriter, light: LightDirectional) -> tuple[Any, float]:
-    """Writes a directional light as a normalized DistantLight, whose intensity is in lux."""
+    """Writes a directional light as a normalized DistantLight. Returns the prim and its intensity in lux."""
     prim = _define(writer, light, "DistantLight")
     _set(prim, "inputs:angle", math.degrees(2.0 * light.angle))
     _set(prim, "inputs:normalize", True)
@@ -373,7 +378,7 @@ def _write_distant(writer: StageWriter, light: LightDirectional) -> tuple[Any, f
 
 
 def _write_rect(writer: StageWriter, light: LightRect) -> tuple[Any, float]:
-    """Writes a rectangle as a RectLight in the xy plane that emits along -z."""
+    """Writes a rectangle light as a RectLight in the xy plane that emits along -z. Returns the prim and intensity."""
     prim = _define(writer, light, "RectLight")
     width, height = float(np.linalg.norm(light.edge_u)), float(np.linalg.norm(light.edge_v))
     _set(prim, "inputs:width", width)
@@ -389,7 +394,7 @@ def _write_rect(writer: StageWriter, light: LightRect) -> tuple[Any, float]:
 
 
 def _write_dome(writer: StageWriter, light: LightEnvironment) -> tuple[Any, float]:
-    """Writes an environment as a DomeLight with an OpenEXR image."""
+    """Writes an environment as a DomeLight with an OpenEXR image. Returns the prim and its intensity."""
     px = pxr()
     prim = _define(writer, light, "DomeLight")
     if light.image is not None:
@@ -413,7 +418,7 @@ def _shadow_api(prim: Any) -> Any:
 
 
 def _light_transform(position: Any, direction: Any = None) -> Doubles:
-    """Returns a transform, shape (4, 4), to a position; -z points along ``direction``, a unit vector, if given."""
+    """Returns a transform, shape (4, 4), that moves the origin to ``position`` and rotates -z to any ``direction``."""
     transform = np.eye(4)
     transform[:3, 3] = position
     if direction is not None:
@@ -422,7 +427,7 @@ def _light_transform(position: Any, direction: Any = None) -> Doubles:
 
 
 def _facing(direction: Any) -> Doubles:
-    """Returns a rotation, shape (3, 3), that maps -z to a unit vector."""
+    """Returns a rotation, shape (3, 3), that maps -z to the unit vector ``direction``."""
     z = -np.array(direction, np.float64)
     side = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = np.cross(side, z)
@@ -431,7 +436,7 @@ def _facing(direction: Any) -> Doubles:
 
 
 def _exr_bytes(image: FloatArray) -> bytes:
-    """Encodes radiance as OpenEXR."""
+    """Encodes an image of radiance as an OpenEXR file."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "sky.exr"
         write_radiance(file, image)

@@ -31,13 +31,17 @@ from lumisplat.scene.materials import (
 )
 
 _WRAP_MODES = {"repeat": TextureWrap.REPEAT, "mirror": TextureWrap.MIRROR, "clamp": TextureWrap.CLAMP}
-"""Wrap modes of UsdUVTexture. The others are read as repeat: ``black``, and ``useMetadata``, which images do not have.
+"""Supported wrap modes of UsdUVTexture. ``black`` and ``useMetadata`` are read as repeat: image files state no wrap
+mode.
 """
 _CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
 
 
 class UvTransform(NamedTuple):
-    """Texture coordinates of a texture: a primvar, scaled, rotated, then translated; (0, 0) is the bottom left."""
+    """Texture coordinates that a texture uses: a primvar of the mesh, scaled, then rotated, then translated.
+
+    The origin (0, 0) is the bottom left of the image.
+    """
 
     primvar: str = "st"
     scale: tuple[float, float] = (1.0, 1.0)
@@ -46,7 +50,7 @@ class UvTransform(NamedTuple):
     translation: tuple[float, float] = (0.0, 0.0)
 
     def apply(self, uvs: FloatArray) -> FloatArray:
-        """Returns the transformed texture coordinates, shape (V, 2), with v still up."""
+        """Returns the transformed texture coordinates of V vertices, shape (V, 2), with v up as before."""
         if self == UvTransform(self.primvar):
             return uvs
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
@@ -56,11 +60,11 @@ class UvTransform(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TextureInput:
-    """A texture connected to a shader input. Its value is ``texel * scale + bias``, with four channels each."""
+    """A texture connected to a shader input. The input's value is ``texel * scale + bias``, in four channels."""
 
     asset: Any
     channel: int | None
-    """Channel that is used, 0..3; None uses red, green and blue."""
+    """Texture channel that the input uses, 0..3; None uses red, green and blue."""
     uv_transform: UvTransform
     wraps: WrapPair
     scale: Doubles
@@ -90,7 +94,7 @@ class _PreviewSurface:
         self._file, self._shader = file, shader
 
     def read(self, name: str) -> _ShaderInput:
-        """Returns an input; its value is None if it has neither a value nor a supported connection."""
+        """Returns a shader input. Its value is None if the file gives neither a value nor a supported connection."""
         return _read_input(self._file, self._shader.GetInput(name))
 
     def number(self, name: str, default: float, low: float = 0.0, high: float = 1.0) -> float:
@@ -109,7 +113,13 @@ class _PreviewSurface:
 
 
 def _surface_of(file: UsdFile, material: Any, remark: bool) -> _PreviewSurface | None:
-    """Returns the UsdPreviewSurface of a material; None, with a remark if ``remark``, for other surface shaders."""
+    """Returns the UsdPreviewSurface shader of a material; None for any other surface shader.
+
+    Args:
+        file: The open file.
+        material: The material prim.
+        remark: Whether to record a remark about an unsupported shader.
+    """
     shader = material.ComputeSurfaceSource()[0]
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
         if remark:
@@ -140,7 +150,7 @@ def _read_input(file: UsdFile, given: Any) -> _ShaderInput:
 
 
 def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | None:
-    """Reads a UsdUVTexture node; returns None and adds a remark if it has no file, or UDIM tiles."""
+    """Reads a UsdUVTexture node. Returns None and adds a remark if the node names no file or uses UDIM tiles."""
     asset = _read_input(file, shader.GetInput("file")).value
     name = str(getattr(asset, "path", asset or ""))
     if not name or "<UDIM>" in name:
@@ -201,19 +211,19 @@ _UNSUPPORTED_FIELDS = {
     "transmission_texture": ("transmission textures", None),
     "priority": ("priorities of overlapping media", 0),
 }
-"""Material fields that UsdPreviewSurface lacks: the remark about each, and the value that has no effect."""
+"""Material fields that UsdPreviewSurface lacks. For each: the remark to log, unless the field has its neutral value."""
 
 _Key = tuple[int, bool]
 
 
 class ReadMaterial(NamedTuple):
-    """A material and the primvars that its meshes need."""
+    """A material with the primvars that a mesh needs for it."""
 
     material: MaterialPbr
     uv_transform: UvTransform = UvTransform()
-    """Texture coordinates of all textures of the material."""
+    """Texture coordinates that all textures of the material use."""
     color_primvar: str = ""
-    """Primvar of the mesh that provides the base colour; empty if no primvar does."""
+    """Name of the mesh primvar that provides the base colour; empty if no primvar does."""
 
 
 class UsdMaterials:
@@ -231,7 +241,11 @@ class UsdMaterials:
         self._total = TextureBytes(file.path)
 
     def bound_to(self, prim: Any, *, remark: bool = True) -> ReadMaterial | None:
-        """Returns the material bound to a prim; None if no supported material is bound, with a remark if ``remark``.
+        """Returns the material bound to a prim; None if no supported material is bound.
+
+        Args:
+            prim: A mesh or a particle field.
+            remark: Whether to record a remark about an unsupported material.
 
         Raises:
             FormatError: A value is out of range, or a texture is missing or corrupt.
@@ -253,7 +267,7 @@ class UsdMaterials:
         return self._cache[key]
 
     def sided(self, material: MaterialPbr, prim: Any) -> MaterialPbr:
-        """Returns the material for a mesh: emissive ones emit from front faces only, unless the mesh is doubleSided."""
+        """Returns the material for a mesh: an emissive one emits from front faces only, unless the mesh is two-sided."""
         if not material.is_emissive or value(self._file, prim, "doubleSided", False):
             return material
         if id(material) not in self._one_sided:
@@ -269,12 +283,12 @@ class UsdMaterials:
         return self._images[name]
 
     def remark(self, text: str, label: str) -> None:
-        """Records a feature of a material that is left out."""
+        """Records that a feature of a material is left out."""
         self._file.remarks.add(text, label)
 
 
 class _Decoder:
-    """Decodes one material."""
+    """Decodes one UsdPreviewSurface material to the fields of a `MaterialPbr`."""
 
     def __init__(self, materials: UsdMaterials, surface: _PreviewSurface) -> None:
         self._materials, self._surface = materials, surface
@@ -312,7 +326,11 @@ class _Decoder:
         )
 
     def _texture_input(self, name: str) -> _TextureInput | None:
-        """Returns an input's texture; None, with a remark, if its texture coordinates differ from the first one's."""
+        """Returns the texture of a shader input; None if no texture is connected.
+
+        All textures of a material share the texture coordinates of the first. A texture with other coordinates is left
+        out: None is returned, and a remark is recorded.
+        """
         texture = self._surface.read(name).texture
         if texture is None:
             return None
@@ -341,7 +359,7 @@ class _Decoder:
             self._set("emissive_texture", texture, self._colors(texture))
 
     def _colors(self, texture: _TextureInput) -> Texture:
-        """Returns three channels of a texture, encoded as sRGB."""
+        """Returns red, green and blue of a texture, encoded as sRGB."""
         texels = self._materials.texels(texture)
         texels = texels[:, :, :3] if texture.channel is None else np.repeat(_channel(texels, texture)[:, :, None], 3, 2)
         if texture.bias[:3].any():
@@ -377,7 +395,7 @@ class _Decoder:
             self._values["metallic_roughness_texture"] = both
 
     def _plane(self, texture: _TextureInput, channel_index: int) -> _Texels:
-        """Returns three channels of a texture, with the input's channel moved to ``channel_index``."""
+        """Returns three channels of a texture, with the channel that the input uses moved to ``channel_index``."""
         texels, channel = self._materials.texels(texture), texture.channel or 0
         if channel == channel_index:
             return texels[:, :, :3] if texels.shape[2] > 3 else texels
@@ -405,9 +423,9 @@ class _Decoder:
     def _opacity(self) -> None:
         """Reads opacity as transmission or as alpha.
 
-        Opacity below 1 becomes transmission if it is constant without a threshold, its mode is not ``presence``, and
-        either the mode is ``transparent`` or the roughness is 0. Otherwise it becomes alpha: masked with a threshold,
-        else blended.
+        Opacity below 1 becomes transmission if it is constant and has no threshold, its mode is not ``presence``, and
+        either the mode is ``transparent`` or the roughness is 0. Otherwise opacity becomes alpha: masked if it has a
+        threshold, else blended.
         """
         surface, cutoff = self._surface, self._surface.number("opacityThreshold", 0.0)
         texture, opacity = self._texture_input("opacity"), surface.number("opacity", 1.0)
@@ -427,7 +445,7 @@ class _Decoder:
             self._add_alpha(texture)
 
     def _add_alpha(self, texture: _TextureInput) -> None:
-        """Adds the opacity texture to the base colour texture as its fourth channel."""
+        """Stores the opacity texture as the fourth channel of the base colour texture."""
         plane = _channel(self._materials.texels(texture), texture)
         colors = self._values.get("base_color_texture")
         if colors is None:
@@ -439,7 +457,7 @@ class _Decoder:
         self._values["base_color_texture"] = np.concatenate([colors[:, :, :3], plane[:, :, None]], axis=2)
 
     def _wrap_values(self) -> dict[str, Any]:
-        """Returns the first texture's wrap modes for the whole material, and by name those of textures that differ."""
+        """Returns the wrap-mode fields: the first texture's modes for all textures, and exceptions by texture name."""
         if not self._wraps:
             return {}
         first = next(iter(self._wraps.values()))
@@ -448,7 +466,7 @@ class _Decoder:
 
 
 def _channel(texels: _Texels, texture: _TextureInput) -> _Texels:
-    """Returns the channel of a texture that feeds an input, shape (H, W); 255 if the image lacks that channel."""
+    """Returns the texture channel that a shader input uses, shape (H, W); 255 if the image lacks that channel."""
     channel = texture.channel or 0
     return texels[:, :, channel] if channel < texels.shape[2] else np.full(texels.shape[:2], 255, np.uint8)
 
@@ -460,7 +478,7 @@ def _unit(color: Any) -> tuple[float, ...]:
 
 @dataclass(slots=True)
 class MaterialWriter:
-    """Writes materials, each once."""
+    """Writes materials as shader networks; a material that several prims use is written once."""
 
     writer: StageWriter
     _cache: dict[_Key, tuple[Material, Any]] = field(default_factory=dict[_Key, "tuple[Material, Any]"])
@@ -481,7 +499,7 @@ class MaterialWriter:
 
 
 class _Network:
-    """Shader network of one written material."""
+    """Shader network of one material that is being written."""
 
     def __init__(self, writer: StageWriter, material: Material, has_colors: bool) -> None:
         px = pxr()
@@ -551,7 +569,7 @@ class _Network:
         self._write_opacity(material)
 
     def _write_simple(self, material: MaterialSimple, has_colors: bool) -> None:
-        """Writes the diffuse and emitted parts of a `MaterialSimple`, which UsdPreviewSurface can only approximate."""
+        """Writes the diffuse and emissive parts of a `MaterialSimple`, which UsdPreviewSurface can only approximate."""
         self._writer.remarks.add("simple materials, reduced to diffuse reflection and emission", self._name)
         color = material.base_color
         diffuse = tuple(d * c for d, c in zip(material.diffuse, color, strict=True))
@@ -579,7 +597,7 @@ class _Network:
             self._set(self._surface, "diffuseColor", "Color3f", pxr().Gf.Vec3f(*color))
 
     def _write_opacity(self, material: Material) -> None:
-        """Writes alpha, or transmission as transparent opacity."""
+        """Writes a material's alpha as opacity, or its transmission as opacity with mode ``transparent``."""
         transmission = material.transmission if isinstance(material, MaterialPbr) else 0.0
         if material.alpha_mode is AlphaMode.OPAQUE:
             if transmission > 0.0:
@@ -599,7 +617,7 @@ class _Network:
             self._set(self._surface, "opacityMode", "Token", "presence")
 
     def _write_plane(self, texture: str, name: str, factor: float, channel: str, scale: tuple[float, ...]) -> None:
-        """Writes an input as a constant, or as a channel of a texture times ``scale``."""
+        """Writes the shader input ``name`` as the constant ``factor``, or as a texture channel times ``scale``."""
         source = self._texture(texture, scale)
         if source is None:
             self._set(self._surface, name, "Float", factor)
@@ -615,7 +633,7 @@ class _Network:
         color: bool = False,
         name: str | None = None,
     ) -> Any:
-        """Returns the texture node of a material field, ``texel * scale + bias``; None without such a texture."""
+        """Returns a texture node that outputs ``texel * scale + bias``; None if the material field has no texture."""
         px, material = pxr(), self._material
         texels = getattr(material, f"{field_name}_texture", None)
         if texels is None:

@@ -30,7 +30,7 @@ class Attribute:
     """Attribute or primvar of a mesh."""
 
     values: FloatArray
-    """Values as float32, shape (N, C)."""
+    """Values as float32, shape (N, C): N values of C numbers, one for each element that ``interpolation`` names."""
     interpolation: str
     """USD interpolation: constant (one value), uniform (per face), vertex or varying (per vertex), faceVarying (per
     corner)."""
@@ -39,14 +39,10 @@ class Attribute:
 
 @dataclass(slots=True)
 class Polygons:
-    """Polygons of a mesh with their attributes.
-
-    Raises:
-        FormatError: The number of indices is not the sum of the face vertex counts.
-    """
+    """Polygons of a mesh with their attributes: V vertices, P faces and, over all faces, C corners."""
 
     path: object
-    """The file, for messages."""
+    """File that holds the mesh, named in error messages."""
     label: str
     positions: FloatArray
     """Vertex positions, shape (V, 3)."""
@@ -65,7 +61,7 @@ class Polygons:
             )
 
     def add(self, name: str, attribute: Attribute | None) -> None:
-        """Adds an attribute; None adds nothing.
+        """Adds an attribute; does nothing if ``attribute`` is None.
 
         Raises:
             FormatError: The attribute has fewer values than its interpolation needs.
@@ -82,12 +78,12 @@ class Polygons:
         self.attributes[name] = attribute
 
     def _needed(self, interpolation: str) -> int:
-        """Returns the number of values that an interpolation needs."""
+        """Returns the number of values that an attribute with this interpolation must have."""
         sizes = {"uniform": len(self.counts), "faceVarying": len(self.indices), "constant": 1}
         return sizes.get(interpolation, len(self.positions))
 
     def vertices(self) -> tuple[Rows, dict[str, FloatArray]]:
-        """Returns the vertex of each corner, shape (C,), and the per-vertex attributes, including ``positions``.
+        """Returns the vertex index of each corner, shape (C,), and all attributes, including positions, by vertex.
 
         A vertex whose corners have different values is split into several vertices.
         """
@@ -135,7 +131,7 @@ class UsdMeshes:
         return str(prim.GetTypeName()) in ("Mesh", *_SHAPES)
 
     def instances(self, placed: PlacedPrim) -> list[MeshInstance]:
-        """Returns a prim's meshes as instances in the world, one for each material."""
+        """Returns the meshes of a prim as instances in world space, one for each of its materials."""
         bound = self._materials.bound_to(placed.prim)
         key = placed.asset, id(bound)
         if key not in self._cache:
@@ -161,7 +157,10 @@ class UsdMeshes:
         return meshes
 
     def _groups(self, prim: Any, count: int, bound: ReadMaterial | None) -> list[tuple[Flags, ReadMaterial | None]]:
-        """Returns a face mask, shape (P,), for each material: first the geometry subsets, then the remaining faces."""
+        """Returns each material of a mesh prim with a mask of its faces, shape (faces,).
+
+        The geometry subsets come first, then the faces that no subset contains.
+        """
         rest = np.ones(count, bool)
         holes = whole_numbers(self._file, prim, "holeIndices")
         rest[holes[(holes >= 0) & (holes < count)]] = False
@@ -176,7 +175,7 @@ class UsdMeshes:
         return [group for group in (*groups, (rest, bound)) if group[0].any()]
 
     def _group(self, placed: PlacedPrim, polygons: Polygons, faces: Flags, read: ReadMaterial | None) -> Mesh | None:
-        """Returns the faces of one material as a mesh; None if no triangle is usable."""
+        """Returns the masked faces, which have one material, as a mesh; None if no triangle is usable."""
         file, prim = self._file, placed.prim
         subdivided = value(file, prim, "subdivisionScheme", "catmullClark") != "none"
         polygons.add("normals", _normals(file, prim))
@@ -226,14 +225,14 @@ class UsdMeshes:
 
 
 def _rotated_plane(mesh: Mesh, axis: str) -> Mesh:
-    """Rotates a plane that faces +y to another axis; its width lies along x, or along z if the plane faces x."""
+    """Rotates a plane that faces +y to face ``axis``. The plane's width then lies along x, or along z if it faces x."""
     order, signs = {"X": ([1, 2, 0], (1, 1, 1)), "Z": ([0, 2, 1], (1, -1, 1))}.get(axis, ([0, 1, 2], (1, 1, 1)))
     assert mesh.normals is not None
     return replace(mesh, positions=mesh.positions[:, order] * signs, normals=mesh.normals[:, order] * signs)
 
 
 def _normals(file: UsdFile, prim: Any) -> Attribute | None:
-    """Returns the normals primvar, else the normals attribute; None if the mesh has neither."""
+    """Returns the normals primvar of a mesh, else its normals attribute; None if the mesh has neither."""
     found = _primvar(file, prim, "normals", 3)
     if found is not None:
         return found
@@ -253,7 +252,7 @@ def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | N
 
 
 def _used(triangles: Rows, arrays: dict[str, FloatArray]) -> tuple[IntArray, dict[str, FloatArray]]:
-    """Removes the vertices that no triangle uses, from triangles and attributes."""
+    """Removes the vertices that no triangle uses. Returns the renumbered triangles and the remaining attribute rows."""
     used = np.zeros(len(arrays["positions"]), bool)
     used[triangles] = True
     if used.all():

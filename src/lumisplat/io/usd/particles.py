@@ -17,21 +17,21 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import display_sh
 
 _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaussianSplat")
-"""Prim types of particle fields. The second gets its meaning from applied schemas; Nuke 17.0 wrote the third."""
+"""Prim types of particle fields. Applied schemas give the second type its meaning; Nuke 17.0 wrote the third."""
 _KERNEL = "ParticleFieldKernel"
 _ELLIPSOID, _SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
 _PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1}
-"""Number of columns of each primvar of relightable captures, named after the `Gaussians` field that it stores."""
+"""Numbers per Gaussian of each primvar of relightable captures. A primvar has the name of its `Gaussians` field."""
 _COLOR_SPACE = "srgb_rec709_scene"
-"""OpenUSD name of the colour space of captures. Other programs write srgb_rec709_display."""
+"""Colour space of captures by its OpenUSD name. Other programs write srgb_rec709_display."""
 _LINEAR = ("lin_rec709", "lin_srgb", "lin_rec709_scene", "lin_rec709_display")
 _DEGREE_MAX = 10
-"""Largest SH degree in a file; degrees above `SH_DEGREE_MAX` are dropped."""
+"""Largest SH degree accepted in a file; coefficients above `SH_DEGREE_MAX` are dropped."""
 
 Floats = npt.NDArray[np.float32]
 
 _EXTENT_SCALES = 3.0
-"""Radius of a Gaussian in the extent of a field, in multiples of its scale."""
+"""Radius that each Gaussian adds to the extent of a field, in standard deviations."""
 _SH_ATTRIBUTE = "radiance:sphericalHarmonics"
 
 
@@ -86,10 +86,10 @@ def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
 
 
 def _scales(file: UsdFile, prim: Any, count: int) -> tuple[Floats, bool]:
-    """Returns the scales, shape (N, 3), and whether they are logarithms.
+    """Returns the scales of N Gaussians, shape (N, 3), and whether the file stores their logarithms.
 
-    Scales cannot be negative. If most of them are, the writer copied logarithms from a capture. A few negative scales
-    are mirrored, and their absolute values are used.
+    Scales cannot be negative. If most stored values are negative, the writer copied logarithms from a capture. If only
+    a few are negative, those Gaussians are mirrored, and the absolute values are used.
     """
     scales = _resized(_float_or_half(file, prim, "scales", 3), count, (1.0, 1.0, 1.0))
     if 2 * np.count_nonzero(scales < 0.0) <= scales.size:
@@ -99,20 +99,23 @@ def _scales(file: UsdFile, prim: Any, count: int) -> tuple[Floats, bool]:
 
 
 def _float_or_half(file: UsdFile, prim: Any, name: str, columns: int) -> Floats | None:
-    """Reads an attribute as float32, else its half-precision version (``name`` + "h")."""
+    """Reads an attribute as float32, or else the half-precision attribute of the same name with "h" appended."""
     found = array(file, prim, name, columns)
     return array(file, prim, name + "h", columns) if found is None else found
 
 
 def _resized(values: Floats | None, count: int, default: Any) -> Floats:
-    """Returns the first ``count`` rows, or ``default`` in each row if there are fewer."""
+    """Returns the first ``count`` rows of ``values``, or ``count`` rows of ``default`` if ``values`` has fewer."""
     if values is None or len(values) < count:
         return np.tile(np.array(default, np.float32), (count, 1) if np.ndim(default) else count)
     return values[:count]
 
 
 def _sh(file: UsdFile, prim: Any, count: int) -> Floats:
-    """Reads the SH coefficients, shape (N, K, 3), and encodes linear ones as sRGB. Without any, particles are grey."""
+    """Reads the K SH coefficients of each of N Gaussians, shape (N, K, 3). A field without SH becomes grey.
+
+    SH of linear colours are encoded as sRGB.
+    """
     degree = number(file, prim, "radiance:sphericalHarmonicsDegree", SH_DEGREE_MAX)
     stored = _float_or_half(file, prim, "radiance:sphericalHarmonicsCoefficients", 3)
     size = int(degree + 1) ** 2 if 0.0 <= degree <= _DEGREE_MAX else 0
@@ -133,7 +136,7 @@ def _sh(file: UsdFile, prim: Any, count: int) -> Floats:
 
 
 def _color_space(prim: Any) -> str:
-    """Returns the colour space of the SH coefficients, from their metadata or the prim; empty if neither states one."""
+    """Returns the colour space of the SH coefficients, from their metadata or the prim; empty if neither states it."""
     attributes = (prim.GetAttribute(f"radiance:sphericalHarmonicsCoefficients{end}") for end in ("", "h"))
     authored = [str(one.GetColorSpace()) for one in attributes if one and one.HasColorSpace()]
     attribute = prim.GetAttribute("colorSpace:name")
@@ -141,7 +144,7 @@ def _color_space(prim: Any) -> str:
 
 
 def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:
-    """Reads normals and materials of relightable captures; primvars without a value per particle are ignored."""
+    """Reads the normals and materials of a relightable capture; a primvar without one value per particle is ignored."""
     primvars, found = pxr().UsdGeom.PrimvarsAPI(prim), dict[str, Floats]()
     for name, columns in _PRIMVARS.items():
         primvar = primvars.GetPrimvar(name)
@@ -185,7 +188,7 @@ def particle_values(gaussians: Gaussians) -> dict[str, Any]:
 
 
 def _extent(gaussians: Gaussians) -> npt.NDArray[np.float32]:
-    """Returns the corners of a box around all Gaussians, shape (2, 3)."""
+    """Returns the lower and the upper corner of a box around all Gaussians, shape (2, 3)."""
     reach = _EXTENT_SCALES * gaussians.scales.max(axis=1, keepdims=True)
     return np.stack([(gaussians.means - reach).min(axis=0), (gaussians.means + reach).max(axis=0)])
 

@@ -1,9 +1,9 @@
 """Reads OpenUSD files in a child process with limits on memory and processor time.
 
 The USD library trusts the sizes in a file: a crafted file can take all memory, run for hours or crash the process. The
-child therefore reads the file and sends only the result. It asks the parent about each layer before opening it, and the
-parent checks the path. Where processes can fork, one child loads the library, waits for requests and forks for each of
-them, so that only the first request pays for loading.
+child process therefore reads the file and sends only the result. The child asks the parent before it opens a layer, and
+the parent checks the layer's path. Where processes can fork, one child loads the library, waits for requests and forks
+for each request, so that only the first request pays for loading.
 """
 
 from __future__ import annotations
@@ -32,27 +32,30 @@ from lumisplat.errors import FormatError, LumisplatError, MissingExtraError
 from lumisplat.io.files.source import PathLike, check_regular, leaves_folder, may_leave_folder, references_outside
 
 USD_MEMORY = 3 * 2**28
-"""Memory limit of the child in bytes, before the size of the files is added. The library and Warp take 0.2 GB of it."""
+"""Memory limit of the child for an empty file, bytes; `USD_MEMORY_PER_BYTE` adds to it. The library and Warp take 0.2
+GB."""
 
 USD_ASSETS_MEMORY = 2 * 2**30
-"""Bytes added to the memory limit at the first texture. `TEXTURE_BYTES_FREE` limits the textures themselves."""
+"""Bytes added to the memory limit once, at a file's first texture. `TEXTURE_BYTES_FREE` limits decoded textures
+further."""
 
 USD_MEMORY_PER_BYTE = 40
-"""Bytes added to the memory limit for each byte of layers and textures: text of 8 digits becomes doubles, which the
-library holds three times."""
+"""Bytes added to the memory limit for each byte of layers and textures: numbers of 8 characters become doubles, and
+the library holds three copies of them."""
 
 USD_CPU_SECONDS = 30
-"""Limit on the child's processor time in seconds, before the size of the files is added. References nested 16 deep
-took minutes."""
+"""Limit on the child's processor time for an empty file, seconds; `USD_CPU_SECONDS_PER_MEGABYTE` adds to it. A crafted
+file with references nested 16 deep took minutes."""
 
 USD_CPU_SECONDS_PER_MEGABYTE = 1.0
-"""Seconds added to the processor time limit for each 2^20 bytes of the files. Reading text takes 0.1 s."""
+"""Seconds added to the processor time limit for each 2^20 bytes of the files. Reading 2^20 bytes of text takes 0.1 s.
+"""
 
 USD_WALL_FACTOR = 10.0
-"""Limit on elapsed time as a multiple of the processor time limit, generous for busy machines."""
+"""Limit on elapsed time as a multiple of the processor time limit, large enough for a busy machine."""
 
 USD_START_SECONDS = 300.0
-"""Limit on the elapsed time, in seconds, in which the child must load the library. An idle machine takes 0.2 s."""
+"""Limit on elapsed time until the child has loaded the library, seconds. On an idle machine loading takes 0.2 s."""
 
 USD_IDLE_SECONDS = 60.0
 """Seconds without a request after which an idle child ends."""
@@ -63,7 +66,7 @@ _START = "import sys; sys.path[:] = sys.argv[1:]; from lumisplat.io.usd.process 
 """Program of the child. The child imports modules from the parent's path, never from the working folder."""
 
 _FORKS = hasattr(os, "fork") and sys.platform != "darwin"
-"""True if children fork for each request; libraries of macOS do not survive a fork."""
+"""True if children fork for each request. They do not on macOS, whose libraries do not survive a fork."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,7 @@ class _Request:
     """Working folder of the parent, from which relative paths start."""
     allow_outside: bool
     limit: _Limit
-    """Limit until the parent grants the first layer."""
+    """Limits that apply until the parent has granted access to the first layer."""
     level: int
     """Lowest level of log records that the parent handles."""
 
@@ -123,7 +126,7 @@ def read_in_child(path: PathLike, function: Callable[..., Any], *arguments: Any)
 
 
 class Remote:
-    """A function of one argument that stays in the child. The parent receives a proxy that calls it there.
+    """A function of one argument that stays in the child. The parent receives a proxy, which calls it in the child.
 
     Args:
         function: The function.
@@ -141,7 +144,7 @@ class Remote:
 
 
 class _Child:
-    """The parent's handle of a child process."""
+    """Child process as the parent sees it: its pipes, its limits and its current request."""
 
     _idle: list[_Child] = []  # noqa: RUF012
     _lock = threading.RLock()  # `_drop_remote` may run at any time, also within `acquire`
@@ -160,11 +163,11 @@ class _Child:
         )
         self._in, self._out = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
         self._reader = 0
-        """Process id of the reader: the child itself or its fork; 0 if no file is being read."""
+        """Id of the process that reads the current file: the child or its fork; 0 if no file is being read."""
         self._limit = _Limit.of(0)
         """Limits of the current file."""
         self._size = 0
-        """Bytes of the current file's layers so far."""
+        """Total size in bytes of the current file's layers that the child has asked for."""
         self._calls = threading.Lock()
         self._remotes = 0
         """Number of remote functions that the parent still holds."""
@@ -182,7 +185,7 @@ class _Child:
         return cls()
 
     def release(self) -> None:
-        """Ends the request and makes the child idle, unless the parent still holds one of its remote functions."""
+        """Ends the request and makes the child idle; does nothing while the parent holds a remote function of it."""
         if self._remotes:
             return
         with contextlib.suppress(OSError, EOFError, ValueError):  # the child may have ended and its pipes be closed
@@ -196,7 +199,7 @@ class _Child:
         self.end()
 
     def end(self) -> None:
-        """Kills the process, whatever it is doing."""
+        """Kills the child process and its fork, and closes the pipes."""
         with contextlib.suppress(OSError):
             if self._reader and self._reader != self._process.pid and self._process.poll() is None:
                 os.kill(self._reader, signal.SIGKILL)
@@ -207,7 +210,11 @@ class _Child:
         self._process.wait()
 
     def call(self, request: _Request | tuple[int, float], path: Path) -> Any:
-        """Sends a request, or calls a remote function by its number, and returns the result.
+        """Sends a request or calls a remote function, and returns the result.
+
+        Args:
+            request: A request to read a file, or the number and the argument of a remote function.
+            path: The file, named in errors.
 
         Raises:
             FormatError: See `read_in_child`.
@@ -251,13 +258,19 @@ class _Child:
                 raise
 
     def _begin(self, request: _Request | tuple[int, float]) -> _Limit:
-        """Returns the limit of a call; a new request resets the state of the previous file."""
+        """Returns the limits for a call. A new request, unlike a remote call, resets the state of the previous file."""
         if isinstance(request, _Request):
             self._reader, self._size, self._limit = 0, 0, request.limit
         return self._limit
 
     def _update_limit(self, kind: str, value: Any) -> None:
-        """Handles messages that change the limit: the child forked, asks for a layer, or will decode a texture."""
+        """Handles a message of the child.
+
+        Args:
+            kind: "reader" if the child forked, "file" if it asks for a layer, "limit" if it raised its limit for a
+                texture.
+            value: Id of the forked process, path of the layer, or the raised limit.
+        """
         if kind == "reader":
             self._reader = value
         elif kind == "limit":
@@ -307,18 +320,18 @@ class _Limit:
 
     @classmethod
     def of(cls, size: int) -> _Limit:
-        """Returns the limits for files of ``size`` bytes in total."""
+        """Returns the limits for reading files with a total size of ``size`` bytes."""
         return cls(
             USD_MEMORY + USD_MEMORY_PER_BYTE * size, USD_CPU_SECONDS + USD_CPU_SECONDS_PER_MEGABYTE * size / 2**20
         )
 
     def timer(self, end: Callable[[], None]) -> threading.Timer:
-        """Starts a timer that ends a child which hangs without using processor time."""
+        """Starts a timer that ends a child which hangs; it fires after `USD_WALL_FACTOR` times ``seconds``."""
         return _timer(USD_WALL_FACTOR * self.seconds, end)
 
 
 def _timer(seconds: float, end: Callable[[], None]) -> threading.Timer:
-    """Starts a daemon timer, which does not keep the program alive."""
+    """Starts a timer that calls ``end`` after some seconds; its daemon thread does not keep the program alive."""
     timer = threading.Timer(seconds, end)
     timer.daemon = True
     timer.start()
@@ -326,7 +339,13 @@ def _timer(seconds: float, end: Callable[[], None]) -> threading.Timer:
 
 
 def _death_error(path: Path, limit: _Limit, status: int) -> FormatError:
-    """Returns the error for a child that has died; ``status`` is the negative signal number, as from `Popen.wait`."""
+    """Returns the error about a child that has died while it read ``path``.
+
+    Args:
+        path: The file.
+        limit: Limits of the child.
+        status: Exit status as from `Popen.wait`: negative for a signal.
+    """
     if status in (-getattr(signal, "SIGXCPU", 0), -getattr(signal, "SIGKILL", 0)):
         what = f"takes more than {limit.seconds:.0f} s to read, many times what files of its size need"
     else:
@@ -360,13 +379,13 @@ def _checked_size(path: Path, file: Path) -> int:
 
 @dataclass(slots=True)
 class _Session:
-    """The child's side of one request."""
+    """State of one request in the child process: the pipes to the parent, the limits and the remote functions."""
 
     input: BinaryIO
     output: BinaryIO
     limit: _Limit
     used: float = 0.0
-    """Processor time in seconds that the process had used when the current call began."""
+    """Processor time in seconds that this process had already used when the current call began."""
     remotes: list[Remote] = field(default_factory=list[Remote])
     has_assets: bool = False
 
@@ -375,14 +394,14 @@ class _Session:
         send(self.output, (kind, value), self._number)
 
     def _number(self, value: Any) -> int | None:
-        """Returns the number of a `Remote`, which stays in the child; None for other values."""
+        """Registers a `Remote`, which stays in the child, and returns its number; returns None for any other value."""
         if not isinstance(value, Remote):
             return None
         self.remotes.append(value)
         return len(self.remotes) - 1
 
     def begin(self) -> None:
-        """Starts a call with a fresh allowance of processor time."""
+        """Starts a call, which may use as much processor time as the limit allows, whatever earlier calls used."""
         self.used = time.process_time()
         self.set_limit(self.limit)
 
@@ -406,16 +425,16 @@ class _Session:
 
 
 _session: _Session | None = None
-"""The session of this process; None in the parent."""
+"""Session of the current process in a child; None in the parent."""
 
 
 def request_access(file: Path) -> None:
-    """Asks the parent process for permission to open a layer, and applies the new limits.
+    """Asks the parent process for permission to open a layer, and applies the raised limits that the parent returns.
 
     Does nothing outside of the child process that reads OpenUSD files.
 
     Args:
-        file: A file that the stage is composed of.
+        file: A layer file of the stage.
     """
     if _session is None:
         return
@@ -474,7 +493,7 @@ def _wait_for_request(stdin: BinaryIO) -> bool:
 
 
 def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
-    """Reads a file and answers calls of its remote functions, then exits the process."""
+    """Reads the file of a request, answers calls of its remote functions until "done" arrives, and exits the process."""
     global _session  # noqa: PLW0603
     session = _session = _Session(stdin, stdout, request.limit)
     try:
@@ -497,7 +516,7 @@ def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
 
 
 def _limit(memory: int, seconds: float) -> None:
-    """Limits the memory and the total processor time of this process, on systems that support it."""
+    """Limits memory in bytes and total processor time in seconds of this process, on systems that support it."""
     try:
         import resource
     except ImportError:
@@ -524,12 +543,12 @@ class _LogForwarder(logging.Handler):
 
 
 def send(stream: BinaryIO, value: Any, number_of: Callable[[Any], int | None] | None = None) -> None:
-    """Writes a value to a pipe: the number of parts, then each part after its length.
+    """Writes a value to a pipe as several byte strings: their number, then each string after its length.
 
     Args:
         stream: The pipe.
-        value: A picklable value. Arrays become separate parts and are not copied.
-        number_of: Returns the number of a value that stays in this process, None for values to be sent.
+        value: A picklable value. Each array becomes a separate byte string and is not copied.
+        number_of: Returns a number for a value that stays in this process and is sent as that number; None for others.
     """
     data, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
     pickler = pickle.Pickler(data, 5, buffer_callback=buffers.append)
@@ -545,7 +564,11 @@ def send(stream: BinaryIO, value: Any, number_of: Callable[[Any], int | None] | 
 
 
 def receive(stream: BinaryIO, load: Callable[[int], Any] | None = None) -> Any:
-    """Reads a value that `send` wrote; its arrays are read-only.
+    """Reads a value that `send` wrote; arrays in the value are read-only.
+
+    Args:
+        stream: The pipe.
+        load: Returns the value to use in place of a number that `send` wrote for a value of the other process.
 
     Raises:
         EOFError: The pipe is closed.
@@ -568,7 +591,7 @@ def _write(stream: BinaryIO, data: bytes | memoryview) -> None:
 
 
 def _read_exactly(stream: BinaryIO, length: int) -> bytes:
-    """Reads exactly ``length`` bytes and never more, because another process may read what follows."""
+    """Reads exactly ``length`` bytes and never more, because another process may read the bytes that follow."""
     parts: list[bytes] = []
     while length:
         part = stream.read(min(length, 2**20))

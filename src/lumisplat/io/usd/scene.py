@@ -34,8 +34,8 @@ _NON_SHAPE_ATTRIBUTES = ("xformOp:", "visibility", "extent", "velocities", "acce
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
     """Reads a stage at its first time code: particle fields, meshes and lights, with their materials.
 
-    A stage with one particle field and nothing else is returned as a capture, with y down as in Gaussian PLY files.
-    Scenes have y up and metres.
+    A stage that contains one particle field and nothing else is returned as a capture, with y down as in Gaussian PLY
+    files. A scene has y up and is in metres.
 
     Args:
         path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
@@ -82,13 +82,13 @@ def _holds_one_capture(path: Path) -> bool:
 
 
 def _settings(prim: Any) -> dict[str, Any]:
-    """Returns the sh_degree and shadow_catcher of a field or mesh that Lumisplat wrote."""
+    """Returns ``sh_degree`` and ``shadow_catcher`` of a prim that Lumisplat wrote; empty for other prims."""
     custom_data = with_current_keys(custom_data_of(prim))
     return {name: custom_data[name] for name in ("sh_degree", "shadow_catcher") if name in custom_data}
 
 
 def shape_time_codes(prim: Any) -> Doubles:
-    """Returns the time codes with samples of a prim's shape or appearance, shape (K,)."""
+    """Returns the sorted time codes at which the shape or appearance of a prim has samples."""
     shapes = (one for one in prim.GetAuthoredAttributes() if not one.GetName().startswith(_NON_SHAPE_ATTRIBUTES))
     return np.array(sorted({code for one in shapes for code in one.GetTimeSamples()}))
 
@@ -116,13 +116,14 @@ class StageReader:
     deforming: dict[str, tuple[PlacedPrim, list[SplatInstance | MeshInstance]]] = field(
         default_factory=dict[str, "tuple[PlacedPrim, list[SplatInstance | MeshInstance]]"]
     )
-    """Instances whose shape has time samples, by prim path. Instances of point instancers keep their first shape."""
+    """Prims whose shape has time samples with their instances, by prim path. Instances made by a point instancer are
+    not included and keep their first shape."""
     has_cameras: bool = False
     _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
     _materials: UsdMaterials = field(init=False)
 
     def run(self) -> StageReader:
-        """Traverses the stage and collects everything in it.
+        """Traverses the stage and collects its captures, meshes and lights. Returns this reader.
 
         Raises:
             FormatError: A prim cannot be read, or the stage has nothing to read.
@@ -157,7 +158,7 @@ class StageReader:
         return Scene(self.splats, self.meshes, self.lights, up="y-up")
 
     def as_capture(self) -> Gaussians | None:
-        """Returns the Gaussians if the stage has a single particle field and nothing else, else None."""
+        """Returns the Gaussians if the stage has a single particle field and nothing else; otherwise None."""
         if len(self.splats) != 1 or self.meshes or self.lights or self.has_cameras:
             return None
         only = self.splats[0]

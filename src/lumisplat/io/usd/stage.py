@@ -35,30 +35,30 @@ from lumisplat.scene.placing import Vector, up_vector, y_up_from
 _log = logging.getLogger("lumisplat")
 
 USD_INSTANCES_MAX = 1_000_000
-"""Largest number of prims of a file, and of point instancer instances. Nested instances multiply, so a small file
-could ask for any number."""
+"""Largest number of prims of a file, and largest number of instances that its point instancers make. Nested instances
+multiply, so a small file could ask for any number."""
 
 _NAMES_LISTED = 3
-"""Number of prim names that are listed after a remark."""
+"""Largest number of prim names that the log line lists after a remark."""
 _REMARKS_LISTED = 12
-"""Number of remarks that the log line lists."""
+"""Largest number of remarks that the log line lists."""
 
 _CUSTOM_DATA_KEY = "lumisplat"
-"""Key of the dictionary in a prim's customData that stores Lumisplat settings which OpenUSD has no attribute for."""
+"""Key in a prim's customData whose dictionary holds the Lumisplat settings that OpenUSD has no attribute for."""
 _UNIT_ERROR = 1e-9
 """Relative difference from 1 below which metersPerUnit counts as 1."""
 
 _ROOT = "/World"
-"""Path of the default prim, the parent of everything that is written."""
+"""Path of the default prim, the parent of all written prims."""
 
 
 @dataclass(slots=True)
 class Remarks:
-    """Collects what a file loses when it is read or written, with the names of the prims concerned."""
+    """Collects the features that are lost when a file is read or written, and the names of the prims that have them."""
 
     path: PathLike
     head: str
-    """Text of the log line between the file's path and the remarks."""
+    """Text of the log line between the file's path and the list of remarks."""
     names: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
 
     def add(self, remark: str, name: str = "") -> None:
@@ -82,7 +82,7 @@ class Remarks:
 
 
 def _listed(names: list[str]) -> str:
-    """Returns the first few names in brackets and the number of the others, or an empty string without names."""
+    """Returns the first few names in brackets and how many more there are; an empty string for no names."""
     more = f" and {len(names) - _NAMES_LISTED} more" if len(names) > _NAMES_LISTED else ""
     return f" ({', '.join(names[:_NAMES_LISTED])}{more})" if names else ""
 
@@ -99,7 +99,7 @@ class UsdFile:
     """Transform from stage space to the world, which has y up and metres, shape (4, 4)."""
     remarks: Remarks
     layers: list[Any]
-    """Layers that must stay referenced, because the USD library drops layers that nobody holds."""
+    """Layers that must stay referenced, because the USD library drops layers that no object references."""
 
     @property
     def unit(self) -> float:
@@ -134,13 +134,13 @@ def open_usd(path: Path) -> UsdFile:
 
 
 def _first_time(stage: Any) -> Any:
-    """Returns startTimeCode if the stage has an authored time range, else the earliest time of each attribute."""
+    """Returns the stage's startTimeCode if its time range is authored; else the earliest time of each attribute."""
     code = pxr().Usd.TimeCode
     return code(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else code.EarliestTime()
 
 
 def _world_from_stage(path: Path, stage: Any, remarks: Remarks) -> Doubles:
-    """Returns the transform from stage space to the world, shape (4, 4); a remark records a change of axes or unit."""
+    """Returns the transform from stage space to the world, shape (4, 4); remarks report a change of up axis or unit."""
     geom, matrix = pxr().UsdGeom, np.eye(4)
     axis = str(geom.GetStageUpAxis(stage))
     if axis not in ("Y", "Z"):
@@ -172,7 +172,7 @@ def value(file: UsdFile, prim: Any, name: str, default: Any = None) -> Any:
 
 
 def shortest(found: float) -> float:
-    """Rounds a float32 value to its shortest decimal: 0.4, not 0.4000000059604645."""
+    """Returns the shortest decimal number that rounds to the float32 value: 0.4, not 0.4000000059604645."""
     single = np.float32(found)
     return float(str(single)) if float(single) == found else float(found)
 
@@ -197,7 +197,7 @@ def number(file: UsdFile, prim: Any, name: str, default: float) -> float:
 
 
 def array(file: UsdFile, prim: Any, name: str, columns: int) -> npt.NDArray[np.float32] | None:
-    """Reads an array attribute as float32, shape (N, columns), or (N,) for one column; None if it is empty.
+    """Reads an array attribute as float32: N rows, shape (N, columns), or (N,) for one column; None if it is empty.
 
     Raises:
         FormatError: The rows have another number of columns, or hold no numbers.
@@ -207,7 +207,7 @@ def array(file: UsdFile, prim: Any, name: str, columns: int) -> npt.NDArray[np.f
 
 
 def rows(file: UsdFile, label: str, found: Any, columns: int) -> npt.NDArray[np.float32] | None:
-    """Converts an attribute value to float32 rows, as `array` does; ``label`` names the attribute in errors."""
+    """Converts the value of an attribute to float32 rows, as `array` does; ``label`` names the attribute in errors."""
     try:
         values = np.array(found, dtype=np.float32)
     except (TypeError, ValueError):
@@ -220,7 +220,7 @@ def rows(file: UsdFile, label: str, found: Any, columns: int) -> npt.NDArray[np.
 
 
 def whole_numbers(file: UsdFile, prim: Any, name: str) -> npt.NDArray[np.int64]:
-    """Reads an integer array attribute, shape (N,); empty if the attribute has no value.
+    """Reads an integer array attribute, a one-dimensional array; empty if the attribute has no value.
 
     Raises:
         FormatError: The array does not hold integers, or has more than one axis.
@@ -234,12 +234,12 @@ def whole_numbers(file: UsdFile, prim: Any, name: str) -> npt.NDArray[np.int64]:
 
 
 def asset_name(asset: Any) -> str:
-    """Returns the authored path of an asset, as the layer spells it."""
+    """Returns the path of an asset as the layer spells it, before it is resolved."""
     return str(getattr(asset, "path", asset))
 
 
 def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
-    """Reads the file of an asset attribute, such as a texture.
+    """Reads the file that an asset attribute names, such as a texture.
 
     In the child process that reads OpenUSD files, the memory limit is raised first, because the asset will be decoded.
 
@@ -257,7 +257,7 @@ def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
 
 
 def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
-    """Reads an asset from a file, or from an uncompressed entry of a .usdz package."""
+    """Reads the bytes of an asset, a file of its own or an uncompressed entry of a .usdz package."""
     ar, name = pxr().Ar, asset_name(asset)
     found = str(getattr(asset, "resolvedPath", "")) or name
     if found == name and file.path.suffix.lower() == ".usdz":  # unresolved: look into the package itself
@@ -284,7 +284,8 @@ def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
 class StageWriter:
     """Builds a stage in memory.
 
-    The stage has metres and y up, or z up if the scene has. The root prim rotates scenes with any other up direction.
+    The stage is in metres, with z up if the scene has z up and y up otherwise. The root prim rotates a scene with any
+    other up direction.
     """
 
     path: Path
@@ -293,10 +294,10 @@ class StageWriter:
     stage: Any = field(init=False)
     remarks: Remarks = field(init=False)
     files: dict[str, bytes] = field(default_factory=dict[str, bytes])
-    """Contents of the textures to write next to the layer, by file name."""
+    """Contents of the texture files to write next to the layer, by file name."""
     _textures: dict[int, tuple[Texture, str]] = field(default_factory=dict[int, "tuple[Texture, str]"])
-    """Texel arrays and the asset paths they were written to, by ``id(texels)``. Holding the arrays keeps the ids
-    unique."""
+    """Texel arrays with the asset paths that they are written to, by ``id(texels)``. The reference to the array keeps
+    its id unique."""
     _paths: set[str] = field(default_factory=set[str])
 
     def __post_init__(self) -> None:
@@ -314,7 +315,7 @@ class StageWriter:
         self.set_transform(root.GetPrim(), rotation)
 
     def path_of(self, name: str, parent: str = _ROOT) -> str:
-        """Returns an unused prim path below ``parent``: ``name`` with ``_`` for invalid characters."""
+        """Returns an unused prim path below ``parent``, from ``name`` with ``_`` in place of invalid characters."""
         stem = re.sub(r"[^A-Za-z0-9_]", "_", name) or "unnamed"
         stem = f"_{stem}" if stem[0].isdigit() else stem
         path, count = f"{parent}/{stem}", 1
@@ -338,7 +339,7 @@ class StageWriter:
             prim.SetCustomDataByKey(f"{_CUSTOM_DATA_KEY}:{key}", setting)
 
     def name(self, prim: Any, name: str) -> None:
-        """Sets a prim's displayName if its path cannot spell the name."""
+        """Sets a prim's displayName to ``name`` if the prim path cannot contain the name."""
         if name and prim.GetName() != name:
             prim.SetDisplayName(name)
 
@@ -348,7 +349,7 @@ class StageWriter:
             pxr().UsdGeom.Xformable(prim).AddTransformOp().Set(matrix(world_from_object))
 
     def texture(self, texels: Texture, name: str) -> str:
-        """Returns the asset path of a texture, which is stored as PNG once."""
+        """Returns the asset path of a texture; the first call for a texture also stores it as PNG."""
         if id(texels) not in self._textures:
             self._textures[id(texels)] = texels, self.add_file(name, ".png", _png_bytes(texels))
         return self._textures[id(texels)][1]
@@ -361,7 +362,7 @@ class StageWriter:
 
 
 def folder_of(path: PathLike) -> str:
-    """Returns the name of the texture folder: ``textures`` in a .usdz package, else ``NAME_textures``."""
+    """Returns the name of the folder for textures: ``textures`` in a .usdz package, else ``NAME_textures``."""
     stem = Path(path).stem.encode(errors="replace").decode()  # layers store UTF-8
     return "textures" if Path(path).suffix.lower() == ".usdz" else f"{stem}_textures"
 
@@ -388,7 +389,8 @@ class PlacedPrim(NamedTuple):
     """Transform from the prim's space to the world, shape (4, 4)."""
     name: str
     visible: bool
-    """True if visibility and purpose show the prim. Hidden lights are read as disabled; hidden cameras are read."""
+    """True if the prim's visibility and purpose let it be rendered. A hidden light is read as disabled; a hidden
+    camera is read as usual."""
     animated: bool = False
     """True if the prim's transform has time samples."""
     instanced: bool = False
@@ -402,7 +404,7 @@ class PlacedPrim(NamedTuple):
 
     @property
     def is_degenerate(self) -> bool:
-        """True if the transform is singular or not finite. Files hide prims by scaling them to zero."""
+        """True if the transform is singular or not finite. Files hide a prim by scaling it to zero."""
         linear = self.world_from_prim[:3, :3]
         size = np.abs(linear).max()
         return not np.isfinite(size) or size == 0.0 or abs(np.linalg.det(linear / size)) < 1e-9
@@ -419,7 +421,7 @@ def placed_prims(file: UsdFile) -> Iterator[PlacedPrim]:
 
 
 def prim_name(prim: Any) -> str:
-    """Returns a prim's displayName, else its name; the only prim of an instance is named after the instance."""
+    """Returns a prim's displayName, else its path name; for the only prim of an instance, the name of the instance."""
     px, parent = pxr(), prim.GetParent()
     if prim.IsInstanceProxy() and parent.IsInstance():
         everything = px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)
@@ -430,7 +432,7 @@ def prim_name(prim: Any) -> str:
 
 @dataclass(slots=True)
 class _Walk:
-    """A traversal of a stage that counts prims and instances, hidden ones too, and stops at `USD_INSTANCES_MAX`."""
+    """A traversal of a stage that counts prims and instances, hidden ones too, up to `USD_INSTANCES_MAX` of each."""
 
     file: UsdFile
     xform_cache: Any
@@ -443,7 +445,8 @@ class _Walk:
 
         Args:
             root: A prim.
-            world_from_base: Transform from the space of the cached prim transforms to the world, shape (4, 4).
+            world_from_base: Transform, shape (4, 4), that is applied after the prim transforms of ``xform_cache``: from
+                stage space to the world and, for a prototype, to its instance.
             instancers: Paths of the enclosing point instancers. An instancer that instances itself is skipped.
         """
         file, px = self.file, pxr()
@@ -495,10 +498,10 @@ class _Walk:
             yield from self.descendants(root, placed, instancers)
 
     def _incremented(self, before: int) -> int:
-        """Returns a count plus one.
+        """Returns ``before + 1``, the new number of prims or instances.
 
         Raises:
-            FormatError: The count has reached `USD_INSTANCES_MAX`.
+            FormatError: ``before`` has reached `USD_INSTANCES_MAX`.
         """
         if before >= USD_INSTANCES_MAX:
             raise FormatError(self.file.path, f"has more than {USD_INSTANCES_MAX:,} prims or instances")

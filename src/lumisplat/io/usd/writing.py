@@ -38,7 +38,8 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 USD_PACKAGE_BYTES_MAX = 2**32 - 1
-"""Largest size of a .usdz package in bytes: that of zip without the zip64 extension, which USD does not read."""
+"""Largest size of a .usdz package in bytes: the limit of the zip format without its zip64 extension, which USD does
+not read."""
 
 Instance = SplatInstance | MeshInstance
 _PROTOTYPES = "/Prototypes"
@@ -91,7 +92,7 @@ def _as_scene(subject: Gaussians | Mesh | Scene | Animation) -> Scene:
 
 @dataclass(slots=True)
 class AssetWriter:
-    """Writes instances; an asset that several instances share is written once."""
+    """Writes instances of captures and meshes to a stage; an asset that several instances share is written once."""
 
     writer: StageWriter
     materials: MaterialWriter
@@ -133,7 +134,7 @@ class AssetWriter:
         return prim
 
     def _instance(self, path: str, instance: Instance) -> Any:
-        """Writes a prim that references the prototype of an instance; the prototype is written on first use."""
+        """Writes a prim that references the prototype of an instance; the first instance also writes the prototype."""
         px, stage = pxr(), self.writer.stage
         key = _key(instance)
         if key not in self._prototypes:
@@ -198,7 +199,10 @@ def _mesh_values(mesh: Mesh) -> dict[str, Any]:
 
 
 def _colors(mesh: Mesh) -> Any:
-    """Returns the vertex colours, times the base colour if no texture replaces it: shaders cannot multiply them."""
+    """Returns the vertex colours of a mesh, multiplied by the base colour unless a texture replaces the base colour.
+
+    UsdPreviewSurface shaders cannot multiply vertex colours by a base colour.
+    """
     assert mesh.colors is not None
     material = mesh.material
     if material.base_color_texture is not None or material.base_color == (1.0, 1.0, 1.0):
@@ -236,15 +240,16 @@ def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation
 class _Samples:
     """Writes time samples of a prim's attributes at the frames where values change.
 
-    Before a change that follows frames without one, the old value is written again, so that readers hold it until then.
+    Readers interpolate between samples. If a value was constant for several frames before a change, the old value is
+    therefore sampled again at the last frame before the change.
     """
 
     prim: Any
     _last: dict[str, tuple[int, Any, Any]] = field(default_factory=dict[str, "tuple[int, Any, Any]"])
-    """Frame of the last sample, its value and its mark, by attribute."""
+    """Last sample of each attribute: its frame, its value and the ``mark`` given to `add`."""
 
     def add(self, frame: int, name: str, value: Any, mark: Any) -> None:
-        """Records the value of an attribute at a frame; equal marks mean equal values."""
+        """Records the value of an attribute at a frame; an equal ``mark`` means that the value has not changed."""
         attribute = self.prim.GetAttribute(name)
         if name == _TRANSFORM_OP and not attribute:
             attribute = pxr().UsdGeom.Xformable(self.prim).AddTransformOp().GetAttr()
@@ -263,7 +268,7 @@ class _Samples:
 
 
 def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animation: Animation) -> None:
-    """Writes an actor, one prim per instance, with time samples of transform, shape and visibility."""
+    """Writes an actor, one prim for each of its instances, with time samples of transform, shape and visibility."""
     if not actor.casts_shadow or not actor.relight:
         writer.remarks.add("lighting settings of actors (relight, casts_shadow)", actor.name)
     prims: dict[_Key, _Samples] = {}
@@ -292,7 +297,7 @@ def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animati
 
 
 def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
-    """Yields instances with keys that match from frame to frame: kind, material, and index within that group."""
+    """Yields instances with keys that identify them in other frames: kind, material, and index among equals."""
     counts: Counter[tuple[str, int]] = Counter()
     for instance in instances:
         group = ("mesh", id(instance.mesh.material)) if isinstance(instance, MeshInstance) else ("splats", 0)
@@ -347,7 +352,7 @@ def _write_package(writer: StageWriter) -> None:
 
 
 def _is_complete(package: Path, count: int) -> bool:
-    """Returns whether a package was written completely: the library reports success even on a full disk."""
+    """Returns whether a package holds ``count`` undamaged files: the library reports success even on a full disk."""
     try:
         with zipfile.ZipFile(package) as written:
             return len(written.infolist()) == count and written.testzip() is None
@@ -362,5 +367,5 @@ def _export(writer: StageWriter, file: Path) -> None:
 
 
 def _ascii_stem(stem: str) -> str:
-    """Returns an ASCII name for the layer inside a package."""
+    """Returns the name for the layer inside a package: ``stem`` with "_" for all but ASCII letters and digits."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)[:64] or "scene"
