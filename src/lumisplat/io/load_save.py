@@ -1,7 +1,8 @@
 """Reads and writes files of all formats: scenes, captures, meshes, cameras, images, rigs, animations and settings.
 
-Tables map each extension to its reader and writer by name, such as ``splats.spz.read_spz``. The modules are imported
-when a format is first used. The header of a PLY tells whether it is a capture, a compressed capture or a mesh.
+Tables map each extension to its reader and writer by name, such as ``splats.spz.read_spz``. The module of a format is
+imported when the format is first used. The header of a PLY file shows whether it is a capture, a compressed capture or
+a mesh.
 """
 
 from __future__ import annotations
@@ -39,10 +40,11 @@ Progress = Callable[[float], None]
 
 
 class _LoadOptions(NamedTuple):
-    """Options of `load` that only some readers take."""
+    """Options of `load` that only the readers of some formats take."""
 
     drop_invalid: bool
-    """Drops invalid Gaussians of glTF and OpenUSD files; other captures are checked after reading."""
+    """Whether readers of glTF and OpenUSD drop invalid Gaussians. Captures of other formats are checked after reading.
+    """
     crease_angle: float | None
     """Smoothing angle of OBJ files in radians; None uses the reader's default."""
     up: str | npt.ArrayLike | None
@@ -50,7 +52,7 @@ class _LoadOptions(NamedTuple):
     progress: Callable[[float], None] | None
     """Progress callback of the PLY reader."""
     incident: bool
-    """Reads the incident light that a PLY may store."""
+    """Whether to read the incident light that a PLY may store."""
     lod: int | None
     """Level of detail of streamed SOGs and captures in blocks, 0 the finest."""
     budget: int | None
@@ -71,7 +73,7 @@ _READERS = {
     ".gltf": "gltf.scene.read_gltf",
     **dict.fromkeys(USD, "usd.scene.read_usd"),
 }
-"""Readers by extension. PLY files, scene files and captures with levels of detail are handled separately."""
+"""Reader of each extension. PLY files, scene files and captures with levels of detail are handled separately."""
 
 _LOD_READERS = {STREAMED_SOG: "splats.streamed_sog.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
 """Readers of captures with levels of detail."""
@@ -80,12 +82,12 @@ _ANIMATION_READERS = {
     **dict.fromkeys((".glb", ".gltf"), "gltf.animation.read_gltf_animation"),
     **dict.fromkeys(USD, "usd.animation.read_usd_animation"),
 }
-"""Readers of animations, besides scene files."""
+"""Animation reader of each extension, except scene files."""
 
 _LUMISPLAT = "lumisplat"
 
 _PLY_WRITERS = {_LUMISPLAT: "splats.splat_ply.write_splat_ply", "r3dg": "splats.splat_ply.write_r3dg_ply"}
-"""PLY writers by the program whose columns they write."""
+"""PLY writer for each value of ``columns`` in `save`, the program whose columns are written."""
 
 _WRITERS = {
     ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
@@ -102,7 +104,7 @@ _SCENE_WRITERS = {
     ".gltf": "gltf.scene.write_gltf",
     **dict.fromkeys(USD, "usd.writing.write_usd"),
 }
-"""Writers of scenes with cameras. Captures and meshes are written as scenes."""
+"""Writers of scenes with cameras, by extension. These formats store a capture or a mesh as a scene."""
 
 _READABLE = (
     ".ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder or its meta.json or lod-meta.json, a folder of "
@@ -140,20 +142,20 @@ def load(
             which is 51.6 degrees.
         allow_outside: Whether a file may refer to buffers, layers, materials and textures outside of its own folder.
             Set it only for files that you trust. A ``scene.toml`` may always refer to any file.
-        up: Up direction for a ``scene.toml`` that does not state it: an axis (``"y-down"``) or a direction. None is y
-            down with a capture, y up for meshes alone. Other formats ignore it.
-        incident: Whether to read the incident light that a .ply may store (R3DG's ``incidents_*``). That is the light
-            of the training images; it does not light the scene.
+        up: Up direction for a ``scene.toml`` that does not state it: an axis (``"y-down"``) or a direction. None means
+            y down if the scene has a capture, y up if it has only meshes. Other formats ignore the argument.
+        incident: Whether to read the incident light that a .ply may store (R3DG's ``incidents_*``). It is the light of
+            the training images, and does not light the scene.
         lod: Level of detail for streamed SOGs and captures in blocks, also those in a ``scene.toml``: 0 is the finest;
             None is 0, or selected by ``budget``.
-        budget: Load the finest level of detail with at most this many Gaussians, for the same formats; None has no
-            limit.
+        budget: Load the finest level of detail with at most this many Gaussians, for streamed SOGs and captures in
+            blocks; None has no limit.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
         ``Gaussians`` for a capture, with the materials of R3DG, GS-IR and Lumisplat files; 2D Gaussians become flat
-        ones. ``Mesh`` for a mesh, or ``Scene`` if it has several materials; ``Scene`` for scenes. Arrays are read-only.
-        Captures have the axes of the usual Gaussian PLY (SPZ is mirrored), meshes have the axes of their files.
+        3D ones. ``Mesh`` for a mesh, or ``Scene`` if it has several materials; ``Scene`` for scenes. Arrays are
+        read-only. Captures have the axes of the usual Gaussian PLY (SPZ is mirrored), meshes the axes of their files.
 
     Raises:
         FormatError: The file is unknown, damaged or truncated, holds no Gaussians or invalid values, or needs more
@@ -191,19 +193,20 @@ def save(
     chunk coarse, which is logged if it is visible. SOG clamps nothing, but quantizes numbers to 256 values.
 
     glTF stores scenes: captures (KHR_gaussian_splatting, lossless), meshes with materials and textures, punctual lights
-    and cameras. Its files are y up: captures are rotated by a half turn about x, as in SPZ, and the scene is rotated so
-    that its up becomes y. One log line lists what glTF cannot store, such as area lights and environments.
+    and cameras. glTF files are y up: captures are rotated by a half turn about x, as in SPZ, and the scene is rotated
+    so that its up becomes y. One log line lists what glTF cannot store, such as area lights and environments.
 
-    OpenUSD (``pip install 'lumisplat[usd]'``) stores the same, and area lights, environments and animation: captures as
-    ParticleField3DGaussianSplat (lossless), materials as UsdPreviewSurface, UsdLux lights, cameras and time samples.
+    OpenUSD (``pip install 'lumisplat[usd]'``) stores everything that glTF stores, and area lights, environments and
+    animation: captures as ParticleField3DGaussianSplat (lossless), materials as UsdPreviewSurface, UsdLux lights,
+    cameras and time samples.
 
     Args:
-        path: For captures ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH;
-            changes the order), ``.spz`` (version 4), ``.sog`` (version 2; changes the order; the SH of all Gaussians
-            become a palette), or ``meta.json``, which writes the files of a SOG beside it. For everything ``.glb``
-            (lossless, 60 bytes per Gaussian without view-dependent colours), ``.gltf``, the same as text, ``.usda``
-            (text), ``.usdc``, ``.usd``, or ``.usdz`` (a package with its textures; the other OpenUSD files put theirs
-            in a folder beside them).
+        path: For captures ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian, and 9, 24 or 45 bytes for
+            SH), ``.spz`` (version 4), ``.sog`` (version 2; the SH of all Gaussians become a palette), or ``meta.json``,
+            which writes the files of a SOG beside it. Compressed PLY and SOG change the order of the Gaussians. For
+            captures, meshes and scenes ``.glb`` (lossless, 60 bytes per Gaussian without view-dependent colours),
+            ``.gltf`` (``.glb`` as text), ``.usda`` (text), ``.usdc``, ``.usd``, or ``.usdz`` (a package with its
+            textures; the other OpenUSD files put their textures in a folder beside them).
         asset: The capture, mesh, scene or, for OpenUSD, animation. Only ``.ply``, glTF and OpenUSD store normals and
             materials of Gaussians; ``.spz`` and ``.sog`` do not store the kernel degree. Lost values are logged.
         cameras: Cameras of the scene, for glTF and OpenUSD.
@@ -211,7 +214,7 @@ def save(
             SH of degree 3, albedo within 0.03..0.8, roughness 0.09..0.99, no metals; values that change are logged.
 
     Raises:
-        ConfigError: ``columns`` is neither, or ``"r3dg"`` for another format.
+        ConfigError: ``columns`` is unknown, or ``"r3dg"`` is requested for another format than ``.ply``.
         FormatError: The extension is unknown, the format cannot store a value, the file cannot be written, or
             ``"r3dg"`` is requested for a capture without materials.
         MissingExtraError: OpenUSD needs usd-core.
@@ -251,7 +254,7 @@ def check_format(path: PathLike, *, scene: bool = False) -> None:
         scene: Whether a mesh or a scene will be saved; otherwise Gaussians.
 
     Raises:
-        FormatError: The extension is unknown, or the format cannot store that kind.
+        FormatError: The extension is unknown, or the format stores only captures and ``scene`` is True.
     """
     _writer_of(path, scene=scene)
 
@@ -268,9 +271,9 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
             have only an aspect ratio: without ``width`` and ``height`` they get the largest size within 1280 x 720. Or
             an OpenUSD stage (.usda, .usdc, .usdz, .usd), whose image sizes may come from render products. Or a
             ``scene.toml``.
-        width: Image width in pixels for frames without a size in the file or an image; only together with ``height``,
-            except for glTF and OpenUSD.
-        height: Image height in pixels for such frames.
+        width: Image width in pixels for frames whose size neither the file nor an image gives; only together with
+            ``height``, except for glTF and OpenUSD.
+        height: Image height in pixels for frames whose size neither the file nor an image gives.
 
     Returns:
         At least one camera; a scene file may have none.
@@ -541,7 +544,13 @@ def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float =
 
 
 def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _LoadOptions) -> _Loaded:
-    """Reads a file; ``load`` reads the files that a scene file refers to."""
+    """Reads a capture, a mesh or a scene.
+
+    Args:
+        path: The file.
+        load: Reads the captures and meshes that a scene file names.
+        options: Options of `lumisplat.io.load`.
+    """
     extension = format_of(path)
     if extension == ".ply":
         return _read_ply(path, options.progress, incident=options.incident)
@@ -574,7 +583,7 @@ def _writer_of(path: PathLike, *, scene: bool) -> str:
 
 
 def _import(function: str) -> Any:
-    """Returns a function of this package by name, and imports its module on first use."""
+    """Returns a function of this package by its dotted name, as in ``splats.spz.read_spz``; imports its module."""
     module, _, name = function.rpartition(".")
     return getattr(import_module(f"{__package__}.{module}"), name)
 
@@ -620,7 +629,7 @@ def _has_faces(header: PlyHeader) -> bool:
 
 
 def _in_folder(path: Path) -> Path:
-    """Returns the camera file inside a folder of images; the path itself for a file or a folder without one."""
+    """Returns the camera file in a folder of images; returns ``path`` itself if it is a file, or has no camera file."""
     if not os.path.isdir(path):  # also False for names that are too long
         return path
     from lumisplat.io.training_images.loading import find_model

@@ -25,7 +25,7 @@ from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 EntryKind = Literal["splats", "meshes", "actors", "lights", "environment"]
-"""Kind of an entry: its heading in a scene file."""
+"""Kind of an entry: the name of its table in a scene file."""
 
 KINDS: tuple[EntryKind, ...] = ("splats", "meshes", "actors", "lights", "environment")
 """Entry kinds in the order in which their instances enter the scene."""
@@ -35,7 +35,7 @@ _LIGHTS: tuple[EntryKind, ...] = ("lights", "meshes", "splats", "actors", "envir
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneEntry:
-    """One entry of a `SceneDocument`: a table of a scene file and the scene objects it was read to."""
+    """One entry of a `SceneDocument`: a table of a scene file and the scene objects read from the table."""
 
     id: int
     """Unique id within the document, which edits do not change."""
@@ -51,11 +51,11 @@ class SceneEntry:
     _assets: tuple[Scene, ...] = field(default=(), repr=False)
     """Loaded assets, reused when the entry is edited."""
     _poses: dict[float, tuple[Instance, ...]] = field(default_factory=dict[float, tuple[Instance, ...]], repr=False)
-    """Instances of the actor at the last requested time, so that other edits return the same objects."""
+    """Instances of the actor at the last requested time. Edits of other entries therefore return the same objects."""
 
     @property
     def name(self) -> str:
-        """Display name: the name in the table, else that of its file, shape, type or kind."""
+        """Display name: the name in the table, or else the name of the entry's file, shape, type or kind."""
         given = self.table.get("name")
         if given:
             return str(given)
@@ -66,7 +66,7 @@ class SceneEntry:
 
     @property
     def hidden(self) -> bool:
-        """True if the entry is left out of the scene, or, for lights and environments, disabled."""
+        """True if the entry is left out of the scene. A light or environment is hidden if it is disabled."""
         if self.kind in ("lights", "environment"):
             return not self.table.get("enabled", True)
         return bool(self.table.get("hidden", False))
@@ -89,7 +89,7 @@ class SceneEntry:
 
 @dataclass(slots=True)
 class EntryReader:
-    """Reads entries one by one, and each file that they name only once."""
+    """Reads entries from tables; a file that several entries name is read once."""
 
     file: Path
     """The scene file, which need not exist. Paths in tables are relative to its folder."""
@@ -100,19 +100,25 @@ class EntryReader:
     memory: dict[str, Scene] = field(default_factory=dict[str, Scene])
     """Assets that exist only in memory, by the placeholder path in the entry's table."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
-    """Environment images by path, read from files or kept in memory."""
+    """Environment images by path. Images of scenes that a program made have a placeholder path."""
     next_id: int = 0
-    """Smallest id that no entry has ever had, removed entries included."""
+    """Id for the next entry, larger than the ids of all entries so far, including removed ones."""
     _assets: Assets | None = None
     _subjects: Subjects | None = None
 
     def read(
         self, number: int, kind: EntryKind, values: Mapping[str, Any], insertion_scene: Scene | None = None
     ) -> SceneEntry:
-        """Reads a table, and returns the entry with a copy of it.
+        """Reads a table, and returns an entry with a copy of the table.
 
         A mesh or actor without a placement is inserted into ``insertion_scene``, which must not be empty, as by
         `lumisplat.insert`. The resulting placement is written to the entry's table, so that the entry stays there.
+
+        Args:
+            number: Id of the entry.
+            kind: Kind of the entry.
+            values: The table.
+            insertion_scene: Scene with captures; None leaves an entry without a placement where its file has it.
 
         Raises:
             FormatError: A key or value is invalid, or a file cannot be read.
@@ -142,7 +148,7 @@ class EntryReader:
         return self.read(number, kind, explicit_table(entry)) if _is_inserted(entry) else entry
 
     def with_up(self, up: Vector) -> EntryReader:
-        """Returns a reader for another up direction that shares the loaded assets."""
+        """Returns a reader that has another up direction and shares the loaded assets of this reader."""
         return replace(self, up=up, _assets=None if self._assets is None else replace(self._assets, up=up))
 
     def part_names(self, entry: SceneEntry) -> list[str]:
@@ -158,7 +164,7 @@ class EntryReader:
         return self._assets
 
     def _environment(self, table: TomlTable) -> LightEnvironment:
-        """Reads an environment table; its image is read once."""
+        """Reads an environment table. The image of each path is read once."""
         path = table.values.get("path")
         if path is None:
             return read_environment(table)
@@ -172,14 +178,14 @@ class EntryReader:
 
 
 def _is_inserted(entry: SceneEntry) -> bool:
-    """Returns whether an entry without a placement in its table was moved by insertion."""
+    """Returns whether an entry has no placement in its table and was therefore inserted into the scene."""
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return False
     return not np.array_equal(entry.world_from_file, placement(TomlTable.of(Path(), dict(entry.table))))
 
 
 def explicit_table(entry: SceneEntry) -> dict[str, Any]:
-    """Returns the table of an entry with an explicit placement, so that it is independent of the other entries."""
+    """Returns the table of an entry with its current placement as numbers, independent of the other entries."""
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return dict(entry.table)
     rest = {key: value for key, value in entry.table.items() if key not in ("ground", "front")}
@@ -187,7 +193,12 @@ def explicit_table(entry: SceneEntry) -> dict[str, Any]:
 
 
 def visible_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:
-    """Returns the scene of all visible entries at a time in seconds, and the entry of each instance, captures first.
+    """Returns the scene of all visible entries at a time, and the entry that each instance belongs to, captures first.
+
+    Args:
+        entries: Entries of the document.
+        up: Up direction of the scene.
+        time: Seconds.
 
     Raises:
         FormatError: A frame of an actor cannot be read.

@@ -36,13 +36,13 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 @dataclass(slots=True)
 class MemoryEntries:
-    """A scene made by a program, as entries."""
+    """Entries of a scene document, made from a scene that a program created."""
 
     up: Vector
     top: dict[str, Any]
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
     assets: dict[str, Scene] = field(default_factory=dict[str, Scene])
-    """Captures and meshes by the placeholder path in the tables, such as ``<capture 0>``."""
+    """Captures and meshes by the placeholder path that stands for them in the tables, such as ``<capture 0>``."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     actors: tuple[Actor, ...] = ()
     problems: list[str] = field(default_factory=list[str])
@@ -50,7 +50,9 @@ class MemoryEntries:
 
 
 def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
-    """Returns the entries of a scene in memory. Of several environments only the enabled one is used.
+    """Returns the entries of a scene in memory.
+
+    A scene file has one environment: the enabled one of the scene, or else the scene's first one.
 
     Raises:
         SceneError: ``scene`` has another type.
@@ -103,7 +105,13 @@ def _splat_table(memory: MemoryEntries, splat: SplatInstance, paths: dict[int, s
 
 
 def _mesh_table(memory: MemoryEntries, instance: MeshInstance, paths: dict[int, str]) -> dict[str, Any]:
-    """Returns the table of a mesh instance. A transform that is no similarity is applied to the saved mesh instead."""
+    """Returns the table of a mesh instance. A transform that is no similarity is applied to the saved mesh instead.
+
+    Args:
+        memory: Receives the mesh.
+        instance: The mesh instance.
+        paths: Placeholder paths of the meshes so far, by ``id``.
+    """
     keeps_transform = is_similarity(instance.transform)
     key = id(instance.mesh) if keeps_transform else id(instance)
     if key not in paths:
@@ -124,7 +132,9 @@ def _name(name: str) -> dict[str, str]:
 
 
 def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str, Any]:
-    """Returns a table whose relative paths start from another folder; paths to other drives become absolute.
+    """Returns a table with its relative paths changed to start from another folder.
+
+    Paths to another drive become absolute.
 
     Args:
         values: The table, with nested tables. Values of ``path`` and of keys that end in ``_texture`` are paths.
@@ -147,7 +157,7 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """Returns the path of a file relative to a folder, both with links resolved: ``..`` does not lead out of a link."""
+    """Returns the path of a file relative to a folder, after resolving symbolic links of folders, as ``..`` needs."""
     file = Path(os.path.realpath(path.parent)) / path.name
     try:
         return Path(os.path.relpath(file, os.path.realpath(folder))).as_posix()
@@ -168,7 +178,7 @@ def saved_assets(
             unused names.
 
     Raises:
-        FormatError: An actor has no file format, or a file cannot be written.
+        FormatError: The object of an actor cannot be stored in a file, or a file cannot be written.
     """
     for entry in entries:
         if entry.actor is not None and "path" not in entry.table:
@@ -189,7 +199,7 @@ class _Folder:
     path: Path
     reader: EntryReader
     used: set[str]
-    """Real paths of files that entries refer to."""
+    """Paths of the files that entries refer to, with symbolic links resolved."""
     overwrite: bool
     _files: dict[str, Path] = field(default_factory=dict[str, Path])
 
@@ -214,10 +224,10 @@ class _Folder:
         return table | {"path": path, "material": self._material(entry, name)}
 
     def _write_once(self, key: str, name: str, write: Callable[[Path], None]) -> str:
-        """Returns the path of an asset file relative to the document's folder, and writes the file on first use.
+        """Returns the path of an asset file relative to the scene file's folder, and writes the file on first use.
 
         Args:
-            key: Key of the content.
+            key: Identifies the content: equal keys share one file.
             name: Preferred file name; a number is added if the name is taken.
             write: Function that writes the file.
         """
@@ -234,7 +244,7 @@ class _Folder:
         return relative_path(self._files[key], self.reader.file.absolute().parent)
 
     def _material(self, entry: SceneEntry, name: str) -> dict[str, Any]:
-        """Returns the complete material table of a mesh, whose PLY file has none, and writes its textures."""
+        """Returns the complete material table of a mesh, whose PLY file stores no material, and writes its textures."""
         mesh = entry.meshes[0].mesh
         material, given = mesh.material, entry.table.get("material", {})
         table: dict[str, Any] = {"base_color": list(material.base_color)} | material_table(material)

@@ -1,7 +1,7 @@
 """Scenes that can be edited and saved as scene files.
 
-Each edit changes a table, as a user would in the file, and reads the entry again with the reader of scene files. A
-saved file therefore loads as exactly the edited scene.
+Each edit changes a table of the scene file, as a user would do by hand, and reads the entry again with the reader of
+scene files. A saved file therefore loads as exactly the edited scene.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ class SceneDocument:
 
     entries: tuple[SceneEntry, ...]
     top: Mapping[str, Any]
-    """Tables that are not entries, as in a scene file: ``up``, ``render``, ``animation``, ``materials`` and
-    ``cameras``."""
+    """Tables of the scene file that are not entries: ``up``, ``render``, ``animation``, ``materials`` and ``cameras``.
+    """
     problems: tuple[str, ...] = ()
     """A message for each file or object that could not be read and is left out."""
     _reader: EntryReader = field(kw_only=True, repr=False)
     _scenes: dict[float, tuple[Scene, list[SceneEntry]]] = field(
         default_factory=dict[float, tuple[Scene, list[SceneEntry]]], kw_only=True, repr=False
     )
-    """Last returned scene by time, with the entry of each instance."""
+    """Result of the last call of `scene`, by its time: the scene, and the entry that each instance belongs to."""
 
     @classmethod
     def open(
@@ -82,8 +82,7 @@ class SceneDocument:
         """Opens files as one scene; unreadable files are left out and listed in ``problems``.
 
         Args:
-            paths: Captures, meshes, and at most one ``scene.toml``, whose tables are kept as written; comments are
-                lost.
+            paths: Captures, meshes, and at most one ``scene.toml``. Its tables are kept as written, without comments.
             load: Function that reads a capture or mesh; None uses `lumisplat.load`.
             up: Up direction if the scene file does not give one; None uses that of `lumisplat.Scene.up_direction`.
             keep_coordinates: Whether meshes opened beside captures keep the coordinates of their files. Otherwise they
@@ -91,7 +90,7 @@ class SceneDocument:
 
         Raises:
             ConfigError: There are two scene files, or no file at all.
-            FormatError: The scene file itself cannot be read, or none of the files.
+            FormatError: The scene file cannot be read, or no file can be read.
         """
         files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
         listing = _listed_files(files, keep_coordinates=keep_coordinates)
@@ -120,13 +119,13 @@ class SceneDocument:
 
     @staticmethod
     def kind_of(path: PathLike) -> EntryKind:
-        """Returns the entry kind of a file: ``"splats"`` for a capture and nothing else, otherwise ``"meshes"``."""
+        """Returns the entry kind of a file: ``"splats"`` if it contains only a capture, otherwise ``"meshes"``."""
         return _heading_of(Path(path))
 
     # --- What it holds ---
 
     def entry(self, number: int) -> SceneEntry:
-        """Returns the entry with an id.
+        """Returns the entry with the id ``number``.
 
         Raises:
             SceneError: There is no such entry.
@@ -137,7 +136,7 @@ class SceneDocument:
         raise SceneError(f"there is no entry {number}: it has been removed")
 
     def scene(self, time: float = 0.0) -> Scene:
-        """Returns the visible scene at a time in seconds, with actors posed. The same time gives the same object.
+        """Returns the visible scene at a time in seconds, with actors posed. Equal times return the same object.
 
         Raises:
             FormatError: A frame of an actor cannot be read.
@@ -145,7 +144,11 @@ class SceneDocument:
         return self._at(time)[0]
 
     def owner(self, instance: int, time: float = 0.0) -> SceneEntry:
-        """Returns the entry of an instance, numbered as in `lumisplat.Frame.instance_index`.
+        """Returns the entry that an instance of the scene belongs to.
+
+        Args:
+            instance: Index of the instance as in `lumisplat.Frame.instance_index`.
+            time: Seconds.
 
         Raises:
             SceneError: There is no such instance.
@@ -171,7 +174,7 @@ class SceneDocument:
 
     @property
     def animation(self) -> Animation | None:
-        """The scene's animation with its cameras, without hidden entries; None if nothing moves.
+        """Animation of the scene with its cameras, without hidden entries; None if no object and no camera moves.
 
         Raises:
             FormatError: ``[animation]`` or a camera is invalid.
@@ -197,7 +200,7 @@ class SceneDocument:
         return self._reader.part_names(self.entry(number))
 
     def material(self, number: int) -> Mapping[str, Any]:
-        """Returns the material table of an entry, with named materials resolved; empty if it has none."""
+        """Returns the material table of an entry, or the named material that it refers to; empty without a material."""
         given = self.entry(number).table.get("material", {})
         return self.top.get("materials", {}).get(given, {}) if isinstance(given, str) else given
 
@@ -208,7 +211,8 @@ class SceneDocument:
 
         Raises:
             FormatError: The entry would be invalid; the message names the key.
-            SceneError: There is no such entry, or a program made the actor and it has no file.
+            SceneError: There is no entry with this id, or the entry is an actor that a program made and that has no
+                file.
         """
         entry = self.entry(number)
         if (
@@ -287,14 +291,14 @@ class SceneDocument:
     def with_up(self, up: str | npt.ArrayLike) -> SceneDocument:
         """Sets the up direction.
 
-        Meshes and actors that stand upright among captures are rotated about their feet to stand upright again, and so
-        is an environment whose image is upright. Everything else keeps its transform.
+        Meshes and actors that stand upright among captures are rotated about their lowest point to stand upright again.
+        An environment whose image is upright is rotated, too. All other entries keep their transform.
 
         Args:
             up: An axis (``"z-up"``) or a direction of any length, world space.
 
         Raises:
-            SceneError: ``up`` is neither.
+            SceneError: ``up`` is neither an axis nor a direction.
         """
         before, now = up_vector(self.top["up"]), up_vector(up)
         reader, among = self._reader.with_up(now), any(entry.splats for entry in self.entries)
@@ -402,7 +406,7 @@ class SceneDocument:
             Path(temporary).write_bytes(text)
 
     def _written(self, entry: SceneEntry) -> dict[str, Any]:
-        """Returns the saved table of an entry. Beside captures, meshes and actors get an explicit placement."""
+        """Returns the saved table of an entry. Meshes and actors among captures get their placement as numbers."""
         beside = any(other.kind == "splats" for other in self.entries)
         return explicit_table(entry) if beside else dict(entry.table)
 
@@ -424,24 +428,32 @@ _INSERTED_KINDS = ("meshes", "actors")
 """Kinds of entries that are inserted into captures if they have no placement."""
 
 _UP_KEYS = ("look_at", "upright", "ground")
-"""Keys whose meaning depends on the up direction."""
+"""Placement keys whose meaning depends on the up direction."""
 _UPRIGHT = 1e-4
-"""Largest distance between an upright object's y axis and up, as unit vectors."""
+"""Largest distance between the unit vectors of an object's y axis and of up at which the object counts as upright."""
 
 
 @dataclass(slots=True)
 class _Listing:
-    """Tables of a scene that are not read yet."""
+    """Tables of a scene before its entries are read."""
 
     file: Path
-    """The scene file, which need not exist. Paths are relative to its folder."""
+    """The scene file, which need not exist. Paths in tables are relative to its folder."""
     top: dict[str, Any] = field(default_factory=dict[str, Any])
-    """Tables that are not entries."""
+    """Tables of the scene file that are not entries."""
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
 
 
 def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _Listing:
-    """Lists files as tables: those of the scene file, and one table for each other file."""
+    """Returns the tables of the scene file among ``files``, and a new table for each other file.
+
+    Args:
+        files: Paths of captures, meshes and at most one scene file.
+        keep_coordinates: See `SceneDocument.open`.
+
+    Raises:
+        ConfigError: There are two scene files, or no file at all.
+    """
     scene_files = [file for file in files if file.suffix.lower() == ".toml"]
     if len(scene_files) > 1:
         raise ConfigError(f"{scene_files[0]} and {scene_files[1]} are both scene files: merge them into one")
@@ -468,7 +480,7 @@ def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _
 
 
 def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scene]) -> EntryReader:
-    """Returns the reader for a listing, and sets the listing's ``up``."""
+    """Creates the reader for the tables of a listing. Also writes the scene's up direction to the listing."""
     top = listing.top
     named = {kind: [table for other, table in listing.tables if other == kind] for kind in ("splats", "actors")}
     top["up"] = list(scene_up(TomlTable.of(listing.file, {**named, **top})))
@@ -476,7 +488,7 @@ def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scen
 
 
 def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEntry], list[str]]:
-    """Reads the entries of a listing, and returns a message for each one that cannot be read."""
+    """Reads the entries of a listing. Returns them, and a message for each entry that cannot be read."""
     entries: dict[int, SceneEntry] = {}
     problems: list[str] = []
     numbered = list(enumerate(listing.tables))
@@ -506,7 +518,7 @@ def _read_entry(
 
 
 def _heading_of(file: Path) -> Literal["splats", "meshes"]:
-    """Returns the entry kind of a file from its extension and content; a later read reports unreadable files."""
+    """Returns the entry kind of a file from its extension and content; unreadable files are reported when read."""
     suffix = file.suffix.lower()
     is_mesh = suffix in _MESHES or (suffix == ".ply" and holds_mesh(file))
     if suffix in (".glb", ".gltf"):
@@ -520,12 +532,12 @@ def _heading_of(file: Path) -> Literal["splats", "meshes"]:
 
 
 def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, is_among_captures: bool) -> SceneEntry:
-    """Returns an entry for a scene with another up direction.
+    """Returns an entry for a scene whose up direction changes.
 
-    An upright mesh or actor among captures is rotated about its foot, by the smallest rotation between both ups: it
-    stays on the ground with its front in front. Captures keep their transform, because up is measured from their
-    ground, and so do meshes without captures. The placement is then written in numbers, because keys such as
-    ``upright`` would mean another one.
+    An upright mesh or actor among captures is rotated about its foot by the smallest rotation from the old to the new
+    up direction, so that it stays on the ground and faces the same way. Captures keep their transform, because up is
+    measured from their ground. Meshes without captures also keep their transform. The placement is then written as
+    numbers, because keys such as ``upright`` would now mean another placement.
 
     Args:
         reader: Reader with the new up direction.
@@ -555,7 +567,15 @@ def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, 
 def _rotated_environment(
     reader: EntryReader, entry: SceneEntry, rotation: Doubles, rotation_of_up: Doubles, before: Vector
 ) -> SceneEntry:
-    """Returns an environment rotated along with up, if the top of its image was up."""
+    """Returns an environment that is rotated with the up direction if the top of its image was up.
+
+    Args:
+        reader: Reader with the new up direction.
+        entry: The environment.
+        rotation: Rotation of the environment, shape (3, 3).
+        rotation_of_up: Rotation from the old to the new up direction, shape (3, 3).
+        before: The old up direction, a unit vector.
+    """
     if not _is_upright(rotation, before):
         return entry
     wxyz = quaternions_from_matrices((rotation_of_up @ rotation)[None])[0]
@@ -564,7 +584,7 @@ def _rotated_environment(
 
 
 def _is_upright(linear: Doubles, up: Vector) -> bool:
-    """Returns whether a rotation with scale maps y to up."""
+    """Returns whether a rotation with uniform scale, shape (3, 3), maps the y axis to ``up``."""
     y = linear[:, 1] / np.linalg.norm(linear[:, 1])
     return bool(np.linalg.norm(y - np.array(up)) < _UPRIGHT)
 

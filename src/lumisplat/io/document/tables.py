@@ -20,20 +20,21 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material
 
 NAMED_PLACEMENT_KEYS = ("rotation_degrees", "look_at", "front", "upright", "ground")
-"""Placement keys that position, rotation_wxyz and scale replace."""
+"""Keys that may place an entry, such as ``look_at``. They are removed when position, rotation_wxyz and scale are
+written."""
 _ROUNDED = {"inner_angle": -1, "outer_angle": 1}
-"""Rounding direction of spot angles, so that the inner angle stays below the outer one."""
+"""Rounding direction of spot angles for `_degrees`: it keeps the inner angle below the outer one."""
 _STEPS = 3
-"""Number of adjacent floats on each side of an angle that are tried."""
+"""Number of neighbouring floats on each side of an angle in degrees that `_degrees` tries."""
 
 _ROUNDING = 1e-9
 """Largest relative difference between values that count as equal."""
 _VARYING = ("eye", "target", "up", "fov_y_degrees", "exposure", "aperture", "focus_distance")
-"""Keys that each camera keyframe has, besides its time."""
+"""Keys of each camera keyframe, besides ``time``."""
 
 
 def light_table(light: Light) -> Values:
-    """Returns the table of a light; that of an environment omits the image."""
+    """Returns the table of a light. The table of an environment does not contain its image."""
     table = {} if isinstance(light, LightEnvironment) else {"type": light.kind}
     return table | _values(light, without=("image",))
 
@@ -45,7 +46,7 @@ def material_table(material: Material) -> Values:
 
 
 def placement_table(matrix: Doubles) -> Values:
-    """Returns the keys that place an entry by a similarity, shape (4, 4)."""
+    """Returns the keys position, rotation_wxyz and scale that place an entry by a similarity, shape (4, 4)."""
     scale = _rounded(np.cbrt(np.linalg.det(matrix[:3, :3])))
     quaternion = quaternions_from_matrices(matrix[None, :3, :3] / scale)[0]
     return {
@@ -69,7 +70,7 @@ def is_similarity(matrix: Doubles) -> bool:
 
 
 def _values(item: Light | Material, without: tuple[str, ...]) -> Values:
-    """Returns the fields that differ from their defaults, by table key."""
+    """Returns the fields of a light or material that differ from their defaults, by table key, except ``without``."""
     table: Values = {}
     for field in fields(item):
         value = getattr(item, field.name)
@@ -84,11 +85,11 @@ def _written(field: Field[Any], value: object) -> object:
 
 
 def _degrees(angle: float, rounded: int) -> float:
-    """Converts an angle to degrees, at most 90, such that reading them back gives the same angle if possible.
+    """Converts an angle to at most 90 degrees, such that `math.radians` gives exactly the same angle back if possible.
 
     Args:
         angle: Radians.
-        rounded: 0 allows the closest angle; 1 none that is smaller; -1 none that is larger.
+        rounded: Allowed rounding of the angle that is read back: 0 to the nearest value, 1 only up, -1 only down.
     """
     near = [math.degrees(angle)]
     for end in (0.0, 90.0):
@@ -109,10 +110,10 @@ def _name(kinds: dict[str, Any], kind: type) -> str:
 
 
 def camera_tables(cameras: Sequence[Camera], path: CameraPath | None) -> tuple[list[dict[str, Any]], list[str]]:
-    """Returns cameras as ``[[cameras]]`` tables, and a message for each one that a scene file cannot store.
+    """Returns cameras as ``[[cameras]]`` tables, and a message for each camera that a scene file cannot store.
 
     Args:
-        cameras: Static cameras. One that equals the path's first camera is replaced by the path.
+        cameras: Static cameras. A camera that equals the first camera of ``path`` is left out.
         path: The moving camera.
     """
     tables: list[dict[str, Any]] = []
@@ -188,7 +189,7 @@ def _path_table(path: CameraPath) -> dict[str, Any] | None:
 
 
 def _is_same(table: dict[str, Any], other: dict[str, Any] | None) -> bool:
-    """Returns whether two tables describe the same view, whatever their focus."""
+    """Returns whether two camera tables describe the same view; their focus and name may differ."""
     if other is None or table.keys() - {"target", "focus_distance"} != other.keys() - {"target", "focus_distance"}:
         return False
     same = (key for key in table if key not in ("target", "focus_distance", "name", "model"))

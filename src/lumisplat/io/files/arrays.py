@@ -32,8 +32,8 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
             memory than the file has bytes.
 
     Raises:
-        FormatError: The file is a folder, a device or a pipe, cannot be read, is not an archive of plain arrays, or its
-            arrays take far more memory than a file of its size can hold.
+        FormatError: The file is a folder, a device or a pipe, cannot be read, is no archive of arrays without Python
+            objects, or its arrays take far more memory than a file of its size can hold.
         MissingFileError: There is no such file.
     """
     try:
@@ -57,12 +57,12 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
 def checked_array(
     arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | None, ...], dtype: npt.DTypeLike
 ) -> npt.NDArray[Any]:
-    """Returns an array of an archive after checking its shape and that all values are finite.
+    """Returns an array of an archive, converted to ``dtype``, after checking its shape and that all values are finite.
 
     Args:
         arrays: Result of `read_arrays`.
         name: Name of the array.
-        shape: Expected shape; None allows any length.
+        shape: Expected shape; None allows any length of that axis.
         dtype: Type of the result.
 
     Raises:
@@ -81,7 +81,12 @@ def checked_array(
 
 
 def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
-    """Returns the memory of an archive member in bytes, from its header and checked against the archive."""
+    """Returns the memory in bytes that the array of an archive member takes, computed from the array's header.
+
+    Raises:
+        ValueError: The member is no array file, is compressed although ``compressed`` is False, holds objects, or has
+            another size than its header states.
+    """
     methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) if compressed else (zipfile.ZIP_STORED,)
     if member.compress_type not in methods or not member.filename.endswith(".npy"):
         raise ValueError("not what NumPy writes")
@@ -94,7 +99,7 @@ def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: 
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], int]:
-    """Returns the shape, type and length in bytes of an array's header."""
+    """Reads the header of an array file. Returns the array's shape, its type, and the length of the header in bytes."""
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, _, dtype = readers[np.lib.format.read_magic(stream)](stream)
     return shape, dtype, stream.tell()

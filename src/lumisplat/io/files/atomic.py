@@ -1,6 +1,7 @@
 """Writes files atomically: they appear complete or not at all, even after a power cut.
 
-A file is flushed to disk before it gets its final name. Temporary files of a killed run are removed by the next one.
+A file is flushed to disk before it gets its final name. Temporary files that a killed run left are removed by the next
+run.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ except ImportError:  # Windows has no such locks, so leftovers stay
     fcntl = None
 
 _STEM_BYTES = 64
-"""Number of bytes of the final name that the temporary name repeats: file systems limit names to 255 bytes."""
+"""Bytes of the final name that a temporary name may repeat. The temporary name is longer, and names may have 255
+bytes."""
 _TEMPORARY = re.compile(r"\..*\.[0-9a-f]{12}\.lumisplat(\.[^.]*)?", re.DOTALL)
 
 _tidied: set[Path] = set()
-"""Folders from which this process has already removed leftovers."""
+"""Folders from which this process has already removed temporary files of killed processes."""
 
 
 @contextmanager
@@ -61,7 +63,7 @@ def atomic_write(path: PathLike) -> Generator[Path]:
 
 @contextmanager
 def written_together(folder: Path) -> Generator[list[Path]]:
-    """Removes all files written in the block, and the folders made for them, if the block raises.
+    """Removes all files written in the block, and the folders made for these files, if the block raises.
 
     Args:
         folder: Folder of the files; they may also lie in its direct subfolders.
@@ -84,7 +86,7 @@ def written_together(folder: Path) -> Generator[list[Path]]:
 
 
 def check_can_be_written(path: PathLike) -> None:
-    """Refuses a path that `atomic_write` could not write, before any work is done; creates missing parent folders.
+    """Refuses a path that `atomic_write` could not write, before any work is done. Creates missing parent folders.
 
     Raises:
         FormatError: The folder cannot be created or written, or ``path`` is not a regular file.
@@ -100,7 +102,7 @@ def check_can_be_written(path: PathLike) -> None:
 
 @contextmanager
 def _folder_of(target: Path) -> Generator[None]:
-    """Creates the missing parent folders of a file; if the block raises, the empty ones are removed again."""
+    """Creates the missing parent folders of a file; if the block raises, removes new folders that are empty."""
     missing = [folder for folder in target.parents if not folder.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -113,7 +115,7 @@ def _folder_of(target: Path) -> Generator[None]:
 
 
 def _target(path: PathLike) -> Path:
-    """Returns the file to write, which is the target of a symbolic link."""
+    """Returns the file to write: the target of ``path`` if it is a symbolic link, else ``path``."""
     try:
         with suppress(FileNotFoundError):
             os.lstat(path)
@@ -152,7 +154,7 @@ def _sync_folder(path: Path) -> None:
 
 @contextmanager
 def _reserved(target: Path) -> Generator[Path]:
-    """Yields a temporary file for ``target``, locked so that nobody removes it as a leftover; deletes it at the end."""
+    """Yields a temporary file for ``target``, locked so that no process removes it; deletes the file at the end."""
     temporary, lock = _locked_file(target)
     try:
         yield temporary
@@ -178,9 +180,9 @@ def _locked_file(target: Path) -> tuple[Path, int]:
 
 
 def unfinished_writes(target: Path) -> list[Path]:
-    """Returns the temporary files of a target that a process is writing, and removes the abandoned ones.
+    """Returns the temporary files of ``target`` that a process is writing now; removes those that no process writes.
 
-    Always empty on Windows, which has no such locks.
+    The list is always empty on Windows, where temporary files cannot be locked.
     """
     found: list[Path] = []
     for path in target.parent.glob(f".{target.stem}.*.lumisplat{target.suffix}") if fcntl is not None else ():
@@ -192,7 +194,7 @@ def unfinished_writes(target: Path) -> list[Path]:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Removes abandoned temporary files from a folder, once per folder and process."""
+    """Removes temporary files of killed processes from a folder, once per folder and process."""
     if fcntl is None or folder in _tidied:
         return
     _tidied.add(folder)
@@ -204,7 +206,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _remove_unless_locked(path: str) -> None:
-    """Removes a file that no process has locked. A lock ends with its process.
+    """Removes a temporary file that no process has locked. The lock of a process ends with the process.
 
     Raises:
         BlockingIOError: A process holds the lock.

@@ -1,4 +1,4 @@
-"""Helpers for C++ libraries that read or write files themselves: UTF-8 paths, silenced output, and plain errors."""
+"""Helpers for C++ libraries that read or write files themselves: UTF-8 paths, silenced output, clear errors."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _silence = threading.RLock()
 
 @contextmanager
 def utf8_path(path: PathLike) -> Generator[str]:
-    """Yields a UTF-8 path to a file, because bindings of C++ libraries accept no other.
+    """Yields a path to a file in UTF-8, because bindings of C++ libraries accept no other encoding.
 
-    That is ``path`` itself, or a symbolic link to it if its name is not UTF-8. The file need not exist yet.
+    A path that is not UTF-8 is replaced by a temporary symbolic link. The file need not exist yet.
 
     Raises:
         OSError: The link cannot be made.
@@ -40,15 +40,15 @@ def utf8_path(path: PathLike) -> Generator[str]:
 
 @contextmanager
 def native_write(path: PathLike, text: str) -> Generator[None]:
-    """Turns a library's write error inside the block into an `OSError` or `FormatError`, as for all other files.
+    """Turns a library's write error inside the block into the error that Lumisplat raises for other files.
 
     Args:
         path: The file as the user named it.
         text: The path that was passed to the library.
 
     Raises:
-        OSError: The message contains a system error, such as a full disk; `atomic_write` reports it.
-        FormatError: The message gives any other reason.
+        OSError: The library reports a system error, such as a full disk; `atomic_write` turns it into a `FormatError`.
+        FormatError: The library reports any other error.
     """
     try:
         yield

@@ -1,7 +1,7 @@
 """Reads files that users name: each failure becomes one `FormatError`, and memory is checked before it is allocated.
 
-This module also resolves files that other files name (buffers of a glTF, materials of an OBJ), and determines a file's
-format from its extension or a folder's contents.
+This module also resolves the names of files that other files refer to (buffers of a glTF, materials of an OBJ), and
+determines a file's format from its extension or a folder's contents.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from lumisplat.errors import FormatError, LumisplatError, MissingFileError, Scen
 from lumisplat.memory import usable_memory
 
 DECODED_BYTES_FREE = 256 * 2**20
-"""Decoded size in bytes that is always allowed. `EXPANSION_MAX` applies above it."""
+"""Decoded size in bytes up to which a file is always allowed. `EXPANSION_MAX` limits larger decoded sizes."""
 
 EXPANSION_MAX = 200
-"""Decoded bytes per stored byte above which a file counts as a decompression bomb. Real captures stay under 30."""
+"""Ratio of decoded to stored bytes above which a file counts as a decompression bomb. Real captures stay under 30."""
 
 TEXTURE_BYTES_FREE = 2**30
-"""Total decoded size in bytes that is always allowed for the textures of one file: twenty of 4096 x 4096.
-`EXPANSION_MAX` applies above it."""
+"""Total decoded size in bytes up to which the textures of one file are always allowed: twenty of 4096 x 4096 pixels.
+`EXPANSION_MAX` limits larger totals."""
 
 PathLike = str | os.PathLike[str]
 
@@ -43,9 +43,9 @@ STREAMED_SOG = "lod-meta.json"
 BLOCKS = "blocks.json"
 """File that lists the blocks of a capture stored in blocks."""
 _IMAGES = ("transforms.json", "transforms_train.json", "images", "sparse")
-"""Names that mark a folder of training images."""
+"""File and folder names that mark a folder of training images."""
 _INNER_LISTED = 8
-"""Number of captures in a folder that a message lists."""
+"""Largest number of captures in a folder that a message lists."""
 
 
 def read_bytes(path: PathLike, *, referrer: PathLike | None = None) -> bytes:
@@ -205,7 +205,7 @@ def parsing(path: PathLike, kind: str) -> Generator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Returns the part of an error that helps the file's owner, after a colon; empty for errors about our own code."""
+    """Returns the cause of an error, after a colon, if it helps the owner of the file; otherwise an empty string."""
     match error:
         case UnicodeDecodeError():
             return ": contains bytes that are not text"
@@ -229,11 +229,11 @@ def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes:
     Args:
         path: The file.
         what: The content, for the message.
-        decoded_bytes: Memory that reading it would take.
+        decoded_bytes: Memory that the decoded content would take.
         stored_bytes: Size of the compressed content.
 
     Raises:
-        FormatError: The content exceeds `DECODED_BYTES_FREE`, and `EXPANSION_MAX` times its stored size.
+        FormatError: The decoded size exceeds both `DECODED_BYTES_FREE` and `EXPANSION_MAX` times the stored size.
     """
     if decoded_bytes > max(DECODED_BYTES_FREE, EXPANSION_MAX * stored_bytes):
         raise FormatError(
@@ -260,7 +260,8 @@ class TextureBytes:
             stored: Bytes of the encoded image.
 
         Raises:
-            FormatError: The textures so far exceed `TEXTURE_BYTES_FREE`, and `EXPANSION_MAX` times their stored size.
+            FormatError: The decoded textures so far exceed both `TEXTURE_BYTES_FREE` and `EXPANSION_MAX` times their
+                stored size.
         """
         self.decoded += decoded
         self.stored += stored
@@ -291,12 +292,12 @@ def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, store
 
 
 def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> None:
-    """Refuses content that is larger than the available memory, where that is known.
+    """Refuses content that is larger than the available memory, if the system reports how much memory is available.
 
     Args:
         path: The file.
         what: The content, for the message.
-        needed_bytes: Memory that it takes.
+        needed_bytes: Memory that the content takes.
         remedy: Advice at the end of the message.
 
     Raises:
@@ -311,7 +312,7 @@ def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> N
 
 @contextmanager
 def references_outside(allowed: bool) -> Generator[None]:
-    """Allows files inside the block to refer to files outside of their folder, if ``allowed``."""
+    """Allows files that are read inside the block to refer to files outside of their folder, if ``allowed`` is True."""
     token = _may_leave_folder.set(allowed or _may_leave_folder.get())
     try:
         yield
@@ -320,20 +321,26 @@ def references_outside(allowed: bool) -> Generator[None]:
 
 
 def may_leave_folder() -> bool:
-    """Returns whether files may currently refer to files outside of their folder."""
+    """Returns whether files that are read now may refer to files outside of their folder; see `references_outside`."""
     return _may_leave_folder.get()
 
 
 def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> bool:
-    """Returns whether a file lies outside of a folder without permission; arguments as in `referenced_file`."""
+    """Returns whether a file lies outside of a folder and `references_outside` does not allow that.
+
+    Args:
+        path: The file that contains the reference.
+        file: The file that is referred to.
+        folder: The folder; None uses that of ``path``.
+    """
     home = os.path.abspath(Path(path).parent if folder is None else folder)
     return not _may_leave_folder.get() and not Path(os.path.abspath(file)).is_relative_to(home)
 
 
 def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Path:
-    """Returns the path of a file that another file names; it need not exist.
+    """Returns the path of a file that another file refers to; the file need not exist.
 
-    Symbolic links are followed anywhere, because they belong to the user, whereas the names come from the file.
+    Symbolic links may lead anywhere, because the user made them; the names come from the file, which is not trusted.
     Backslashes of Windows are read as slashes unless a file with that literal name exists.
 
     Args:
@@ -361,7 +368,7 @@ def named_path(folder: Path, name: str) -> Path:
 
 
 def read_reference(path: PathLike, name: str, folder: Path | None = None) -> bytes:
-    """Reads a file that another file names; see `referenced_file`.
+    """Reads a file that another file refers to; see `referenced_file`.
 
     Raises:
         FormatError: The file is outside of the folder, missing, not a regular file, too large or empty.
@@ -370,7 +377,9 @@ def read_reference(path: PathLike, name: str, folder: Path | None = None) -> byt
 
 
 def format_of(path: Path) -> str:
-    """Returns the format of an existing path: its extension; ``.sog``, `STREAMED_SOG` or `BLOCKS` for folders.
+    """Returns the format of an existing file or folder.
+
+    The format of a file is its extension. The format of a folder is ``.sog``, `STREAMED_SOG` or `BLOCKS`.
 
     Raises:
         FormatError: The folder holds no capture, or the file is empty or not a regular file.
@@ -398,16 +407,16 @@ def format_of(path: Path) -> str:
 
 
 def _inner_sog(folder: Path) -> str:
-    """Lists the first few SOG captures in a folder by relative path, and the number of the others."""
+    """Lists the relative paths of the first few SOG captures below a folder, and how many more there are."""
     inner = sorted(str(meta.relative_to(folder)) for meta in (*folder.glob("*/meta.json"), *folder.glob("*.sog")))
     more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
     return ", ".join(inner[:_INNER_LISTED]) + more
 
 
 _RENAMED_KEYS = {"shadow_only": "shadow_catcher"}
-"""Old names of keys in files, with their current names."""
+"""Former names of keys in files, each with its current name."""
 
 
 def with_current_keys(values: dict[str, Any]) -> dict[str, Any]:
-    """Returns values read from a file with old keys renamed to current ones."""
+    """Returns values read from a file, with keys that have a former name renamed to the current name."""
     return {_RENAMED_KEYS.get(key, key): value for key, value in values.items()}

@@ -23,23 +23,29 @@ _log = logging.getLogger("lumisplat")
 
 
 _UNIT_ERROR = 1e-6
-"""Largest deviation from 1 of the length of a unit normal, as in `Mesh`."""
+"""Largest deviation from length 1 of a normal that `Mesh` accepts."""
 
 
 @dataclass(slots=True)
 class TriangleSieve:
-    """Filters usable triangles, and counts the others over all meshes of a file."""
+    """Finds the usable triangles of all meshes of a file, and counts the unusable ones.
+
+    A triangle is usable if its vertex indices are valid and its area is above 0.
+    """
 
     path: PathLike
     out_of_range: int = 0
     without_area: int = 0
 
     def usable(self, positions: npt.NDArray[np.float32], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-        """Returns a mask of the usable triangles, shape (F,), and counts the others.
+        """Returns a mask of the usable triangles, and counts the unusable ones.
 
         Args:
-            positions: Vertices, shape (V, 3).
-            indices: Triangles, shape (F, 3).
+            positions: Positions of V vertices, shape (V, 3).
+            indices: Vertex indices of F triangles, shape (F, 3).
+
+        Returns:
+            True for each usable triangle, shape (F,).
         """
         check = check_triangles(positions, indices)
         self.out_of_range += check.out_of_range
@@ -48,7 +54,7 @@ class TriangleSieve:
 
     @property
     def problems(self) -> str:
-        """Counts of the unusable triangles so far, as a phrase; empty if there are none."""
+        """Phrase that counts the unusable triangles so far; empty if there are none."""
         return describe_problems(self.out_of_range, self.without_area)
 
     def report(self, any_usable: bool) -> None:
@@ -67,10 +73,11 @@ def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int6
     """Splits polygons into triangle fans around their first corner.
 
     Args:
-        corner_counts: Number of corners of each polygon, shape (P,); fewer than 3 (points, lines) give no triangle.
+        corner_counts: Number of corners of each of P polygons, shape (P,). Polygons with fewer than 3 corners (points,
+            lines) give no triangle.
 
     Returns:
-        Triangles as indices into the concatenated corners of all polygons, shape (F, 3).
+        F triangles as indices into the concatenated corners of all polygons, shape (F, 3).
     """
     counts = np.asarray(corner_counts, dtype=np.int64)
     starts = np.cumsum(counts) - counts
@@ -81,7 +88,7 @@ def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int6
 
 
 def flip_v(uvs: npt.NDArray[np.floating]) -> FloatArray:
-    """Converts texture coordinates, shape (V, 2), between a bottom-left (OBJ, PLY, USD) and a top-left origin."""
+    """Flips texture coordinates, shape (V, 2), between a bottom-left origin (OBJ, PLY, USD) and a top-left origin."""
     return np.stack([uvs[:, 0], 1.0 - uvs[:, 1].astype(np.float64)], axis=1).astype(np.float32)
 
 
@@ -93,9 +100,9 @@ def unit_normals(
     Normals that have unit length up to rounding are unchanged.
 
     Args:
-        normals: Normals as stored, shape (V, 3).
-        positions: Vertices, shape (V, 3).
-        indices: Triangles with valid vertex indices, shape (F, 3).
+        normals: Normals of V vertices as stored, shape (V, 3).
+        positions: Positions of the vertices, shape (V, 3).
+        indices: Valid vertex indices of F triangles, shape (F, 3).
 
     Returns:
         Unit normals, shape (V, 3); +z if a vertex has a zero normal and no adjacent triangle.
@@ -137,7 +144,7 @@ def material_for_uvs(path: PathLike, material: Material, uvs: FloatArray | None,
 
 
 def relative_to_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> tuple[FloatArray, Vector]:
-    """Returns positions as float32 relative to an origin, and that origin, which is logged if it is not zero.
+    """Returns positions as float32 relative to an origin, and the origin. Logs an origin other than zero.
 
     Args:
         path: The file, named in the log.

@@ -1,7 +1,7 @@
 """Reads and writes PLY meshes: polygons or triangle strips with normals, texture coordinates, colours and a texture.
 
-Texture coordinates and colours may be doubles. `write_ply_mesh` writes doubles, so that flipping v and encoding sRGB
-lose no bits when the file is read back.
+Texture coordinates and colours may be doubles. `write_ply_mesh` writes doubles, because flipping v and encoding sRGB
+would otherwise round, and the file would read back with other values.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _POLYGON_NAMES = ("vertex_indices", "vertex_index")
 _RGB = ("red", "green", "blue")
 _STRIPS = "tristrips"
-"""Element with triangle strips, as in Stanford's scans."""
+"""Name of the element that holds triangle strips in Stanford's scans."""
 _TEXTURE_COMMENT = "TextureFile "
 """Prefix of the comment in which MeshLab names a texture."""
 
@@ -106,7 +106,12 @@ def _read(header: PlyHeader) -> Mesh:
 
 
 def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
-    """Returns a white material, textured if the file names a texture, or the default material without any colours."""
+    """Returns a white material if the file names a texture or has colours, else the default material.
+
+    Args:
+        header: Header of the file.
+        colored: Whether the file has colours.
+    """
     names = [c.removeprefix(_TEXTURE_COMMENT).strip() for c in header.comments if c.startswith(_TEXTURE_COMMENT)]
     if names:
         texels = decode_texture(read_reference(header.path, names[0]), Path(header.path).parent / names[0])
@@ -115,21 +120,21 @@ def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
 
 
 def _columns(table: PlyRows, *names: str) -> Doubles | None:
-    """Returns properties as float64 columns, shape (rows, names); None if one is missing."""
+    """Returns the named properties as float64 columns, shape (rows, names); None if a property is missing."""
     if not set(names) <= set(table.dtype.names or ()):
         return None
     return np.stack([table[name].astype(np.float64) for name in names], axis=1)
 
 
 def _colors(vertices: PlyRows) -> FloatArray | None:
-    """Returns linear vertex colours, shape (V, 3); None if there are none."""
+    """Returns linear vertex colours, shape (vertices, 3); None if the vertices have no colours."""
     if not set(_RGB) <= set(vertices.dtype.names or ()):
         return None
     return _linear(*(vertices[name] for name in _RGB))
 
 
 def _linear(*channels: npt.NDArray[Any]) -> FloatArray:
-    """Converts sRGB channels, integers or floats of 0..1, to linear colours, shape (N, 3)."""
+    """Converts three sRGB channels, integers or floats of 0..1, to N linear colours, shape (N, 3)."""
     kind = channels[0].dtype
     encoded = np.stack([channel.astype(np.float64) for channel in channels], axis=1)
     encoded /= np.iinfo(kind).max if kind.kind in "iu" else 1.0
@@ -137,12 +142,15 @@ def _linear(*channels: npt.NDArray[Any]) -> FloatArray:
 
 
 def _polygons(lists: dict[str, PlyList]) -> PlyList | None:
-    """Returns the vertex index lists, None if there are none."""
+    """Returns the lists of vertex indices of all polygons; None if the file has no such lists."""
     return next((lists[name] for name in _POLYGON_NAMES if name in lists), None)
 
 
 def _strip_triangles(strips: PlyList | None) -> npt.NDArray[np.int64]:
-    """Returns the triangles of strips, shape (F, 3). A list holds one strip, or several separated by -1."""
+    """Returns the triangles of triangle strips as vertex indices, shape (triangles, 3).
+
+    A list holds one strip, or several strips separated by -1.
+    """
     if strips is None:
         return np.zeros((0, 3), np.int64)
     items = strips.items.astype(np.int64)

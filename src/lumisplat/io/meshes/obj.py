@@ -30,12 +30,12 @@ from lumisplat.scene.scene import MeshInstance, Scene
 _log = logging.getLogger("lumisplat")
 
 _ABSENT = -1
-"""Index in corner arrays of a missing uv or normal."""
+"""Index that stands for a missing uv or normal of a corner."""
 
 
 _Numbers = tuple[float, ...]
 _Corner = tuple[int, int, int]
-"""Indices of a corner's position, uv and normal."""
+"""Indices of the position, uv and normal of a corner."""
 
 
 @dataclass(slots=True)
@@ -53,13 +53,13 @@ class _ObjFile:
     """Parsed contents of an OBJ file."""
 
     positions: list[_Numbers] = field(default_factory=list[_Numbers])
-    """Vertex positions, some followed by a colour."""
+    """Vertex positions; the numbers of a vertex may include a colour after the position."""
     uvs: list[_Numbers] = field(default_factory=list[_Numbers])
     normals: list[_Numbers] = field(default_factory=list[_Numbers])
     faces_from_material: dict[str, _Faces] = field(default_factory=dict[str, _Faces])
     libraries: list[str] = field(default_factory=list[str])
     out_of_range: int = 0
-    """Number of triangles dropped because they name a missing vertex."""
+    """Number of triangles dropped because their face refers to a missing vertex."""
 
 
 def read_obj(path: Path, crease_angle: float = CREASE_ANGLE) -> Mesh | Scene:
@@ -128,7 +128,7 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
 
 
 def _add_face(listing: _ObjFile, material: str, corner_texts: list[str]) -> None:
-    """Adds a face, or counts its triangles as out of range if it names a missing vertex."""
+    """Adds a face; if it refers to a missing vertex, counts its triangles as out of range instead."""
     faces = listing.faces_from_material.setdefault(material, _Faces())
     try:
         corners = [_corner(text, listing) for text in corner_texts]
@@ -173,7 +173,7 @@ def _index(text: str, what: str, count: int) -> int:
 
 
 class _NoVertexError(ValueError):
-    """Raised for a face that names a missing vertex."""
+    """A face refers to a vertex that does not exist."""
 
 
 def _mesh(
@@ -253,7 +253,7 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
 
 
 def _without_options(argument: str) -> str:
-    """Returns the file name in a map statement such as `-s 1 1 1 -clamp on name with spaces.png`.
+    """Returns the file name of a map statement with options, such as `-s 1 1 1 -clamp on name with spaces.png`.
 
     Each option is followed by numbers, ``on`` or ``off``.
     """

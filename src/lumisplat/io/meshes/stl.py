@@ -23,7 +23,8 @@ _VERTEX = re.compile(rb"\bvertex" + 3 * _NUMBER, re.IGNORECASE)
 _LOOP = re.compile(rb"\bfacet\b", re.IGNORECASE)
 _END = re.compile(rb"\bendfacet\b", re.IGNORECASE)
 _SPACED_END = re.compile(rb"\bend\s+(?=(?:solid|facet|loop)\b)", re.IGNORECASE)
-"""Matches ``end solid`` and the like, which some writers put a space into."""
+"""Matches the ``end `` of ``end solid``, ``end facet`` and ``end loop``, which some writers use for ``endsolid`` and
+so on."""
 
 
 def read_stl(path: Path) -> Mesh:
@@ -42,7 +43,7 @@ def read_stl(path: Path) -> Mesh:
 
 
 def _corners(path: Path, data: bytes) -> FloatArray:
-    """Returns the corners of all triangles, shape (3 F, 3)."""
+    """Returns the three corners of each of F triangles, shape (3 F, 3)."""
     count = int.from_bytes(data[80:_HEADER_BYTES], "little") if len(data) >= _HEADER_BYTES else 0
     expected = _HEADER_BYTES + count * _TRIANGLE.itemsize
     # The length decides, not the word "solid": binary files may begin with it too.

@@ -80,14 +80,16 @@ _KEY_OWNERS = {
     "vertex_colors": "a rig",
     "fps": "a folder of frames",
 }
-"""Keys that only some kinds of files accept, and the names of these kinds in error messages."""
+"""Keys that only some kinds of files accept, and what error messages call those kinds."""
 
 Load = Callable[..., Gaussians | Mesh | Scene]
 """Loads a file by its path; ``lod`` and ``budget`` are passed too if the entry gives them."""
 
 
 def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
-    """Reads the actors of a scene file that are not hidden, in order. A file used twice in one form is loaded once.
+    """Reads the visible actors of a scene file, in order.
+
+    A file that several actors use is loaded once for each form (Gaussians, mesh, rig or sequence).
 
     Args:
         document: Top-level table of the scene file.
@@ -108,7 +110,7 @@ def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
 
 
 def with_instances(scene: Scene, instances: Sequence[SplatInstance | MeshInstance]) -> Scene:
-    """Returns the scene with further captures and meshes."""
+    """Returns the scene with ``instances`` added to its captures and meshes."""
     splats = tuple(instance for instance in instances if isinstance(instance, SplatInstance))
     meshes = tuple(instance for instance in instances if isinstance(instance, MeshInstance))
     return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
@@ -146,7 +148,7 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | 
 
 
 def _motion(table: TomlTable) -> Keyframes | None:
-    """Reads the keyframes of an entry. A keyframe inherits missing keys from the previous keyframe."""
+    """Reads the keyframes of an entry; None if it has none. A keyframe inherits missing keys from the previous one."""
     frames: list[Values] = []
     last: Values = {"position": [0.0, 0.0, 0.0], "rotation_wxyz": [1.0, 0.0, 0.0, 0.0], "scale": 1.0}
     for entry in table.tables("keyframes"):
@@ -171,10 +173,10 @@ class Subjects:
     load: Load
     _subjects: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
     _captures: set[Path] = field(default_factory=set[Path])
-    """Files that hold captures, whose up direction is that of the capture; all other files are y up."""
+    """Files that hold captures. The up direction of such a file is that of its capture; all other files are y up."""
 
     def has_y_up(self, table: TomlTable, given: Values) -> bool:
-        """Returns whether the file of an entry is y up, which is every file except captures and folders of captures."""
+        """Returns whether the file of an entry is y up: False for captures and for folders of captures, else True."""
         self.get(table, given)
         return table.file("path") not in self._captures
 
@@ -221,7 +223,14 @@ class Subjects:
 
 
 def _refuse_foreign_keys(table: TomlTable, given: Values, known: set[str], kind: str) -> None:
-    """Raises `FormatError` if the entry has a key that its kind of file does not accept."""
+    """Raises `FormatError` if an entry has a key that its kind of file does not accept.
+
+    Args:
+        table: The entry.
+        given: Checked values of the entry.
+        known: Keys that this kind of file accepts.
+        kind: Name of the kind of file, for the message.
+    """
     for key, owner in _KEY_OWNERS.items():
         if key in given and key not in known:
             raise table.error(f"{key} applies to {owner}, but path is {given['path']!r}, {kind}", key)

@@ -68,7 +68,7 @@ def _is_size(value: object) -> bool:
 
 
 _SIZE = Kind("a number, two (plane) or three (box)", _is_size)
-"""Edge lengths of a box or a plane, or the diameter of a sphere."""
+"""Kind of the key ``size``: the edge lengths of a box or a plane, or the diameter of a sphere."""
 
 _ENTRY = {
     **PLACEMENT,
@@ -113,16 +113,16 @@ ENTRY_KEYS = {
         ),
     },
 }
-"""Allowed keys of captures and meshes, by heading."""
+"""Allowed keys of ``[[splats]]`` and ``[[meshes]]`` entries, by heading."""
 
 _CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high")
-"""Keys of an entry that change the asset itself, not its placement."""
+"""Keys of an entry that change the loaded asset; placement and material are not among them."""
 
 _Key = tuple[str, ...]
 
 
 def _shape_mesh(table: TomlTable, given: Values) -> Mesh:
-    """Creates the mesh of an entry with a ``shape``; ``size`` is 1 by default."""
+    """Creates the box, plane or sphere of an entry with a ``shape``; ``size`` is 1 by default."""
     shape, size = given["shape"], given.get("size", 1.0)
     if shape not in _SHAPES:
         raise table.error(f"shape is {shape!r}, {suggestion(shape, _SHAPES)}", "shape")
@@ -150,16 +150,17 @@ class PlacedEntry:
     world_from_file: Doubles = field(default_factory=lambda: np.eye(4))
     """Placement of the entry, a similarity transform, shape (4, 4)."""
     assets: tuple[Scene, ...] = ()
-    """Assets of the entry: the loaded file, the file with the entry's changes, and with its material.
+    """Assets of the entry in three stages: the loaded file, the file with the entry's changes, and then with its
+    material.
 
-    `Assets` caches them only as long as an entry references them here."""
+    `Assets` caches an asset only as long as an entry references it here."""
 
 
 @dataclass(slots=True)
 class Assets:
-    """Loads and caches the assets of entries. Files are loaded once, and entries with equal changes share one asset.
+    """Loads and caches the assets of entries. A file is loaded once, and entries with equal changes share one asset.
 
-    The material is applied last, so that a new material leaves the Gaussians of a capture unchanged.
+    The material is applied last, so that an edit of the material leaves the Gaussians of a capture unchanged.
     """
 
     load: Load
@@ -167,9 +168,9 @@ class Assets:
     up: Vector
     """Unit vector that points up in the scene."""
     memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
-    """In-memory assets, by the name that entries give as their ``path``."""
+    """In-memory assets, by the placeholder that entries give as their ``path``."""
     _cache: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
-    """Assets by file and changes."""
+    """Assets by key: the file and the changes of the entry."""
 
     def splats(self, table: TomlTable) -> PlacedEntry:
         """Reads an entry of ``[[splats]]`` and places its captures in the world."""
@@ -229,7 +230,7 @@ class Assets:
             raise table.failed(error) from None
 
     def part_names(self, table: TomlTable) -> list[str]:
-        """Returns the names of all meshes in an entry's file, whatever its ``part`` is."""
+        """Returns the names of all meshes in an entry's file, even if the entry selects one of them by ``part``."""
         return _mesh_names(self._assets(table, "meshes", table.values)[-1])
 
     def _part(self, table: TomlTable, given: Values, scene: Scene) -> Scene:
@@ -250,9 +251,9 @@ class Assets:
         return Scene(meshes=(scene.meshes[names.index(part) if isinstance(part, str) else part],))
 
     def _lift(self, given: Values, placed: Sequence[SplatInstance | MeshInstance]) -> Doubles:
-        """Returns the translation that puts the entry's lowest point at ``ground``, shape (4, 4).
+        """Returns the translation, shape (4, 4), that moves the lowest point of an entry to the height ``ground``.
 
-        Without ``ground`` it is the identity.
+        The translation is the identity if the entry has no ``ground``.
         """
         move = np.eye(4)
         if not isinstance(given.get("ground", False), bool) and placed:
@@ -261,7 +262,7 @@ class Assets:
         return move
 
     def _assets(self, table: TomlTable, heading: str, given: Values) -> tuple[Scene, ...]:
-        """Returns the entry's asset as loaded, with its changes, and, if it has a ``material``, with that material."""
+        """Returns an entry's asset as loaded, then with the entry's changes, then with its ``material`` if any."""
         if "path" in given:
             key, loaded = self._loaded(table, heading, given)
         else:
@@ -308,7 +309,7 @@ class Assets:
         return scene
 
     def _with_material(self, scene: Scene, table: TomlTable) -> Scene:
-        """Returns the scene with the entry's material on all meshes and captures."""
+        """Returns the scene with the entry's material in place of the materials of all meshes and captures."""
         material = entry_material(table, self.materials)
         assert material is not None
         try:
@@ -327,7 +328,7 @@ class Assets:
 
 
 def _level_arguments(table: TomlTable, file: Path, given: Values) -> dict[str, int | None]:
-    """Converts ``lod`` and ``lod_budget`` of an entry to arguments of `lumisplat.load`; empty if it has neither."""
+    """Returns the entry's ``lod`` and ``lod_budget`` as arguments of `lumisplat.load`; empty if it has neither."""
     stated = [(key, least) for key, least in (("lod", 0), ("lod_budget", 1)) if key in given]
     if len(stated) == 2:
         raise table.error("lod and lod_budget are both given: choose one of them", "lod_budget")
@@ -340,7 +341,7 @@ def _level_arguments(table: TomlTable, file: Path, given: Values) -> dict[str, i
 
 
 def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
-    """Applies kernel degree, crop box and crease angle to the assets of a file."""
+    """Applies the kernel degree, crop box and crease angle of an entry to the assets of its file."""
     try:
         if "kernel_degree" in changes:
             degree = changes["kernel_degree"]
@@ -362,7 +363,10 @@ def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
 
 
 def _is_capture(scene: Scene) -> bool:
-    """Returns whether the scene is a lone capture. A glTF scene that contains captures states its up direction."""
+    """Returns whether a loaded file is a capture, not a mesh or a glTF scene.
+
+    A glTF scene with captures also contains Gaussians, but unlike a capture it states its up direction.
+    """
     return bool(scene.splats) and scene.up is None
 
 
@@ -372,7 +376,7 @@ def _mesh_names(scene: Scene) -> list[str]:
 
 
 def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
-    """Reads both corners of the crop box, the lower one first; a single corner is an error."""
+    """Reads the lower and the upper corner of the crop box; it is an error if only one of them is given."""
     for key in ("crop_low", "crop_high"):
         if key not in given:
             raise table.error(f"lacks {key}, three numbers: a box has two corners")
@@ -383,7 +387,7 @@ def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
 
 
 def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Doubles]:
-    """Checks the values of an entry. Returns them and ``world_from_file``."""
+    """Checks the values of an entry. Returns the values and the entry's ``world_from_file``, shape (4, 4)."""
     given = table.take(ENTRY_KEYS[heading], required=() if "shape" in table.values else ("path",))
     if not np.isfinite(given.get("ground", 0.0)):
         raise table.wrong("ground", "a height, a finite number")

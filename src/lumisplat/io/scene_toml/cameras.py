@@ -60,7 +60,7 @@ CAMERA_FILE_KEYS = {
     "height": WHOLE.about("Image height, pixels; alone, it keeps the aspect ratio. Default: that of the file."),
     "exposure": _EXPOSURE,
 }
-"""Keys of the cameras of a file."""
+"""Allowed keys of a ``[[cameras]]`` entry that names a camera file."""
 CAMERA_VIEW_KEYS = {
     "eye": VECTOR.about("Position of the camera. Required."),
     "target": VECTOR.about("Point in the middle of the image. Required."),
@@ -79,7 +79,7 @@ CAMERA_VIEW_KEYS = {
     "distortion": COEFFICIENTS.about("Lens distortion k1 k2 k3 k4 p1 p2 of OpenCV. Default: 0."),
     "keyframes": TABLES.about("Motion of the camera: the tables `[[cameras.keyframes]]`."),
 }
-"""Keys of a camera that the scene file describes."""
+"""Allowed keys of a ``[[cameras]]`` entry that describes one camera by eye and target."""
 CAMERA_KEYFRAME_KEYS = {
     "time": NUMBER.about("Time in the animation, seconds; times increase. Required."),
     **{
@@ -92,7 +92,7 @@ CAMERA_KEYFRAME_KEYS = {
 
 
 class LoadCameras(Protocol):
-    """Signature of `lumisplat.io.load_cameras`. Width and height apply to frames without a size."""
+    """Signature of `lumisplat.io.load_cameras`. Width and height apply to frames for which the file states no size."""
 
     def __call__(self, path: Path, /, *, width: int | None, height: int | None) -> list[Camera]:
         """Reads the cameras of a file."""
@@ -108,7 +108,7 @@ def read_scene_cameras(
         document: Top-level table of the scene file.
         load: Reads a camera file.
         width: Image width of camera-file frames for which neither the file nor the entry gives a size.
-        height: Image height of these frames.
+        height: Image height of camera-file frames for which neither the file nor the entry gives a size.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a camera file cannot be read.
@@ -154,14 +154,14 @@ def read_camera_path(document: TomlTable) -> CameraPath | None:
 
 
 def _entry_camera(table: TomlTable, up: Vector) -> Camera:
-    """Reads the camera of an entry; a moving camera is taken at its first keyframe."""
+    """Reads the camera of an entry. A moving camera is returned as it is at its first keyframe."""
     if "keyframes" in table.values:
         return _entry_path(table, up).cameras[0]
     return _camera(table, table.take(CAMERA_VIEW_KEYS, required=("eye", "target")), up)
 
 
 def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
-    """Reads the keyframes of an entry. A keyframe inherits missing keys from the previous keyframe."""
+    """Reads a moving camera from an entry's keyframes. A keyframe inherits missing keys from the previous one."""
     last = table.take(CAMERA_VIEW_KEYS)
     del last["keyframes"]
     times: list[float] = []
@@ -185,7 +185,7 @@ def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
 
 
 def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
-    """Creates a camera by `Camera.look_at`. The default ``up`` is that of the scene."""
+    """Creates a camera by `Camera.look_at` from checked values. The default of its ``up`` is the scene's up."""
     values: dict[str, Any] = dict(given)
     models = {model.value: model for model in CameraModel}
     name = values.get("model", "pinhole")
@@ -210,7 +210,7 @@ def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
 
 
 def _move(camera: Camera, world_from_file: npt.NDArray[np.float64]) -> Camera:
-    """Applies a similarity transform to a camera, which also scales its near plane, aperture and focus distance."""
+    """Applies a similarity transform to a camera; its scale also applies to near plane, aperture and focus distance."""
     scale = float(np.cbrt(np.linalg.det(world_from_file[:3, :3])))
     file_from_world = np.linalg.inv(world_from_file)
     focal = 1.0 / scale if camera.model is CameraModel.ORTHOGRAPHIC else 1.0

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _Config = TypeVar("_Config")
 
 _FLAG_WORDS = {"on": True, "off": False}
-"""Words for an optional flag, as on the command line: ``--lighting off``."""
+"""Words for a setting that is True, False or None, as on the command line: ``--lighting off``."""
 
 
 def read_config(document: TomlTable) -> RenderConfig:
@@ -105,7 +105,7 @@ def changed_setting(base: _Config, name: str, text: str) -> _Config:
 
 
 def _hint(name: str, known: Sequence[str]) -> str:
-    """Returns the settings that an unknown name may mean, or where all are listed."""
+    """Returns the end of an error message about an unknown setting: similar settings, or the page that lists all."""
     key = name.rpartition(".")[2]
     last_names = {other.rpartition(".")[2] for other in known}
     near = {key} & last_names or {*difflib.get_close_matches(key, last_names, 1, 0.75)}
@@ -115,7 +115,7 @@ def _hint(name: str, known: Sequence[str]) -> str:
 
 
 def _setting(table: TomlTable, setting: Setting, base: object) -> object:
-    """Converts the TOML value of a setting to its Python type. The settings class checks ranges."""
+    """Converts the TOML value of a setting to its Python type. Ranges are checked later, by the settings class."""
     key, value = setting.name, table.values[setting.name]
     none = _word_for_none(setting) if setting.is_optional else ""
     if none and value == none:
@@ -141,12 +141,12 @@ def _setting(table: TomlTable, setting: Setting, base: object) -> object:
 
 
 def _word_for_none(setting: Setting) -> str:
-    """Returns the word that stands for None in TOML, which has no null."""
+    """Returns the word that stands for the setting's value None, because TOML has no null."""
     return "none" if setting.kind == "color" else "auto"
 
 
 def _enum_member(table: TomlTable, setting: Setting) -> Enum:
-    """Finds the enum member that has the value of a setting."""
+    """Returns the enum member whose value the table gives for the setting."""
     key, value = setting.name, table.values[setting.name]
     members = {str(member.value): member for member in setting.choices}
     if not isinstance(value, str):
@@ -162,7 +162,7 @@ def changed_settings(config: DataclassInstance) -> dict[str, Any]:
 
 
 def _table(config: object, base: object = None) -> dict[str, Any]:
-    """Converts settings to nested TOML tables: all settings, or only those that differ from ``base``."""
+    """Converts settings to nested TOML tables: all settings, or only those that differ from ``base`` if given."""
     table: dict[str, Any] = {}
     for one in settings_of(type(config)):
         value, before = getattr(config, one.name), getattr(base, one.name, None)

@@ -35,7 +35,7 @@ from lumisplat.scene.lights import LIGHT_KINDS, Light, LightEnvironment, LightSp
 _Light = TypeVar("_Light", bound=Light)
 
 _OTHER_NAMES = {"sun": "directional", "distant": "directional", "area": "rect", "quad": "rect"}
-"""Light types of other renderers and the matching type of a scene file, for error messages."""
+"""Names that other renderers give to light types, each with the scene file's name, for error messages."""
 
 
 def read_light(table: TomlTable) -> Light:
@@ -65,12 +65,15 @@ def read_light(table: TomlTable) -> Light:
 
 
 def _aim_keys(kind: type[Light]) -> dict[str, Kind]:
-    """Returns alternative keys that aim a light, with their kinds: ``size`` is a pair, all others are positions."""
+    """Returns the keys that may aim a light instead of ``direction``, with their kinds.
+
+    ``size`` is a pair of numbers; all other keys are positions.
+    """
     return {key: PAIR if key == "size" else VECTOR for key in kind.aim_keys}
 
 
 def _required(kind: type[Light], table: TomlTable) -> list[str]:
-    """Returns the required keys of a light: those without a default, and its direction unless another key aims it."""
+    """Returns the required keys of a light: fields without a default, except ``direction`` if another key aims it."""
     is_aimed = any(key in table.values for key in kind.aim_keys if key != "size")
     return required_keys(kind) + ([] if is_aimed else list(kind.aim_fields))
 

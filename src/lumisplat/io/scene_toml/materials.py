@@ -23,7 +23,7 @@ from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 """Material classes by their ``type`` in a scene file."""
 _SHARED = ("base_color", "base_color_texture", "name")
-"""Properties that both material types have. They are preserved when the type changes."""
+"""Fields that both material types have. An entry of the other type takes them from the material of its file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,11 +34,11 @@ class MaterialTable:
     values: Values
 
     def apply_to(self, file_material: Material | None) -> Material:
-        """Returns the material of a surface after this table overrides the material of its file.
+        """Returns the material of a surface after this table has overridden the material of its file.
 
-        Unset values are taken from ``file_material`` if it is of the same type; of another type, only base colour, base
-        colour texture and name are kept. If the table sets a base colour texture and the surface has the default grey,
-        the base colour becomes white, so that the texture is not darkened.
+        Values that the table does not set are taken from ``file_material`` if it has the same type. If it has another
+        type, only base colour, base colour texture and name are taken. If the table sets a base colour texture and the
+        surface has the default grey, the base colour becomes white, so that it does not darken the texture.
         """
         if isinstance(file_material, self.kind):
             is_grey = isinstance(file_material, MaterialPbr) and file_material.base_color == MaterialPbr().base_color
@@ -63,7 +63,7 @@ def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
 
     Args:
         table: The table.
-        name: Default name of the material.
+        name: Name of the material if the table has no ``name``.
     """
     type_name = table.values.get("type", "pbr")
     kind = MATERIAL_KINDS.get(type_name) if isinstance(type_name, str) else None

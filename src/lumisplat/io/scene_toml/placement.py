@@ -1,7 +1,7 @@
 """Places the entries of a scene file (scale, then rotation, then translation), and finds the scene's up direction.
 
-Up is the ``up`` at the top of the file, or else what its captures state, or else a guess. The captures are searched
-without reading their Gaussians where the format allows it.
+The up direction is the ``up`` at the top of the file, or else what a capture states, or else a guess. What a capture
+states is read without its Gaussians where the format allows it.
 """
 
 from __future__ import annotations
@@ -49,37 +49,37 @@ STANDING = {
     "front": TEXT.about('Axis of the object that is its front: `"+z"` (default), `"-z"`, `"+x"` or `"-x"`.'),
     "upright": FLAG.about("Rotates an object with y up so that it stands upright in the scene; false leaves it."),
 }
-"""Further rotation keys of captures, meshes and actors, instead of a quaternion."""
+"""Keys of captures, meshes and actors that rotate them without a quaternion, such as ``upright``."""
 
 
 _ROUNDING = 1e-15
-"""Rounding error of the length of a normalised direction."""
+"""Largest deviation from 1 of the length of a normalised vector, due to rounding."""
 _ROTATION_KEYS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
 
 
 _UPRIGHT_MIN = 0.7
-"""Smallest y component of the scene's up direction at which a y-up object counts as upright."""
+"""Smallest y component of the scene's up direction at which an object with y up counts as upright."""
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 def _is_saved(document: TomlTable) -> bool:
-    """Returns whether a program saved the scene file: its ``up`` is a unit vector to the last digit."""
+    """Returns whether a program wrote the scene file: its ``up`` then has length 1 to the last digit."""
     up: Any = document.values.get("up")
     is_written = VECTOR.accepts(up) and all(isinstance(value, float) for value in up)
     return is_written and abs(float(np.linalg.norm(up)) - 1.0) <= _ROUNDING
 
 
 def is_placed(values: Mapping[str, Any]) -> bool:
-    """Returns whether an entry states a position, rotation or ground height; its placement is then used as stated."""
+    """Returns whether an entry states a position, rotation or ground height, and so is not inserted automatically."""
     return any(key in values for key in ("position", *_ROTATION_KEYS)) or values.get("ground", False) is not False
 
 
 def keep_saved_positions(document: TomlTable) -> None:
-    """Leaves unplaced meshes and actors of a saved scene file at the origin, where they were when the file was saved.
+    """Sets the position of unplaced meshes and actors in a saved scene file to the origin, where they were when saved.
 
-    Earlier versions saved no position for objects at the origin. Saved files are recognised by their unit ``up``;
-    current versions save every position.
+    Earlier versions wrote no position for objects at the origin. Saved files are recognised by their unit ``up``;
+    current versions write every position.
     """
     if not _is_saved(document):
         return
@@ -95,9 +95,9 @@ def keep_saved_positions(document: TomlTable) -> None:
 
 
 def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
-    """Warns of placed meshes and actors that stay y up although the scene is not y up.
+    """Warns of meshes and actors with a placement that stay y up although the scene is not y up.
 
-    Saved files and entries with ``upright = false`` are intentional and cause no warning.
+    In saved files and entries with ``upright = false`` the orientation is intended, so there is no warning.
     """
     if not document.tables("splats") or up[1] > _UPRIGHT_MIN or _is_saved(document):
         return
@@ -119,13 +119,16 @@ def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
 def insert_entry(
     table: TomlTable, scene: Scene, instances: Sequence[MeshInstance | SplatInstance], instances_up: Vector | None
 ) -> npt.NDArray[np.float64]:
-    """Inserts an entry without a placement into the captures of a scene, and logs where. Returns ``world_from_file``.
+    """Inserts an entry without a placement into the captures of a scene, and logs the position.
 
     Args:
         table: The entry; ``scale``, ``front`` and ``ground = false`` are respected.
         scene: Scene with at least one capture.
         instances: Captures and meshes of the entry, in the coordinates of its file.
         instances_up: Up direction of the file; None for y up.
+
+    Returns:
+        The entry's ``world_from_file``, shape (4, 4).
 
     Raises:
         FormatError: The scale is not positive.
@@ -148,7 +151,10 @@ def insert_entry(
 
 
 def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
-    """Rotates an actor upright whose keyframes move but do not rotate it, and logs it. Returns ``world_from_file``.
+    """Rotates an actor upright whose keyframes move but do not rotate it, and logs the rotation.
+
+    Returns:
+        The actor's ``world_from_file``, shape (4, 4).
 
     Raises:
         FormatError: The scale is not positive.
@@ -172,8 +178,8 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
         up: Unit vector that points up in the scene, for ``upright`` and ``look_at``.
 
     Raises:
-        FormatError: A value is not finite, the scale is not positive, the rotation has zero length, or two rotations
-            are given.
+        FormatError: A value is not finite, the scale is not positive, the rotation has zero length, or the entry has
+            two keys that rotate it.
     """
     rotation_keys = [key for key in STANDING if key in table.values]
     if rotation_keys:
@@ -203,7 +209,7 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
 
 
 def stated_up(path: Path) -> Vector | None:
-    """Returns the up direction that a capture file states, a unit vector in its own coordinates.
+    """Returns the up direction that a capture file states, a unit vector in the coordinates of the capture.
 
     Args:
         path: File or folder of any format.
@@ -224,7 +230,7 @@ def stated_up(path: Path) -> Vector | None:
 
 
 def _up_by_values(path: Path, kind: str) -> Vector | None:
-    """Returns the up direction from the metadata of a file, without reading its Gaussians."""
+    """Returns the up direction from the metadata of a file, without reading its Gaussians; None if it states none."""
     if kind == ".ply":
         return orientation_of_comments(path, read_ply_header(path).comments).up
     if kind in (BLOCKS, STREAMED_SOG):
@@ -237,9 +243,10 @@ def _up_by_values(path: Path, kind: str) -> Vector | None:
 
 @lru_cache(maxsize=64)
 def _up_by_format(path: Path, kind: str, *_version: int) -> Vector | None:
-    """Returns the up direction of a glTF or USD capture, which depends on the transform of its node.
+    """Returns the up direction of a glTF or OpenUSD capture, which depends on the transform of its node.
 
-    The whole file is read for it, once per file version. Log lines are suppressed; the loader logs them later.
+    The whole file is read, once for each version of the file. Log lines are suppressed, because the loader logs them
+    later.
     """
     with _silenced():
         if kind in _USD:
@@ -251,7 +258,7 @@ def _up_by_format(path: Path, kind: str, *_version: int) -> Vector | None:
 
 @contextmanager
 def _silenced() -> Generator[None]:
-    """Suppresses the log lines of this thread."""
+    """Suppresses the log lines that this thread writes inside the block."""
     thread = threading.get_ident()
 
     def is_other_thread(record: logging.LogRecord) -> bool:
@@ -269,7 +276,7 @@ def _up_of(loaded: Gaussians | Scene) -> Vector | None:
 
 
 def _has_up(file: GltfFile) -> bool:
-    """Returns whether a capture in the glTF file states an up direction of its own, besides the y up of the format."""
+    """Returns whether Lumisplat's settings of a capture in the glTF file state an up direction. glTF itself is y up."""
     primitives = (one for mesh in file.model.meshes or [] for one in mesh.primitives)
     return any("up" in (lumisplat_extras(one) or {}) for one in primitives)
 
@@ -279,7 +286,7 @@ def _may_be_direction(value: object) -> bool:
 
 
 DIRECTION = Kind("the name of an axis, such as y-down, or three numbers", _may_be_direction)
-"""Kind of value that is a direction: an axis name or a vector."""
+"""Kind of a key whose value is a direction: an axis name or a vector."""
 UP = DIRECTION.about(
     'Up direction of the scene, such as `"y-down"` or `"z-up"`. Default: that of the first capture that states one, '
     "else y down with captures, y up without."
@@ -287,14 +294,14 @@ UP = DIRECTION.about(
 """Kind of the key ``up`` at the top of a scene file."""
 
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".json", "")
-"""File extensions of captures; .json is an unpacked SOG, and folders of frames have no extension."""
+"""File extensions of captures. ``.json`` is an unpacked SOG; a folder of frames has no extension."""
 
 
 def scene_up(document: TomlTable) -> Vector:
     """Returns the unit vector that points up in the scene.
 
-    It is the ``up`` of the file, or else that of the first capture that states one, or else y down if the scene has a
-    capture and y up if it has only meshes.
+    The up direction is the ``up`` of the file, or else that of the first capture that states one. If no capture states
+    an up direction, it is y down for a scene with a capture, and y up for a scene with only meshes.
 
     Args:
         document: Top-level table of the scene file.
@@ -313,9 +320,9 @@ def scene_up(document: TomlTable) -> Vector:
 
 
 def _stated(table: TomlTable) -> Vector | None:
-    """Returns the up direction of an entry's capture, rotated as the entry rotates it; None if its file states none.
+    """Returns the up direction of an entry's capture after the entry's rotation; None if the capture states none.
 
-    An entry with ``upright`` or ``look_at`` is rotated to the scene's up direction, so it is ignored.
+    None is also returned for an entry with ``upright`` or ``look_at``, because its rotation depends on the scene's up.
     """
     is_upright = table.values.get("upright", False) or "look_at" in table.values
     path = table.values.get("path")
@@ -330,7 +337,7 @@ def _stated(table: TomlTable) -> Vector | None:
 
 
 def _direction(table: TomlTable, key: str) -> Vector:
-    """Reads a key as a unit vector."""
+    """Reads the value of a key as a unit vector."""
     try:
         return up_vector(table.values[key])
     except SceneError as error:

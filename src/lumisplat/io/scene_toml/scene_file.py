@@ -70,11 +70,11 @@ _FPS = 25.0
 
 _HEADINGS = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
 _VISIBLE_HEADINGS = ("splats", "meshes", "actors", "lights", "environment")
-"""Headings of entries that can make a frame non-empty."""
+"""Headings of entries with visible content; a scene file without any of them renders nothing."""
 
 
 def _read_timing(document: TomlTable) -> tuple[float, AvatarLightingConfig]:
-    """Reads frames per second and the lighting of actors from ``[animation]``; defaults if there is no such table."""
+    """Reads the frame rate and the lighting of actors from ``[animation]``; defaults if the file has no such table."""
     table = document.table("animation")
     given = table.take(ANIMATION_KEYS)
     lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
@@ -108,8 +108,9 @@ def read_document(path: PathLike) -> TomlTable:
 def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None = None) -> Scene:
     """Reads a scene file and the files that it names, with actors at time 0. A file named twice is loaded once.
 
-    ``kernel_degree`` of a capture and ``material`` of a mesh override those of the file, for all meshes of the file.
-    Lights of the scene file come first, then lights of its mesh files, then the environment.
+    ``kernel_degree`` in an entry overrides the degree that its capture file states. ``material`` in an entry overrides
+    the materials of all meshes in its mesh file. The lights of the scene file come first, then the lights of its mesh
+    files, then the environment.
 
     Args:
         path: The ``.toml`` file.
@@ -134,7 +135,7 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
 
 
 def _static_scene(document: TomlTable, load: Load) -> Scene:
-    """Builds the scene without its actors; it may be empty."""
+    """Builds the scene of a scene file without its actors; the scene may be empty."""
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     up = scene_up(document)
@@ -177,7 +178,7 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
 
 
 def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> Animation:
-    """Builds the animation of a scene file, without its static cameras.
+    """Builds the animation of a scene file. Cameras without keyframes are not part of it.
 
     Args:
         document: Top-level table of the scene file.
@@ -194,7 +195,7 @@ def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> 
 
 
 def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: CameraPath | None) -> int:
-    """Returns the number of frames from ``frames``, ``duration``, or the longest duration of actors and camera."""
+    """Returns the number of frames from ``frames``, from ``duration``, or from the longest actor or camera path."""
     given = table.values
     if "frames" in given:
         count = given["frames"]

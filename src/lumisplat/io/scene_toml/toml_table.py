@@ -1,9 +1,9 @@
 """Reads TOML tables with type checks, and writes tables as TOML that ``tomllib`` reads back to equal values.
 
-Error messages name the line and the key, and suggest the closest known key. ``tomllib`` gives no line numbers, so this
-module finds them.
+Error messages name the line and the key, and suggest the closest allowed key. ``tomllib`` gives no line numbers, so
+this module finds them.
 
-Keys of scene dataclasses are the names of their fields; angles are in degrees.
+The keys of a table for a scene dataclass are the names of its fields; angles are in degrees.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.source import PathLike, TextureBytes, is_list, is_object, named_path, read_text
 
 TOML_KEY_PARTS_MAX = 32
-"""Largest number of parts of a dotted key; scene files use up to three. Python's parser needs time quadratic in it."""
+"""Largest number of parts of a dotted key; scene files use up to three. ``tomllib`` takes time quadratic in their
+number."""
 
 KeyPath = tuple[str | int, ...]
-"""Keys and indices from the top of the document, such as ``("splats", 1, "position")``."""
+"""Keys and array indices that lead from the top of the document to a value, such as ``("splats", 1, "position")``."""
 
 _TOKEN = re.compile(
     r"""(?P<blank>[ \t\r]+|\#[^\n]*)
@@ -43,7 +44,7 @@ _TOKEN = re.compile(
 )
 
 Values = dict[str, Any]
-"""Checked values by key."""
+"""Values of a table by key, with checked types."""
 
 
 class _Token(NamedTuple):
@@ -93,7 +94,7 @@ class _Scanner:
         return self._tokens[self._at]
 
     def _header(self) -> KeyPath:
-        """Reads a header after its first bracket: ``[a.b]`` or ``[[a.b]]``."""
+        """Reads the header of a table after its first bracket: ``[a.b]`` or ``[[a.b]]``."""
         in_array = self._upcoming.text == "["
         self._at += in_array
         keys, line = self._keys("]")
@@ -113,11 +114,11 @@ class _Scanner:
         return path
 
     def _latest(self, path: KeyPath) -> KeyPath:
-        """Appends the index of the latest element if the path is an array of tables."""
+        """Returns ``path``, with the index of the last element appended if the path leads to an array of tables."""
         return (*path, self._array_sizes[path] - 1) if path in self._array_sizes else path
 
     def _keys(self, end: str) -> tuple[list[str], int]:
-        """Reads a dotted key and the token after it. Returns its parts and the line of the first part."""
+        """Reads a dotted key and the token after the key. Returns the key's parts and the line of the first part."""
         keys: list[str] = []
         line = self._upcoming.line
         while (token := self._next()).text != end:
@@ -158,17 +159,17 @@ class _Scanner:
 
 
 class Kind(NamedTuple):
-    """A kind of TOML value, such as a number or three numbers."""
+    """Expected type of a TOML value, such as a number or three numbers."""
 
     expected: str
-    """Description for error messages, such as ``three numbers``."""
+    """Description of the type for error messages, such as ``three numbers``."""
     accepts: Callable[[object], bool]
-    """Returns whether a value is of this kind."""
+    """Returns whether a value has this type."""
     help: str = ""
-    """Meaning of the key that declares the kind, one line for docs/scene_file.md."""
+    """Meaning of the key that has this kind, in one line for docs/scene_file.md."""
 
     def about(self, text: str) -> Kind:
-        """Returns the same kind with the help text of a key."""
+        """Returns this kind with ``text`` as its help text."""
         return self._replace(help=text)
 
 
@@ -193,7 +194,7 @@ def _is_color(value: object) -> bool:
 
 
 def _is_array_of_tables(value: object) -> TypeGuard[list[dict[str, object]]]:
-    """Returns whether a value is an array of tables; an empty array is one."""
+    """Returns whether a value is a list that contains only tables; an empty list counts."""
     return is_list(value) and all(map(is_object, value))
 
 
@@ -237,11 +238,11 @@ class _Source(NamedTuple):
 _LONG_KEY = re.compile(
     rf"""(?<![\w-])(?:(?>[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{TOML_KEY_PARTS_MAX}}}""", re.ASCII
 )
-"""Matches the first parts of a dotted key with too many parts."""
+"""Matches the beginning of a dotted key that has more than `TOML_KEY_PARTS_MAX` parts."""
 
 
 class TomlTable:
-    """A table of a TOML file that remembers its position in the file, for error messages."""
+    """A table of a TOML file together with its position in the file, which error messages name."""
 
     def __init__(self, values: dict[str, Any], source: _Source, where: KeyPath = ()) -> None:
         self.values = values
@@ -292,7 +293,7 @@ class TomlTable:
 
     @property
     def textures(self) -> TextureBytes:
-        """Running total of texture sizes in this file, which bounds their memory together."""
+        """Running total of the texture sizes of this file, which limits their memory together."""
         return self._source.textures
 
     @property
@@ -301,7 +302,7 @@ class TomlTable:
         return bool(self._source.text)
 
     def error(self, problem: str, key: str | None = None) -> FormatError:
-        """Creates an error about a key, or about the whole table; its message names the file, line and table."""
+        """Creates an error that names file, line and table, about a key or, if ``key`` is None, the whole table."""
         lines = line_numbers(self._source.text)
         where = (*self._where, key) if key is not None else self._where
         while where and where not in lines:
@@ -311,7 +312,10 @@ class TomlTable:
         return FormatError(self.path, location + problem)
 
     def failed(self, error: LumisplatError) -> FormatError:
-        """Converts an error of an object made from this table; the message names the line of the first key in it."""
+        """Creates an error from an error of an object made from this table.
+
+        The message names the line of the first key that the text of ``error`` mentions.
+        """
         named = (word for word in re.findall(r"\w+", str(error)) if word in self.values)
         return self.error(str(error), next(named, None))
 
@@ -320,7 +324,7 @@ class TomlTable:
         return self.error(f"{key} is {_quote(self.values[key])}, expected {expected}", key)
 
     def take(self, known: Mapping[str, Kind], required: Iterable[str] = ()) -> Values:
-        """Returns the values by key, after checking keys and kinds.
+        """Returns the values of the table by key, after checking the keys and the types of the values.
 
         Args:
             known: Allowed keys with their kinds.
@@ -339,10 +343,10 @@ class TomlTable:
         return dict(self.values)
 
     def check_keys(self, known: Iterable[str]) -> None:
-        """Checks that all keys are known.
+        """Checks that the table has only keys that are in ``known``.
 
         Raises:
-            FormatError: A key is unknown; the message suggests the most similar known key.
+            FormatError: Another key is present; the message suggests the most similar allowed key.
         """
         for key in self.values:
             if key not in known:
@@ -373,7 +377,7 @@ class TomlTable:
         return [TomlTable(entry, self._source, (*self._where, key, index)) for index, entry in enumerate(entries)]
 
     def file(self, key: str) -> Path:
-        """Returns the path that a key names, resolved relative to this file.
+        """Returns the path that is the value of a key, relative to the folder of this file.
 
         Raises:
             FormatError: There is no such file, or it is a device, a pipe or a socket.
@@ -427,11 +431,12 @@ _KINDS: dict[str, Kind] = {
     "choice": TEXT,
 }
 _FIELD_KINDS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
-"""Kinds of fields that the field's own kind does not determine. All other such fields are images, given as file names.
+"""Kinds of two fields whose Python type does not determine the TOML type. All other fields of undetermined type are
+images, given as file names.
 """
 
 DEGREES = "_degrees"
-"""Suffix of angle keys, which are in degrees; the fields are in radians."""
+"""Suffix of the keys for angles: the value of the key is in degrees, that of the dataclass field in radians."""
 
 
 def key_of(field: Setting | Field[Any]) -> str:

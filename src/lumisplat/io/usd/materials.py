@@ -267,7 +267,10 @@ class UsdMaterials:
         return self._cache[key]
 
     def sided(self, material: MaterialPbr, prim: Any) -> MaterialPbr:
-        """Returns the material for a mesh: an emissive one emits from front faces only, unless the mesh is two-sided."""
+        """Returns the material for a mesh: an emissive one emits from front faces only, unless the mesh is two-sided.
+
+        A mesh is two-sided if its attribute doubleSided is True.
+        """
         if not material.is_emissive or value(self._file, prim, "doubleSided", False):
             return material
         if id(material) not in self._one_sided:

@@ -493,7 +493,7 @@ def _wait_for_request(stdin: BinaryIO) -> bool:
 
 
 def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
-    """Reads the file of a request, answers calls of its remote functions until "done" arrives, and exits the process."""
+    """Reads the file of a request, answers calls of its remote functions until the parent is done, and exits."""
     global _session  # noqa: PLW0603
     session = _session = _Session(stdin, stdout, request.limit)
     try:
