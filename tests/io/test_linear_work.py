@@ -50,7 +50,7 @@ def _cameras(count: int) -> None:
     "work", [_cameras, lambda count: file_stems(["same"] * count), lambda count: light_labels(["same"] * count)]
 )
 def test_numbering_equal_names_takes_linear_work(work: Callable[[int], object]) -> None:
-    """The lines grow with the number of names, not with its square, which would be a factor of 64."""
+    """Executed lines grow with the number of names; quadratic growth would be a factor of 64."""
     work(10)
     assert _lines(lambda: work(1600)) < 10 * _lines(lambda: work(200))
 
@@ -64,7 +64,9 @@ def _count_checks(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
 
 
 @pytest.mark.parametrize(("name", "checks"), [("{}", 1), ("same", 2)])
-def test_cameras_are_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, checks: int) -> None:
+def test_loading_a_camera_file_checks_each_camera_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, checks: int
+) -> None:
     """Renamed cameras, all but the first of equal names, are checked twice."""
     pose = {"position": [0, 0, 0], "rotation": np.eye(3).tolist()}
     lens = {"width": 4, "height": 4, "fx": 4, "fy": 4}
@@ -75,21 +77,21 @@ def test_cameras_are_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert len(checked) == 50 * checks - (checks - 1)
 
 
-def test_creating_a_camera_takes_limited_work() -> None:
-    """387 lines, mostly checks; two calls of np.allclose added 202."""
+def test_rescaling_a_camera_executes_fewer_than_420_lines() -> None:
+    """Most of the 387 lines are checks; two calls of np.allclose had added 202."""
     camera = ls.Camera.look_at((0, 0, -1), (0, 0, 0), (0, 1, 0), width=4, height=4)
     lines = _lines(lambda: camera.scaled(8, 8))
     assert lines < 420, lines
 
 
-def test_numbered_names_skip_existing_names() -> None:
-    """A number that another name already has is skipped."""
+def test_numbers_appended_to_equal_names_skip_existing_names() -> None:
+    """A third "a" becomes "a_3" if the name "a_2" exists already."""
     assert file_stems(["a", "a_2", "a", "a", "A"]) == ["a", "a_2", "a_3", "a_4", "A_5"]
 
 
 @pytest.mark.parametrize("line", ["{} = 1", "[{}]", "[[{}]]", "x = {{ {} = 1 }}"])
 @pytest.mark.parametrize("part", ["a", '"a"', "'a'"])
-def test_long_dotted_toml_keys_are_refused_at_once(
+def test_dotted_toml_keys_of_more_than_32_parts_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, part: str
 ) -> None:
     """Python's parser takes more than 40 s for 100,000 parts; the error names the line."""
@@ -103,8 +105,8 @@ def test_long_dotted_toml_keys_are_refused_at_once(
         ls.load(tmp_path / "scene.toml")
 
 
-def test_long_words_and_numbers_are_not_dotted_keys(tmp_path: Path) -> None:
-    """They are searched in one pass; restarting at each character would not end."""
+def test_long_toml_words_and_numbers_are_not_taken_for_dotted_keys(tmp_path: Path) -> None:
+    """The text is searched in one pass; a search that restarts at each character would not end."""
     numbers = ", ".join(["1.5"] * 20_000)
     (tmp_path / "scene.toml").write_text(f"{'a' * 10**6} = [{numbers}]\nb = '{chr(34) * 10**6}'\n")
     with pytest.raises(ls.FormatError, match="unknown 'aaa"):
@@ -121,7 +123,7 @@ def _gltf(path: Path, count: int) -> Path:
 
 
 def test_reading_gltf_nodes_takes_linear_work(tmp_path: Path) -> None:
-    """110 lines per node; pygltflib's conversion took 3,400, a quarter of a millisecond."""
+    """A node takes 110 lines of Python; pygltflib's conversion took 3,400, a quarter of a millisecond."""
     files = {count: _gltf(tmp_path / f"{count}.gltf", count) for count in (50, 100, 900)}
     ls.load_cameras(files[50])
     few, many = (_lines(lambda count=count: ls.load_cameras(files[count])) for count in (100, 900))
@@ -129,8 +131,10 @@ def test_reading_gltf_nodes_takes_linear_work(tmp_path: Path) -> None:
     assert np.allclose(ls.load_cameras(files[900])[0].eye, (899, 0, 0))
 
 
-def test_gltf_without_cameras_computes_no_transforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No world transform is computed when cameras are loaded."""
+def test_loading_cameras_of_a_gltf_without_any_computes_no_transforms(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """World transforms of nodes would take time in large files."""
 
     def transforms(file: object) -> list[Any]:
         pytest.fail("transforms of nodes are worked out")

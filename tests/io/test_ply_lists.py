@@ -47,8 +47,10 @@ def ply(path: Path, encoding: str, rows: list[tuple[list[int], list[float]]]) ->
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("rows", [EQUAL, MIXED, MIXED[1:], MIXED[::-1], EQUAL[:1], []])
-def test_ply_list_round_trip(tmp_path: Path, encoding: str, rows: list[tuple[list[int], list[float]]]) -> None:
-    """Counts and items are equal, in the types of the file."""
+def test_ply_lists_of_any_lengths_and_encodings_are_read_exactly(
+    tmp_path: Path, encoding: str, rows: list[tuple[list[int], list[float]]]
+) -> None:
+    """Counts and items are equal, in the number types of the file."""
     header = read_ply_header(ply(tmp_path / "a.ply", encoding, rows))
     lists = read_ply_lists(header, header.required("face"))
     assert sorted(lists) == ["corners", "weights"]

@@ -27,10 +27,10 @@ def written(path: Path, count: int = 500, degree: int = 1) -> ls.Gaussians:
 
 @pytest.mark.parametrize("degree", [0, 2])
 @pytest.mark.parametrize("piece", [64, 10**6])
-def test_streamed_chunks_equal_the_loaded_capture(
+def test_ply_chunks_streamed_from_a_file_equal_the_loaded_capture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int, piece: int
 ) -> None:
-    """Chunks are equal bit for bit, in the order of the file, and progress is reported."""
+    """Streamed chunks equal `load` bit for bit, in file order; reported progress rises to 1."""
     monkeypatch.setattr(stream, "BLOCK_PIECE", piece)
     written(tmp_path / "a.ply", degree=degree)
     reported: list[float] = []
@@ -45,8 +45,8 @@ def test_streamed_chunks_equal_the_loaded_capture(
         np.testing.assert_array_equal(joined, getattr(whole, name), name)
 
 
-def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
-    """Streaming converts 2D Gaussians as `load` does."""
+def test_streaming_a_ply_gives_2d_gaussians_the_tiny_third_scale_of_load(tmp_path: Path) -> None:
+    """A PLY of 2D Gaussians, which have two scales, streams with the same scales as `load` returns."""
     rows = np.random.default_rng(1).normal(size=(20, len(FLAT_NAMES))).astype("<f4")
     (tmp_path / "flat.ply").write_bytes(ply_header(len(rows), FLAT_NAMES) + rows.tobytes())
     (piece,) = ls.io.stream_ply(tmp_path / "flat.ply")
@@ -55,10 +55,10 @@ def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
     np.testing.assert_array_equal(piece.scales, loaded.scales)
 
 
-def test_invalid_gaussians_are_refused_or_dropped(
+def test_streaming_a_ply_refuses_or_drops_invalid_gaussians(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """An error names their rows, or one log line counts them; a chunk may contain only invalid ones."""
+    """The error names the first and last row of a chunk with invalid Gaussians; one log line counts dropped ones."""
     monkeypatch.setattr(stream, "BLOCK_PIECE", 100)
     written(tmp_path / "a.ply", 500, 0)
     data = bytearray((tmp_path / "a.ply").read_bytes())
@@ -77,8 +77,10 @@ def test_invalid_gaussians_are_refused_or_dropped(
     ]
 
 
-def test_unsupported_files_are_refused_and_materials_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Each error and the log line of dropped materials is one line."""
+def test_streaming_refuses_unsupported_plys_and_drops_materials(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Each refusal is one line, and so is the log line about dropped materials."""
     capture = written(tmp_path / "a.ply", 50, 0)
     data = (tmp_path / "a.ply").read_bytes()
     (tmp_path / "cut.ply").write_bytes(data[:-1])
@@ -103,8 +105,8 @@ def test_unsupported_files_are_refused_and_materials_dropped(tmp_path: Path, cap
     assert "roughness left out: blocks cannot store them" in caplog.text
 
 
-def test_cell_size_suits_the_capture(tmp_path: Path) -> None:
-    """Cubes are few even with far outliers, yet so small that most need no further split."""
+def test_proposed_block_cell_size_suits_captures_with_far_outliers(tmp_path: Path) -> None:
+    """The proposed edge length makes few cubes, yet most cubes hold few enough Gaussians to become one block."""
     for far in (1.0, 1000.0):
         rng = np.random.default_rng(5)
         means = rng.uniform(-4.0, 4.0, (20_000, 3))
@@ -118,8 +120,10 @@ def test_cell_size_suits_the_capture(tmp_path: Path) -> None:
         assert (cell <= 4.0) == (far == 1.0)
 
 
-def test_too_many_cubes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wrong edge length would create a file per Gaussian; files written so far are removed."""
+def test_write_blocks_refuses_a_cell_size_that_makes_too_many_cubes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A too small edge length would create one file per Gaussian; files written before the refusal are removed."""
     monkeypatch.setattr(storage, "BLOCK_CELLS_MAX", 50)
     with pytest.raises(
         ls.ConfigError, match=r"cell is 0\.01, so the capture would fill more than 50 cubes: give a larger"
@@ -128,8 +132,8 @@ def test_too_many_cubes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert not (tmp_path / "a").exists()
 
 
-def test_foreign_folders_are_refused_and_unchanged(tmp_path: Path) -> None:
-    """A folder with other files is refused; so is a capture with another kernel degree."""
+def test_write_blocks_refuses_and_leaves_folders_with_other_files(tmp_path: Path) -> None:
+    """A folder with other files stays unchanged; a capture with kernel degree 4 is refused, too."""
     capture = random_gaussians(1, count=100)
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ls.FormatError, match=r"holds other files \(notes.txt\): give a new folder"):
@@ -142,8 +146,8 @@ def test_foreign_folders_are_refused_and_unchanged(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="without locks of files")
-def test_second_writer_of_one_folder_is_refused(tmp_path: Path) -> None:
-    """The second run is refused while the first one writes, and removes none of its files."""
+def test_second_process_writing_blocks_to_one_folder_is_refused(tmp_path: Path) -> None:
+    """The second writer is refused while the first one writes, and removes none of the first writer's files."""
     pieces = [random_gaussians(seed, count=200) for seed in (1, 2)]
 
     def stream() -> Iterator[ls.Gaussians]:
@@ -157,8 +161,10 @@ def test_second_writer_of_one_folder_is_refused(tmp_path: Path) -> None:
     assert loaded.count == 400 and index.count == 400
 
 
-def test_load_supports_levels_budgets_and_thinning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """`load` reads the folder or its index at a level or within a budget; a thinned capture samples all blocks."""
+def test_load_reads_blocks_at_a_level_within_a_budget_or_thinned(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """`load` takes the folder or its index; thinning a capture takes Gaussians from every block."""
     capture = random_gaussians(2, count=2000, degree=0, extent=(8.0, 2.0, 8.0))
     index = ls.io.write_blocks(tmp_path / "a", [capture], 4.0, levels=2, block_max=400)
     whole = ls.load(tmp_path / "a")
@@ -189,8 +195,8 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory in kB as Linux says it")
-def test_streaming_needs_memory_for_one_chunk(tmp_path: Path) -> None:
-    """A million Gaussians, 60 MB, are divided with memory for a few chunks of 16,384."""
+def test_writing_blocks_from_a_stream_needs_memory_for_few_chunks(tmp_path: Path) -> None:
+    """A million Gaussians (60 MB) are divided into blocks with memory for a few chunks of 16,384 Gaussians."""
     one = random_gaussians(1, count=2**16, degree=0, extent=(50.0, 5.0, 50.0))
     ls.save(tmp_path / "one.ply", one)
     data = (tmp_path / "one.ply").read_bytes()

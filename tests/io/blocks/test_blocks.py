@@ -22,8 +22,8 @@ def street(count: int = 3000, degree: int = 1) -> ls.Gaussians:
     return ls.merge([small, large])
 
 
-def test_untrusted_index_is_refused_in_one_line(tmp_path: Path) -> None:
-    """Deep JSON, huge integers and NUL in names give an error that names the index."""
+def test_untrusted_block_index_is_refused_in_one_line(tmp_path: Path) -> None:
+    """Deeply nested JSON, huge integers and NUL in file names give an error that names the index."""
     folder = tmp_path / "city"
     index = ls.io.write_blocks(folder, chunks(street(200)), 40.0)
     good = json.loads((folder / "blocks.json").read_text())
@@ -47,8 +47,8 @@ def test_untrusted_index_is_refused_in_one_line(tmp_path: Path) -> None:
     assert index.count == 240
 
 
-def test_damaged_blocks_are_named(tmp_path: Path) -> None:
-    """The error for invalid Gaussians names the block file that holds them."""
+def test_error_for_invalid_gaussians_names_their_block_file(tmp_path: Path) -> None:
+    """The block file holds the invalid Gaussian, and the index does not."""
     folder = tmp_path / "city"
     index = ls.io.write_blocks(folder, chunks(street(2000)), 8.0)
     assert len(index.blocks) > 1
@@ -91,8 +91,8 @@ VIEWS = {
 }
 
 
-def test_every_gaussian_is_in_exactly_one_block(tmp_path: Path) -> None:
-    """For any chunks, blocks stay within their maximum count, and their bounds contain their Gaussians."""
+def test_every_gaussian_is_written_to_exactly_one_block(tmp_path: Path) -> None:
+    """However the capture is chunked, no block exceeds its maximum count, and its bounds contain its Gaussians."""
     capture = street()
     written = ls.io.write_blocks(tmp_path / "a", chunks(capture), 4.0, block_max=150)
     index = ls.io.open_blocks(tmp_path / "a")
@@ -110,8 +110,8 @@ def test_every_gaussian_is_in_exactly_one_block(tmp_path: Path) -> None:
     assert not list((tmp_path / "a").glob("*.part"))
 
 
-def test_loading_blocks_does_not_copy_them(tmp_path: Path) -> None:
-    """Memory holds the result and one block, not rows and Gaussians at once."""
+def test_loading_blocks_does_not_copy_the_whole_capture(tmp_path: Path) -> None:
+    """Peak memory stays below 1.5 times the size of the loaded capture."""
     index = ls.io.write_blocks(tmp_path, [random_gaussians(1, 20_000, 3, extent=(9.0, 9.0, 9.0))], 3.0, block_max=1000)
     tracemalloc.start()
     try:
@@ -123,7 +123,7 @@ def test_loading_blocks_does_not_copy_them(tmp_path: Path) -> None:
 
 
 def test_coincident_gaussians_stay_in_one_block(tmp_path: Path) -> None:
-    """They cannot be split, however many they are."""
+    """Gaussians at one position cannot be divided, so their block may exceed the maximum count."""
     one = random_gaussians(1, count=1)
     index = ls.io.write_blocks(tmp_path, [ls.merge([one] * 40)], 8.0, block_max=10)
     assert [block.levels[0].count for block in index.blocks] == [40]
@@ -131,8 +131,8 @@ def test_coincident_gaussians_stay_in_one_block(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", VIEWS)
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_visible_blocks_render_like_the_whole_capture(name: str, antialiased: bool, tmp_path: Path) -> None:
-    """Frames are equal bit for bit, also of windows, which need fewer blocks, and with jittered samples."""
+def test_rendering_only_visible_blocks_equals_the_whole_capture(name: str, antialiased: bool, tmp_path: Path) -> None:
+    """Frames are equal bit for bit, also in windows of a frame, which need fewer blocks, and with jittered samples."""
     capture = replace(street(), antialiased=antialiased)
     index = ls.io.write_blocks(tmp_path, chunks(capture), 3.0, block_max=200)
     camera = VIEWS[name]
@@ -153,8 +153,11 @@ def test_visible_blocks_render_like_the_whole_capture(name: str, antialiased: bo
         np.testing.assert_array_equal(part.color, whole.color[top:, left:])
 
 
-def test_distant_blocks_use_coarser_levels(tmp_path: Path) -> None:
-    """Each level has a quarter of the Gaussians; near blocks, and all without a tolerance, use the finest level."""
+def test_distant_blocks_are_loaded_at_coarser_levels_of_detail(tmp_path: Path) -> None:
+    """Each level has a quarter of the Gaussians of the finer one.
+
+    Near blocks use the finest level, and so do all blocks without a tolerance in pixels.
+    """
     index = ls.io.write_blocks(tmp_path, chunks(street(degree=0)), 6.0, levels=2, block_max=800)
     for block in index.blocks:
         counts = [level.count for level in block.levels]
@@ -172,8 +175,11 @@ def test_distant_blocks_use_coarser_levels(tmp_path: Path) -> None:
     assert ls.io.load_blocks(index, parts).count < index.count
 
 
-def test_worker_plans_load_blocks_once_if_memory_allows(tmp_path: Path) -> None:
-    """Blocks are loaded again if memory does not hold them, and views that do not fit are split into windows."""
+def test_view_plans_load_blocks_once_if_memory_holds_them(tmp_path: Path) -> None:
+    """Blocks that exceed the memory are loaded again for later views.
+
+    A view that does not fit is split into windows.
+    """
     capture = random_gaussians(
         5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0), scale_range=(0.01, 0.05)
     )
@@ -204,8 +210,8 @@ def test_worker_plans_load_blocks_once_if_memory_allows(tmp_path: Path) -> None:
         ls.io.plan_views(index, cameras, 0, size)
 
 
-def test_invalid_arguments_are_refused(tmp_path: Path) -> None:
-    """Each error is one line."""
+def test_block_functions_refuse_invalid_arguments_in_one_line(tmp_path: Path) -> None:
+    """Bad cell sizes, empty or mixed captures, bad parts and unsupported cameras are refused."""
     capture = street(50)
     with pytest.raises(ls.ConfigError, match="cell is 0"):
         ls.io.write_blocks(tmp_path / "a", [capture], 0)
@@ -242,8 +248,8 @@ def test_invalid_arguments_are_refused(tmp_path: Path) -> None:
         ({"blocks": 3}, "not an index of blocks"),
     ],
 )
-def test_damaged_indices_are_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
-    """The error says what is wrong in one line; files outside of the folder are not opened."""
+def test_damaged_block_index_is_refused_with_the_fault(tmp_path: Path, change: dict[str, object], message: str) -> None:
+    """The one-line error states the fault; files outside the folder are not opened."""
     ls.io.write_blocks(tmp_path, [street(50)], 1.0)
     path = tmp_path / "blocks.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
@@ -251,8 +257,8 @@ def test_damaged_indices_are_refused(tmp_path: Path, change: dict[str, object], 
         ls.io.open_blocks(tmp_path)
 
 
-def test_truncated_blocks_are_refused(tmp_path: Path) -> None:
-    """A block file is shorter than the index states, or the folder has no index."""
+def test_truncated_block_files_and_missing_indices_are_refused(tmp_path: Path) -> None:
+    """A block file may be shorter than the index states, or the folder may have no index."""
     index = ls.io.write_blocks(tmp_path, [street(50)], 100.0)
     path = tmp_path / index.blocks[0].levels[0].file
     path.write_bytes(path.read_bytes()[:-4])

@@ -49,8 +49,8 @@ def write_text(folder: Path) -> Path:
 
 @pytest.mark.parametrize("write", [write_binary, write_text])
 @pytest.mark.parametrize("named", ["", "images", "cameras"])
-def test_model_is_read_as_cameras(tmp_path, write, named):
-    """The path may be the folder or any of its files; poses have OpenCV axes, in the order of the images."""
+def test_colmap_model_is_read_as_cameras_from_folder_or_file(tmp_path, write, named):
+    """Poses have OpenCV axes, in the order of the model's images."""
     write(tmp_path)
     suffix = ".bin" if write is write_binary else ".txt"
     first, second = ls.load_cameras(tmp_path / (named + suffix) if named else tmp_path)
@@ -62,8 +62,8 @@ def test_model_is_read_as_cameras(tmp_path, write, named):
     assert first.distortion == (0.1, -0.02, 0.0, 0.0, 0.003, -0.004) and not second.is_distorted
 
 
-def test_lens_parameters_are_read(tmp_path):
-    """Models have one or two focal lengths, radial coefficients, or are fisheyes."""
+def test_colmap_lens_parameters_set_focal_lengths_and_distortion(tmp_path):
+    """COLMAP's camera models have one or two focal lengths, radial coefficients, or a fisheye lens."""
     images = [(k, ROTATION, (0.0, 0.0, 0.0), k, f"{k}.png") for k in LENSES]
     pinhole, _, radial, fisheye = ls.load_cameras(write_binary(tmp_path, images))
     assert pinhole.distortion == (0.0,) * 6
@@ -73,8 +73,8 @@ def test_lens_parameters_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(("model", "name"), [(6, "FULL_OPENCV"), (12, "SIMPLE_DIVISION"), (99, "model 99")])
-def test_unsupported_camera_models_are_named(tmp_path, model, name):
-    """The error lists the supported models."""
+def test_error_for_unsupported_colmap_camera_names_the_model(tmp_path, model, name):
+    """The error also lists the supported models."""
     write_binary(tmp_path, lenses={**LENSES, 5: (name, model, (1.0,) * 12)})
     with pytest.raises(ls.FormatError, match=rf"camera 5 is a {name}, expected SIMPLE_PINHOLE, PINHOLE"):
         ls.load_cameras(tmp_path)
@@ -92,8 +92,8 @@ def test_unsupported_camera_models_are_named(tmp_path, model, name):
         (lambda f: write_binary(f, [(1, (0, 0, 0, 0), (0, 0, 0), 1, "a.png")]), r"image 1 \(a.png\).*zero length"),
     ],
 )
-def test_damaged_models_are_refused(tmp_path, break_it, message):
-    """The error is one line that names the file."""
+def test_damaged_colmap_models_are_refused_with_the_file_name(tmp_path, break_it, message):
+    """The error is one line."""
     write_binary(tmp_path)
     break_it(tmp_path)
     with pytest.raises(ls.FormatError, match=message) as caught:

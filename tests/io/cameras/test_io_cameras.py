@@ -56,16 +56,16 @@ def test_inria_poses_have_opencv_axes(tmp_path: Path) -> None:
     assert (camera.cx, camera.cy) == (4, 3)
 
 
-def test_frame_values_override_those_of_the_file(tmp_path: Path) -> None:
-    """Order and names are those of the file."""
+def test_camera_values_of_a_frame_override_those_of_the_whole_file(tmp_path: Path) -> None:
+    """Cameras have the order and the names of the frames in the file."""
     frames = [FRAME, {**FRAME, "file_path": "images/0000.png", "w": 16, "fl_x": 20.0}]
     first, second = load(tmp_path, {**FILE, "frames": frames})
     assert (first.name, second.name) == ("0001", "0000")
     assert (first.width, second.width, second.fx, second.fy) == (8, 16, 20.0, 11.0)
 
 
-def test_intrinsics_follow_from_angle_and_image_size(tmp_path: Path) -> None:
-    """NeRF's synthetic scenes give the size by the image file and the focal length by an angle."""
+def test_focal_length_follows_from_angle_of_view_and_image_size(tmp_path: Path) -> None:
+    """NeRF's synthetic scenes store an angle of view; the size is that of the image file."""
     (tmp_path / "train").mkdir()
     (tmp_path / "train" / "r_0.png").write_bytes(png_bytes(np.zeros((30, 40, 3), np.uint8)))
     content = {"camera_angle_x": 0.5 * math.pi, "frames": [{**FRAME, "file_path": "./train/r_0"}]}
@@ -75,8 +75,8 @@ def test_intrinsics_follow_from_angle_and_image_size(tmp_path: Path) -> None:
     assert camera.fy == pytest.approx(20.0)
 
 
-def test_caller_can_give_a_missing_image_size(tmp_path: Path) -> None:
-    """The caller's size applies only if neither the file nor an image gives one."""
+def test_caller_may_give_an_image_size_that_a_camera_file_lacks(tmp_path: Path) -> None:
+    """The caller's size is used only if neither the camera file nor an image states one."""
     (tmp_path / "a.json").write_text(json.dumps({"camera_angle_x": 0.5 * math.pi, "frames": [FRAME]}))
     (camera,) = ls.load_cameras(tmp_path / "a.json", width=40, height=30)
     assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
@@ -87,15 +87,15 @@ def test_caller_can_give_a_missing_image_size(tmp_path: Path) -> None:
     assert ls.load_cameras(tmp_path / "b.json", width=40, height=30)[0].width == FILE["w"]
 
 
-def test_camera_names_are_unique(tmp_path: Path) -> None:
-    """Output images are named after cameras, so equal and missing names become distinct; inner dots stay."""
+def test_loaded_cameras_have_unique_names_even_if_the_file_repeats_them(tmp_path: Path) -> None:
+    """Output images are named after cameras, so repeated names get a number and missing names the frame's number."""
     paths = ["a/1.png", "b/1.png", "", "c/view.left"]
     cameras = load(tmp_path, {**FILE, "frames": [{**FRAME, "file_path": p} for p in paths]})
     assert [camera.name for camera in cameras] == ["1", "1_2", "frame_00002", "view.left"]
 
 
-def test_transforms_round_trip(tmp_path: Path) -> None:
-    """Saved cameras load as the same cameras to float precision, in order, with their names."""
+def test_saved_transforms_json_loads_as_equal_cameras(tmp_path: Path) -> None:
+    """Order and names are kept, and numbers to float precision."""
     rng = np.random.default_rng(4)
     cameras = [
         replace(
@@ -123,15 +123,17 @@ def test_transforms_round_trip(tmp_path: Path) -> None:
         ({"camera_model": "ORTHOPHOTO"}, ls.CameraModel.ORTHOGRAPHIC),
     ],
 )
-def test_camera_model_names_are_recognised(tmp_path: Path, keys: dict[str, object], model: ls.CameraModel) -> None:
-    """Model names of nerfstudio and instant-ngp are recognised, with unchanged focal lengths."""
+def test_camera_model_names_of_nerfstudio_and_instant_ngp_are_read(
+    tmp_path: Path, keys: dict[str, object], model: ls.CameraModel
+) -> None:
+    """Focal lengths do not depend on the camera model."""
     (camera,) = load(tmp_path, {**FILE, **keys})
     assert camera.model is model
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (10, 11, 4.5, 2.5)
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
-def test_camera_models_round_trip(tmp_path: Path, model: ls.CameraModel) -> None:
+def test_saved_transforms_json_keeps_the_camera_model(tmp_path: Path, model: ls.CameraModel) -> None:
     """The model is written once for the whole file, where nerfstudio reads it."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0), width=20, height=10, fov_y=0.7, model=model)
     save_cameras(tmp_path / "transforms.json", [camera, camera])
@@ -151,16 +153,18 @@ def test_camera_models_round_trip(tmp_path: Path, model: ls.CameraModel) -> None
         ({"model": ls.CameraModel.FISHEYE}, "one camera model, got fisheye and pinhole"),
     ],
 )
-def test_unsupported_cameras_are_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    """An error names apertures, rolling shutters and mixed models, and no file is written."""
+def test_save_cameras_refuses_apertures_shutters_and_mixed_models(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    """The error names the camera and its rolling shutter, aperture or other model, and no file is written."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0), name="late")
     with pytest.raises(SceneError, match=message):
         save_cameras(tmp_path / "transforms.json", [camera, replace(camera, **changes)])
     assert not list(tmp_path.iterdir())
 
 
-def test_dropped_exposures_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """There is one log line for any number of cameras, and none if all exposures are 0."""
+def test_save_cameras_logs_dropped_exposures_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One log line covers any number of cameras; there is none if all exposures are 0."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0))
     with caplog.at_level(logging.WARNING, "lumisplat"):
         save_cameras(tmp_path / "plain.json", [camera, camera])
@@ -170,15 +174,15 @@ def test_dropped_exposures_are_logged(tmp_path: Path, caplog: pytest.LogCaptureF
     assert load_cameras(tmp_path / "bright.json")[0].exposure == 0.0
 
 
-def test_saving_nothing_is_refused(tmp_path: Path) -> None:
-    """Without cameras no file is written."""
+def test_save_cameras_refuses_an_empty_list_and_writes_no_file(tmp_path: Path) -> None:
+    """The error says that there are no cameras."""
     with pytest.raises(SceneError, match="no cameras"):
         save_cameras(tmp_path / "transforms.json", [])
     assert not list(tmp_path.iterdir())
 
 
-def test_distortion_round_trips(tmp_path: Path) -> None:
-    """Distortion may be given for the file or for a frame."""
+def test_lens_distortion_survives_saving_and_loading_cameras(tmp_path: Path) -> None:
+    """Coefficients may be stored for the whole file or for one frame."""
     first, second = load(tmp_path, {**FILE, "k1": 0.1, "p2": -0.02, "frames": [FRAME, {**FRAME, "k1": 0.3, "k4": 0.5}]})
     assert first.distortion == (0.1, 0.0, 0.0, 0.0, 0.0, -0.02)
     assert second.distortion == (0.3, 0.0, 0.0, 0.5, 0.0, -0.02)
@@ -247,15 +251,15 @@ def without(content: dict, *names: str) -> dict:
     ],
 )
 def test_invalid_camera_files_are_refused(tmp_path: Path, content: object, expected: str) -> None:
-    """The error is one line with the file, the frame and the fault."""
+    """The one-line error names the file, the frame and the fault."""
     with pytest.raises(FormatError, match=expected) as raised:
         load(tmp_path, content)
     assert str(raised.value).startswith(str(tmp_path / "cameras.json") + ": ")
     assert "\n" not in str(raised.value)
 
 
-def test_missing_camera_file_has_its_own_error(tmp_path: Path) -> None:
-    """Missing paths and folders have messages of their own."""
+def test_loading_cameras_reports_missing_files_and_folders_by_message(tmp_path: Path) -> None:
+    """The two messages are "no such file" and "is a folder"."""
     with pytest.raises(FormatError, match="no such file"):
         load_cameras(tmp_path / "none.json")
     with pytest.raises(FormatError, match="is a folder"):

@@ -92,8 +92,8 @@ def assert_same_animation(mine: ls.Animation | None, other: ls.Animation) -> Non
         assert_same_camera(camera, same)
 
 
-def test_document_animation_equals_the_files(file: Path) -> None:
-    """Static objects are in its scene once, actors are not, and it has the cameras."""
+def test_document_animation_equals_the_animation_loaded_from_the_file(file: Path) -> None:
+    """The animation's scene has each static object once and no actor; hiding an entry removes its actor."""
     document = ls.io.SceneDocument.open(file)
     assert_same_animation(document.animation, ls.load_animation(file))
     assert len(document.scene().splats) == 2
@@ -101,8 +101,8 @@ def test_document_animation_equals_the_files(file: Path) -> None:
     assert not present(hidden.animation).actors and len(present(hidden.animation).scene.splats) == 1
 
 
-def test_documents_of_animations_keep_lighting_and_cameras(file: Path) -> None:
-    """Loaded animations keep them, too; the moving camera is not listed twice."""
+def test_document_made_of_an_animation_keeps_lighting_and_cameras(file: Path) -> None:
+    """The moving camera is not listed among the fixed cameras."""
     animation = ls.load_animation(file)
     document = ls.io.SceneDocument.of(animation)
     assert not document.problems
@@ -110,8 +110,8 @@ def test_documents_of_animations_keep_lighting_and_cameras(file: Path) -> None:
     assert [camera.name for camera in document.cameras] == ["front", "flight"]
 
 
-def test_cameras_that_scene_files_cannot_store_are_named() -> None:
-    """Off-centre principal points, and camera paths without targets."""
+def test_document_names_cameras_that_scene_files_cannot_store() -> None:
+    """Scene files store neither off-centre principal points nor camera paths without targets."""
     camera = ls.Camera.look_at((0, 0, 5), (0, 0, 0), name="good")
     off = ls.Camera(
         **{field.name: getattr(camera, field.name) for field in fields(camera)} | {"cx": 3.0, "name": "off"}
@@ -141,8 +141,8 @@ CAMERAS = st.builds(
 
 
 @given(CAMERAS)
-def test_camera_table_round_trip(values: dict[str, Any]) -> None:
-    """Cameras of all models are restored; the focus matters only with an aperture."""
+def test_every_camera_field_survives_a_round_trip_through_documents(values: dict[str, Any]) -> None:
+    """Cameras of all models are restored; the focus distance is compared only if the camera has an aperture."""
     camera = ls.Camera.look_at(**values)
     animation = ls.Animation(ls.Scene(), (), [camera])
     (found,) = ls.io.SceneDocument.of(animation).cameras
@@ -151,8 +151,8 @@ def test_camera_table_round_trip(values: dict[str, Any]) -> None:
     assert_same_camera(found, camera if camera.name else replace(camera, name=found.name))
 
 
-def test_editing_frame_rate_length_and_lighting(file: Path) -> None:
-    """Removed keys leave nothing behind, and invalid ones are named."""
+def test_documents_can_edit_frame_rate_length_and_avatar_lighting(file: Path) -> None:
+    """Removed keys are absent from the saved file, and errors name invalid values."""
     document = ls.io.SceneDocument.open(file)
     lighting = ls.config.AvatarLightingConfig(direct=0.25, shadows=False)
     edited = document.with_animation(fps=5.0, duration=3.0, frames=None, lighting=lighting)

@@ -29,8 +29,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.usefixtures("folder")
-def test_new_material_keeps_the_edited_gaussians() -> None:
-    """The crop and the kernel degree are not applied again."""
+def test_giving_an_entry_a_material_keeps_its_cropped_gaussians() -> None:
+    """The capture is neither cropped again, nor is its kernel degree set again."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added(
         "splats", {"path": "capture.ply", "kernel_degree": 4, "material": {"roughness": 0.3}, **BOX}
     )
@@ -50,8 +50,8 @@ def test_new_material_keeps_the_edited_gaussians() -> None:
     ],
 )
 @pytest.mark.usefixtures("folder")
-def test_moved_entries_keep_their_objects(kind: EntryKind, table: dict[str, object]) -> None:
-    """A capture with material, a shape, and a mesh with another material."""
+def test_moving_an_entry_keeps_its_mesh_capture_and_material_objects(kind: EntryKind, table: dict[str, object]) -> None:
+    """The moved entry is a capture with a material, a shape, or a mesh file with another material."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added(kind, table)
     before, after = (d.entry(number) for d in (document, document.placed(number, MOVED)))
     np.testing.assert_array_equal(present(after.world_from_file), MOVED)
@@ -62,8 +62,8 @@ def test_moved_entries_keep_their_objects(kind: EntryKind, table: dict[str, obje
 
 
 @pytest.mark.usefixtures("folder")
-def test_editing_other_entries_keeps_actor_poses() -> None:
-    """Poses at one time stay the same objects; another time gives another pose."""
+def test_editing_a_light_keeps_the_posed_objects_of_actors() -> None:
+    """At one time, an actor's pose stays the same object; at another time it is a new one."""
     document, _ = ls.io.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
     document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     pose = document.scene(0.5).splats[0]
@@ -72,8 +72,8 @@ def test_editing_other_entries_keeps_actor_poses() -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_unused_crops_are_freed() -> None:
-    """Dragging a crop box makes a capture at each step, of hundreds of megabytes per million Gaussians."""
+def test_documents_free_the_captures_of_superseded_crops() -> None:
+    """Dragging a crop box makes a new capture at each step, of hundreds of megabytes per million Gaussians."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added("splats", {"path": "capture.ply", **BOX})
     left: list[weakref.ref[ls.Gaussians]] = []
     for k in range(10):
@@ -83,8 +83,8 @@ def test_unused_crops_are_freed() -> None:
     assert not [one for one in left if one() is not None]
 
 
-def test_edits_do_not_recheck_large_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mesh with another material, and a rotated environment."""
+def test_document_edits_do_not_check_large_arrays_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new mesh material and a rotated environment check at most the 16 numbers of a matrix."""
     scene = ls.Scene(meshes=[ls.sphere(1.0)], lights=[ls.LightEnvironment(np.ones((4, 8, 3), np.float32))])
     document = ls.io.SceneDocument.of(scene)
     checked: list[int] = []
@@ -98,8 +98,8 @@ def test_edits_do_not_recheck_large_arrays(monkeypatch: pytest.MonkeyPatch) -> N
     assert environment.image is scene.lights[0].image  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_shapes_have_no_parts(tmp_path: Path) -> None:
-    """A shape is one mesh."""
+def test_scene_files_refuse_a_part_number_for_a_shape(tmp_path: Path) -> None:
+    """A shape such as a box is one mesh, so `part` cannot select one."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\npart = 0\n')
     with pytest.raises(ls.FormatError, match=r"line 3.*part selects a mesh of a file, but there is no path"):
         ls.load(tmp_path / "scene.toml")

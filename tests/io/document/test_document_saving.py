@@ -47,8 +47,8 @@ def scattered(**changes: Any) -> ls.Mesh:
 
 
 @pytest.mark.parametrize("without", [(), ("normals",), ("uvs",), ("colors",), ("normals", "uvs", "colors")])
-def test_saved_meshes_are_exact(without: tuple[str, ...]) -> None:
-    """No arrays are added, and unused vertices stay."""
+def test_meshes_saved_by_a_document_load_with_equal_arrays(without: tuple[str, ...]) -> None:
+    """No arrays are added to the mesh, and unused vertices stay."""
     mesh = scattered(**dict.fromkeys(without))
     found = round_trip(mesh).meshes[0].mesh
     for name in ("positions", "indices", "normals", "uvs", "colors"):
@@ -57,8 +57,8 @@ def test_saved_meshes_are_exact(without: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_sheared_meshes_are_saved_in_world_space(mirrored: bool) -> None:
-    """Normals keep their side, and faces their winding."""
+def test_documents_save_sheared_meshes_in_world_space(mirrored: bool) -> None:
+    """Normals stay on their side of the surface, and triangles keep their winding."""
     shear = np.array(
         [[1.0, 0.5, 0.0, 1.0], [0.0, 2.0, 0.0, 2.0], [0.0, 0.0, -1.0 if mirrored else 1.0, 3.0], [0, 0, 0, 1]]
     )
@@ -75,8 +75,8 @@ def test_sheared_meshes_are_saved_in_world_space(mirrored: bool) -> None:
     )
 
 
-def test_saved_mesh_materials_are_complete() -> None:
-    """Simple materials with their own defaults, and wrap modes; a shared texture is one file."""
+def test_documents_save_every_field_of_mesh_materials() -> None:
+    """Default colours of simple materials and wrap modes are kept; a texture used twice is one file."""
     texture = np.random.default_rng(1).integers(0, 256, (3, 5, 4), np.uint8)
     texture.flags.writeable = False  # keeps the material from copying the texture
     tiled = ls.MaterialPbr(
@@ -102,8 +102,8 @@ def test_saved_mesh_materials_are_complete() -> None:
     assert len(list(Path("scene.assets").glob("*.png"))) == 1
 
 
-def test_edited_materials_are_saved_as_shown() -> None:
-    """The edit may change the material's type."""
+def test_edited_materials_are_saved_as_the_document_shows_them() -> None:
+    """The edit may change the type of the material."""
     mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialPbr(roughness=0.1, base_color=(0.1, 0.2, 0.3)))
     document = ls.io.SceneDocument.of(mesh).changed(0, material={"type": "simple", "diffuse": 0.5})
     seen = expect_kind(ls.MaterialSimple, document.scene().meshes[0].mesh.material)
@@ -111,15 +111,15 @@ def test_edited_materials_are_saved_as_shown() -> None:
     assert (saved.diffuse, saved.base_color) == (seen.diffuse, seen.base_color) == ((0.5,) * 3, (0.1, 0.2, 0.3))
 
 
-def test_saved_environment_images_are_exact() -> None:
-    """The image is stored as floats."""
+def test_saved_environment_images_keep_every_float_bit() -> None:
+    """Values up to 100,000 are stored as floats."""
     image = np.random.default_rng(1).uniform(0.0, 1e5, (4, 8, 3)).astype(np.float32)
     (environment,) = round_trip(ls.Scene(lights=[ls.LightEnvironment(image, intensity=0.1)])).lights
     np.testing.assert_array_equal(present(expect_kind(ls.LightEnvironment, environment).image), image)
 
 
-def test_existing_asset_files_are_not_overwritten() -> None:
-    """Unless overwriting is allowed; files that the scene refers to are never overwritten."""
+def test_saving_a_document_never_overwrites_foreign_asset_files() -> None:
+    """Assets are overwritten only on request, and files to which the scene refers never are."""
     ls.io.SceneDocument.of(random_gaussians(1, count=20)).save("scene.toml")
     there, saved_bytes = Path("scene.assets/capture_0.ply"), Path("scene.assets/capture_0.ply").read_bytes()
     Path("scene.toml").unlink()
@@ -134,15 +134,15 @@ def test_existing_asset_files_are_not_overwritten() -> None:
     assert there.read_bytes() != saved_bytes
 
 
-def test_unsavable_actor_is_refused_before_writing() -> None:
-    """An actor that a program made."""
+def test_document_with_an_unsavable_actor_writes_no_files() -> None:
+    """An actor that a program made has no file; the error names it."""
     capture = random_gaussians(1, count=4)
     with pytest.raises(ls.FormatError, match="walker was made by a program"):
         ls.io.SceneDocument.of(ls.Animation(ls.Scene([capture]), [ls.Actor(capture, name="walker")])).save("scene.toml")
     assert not list(Path().iterdir())
 
 
-def test_relative_paths_work_through_linked_folders() -> None:
+def test_saved_relative_paths_are_valid_in_symbolically_linked_folders() -> None:
     """The path ``..`` leads from a linked folder to the parent of the link's target."""
     ls.save("capture.ply", random_gaussians(1, count=4))
     Path("far/away").mkdir(parents=True)
@@ -154,7 +154,7 @@ def test_relative_paths_work_through_linked_folders() -> None:
     assert len(round_trip(from_link, "other.toml").splats) == 1
 
 
-def test_only_path_values_are_relocated() -> None:
+def test_saving_a_scene_elsewhere_changes_only_values_that_are_paths() -> None:
     """A ``texture_wraps`` table has texture names as keys, but its values are not paths."""
     ls.save("capture.ply", random_gaussians(1, count=4))
     material = 'material = { texture_wraps = { normal_texture = "clamp" } }'
@@ -166,8 +166,8 @@ def test_only_path_values_are_relocated() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, all names are text")
-def test_undecodable_file_names_are_refused() -> None:
-    """TOML is text."""
+def test_scene_files_refuse_to_store_undecodable_file_names() -> None:
+    """TOML files are UTF-8 text, so they cannot hold a file name that is not."""
     name = os.fsdecode(b"wei\xdf.ply")
     ls.save(name, random_gaussians(1, count=4))
     with pytest.raises(ls.FormatError, match=r"scene.toml: cannot be written: the name of a file that it refers to"):
@@ -176,16 +176,16 @@ def test_undecodable_file_names_are_refused() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["", ".ply"])
-def test_scenes_are_saved_only_as_toml(suffix: str) -> None:
-    """No other file could be loaded again."""
+def test_documents_are_saved_only_as_toml_files(suffix: str) -> None:
+    """Files of other extensions could not be loaded again."""
     with pytest.raises(ls.FormatError, match=r"is not a \.toml"):
         ls.io.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["biker.spz", "biker.compressed.ply"])
-def test_real_captures_are_saved_unchanged(data_dir: Path, name: str) -> None:
-    """A file by its path; a loaded capture exactly, except opacities without a float32 logit."""
+def test_captures_of_real_files_survive_saving_a_document(data_dir: Path, name: str) -> None:
+    """An opened capture is saved as its path, a loaded one exactly, except opacities whose logit is not a float32."""
     loaded = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name))
     document = ls.io.SceneDocument.open(data_dir / "splats" / name).changed(0, sh_degree=0)
     for scene in (document.scene(), round_trip(document, "opened.toml")):
@@ -199,8 +199,8 @@ def test_real_captures_are_saved_unchanged(data_dir: Path, name: str) -> None:
     np.testing.assert_array_equal(twice.opacities, found.opacities)
 
 
-def test_absolute_paths_stay_absolute_and_relative_ones_relative(tmp_path: Path) -> None:
-    """Files opened by a relative path are written relative to the scene's folder."""
+def test_absolute_asset_paths_of_scene_files_stay_absolute_when_saved(tmp_path: Path) -> None:
+    """Relative asset paths are rewritten relative to the folder of the saved scene file."""
     (tmp_path / "assets").mkdir()
     (tmp_path / "saved").mkdir()
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -214,8 +214,10 @@ def test_absolute_paths_stay_absolute_and_relative_ones_relative(tmp_path: Path)
     assert [entry.table["path"] for entry in saved.entries] == ["../assets/near.obj", far]
 
 
-def test_files_opened_by_relative_paths_are_saved_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Absolute paths stay; both refer to the same files."""
+def test_assets_opened_by_relative_paths_are_saved_with_relative_paths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assets opened by absolute paths are saved with absolute ones; all saved paths refer to the opened files."""
     monkeypatch.chdir(tmp_path)
     for name in ("near.obj", "far.obj"):
         Path(name).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

@@ -63,8 +63,8 @@ LIGHTS: st.SearchStrategy[Any] = st.one_of(
 
 
 @given(LIGHTS)
-def test_light_table_round_trip_is_exact(light: Any) -> None:
-    """Lights of all types are exact through text; angles, written in degrees, to the next float."""
+def test_light_written_as_a_scene_file_table_is_restored_exactly(light: Any) -> None:
+    """Lights of all types are equal after TOML text; angles, stored in degrees, may differ by one float."""
     table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
     found = read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table)
     assert type(found) is type(light)
@@ -77,13 +77,13 @@ def test_light_table_round_trip_is_exact(light: Any) -> None:
 
 
 @given(DIRECTION)
-def test_normalized_up_stays_equal(direction: tuple[float, float, float]) -> None:
-    """However often the file is saved and read."""
+def test_normalizing_an_up_direction_twice_changes_nothing(direction: tuple[float, float, float]) -> None:
+    """A file that is saved and read repeatedly keeps its up direction."""
     assert up_vector(up_vector(direction)) == up_vector(direction)
 
 
-def test_numpy_numbers_are_written_as_numbers() -> None:
-    """The light has NumPy numbers; a spot slightly wider than a hemisphere is written, too."""
+def test_documents_write_numpy_numbers_as_toml_numbers() -> None:
+    """The intensity is a NumPy float; a spot slightly wider than a hemisphere is saved as a hemisphere."""
     light = ls.LightPoint(np.zeros(3), intensity=cast(Any, np.float32(0.1)), enabled=cast(Any, np.bool_(False)))
     wide = ls.LightSpot((0, 0, 0), (0, 0, 1), outer_angle=math.pi / 2 + 5e-7)
     first, second = ls.io.SceneDocument.of(ls.Scene(lights=[light, wide])).scene().lights
@@ -92,7 +92,7 @@ def test_numpy_numbers_are_written_as_numbers() -> None:
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_the_enabled_environment_is_kept(order: tuple[int, int], tmp_path: Path) -> None:
+def test_documents_save_the_enabled_one_of_several_environments(order: tuple[int, int], tmp_path: Path) -> None:
     """A scene may have several environments, a scene file only one."""
     environments = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
     document = ls.io.SceneDocument.of(ls.Scene(lights=[environments[k] for k in order]))
@@ -101,8 +101,8 @@ def test_the_enabled_environment_is_kept(order: tuple[int, int], tmp_path: Path)
         assert [(environment.intensity, environment.enabled) for environment in scene.lights] == [(5.0, True)]
 
 
-def test_edits_accept_arrays_tuples_and_paths() -> None:
-    """The document copies them, and its tables are read-only."""
+def test_document_edits_accept_arrays_tuples_and_paths() -> None:
+    """The document copies the given values, and its tables are read-only."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added("lights", {"type": "point", "position": (1, 2, 3)})
     position = np.array([4.0, 5.0, 6.0])
     document = document.changed(number, position=position, intensity=np.float64(2.0))
@@ -117,8 +117,8 @@ def test_edits_accept_arrays_tuples_and_paths() -> None:
 
 
 @pytest.mark.parametrize("matrix", [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), "here"])
-def test_invalid_transforms_are_refused(matrix: Any) -> None:
-    """The error is one line, whatever the value is."""
+def test_documents_refuse_invalid_transforms_in_one_line(matrix: Any) -> None:
+    """The value is a 3 x 3 matrix, zero, NaN or text."""
     document = ls.io.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
     with pytest.raises(ls.SceneError, match="world_from_file"):
         document.placed(0, matrix)

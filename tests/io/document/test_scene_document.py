@@ -111,8 +111,8 @@ def assert_same(mine: Any, other: Any) -> None:
             assert first == second, field.name
 
 
-def test_document_equals_the_loaded_file(folder: Path) -> None:
-    """Scene, settings, cameras and up."""
+def test_document_opened_from_a_file_equals_the_loaded_file(folder: Path) -> None:
+    """Scene, settings and cameras are equal."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     assert [entry.kind for entry in document.entries] == ["splats", "meshes", "lights", "environment"]
     assert_same_scene(document.scene(), ls.load(folder / "scene.toml"))  # pyright: ignore[reportArgumentType]
@@ -120,8 +120,8 @@ def test_document_equals_the_loaded_file(folder: Path) -> None:
     assert [camera.name for camera in document.cameras] == ["front"] and document.animation is None
 
 
-def test_saved_document_loads_as_the_edited_scene(folder: Path) -> None:
-    """The document has an edit of each kind and is saved in another folder; the opened file is unchanged."""
+def test_document_with_edits_of_every_kind_loads_as_edited(folder: Path) -> None:
+    """The document is saved in another folder; the opened file is unchanged."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     document = document.placed(0, np.diag([2.0, 2.0, 2.0, 1.0])).changed(1, material={"roughness": 0.7})
     document = document.changed(2, target=None, direction=[0.0, 1.0, -1.0], intensity=7.0)
@@ -140,8 +140,8 @@ def test_saved_document_loads_as_the_edited_scene(folder: Path) -> None:
     assert (folder / "scene.toml").read_text() == SCENE
 
 
-def test_existing_files_are_overwritten_only_on_request(folder: Path) -> None:
-    """Only .toml files are written."""
+def test_documents_overwrite_an_existing_scene_file_only_on_request(folder: Path) -> None:
+    """Files without the extension .toml are refused."""
     document = ls.io.SceneDocument.open(folder / "scene.toml").removed(3)
     with pytest.raises(ls.FormatError, match="exists already"):
         document.save(folder / "scene.toml")
@@ -152,8 +152,8 @@ def test_existing_files_are_overwritten_only_on_request(folder: Path) -> None:
         document.save(folder / "row.ply", overwrite=True)
 
 
-def test_edits_share_unchanged_objects(folder: Path) -> None:
-    """Renderers cache assets by identity, and undo goes back to the old document."""
+def test_edited_documents_share_all_objects_that_the_edit_leaves(folder: Path) -> None:
+    """Renderers cache assets by object identity, and undo returns to the previous document."""
     before = ls.io.SceneDocument.open(folder / "scene.toml")
     scene = before.scene()
     after = before.placed(0, np.eye(4)).changed(2, intensity=3.0)
@@ -162,8 +162,8 @@ def test_edits_share_unchanged_objects(folder: Path) -> None:
     assert before.scene() is scene and before.entry(2).lights[0].intensity == 1.0
 
 
-def test_invalid_edits_name_the_key_and_change_nothing(folder: Path) -> None:
-    """Unknown keys, kinds and ids, values out of range, and missing files."""
+def test_invalid_document_edits_name_the_key_and_change_nothing(folder: Path) -> None:
+    """Unknown keys, kinds and ids, values out of range, and missing files are refused."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     entries = document.entries
     with pytest.raises(ls.FormatError, match="roughness is 7"):
@@ -183,8 +183,8 @@ def test_invalid_edits_name_the_key_and_change_nothing(folder: Path) -> None:
     assert document.entries is entries
 
 
-def test_hidden_entries_are_skipped_in_instance_numbers(folder: Path) -> None:
-    """Captures are numbered first, then meshes; hidden lights are disabled."""
+def test_document_instance_numbers_skip_hidden_entries(folder: Path) -> None:
+    """`owner` numbers captures first, then meshes; hidden lights are disabled."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     assert [document.owner(number).id for number in range(3)] == [0, 1, 1]
     hidden = document.changed(0, hidden=True).changed(2, enabled=False)
@@ -195,7 +195,7 @@ def test_hidden_entries_are_skipped_in_instance_numbers(folder: Path) -> None:
         hidden.owner(2)
 
 
-def test_split_entry_renders_the_same(folder: Path) -> None:
+def test_splitting_a_mesh_entry_leaves_the_scene_unchanged(folder: Path) -> None:
     """The meshes of the file keep their transforms and materials."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     split = document.split(1)
@@ -208,16 +208,16 @@ def test_split_entry_renders_the_same(folder: Path) -> None:
         split.split(split.entries[-1].id)
 
 
-def test_entry_ids_are_never_reused(folder: Path) -> None:
-    """The id of a removed entry never refers to another one."""
+def test_ids_of_removed_document_entries_are_never_reused(folder: Path) -> None:
+    """The id of a removed entry never refers to an entry added later."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     document, first = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     _, second = document.removed(first).added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     assert first != second
 
 
-def test_unreadable_files_are_listed_as_problems(folder: Path) -> None:
-    """One line each; if no file is left, opening fails."""
+def test_document_lists_unreadable_files_as_problems(folder: Path) -> None:
+    """Each unreadable file gives one line; opening fails if no file can be read."""
     (folder / "broken.ply").write_text("ply\nnonsense")
     document = ls.io.SceneDocument.open([folder / "row.ply", folder / "broken.ply", folder / "gone.obj"])
     assert len(document.entries) == 1 and len(document.problems) == 2
@@ -255,8 +255,8 @@ def memory_scene() -> ls.Scene:
     )
 
 
-def test_in_memory_scenes_are_saved_with_their_assets(tmp_path: Path) -> None:
-    """The file shows the same scene; shared assets are written once."""
+def test_documents_save_in_memory_scenes_with_asset_files(tmp_path: Path) -> None:
+    """The loaded scene equals the scene in memory; a capture used twice is written once."""
     scene = memory_scene()
     document = ls.io.SceneDocument.of(scene)
     assert_same_scene(document.scene(), scene)
@@ -270,7 +270,7 @@ def test_in_memory_scenes_are_saved_with_their_assets(tmp_path: Path) -> None:
     )
 
 
-def test_in_memory_actors_can_be_hidden_but_not_saved(tmp_path: Path) -> None:
+def test_in_memory_actors_of_documents_can_be_hidden_but_not_saved(tmp_path: Path) -> None:
     """The error names the actor."""
     still = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     motion = ls.Keyframes([0.0, 1.0], [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], still, [1.0, 1.0])
@@ -307,7 +307,7 @@ LIGHTS = st.one_of(
 
 
 @given(LIGHTS)
-def test_light_table_round_trip(light: Any) -> None:
+def test_light_table_of_a_scene_file_restores_every_light_type(light: Any) -> None:
     """Lights of all types are restored from text."""
     table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
     assert_same(read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table), light)
@@ -321,13 +321,13 @@ VALUES = st.recursive(
 
 
 @given(st.dictionaries(st.text(), VALUES, max_size=4))
-def test_toml_round_trip_is_exact(values: dict[str, Any]) -> None:
+def test_text_written_by_toml_text_parses_to_equal_values(values: dict[str, Any]) -> None:
     """Keys, text and nesting are arbitrary."""
     assert tomllib.loads(toml_text(values)) == values
 
 
-def test_toml_arrays_are_on_one_line_with_short_floats() -> None:
-    """Files are edited by hand."""
+def test_scene_file_arrays_are_one_line_with_short_floats() -> None:
+    """People edit scene files by hand."""
     text = toml_text({"splats": [{"path": Path("a.ply"), "transform": np.eye(4), "scale": 0.1}]})
     row = "0.0, 0.0, 0.0"
     assert text.splitlines()[1:3] == [
@@ -342,8 +342,8 @@ def tilted(degrees: float) -> np.ndarray:
     return np.array([0.0, -math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
 
 
-def test_upright_objects_stay_upright_when_up_changes(tmp_path: Path) -> None:
-    """About their foot, at their size; captures, lights and tilted objects stay."""
+def test_upright_document_objects_stay_upright_when_up_changes(tmp_path: Path) -> None:
+    """They rotate about their foot and keep their size; captures, lights and tilted objects stay."""
     ls.save(tmp_path / "row.ply", row())
     (tmp_path / "two.obj").write_text(TWO)
     (tmp_path / "scene.toml").write_text(
@@ -382,8 +382,8 @@ def test_upright_objects_stay_upright_when_up_changes(tmp_path: Path) -> None:
         np.testing.assert_allclose(one.transform, other.transform, atol=1e-9)
 
 
-def test_meshes_without_captures_stay_when_up_changes(tmp_path: Path) -> None:
-    """Named placement keys are replaced by numbers, which do not depend on up."""
+def test_placements_of_meshes_stay_when_up_of_a_mesh_scene_changes(tmp_path: Path) -> None:
+    """Placement keys such as `upright` are replaced by numbers, which do not depend on up."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\nupright = true\nground = 1.0\n')
     before = ls.io.SceneDocument.open(tmp_path / "scene.toml")
     after = before.with_up("z-up")
@@ -395,8 +395,8 @@ def test_meshes_without_captures_stay_when_up_changes(tmp_path: Path) -> None:
     np.testing.assert_allclose(saved.meshes[0].transform, before.scene().meshes[0].transform, atol=1e-9)
 
 
-def test_upright_environment_rotates_with_up(tmp_path: Path) -> None:
-    """A tilted one was rotated on purpose and stays."""
+def test_upright_environments_rotate_when_up_of_a_document_changes(tmp_path: Path) -> None:
+    """A tilted environment was rotated on purpose and stays."""
     write_radiance(tmp_path / "sky.exr", np.ones((4, 8, 3), np.float32))
     text = '[[splats]]\npath = "row.ply"\n[environment]\npath = "sky.exr"\nrotation_wxyz = [{}, 1.0, 0.0, 0.0]\n'
     ls.save(tmp_path / "row.ply", row())
@@ -410,8 +410,8 @@ def test_upright_environment_rotates_with_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("up", ["upwards", (0.0, 0.0, 0.0), (math.nan, 0.0, 1.0)])
-def test_invalid_up_is_refused(up: Any) -> None:
-    """The error is one line, and the document is unchanged."""
+def test_documents_refuse_an_invalid_up_in_one_line(up: Any) -> None:
+    """The value is an unknown word, a zero vector or NaN; the document is unchanged."""
     document = ls.io.SceneDocument.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="up is"):
         document.with_up(up)

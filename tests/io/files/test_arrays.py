@@ -34,7 +34,7 @@ def archive(path: Path, *members: tuple[str, bytes], method: int = zipfile.ZIP_S
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_array_round_trip_is_exact(tmp_path: Path, save: Any) -> None:
+def test_arrays_read_from_npz_archives_equal_those_written(tmp_path: Path, save: Any) -> None:
     """The arrays have all number types, empty and scalar shapes, Fortran order and text."""
     written = {
         "a": np.arange(6, dtype=np.float32).reshape(2, 3),
@@ -64,14 +64,14 @@ def test_array_round_trip_is_exact(tmp_path: Path, save: Any) -> None:
     ],
     ids=["endless", "negative", "short", "long", "objects", "cut", "empty", "text", "version"],
 )
-def test_invalid_archives_give_one_line(tmp_path: Path, members: list[tuple[str, bytes]]) -> None:
-    """False headers, pickled objects that would run code, and other files."""
+def test_invalid_npz_archives_are_refused_in_one_line(tmp_path: Path, members: list[tuple[str, bytes]]) -> None:
+    """False headers, pickled objects that would run code, and other files are refused."""
     with pytest.raises(ls.FormatError, match=f"a.npz: is damaged, or not {KIND}$"):
         read_arrays(archive(tmp_path / "a.npz", *members), KIND)
 
 
-def test_decompression_bomb_is_refused_before_unpacking(tmp_path: Path) -> None:
-    """A gigabyte of zeros in a megabyte; without ``compressed`` no compressed file is accepted."""
+def test_npz_decompression_bomb_is_refused_before_unpacking(tmp_path: Path) -> None:
+    """A gigabyte of zeros fits in a megabyte; unless ``compressed`` is given, every compressed archive is refused."""
     size = 2**28
     path = archive(tmp_path / "a.npz", ("a.npy", header((size,)) + bytes(4 * size)), method=zipfile.ZIP_DEFLATED)
     tracemalloc.start()
@@ -85,8 +85,8 @@ def test_decompression_bomb_is_refused_before_unpacking(tmp_path: Path) -> None:
         tracemalloc.stop()
 
 
-def test_overlapping_archive_members_are_refused(tmp_path: Path) -> None:
-    """Many directory entries for one array would take many times the memory of the file."""
+def test_npz_archives_with_overlapping_members_are_refused(tmp_path: Path) -> None:
+    """Many directory entries for one stored array would take many times the memory of the file."""
     path, content = tmp_path / "a.npz", header((2**16,)) + bytes(2**18)
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("a.npy", content)
@@ -101,8 +101,8 @@ def test_overlapping_archive_members_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
-def test_pipes_folders_and_missing_files_are_named(tmp_path: Path) -> None:
-    """The reader opens none of them."""
+def test_npz_reader_names_pipes_folders_and_missing_files(tmp_path: Path) -> None:
+    """None of these paths is opened."""
     os.mkfifo(tmp_path / "pipe.npz")
     with pytest.raises(ls.FormatError, match=r"pipe\.npz: is a device, a pipe or a socket"):
         read_arrays(tmp_path / "pipe.npz", KIND)
@@ -112,8 +112,8 @@ def test_pipes_folders_and_missing_files_are_named(tmp_path: Path) -> None:
         read_arrays(tmp_path / "missing.npz", KIND)
 
 
-def test_arrays_must_have_the_expected_shape_and_be_finite() -> None:
-    """Other ranks, lengths, types and values are refused by name."""
+def test_npz_arrays_must_have_the_expected_shape_and_be_finite() -> None:
+    """The error names an array of another rank, length, type or of non-finite values."""
     arrays: dict[str, Any] = {"a": np.ones((4, 3)), "text": np.array(["1"]), "huge": np.array([1e300])}
     assert checked_array(arrays, "a", (None, 3), np.float32).dtype == np.float32
     for name, shape in (("a", (4,)), ("a", (5, 3)), ("b", (4, 3)), ("text", (1,)), ("huge", (1,))):

@@ -18,8 +18,8 @@ from lumisplat.io.files.atomic import atomic_write
 from support.files.splat_files import capture
 
 
-def test_successful_write_leaves_only_the_file(tmp_path: Path) -> None:
-    """The file appears when the block ends, in a folder made for it."""
+def test_atomic_write_leaves_only_the_finished_file(tmp_path: Path) -> None:
+    """The file appears when the ``with`` block ends, in a folder made for it."""
     target = tmp_path / "new" / "deep" / "file.spz"
     with atomic_write(target) as temporary:
         temporary.write_text("done")
@@ -30,8 +30,8 @@ def test_successful_write_leaves_only_the_file(tmp_path: Path) -> None:
     assert list(target.parent.iterdir()) == [target]
 
 
-def test_failed_write_removes_the_folders_it_made(tmp_path: Path) -> None:
-    """Existing folders stay, and so do those that another process has used meanwhile."""
+def test_failed_atomic_write_removes_the_folders_it_created(tmp_path: Path) -> None:
+    """Folders stay if they existed before or if another process has written to them meanwhile."""
     (tmp_path / "old").mkdir()
     with pytest.raises(FormatError), atomic_write(tmp_path / "old" / "new" / "deep" / "a.ply"):
         raise OSError(28, "No space left on device")
@@ -43,8 +43,10 @@ def test_failed_write_removes_the_folders_it_made(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["meta.json", "lod-meta.json"])
-def test_failed_multi_file_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """If one file of several cannot be written, the others are removed; unrelated files stay."""
+def test_failed_write_of_several_files_leaves_none_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """If one of the files cannot be written, the files written before are removed; unrelated files stay."""
     folder = tmp_path / "new" / "deep"
     replace, done = os.replace, list[Path]()
 
@@ -66,8 +68,8 @@ def test_failed_multi_file_write_leaves_no_file(tmp_path: Path, monkeypatch: pyt
     assert list(folder.iterdir()) == [folder / "notes.txt"]
 
 
-def test_write_errors_without_errno_suggest_a_full_disk(tmp_path: Path) -> None:
-    """NumPy raises such an error for an array that a full disk cuts off."""
+def test_write_errors_without_an_error_number_suggest_a_full_disk(tmp_path: Path) -> None:
+    """NumPy raises such an error if a full disk truncates an array."""
     message = "cannot be written: 400 requested and 16 written: is the disk full"
     with pytest.raises(FormatError, match=message), atomic_write(tmp_path / "a.npy"):
         raise OSError("400 requested and 16 written")
@@ -75,8 +77,10 @@ def test_write_errors_without_errno_suggest_a_full_disk(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="elsewhere folders have no descriptors")
-def test_file_is_synced_before_it_is_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then the folder: after a power cut, either the old or the new file is there."""
+def test_atomic_write_syncs_file_before_rename_and_folder_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a power cut, either the old or the new file exists."""
     target = tmp_path / "file.ply"
     done: list[tuple[str, int, int]] = []
     fsync, replace = os.fsync, os.replace
@@ -99,8 +103,8 @@ def test_file_is_synced_before_it_is_renamed(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt, OSError])
-def test_failed_write_keeps_the_old_file(tmp_path: Path, failure: type[BaseException]) -> None:
-    """Any exception in the block keeps it; the temporary file is removed."""
+def test_failed_atomic_write_keeps_the_existing_file(tmp_path: Path, failure: type[BaseException]) -> None:
+    """After any exception in the ``with`` block the old file is intact, and the temporary file is removed."""
     target = tmp_path / "file.ply"
     target.write_text("old")
     with pytest.raises((failure, FormatError)), atomic_write(target) as temporary:
@@ -110,37 +114,37 @@ def test_failed_write_keeps_the_old_file(tmp_path: Path, failure: type[BaseExcep
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_writing_to_a_folder_path_is_refused(tmp_path: Path) -> None:
-    """No file is written before the refusal."""
+def test_saving_to_the_path_of_a_folder_is_refused(tmp_path: Path) -> None:
+    """The refusal comes before any file is written."""
     (tmp_path / "out.ply").mkdir()
     with pytest.raises(FormatError, match=r"out\.ply: is a folder"):
         ls.save(tmp_path / "out.ply", capture(3))
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.spz"])
-def test_unwritable_parent_gives_one_error_in_every_writer(tmp_path: Path, name: str) -> None:
-    """A parent that is a file."""
+def test_every_capture_writer_reports_an_unwritable_parent_folder(tmp_path: Path, name: str) -> None:
+    """The parent of the output path is a file."""
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FormatError, match="cannot be written"):
         ls.save(tmp_path / "file" / name, capture(3))
     assert (tmp_path / "file").read_text() == "in the way"
 
 
-def test_unknown_output_extension_lists_the_known_ones(tmp_path: Path) -> None:
-    """The error of ``save`` lists the extensions."""
+def test_save_with_an_unknown_extension_lists_the_supported_ones(tmp_path: Path) -> None:
+    """The error of ``save`` names the extensions of captures."""
     with pytest.raises(FormatError, match=r"unknown extension '\.xyz', expected \.ply"):
         ls.save(tmp_path / "out.xyz", capture(3))
     assert not list(tmp_path.iterdir())
 
 
-def test_saving_a_scene_as_ply_lists_the_scene_formats(tmp_path: Path) -> None:
-    """A .ply stores only Gaussians."""
+def test_saving_a_scene_as_ply_is_refused_with_the_scene_formats(tmp_path: Path) -> None:
+    """A PLY file stores only Gaussians."""
     with pytest.raises(FormatError, match=r"stores only Gaussians: save scenes and meshes as \.glb, \.gltf"):
         ls.save(tmp_path / "out.ply", cast(Any, ls.Scene()))
 
 
-def test_symbolic_links_are_kept_and_their_target_written(tmp_path: Path) -> None:
-    """The target is written in its own folder, whether it exists or not."""
+def test_atomic_write_to_a_symbolic_link_writes_its_target(tmp_path: Path) -> None:
+    """The link stays; the target is written in the target's folder, whether it exists or not."""
     shelf, link = tmp_path / "shelf", tmp_path / "link.ply"
     shelf.mkdir()
     link.symlink_to(shelf / "real.ply")
@@ -156,7 +160,7 @@ def test_symbolic_links_are_kept_and_their_target_written(tmp_path: Path) -> Non
         pass
 
 
-def test_writing_to_a_pipe_is_refused(tmp_path: Path) -> None:
+def test_saving_to_a_named_pipe_is_refused(tmp_path: Path) -> None:
     """Only regular files are replaced."""
     os.mkfifo(tmp_path / "pipe.ply")
     with pytest.raises(FormatError, match=r"pipe\.ply: is a device, a pipe or a socket"):
@@ -164,8 +168,8 @@ def test_writing_to_a_pipe_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "pipe.ply").is_fifo()
 
 
-def test_leftovers_of_killed_processes_are_removed(tmp_path: Path) -> None:
-    """The next process that writes into the folder removes them, except files still being written."""
+def test_temporary_files_of_killed_writers_are_removed(tmp_path: Path) -> None:
+    """The next process that writes into the folder removes temporary files, except those still being written."""
     program = """
 import os, signal, sys, time
 from lumisplat.io.files.atomic import atomic_write
@@ -193,7 +197,7 @@ with atomic_write(sys.argv[1]) as temporary:
     assert {path.name for path in tmp_path.iterdir()} == {own.name, "slow.ply", "next.ply"}
 
 
-def test_swapped_arguments_of_save_are_explained() -> None:
+def test_save_called_with_swapped_arguments_explains_their_order() -> None:
     """The message says that the path comes first."""
     with pytest.raises(ConfigError, match=r"save\(path, asset\): the path comes first, got Mesh"):
         ls.save(cast(Any, ls.box()), cast(Any, "box.glb"))

@@ -43,8 +43,8 @@ ROUND_TRIPS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]
 
 @pytest.mark.parametrize("stem", [FOREIGN, FACES, "plain"], ids=["latin-1", "emoji", "plain"])
 @pytest.mark.parametrize("suffix", ROUND_TRIPS)
-def test_every_format_accepts_any_file_name(tmp_path: Path, stem: str, suffix: str) -> None:
-    """The folder's name is not UTF-8 either, and no other file is left."""
+def test_every_format_accepts_any_file_name_the_system_allows(tmp_path: Path, stem: str, suffix: str) -> None:
+    """The folder's name is not UTF-8 either, and no other file is left behind."""
     write, read = ROUND_TRIPS[suffix]
     path = tmp_path / FOREIGN / f"{stem}{suffix}"
     write(path)
@@ -53,7 +53,7 @@ def test_every_format_accepts_any_file_name(tmp_path: Path, stem: str, suffix: s
 
 
 @pytest.mark.parametrize("name", ["null\0.ply", "half\ud800.ply"], ids=["null", "surrogate"])
-def test_impossible_file_names_give_a_clear_error(tmp_path: Path, name: str) -> None:
+def test_file_names_with_nul_or_surrogates_give_a_clear_error(tmp_path: Path, name: str) -> None:
     """Writing and reading give the same error."""
     with pytest.raises(FormatError, match="no file can have this name"):
         ls.save(tmp_path / name, capture(3))
@@ -64,14 +64,14 @@ def test_impossible_file_names_give_a_clear_error(tmp_path: Path, name: str) -> 
 @pytest.mark.parametrize(
     "read", [ls.load, ls.load_cameras, ls.load_image, ls.avatars.load_rig, lambda path: ls.io.load_sequence(path, 5.0)]
 )
-def test_too_long_file_names_give_a_clear_error(tmp_path: Path, read: Callable[[Path], object]) -> None:
-    """Longer than the file system allows."""
+def test_reading_a_too_long_file_name_gives_a_format_error(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    """The name is longer than the file system allows."""
     with pytest.raises(FormatError, match=r"File name too long|no such f"):  # Python 3.14 reports the file as missing
         read(tmp_path / f"{'x' * 300}.glb")
 
 
-def test_damaged_exr_prints_only_one_line(tmp_path: Path) -> None:
-    """OpenEXR's C++ code prints to both streams, which is silenced."""
+def test_reading_a_damaged_exr_prints_nothing_but_the_error(tmp_path: Path) -> None:
+    """OpenEXR's C++ code prints to both standard streams, which the reader silences."""
     _picture(tmp_path / "sky.exr")
     stored = (tmp_path / "sky.exr").read_bytes()
     (tmp_path / "sky.exr").write_bytes(stored[: len(stored) // 2])

@@ -31,15 +31,17 @@ LOADERS: dict[str, Callable[[Path], Any]] = {
 
 @pytest.mark.parametrize("name", LOADERS)
 @pytest.mark.parametrize("kind", [FileNotFoundError, ls.FormatError, ls.errors.MissingFileError])
-def test_missing_file_is_format_error_and_file_not_found(tmp_path: Path, name: str, kind: type[Exception]) -> None:
-    """The message and ``path`` name the file."""
+def test_every_loader_raises_file_not_found_for_a_missing_file(
+    tmp_path: Path, name: str, kind: type[Exception]
+) -> None:
+    """The error is also a FormatError; its message and its ``path`` name the file."""
     with pytest.raises(kind, match=r": no such (file|folder)$") as caught:
         LOADERS[name](tmp_path / name)
     assert isinstance(caught.value, ls.errors.MissingFileError) and caught.value.path == str(tmp_path / name)
 
 
-def test_unreadable_files_are_not_reported_as_missing(tmp_path: Path) -> None:
-    """Damaged files and folders are only FormatErrors."""
+def test_unreadable_existing_files_are_not_reported_as_missing(tmp_path: Path) -> None:
+    """Damaged files and folders raise a FormatError that is no OSError."""
     (tmp_path / "a.ply").write_bytes(b"ply")
     for path in (tmp_path / "a.ply", tmp_path):
         with pytest.raises(ls.FormatError) as caught:
@@ -47,8 +49,8 @@ def test_unreadable_files_are_not_reported_as_missing(tmp_path: Path) -> None:
         assert not isinstance(caught.value, OSError)
 
 
-def test_file_errors_can_be_pickled(tmp_path: Path) -> None:
-    """Worker processes raise these errors, too; the path is kept."""
+def test_missing_file_errors_survive_pickling(tmp_path: Path) -> None:
+    """Worker processes raise these errors; message and path survive."""
     with pytest.raises(ls.errors.MissingFileError) as raised:
         ls.load(tmp_path / "none.ply")
     error = pickle.loads(pickle.dumps(raised.value))

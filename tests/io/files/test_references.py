@@ -70,8 +70,8 @@ def namer(request) -> tuple[Callable[[Path, str], Path], bytes]:
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_references_outside_the_folder_need_permission(tmp_path: Path, namer, absolute: bool) -> None:
-    """They are refused before they are read."""
+def test_files_may_reference_files_outside_their_folder_only_if_allowed(tmp_path: Path, namer, absolute: bool) -> None:
+    """References outside the folder are refused before the referenced file is read."""
     write, content = namer
     (tmp_path / "model" / "sub").mkdir(parents=True)
     (tmp_path / "secret").write_bytes(content)
@@ -83,8 +83,8 @@ def test_references_outside_the_folder_need_permission(tmp_path: Path, namer, ab
     ls.load(path, allow_outside=True)
 
 
-def test_backslashes_are_slashes_unless_a_file_has_the_name(tmp_path: Path, namer) -> None:
-    """Windows programs write backslashes; none leads outside the folder."""
+def test_backslashes_in_references_are_slashes_unless_a_file_has_them(tmp_path: Path, namer) -> None:
+    """Windows programs write backslashes; a path with backslashes cannot leave the folder either."""
     write, content = namer
     (tmp_path / "model" / "my files").mkdir(parents=True)
     (tmp_path / "model" / "my files" / "one 1").write_bytes(content)
@@ -97,7 +97,7 @@ def test_backslashes_are_slashes_unless_a_file_has_the_name(tmp_path: Path, name
         ls.load(write(tmp_path / "model", "..\\secret"))
 
 
-def test_scene_file_paths_may_have_backslashes(tmp_path: Path) -> None:
+def test_paths_in_scene_files_may_have_backslashes(tmp_path: Path) -> None:
     """Scene files written on Windows have such paths."""
     (tmp_path / "parts").mkdir()
     _obj_library(tmp_path / "parts", "none.mtl")
@@ -105,8 +105,8 @@ def test_scene_file_paths_may_have_backslashes(tmp_path: Path) -> None:
     ls.load(tmp_path / "scene.toml")
 
 
-def test_allow_outside_option_permits_references(tmp_path: Path, capsys) -> None:
-    """The option that the error message names."""
+def test_option_allow_outside_permits_references_to_other_folders(tmp_path: Path, capsys) -> None:
+    """The error message names this option."""
     (tmp_path / "model").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
     path = _mtl_texture(tmp_path / "model", "../wood.png")
@@ -115,8 +115,8 @@ def test_allow_outside_option_permits_references(tmp_path: Path, capsys) -> None
     assert main(["info", str(path), "--allow-outside"]) == 0
 
 
-def test_material_libraries_may_use_the_folder_of_their_mesh(tmp_path: Path) -> None:
-    """A library in a subfolder may refer to textures beside the mesh."""
+def test_mtl_libraries_may_use_textures_in_the_folder_of_their_obj(tmp_path: Path) -> None:
+    """The MTL library lies in a subfolder, and its texture beside the mesh."""
     (tmp_path / "materials").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
     (tmp_path / "materials" / "paint.mtl").write_text("newmtl paint\nmap_Kd ../wood.png\n")
@@ -125,8 +125,8 @@ def test_material_libraries_may_use_the_folder_of_their_mesh(tmp_path: Path) -> 
     assert mesh.material.base_color_texture is not None
 
 
-def test_symbolic_links_and_scene_files_are_trusted(tmp_path: Path) -> None:
-    """Links are followed, and a scene file may refer to any file; its meshes may not."""
+def test_symbolic_links_and_paths_of_scene_files_may_leave_the_folder(tmp_path: Path) -> None:
+    """A scene file may refer to any file; a mesh file that it loads may not."""
     (tmp_path / "model").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
     (tmp_path / "model" / "link.png").symlink_to(tmp_path / "wood.png")
@@ -141,8 +141,8 @@ def test_symbolic_links_and_scene_files_are_trusted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_referenced_pipes_and_devices_are_refused(tmp_path: Path, namer, kind: str) -> None:
-    """A pipe would wait for its writer, a device may never end."""
+def test_references_to_pipes_and_devices_are_refused_by_mesh_readers(tmp_path: Path, namer, kind: str) -> None:
+    """Reading a pipe would wait for its writer, and a device may never end."""
     write, _ = namer
     name = "/dev/zero"
     if kind == "pipe":
@@ -157,8 +157,10 @@ def test_referenced_pipes_and_devices_are_refused(tmp_path: Path, namer, kind: s
     "read", [ls.load, ls.load_cameras, ls.io.load_radiance, ls.load_image, ls.load_config, ls.DeepShadowMap.load]
 )
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".obj", ".glb", ".toml", ".json", ".exr"])
-def test_named_pipes_are_refused_by_every_reader(tmp_path: Path, read: Callable[[Path], object], suffix: str) -> None:
-    """The user names the pipe directly."""
+def test_every_reader_refuses_a_named_pipe_given_as_its_path(
+    tmp_path: Path, read: Callable[[Path], object], suffix: str
+) -> None:
+    """Loading images, cameras, settings or shadow maps would wait for a writer."""
     os.mkfifo(tmp_path / f"pipe{suffix}")
     with pytest.raises(FormatError, match="is a device, a pipe or a socket"):
         read(tmp_path / f"pipe{suffix}")
@@ -176,16 +178,16 @@ def test_named_pipes_are_refused_by_every_reader(tmp_path: Path, read: Callable[
     ],
 )
 @pytest.mark.parametrize("name", ["/dev/zero", "pipe"])
-def test_scene_files_refuse_pipes(tmp_path: Path, text: str, read, name: str) -> None:
-    """Every kind of entry with a path refuses a pipe."""
+def test_scene_files_refuse_pipes_and_devices_in_every_path_entry(tmp_path: Path, text: str, read, name: str) -> None:
+    """Captures, meshes, actors, textures and environments have a path."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "scene.toml").write_text(text.replace("{}", name))
     with pytest.raises(FormatError, match=r"scene\.toml: line \d.* is '.*': a device, a pipe or a socket"):
         read(tmp_path / "scene.toml")
 
 
-def test_camera_image_that_is_a_pipe_counts_as_missing(tmp_path: Path) -> None:
-    """Loading looks for the image of a frame without a size."""
+def test_named_pipe_as_camera_image_counts_as_missing_image(tmp_path: Path) -> None:
+    """A frame without a size needs its image, which a pipe is not."""
     os.mkfifo(tmp_path / "image.png")
     frame = {"file_path": "image.png", "transform_matrix": np.eye(4).tolist()}
     (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": [frame]}))
@@ -193,8 +195,8 @@ def test_camera_image_that_is_a_pipe_counts_as_missing(tmp_path: Path) -> None:
         ls.load_cameras(tmp_path / "transforms.json")
 
 
-def test_oversized_sparse_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They take no disk space, but would fill the memory."""
+def test_referenced_files_above_the_size_limit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sparse file takes no disk space, but reading it would fill the memory."""
     monkeypatch.setattr(source, "FILE_BYTES_MAX", 10**6)
     with (tmp_path / "huge.png").open("wb") as file:
         file.truncate(10**6 + 1)
@@ -222,7 +224,7 @@ def _bombs(folder: Path, count: int) -> Path:
     return folder / "quad.gltf"
 
 
-def test_total_texture_size_is_limited(tmp_path: Path) -> None:
-    """A single image is small enough, but not all of them together."""
+def test_gltf_textures_are_limited_in_total_size(tmp_path: Path) -> None:
+    """Each texture is small enough, but not all of them together."""
     with pytest.raises(FormatError, match=r"quad\.gltf: textures up to \d\.png would take 1,\d+,\d+,\d+ bytes"):
         ls.load(_bombs(tmp_path, 10))

@@ -50,10 +50,10 @@ def _gltf(folder: Path, encoding: str) -> Path:
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("write", [_obj, _stl, _gltf])
-def test_mesh_files_may_have_a_byte_order_mark(
+def test_mesh_files_may_begin_with_a_byte_order_mark_or_be_utf_16(
     tmp_path: Path, write: Callable[[Path, str], Path], encoding: str
 ) -> None:
-    """OBJ, MTL, STL and glTF files begin with a mark."""
+    """The files are OBJ, MTL, STL and glTF."""
     mesh = _mesh(write(tmp_path, encoding))
     np.testing.assert_array_equal(mesh.positions[mesh.indices], QUAD[QUAD_TRIANGLES])
     if write is not _stl:
@@ -64,15 +64,15 @@ def test_mesh_files_may_have_a_byte_order_mark(
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian"])
-def test_ply_may_have_a_byte_order_mark(tmp_path: Path, order: str) -> None:
-    """The offset of the rows includes the mark."""
+def test_ply_files_may_begin_with_a_byte_order_mark(tmp_path: Path, order: str) -> None:
+    """The rows begin three bytes later than in a file without the mark."""
     (tmp_path / "quad.ply").write_bytes(b"\xef\xbb\xbf" + ply_text(order))
     np.testing.assert_array_equal(_mesh(tmp_path / "quad.ply").positions, QUAD)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_scene_files_may_have_a_byte_order_mark(tmp_path: Path, encoding: str, capsys) -> None:
-    """The command line reads headings of scene files itself, too."""
+def test_scene_files_may_begin_with_a_byte_order_mark_or_be_utf_16(tmp_path: Path, encoding: str, capsys) -> None:
+    """The command ``info`` parses scene files separately and accepts them, too."""
     write_obj(tmp_path)
     (tmp_path / "scene.toml").write_text(
         'up = "y-up"\n[[meshes]]\npath = "quad.obj"\n[[cameras]]\nname = "ä"\neye = [0, 0, 3]\ntarget = [0, 0, 0]\n'
@@ -89,8 +89,8 @@ def test_scene_files_may_have_a_byte_order_mark(tmp_path: Path, encoding: str, c
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_camera_files_may_have_a_byte_order_mark(tmp_path: Path, encoding: str) -> None:
-    """transforms.json, and COLMAP's text files, whose first line need not be a comment."""
+def test_camera_files_may_begin_with_a_byte_order_mark_or_be_utf_16(tmp_path: Path, encoding: str) -> None:
+    """The files are transforms.json and COLMAP's text files, whose first line need not be a comment."""
     cameras = ring_cameras()
     ls.save_cameras(tmp_path / "transforms.json", cameras)
     assert len(ls.load_cameras(_marked(tmp_path / "transforms.json", encoding))) == len(cameras)
@@ -102,8 +102,8 @@ def test_camera_files_may_have_a_byte_order_mark(tmp_path: Path, encoding: str) 
     assert [camera.name for camera in ls.load_cameras(model)] == [camera.name for camera in cameras]
 
 
-def test_sog_and_settings_may_have_a_byte_order_mark(tmp_path: Path) -> None:
-    """The meta.json and lod-meta.json of SOGs, and data set settings."""
+def test_sog_and_dataset_settings_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    """The files are meta.json and lod-meta.json of SOGs, and data set settings."""
     rng = np.random.default_rng(1)
     gaussians = ls.Gaussians(
         rng.normal(size=(9, 3)),
@@ -123,8 +123,10 @@ def test_sog_and_settings_may_have_a_byte_order_mark(tmp_path: Path) -> None:
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("name", ["a.usda", "a.usd"])
 @pytest.mark.parametrize("how", ["itself", "reference", "sublayer"])
-def test_usd_text_layers_may_have_a_byte_order_mark(tmp_path: Path, how: str, name: str, encoding: str) -> None:
-    """The root layer, a referenced layer or a sublayer."""
+def test_usd_text_layers_may_begin_with_a_byte_order_mark_or_be_utf_16(
+    tmp_path: Path, how: str, name: str, encoding: str
+) -> None:
+    """The marked file is the root layer, a referenced layer or a sublayer."""
     body = """def Mesh "m" {
     point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
     int[] faceVertexCounts = [3]

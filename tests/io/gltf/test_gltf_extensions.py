@@ -36,8 +36,8 @@ def glossy(folder: Path, **extension: Any) -> ls.MaterialPbr:
     return pbr_of(loaded(folder, gltf).meshes[0].mesh)
 
 
-def test_specular_glossiness_keeps_colour_and_roughness(tmp_path: Path) -> None:
-    """The diffuse colour becomes the base colour of a dielectric; defaults are those of the extension."""
+def test_gltf_specular_glossiness_sets_base_colour_and_roughness(tmp_path: Path) -> None:
+    """The diffuse colour becomes the base colour of a dielectric; missing values get the extension's defaults."""
     material = glossy(tmp_path, diffuseFactor=[1, 0.25, 0, 0.5], glossinessFactor=0.2)
     assert (material.base_color, material.metallic, material.alpha) == ((1.0, 0.25, 0.0), 0.0, 0.5)
     assert material.roughness == pytest.approx(0.8)
@@ -54,7 +54,7 @@ def test_specular_glossiness_keeps_colour_and_roughness(tmp_path: Path) -> None:
         ((0.0, 0.0, 0.0), (0.56, 0.57, 0.58), (0.56, 0.57, 0.58), 1.0),
     ],
 )
-def test_specular_glossiness_metals_are_recognized(
+def test_gltf_specular_glossiness_recognizes_metals(
     tmp_path: Path, diffuse: Any, specular: Any, color: Any, metallic: float
 ) -> None:
     """A black diffuse colour with a coloured specular one is a metal; a specular colour of 4 % is a dielectric."""
@@ -65,8 +65,10 @@ def test_specular_glossiness_metals_are_recognized(
 
 @pytest.mark.parametrize("base", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("metallic", [0.0, 0.2, 0.7, 1.0])
-def test_specular_glossiness_inverts_metallic_roughness(tmp_path: Path, base: float, metallic: float) -> None:
-    """Greys of any metalness are recovered from the diffuse and specular colours that they give."""
+def test_gltf_specular_glossiness_recovers_grey_metallic_materials(
+    tmp_path: Path, base: float, metallic: float
+) -> None:
+    """Diffuse and specular colours computed from a grey base colour and metalness give both back."""
     mirrored = 0.04 * (1.0 - metallic) + base * metallic
     scattered = base * (1.0 - metallic) * 0.96 / (1.0 - mirrored)
     material = glossy(tmp_path, diffuseFactor=[scattered] * 3 + [1], specularFactor=[mirrored] * 3)
@@ -74,8 +76,8 @@ def test_specular_glossiness_inverts_metallic_roughness(tmp_path: Path, base: fl
     np.testing.assert_allclose(material.base_color, [base] * 3, atol=1e-5)
 
 
-def test_specular_glossiness_textures_are_converted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The diffuse texture becomes the base colour; the alpha of the other, times its factor, is glossiness."""
+def test_gltf_specular_glossiness_textures_are_converted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The diffuse texture becomes the base colour; glossiness is the alpha of the second texture times a factor."""
     gltf = quad_gltf()
     gloss = np.full((2, 2, 4), 255, np.uint8)
     gloss[..., 3] = [[0, 255], [100, 200]]
@@ -90,8 +92,8 @@ def test_specular_glossiness_textures_are_converted(tmp_path: Path, caplog: pyte
     assert "become dielectrics (first materials[0] 'old')" in caplog.text
 
 
-def test_metallic_roughness_wins_over_specular_glossiness(tmp_path: Path) -> None:
-    """Writers that give both have converted the material themselves."""
+def test_gltf_metallic_roughness_wins_over_specular_glossiness(tmp_path: Path) -> None:
+    """Programs that write both have converted the material themselves."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {GLOSSY: {"diffuseFactor": [0, 0, 1, 1]}}
     assert pbr_of(loaded(tmp_path, gltf).meshes[0].mesh).base_color == (0.5, 0.25, 1.0)
@@ -107,8 +109,8 @@ def instanced(gltf: Gltf, **arrays: np.ndarray) -> Gltf:
     return gltf
 
 
-def test_instances_have_their_transforms(tmp_path: Path) -> None:
-    """Translation, rotation and scale apply below the node's transform; the mesh is stored once."""
+def test_gltf_mesh_instances_have_translation_rotation_and_scale(tmp_path: Path) -> None:
+    """Instance transforms apply below the node's transform; the mesh is stored once."""
     positions = np.array([(0, 0, 0), (3, 0, 0), (0, 5, 0)], np.float32)
     rotations = np.array([(0, 0, 0, 1), (0, 0, HALF, HALF), (0, 0, 0, 1)], np.float32)
     sizes = np.array([(1, 1, 1), (2, 2, 2), (1, 3, 1)], np.float32)
@@ -120,8 +122,8 @@ def test_instances_have_their_transforms(tmp_path: Path) -> None:
         np.testing.assert_allclose(QUAD @ one.transform[:3, :3].T + one.transform[:3, 3], stood, atol=1e-6)
 
 
-def test_instance_attributes_are_optional(tmp_path: Path) -> None:
-    """Rotations as normalized integers, or scales only; instances of scale 0 are hidden."""
+def test_gltf_instance_attributes_are_optional_or_normalized_integers(tmp_path: Path) -> None:
+    """Rotations may be integers and scales the only attribute; instances of scale 0 are hidden."""
     rotations = np.array([(0, 0, 0, 127), (0, 127, 0, 0)], np.int8)
     scene = loaded(tmp_path, instanced(quad_gltf(), ROTATION=rotations))
     np.testing.assert_allclose(scene.meshes[1].transform[:3, :3], np.diag([-1.0, 1.0, -1.0]), atol=1e-6)
@@ -129,7 +131,7 @@ def test_instance_attributes_are_optional(tmp_path: Path) -> None:
     assert len(scene.meshes) == 1 and scene.meshes[0].transform[0, 0] == 2.0
 
 
-def test_captures_and_animated_meshes_can_be_instanced(tmp_path: Path) -> None:
+def test_gltf_instancing_applies_to_captures_and_animated_meshes(tmp_path: Path) -> None:
     """Every instance of an animated mesh moves."""
     positions = np.array([(0, 0, 0), (3, 0, 0)], np.float32)
     scene = loaded(tmp_path, instanced(splat_gltf(), TRANSLATION=positions))
@@ -158,13 +160,15 @@ def test_captures_and_animated_meshes_can_be_instanced(tmp_path: Path) -> None:
         ({"TRANSLATION": np.zeros((2, 4), np.float32)}, "has type VEC4"),
     ],
 )
-def test_bad_instances_name_their_node(tmp_path: Path, arrays: dict[str, np.ndarray], problem: str) -> None:
+def test_invalid_gltf_instance_attributes_name_their_node(
+    tmp_path: Path, arrays: dict[str, np.ndarray], problem: str
+) -> None:
     """The error is one line."""
     with pytest.raises(ls.FormatError, match=problem):
         loaded(tmp_path, instanced(quad_gltf(), **arrays))
 
 
-def test_impossible_instance_counts_are_refused(tmp_path: Path) -> None:
+def test_gltf_instance_counts_beyond_the_file_size_are_refused(tmp_path: Path) -> None:
     """An accessor without data can claim any count."""
     gltf = instanced(quad_gltf(), TRANSLATION=np.zeros((2, 3), np.float32))
     accessor = gltf.json["accessors"][-1]
@@ -175,10 +179,10 @@ def test_impossible_instance_counts_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", ["KHR_texture_basisu", "MSFT_texture_dds"])
-def test_unsupported_texture_formats_are_dropped_and_named(
+def test_gltf_textures_of_unsupported_formats_are_dropped_and_named(
     tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Unless a PNG or JPEG is given, too, the colour is used without the texture."""
+    """The base colour is used without the texture, unless a PNG or JPEG version is given."""
     gltf = quad_gltf()
     gltf.json["textures"] = [{"extensions": {extension: {"source": 0}}}]
     gltf.json["images"] = [{"uri": "missing.ktx2", "mimeType": "image/ktx2"}]
@@ -193,8 +197,10 @@ def test_unsupported_texture_formats_are_dropped_and_named(
 @pytest.mark.parametrize(
     "name", ["KHR_materials_iridescence", "KHR_materials_anisotropy", "EXT_lights_image_based", "ACME_fur"]
 )
-def test_unknown_extensions_are_logged(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Wherever they are used, listed or not; extensions that cannot change the image are not logged."""
+def test_unknown_gltf_extensions_are_logged_by_name(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """They are found wherever they are used, listed or not; extensions that cannot change the image are not logged."""
     gltf = quad_gltf()
     item = gltf.json["materials"][0] if "materials" in name else gltf.json["nodes"][0]
     item["extensions"] = {name: {}, "KHR_xmp_json_ld": {}}
@@ -202,7 +208,7 @@ def test_unknown_extensions_are_logged(tmp_path: Path, name: str, caplog: pytest
     assert caplog.messages == [f"{tmp_path / 'a.glb'}: extensions not read, though they may change the image: {name}"]
 
 
-def test_unread_specular_colours_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_unsupported_gltf_specular_colours_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Only the factor of KHR_materials_specular is read."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["extensions"] = {
@@ -212,7 +218,7 @@ def test_unread_specular_colours_are_logged(tmp_path: Path, caplog: pytest.LogCa
     assert "specularColorFactor of 1 material is not used (first materials[0] 'painted')" in caplog.text
 
 
-def test_invisible_nodes_are_skipped(tmp_path: Path) -> None:
+def test_invisible_gltf_nodes_are_skipped_with_their_descendants(tmp_path: Path) -> None:
     """KHR_node_visibility hides a node and its descendants."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, name="child")

@@ -119,7 +119,7 @@ def whole_scene() -> tuple[ls.Scene, ls.Camera]:
 
 
 @pytest.mark.parametrize("extension", ["glb", "gltf"])
-def test_khronos_validator_accepts_written_files(tmp_path: Path, extension: str) -> None:
+def test_khronos_validator_accepts_written_gltf_files(tmp_path: Path, extension: str) -> None:
     """The validator reports one error, which every file with Gaussians gets.
 
     Its latest release, 2.0.0-dev.3.10, predates the extension and rejects attribute names with a colon. It warns about
@@ -137,8 +137,8 @@ def test_khronos_validator_accepts_written_files(tmp_path: Path, extension: str)
     assert {(one["severity"], one["code"]) for one in rest} <= {(1, "MESH_PRIMITIVE_GENERATED_TANGENT_SPACE")}
 
 
-def test_files_of_splat_transform_are_read(tmp_path: Path) -> None:
-    """splat-transform rotates a PLY by a half turn about z, Lumisplat about x: they differ by one about y."""
+def test_gltf_files_of_splat_transform_are_read_as_the_source_ply(tmp_path: Path) -> None:
+    """splat-transform rotates a PLY by a half turn about z, Lumisplat about x. The results differ by one about y."""
     needed("@playcanvas/splat-transform")
     given = capture(50, 3)
     ls.save(tmp_path / "a.ply", given)
@@ -159,8 +159,8 @@ def test_files_of_splat_transform_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.abs(np.einsum("nji,njk->nik", *axes)), np.tile(np.eye(3), (50, 1, 1)), atol=1e-4)
 
 
-def test_three_js_reads_written_files(tmp_path: Path) -> None:
-    """Objects have their transforms, lights their intensities, and Gaussians identical numbers."""
+def test_three_js_reads_written_gltf_scenes(tmp_path: Path) -> None:
+    """Objects have the written transforms, lights the written intensities, and Gaussians identical numbers."""
     needed("three")
     scene, camera = whole_scene()
     plain = [

@@ -52,8 +52,8 @@ def capture_covariances(gaussians: ls.Gaussians, linear: np.ndarray) -> np.ndarr
     return covariances(np.roll(gaussians.rotations_wxyz, -1, axis=1), gaussians.scales, linear)
 
 
-def test_values_match_the_file_up_to_a_half_turn(tmp_path: Path) -> None:
-    """Positions, ellipsoids, opacities and colours, after a half turn about x."""
+def test_gltf_gaussians_are_read_after_a_half_turn_about_x(tmp_path: Path) -> None:
+    """Positions, ellipsoids, opacities and colours match the file."""
     values = stored_values(degree=3)
     read = loaded_gaussians(tmp_path, splat_gltf(values))
     np.testing.assert_array_equal(read.means, values["POSITION"] * HALF_TURN_SIGNS)
@@ -64,7 +64,7 @@ def test_values_match_the_file_up_to_a_half_turn(tmp_path: Path) -> None:
     np.testing.assert_allclose(capture_covariances(read, np.eye(3)), expected, rtol=0, atol=1e-8)
 
 
-def test_sh_rotate_with_the_axes(tmp_path: Path) -> None:
+def test_sh_of_gltf_gaussians_rotate_with_the_axes(tmp_path: Path) -> None:
     """Along a rotated direction, a Gaussian has the colour that the extension's polynomials give."""
     values = stored_values(degree=1)
     read = loaded_gaussians(tmp_path, splat_gltf(values))
@@ -88,8 +88,10 @@ def test_sh_rotate_with_the_axes(tmp_path: Path) -> None:
         ("OPACITY", np.uint16, 65535),
     ],
 )
-def test_normalized_integers_are_fractions(tmp_path: Path, name: str, dtype: type[np.integer], top: int) -> None:
-    """An integer is divided by the largest value of its type."""
+def test_normalized_integer_attributes_of_gltf_gaussians_are_fractions(
+    tmp_path: Path, name: str, dtype: type[np.integer], top: int
+) -> None:
+    """A stored integer is divided by the largest value of its type."""
     values = stored_values()
     integers = np.round(values[name] * top).astype(dtype)
     read = loaded_gaussians(tmp_path, splat_gltf(values | {name: integers}))
@@ -106,7 +108,7 @@ def test_normalized_integers_are_fractions(tmp_path: Path, name: str, dtype: typ
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_integer_scales_are_scene_units(tmp_path: Path, dtype: type[np.integer]) -> None:
+def test_integer_scales_of_gltf_gaussians_are_scene_units(tmp_path: Path, dtype: type[np.integer]) -> None:
     """A scale of 0 becomes the smallest allowed scale."""
     integers = np.array([[1, 2, 3], [0, 9, 200]], dtype)
     gltf = splat_gltf(stored_values(2) | {"SCALE": integers})
@@ -116,8 +118,10 @@ def test_integer_scales_are_scene_units(tmp_path: Path, dtype: type[np.integer])
     np.testing.assert_array_equal(read.scales, np.maximum(integers, np.float32(SCALE_MIN)))
 
 
-def test_negative_scales_mean_logarithms(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One negative scale identifies the draft of January 2026, which is logged."""
+def test_negative_scales_of_gltf_gaussians_are_read_as_logarithms(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One negative scale identifies the extension's draft of January 2026, which is logged."""
     values = stored_values()
     logs = np.log(values["SCALE"])
     logs[1:] = np.abs(logs[1:])
@@ -126,8 +130,10 @@ def test_negative_scales_mean_logarithms(tmp_path: Path, caplog: pytest.LogCaptu
     assert "has 3 negative values of SCALE: they are read as logarithms" in caplog.text
 
 
-def test_opacities_outside_0_to_1_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Opacities are also logits if the scales are logarithms; a log line says so."""
+def test_opacities_of_gltf_gaussians_outside_0_to_1_are_logits(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Opacities are also logits if the scales are logarithms; a log line reports it."""
     logits = np.array([-3.0, 0.0, 0.5, 2.0, 4.0], np.float32)
     read = loaded_gaussians(tmp_path, splat_gltf(stored_values() | {"OPACITY": logits}))
     np.testing.assert_allclose(read.opacities, 1.0 / (1.0 + np.exp(-logits)), rtol=1e-6)
@@ -139,7 +145,7 @@ def test_opacities_outside_0_to_1_are_logits(tmp_path: Path, caplog: pytest.LogC
 
 
 @pytest.mark.parametrize("space", ["srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb"])
-def test_srgb_colours_keep_their_sh(tmp_path: Path, space: str) -> None:
+def test_srgb_colours_of_gltf_gaussians_keep_their_sh_coefficients(tmp_path: Path, space: str) -> None:
     """The colour space may have any name that drafts of the extension used."""
     values = stored_values()
     read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
@@ -147,8 +153,10 @@ def test_srgb_colours_keep_their_sh(tmp_path: Path, space: str) -> None:
 
 
 @pytest.mark.parametrize("space", ["lin_rec709_display", "BT.709-linear"])
-def test_linear_colours_are_encoded_as_srgb(tmp_path: Path, space: str, caplog: pytest.LogCaptureFixture) -> None:
-    """View-independent colours are encoded exactly, black stays black, and a line says what differs."""
+def test_linear_colours_of_gltf_gaussians_are_encoded_as_srgb(
+    tmp_path: Path, space: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """View-independent colours are encoded exactly, black stays black, and a log line warns."""
     values = stored_values(degree=0)
     values["SH_DEGREE_0_COEF_0"][0] = (-3.0, 0.0, 2.0)
     read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
@@ -157,7 +165,7 @@ def test_linear_colours_are_encoded_as_srgb(tmp_path: Path, space: str, caplog: 
     assert "colours in linear light" in caplog.text
 
 
-def test_color_0_and_the_material_are_ignored(tmp_path: Path) -> None:
+def test_gltf_gaussians_ignore_color_0_and_the_material(tmp_path: Path) -> None:
     """Both are fallbacks for programs without Gaussian support."""
     plain = loaded_gaussians(tmp_path, splat_gltf())
     gltf = splat_gltf(stored_values() | {"COLOR_0": np.zeros((5, 4), np.uint8)})
@@ -168,8 +176,8 @@ def test_color_0_and_the_material_are_ignored(tmp_path: Path) -> None:
         np.testing.assert_array_equal(array, read.arrays()[name])
 
 
-def test_interleaved_and_sparse_gaussian_attributes_are_read(tmp_path: Path) -> None:
-    """Attributes that share a strided view, and sparse replacements."""
+def test_interleaved_and_sparse_attributes_of_gltf_gaussians_are_read(tmp_path: Path) -> None:
+    """Two attributes share a strided buffer view, and one has sparse replacements."""
     values = stored_values()
     gltf = splat_gltf(values)
     rows = np.concatenate([values["POSITION"], values["SCALE"]], axis=1)
@@ -193,7 +201,7 @@ def test_interleaved_and_sparse_gaussian_attributes_are_read(tmp_path: Path) -> 
 # --- Nodes ---
 
 
-def test_node_transform_applies_to_single_capture(tmp_path: Path) -> None:
+def test_gltf_node_transform_applies_to_a_single_capture(tmp_path: Path) -> None:
     """Rotation, uniform scale and translation act as `transform` on means, covariances and SH."""
     values = stored_values(degree=3)
     gltf = splat_gltf(values)
@@ -221,8 +229,10 @@ def with_camera(gltf: Gltf) -> Gltf:
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (2.0, 0.5, 1.25)])
-def test_node_scales_apply_to_covariances(tmp_path: Path, scale: tuple[float, float, float]) -> None:
-    """Sigma = M C C^T M^T for the world matrix M of a child node, also with non-uniform scale."""
+def test_gltf_node_scales_stretch_the_covariances_of_gaussians(
+    tmp_path: Path, scale: tuple[float, float, float]
+) -> None:
+    """A world matrix M maps a Gaussian with matrix C to Sigma = M C C^T M^T; the scale may be non-uniform."""
     values = stored_values()
     gltf = splat_gltf(values)
     gltf.json["nodes"][0] |= {"scale": list(scale), "rotation": [0.0, 0.6, 0.0, 0.8]}
@@ -246,8 +256,8 @@ def test_node_scales_apply_to_covariances(tmp_path: Path, scale: tuple[float, fl
         np.testing.assert_allclose(colors_along(splat.gaussians, np.tile(own, (5, 1))), before, rtol=0, atol=1e-5)
 
 
-def test_instances_share_their_gaussians(tmp_path: Path) -> None:
-    """Nodes with one mesh share a capture; nodes with equal stretch share the stretched one."""
+def test_gltf_nodes_with_one_mesh_and_equal_stretch_share_a_capture(tmp_path: Path) -> None:
+    """A stretched capture is stored as a second capture, once for all nodes with equal stretch."""
     gltf = splat_gltf()
     for extra in ({}, {"scale": [1, 2, 1]}, {"scale": [1, 2, 1], "translation": [5, 0, 0]}, {"scale": [0, 0, 0]}):
         gltf.json["scenes"][0]["nodes"].append(gltf.add("nodes", mesh=0, name="copy", **extra))
@@ -259,18 +269,18 @@ def test_instances_share_their_gaussians(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "done"), [((-1.0, 1.0, 1.0), "mirrors"), ((1.0, 0.0, 1.0), "flattens")])
-def test_mirroring_or_flattening_nodes_are_refused(
+def test_gltf_nodes_that_mirror_or_flatten_gaussians_are_refused(
     tmp_path: Path, scale: tuple[float, float, float], done: str
 ) -> None:
-    """Gaussians cannot represent such transforms."""
+    """A Gaussian has positive scales and a rotation, so it cannot be mirrored or flattened."""
     gltf = splat_gltf()
     gltf.json["nodes"][0] |= {"scale": list(scale), "name": "glass"}
     with pytest.raises(ls.FormatError, match=rf"nodes\[0\] 'glass' {done} its Gaussians: expected a positive scale"):
         loaded(tmp_path, gltf)
 
 
-def test_stretched_copies_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small file cannot request a stretched copy of its capture for each of many nodes."""
+def test_total_size_of_stretched_gltf_captures_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small file cannot request a differently stretched copy of its capture for each of many nodes."""
     monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
     monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 1)
     gltf = splat_gltf()
@@ -283,8 +293,8 @@ def test_stretched_copies_are_limited(tmp_path: Path, monkeypatch: pytest.Monkey
 # --- Scene or capture ---
 
 
-def test_captures_beside_meshes_or_lights_give_a_scene(tmp_path: Path) -> None:
-    """The scene has the axes of the file, y up; cameras are loaded as usual."""
+def test_gltf_with_gaussians_meshes_lights_and_cameras_is_a_scene(tmp_path: Path) -> None:
+    """The scene has the y-up axes of the file."""
     values = stored_values()
     gltf = with_camera(splat_gltf(values))
     gltf.json |= {"extensions": {"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 7.0}]}}}
@@ -299,8 +309,8 @@ def test_captures_beside_meshes_or_lights_give_a_scene(tmp_path: Path) -> None:
     assert len(ls.load_cameras(tmp_path / "splats.glb")) == 1
 
 
-def test_point_clouds_are_not_gaussians(tmp_path: Path) -> None:
-    """A point primitive without the extension is skipped."""
+def test_gltf_point_clouds_are_skipped_beside_gaussians(tmp_path: Path) -> None:
+    """A point primitive without the Gaussian extension is no capture."""
     gltf = splat_gltf()
     gltf.json["meshes"][0]["primitives"].append({"attributes": {"POSITION": gltf.accessor(QUAD)}, "mode": 0})
     assert loaded_gaussians(tmp_path, gltf).count == 5
@@ -332,8 +342,10 @@ def change_attribute(gltf: Gltf, name: str, array: np.ndarray | None) -> Gltf:
         ),
     ],
 )
-def test_unknown_kernels_and_colour_spaces_are_named(tmp_path: Path, extension: dict, problem: str) -> None:
-    """Compression extensions, too; the message names the primitive."""
+def test_unknown_kernels_and_colour_spaces_of_gltf_gaussians_are_refused(
+    tmp_path: Path, extension: dict, problem: str
+) -> None:
+    """Compression extensions are refused, too; the message names the primitive."""
     with pytest.raises(ls.FormatError, match=rf"splats\.glb: meshes\[0\]\.primitives\[0\] {problem}"):
         loaded(tmp_path, splat_gltf(**extension))
 
@@ -355,23 +367,25 @@ def test_unknown_kernels_and_colour_spaces_are_named(tmp_path: Path, extension: 
         ("SCALE", np.full((5, 3), np.nan, np.float32), "5 NaN or infinite values in scale_0"),
     ],
 )
-def test_bad_attributes_are_refused_by_name(tmp_path: Path, name: str, array: np.ndarray | None, problem: str) -> None:
-    """Missing, of another type, too short or invalid."""
+def test_invalid_attributes_of_gltf_gaussians_are_refused_by_name(
+    tmp_path: Path, name: str, array: np.ndarray | None, problem: str
+) -> None:
+    """The attribute is missing, of another type, too short or holds invalid values."""
     with pytest.raises(ls.FormatError, match=problem) as raised:
         loaded(tmp_path, change_attribute(splat_gltf(), name, array))
     assert "\n" not in str(raised.value)
 
 
-def test_gaussians_need_point_primitives(tmp_path: Path) -> None:
-    """A triangle primitive with the extension is refused."""
+def test_gltf_gaussians_are_refused_in_triangle_primitives(tmp_path: Path) -> None:
+    """The extension allows only point primitives."""
     gltf = splat_gltf()
     primitive_of(gltf)["mode"] = 4
     with pytest.raises(ls.FormatError, match="has Gaussians in mode 4, expected mode 0"):
         loaded(tmp_path, gltf)
 
 
-def test_invalid_gaussians_are_dropped_on_request(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The option drop_invalid works as for every other format."""
+def test_drop_invalid_drops_invalid_gaussians_of_gltf_files(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Without the option the file is refused."""
     values = stored_values()
     values["POSITION"][2, 1] = np.inf
     gltf = splat_gltf(values)
@@ -381,8 +395,8 @@ def test_invalid_gaussians_are_dropped_on_request(tmp_path: Path, caplog: pytest
     assert "dropped 1 Gaussians" in caplog.text
 
 
-def test_foreign_material_attributes_are_ignored(tmp_path: Path) -> None:
-    """Custom attributes are read only from files of Lumisplat, where values out of range are refused."""
+def test_gltf_material_attributes_are_read_only_from_files_of_lumisplat(tmp_path: Path) -> None:
+    """Custom attributes of other programs are ignored; in files of Lumisplat, values out of range are refused."""
     values = stored_values() | {"_ROUGHNESS": np.full(5, 3.0, np.float32)}
     gltf = splat_gltf(values)
     assert loaded_gaussians(tmp_path, gltf).roughness is None
@@ -391,7 +405,7 @@ def test_foreign_material_attributes_are_ignored(tmp_path: Path) -> None:
         loaded(tmp_path, gltf)
 
 
-def test_gaussian_extension_may_be_required(tmp_path: Path) -> None:
+def test_gltf_files_may_require_the_gaussian_splatting_extension(tmp_path: Path) -> None:
     """A required compression extension is refused."""
     gltf = splat_gltf()
     gltf.json["extensionsRequired"] = [EXTENSION]

@@ -57,7 +57,7 @@ def corners(animation: ls.Animation, time: float) -> np.ndarray:
     return mesh.mesh.positions @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
 
 
-def test_linear_step_and_cubic_translations(tmp_path: Path) -> None:
+def test_gltf_translations_interpolate_linearly_in_steps_or_by_splines(tmp_path: Path) -> None:
     """The node moves from x = 0 at 0 s to x = 1 at 2 s; the cubic spline has tangents 2 and 0."""
     keys = [0.0, 2.0]
     ends = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
@@ -72,7 +72,7 @@ def test_linear_step_and_cubic_translations(tmp_path: Path) -> None:
         np.testing.assert_allclose(corners(moving, 9.0)[0], (1.0, 0.0, 0.0), atol=1e-6)  # the animation does not loop
 
 
-def test_animated_parent_and_child_compose(tmp_path: Path) -> None:
+def test_animations_of_gltf_parents_and_children_are_composed(tmp_path: Path) -> None:
     """The parent rotates 90 degrees about z in 1 s, while its child at x = 1 grows to 3; checked halfway."""
     rotation = [(0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))]
     nodes = [{"children": [1]}, {"mesh": 0, "translation": [1.0, 0.0, 0.0]}]
@@ -91,7 +91,7 @@ def test_animated_parent_and_child_compose(tmp_path: Path) -> None:
     np.testing.assert_allclose(corners(moving, 1.0), [(0, 1, 0), (0, 4, 0), (-1, 1, 0)], atol=1e-6)
 
 
-def test_static_nodes_form_the_scene(tmp_path: Path) -> None:
+def test_static_gltf_nodes_form_the_scene_of_an_animation(tmp_path: Path) -> None:
     """A camera below an animated node becomes the camera path."""
     nodes = [
         {"mesh": 0, "name": "still"},
@@ -107,8 +107,8 @@ def test_static_nodes_form_the_scene(tmp_path: Path) -> None:
     np.testing.assert_allclose(moving.camera_path.at(0.5).eye, (0.0, 1.0, 5.0), atol=1e-6)
 
 
-def test_step_camera_does_not_overshoot(tmp_path: Path) -> None:
-    """The camera is at one of its keys at any frame rate, before and after a STEP."""
+def test_gltf_camera_with_step_keyframes_never_moves_between_them(tmp_path: Path) -> None:
+    """Before and after a STEP, the camera is exactly at one of its keyframes at any frame rate."""
     jumps = ("translation", [0.0, 1.0, 2.0], [(0, 0, 5), (4, 0, 5), (0, 3, 5)], "STEP")
     path = written(tmp_path / "a.glb", [{"camera": 0}], [(0, jumps)]).camera_path
     assert path is not None
@@ -117,8 +117,8 @@ def test_step_camera_does_not_overshoot(tmp_path: Path) -> None:
     np.testing.assert_allclose(path.at(2.0).eye, (0, 3, 5), atol=1e-5)
 
 
-def test_very_long_camera_and_capture_animations_are_refused(tmp_path: Path) -> None:
-    """Cameras and captures need many samples; animations of meshes do not."""
+def test_gltf_animations_over_4000_s_of_cameras_or_captures_are_refused(tmp_path: Path) -> None:
+    """Cameras and captures are sampled at every frame; animations of meshes may be longer."""
     slide = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
     with pytest.raises(
         ls.FormatError, match="is animated for 30000 s, expected at most 4000 s for cameras and captures"
@@ -154,8 +154,8 @@ def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
 
 
 @pytest.mark.parametrize("mode", ["LINEAR", "STEP"])
-def test_captures_move_with_their_nodes(tmp_path: Path, mode: str) -> None:
-    """The node has a uniform scale; the capture matches its node at each frame."""
+def test_captures_move_with_their_animated_gltf_node(tmp_path: Path, mode: str) -> None:
+    """At each frame, the capture has the transform of its node, which also has a constant uniform scale."""
     moving = moving_capture(tmp_path, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], mode))
     assert not moving.scene.splats
     for time in moving.times:
@@ -166,8 +166,8 @@ def test_captures_move_with_their_nodes(tmp_path: Path, mode: str) -> None:
         np.testing.assert_allclose(instance.transform, expected @ CAPTURE_FROM_FILE, atol=1e-5)
 
 
-def test_rotating_captures_may_have_a_constant_stretch(tmp_path: Path) -> None:
-    """The stretch is applied to the Gaussians."""
+def test_rotating_gltf_captures_may_have_a_constant_nonuniform_scale(tmp_path: Path) -> None:
+    """The scale is applied to the Gaussians."""
     rotation = ("rotation", [0.0, 1.0], [(0.0, 0.0, 0.0, 1.0), (0.0, 0.6, 0.0, 0.8)], "LINEAR")
     moving = moving_capture(tmp_path, rotation, scale=[1.0, 2.0, 0.5])
     for time, degrees in ((0.0, 0.0), (1.0, 2.0 * math.degrees(math.asin(0.6)))):
@@ -180,16 +180,16 @@ def test_rotating_captures_may_have_a_constant_stretch(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scales", [(0.0, 1.0), (1.0, 0.0)])
-def test_captures_hidden_by_animation_are_refused(tmp_path: Path, scales: tuple[float, float]) -> None:
-    """Hidden at the start or later; the error is one line."""
+def test_gltf_captures_scaled_to_zero_by_animation_are_refused(tmp_path: Path, scales: tuple[float, float]) -> None:
+    """The scale is zero at the start or at the end; the error is one line."""
     sampler = ("scale", [0.0, 1.0], [(scale,) * 3 for scale in scales], "LINEAR")
     with pytest.raises(ls.FormatError, match="is stretched or hidden by the animation"):
         moving_capture(tmp_path, sampler)
 
 
 @pytest.mark.parametrize("key", ["shadow_catcher", "shadow_only"])
-def test_animated_captures_keep_their_settings(tmp_path: Path, key: str) -> None:
-    """Shadow catcher, by its current or old key, and SH degree."""
+def test_animated_gltf_captures_keep_shadow_catcher_and_sh_degree(tmp_path: Path, key: str) -> None:
+    """The flag is stored under its current key or its old one."""
     sampler = ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], "LINEAR")
     moving = moving_capture(tmp_path, sampler, extras={"lumisplat": {key: True, "sh_degree": 0}})
     (instance,) = moving.actors_at(0.5)
@@ -197,8 +197,8 @@ def test_animated_captures_keep_their_settings(tmp_path: Path, key: str) -> None
     assert splat.shadow_catcher and splat.sh_degree == 0
 
 
-def test_skins_match_the_rig_of_the_same_file(tmp_path: Path) -> None:
-    """Positions are equal at each time, and the mesh appears once."""
+def test_skinned_gltf_animations_match_the_rig_of_the_same_file(tmp_path: Path) -> None:
+    """Vertex positions of `load_animation` and `load_rig` are equal at each time, and the mesh appears once."""
     path = TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb")
     moving, rig = ls.load_animation(path), ls.avatars.load_rig(path)
     assert moving.frame_count == round(rig.duration("bend") * 25.0) + 1
@@ -209,8 +209,8 @@ def test_skins_match_the_rig_of_the_same_file(tmp_path: Path) -> None:
         )
 
 
-def test_ignored_animations_and_lights_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Only the first animation is played, and lights are static; a file without animation is refused with advice."""
+def test_ignored_gltf_animations_and_moving_lights_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Only the first animation is played, and lights stay at rest; a file without animations is refused."""
     light = {"extensions": {"KHR_lights_punctual": {"light": 0}}, "name": "lamp"}
     gltf = gltf_of([{"mesh": 0, "children": [1]}, light], {"walk": [(0, IDLE)], "run": [(0, IDLE)]})
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
@@ -224,8 +224,8 @@ def test_ignored_animations_and_lights_are_logged(tmp_path: Path, caplog: pytest
         ls.load_animation(tmp_path / "still.glb")
 
 
-def test_animate_command_renders_a_gltf(tmp_path: Path) -> None:
-    """Frames differ where the triangle moves; at a lower frame rate there are fewer."""
+def test_animate_command_renders_frames_of_a_gltf_animation(tmp_path: Path) -> None:
+    """Two frames differ where the triangle moves; the option ``--fps`` sets their number."""
     nodes = [{"mesh": 0}, {"camera": 0, "translation": [0.5, 0.5, 4.0]}]
     step = ("translation", [0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], "LINEAR")
     written(tmp_path / "a.glb", nodes, [(0, step)])

@@ -161,8 +161,8 @@ FEW_AND_ALL = [120, pytest.param(2000, marks=pytest.mark.deep)]
 
 
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_mutated_json_loads_or_is_refused(tmp_path: Path, whole: bytes, count: int) -> None:
-    """One field is removed, replaced, changed a little, or copied from elsewhere."""
+def test_gltf_with_mutated_json_loads_or_is_refused_in_one_line(tmp_path: Path, whole: bytes, count: int) -> None:
+    """One field is removed, replaced, changed a little, or copied from another item."""
     rng = np.random.default_rng(21)
     variants: list[bytes] = []
     for _ in range(count):
@@ -173,8 +173,8 @@ def test_mutated_json_loads_or_is_refused(tmp_path: Path, whole: bytes, count: i
 
 
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_mutated_bytes_load_or_are_refused(tmp_path: Path, whole: bytes, count: int) -> None:
-    """A few random bytes are changed, or the file is cut off."""
+def test_gltf_with_mutated_bytes_loads_or_is_refused_in_one_line(tmp_path: Path, whole: bytes, count: int) -> None:
+    """A few random bytes are changed, or the file is truncated."""
     rng = np.random.default_rng(22)
     variants: list[bytes] = []
     for k in range(count):
@@ -187,8 +187,13 @@ def test_mutated_bytes_load_or_are_refused(tmp_path: Path, whole: bytes, count: 
 
 @pytest.mark.parametrize("kind", ["rig", "scene"])
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_mutated_animations_load_or_are_refused(tmp_path: Path, whole: bytes, count: int, kind: str) -> None:
-    """Rigs with morph targets, and captures, meshes, lights and cameras: their JSON and their bytes in turn."""
+def test_mutated_gltf_animations_load_or_are_refused_in_one_line(
+    tmp_path: Path, whole: bytes, count: int, kind: str
+) -> None:
+    """The file is a rig with morph targets, or a scene of captures, meshes, lights and cameras.
+
+    Its JSON or its bytes are damaged.
+    """
     rng = np.random.default_rng(23)
     original = morphing(tmp_path) if kind == "rig" else moving(whole)
     assert survives(tmp_path / "mutated.glb", original, moves=True)
@@ -207,8 +212,10 @@ def test_mutated_animations_load_or_are_refused(tmp_path: Path, whole: bytes, co
     assert 0.1 < good / count < 0.9
 
 
-def test_copies_of_shared_accessors_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many primitives may share an accessor, but their copies must not fill the memory."""
+def test_total_size_of_copies_of_shared_gltf_accessors_is_limited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Many primitives may share an accessor, but the copies must not fill the memory."""
     monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
     monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 2)
     for asset in (capture(300), ls.sphere(1.0)):
@@ -221,8 +228,8 @@ def test_copies_of_shared_accessors_are_limited(tmp_path: Path, monkeypatch: pyt
             ls.load(tmp_path / "mutated.glb")
 
 
-def test_external_buffers_count_as_stored_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small .gltf may refer to a large buffer."""
+def test_external_gltf_buffers_count_toward_the_size_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit of decoded data depends on the stored bytes, which include the buffer beside a small .gltf."""
     monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
     monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 2)
     ls.save(tmp_path / "a.glb", capture(2000))
@@ -234,8 +241,8 @@ def test_external_buffers_count_as_stored_bytes(tmp_path: Path, monkeypatch: pyt
     assert isinstance(ls.load(tmp_path / "a.gltf"), ls.Gaussians)
 
 
-def test_impossible_accessor_counts_take_no_memory(tmp_path: Path, whole: bytes) -> None:
-    """A billion rows, with or without a buffer view, are refused before anything is allocated."""
+def test_impossible_gltf_accessor_counts_allocate_no_memory(tmp_path: Path, whole: bytes) -> None:
+    """A billion rows, with or without a buffer view, are refused before any allocation."""
     count = len(chunks(whole)[0]["accessors"])
     for index in (*range(0, count, 3), count - 1):
         for with_view in (True, False):

@@ -54,8 +54,8 @@ def random_rig(seed: int) -> TubeRig:
     return rig
 
 
-def test_bind_pose_reproduces_the_mesh(tmp_path: Path) -> None:
-    """Vertices and normals are those of the file, to float32."""
+def test_rig_in_bind_pose_reproduces_the_mesh_of_the_file(tmp_path: Path) -> None:
+    """Vertices and normals are equal to float32 precision."""
     rig = TubeRig(clips={"bend": BEND})
     loaded = load(rig, tmp_path)
     assert loaded.clips == ("bend",) and loaded.duration() == 1.0
@@ -66,8 +66,8 @@ def test_bind_pose_reproduces_the_mesh(tmp_path: Path) -> None:
     assert loaded.mesh.material.base_color == pytest.approx((0.8, 0.4, 0.2))
 
 
-def test_moving_only_the_root_is_a_rigid_motion(tmp_path: Path) -> None:
-    """Vertices and normals move with the root."""
+def test_animating_only_the_root_joint_moves_a_rig_rigidly(tmp_path: Path) -> None:
+    """All vertices and normals have the transform of the root."""
     rig = TubeRig(clips={"carry": CARRY})
     loaded = load(rig, tmp_path)
     for time in (0.3, 1.0, 1.9):
@@ -78,8 +78,8 @@ def test_moving_only_the_root_is_a_rigid_motion(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_poses_match_a_float64_reference(seed: int, tmp_path: Path) -> None:
-    """The rig has all interpolations and channels, and eight influences per vertex."""
+def test_rig_poses_match_a_float64_reference(seed: int, tmp_path: Path) -> None:
+    """The rig animates every channel with every interpolation, and a vertex has eight influences."""
     rig = random_rig(seed)
     loaded = load(rig, tmp_path)
     for time in (-1.0, 0.0, *np.linspace(0.05, loaded.duration("all"), 13), 99.0):
@@ -90,8 +90,8 @@ def test_poses_match_a_float64_reference(seed: int, tmp_path: Path) -> None:
         np.testing.assert_allclose(present(mesh.normals), normals, atol=2e-4)
 
 
-def test_rest_pose_equals_the_loaded_mesh(tmp_path: Path) -> None:
-    """The poses are also equal where a node mirrors."""
+def test_rest_pose_of_a_rig_equals_the_mesh_that_load_returns(tmp_path: Path) -> None:
+    """The poses are equal even if a node mirrors the mesh."""
     rig = random_rig(7)
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
     loaded = load(rig, tmp_path)
@@ -101,8 +101,8 @@ def test_rest_pose_equals_the_loaded_mesh(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.mesh.indices, shown.indices)
 
 
-def test_mirrored_rigs_face_outwards(tmp_path: Path) -> None:
-    """A mirroring root reverses triangles and normals."""
+def test_mirrored_rigs_have_outward_triangles_and_normals(tmp_path: Path) -> None:
+    """A mirroring root node reverses triangles and normals."""
     rig = TubeRig()
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
     mesh = load(rig, tmp_path).mesh
@@ -113,7 +113,7 @@ def test_mirrored_rigs_face_outwards(tmp_path: Path) -> None:
     assert ((present(mesh.normals) * mesh.positions)[:, [0, 2]].sum(axis=1) > 0.0).all()
 
 
-def test_meshes_without_a_skin_follow_their_node(tmp_path: Path) -> None:
+def test_rig_without_a_skin_follows_its_animated_node(tmp_path: Path) -> None:
     """A mesh that only its node moves is a rig, too."""
     rig = TubeRig(joints=None, weights=None, clips={"go": [(0, *CARRY[0][1:]), (0, *CARRY[1][1:])]})
     del rig.nodes[0]["skin"]
@@ -122,8 +122,8 @@ def test_meshes_without_a_skin_follow_their_node(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.pose(1.3).positions, rig.positions @ node[:3, :3].T + node[:3, 3], atol=2e-6)
 
 
-def test_morph_weights_are_animated(tmp_path: Path) -> None:
-    """Targets are added by weight before skinning; without a clip, the mesh's own weights are used."""
+def test_animated_morph_weights_add_their_targets_before_skinning(tmp_path: Path) -> None:
+    """Without a clip, the weights stored in the mesh are used."""
     rng = np.random.default_rng(3)
     rig = TubeRig()
     rig.targets = list(rng.standard_normal((2, *rig.positions.shape)).astype(np.float32))
@@ -134,8 +134,8 @@ def test_morph_weights_are_animated(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.pose(0.25).positions, wanted, atol=1e-6)
 
 
-def test_morph_targets_without_offsets_still_count(tmp_path: Path) -> None:
-    """A target with tangents only, after one with positions."""
+def test_morph_targets_without_position_offsets_count_as_targets(tmp_path: Path) -> None:
+    """The second target has only tangents, but still a weight in the animation."""
     rig = TubeRig(clips={"melt": [(0, "weights", [0, 1], [0.0, 0.0, 1.0, 1.0])]}, normals=None)
     rig.targets = [np.full_like(rig.positions, 0.5)]
     gltf = rig.gltf()
@@ -156,8 +156,8 @@ def two_primitives(rig: TubeRig, same_material: bool) -> Gltf:
     return gltf
 
 
-def test_primitives_with_one_material_are_joined(tmp_path: Path) -> None:
-    """Others are separate meshes, which `poses` returns and `pose` refuses."""
+def test_rig_primitives_with_one_material_are_joined_to_one_mesh(tmp_path: Path) -> None:
+    """Primitives with different materials are separate meshes, which `poses` returns and `pose` refuses."""
     rig = TubeRig(clips={"bend": BEND})
     count, faces = len(rig.positions), len(rig.triangles)
     (tmp_path / "one.glb").write_bytes(two_primitives(rig, True).glb())
@@ -174,16 +174,16 @@ def test_primitives_with_one_material_are_joined(tmp_path: Path) -> None:
         _ = two.mesh
 
 
-def test_zero_scale_rig_has_no_meshes(tmp_path: Path) -> None:
-    """`pose` raises an error at that time."""
+def test_rig_scaled_to_zero_by_its_clip_has_no_meshes_at_that_time(tmp_path: Path) -> None:
+    """`poses` returns an empty tuple, and `pose` raises an error."""
     loaded = load(TubeRig(clips={"vanish": VANISH}), tmp_path)
     assert loaded.poses(1.0) == ()
     with pytest.raises(ls.SceneError, match="no triangles at 1 s: its clip scales it to zero"):
         loaded.pose(1.0)
 
 
-def test_poses_share_triangles_despite_degenerate_ones(tmp_path: Path) -> None:
-    """Shadow maps recognize a surface by its triangle array."""
+def test_all_poses_of_a_rig_share_one_triangle_array(tmp_path: Path) -> None:
+    """Shadow maps recognize a surface by its array, even if degenerate triangles were dropped from the mesh."""
     rig = TubeRig(clips={"bend": BEND})
     rig.triangles = np.concatenate([rig.triangles, np.array([[0, 0, 1]], np.uint16)])
     read = load(rig, tmp_path)
@@ -192,8 +192,10 @@ def test_poses_share_triangles_despite_degenerate_ones(tmp_path: Path) -> None:
     assert early.indices is late.indices
 
 
-def test_meshes_hidden_at_rest_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A mesh with a node scale of 0 is dropped with a log line; a rig without other meshes is refused."""
+def test_rig_meshes_hidden_at_rest_are_dropped_with_a_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A node scale of 0 hides a mesh; a rig without any other mesh is refused."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes.append({"mesh": 0, "name": "hidden", "scale": [0.0, 0.0, 0.0]})
     gltf = rig.gltf()
@@ -208,8 +210,8 @@ def test_meshes_hidden_at_rest_are_dropped(tmp_path: Path, caplog: pytest.LogCap
         load(rig, tmp_path)
 
 
-def test_clips_are_chosen_by_name(tmp_path: Path) -> None:
-    """The first clip is the default; an unknown name is refused with a list of the clips."""
+def test_rig_clips_are_chosen_by_name_and_default_to_the_first(tmp_path: Path) -> None:
+    """An unknown name is refused with a list of the clips."""
     loaded = load(TubeRig(clips={"bend": BEND, "carry": CARRY}), tmp_path)
     assert loaded.duration("carry") == 2.0
     np.testing.assert_array_equal(loaded.pose(0.5).positions, loaded.pose(0.5, "bend").positions)
@@ -221,8 +223,8 @@ def test_clips_are_chosen_by_name(tmp_path: Path) -> None:
             loaded.pose(time)
 
 
-def test_rigs_without_clips_stay_at_rest(tmp_path: Path) -> None:
-    """Any time gives the rest pose, and the duration is 0."""
+def test_rigs_without_clips_stay_in_the_rest_pose(tmp_path: Path) -> None:
+    """Any time gives the rest pose; asking for the duration is an error."""
     loaded = load(TubeRig(), tmp_path)
     np.testing.assert_array_equal(loaded.pose(5.0).positions, loaded.mesh.positions)
     with pytest.raises(ls.SceneError, match="the rig has no clips"):
@@ -275,8 +277,10 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("breaks", "problem"), BROKEN, ids=[problem[:40] for _, problem in BROKEN])
-def test_broken_rigs_are_refused_by_item(breaks: Callable[[TubeRig], None], problem: str, tmp_path: Path) -> None:
-    """The one-line error names the file and item, and counts non-finite values."""
+def test_invalid_rigs_are_refused_with_file_and_item(
+    breaks: Callable[[TubeRig], None], problem: str, tmp_path: Path
+) -> None:
+    """The one-line error names the file and the glTF item, and counts non-finite values."""
     rig = TubeRig()
     breaks(rig)
     with pytest.raises(ls.FormatError) as caught:
@@ -286,8 +290,8 @@ def test_broken_rigs_are_refused_by_item(breaks: Callable[[TubeRig], None], prob
     assert problem in message
 
 
-def test_damaged_rigs_are_refused_or_read(tmp_path: Path) -> None:
-    """Random bytes give a one-line error, or a rig that can be posed."""
+def test_rigs_with_random_byte_changes_are_refused_or_can_be_posed(tmp_path: Path) -> None:
+    """A refusal is one line."""
     rng = np.random.default_rng(0)
     data = TubeRig(clips={"bend": BEND, "carry": CARRY}).gltf().glb()
     refused = 0
@@ -308,8 +312,8 @@ def test_damaged_rigs_are_refused_or_read(tmp_path: Path) -> None:
     assert 10 < refused < 80
 
 
-def test_rigs_are_refused_by_extension(tmp_path: Path) -> None:
-    """The content is not parsed; upper-case extensions are allowed."""
+def test_rigs_of_other_extensions_are_refused_without_being_parsed(tmp_path: Path) -> None:
+    """Upper-case extensions are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
         ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"
@@ -318,7 +322,7 @@ def test_rigs_are_refused_by_extension(tmp_path: Path) -> None:
     assert ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
 
 
-def test_animating_a_node_with_a_matrix_is_refused(tmp_path: Path) -> None:
+def test_animated_gltf_nodes_must_not_have_a_matrix(tmp_path: Path) -> None:
     """Only translation, rotation and scale can be animated."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
@@ -327,7 +331,7 @@ def test_animating_a_node_with_a_matrix_is_refused(tmp_path: Path) -> None:
 
 
 def test_black_vertex_colours_of_textured_meshes_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
-    """They are masks; other colours stay, and so do black ones of meshes without a texture."""
+    """Such colours are masks; other colours stay, and so do black ones of meshes without a texture."""
     texture = np.zeros((2, 2, 3), np.uint8)
     plain, textured = ls.MaterialPbr(), ls.MaterialPbr(base_color_texture=texture)
     black, gray = np.zeros((4, 3), np.float32), np.full((4, 3), 0.2, np.float32)
@@ -340,10 +344,10 @@ def test_black_vertex_colours_of_textured_meshes_are_dropped(caplog: pytest.LogC
     assert used.endswith("'head' black: if it is no colour, export it")
 
 
-def test_black_vertex_colours_are_logged_or_dropped_on_request(
+def test_black_vertex_colours_of_rigs_are_logged_or_dropped_on_request(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Vertex colours multiply the base colour, as the format demands."""
+    """Vertex colours multiply the base colour, as glTF demands, so the mesh is black."""
     rig = TubeRig()
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     path = rig.write(tmp_path / "tube.glb")
@@ -358,8 +362,8 @@ def test_black_vertex_colours_are_logged_or_dropped_on_request(
 
 
 @pytest.mark.data
-def test_real_avatar_plays_its_looping_clip(data_dir: Path) -> None:
-    """The clip ends as it begins; the rest pose equals the mesh from `load`."""
+def test_downloaded_walk_cycle_avatar_ends_as_it_begins(data_dir: Path) -> None:
+    """Its rest pose equals the mesh that `load` returns."""
     path = data_dir / "avatars" / "walk.glb"
     rig = ls.avatars.load_rig(path, vertex_colors=False)
     assert len(rig.clips) == 1

@@ -61,8 +61,8 @@ def mesh_round_trip(path: Path, material: ls.MaterialPbr | ls.MaterialSimple, **
 
 @pytest.mark.parametrize("extension", ["glb", "gltf"])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_capture_round_trip_is_exact(tmp_path: Path, degree: int, extension: str) -> None:
-    """Every field is restored bit by bit."""
+def test_gltf_round_trip_keeps_every_bit_of_a_capture(tmp_path: Path, degree: int, extension: str) -> None:
+    """All arrays, comments, the kernel degree and the antialiased flag are restored."""
     rng = np.random.default_rng(5)
     extras = {"normals": rng.normal(size=(40, 3)), "albedo": rng.random((40, 3)), "metallic": rng.random(40)}
     if degree % 2:
@@ -78,7 +78,7 @@ def test_capture_round_trip_is_exact(tmp_path: Path, degree: int, extension: str
         assert getattr(read, name) == getattr(given, name)
 
 
-def test_single_capture_is_baked_to_y_up(path: Path) -> None:
+def test_single_capture_is_written_to_gltf_with_y_up_gaussians(path: Path) -> None:
     """The half turn about x is applied to the Gaussians, so that no node has a transform."""
     given = capture(3)
     ls.save(path, given)
@@ -94,8 +94,8 @@ def test_single_capture_is_baked_to_y_up(path: Path) -> None:
     assert "extensionsRequired" not in gltf
 
 
-def test_color_0_is_linear(path: Path) -> None:
-    """Programs without Gaussian support show points in the mean colour, which glTF stores linear."""
+def test_gltf_color_0_of_written_gaussians_is_their_linear_mean_colour(path: Path) -> None:
+    """Programs without Gaussian support show points in this colour, which glTF defines as linear."""
     given = capture(6, sh=np.linspace(-3.0, 3.0, 6 * 4 * 3).reshape(6, 4, 3))
     ls.save(path, given)
     gltf, data = document(path), path.read_bytes()
@@ -108,8 +108,8 @@ def test_color_0_is_linear(path: Path) -> None:
     np.testing.assert_allclose(stored[:, 3], given.opacities, rtol=0, atol=0.5 / 255 + 1e-6)
 
 
-def test_repeated_captures_are_instances(path: Path) -> None:
-    """A capture used twice is stored once; materials and settings of its instances are kept."""
+def test_captures_used_twice_are_written_to_gltf_once(path: Path) -> None:
+    """Both instances keep their transforms, materials and settings."""
     given = capture(20)
     material = ls.MaterialPbr(roughness=0.25, sheen_color=(0.1, 0.2, 0.3), name="cloth")
     simple = ls.MaterialSimple(ambient=(0.5, 0.5, 0.5), shininess=9.0)
@@ -135,8 +135,8 @@ def test_repeated_captures_are_instances(path: Path) -> None:
     np.testing.assert_array_equal(second.transform, upright @ placed)
 
 
-def test_single_capture_with_settings_stays_a_scene(path: Path) -> None:
-    """The material and the shadow catcher flag are not lost."""
+def test_single_capture_with_settings_is_loaded_from_gltf_as_a_scene(path: Path) -> None:
+    """Its material and its shadow catcher flag are kept; a capture without settings loads as Gaussians."""
     relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
     assert expect_kind(ls.MaterialPbr, round_trip(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
     assert not holds_one_capture(path)
@@ -151,8 +151,8 @@ def test_single_capture_with_settings_stays_a_scene(path: Path) -> None:
     ("up", "to_file"),
     [("y-down", (1, -2, -3)), ("y-up", (1, 2, 3)), ("z-up", (1, 3, -2)), ("x-up", None), ((0.0, -1.0, 0.2), None)],
 )
-def test_scene_up_becomes_y(path: Path, up: Any, to_file: tuple[int, ...] | None) -> None:
-    """The scene is rotated; the usual up axes are exchanged exactly."""
+def test_written_gltf_scenes_are_rotated_to_y_up(path: Path, up: Any, to_file: tuple[int, ...] | None) -> None:
+    """The usual up directions are exchanged exactly with y."""
     given = capture(4)
     scene = ls.Scene(splats=[given], meshes=[QUAD_MESH], up=up)
     read = round_trip(path, scene)
@@ -168,8 +168,8 @@ def test_scene_up_becomes_y(path: Path, up: Any, to_file: tuple[int, ...] | None
 # --- Meshes ---
 
 
-def test_mesh_round_trip_is_exact(path: Path) -> None:
-    """Vertices, normals, texture coordinates, colours and triangles; instances share them."""
+def test_gltf_round_trip_keeps_every_bit_of_a_mesh(path: Path) -> None:
+    """Vertices, normals, texture coordinates, colours and triangles are equal; two instances share one mesh."""
     rng = np.random.default_rng(2)
     normals = rng.normal(size=(4, 3))
     mesh = replace(QUAD_MESH, normals=normals, colors=rng.random((4, 3)))
@@ -184,12 +184,12 @@ def test_mesh_round_trip_is_exact(path: Path) -> None:
     np.testing.assert_array_equal(second.transform, moved)
 
 
-def test_flat_meshes_stay_flat(path: Path) -> None:
-    """Meshes without normals stay without."""
+def test_meshes_without_normals_are_read_from_gltf_without_normals(path: Path) -> None:
+    """A flat-shaded mesh stays flat-shaded."""
     assert mesh_round_trip(path, ls.MaterialPbr()).normals is None
 
 
-def test_large_meshes_have_32_bit_indices(path: Path) -> None:
+def test_gltf_meshes_over_65535_vertices_have_32_bit_indices(path: Path) -> None:
     """65,535 is not a valid 16-bit index, because it restarts primitives."""
     rng = np.random.default_rng(0)
     for count, width in ((65535, 5123), (65536, 5125)):
@@ -199,8 +199,8 @@ def test_large_meshes_have_32_bit_indices(path: Path) -> None:
         assert gltf["accessors"][gltf["meshes"][0]["primitives"][0]["indices"]]["componentType"] == width
 
 
-def test_sheared_meshes_are_written_in_world_space(path: Path) -> None:
-    """Nodes cannot shear: vertices, normals and windings are transformed instead."""
+def test_sheared_meshes_are_written_to_gltf_in_world_space(path: Path) -> None:
+    """Nodes of glTF cannot shear, so vertices, normals and windings are transformed."""
     shear = np.eye(4)
     shear[0, 1], shear[2, 2] = 0.5, -1.0
     mesh = replace(QUAD_MESH, normals=np.tile([0.6, 0.0, 0.8], (4, 1)))
@@ -263,8 +263,10 @@ MATERIALS = [
 
 
 @pytest.mark.parametrize("material", MATERIALS, ids=lambda material: material.name or "")
-def test_material_round_trip(path: Path, material: ls.MaterialPbr | ls.MaterialSimple) -> None:
-    """Every field that glTF can store, textures bit by bit."""
+def test_gltf_round_trip_keeps_material_fields_and_texture_bits(
+    path: Path, material: ls.MaterialPbr | ls.MaterialSimple
+) -> None:
+    """Every field that glTF can store is compared."""
     read = mesh_round_trip(path, material).material
     assert type(read) is type(material)
     for field in fields(material):
@@ -279,15 +281,15 @@ def test_material_round_trip(path: Path, material: ls.MaterialPbr | ls.MaterialS
             assert found == given, field.name
 
 
-def test_textures_without_uvs_are_not_written(path: Path) -> None:
+def test_textures_of_meshes_without_uvs_are_not_written_to_gltf(path: Path) -> None:
     """Textures without coordinates are invalid in glTF."""
     mesh = mesh_round_trip(path, ls.MaterialPbr(base_color_texture=texels(1), roughness=0.125), uvs=None)
     assert expect_kind(ls.MaterialPbr, mesh.material).roughness == 0.125
     assert "textures" not in document(path)
 
 
-def test_shared_materials_and_textures_are_stored_once(path: Path) -> None:
-    """Meshes that share them refer to the same items."""
+def test_materials_and_textures_used_twice_are_written_to_gltf_once(path: Path) -> None:
+    """Meshes and materials that share an item refer to its one copy."""
     shared = texels(1)
     material = ls.MaterialPbr(base_color_texture=shared, emissive=(1.0, 1.0, 1.0))
     shared = material.base_color_texture
@@ -310,8 +312,8 @@ LIGHTS = [
 ]
 
 
-def test_punctual_light_round_trip(path: Path) -> None:
-    """The scene is y up; light sizes are stored in extras."""
+def test_gltf_round_trip_keeps_point_spot_and_directional_lights(path: Path) -> None:
+    """The scene is y up; the sizes of lights are stored in extras."""
     read = round_trip(path, ls.Scene(lights=LIGHTS, up="y-up"))
     for light, found in zip(LIGHTS, read.lights, strict=True):
         assert type(found) is type(light)
@@ -322,14 +324,14 @@ def test_punctual_light_round_trip(path: Path) -> None:
             assert getattr(found, field.name) == expected, field.name
 
 
-def test_light_colours_above_one_scale_the_intensity(path: Path) -> None:
-    """The extension limits colours to 1."""
+def test_light_colours_above_one_are_written_to_gltf_as_intensity(path: Path) -> None:
+    """KHR_lights_punctual limits colours to 1."""
     (light,) = round_trip(path, ls.Scene(lights=[ls.LightPoint((0, 0, 0), (4.0, 2.0, 1.0), 3.0)])).lights
     assert not isinstance(light, ls.LightEnvironment)
     assert (light.color, light.intensity) == ((1.0, 0.5, 0.25), 12.0)
 
 
-def test_sphere_lights_become_point_lights(path: Path) -> None:
+def test_sphere_lights_are_written_to_gltf_as_point_lights(path: Path) -> None:
     """The intensity is radiance times disk area, and extras store the radius."""
     (light,) = round_trip(path, ls.Scene(lights=[ls.LightSphere((1, 2, 3), 0.5, intensity=8.0)], up="y-up")).lights
     point = expect_kind(ls.LightPoint, light)
@@ -345,8 +347,8 @@ def cameras() -> Iterator[ls.Camera]:
     yield ls.Camera.look_at((0.0, 0.0, 9.0), (0.0, 0.0, 0.0), model="orthographic", width=64, height=64, name="third")
 
 
-def test_camera_round_trip(path: Path) -> None:
-    """Fields of view, poses and near planes, and in extras image size, exposure and lens."""
+def test_gltf_round_trip_keeps_cameras(path: Path) -> None:
+    """Fields of view, poses and near planes are glTF's; image size, exposure and lens are in extras."""
     given = tuple(cameras())
     round_trip(path, ls.Scene(meshes=[QUAD_MESH]), given)
     for camera, found in zip(given, ls.load_cameras(path), strict=True):
@@ -367,13 +369,13 @@ def logged_line(caplog: pytest.LogCaptureFixture) -> str:
     return record.getMessage()
 
 
-def test_lossless_scenes_are_written_silently(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A scene that glTF can store completely."""
+def test_writing_a_scene_that_gltf_stores_completely_logs_nothing(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The scene has Gaussians, a mesh, lights and cameras."""
     ls.save(path, ls.Scene(splats=[capture(3)], meshes=[QUAD_MESH], lights=LIGHTS), cameras=tuple(cameras()))
     assert not caplog.records
 
 
-def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_losses_of_writing_a_scene_to_gltf_are_one_log_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The warning lists every lost feature with its count."""
     camera = next(cameras())
     scene = ls.Scene(
@@ -408,8 +410,8 @@ def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixt
     assert len(ls.load_cameras(path)) == 2
 
 
-def test_scenes_with_nothing_to_write_are_refused(path: Path) -> None:
-    """An empty scene, and one that glTF cannot store at all, leave no file."""
+def test_scenes_without_content_that_gltf_can_store_are_refused(path: Path) -> None:
+    """No file is left behind for an empty scene or one with only an environment."""
     with pytest.raises(ls.FormatError, match="the scene is empty"):
         ls.save(path, ls.Scene())
     with pytest.raises(ls.FormatError, match="glTF cannot store the environment: there is nothing else to write"):
@@ -417,8 +419,8 @@ def test_scenes_with_nothing_to_write_are_refused(path: Path) -> None:
     assert not path.exists()
 
 
-def test_failed_write_keeps_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files appear complete or not at all."""
+def test_failed_gltf_write_keeps_the_existing_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The write fails at a limit of 100 bytes, and no temporary file stays."""
     ls.save(path, capture(3))
     before = path.read_bytes()
     monkeypatch.setattr("lumisplat.io.gltf.container._GLB_MAX", 100)
@@ -428,8 +430,8 @@ def test_failed_write_keeps_the_old_file(path: Path, monkeypatch: pytest.MonkeyP
     assert [one.name for one in path.parent.iterdir()] == [path.name]
 
 
-def test_capture_formats_refuse_scenes(tmp_path: Path) -> None:
-    """Scenes, meshes and cameras are refused, and the error lists the formats that store them."""
+def test_capture_formats_refuse_scenes_meshes_and_cameras(tmp_path: Path) -> None:
+    """The error lists the formats that store them."""
     for asset, shown in ((ls.Scene(meshes=[QUAD_MESH]), ()), (QUAD_MESH, ()), (capture(3), tuple(cameras()))):
         with pytest.raises(
             ls.FormatError, match=r"a\.ply: stores only Gaussians: save scenes and meshes .* \.glb, \.gltf"
@@ -441,13 +443,13 @@ def test_capture_formats_refuse_scenes(tmp_path: Path) -> None:
         ls.io.check_format(tmp_path / "a.obj", scene=True)
 
 
-def test_undecodable_names_are_written_with_question_marks(path: Path) -> None:
-    """File names that are not UTF-8 are not refused."""
+def test_undecodable_object_names_are_written_to_gltf_with_question_marks(path: Path) -> None:
+    """A name made of a file name that is not UTF-8 is changed, not refused."""
     scene = ls.Scene(meshes=[replace(QUAD_MESH, name="no\udce9l"), replace(QUAD_MESH, name="Stück")])
     assert [mesh.name for mesh in round_trip(path, scene).meshes] == ["no?l", "Stück"]
 
 
-def test_single_mesh_is_saved_as_a_scene(path: Path) -> None:
-    """Loading gives a scene with one mesh."""
+def test_single_mesh_saved_as_gltf_is_loaded_as_a_scene(path: Path) -> None:
+    """The scene has one mesh."""
     ls.save(path, QUAD_MESH)
     assert expect_kind(ls.Scene, ls.load(path)).meshes[0].mesh.name == "quad"

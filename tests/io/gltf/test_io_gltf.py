@@ -30,8 +30,8 @@ def only_mesh(scene: Scene) -> MeshInstance:
 
 
 @pytest.mark.parametrize("container", ["glb", "data uri", "external"])
-def test_textured_quad_is_equal_in_every_container(tmp_path: Path, container: str) -> None:
-    """Geometry, factors and texture are unchanged."""
+def test_gltf_quad_is_read_alike_from_glb_data_uri_and_external_buffer(tmp_path: Path, container: str) -> None:
+    """Geometry, material factors and texture are equal."""
     gltf = quad_gltf()
     if container == "glb":
         instance = only_mesh(read(tmp_path, gltf))
@@ -49,7 +49,7 @@ def test_textured_quad_is_equal_in_every_container(tmp_path: Path, container: st
     assert instance.name == "quad"
 
 
-def test_texture_may_be_an_external_file(tmp_path: Path) -> None:
+def test_gltf_textures_may_be_external_image_files(tmp_path: Path) -> None:
     """The image lies beside the .gltf."""
     gltf = quad_gltf()
     gltf.json["images"] = [{"uri": "paint.png"}]
@@ -57,8 +57,8 @@ def test_texture_may_be_an_external_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
 
 
-def test_child_transform_applies_before_its_parents(tmp_path: Path) -> None:
-    """A TRS child below a parent with a column-major matrix."""
+def test_gltf_child_transform_applies_before_that_of_its_parent(tmp_path: Path) -> None:
+    """The child has translation, rotation and scale, the parent a column-major matrix."""
     half = np.sqrt(0.5)
     gltf = quad_gltf(translation=[1, 0, 0], rotation=[0, 0, half, half], scale=[2, 1, 1])
     matrix = np.diag([1.0, 1.0, -1.0, 1.0])
@@ -71,15 +71,15 @@ def test_child_transform_applies_before_its_parents(tmp_path: Path) -> None:
     np.testing.assert_allclose(world_from_object @ (0, 1, 1, 1), (0, 0, 4, 1), atol=1e-12)
 
 
-def test_shared_mesh_is_read_once(tmp_path: Path) -> None:
-    """Two nodes with one mesh give two instances of one object, which is uploaded once."""
+def test_gltf_nodes_with_one_mesh_share_one_mesh_object(tmp_path: Path) -> None:
+    """The shared object is uploaded to the device once."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, translation=[3, 0, 0])
     first, second = read(tmp_path, gltf).meshes
     assert first.mesh is second.mesh
 
 
-def test_only_the_default_scene_is_read(tmp_path: Path) -> None:
+def test_only_the_default_scene_of_a_gltf_is_read(tmp_path: Path) -> None:
     """Nodes of other scenes and nodes of zero scale are skipped."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, scale=[0, 0, 0])
@@ -92,8 +92,10 @@ def test_only_the_default_scene_is_read(tmp_path: Path) -> None:
     ("mode", "corners", "triangles"),
     [(5, [0, 1, 3, 2], [(0, 1, 3), (1, 2, 3)]), (6, [0, 1, 2, 3], [(0, 1, 2), (0, 2, 3)])],
 )
-def test_strips_and_fans_become_triangles(tmp_path: Path, mode: int, corners: list, triangles: list) -> None:
-    """The triangles all have the same winding."""
+def test_gltf_strips_and_fans_become_triangles_of_one_winding(
+    tmp_path: Path, mode: int, corners: list, triangles: list
+) -> None:
+    """A quad is stored as a triangle strip or as a fan."""
     gltf = quad_gltf(textured=False)
     gltf.json["meshes"][0]["primitives"][0] |= {"mode": mode, "indices": gltf.accessor(np.array(corners, np.uint8))}
     mesh = only_mesh(read(tmp_path, gltf)).mesh
@@ -102,8 +104,8 @@ def test_strips_and_fans_become_triangles(tmp_path: Path, mode: int, corners: li
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
 
 
-def test_interleaved_normalized_and_sparse_accessors(tmp_path: Path) -> None:
-    """Strides, offsets, normalized integers and sparse values are decoded as in section 3.6.2."""
+def test_gltf_accessors_may_be_interleaved_normalized_and_sparse(tmp_path: Path) -> None:
+    """Section 3.6.2 of the glTF specification defines strides, offsets, normalized integers and sparse values."""
     gltf = quad_gltf(textured=False)
     rows = b"".join(struct.pack("<3f4B", *p, 255, 51, 0, 255) for p in QUAD)
     view = gltf.view(rows, byteStride=16)
@@ -128,8 +130,8 @@ def test_interleaved_normalized_and_sparse_accessors(tmp_path: Path) -> None:
     np.testing.assert_allclose(present(mesh.colors), [(1.0, 0.2, 0.0)] * 4)
 
 
-def test_quantized_positions_are_decoded(tmp_path: Path) -> None:
-    """KHR_mesh_quantization: signed normalized integers are -1 at both of their lowest values."""
+def test_quantized_gltf_positions_are_decoded(tmp_path: Path) -> None:
+    """Signed normalized integers of KHR_mesh_quantization are -1 at both of their lowest values."""
     gltf = quad_gltf(textured=False)
     gltf.json["extensionsRequired"] = ["KHR_mesh_quantization"]
     stored = np.array([(-128, 0, 0), (127, 0, 0), (0, -127, 0), (0, 127, 0)], np.int8)
@@ -139,15 +141,15 @@ def test_quantized_positions_are_decoded(tmp_path: Path) -> None:
     np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.positions, expected)
 
 
-def test_texture_transform_rotates_counter_clockwise() -> None:
+def test_gltf_texture_transform_rotates_counter_clockwise() -> None:
     """A quarter turn maps +u to -v, which is up in the image; scale applies first, offset last."""
     uvs = np.array([(1, 0), (0, 1)], dtype=np.float32)
     turned = UvTransform(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).apply(uvs)
     np.testing.assert_allclose(turned, [(10, 18), (13, 20)], atol=1e-5)
 
 
-def test_texture_uses_its_texcoord_set(tmp_path: Path) -> None:
-    """The texCoord of the base colour texture selects the set of coordinates."""
+def test_gltf_texture_selects_its_set_of_texture_coordinates(tmp_path: Path) -> None:
+    """The texCoord of the base colour texture is 1, so TEXCOORD_1 is used."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
@@ -155,8 +157,8 @@ def test_texture_uses_its_texcoord_set(tmp_path: Path) -> None:
     np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.uvs, QUAD_UVS * 0.5)
 
 
-def test_material_extensions_and_defaults(tmp_path: Path) -> None:
-    """The index of refraction and specular are read; a primitive without material gets glTF's default."""
+def test_gltf_ior_and_specular_are_read_and_have_defaults(tmp_path: Path) -> None:
+    """A primitive without a material gets glTF's default material."""
     gltf = quad_gltf(textured=False)
     extensions = {"KHR_materials_ior": {"ior": 1.33}, "KHR_materials_specular": {"specularFactor": 0.4}}
     gltf.json["materials"][0]["extensions"] = extensions
@@ -175,7 +177,9 @@ GLASS = {
 }
 
 
-def test_transmissive_solid_is_read_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_gltf_glass_with_transmission_and_ior_is_read_without_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Missing factors have the defaults of the extensions."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0] = {
@@ -191,8 +195,8 @@ def test_transmissive_solid_is_read_silently(tmp_path: Path, caplog: pytest.LogC
     assert not caplog.records
 
 
-def test_thickness_makes_a_solid_with_absorption(tmp_path: Path) -> None:
-    """A transmissive material without thickness is thin-walled."""
+def test_gltf_thickness_makes_transmissive_material_a_solid(tmp_path: Path) -> None:
+    """The solid absorbs light; without a thickness the material is thin-walled."""
     gltf = quad_gltf(textured=False)
     volume = {"thicknessFactor": 1, "attenuationDistance": 2, "attenuationColor": [0.5, 0.25, 1]}
     gltf.json["materials"][0]["extensions"] = GLASS | {"KHR_materials_volume": volume}
@@ -217,8 +221,8 @@ def with_alpha(gltf: Gltf, alpha: int = 7) -> Gltf:
     return gltf
 
 
-def test_alpha_mode_cutoff_and_factor_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The texture's alpha channel is kept, also for unlit materials."""
+def test_gltf_alpha_mode_cutoff_and_factor_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The alpha channel of the texture stays, also for unlit materials."""
     for extensions in ({}, {"KHR_materials_unlit": {}}):
         gltf = with_alpha(quad_gltf())
         material = gltf.json["materials"][0]
@@ -233,16 +237,18 @@ def test_alpha_mode_cutoff_and_factor_are_read(tmp_path: Path, caplog: pytest.Lo
     assert only_mesh(read(tmp_path, gltf)).mesh.material.alpha_mode is ls.AlphaMode.BLEND
 
 
-def test_unknown_alpha_mode_is_refused(tmp_path: Path) -> None:
-    """The error lists the known modes."""
+def test_unknown_gltf_alpha_mode_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+    """The error lists 'opaque', 'mask' and 'blend'."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["alphaMode"] = "HALF"
     with pytest.raises(ls.FormatError, match=r"alpha_mode is 'half', expected 'opaque', 'mask' or 'blend'"):
         read(tmp_path, gltf)
 
 
-def test_samplers_set_wrap_modes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Along each axis and for each texture; unknown modes are refused."""
+def test_gltf_samplers_set_the_wrap_mode_of_each_axis_and_texture(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Unknown wrap modes are refused."""
     gltf = quad_gltf()
     assert only_mesh(read(tmp_path, gltf)).mesh.material.wrap_u is ls.TextureWrap.REPEAT
     gltf.add("samplers", wrapS=33071, wrapT=33648)
@@ -263,14 +269,16 @@ def test_samplers_set_wrap_modes(tmp_path: Path, caplog: pytest.LogCaptureFixtur
         read(tmp_path, gltf)
 
 
-def test_unused_alpha_channels_are_dropped(tmp_path: Path) -> None:
-    """Opaque materials get three channels."""
+def test_alpha_channels_of_opaque_gltf_materials_are_dropped(tmp_path: Path) -> None:
+    """The texture gets three channels."""
     gltf = with_alpha(quad_gltf())
     np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
 
 
-def test_texture_without_uvs_is_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A log line reports the dropped texture."""
+def test_gltf_textures_without_uvs_are_dropped_with_a_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The line names the material."""
     gltf = quad_gltf()
     del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -278,7 +286,7 @@ def test_texture_without_uvs_is_dropped(tmp_path: Path, caplog: pytest.LogCaptur
     assert ["the texture of 'painted' is left out" in record.message for record in caplog.records] == [True]
 
 
-def test_skin_ignores_the_transform_of_its_mesh_node(tmp_path: Path) -> None:
+def test_gltf_skin_ignores_the_transform_of_the_node_of_its_mesh(tmp_path: Path) -> None:
     """Vertices follow the blended joint transforms times inverse bind matrices."""
     gltf = quad_gltf(textured=False, translation=[100, 0, 0], skin=0)
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
@@ -300,8 +308,8 @@ def test_skin_ignores_the_transform_of_its_mesh_node(tmp_path: Path) -> None:
     np.testing.assert_allclose(instance.mesh.normals[:3], [(0, 0, 1), (0, 0, 1), (0, -1, 0)], atol=1e-6)
 
 
-def test_morph_targets_have_default_weights(tmp_path: Path) -> None:
-    """Morph offsets are added with the mesh's weights."""
+def test_gltf_morph_targets_are_added_with_the_weights_of_the_mesh(tmp_path: Path) -> None:
+    """A weight of 0.25 adds a quarter of the offset to each position."""
     gltf = quad_gltf(textured=False)
     offsets = gltf.accessor(np.array([(0, 0, 4)] * 4, np.float32))
     gltf.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": offsets}]
@@ -311,8 +319,8 @@ def test_morph_targets_have_default_weights(tmp_path: Path) -> None:
     )
 
 
-def test_zero_normals_are_rebuilt(tmp_path: Path) -> None:
-    """A normal of zero length becomes that of the adjacent triangles, not NaN."""
+def test_gltf_normals_of_zero_length_become_those_of_the_triangles(tmp_path: Path) -> None:
+    """A normal is never NaN."""
     gltf = quad_gltf(textured=False)
     normals = gltf.accessor(np.array([(0, 0, 0), (0, 3, 0), (0, 0, 0), (1, 0, 0)], np.float32))
     gltf.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
@@ -325,8 +333,10 @@ def test_zero_normals_are_rebuilt(tmp_path: Path) -> None:
     ("name", "instances", "faces"),
     [("meshes/Duck.glb", 1, 4212), ("meshes/statue.glb", 5, 16259), ("avatars/walk.glb", 1, 6050)],
 )
-def test_real_files_load_upright(data_dir: Path, name: str, instances: int, faces: int) -> None:
-    """Real exports have their textures and unit normals; y is the tallest side."""
+def test_downloaded_gltf_files_load_upright_with_textures(
+    data_dir: Path, name: str, instances: int, faces: int
+) -> None:
+    """Normals have unit length, and y is the tallest side of statue and avatar."""
     scene = expect_kind(Scene, read_gltf(data_dir / name))
     assert (len(scene.meshes), scene.face_count) == (instances, faces)
     for instance in scene.meshes:

@@ -36,8 +36,8 @@ def perspective(**changes: Any) -> dict[str, Any]:
     return {"type": "perspective", "perspective": lens, "name": "lens"}
 
 
-def test_cameras_look_along_minus_z_with_y_up(tmp_path: Path) -> None:
-    """Nodes move cameras, but scales and mirrorings are ignored."""
+def test_gltf_cameras_look_along_minus_z_with_y_up(tmp_path: Path) -> None:
+    """Nodes move cameras, but scales and mirrorings of nodes are ignored."""
     (camera,) = read(tmp_path, camera_gltf(perspective()))
     np.testing.assert_allclose(camera.camera_from_world, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-15)
     gltf = camera_gltf(perspective(), rotation=[0, HALF, 0, HALF], translation=[0, 0, 1], scale=[2, 3, 4], name="door")
@@ -62,10 +62,10 @@ def test_cameras_look_along_minus_z_with_y_up(tmp_path: Path) -> None:
         (1.5, {"width": 100, "height": 300}, (100, 300)),
     ],
 )
-def test_aspect_ratio_is_fitted_into_the_image_size(
+def test_aspect_ratio_of_a_gltf_camera_is_fitted_into_the_image_size(
     tmp_path: Path, aspect: float | None, given: dict[str, int], size: tuple[int, int]
 ) -> None:
-    """Into 1280 x 720 or the requested size; fov_y is unchanged."""
+    """The size is 1280 x 720 or the requested one; fov_y is unchanged."""
     (camera,) = read(tmp_path, camera_gltf(perspective(aspectRatio=aspect)), **given)
     assert (camera.width, camera.height) == size
     assert camera.fov_y == pytest.approx(0.8)
@@ -73,7 +73,7 @@ def test_aspect_ratio_is_fitted_into_the_image_size(
     assert camera.near == 0.1
 
 
-def test_orthographic_magnifications_are_half_sizes(tmp_path: Path) -> None:
+def test_gltf_orthographic_magnifications_are_half_the_image_size(tmp_path: Path) -> None:
     """The near plane may be at 0."""
     lens = {"xmag": 3.0, "ymag": 2.0, "znear": 0.0, "zfar": 10.0}
     gltf = camera_gltf({"type": "orthographic", "orthographic": lens}, scale=[5, 5, 5])
@@ -84,7 +84,7 @@ def test_orthographic_magnifications_are_half_sizes(tmp_path: Path) -> None:
     assert 0.0 < camera.near <= 0.01
 
 
-def test_cameras_have_node_order_and_unique_names(tmp_path: Path) -> None:
+def test_gltf_cameras_have_the_order_of_nodes_and_unique_names(tmp_path: Path) -> None:
     """A file without cameras gives an empty list."""
     gltf = camera_gltf(perspective(), name="left")
     gltf.add("nodes", camera=0)
@@ -93,8 +93,8 @@ def test_cameras_have_node_order_and_unique_names(tmp_path: Path) -> None:
     assert read(tmp_path, quad_gltf()) == []
 
 
-def test_file_with_only_cameras_is_an_empty_scene(tmp_path: Path) -> None:
-    """Loading it is not an error."""
+def test_gltf_with_only_cameras_loads_as_an_empty_scene(tmp_path: Path) -> None:
+    """The scene has neither meshes nor lights, and loading it is no error."""
     read(tmp_path, camera_gltf(perspective()))
     scene = ls.load(tmp_path / "a.glb")
     assert isinstance(scene, ls.Scene)
@@ -121,7 +121,7 @@ def test_file_with_only_cameras_is_an_empty_scene(tmp_path: Path) -> None:
         (perspective(), {"translation": [0, 0, math.nan]}, r"nodes\[0\] has translation .* finite"),
     ],
 )
-def test_invalid_cameras_are_refused_by_name(
+def test_invalid_gltf_cameras_are_refused_by_name(
     tmp_path: Path, camera: dict[str, Any], node: dict[str, Any], message: str
 ) -> None:
     """The error is one line."""

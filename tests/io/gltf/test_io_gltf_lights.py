@@ -35,8 +35,8 @@ def read(tmp_path: Path, gltf: Gltf) -> ls.Scene:
     return scene
 
 
-def test_point_light_properties_are_read(tmp_path: Path) -> None:
-    """Colour, candela and range; a file with only lights loads."""
+def test_gltf_point_light_has_colour_candela_and_range(tmp_path: Path) -> None:
+    """A file with only lights loads."""
     light = {"type": "point", "color": [1.0, 0.5, 0.25], "intensity": 40.0, "range": 7.0, "name": "bulb"}
     scene = read(tmp_path, light_gltf(light, translation=[1, 2, 3]))
     assert not scene.meshes
@@ -47,8 +47,8 @@ def test_point_light_properties_are_read(tmp_path: Path) -> None:
     assert point.radius == 0.0 and point.enabled and point.casts_shadow
 
 
-def test_light_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
-    """White, 1 candela, infinite range, and a cone that fades from its axis to 45 degrees."""
+def test_gltf_lights_have_the_defaults_of_the_extension(tmp_path: Path) -> None:
+    """A light is white with 1 candela and infinite range, and a spot's cone fades from its axis to 45 degrees."""
     (spot,) = read(tmp_path, light_gltf({"type": "spot", "spot": {}})).lights
     assert isinstance(spot, ls.LightSpot)
     assert (spot.color, spot.intensity, spot.range) == ((1.0, 1.0, 1.0), 1.0, math.inf)
@@ -57,7 +57,7 @@ def test_light_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scale", [[1, 1, 1], [3, 3, 3], [1, 2, 5]])
-def test_spot_shines_along_minus_z_of_its_node(tmp_path: Path, scale: list[float]) -> None:
+def test_gltf_spot_shines_along_minus_z_of_its_node(tmp_path: Path, scale: list[float]) -> None:
     """Node scales move the spot, but change neither intensity nor range."""
     light = {"type": "spot", "intensity": 9.0, "range": 4.0, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5}}
     gltf = light_gltf(light, translation=[0, 1, 0], rotation=LOOK_DOWN, name="over the table")
@@ -71,15 +71,15 @@ def test_spot_shines_along_minus_z_of_its_node(tmp_path: Path, scale: list[float
     assert (spot.inner_angle, spot.outer_angle) == (0.1, 0.5)
 
 
-def test_directional_light_is_in_lux(tmp_path: Path) -> None:
-    """A directional light has a direction and no position."""
+def test_gltf_directional_light_has_a_direction_and_lux(tmp_path: Path) -> None:
+    """The light shines along -z of its node, and has no position."""
     (sun,) = read(tmp_path, light_gltf({"type": "directional", "intensity": 5.0}, rotation=LOOK_DOWN)).lights
     assert isinstance(sun, ls.LightDirectional)
     np.testing.assert_allclose(sun.direction, (0.0, -1.0, 0.0), atol=1e-12)
     assert sun.intensity == 5.0
 
 
-def test_lights_may_be_shared_by_nodes(tmp_path: Path) -> None:
+def test_gltf_nodes_may_share_a_light(tmp_path: Path) -> None:
     """Lights of other scenes and hidden nodes are skipped."""
     gltf = quad_gltf()
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}, {"type": "directional"}]}}
@@ -95,8 +95,10 @@ def test_lights_may_be_shared_by_nodes(tmp_path: Path) -> None:
     ("inner", "outer"),
     [(0.5, 0.5), (0.5000004, 0.5), (math.pi / 2, math.pi / 2), (0.4, None), (0.0, 0.0), (1.5709, 1.5709)],
 )
-def test_equal_cone_angles_get_a_narrow_edge(tmp_path: Path, inner: float, outer: float | None, caplog) -> None:
-    """Other programs allow a hard edge; ours is a thousandth of a radian wide. Rounding is accepted, too."""
+def test_gltf_spot_with_equal_cone_angles_gets_a_narrow_edge(
+    tmp_path: Path, inner: float, outer: float | None, caplog
+) -> None:
+    """Lumisplat's narrowest edge is a thousandth of a radian; angles in the wrong order by rounding are accepted."""
     cone = {"innerConeAngle": inner} | ({"outerConeAngle": outer} if outer is not None else {})
     scene = read(tmp_path, light_gltf({"type": "spot", "name": "bulb", "spot": cone}))
     spot = expect_kind(ls.LightSpot, scene.lights[0])
@@ -108,8 +110,8 @@ def test_equal_cone_angles_get_a_narrow_edge(tmp_path: Path, inner: float, outer
 
 @pytest.mark.parametrize("kind", ["point", "spot"])
 @pytest.mark.parametrize("reach", [0.0, -0.0, -1.0])
-def test_range_zero_means_infinite(tmp_path: Path, kind: str, reach: float, caplog) -> None:
-    """Programs such as three.js write 0; a log line says how it is read."""
+def test_gltf_light_range_of_zero_or_less_is_read_as_infinite(tmp_path: Path, kind: str, reach: float, caplog) -> None:
+    """Programs such as three.js write 0; a log line reports it."""
     (light,) = read(tmp_path, light_gltf({"type": kind, "name": "bulb", "range": reach})).lights
     assert isinstance(light, ls.LightPoint | ls.LightSpot) and light.range == math.inf
     assert f"lights[0] 'bulb': range {reach:g} is read as infinite" in caplog.text
@@ -137,7 +139,7 @@ def test_range_zero_means_infinite(tmp_path: Path, kind: str, reach: float, capl
         ({"type": "spot", "spot": {"innerConeAngle": -0.1}}, r"lights\[0\] 'bulb': inner_angle is -0.1"),
     ],
 )
-def test_invalid_lights_are_refused_by_name(tmp_path: Path, light: dict[str, Any], message: str) -> None:
+def test_invalid_gltf_lights_are_refused_by_name(tmp_path: Path, light: dict[str, Any], message: str) -> None:
     """The error is one line."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         read(tmp_path, light_gltf({"name": "bulb", **light}))
@@ -155,16 +157,16 @@ def test_invalid_lights_are_refused_by_name(tmp_path: Path, light: dict[str, Any
         ({"children": [0]}, r"nodes\[0\] is its own ancestor"),
     ],
 )
-def test_invalid_nodes_are_refused(tmp_path: Path, node: dict[str, Any], message: str) -> None:
-    """Bad references, NaN in a transform, and a node that is its own ancestor."""
+def test_invalid_gltf_nodes_are_refused(tmp_path: Path, node: dict[str, Any], message: str) -> None:
+    """Errors are bad references, NaN in a transform, and a node that is its own ancestor."""
     gltf = light_gltf({"type": "point"})
     gltf.json["nodes"][0] |= node
     with pytest.raises(ls.FormatError, match=message):
         read(tmp_path, gltf)
 
 
-def test_file_without_content_is_refused(tmp_path: Path) -> None:
-    """The file has neither mesh, light nor camera."""
+def test_gltf_without_gaussians_mesh_light_or_camera_is_refused(tmp_path: Path) -> None:
+    """The file has one empty node."""
     gltf = Gltf()
     gltf.add("nodes", name="empty")
     with pytest.raises(ls.FormatError, match="no Gaussians, triangle mesh, light or camera"):

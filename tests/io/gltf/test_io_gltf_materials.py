@@ -37,7 +37,9 @@ def read(tmp_path: Path, gltf: Gltf) -> ls.Mesh:
     return instance.mesh
 
 
-def test_all_textures_and_factors_are_read_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_gltf_textures_and_factors_are_read_without_a_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Textures and factors are as stored, without a log line."""
     gltf = textured(
         normalTexture={"index": 2, "scale": 0.5},
@@ -60,7 +62,7 @@ def test_all_textures_and_factors_are_read_silently(tmp_path: Path, caplog: pyte
     assert not caplog.records
 
 
-def test_missing_values_have_the_defaults_of_gltf(tmp_path: Path) -> None:
+def test_missing_gltf_material_values_have_the_defaults_of_gltf(tmp_path: Path) -> None:
     """An emissive strength without an emissive factor has no effect."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}}
@@ -74,14 +76,16 @@ def test_missing_values_have_the_defaults_of_gltf(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stored", "expected"), [({}, False), ({"doubleSided": False}, False), ({"doubleSided": True}, True)]
 )
-def test_emission_is_one_sided_unless_double_sided(tmp_path: Path, stored: dict[str, bool], expected: bool) -> None:
+def test_gltf_emission_is_one_sided_unless_double_sided(
+    tmp_path: Path, stored: dict[str, bool], expected: bool
+) -> None:
     """The default of ``doubleSided`` is one side."""
     material = read(tmp_path, textured(emissiveFactor=[1.0, 0.5, 0.25], **stored)).material
     assert isinstance(material, ls.MaterialPbr)
     assert material.double_sided is expected
 
 
-def test_unlit_material_emits_its_base_colour(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_unlit_gltf_material_emits_its_base_colour(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """KHR_materials_unlit reflects nothing, and its other textures are ignored."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, extensions={"KHR_materials_unlit": {}})
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -96,8 +100,10 @@ def test_unlit_material_emits_its_base_colour(tmp_path: Path, caplog: pytest.Log
 TRANSFORM = {"KHR_texture_transform": {"scale": [2.0, 2.0]}}
 
 
-def test_textures_with_other_coordinates_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Another set or transform than the base colour's; one line names them."""
+def test_gltf_textures_need_the_coordinates_of_the_base_colour_texture(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Textures with another set or transform of coordinates are dropped; one log line names them."""
     gltf = textured(
         normalTexture={"index": 2, "texCoord": 1},
         occlusionTexture={"index": 3},
@@ -117,8 +123,10 @@ def test_textures_with_other_coordinates_are_dropped(tmp_path: Path, caplog: pyt
     )
 
 
-def test_textures_with_equal_transforms_are_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The transform is applied to the coordinates."""
+def test_gltf_textures_with_the_transform_of_the_base_colour_are_read(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The transform is applied to the texture coordinates."""
     gltf = textured(
         normalTexture={"index": 2, "extensions": {"KHR_texture_transform": {"scale": [2, 2], "offset": [0, 0]}}}
     )
@@ -130,8 +138,8 @@ def test_textures_with_equal_transforms_are_kept(tmp_path: Path, caplog: pytest.
     assert not caplog.records
 
 
-def test_first_texture_sets_the_coordinates(tmp_path: Path) -> None:
-    """The normal texture sets the coordinates if there is no base colour texture."""
+def test_first_gltf_texture_sets_the_coordinates_without_a_base_colour(tmp_path: Path) -> None:
+    """The first texture is here the normal texture."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, occlusionTexture={"index": 3})
     del gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
@@ -142,8 +150,10 @@ def test_first_texture_sets_the_coordinates(tmp_path: Path) -> None:
     assert mesh.material.normal_texture is not None and mesh.material.occlusion_texture is None
 
 
-def test_textures_without_uvs_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One line counts them."""
+def test_gltf_textures_of_meshes_without_uvs_are_dropped_and_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One log line counts the dropped textures."""
     gltf = textured(normalTexture={"index": 2})
     del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -163,14 +173,14 @@ def test_textures_without_uvs_are_dropped(tmp_path: Path, caplog: pytest.LogCapt
         ({"normalTexture": {"index": 2, "extensions": {"KHR_texture_transform": {"scale": "big"}}}}, "damaged"),
     ],
 )
-def test_invalid_materials_are_refused_by_name(tmp_path: Path, material: dict[str, Any], message: str) -> None:
+def test_invalid_gltf_materials_are_refused_by_name(tmp_path: Path, material: dict[str, Any], message: str) -> None:
     """The error is one line."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         read(tmp_path, textured(**material))
     assert "\n" not in str(caught.value)
 
 
-def test_transmission_clearcoat_and_sheen_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_gltf_transmission_clearcoat_and_sheen_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Factors and textures are read without a log line."""
     glass = {"transmissionFactor": 0.75, "transmissionTexture": {"index": 4}}
     coat: dict[str, Any] = {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25}
@@ -197,8 +207,10 @@ def test_transmission_clearcoat_and_sheen_are_read(tmp_path: Path, caplog: pytes
         read(tmp_path, gltf)
 
 
-def test_layer_textures_need_the_same_coordinates(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Others are dropped with a log line."""
+def test_gltf_clearcoat_textures_need_the_coordinates_of_the_base_colour(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Textures with other coordinates are dropped with a log line."""
     coat = {"clearcoatTexture": {"index": 1, "texCoord": 1}, "clearcoatRoughnessTexture": {"index": 2}}
     with caplog.at_level(logging.WARNING, "lumisplat"):
         material = pbr_of(read(tmp_path, textured(extensions={"KHR_materials_clearcoat": coat})))
@@ -209,10 +221,10 @@ def test_layer_textures_need_the_same_coordinates(tmp_path: Path, caplog: pytest
 @pytest.mark.parametrize(
     ("extension", "texture"), [("clearcoat", "clearcoatNormalTexture"), ("volume", "thicknessTexture")]
 )
-def test_unused_textures_are_logged_with_the_reason(
+def test_unsupported_gltf_textures_are_logged_with_the_reason(
     extension: str, texture: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Clearcoat has the base layer's normals, and rays measure thickness."""
+    """The clearcoat has the base layer's normals, and rays measure thickness."""
     gltf = textured(extensions={f"KHR_materials_{extension}": {texture: {"index": 1}}})
     with caplog.at_level(logging.WARNING, "lumisplat"):
         read(tmp_path, gltf)

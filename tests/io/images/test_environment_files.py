@@ -32,7 +32,7 @@ def load(tmp_path: Path, data: bytes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("encoding", ["flat", "old", "new"])
-def test_all_hdr_encodings_decode_alike(tmp_path: Path, encoding: str) -> None:
+def test_all_three_hdr_encodings_decode_to_equal_pixels(tmp_path: Path, encoding: str) -> None:
     """Pixels are mantissa times 2^(exponent - 136), and 0 where the exponent is 0."""
     rgbe = pixels(1)
     image = load(tmp_path, hdr_bytes(rgbe, encoding))
@@ -47,7 +47,7 @@ def test_all_hdr_encodings_decode_alike(tmp_path: Path, encoding: str) -> None:
     seed=st.integers(0, 1000),
     encoding=st.sampled_from(["flat", "old", "new"]),
 )
-def test_run_length_encoding_round_trips(width: int, height: int, seed: int, encoding: str) -> None:
+def test_run_length_encoded_hdr_pixels_are_decoded_exactly(width: int, height: int, seed: int, encoding: str) -> None:
     """Runs have every length, across the limits of 127, 128 and 255."""
     if encoding == "new" and width < 8:
         encoding = "flat"
@@ -57,7 +57,7 @@ def test_run_length_encoding_round_trips(width: int, height: int, seed: int, enc
     np.testing.assert_array_equal(decode_hdr("a.hdr", hdr_bytes(rgbe, encoding)), radiance(rgbe))
 
 
-def test_rows_may_differ_in_encoding(tmp_path: Path) -> None:
+def test_rows_of_one_hdr_may_have_different_encodings(tmp_path: Path) -> None:
     """One row has runs, one is uncompressed, one has old-style repeats."""
     rgbe = pixels(2, height=3)
     parts = [hdr_bytes(rgbe[k : k + 1], name, b"", b"-") for k, name in enumerate(("new", "flat", "old"))]
@@ -65,16 +65,16 @@ def test_rows_may_differ_in_encoding(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load(tmp_path, data), radiance(rgbe))
 
 
-def test_exposures_are_undone(tmp_path: Path) -> None:
-    """Pixels are divided by every EXPOSURE and COLORCORR of the header."""
+def test_hdr_pixels_are_divided_by_exposure_and_color_correction(tmp_path: Path) -> None:
+    """Every EXPOSURE and COLORCORR line of the header counts."""
     rgbe = pixels(3)
     header = HEADER + b"EXPOSURE=4\nSOFTWARE=x\nEXPOSURE= 0.5\nCOLORCORR=1 2 4\n"
     np.testing.assert_allclose(load(tmp_path, hdr_bytes(rgbe, "new", header)), radiance(rgbe) / (2.0, 4.0, 8.0))
 
 
 @pytest.mark.parametrize("encoding", ["flat", "old", "new"])
-def test_truncated_hdr_is_refused(tmp_path: Path, encoding: str) -> None:
-    """The file may end at any byte."""
+def test_hdr_truncated_at_any_byte_is_refused(tmp_path: Path, encoding: str) -> None:
+    """The error names the first missing row."""
     data = hdr_bytes(pixels(4, height=2, width=12), encoding)
     for size in range(1, len(data)):
         with pytest.raises(ls.FormatError) as caught:
@@ -111,16 +111,16 @@ GOOD = pixels(5)
         (b"\x76\x2f\x31\x01\x02\0\0\0garbage", "damaged, or not an EXR file"),
     ],
 )
-def test_files_without_radiance_are_refused(tmp_path: Path, data: bytes, message: str) -> None:
-    """The error is one line that names the file, whatever its extension."""
+def test_files_without_radiance_are_refused_as_environment_maps(tmp_path: Path, data: bytes, message: str) -> None:
+    """The one-line error names the file, whatever its extension."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         load(tmp_path, data)
     assert str(caught.value).startswith(f"{tmp_path / 'a.hdr'}: ")
     assert "\n" not in str(caught.value)
 
 
-def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
-    """Each has its own message."""
+def test_missing_radiance_files_and_folders_have_separate_errors(tmp_path: Path) -> None:
+    """The two messages are "no such file" and "is a folder"."""
     with pytest.raises(ls.FormatError, match="no such file"):
         ls.io.load_radiance(tmp_path / "lost.exr")
     with pytest.raises(ls.FormatError, match="is a folder"):
@@ -128,8 +128,8 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
-def test_exr_colours_are_read(tmp_path: Path, dtype: type) -> None:
-    """R, G and B may be half or float; other channels are ignored."""
+def test_exr_colours_may_be_half_or_float(tmp_path: Path, dtype: type) -> None:
+    """Channels other than R, G and B are ignored."""
     image = np.random.default_rng(6).uniform(0.0, 9.0, (3, 5, 3)).astype(dtype)
     planes = {name: image[..., k] for k, name in enumerate("RGB")}
     write_exr(tmp_path / "a.exr", **planes, A=np.ones((3, 5), dtype))
@@ -149,7 +149,9 @@ PLANE = np.ones((3, 5), np.float32)
         ({name: PLANE.astype(np.uint32) for name in "RGB"}, r"has R, G and B as uint32 \(3, 5\), .* expected half"),
     ],
 )
-def test_exr_without_float_rgb_is_refused(tmp_path: Path, channels: dict[str, np.ndarray], message: str) -> None:
+def test_exr_without_float_rgb_channels_is_refused(
+    tmp_path: Path, channels: dict[str, np.ndarray], message: str
+) -> None:
     """The error names the channels of the file."""
     write_exr(tmp_path / "a.exr", **channels)
     with pytest.raises(ls.FormatError, match=message):
@@ -165,8 +167,10 @@ def test_truncated_exr_is_refused(tmp_path: Path) -> None:
         ls.io.load_radiance(tmp_path / "a.exr")
 
 
-def test_negative_and_nonfinite_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """They become 0, and one log line counts both kinds; valid files log nothing."""
+def test_negative_and_nonfinite_radiance_becomes_0_and_is_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One log line counts both kinds; valid files log nothing."""
     plane = np.ones((2, 4), np.float32)
     bad = plane.copy()
     bad[0] = (np.nan, np.inf, -np.inf, -0.5)
@@ -180,14 +184,14 @@ def test_negative_and_nonfinite_values_are_counted(tmp_path: Path, caplog: pytes
     np.testing.assert_array_equal(image[1], [(1, 1, 0)] * 4)
 
 
-def test_environment_does_not_copy_the_image(tmp_path: Path) -> None:
-    """The loaded image is used unchanged."""
+def test_environment_light_does_not_copy_its_loaded_image(tmp_path: Path) -> None:
+    """The image of the light is the loaded array."""
     image = load(tmp_path, hdr_bytes(GOOD))
     assert ls.LightEnvironment(image=image).image is image
 
 
 @pytest.mark.data
-def test_real_environments_are_read(data_dir: Path) -> None:
+def test_downloaded_environment_maps_are_read(data_dir: Path) -> None:
     """An HDR with runs and an EXR are twice as wide as high, and exceed display white somewhere."""
     for name in ("composition.hdr", "envmap3.exr"):
         image = ls.io.load_radiance(data_dir / "env" / name)
@@ -195,8 +199,8 @@ def test_real_environments_are_read(data_dir: Path) -> None:
         assert image.max() > 3.0 and (image >= 0.0).all()
 
 
-def test_8_bit_images_are_refused_by_content(tmp_path: Path) -> None:
-    """An 8-bit image named .exr is refused, too."""
+def test_8_bit_images_are_refused_as_radiance_whatever_their_name(tmp_path: Path) -> None:
+    """The content decides, so a PNG named .exr is refused."""
     Image.fromarray(TEXELS).save(tmp_path / "b.png")
     (tmp_path / "b.png").rename(tmp_path / "b.exr")
     with pytest.raises(ls.FormatError, match="is a PNG image with 8 bits per channel"):

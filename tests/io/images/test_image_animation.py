@@ -38,8 +38,8 @@ def read(path: Path) -> tuple[list[np.ndarray], list[float]]:
 
 
 @pytest.mark.parametrize(("suffix", "error"), [("gif", 5.0), ("webp", 3.0), ("png", 0.51), ("apng", 0.51)])
-def test_animation_frames_round_trip(tmp_path: Path, suffix: str, error: float) -> None:
-    """All frames are present, in order, with a small mean error."""
+def test_saved_image_animations_keep_all_frames_in_order(tmp_path: Path, suffix: str, error: float) -> None:
+    """Frames have a small mean error, and durations are exact."""
     given = moving_light()
     save_animation(tmp_path / f"a.{suffix}", given, 10.0)
     frames, durations = read(tmp_path / f"a.{suffix}")
@@ -49,7 +49,7 @@ def test_animation_frames_round_trip(tmp_path: Path, suffix: str, error: float) 
         assert np.abs(found - 255.0 * expected).mean() < error
 
 
-def test_static_gif_pixels_do_not_flicker(tmp_path: Path) -> None:
+def test_static_pixels_of_a_saved_gif_do_not_flicker(tmp_path: Path) -> None:
     """Static pixels have equal bytes in all frames, dithered or not."""
     save_animation(tmp_path / "a.gif", moving_light())
     frames, _ = read(tmp_path / "a.gif")
@@ -72,7 +72,7 @@ def test_gif_dithering_preserves_the_mean_colour(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["gif", "webp", "png"])
 @pytest.mark.parametrize("fps", [7.0, 24.0, 30.0, 50.0])
-def test_rounded_durations_do_not_drift(tmp_path: Path, suffix: str, fps: float) -> None:
+def test_rounded_frame_durations_of_animations_do_not_drift(tmp_path: Path, suffix: str, fps: float) -> None:
     """Durations are rounded to the format's unit so that their sum stays right."""
     save_animation(tmp_path / f"a.{suffix}", moving_light(24, 8, 12), fps)
     _, durations = read(tmp_path / f"a.{suffix}")
@@ -82,15 +82,15 @@ def test_rounded_durations_do_not_drift(tmp_path: Path, suffix: str, fps: float)
     assert max(durations) - min(durations) <= unit
 
 
-def test_gif_has_one_palette(tmp_path: Path) -> None:
-    """All frames of a GIF share the palette of the first one."""
+def test_all_frames_of_a_saved_gif_share_one_palette(tmp_path: Path) -> None:
+    """The palette is stored once, after the header of the file."""
     save_animation(tmp_path / "a.gif", moving_light())
     data = (tmp_path / "a.gif").read_bytes()
     palette = data[13:781]  # behind the header, 3 bytes for each of 256 colours
     assert data.count(palette) == 1
 
 
-def test_invalid_animations_are_refused(tmp_path: Path) -> None:
+def test_save_animation_refuses_invalid_frames_and_extensions(tmp_path: Path) -> None:
     """The error is one line, and no file appears."""
     good = moving_light(2, 8, 12)
     with pytest.raises(SceneError, match="got none"):

@@ -20,8 +20,8 @@ from support.files.small_disks import small_disk
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-def test_png_preserves_all_byte_values(tmp_path: Path, channels: int) -> None:
-    """The value n / 255 is written as the byte n, for every n."""
+def test_png_stores_n_over_255_as_the_byte_n(tmp_path: Path, channels: int) -> None:
+    """Every byte n of an RGB or RGBA image is written and read back."""
     expected = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(channels, axis=2)
     if channels == 4:
         expected[0, 0, 3] = 7
@@ -29,16 +29,16 @@ def test_png_preserves_all_byte_values(tmp_path: Path, channels: int) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"], expected)
 
 
-def test_png_rounds_half_up_and_clamps(tmp_path: Path) -> None:
-    """Values outside 0..1, infinities included, become 0 or 1."""
+def test_written_png_rounds_half_up_and_clamps_to_0_and_1(tmp_path: Path) -> None:
+    """Infinite values become 0 or 1."""
     values = np.array([[0.5, 1.5, 2.5], [-3.0, np.inf, -np.inf]]) / 255.0
     values[1, 0] = -3.0
     write_png(tmp_path / "a.png", values[:, None])
     np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"][:, 0], [(1, 2, 3), (0, 255, 0)])
 
 
-def test_png_counts_nan(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """NaN is written as 0, and a log line counts it."""
+def test_nan_pixels_are_written_to_png_as_0_and_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One log line counts the NaN values."""
     pixels = np.ones((2, 2, 3))
     pixels[0, 1, :2] = np.nan
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -47,7 +47,7 @@ def test_png_counts_nan(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> Non
     np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"][0, 1], (0, 0, 255))
 
 
-def test_exr_preserves_channel_names_and_bits(tmp_path: Path) -> None:
+def test_exr_round_trip_keeps_channel_names_and_bits(tmp_path: Path) -> None:
     """Names that Nuke groups into layers, 32-bit values, infinite depth, and -1 as the largest id are preserved."""
     rng = np.random.default_rng(1)
     names = ["R", "G", "B", "A", "depth.Z", "normal.X", "normal.Y", "normal.Z"]
@@ -63,8 +63,8 @@ def test_exr_preserves_channel_names_and_bits(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded["index.gaussian"].astype(np.int32), channels["index.gaussian"])
 
 
-def test_exr_header_has_the_metadata(tmp_path: Path) -> None:
-    """The file is one ZIP-compressed part."""
+def test_written_exr_is_one_zip_compressed_part_with_metadata(tmp_path: Path) -> None:
+    """The metadata are attributes of the OpenEXR header."""
     import OpenEXR
 
     write_exr(tmp_path / "a.exr", {"R": np.zeros((2, 2), np.float32)}, {"camera": "front"})
@@ -74,8 +74,8 @@ def test_exr_header_has_the_metadata(tmp_path: Path) -> None:
         assert file.header()["compression"] == OpenEXR.ZIP_COMPRESSION
 
 
-def test_npz_round_trip(tmp_path: Path) -> None:
-    """Arrays keep their names, types and values."""
+def test_npz_round_trip_keeps_names_types_and_values_of_arrays(tmp_path: Path) -> None:
+    """A float32 colour and an int32 index are written."""
     arrays = {"color": np.ones((2, 3, 3), np.float32), "gaussian_index": np.full((2, 3), -1, np.int32)}
     write_npz(tmp_path / "a.npz", arrays)
     loaded = read_image(tmp_path / "a.npz")
@@ -85,8 +85,8 @@ def test_npz_round_trip(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pixels", [np.zeros((4, 4)), np.zeros((0, 4, 3)), np.zeros((2, 2, 2))])
-def test_invalid_shapes_write_no_file(tmp_path: Path, pixels: np.ndarray) -> None:
-    """The error is raised before a file appears."""
+def test_image_writers_refuse_invalid_shapes_before_creating_a_file(tmp_path: Path, pixels: np.ndarray) -> None:
+    """Greyscale, empty and two-channel arrays are refused, and so are channels of different shapes."""
     with pytest.raises(SceneError, match="must have shape"):
         write_png(tmp_path / "a.png", pixels)
     with pytest.raises(SceneError, match="one shape"):
@@ -95,8 +95,8 @@ def test_invalid_shapes_write_no_file(tmp_path: Path, pixels: np.ndarray) -> Non
 
 
 @pytest.mark.parametrize("extension", ["png", "exr", "npz"])
-def test_unwritable_folder_is_refused(tmp_path: Path, extension: str) -> None:
-    """A file is in the folder's place: the error names the output, and no file is left behind."""
+def test_image_writers_report_an_unwritable_folder_and_leave_no_file(tmp_path: Path, extension: str) -> None:
+    """The path of the folder is that of a file; the error names the output."""
     (tmp_path / "out").write_text("in the way")
     path = tmp_path / "out" / f"a.{extension}"
     image = np.zeros((2, 2, 3), np.float32)
@@ -111,8 +111,8 @@ def test_unwritable_folder_is_refused(tmp_path: Path, extension: str) -> None:
 
 
 @pytest.mark.parametrize("is_deep", [False, True])
-def test_full_disk_keeps_the_old_exr(tmp_path: Path, is_deep: bool) -> None:
-    """The error has the system's reason; the partial file is removed, and the old one stays."""
+def test_exr_write_on_a_full_disk_keeps_the_old_file(tmp_path: Path, is_deep: bool) -> None:
+    """The error has the system's reason, and the partial file is removed."""
     noise = np.random.default_rng(0).random((64, 64)).astype(np.float32)
     with small_disk(tmp_path / "disk", "8k") as disk:
         path = disk / "a.exr"
@@ -125,8 +125,8 @@ def test_full_disk_keeps_the_old_exr(tmp_path: Path, is_deep: bool) -> None:
         assert os.listdir(disk) == ["a.exr"] and read_exr(path)["R"].shape == (4, 4)
 
 
-def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The old image is unchanged, and no temporary file stays."""
+def test_failed_png_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No temporary file stays."""
     from PIL import Image
 
     write_png(tmp_path / "a.png", np.ones((2, 2, 3)))
@@ -144,8 +144,10 @@ def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(("name", "read"), [("a.png", read_texture), ("a.exr", read_exr)])
-def test_garbage_is_refused(tmp_path: Path, name: str, read: Callable[[Path], object]) -> None:
-    """Bytes that are not an image give one FormatError about the file."""
+def test_bytes_that_are_no_image_are_refused_with_the_file_name(
+    tmp_path: Path, name: str, read: Callable[[Path], object]
+) -> None:
+    """PNG and EXR readers raise one FormatError."""
     (tmp_path / name).write_bytes(b"\x93not an image at all" * 9)
     with pytest.raises(FormatError, match=name):
         read(tmp_path / name)
@@ -155,8 +157,8 @@ def test_garbage_is_refused(tmp_path: Path, name: str, read: Callable[[Path], ob
     ("mode", "expected"),
     [("RGB", (255, 0, 0)), ("L", (76, 76, 76)), ("P", (255, 0, 0)), ("I;16", (76, 76, 76)), ("RGBA", (255, 0, 0, 255))],
 )
-def test_all_image_modes_become_8_bit(mode: str, expected: tuple) -> None:
-    """Grey, palette, 16-bit and transparent images become 8-bit RGB or RGBA; 16 bits are scaled, not clamped."""
+def test_grey_palette_and_16_bit_textures_become_8_bit_rgb(mode: str, expected: tuple) -> None:
+    """Transparent images become RGBA; 16-bit values are scaled, not clamped."""
     import io
 
     from PIL import Image
@@ -169,8 +171,8 @@ def test_all_image_modes_become_8_bit(mode: str, expected: tuple) -> None:
     np.testing.assert_array_equal(decode_texture(stream.getvalue(), "a.glb", "images[0]")[0, 0], expected)
 
 
-def test_decompression_bomb_is_refused() -> None:
-    """A few bytes that claim a huge image are refused before memory is allocated."""
+def test_small_image_that_claims_huge_dimensions_is_refused() -> None:
+    """The refusal comes before memory is allocated."""
     claimed = bytearray(png_bytes())
     claimed[16:24] = (60_000).to_bytes(4, "big") * 2
     import zlib
@@ -180,8 +182,8 @@ def test_decompression_bomb_is_refused() -> None:
         decode_texture(bytes(claimed), "a.glb", "images[0]")
 
 
-def test_formats_that_start_other_programs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """EPS named as a PNG would make Pillow run Ghostscript on an untrusted program."""
+def test_texture_loading_never_starts_other_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For an EPS named as a PNG, Pillow would run Ghostscript on an untrusted program."""
     from PIL import EpsImagePlugin
 
     def never(*arguments: object, **options: object) -> None:

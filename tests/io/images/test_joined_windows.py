@@ -39,8 +39,8 @@ def noise(*channels: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-def test_joined_png_equals_the_whole_image(tmp_path: Path, channels: int) -> None:
-    """RGB and RGBA files are read by Pillow."""
+def test_png_joined_from_window_files_equals_the_whole_image(tmp_path: Path, channels: int) -> None:
+    """Pillow reads the joined RGB and RGBA files."""
     image = noise(channels)
     files = {window: tmp_path / f"{number}.png" for number, window in enumerate(windows())}
     for window, path in files.items():
@@ -54,8 +54,8 @@ def test_joined_png_equals_the_whole_image(tmp_path: Path, channels: int) -> Non
     assert (tmp_path / "joined.png").stat().st_size < 1.1 * (tmp_path / "whole.png").stat().st_size
 
 
-def test_joined_exr_equals_the_whole_image(tmp_path: Path) -> None:
-    """Floats, infinities and integers under long channel names are read by OpenEXR, with the right image size."""
+def test_exr_joined_from_window_files_equals_the_whole_image(tmp_path: Path) -> None:
+    """OpenEXR reads floats, infinities and integers under long channel names, and the size of the whole image."""
     rng = np.random.default_rng(4)
     depth = rng.normal(size=SIZE[::-1]).astype(np.float32)
     depth[3] = np.inf
@@ -82,8 +82,8 @@ def test_joined_exr_equals_the_whole_image(tmp_path: Path) -> None:
         np.testing.assert_array_equal(headers[0][name], headers[1][name], name)
 
 
-def test_windows_cover_the_image_exactly_once() -> None:
-    """For any number of columns and rows, each pixel is in one window; more windows than window steps are refused."""
+def test_camera_windows_cover_each_pixel_exactly_once() -> None:
+    """The numbers of columns and rows are arbitrary up to one window per step of pixels; more are refused."""
     for columns, rows in ((1, 1), (5, 4), (2, 3), (5, 1)):
         count = np.zeros(SIZE[::-1], int)
         for window in windows(columns, rows):
@@ -95,7 +95,7 @@ def test_windows_cover_the_image_exactly_once() -> None:
         CAMERA.windows(2, 2)[0].windows(1, 1)
 
 
-def test_invalid_windows_are_refused(tmp_path: Path) -> None:
+def test_join_windows_refuses_gaps_and_mismatched_files(tmp_path: Path) -> None:
     """The error is one line, and no file is written."""
     image = noise(3)
     files = {window: tmp_path / f"{number}.png" for number, window in enumerate(windows())}

@@ -56,8 +56,8 @@ def is_whole(path: Path, data: bytes) -> bool:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_truncated_images_are_refused(kind: str, tmp_path: Path) -> None:
-    """Files truncated at any byte are refused as by decoding; the complete file is accepted."""
+def test_images_truncated_at_any_byte_are_detected(kind: str, tmp_path: Path) -> None:
+    """`check_undamaged` decides as a full decoder does, and accepts the complete file."""
     path, data = tmp_path / "a.img", encoded(kind)
     assert is_whole(path, data)
     for size in [*range(1, len(data), 97), *range(len(data) - 5, len(data))]:
@@ -71,22 +71,24 @@ def test_truncated_images_are_refused(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["baseline", "progressive"])
-def test_thumbnail_and_appended_data_are_ignored(kind: str, tmp_path: Path) -> None:
+def test_thumbnail_and_appended_data_do_not_hide_a_truncated_jpeg(kind: str, tmp_path: Path) -> None:
     """Only the end marker of the main image counts."""
     data = with_thumbnail(encoded(kind))
     assert is_whole(tmp_path / "a.jpg", data) and is_whole(tmp_path / "a.jpg", data + APPENDED)
     assert not is_whole(tmp_path / "a.jpg", data[: len(data) // 2])
 
 
-def test_png_with_changed_bytes_is_refused(tmp_path: Path) -> None:
-    """One bit of the pixels is changed."""
+def test_png_with_one_changed_bit_is_detected_as_damaged(tmp_path: Path) -> None:
+    """The bit is in the middle of the pixel data."""
     data = bytearray(encoded("png"))
     data[len(data) // 2] ^= 4
     assert not is_whole(tmp_path / "a.png", bytes(data))
 
 
 @pytest.mark.parametrize("kind", ["png", "baseline", "progressive"])
-def test_complete_images_are_not_decoded(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_complete_images_are_checked_without_decoding(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Decoding would take twenty times as long."""
     monkeypatch.setattr(texture, "decode_texture", lambda *_: pytest.fail("decoded"))
     assert is_whole(tmp_path / "a.img", encoded(kind))

@@ -29,7 +29,7 @@ def patches(width: int = 64, height: int = 48) -> np.ndarray:
     return frame
 
 
-def test_video_preserves_colours(tmp_path):
+def test_mp4_video_preserves_colours(tmp_path):
     """Flat colours are within two steps of 255, so matrix and range match their tags."""
     ls.save_animation(tmp_path / "a.mp4", [patches()] * 3, fps=25)
     frames, stream = decoded(tmp_path / "a.mp4")
@@ -41,8 +41,8 @@ def test_video_preserves_colours(tmp_path):
 
 
 @pytest.mark.parametrize(("fps", "exact"), [(24, Fraction(24)), (12.5, Fraction(25, 2)), (29.97, Fraction(2997, 100))])
-def test_frame_times_are_exact(tmp_path, fps, exact):
-    """All frames are present, in order, at n / fps."""
+def test_mp4_frames_are_exactly_at_n_over_fps_seconds(tmp_path, fps, exact):
+    """All frames are present and in order."""
     ramp = [np.full((32, 32, 3), level) for level in np.linspace(0.1, 0.9, 9)]
     ls.save_animation(tmp_path / "a.mp4", iter(ramp), fps=fps)
     frames, stream = decoded(tmp_path / "a.mp4")
@@ -52,7 +52,7 @@ def test_frame_times_are_exact(tmp_path, fps, exact):
     assert levels == pytest.approx(np.linspace(0.1, 0.9, 9).tolist(), abs=0.01)
 
 
-def test_odd_sizes_are_padded_to_even(tmp_path):
+def test_mp4_frames_of_odd_size_are_padded_to_even_size(tmp_path):
     """The last row and column are repeated."""
     ls.save_animation(tmp_path / "a.mp4", [patches(63, 47)] * 2, fps=25)
     frames, _ = decoded(tmp_path / "a.mp4")
@@ -60,7 +60,7 @@ def test_odd_sizes_are_padded_to_even(tmp_path):
     np.testing.assert_allclose(frames[0][-1, -1], 255 * 0.75, atol=3)
 
 
-def test_failed_video_leaves_the_old_file(tmp_path):
+def test_failed_mp4_write_leaves_the_old_file(tmp_path):
     """If a frame fails, no new file is left behind."""
     (tmp_path / "old.mp4").write_bytes(b"as before")
 
@@ -76,8 +76,8 @@ def test_failed_video_leaves_the_old_file(tmp_path):
     assert (tmp_path / "old.mp4").read_bytes() == b"as before"
 
 
-def test_invalid_arguments_are_refused(tmp_path, monkeypatch):
-    """No frames, transparent frames, rates out of range, an unwritable folder and a missing package are refused."""
+def test_save_animation_refuses_invalid_mp4_arguments(tmp_path, monkeypatch):
+    """Errors are no frames, transparent frames, rates out of range, an unwritable folder and a missing package."""
     with pytest.raises(ls.SceneError, match="got none"):
         ls.save_animation(tmp_path / "a.mp4", [])
     with pytest.raises(ls.SceneError, match=r"got \(4, 4, 4\)"):

@@ -46,8 +46,8 @@ def survives(path: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_empty_missing_and_folder_paths_have_own_messages(tmp_path: Path, kind: str) -> None:
-    """An empty file, a missing file and a folder."""
+def test_mesh_readers_report_empty_missing_and_folder_paths_differently(tmp_path: Path, kind: str) -> None:
+    """The messages are "no such file", "is empty" and "is a folder"."""
     path = tmp_path / f"a{VALID[kind][0]}"
     with pytest.raises(FormatError, match="no such file"):
         ls.load(path)
@@ -59,7 +59,7 @@ def test_empty_missing_and_folder_paths_have_own_messages(tmp_path: Path, kind: 
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_truncated_files_are_refused_or_shorter(tmp_path: Path, kind: str) -> None:
+def test_mesh_files_truncated_anywhere_load_or_are_refused(tmp_path: Path, kind: str) -> None:
     """A text file cut at the end of a line is a valid, shorter file."""
     extension, make = VALID[kind]
     data = make(tmp_path)
@@ -68,7 +68,7 @@ def test_truncated_files_are_refused_or_shorter(tmp_path: Path, kind: str) -> No
 
 
 @pytest.mark.parametrize("kind", ["ply ascii", "ply little", "ply big", "stl binary", "stl ascii", "glb", "gltf"])
-def test_formats_with_sizes_refuse_half_a_file(tmp_path: Path, kind: str) -> None:
+def test_mesh_formats_that_store_sizes_refuse_half_a_file(tmp_path: Path, kind: str) -> None:
     """Formats that store the size of their content."""
     extension, make = VALID[kind]
     data = make(tmp_path)
@@ -77,8 +77,8 @@ def test_formats_with_sizes_refuse_half_a_file(tmp_path: Path, kind: str) -> Non
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_random_bytes_load_or_are_refused(tmp_path: Path, kind: str) -> None:
-    """Bytes are replaced in random positions."""
+def test_mesh_files_with_random_byte_changes_load_or_are_refused(tmp_path: Path, kind: str) -> None:
+    """Up to five bytes are replaced in random positions."""
     extension, make = VALID[kind]
     data = make(tmp_path)
     rng = np.random.default_rng(11)
@@ -105,8 +105,8 @@ def test_random_bytes_load_or_are_refused(tmp_path: Path, kind: str) -> None:
         ("hello", "no vertex and no face, expected an OBJ file"),
     ],
 )
-def test_obj_errors_name_the_line(tmp_path: Path, text: str, expected: str) -> None:
-    """One error of each kind."""
+def test_errors_of_obj_files_name_the_line(tmp_path: Path, text: str, expected: str) -> None:
+    """Each kind of error in a face or a number is tried once."""
     refuses(tmp_path / "a.obj", text.encode(), expected)
 
 
@@ -147,21 +147,21 @@ TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
         ),
     ],
 )
-def test_bad_ply_is_refused_before_allocation(tmp_path: Path, text: str, expected: str) -> None:
-    """Counts above the file size, unknown types and bad indices."""
+def test_invalid_mesh_ply_is_refused_before_memory_is_allocated(tmp_path: Path, text: str, expected: str) -> None:
+    """Errors are counts above the file size, unknown types and bad indices."""
     refuses(tmp_path / "a.ply", text.encode(), expected)
 
 
 @pytest.mark.parametrize("properties", ["", "property int material\n"])
-def test_binary_faces_without_lists_are_refused_at_once(tmp_path: Path, properties: str) -> None:
-    """However many the header claims."""
+def test_binary_ply_faces_without_corners_are_refused_at_once(tmp_path: Path, properties: str) -> None:
+    """The face element has no list property, and the header claims 10^18 faces."""
     header = (
         PLY_HEAD.format(3).replace("ascii", "binary_little_endian") + f"element face {10**18}\n{properties}end_header\n"
     )
     refuses(tmp_path / "a.ply", header.encode() + bytes(60), "the file holds 6|not a mesh: no polygons")
 
 
-def test_stl_count_must_match_its_length(tmp_path: Path) -> None:
+def test_binary_stl_whose_size_contradicts_its_count_is_refused(tmp_path: Path) -> None:
     """A binary STL stores the number of its triangles."""
     data = bytearray(stl_bytes(CORNERS).replace(b"solid", b"other"))
     data[80:84] = (4_000_000_000).to_bytes(4, "little")
@@ -249,15 +249,19 @@ def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None
         ),
     ],
 )
-def test_bad_gltf_is_refused_by_item(tmp_path: Path, damage: Callable[[Gltf], object], expected: str) -> None:
-    """Cycles, indices and sizes out of range, missing parts and unknown extensions."""
+def test_invalid_gltf_meshes_are_refused_by_item(
+    tmp_path: Path, damage: Callable[[Gltf], object], expected: str
+) -> None:
+    """Errors are node cycles, indices and sizes out of range, missing items and unknown extensions."""
     gltf = quad_gltf()
     damage(gltf)
     refuses(tmp_path / "a.glb", gltf.glb(), expected)
 
 
-def test_obj_faces_with_missing_vertices_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The dropped triangles are counted, and the rest is read."""
+def test_obj_triangles_with_missing_vertices_are_dropped_and_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The other triangles are read."""
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 1 2 4 9\nf 2 4 3\n")
     mesh = ls.load(path)
@@ -266,8 +270,8 @@ def test_obj_faces_with_missing_vertices_are_dropped(tmp_path: Path, caplog: pyt
     assert "triangles left out: 2 with an index that is no vertex" in caplog.text
 
 
-def test_mesh_with_only_out_of_range_triangles_is_refused(tmp_path: Path) -> None:
-    """The only triangle uses a missing vertex."""
+def test_mesh_whose_every_triangle_lacks_a_vertex_is_refused(tmp_path: Path) -> None:
+    """The only triangle of a glTF mesh has an index that is no vertex."""
     gltf = quad_gltf()
     primitive(gltf)["indices"] = gltf.accessor(np.array([0, 1, 4], np.uint32))
     refuses(tmp_path / "a.glb", gltf.glb(), "has no usable triangles: 1 with")
@@ -297,10 +301,10 @@ def flawed_gltf(_: Path) -> bytes:
     ],
     ids=["obj", "ply", "stl binary", "stl ascii", "glb"],
 )
-def test_unusable_triangles_are_dropped_and_counted(
+def test_unusable_triangles_of_mesh_files_are_dropped_and_counted(
     tmp_path: Path, extension: str, make: Callable, problems: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One line for the whole file; the quad stays."""
+    """One log line counts all of the file; the usable triangles stay."""
     path = tmp_path / f"a.{extension}"
     path.write_bytes(make(tmp_path))
     with caplog.at_level("WARNING", "lumisplat"):
@@ -311,8 +315,8 @@ def test_unusable_triangles_are_dropped_and_counted(
     assert [record.getMessage() for record in caplog.records] == [f"{path}: triangles left out: {problems}"]
 
 
-def test_corner_uvs_stay_with_their_triangles(tmp_path: Path) -> None:
-    """A dropped triangle takes its texture coordinates along."""
+def test_dropping_a_ply_triangle_drops_its_texture_coordinates(tmp_path: Path) -> None:
+    """The texture coordinates of the other triangles stay with their corners."""
     (tmp_path / "a.ply").write_text(
         PLY_HEAD.format(3) + "element face 3\nproperty list uchar int vertex_indices\n"
         "property list uchar float texcoord\nend_header\n" + TRIANGLE + "3 0 1 1 6 9 9 9 9 9 9\n"
@@ -323,7 +327,9 @@ def test_corner_uvs_stay_with_their_triangles(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.uvs, [(0, 0), (0.25, 0), (0.5, 0.25)])
 
 
-def test_strip_restarts_are_not_unusable_triangles(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_restarts_of_gltf_triangle_strips_are_not_unusable_triangles(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Repeated corners restart a strip and are not counted."""
     gltf = quad_gltf(textured=False)
     strip = gltf.accessor(np.array([0, 1, 2, 2, 0, 0, 0, 2, 3], np.uint8))
@@ -336,7 +342,7 @@ def test_strip_restarts_are_not_unusable_triangles(tmp_path: Path, caplog: pytes
     assert not caplog.records
 
 
-def test_nan_positions_are_counted_and_refused(tmp_path: Path) -> None:
+def test_nonfinite_mesh_positions_are_counted_and_refused(tmp_path: Path) -> None:
     """A glTF accessor holds the NaN."""
     gltf = quad_gltf()
     positions = QUAD.copy()
@@ -345,8 +351,8 @@ def test_nan_positions_are_counted_and_refused(tmp_path: Path) -> None:
     refuses(tmp_path / "a.glb", gltf.glb(), "positions has 1 non-finite")
 
 
-def test_bad_containers_have_own_messages(tmp_path: Path) -> None:
-    """A missing or short external buffer, bad base64 and broken JSON."""
+def test_invalid_gltf_buffers_and_json_have_separate_errors(tmp_path: Path) -> None:
+    """Errors are a missing or short external buffer, bad base64, an address on the network, and broken JSON."""
     gltf = quad_gltf()
     path = tmp_path / "a.gltf"
     path.write_bytes(gltf.gltf("none.bin"))

@@ -46,15 +46,15 @@ def test_obj_textures_are_upright(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.material.base_color_texture, TEXELS)
 
 
-def test_obj_kd_is_linear_and_normals_are_normalized(tmp_path: Path) -> None:
-    """Kd is the linear base colour."""
+def test_obj_kd_is_the_linear_base_colour_and_normals_have_unit_length(tmp_path: Path) -> None:
+    """An MTL file states Kd 0.5 0.25 1."""
     mesh = read_one(write_obj(tmp_path))
     assert mesh.material.base_color == (0.5, 0.25, 1.0)
     assert mesh.material.name == "painted"
     np.testing.assert_allclose(present(mesh.normals), [(0, 0, 1)] * 4)
 
 
-def test_obj_ni_is_the_index_of_refraction(tmp_path: Path) -> None:
+def test_obj_ni_sets_the_index_of_refraction_of_at_least_1(tmp_path: Path) -> None:
     """Values below 1, which some exporters write, become 1."""
     path = write_obj(tmp_path)
     for stored, ior in (("1.33", 1.33), ("0.001", 1.0)):
@@ -67,7 +67,7 @@ def test_obj_ni_is_the_index_of_refraction(tmp_path: Path) -> None:
     [("", 1.0, 0), ("Kd 0 0 0\n", 1.0, 1), ("Kd 0.5 0.5 0.5\n", 0.5, 0), ("Kd 0 0 0.1\n", None, 0)],
 )
 @pytest.mark.parametrize("texture_first", [False, True])
-def test_obj_textures_without_kd_are_unscaled(
+def test_obj_textures_with_no_or_black_kd_keep_their_brightness(
     tmp_path: Path,
     color: str,
     expected: float | None,
@@ -86,14 +86,14 @@ def test_obj_textures_without_kd_are_unscaled(
     assert len(caplog.messages) == lines
 
 
-def test_obj_black_kd_without_texture_stays_black(tmp_path: Path) -> None:
-    """Kd 0 is a valid colour."""
+def test_obj_material_with_black_kd_and_no_texture_is_black(tmp_path: Path) -> None:
+    """Kd 0 0 0 is a valid colour."""
     path = write_obj(tmp_path)
     (tmp_path / "quad.mtl").write_text("newmtl painted\nKd 0 0 0\n")
     assert read_one(path).material.base_color == (0.0, 0.0, 0.0)
 
 
-def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
+def test_obj_with_several_materials_becomes_a_scene_of_meshes(tmp_path: Path) -> None:
     """Every material becomes a mesh instance with only the vertices that it uses."""
     write_obj(tmp_path)
     (tmp_path / "two.obj").write_text(OBJ + "usemtl plain\nf 1 2 3\nusemtl painted\nf 1/1/1 2/2/1 3/3/1\n")
@@ -105,8 +105,8 @@ def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
     ]
 
 
-def test_obj_uv_seams_split_vertices(tmp_path: Path) -> None:
-    """One position with two texture coordinates becomes two vertices; shared corners stay one."""
+def test_obj_vertices_are_split_at_seams_of_texture_coordinates(tmp_path: Path) -> None:
+    """One position with two texture coordinates becomes two vertices; corners with equal indices share one."""
     (tmp_path / "a.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nf 1/1 2/1 3/1\nf 1/2 3/1 4/1\n"
     )
@@ -116,21 +116,21 @@ def test_obj_uv_seams_split_vertices(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.uvs[mesh.indices[:, 0]], [(0, 1), (1, 0)])
 
 
-def test_obj_relative_indices_comments_and_continuations(tmp_path: Path) -> None:
-    """Negative indices count back from the latest vertex; comments and continued lines are parsed."""
+def test_obj_negative_indices_comments_and_continued_lines_are_read(tmp_path: Path) -> None:
+    """Negative indices count back from the latest vertex."""
     (tmp_path / "a.obj").write_text("# by hand\nv 9 9 9\nv 0 0 0 # one\nv 1 0 0\nv 0 1 0\nf -3 \\\n -2 -1\n")
     np.testing.assert_array_equal(read_one(tmp_path / "a.obj").positions, [(0, 0, 0), (1, 0, 0), (0, 1, 0)])
 
 
-def test_obj_vertex_colours_are_srgb(tmp_path: Path) -> None:
-    """Six numbers are a position and an sRGB colour, with a white base colour."""
+def test_obj_vertex_colours_are_decoded_from_srgb(tmp_path: Path) -> None:
+    """A vertex of six numbers is a position and an sRGB colour; the base colour is white."""
     (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
     mesh = read_one(tmp_path / "a.obj")
     np.testing.assert_allclose(present(mesh.colors), np.diag([1.0, float(decode_srgb(0.5)), 1.0]), rtol=1e-6)
     assert mesh.material.base_color == (1.0, 1.0, 1.0)
 
 
-def test_obj_without_its_mtl_loads_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_obj_with_a_missing_mtl_file_loads_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The log line names the missing file."""
     (tmp_path / "a.obj").write_text(OBJ)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -139,8 +139,8 @@ def test_obj_without_its_mtl_loads_with_a_warning(tmp_path: Path, caplog: pytest
 
 
 @pytest.mark.parametrize("damage", ["missing", "corrupt"])
-def test_obj_texture_errors_name_the_texture_file(tmp_path: Path, damage: str) -> None:
-    """Missing or corrupt textures."""
+def test_missing_or_corrupt_obj_texture_is_named_by_the_error(tmp_path: Path, damage: str) -> None:
+    """The error also says whether the file is missing or corrupt."""
     path = write_obj(tmp_path)
     texture = tmp_path / "quad texture.png"
     texture.unlink() if damage == "missing" else texture.write_bytes(png_bytes()[:40])
@@ -149,8 +149,8 @@ def test_obj_texture_errors_name_the_texture_file(tmp_path: Path, damage: str) -
 
 
 @pytest.mark.parametrize("space", [b"end solid", b"END  SOLID", b"end\tsolid"])
-def test_ascii_stl_may_have_spaces_in_end_keywords(tmp_path: Path, space: bytes) -> None:
-    """Some writers put "end facet" and "end loop"."""
+def test_ascii_stl_end_keywords_may_contain_spaces(tmp_path: Path, space: bytes) -> None:
+    """Some programs write "end facet" and "end loop"."""
     text = stl_text(QUAD[QUAD_TRIANGLES])
     for name in (b"facet", b"loop"):
         text = text.replace(b"end" + name, space.replace(b"solid", name).replace(b"SOLID", name))
@@ -159,16 +159,20 @@ def test_ascii_stl_may_have_spaces_in_end_keywords(tmp_path: Path, space: bytes)
 
 
 @pytest.mark.parametrize("extra", [1, 2, 50, 1000])
-def test_bytes_after_a_binary_stl_are_ignored(tmp_path: Path, extra: int, caplog: pytest.LogCaptureFixture) -> None:
-    """Writers and downloads may pad a file; a log line counts the bytes."""
+def test_bytes_after_the_last_triangle_of_a_binary_stl_are_ignored(
+    tmp_path: Path, extra: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Programs and downloads may pad a file; a log line counts the bytes."""
     (tmp_path / "quad.stl").write_bytes(stl_bytes(QUAD[QUAD_TRIANGLES]) + b"\0" * extra)
     assert read_one(tmp_path / "quad.stl").face_count == 2
     assert f"{extra:,} bytes after its last triangle are ignored" in caplog.text
 
 
 @pytest.mark.parametrize("extension", ["obj", "ply"])
-def test_texture_without_uvs_is_dropped(tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture) -> None:
-    """One log line reports it; the mesh keeps its colour."""
+def test_textures_of_obj_and_ply_meshes_without_uvs_are_dropped(
+    tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One log line reports the texture; the mesh keeps its colour."""
     path = write_obj(tmp_path) if extension == "obj" else tmp_path / "a.ply"
     if extension == "obj":
         path.write_text("mtllib quad.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl painted\nf 1 2 3\n")
@@ -184,8 +188,8 @@ def test_texture_without_uvs_is_dropped(tmp_path: Path, extension: str, caplog: 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("quad_first", [True, False])
-def test_ply_polygons_become_fans_with_linear_colours(tmp_path: Path, order: str, quad_first: bool) -> None:
-    """8-bit sRGB colours are decoded, in every encoding."""
+def test_ply_polygons_become_triangle_fans_with_linear_colours(tmp_path: Path, order: str, quad_first: bool) -> None:
+    """8-bit sRGB vertex colours are decoded to linear, in every encoding."""
     (tmp_path / "a.ply").write_bytes(ply_text(order, quad_first))
     mesh = read_one(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.positions, QUAD)
@@ -202,8 +206,10 @@ STRIP = [(0, 1, 3, 2), (0, 1, 2, 2, 2, 3, 0)]
 @pytest.mark.parametrize("corners", STRIP)
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("kind", ["int", "uint"])
-def test_ply_triangle_strips_have_one_winding(tmp_path: Path, corners: tuple[int, ...], order: str, kind: str) -> None:
-    """Several strips in a list, separated by -1, or in several lists."""
+def test_ply_triangle_strips_become_triangles_of_one_winding(
+    tmp_path: Path, corners: tuple[int, ...], order: str, kind: str
+) -> None:
+    """Several strips are in one list, separated by -1, or in several lists."""
     first, second = (*corners, -1, 0, 1, 2), (1, 2, 3)
     header = f"ply\nformat {order} 1.0\nelement vertex 4\n" + "".join(f"property float {n}\n" for n in "xyz")
     header += f"element tristrips 2\nproperty list int {kind} vertex_indices\nend_header\n"
@@ -225,8 +231,8 @@ def test_ply_triangle_strips_have_one_winding(tmp_path: Path, corners: tuple[int
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("triangles", [False, True])
-def test_ply_face_colours_are_read(tmp_path: Path, order: str, triangles: bool) -> None:
-    """sRGB, with other properties before and after; all triangles of a polygon get its colour."""
+def test_ply_face_colours_apply_to_all_triangles_of_the_polygon(tmp_path: Path, order: str, triangles: bool) -> None:
+    """Colours are sRGB; the face has other properties before and after its list."""
     faces = [(0, 1, 2), (2, 3, 0)] if triangles else [(0, 1, 2, 3), (0, 1, 2)]
     colors = [(255, 0, 0), (0, 188, 0)]
     header = f"ply\nformat {order} 1.0\nelement vertex 4\n" + "".join(f"property float {n}\n" for n in "xyz")
@@ -249,7 +255,7 @@ def test_ply_face_colours_are_read(tmp_path: Path, order: str, triangles: bool) 
     np.testing.assert_array_equal(mesh.positions[mesh.indices][0], QUAD[[0, 1, 2]])
 
 
-def test_ply_corner_uvs_split_vertices(tmp_path: Path) -> None:
+def test_ply_texture_coordinates_per_corner_split_vertices(tmp_path: Path) -> None:
     """The texture named in a comment is decoded."""
     (tmp_path / "t.png").write_bytes(png_bytes())
     (tmp_path / "a.ply").write_text(
@@ -265,8 +271,10 @@ def test_ply_corner_uvs_split_vertices(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encode", [stl_bytes, stl_text])
-def test_stl_triangles_are_read_as_stored(tmp_path: Path, encode: Callable[[np.ndarray], bytes]) -> None:
-    """Both encodings, also if a binary header begins with "solid"."""
+def test_stl_triangles_are_read_as_stored_in_both_encodings(
+    tmp_path: Path, encode: Callable[[np.ndarray], bytes]
+) -> None:
+    """A binary header may begin with "solid" as text files do."""
     corners = QUAD[QUAD_TRIANGLES]
     (tmp_path / "a.stl").write_bytes(encode(corners))
     mesh = read_one(tmp_path / "a.stl")
@@ -274,8 +282,8 @@ def test_stl_triangles_are_read_as_stored(tmp_path: Path, encode: Callable[[np.n
 
 
 @pytest.mark.parametrize("extension", ["obj", "ply", "stl"])
-def test_files_of_trimesh_are_read(tmp_path: Path, extension: str) -> None:
-    """A sphere that trimesh exported has the same triangles."""
+def test_mesh_files_exported_by_trimesh_have_equal_triangles(tmp_path: Path, extension: str) -> None:
+    """The mesh is a sphere."""
     trimesh = pytest.importorskip("trimesh")
     sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
     sphere.export(tmp_path / f"s.{extension}")
@@ -285,8 +293,8 @@ def test_files_of_trimesh_are_read(tmp_path: Path, extension: str) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "faces"), [("spot", 5856), ("teapot", 6320), ("stanford-bunny", 69451)])
-def test_real_meshes_load_completely(data_dir: Path, name: str, faces: int) -> None:
-    """The classic meshes have all their triangles in a finite box."""
+def test_downloaded_meshes_load_with_all_their_triangles(data_dir: Path, name: str, faces: int) -> None:
+    """The Stanford bunny and other classic meshes have finite bounds."""
     mesh = read_one(data_dir / "meshes" / f"{name}.obj")
     assert mesh.face_count == faces
     assert (mesh.bounds()[1] > mesh.bounds()[0]).all()

@@ -43,8 +43,10 @@ def loaded(path: Path) -> ls.Mesh:
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply"])
-def test_map_coordinates_get_an_origin(tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture) -> None:
-    """No precision is lost, and a log line says so; meshes near zero are unchanged."""
+def test_meshes_in_map_coordinates_get_a_float64_origin(
+    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """No precision is lost, and a log line reports the origin; meshes near zero get none."""
     mesh = loaded(written(tmp_path, kind, UTM))
     assert any(mesh.origin) and "positions are relative to the origin" in caplog.text
     np.testing.assert_allclose(in_world(mesh), CORNERS + UTM, atol=2e-7, rtol=0)
@@ -56,8 +58,8 @@ def test_map_coordinates_get_an_origin(tmp_path: Path, kind: str, caplog: pytest
 
 
 @pytest.mark.parametrize("end", ["glb", "usdc", "ply"])
-def test_saved_meshes_keep_the_origin(tmp_path: Path, end: str) -> None:
-    """The origin is stored in the node's transform, also if it shears, or positions are doubles."""
+def test_saved_meshes_keep_their_float64_origin(tmp_path: Path, end: str) -> None:
+    """The node's transform stores the origin, even if it shears; PLY positions are doubles."""
     if end == "usdc":
         pytest.importorskip("pxr")
     mesh = loaded(written(tmp_path, "obj", UTM))
@@ -77,8 +79,8 @@ def test_saved_meshes_keep_the_origin(tmp_path: Path, end: str) -> None:
         assert 1.0 < sizes[0] < 3.0 and 1.0 < sizes[1] < 1.4
 
 
-def test_results_made_from_a_mesh_have_its_origin(tmp_path: Path) -> None:
-    """Gaussians that cover the mesh, and an instance's mesh."""
+def test_gaussians_and_meshes_made_from_a_mesh_keep_its_origin(tmp_path: Path) -> None:
+    """`gaussians_from_mesh` covers a mesh with Gaussians, and `placed_mesh` returns the mesh of an instance."""
     mesh = loaded(written(tmp_path, "obj", UTM))
     gaussians = ls.gaussians_from_mesh(mesh, 50)
     assert gaussians.origin == mesh.origin

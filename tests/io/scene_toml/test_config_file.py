@@ -110,7 +110,7 @@ def configs(kind: type) -> st.SearchStrategy[Any]:
 
 
 @given(configs(ls.RenderConfig))
-def test_saved_settings_load_exactly(config: ls.RenderConfig) -> None:
+def test_saved_render_settings_load_exactly(config: ls.RenderConfig) -> None:
     """Random settings are equal to the last bit."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "settings.toml"
@@ -118,8 +118,8 @@ def test_saved_settings_load_exactly(config: ls.RenderConfig) -> None:
         assert ls.load_config(path) == config
 
 
-def test_file_has_a_table_for_each_stage(tmp_path: Path) -> None:
-    """The file lists every setting, and writes None as a word."""
+def test_settings_file_has_a_table_per_stage_and_every_setting(tmp_path: Path) -> None:
+    """None is written as a word such as "none" or "auto"."""
     ls.save_config(tmp_path / "new" / "a.toml", ls.RenderConfig(background=None, aovs=("hits", "albedo")))
     document = tomllib.loads((tmp_path / "new" / "a.toml").read_text())
     render = document["render"]
@@ -129,8 +129,8 @@ def test_file_has_a_table_for_each_stage(tmp_path: Path) -> None:
     assert render["aovs"] == ["albedo", "hits"]
 
 
-def test_numpy_numbers_are_saved(tmp_path: Path) -> None:
-    """They load as Python numbers."""
+def test_settings_with_numpy_numbers_are_saved_as_python_numbers(tmp_path: Path) -> None:
+    """The loaded settings are equal, and have Python's own number types."""
     config = ls.RenderConfig(
         response=ls.config.ResponseConfig(min_response=np.float64(0.1), kernel_degree=cast(Any, np.int64(4))),
         samples=cast(Any, np.int32(3)),
@@ -141,8 +141,8 @@ def test_numpy_numbers_are_saved(tmp_path: Path) -> None:
     assert ls.load_config(tmp_path / "a.toml") == config
 
 
-def test_scene_file_settings_override_defaults(tmp_path: Path) -> None:
-    """Missing settings keep their defaults; other tables of the file are ignored."""
+def test_settings_in_a_scene_file_override_the_defaults(tmp_path: Path) -> None:
+    """Missing settings keep their defaults, and the other tables of the file are ignored."""
     text = '[[splats]]\npath = "lost.ply"\n[render]\npipeline = "hybrid"\nbackground = [1, 0.5, 0]\n'
     text += "[render.shadow_rays]\nhits = 8\n"
     expected = ls.RenderConfig(
@@ -155,8 +155,10 @@ def test_scene_file_settings_override_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("written", "value"), [('"on"', True), ('"off"', False), ("true", True), ("false", False), ('"auto"', None)]
 )
-def test_optional_flags_accept_on_and_off(tmp_path: Path, written: str, value: bool | None) -> None:
-    """``shadows = "off"`` is valid as on the command line; flags that cannot be None accept only true and false."""
+def test_optional_flags_of_settings_files_accept_on_off_and_auto(
+    tmp_path: Path, written: str, value: bool | None
+) -> None:
+    """``lighting = "off"`` is valid as on the command line; flags that cannot be None accept only true and false."""
     text = f"[render]\nlighting = {written}\nadaptive = {written}\n"
     assert ls.load_config(write_scene(tmp_path, text)) == ls.RenderConfig(lighting=value, adaptive=value)
 
@@ -199,15 +201,15 @@ def test_optional_flags_accept_on_and_off(tmp_path: Path, written: str, value: b
         ("[render.shaddow_rays]\n", "line 2, render: unknown 'shaddow_rays', did you mean 'shadow_rays'?"),
     ],
 )
-def test_invalid_settings_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    """The error is one line that names the file, the line and the setting."""
+def test_invalid_settings_are_refused_with_file_line_and_name(tmp_path: Path, text: str, problem: str) -> None:
+    """The error is one line."""
     with pytest.raises(ls.FormatError) as caught:
         ls.load_config(write_scene(tmp_path, f"[render]\n{text}\n"))
     refuses(caught, tmp_path, problem)
 
 
-def test_invalid_saves_leave_the_old_file(tmp_path: Path) -> None:
-    """Only settings can be saved, and only to a file."""
+def test_refused_save_config_calls_leave_no_file(tmp_path: Path) -> None:
+    """Only a RenderConfig can be saved, and not to the path of a folder."""
     with pytest.raises(ls.ConfigError, match="config is a RasterConfig, expected a RenderConfig"):
         ls.save_config(tmp_path / "a.toml", cast(Any, ls.RasterConfig()))
     with pytest.raises(ls.FormatError, match="is a folder"):

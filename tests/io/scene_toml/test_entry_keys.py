@@ -47,7 +47,7 @@ def load(folder: Path, text: str) -> ls.Scene:
     return scene
 
 
-def test_hidden_entries_are_checked_but_not_in_the_scene(folder: Path) -> None:
+def test_hidden_scene_file_entries_are_checked_but_not_in_the_scene(folder: Path) -> None:
     """Errors in a hidden capture, mesh or actor are still reported."""
     entries = '[[splats]]\npath = "row.ply"\n{0}[[meshes]]\npath = "two.obj"\n{0}[[actors]]\npath = "row.ply"\n{0}'
     shown, hidden = load(folder, entries.format("")), load(folder, entries.format("hidden = true\n"))
@@ -58,7 +58,7 @@ def test_hidden_entries_are_checked_but_not_in_the_scene(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("part", "x"), [('"red"', 0.0), ("1", 5.0)])
-def test_part_selects_one_mesh_of_its_file(folder: Path, part: str, x: float) -> None:
+def test_scene_file_part_selects_one_mesh_of_a_file(folder: Path, part: str, x: float) -> None:
     """The mesh is selected by name or by number."""
     (mesh,) = load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n').meshes
     assert mesh.mesh.positions[:, 0].min() == x
@@ -67,14 +67,14 @@ def test_part_selects_one_mesh_of_its_file(folder: Path, part: str, x: float) ->
 @pytest.mark.parametrize(
     ("part", "expected"), [('"green"', "red, blue"), ("2", "0 to 1"), ("-1", "0 to 1"), ("true", "a name")]
 )
-def test_unknown_part_lists_the_known_ones(folder: Path, part: str, expected: str) -> None:
+def test_unknown_mesh_part_is_refused_with_the_valid_ones(folder: Path, part: str, expected: str) -> None:
     """The error lists the names or the range of numbers."""
     with pytest.raises(ls.FormatError, match=rf"line 3.*part.*{expected}"):
         load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n')
 
 
-def test_ambiguous_part_names_need_a_number(folder: Path) -> None:
-    """A name of two meshes is refused; the single mesh of a file without names is named after the file."""
+def test_mesh_part_name_used_twice_must_be_given_by_number(folder: Path) -> None:
+    """The single mesh of a file without names is named after the file."""
     import trimesh
 
     twins = trimesh.Scene()
@@ -90,7 +90,7 @@ def test_ambiguous_part_names_need_a_number(folder: Path) -> None:
     assert len(load(folder, '[[meshes]]\npath = "crate.stl"\npart = "crate"\n').meshes) == 1
 
 
-def test_crop_box_keeps_gaussians_inside(folder: Path) -> None:
+def test_crop_box_of_a_scene_file_keeps_the_gaussians_inside(folder: Path) -> None:
     """The box is in file coordinates, wherever the capture is placed."""
     box = "crop_low = [0.5, -1.0, -1.0]\ncrop_high = [2.5, 1.0, 1.0]\n"
     (splat,) = load(folder, f'[[splats]]\npath = "row.ply"\nposition = [10.0, 0.0, 0.0]\n{box}').splats
@@ -106,7 +106,7 @@ def test_crop_box_keeps_gaussians_inside(folder: Path) -> None:
         ("crop_low = [5.0, 5.0, 5.0]\ncrop_high = [6.0, 6.0, 6.0]\n", "no Gaussian of 3 is left"),
     ],
 )
-def test_invalid_crop_boxes_are_refused(folder: Path, box: str, expected: str) -> None:
-    """The error names the line; a box without any Gaussian is refused, too."""
+def test_invalid_crop_boxes_are_refused_with_their_line(folder: Path, box: str, expected: str) -> None:
+    """A box without any Gaussian is refused, too."""
     with pytest.raises(ls.FormatError, match=expected):
         load(folder, f'[[splats]]\npath = "row.ply"\n{box}')

@@ -34,8 +34,8 @@ def load_text(folder: Path, text: str) -> ls.Animation:
     return ls.load_animation(write_scene(folder, text))
 
 
-def test_all_keys_of_an_actor_are_read(folder: Path) -> None:
-    """Placement, keyframes, clip and flags are read; the scene has the static entries."""
+def test_every_key_of_a_scene_file_actor_is_read(folder: Path) -> None:
+    """Keys set placement, keyframes, clip and flags; the scene has only the static entries."""
     animation = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -65,8 +65,8 @@ def test_all_keys_of_an_actor_are_read(folder: Path) -> None:
     np.testing.assert_array_equal(gaussians.means, bound.at(4.0, "carry").means)
 
 
-def test_scene_has_actors_at_time_0(folder: Path) -> None:
-    """`load` returns the whole scene as in the first frame."""
+def test_load_returns_a_scene_with_actors_posed_at_time_0(folder: Path) -> None:
+    """The scene equals the first frame of the animation."""
     text = '[[meshes]]\npath = "mesh.obj"\n' + ACTOR + "[[actors.keyframes]]\ntime = 0\nposition = [0, 0, 1]\n" + FRAMES
     scene = load_scene(folder, text)
     assert [instance.gaussians.count for instance in scene.splats] == [300, 4]
@@ -74,8 +74,8 @@ def test_scene_has_actors_at_time_0(folder: Path) -> None:
     assert len(scene.meshes) == 1
 
 
-def test_every_kind_of_file_can_be_an_actor(folder: Path) -> None:
-    """Rigs and meshes as Gaussians or meshes, frame sequences, captures; a file used twice is loaded once."""
+def test_rigs_captures_meshes_and_frame_folders_can_be_actors(folder: Path) -> None:
+    """Rigs and meshes become Gaussians or stay meshes; a file used twice is loaded once."""
     text = (
         ACTOR
         + ACTOR
@@ -94,8 +94,8 @@ def test_every_kind_of_file_can_be_an_actor(folder: Path) -> None:
     assert animation.frame_count == 38  # 1.5 s of frames, at 25 a second
 
 
-def test_keyframes_inherit_missing_values(folder: Path) -> None:
-    """Missing values are those of the previous keyframe."""
+def test_actor_keyframes_inherit_missing_values_from_the_previous_one(folder: Path) -> None:
+    """The second keyframe states only a rotation, so position and scale stay."""
     text = (
         ACTOR + "[[actors.keyframes]]\ntime = 0\nposition = [1, 2, 3]\nscale = 2\n"
         "[[actors.keyframes]]\ntime = 1\nrotation_wxyz = [0, 0, 0, 1]\n"
@@ -114,8 +114,8 @@ def test_keyframes_inherit_missing_values(folder: Path) -> None:
         ("fps = 0.1", 1),
     ],
 )
-def test_frame_count_follows_from_frames_duration_or_actors(animation, count, folder):
-    """The count is ``frames``, or else from ``duration``, or else from the longest actor."""
+def test_animation_length_is_frames_else_duration_else_longest_actor(animation, count, folder):
+    """The number of frames is ``frames``, or ``duration`` times ``fps``, or covers the longest actor."""
     assert load_text(folder, ACTOR + f"[animation]\n{animation}\n").frame_count == count
 
 
@@ -174,15 +174,15 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "[animation.lighting]\ndirect = 2", "line 5, animation.lighting: direct is 2, expected 0.0 to 1.0"),
     ],
 )
-def test_invalid_entries_are_refused(text: str, problem: str, folder: Path) -> None:
-    """The error is one line with the file, the line and the key."""
+def test_invalid_actor_entries_are_refused_with_file_line_and_key(text: str, problem: str, folder: Path) -> None:
+    """The error is one line."""
     write_scene(folder, text)
     with pytest.raises(ls.FormatError) as caught:
         ls.load_animation(folder / "scene.toml")
     refuses(caught, folder, problem)
 
 
-def test_error_in_an_actor_file_names_that_file(folder: Path) -> None:
+def test_error_in_the_file_of_an_actor_names_that_file(folder: Path) -> None:
     """The error does not name the scene file."""
     rig = TubeRig(clips={"bend": BEND})
     present(rig.weights)[:] = 0.0

@@ -27,8 +27,8 @@ def load_text(folder: Path, text: str) -> ls.Scene:
     return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
 
 
-def test_entries_are_scaled_rotated_and_translated(folder: Path) -> None:
-    """Scale is applied first, then rotation, then position; names are preserved; a file used twice is loaded once."""
+def test_scene_file_entries_are_scaled_then_rotated_then_translated(folder: Path) -> None:
+    """Names are preserved, and a file used twice is loaded once."""
     scene = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -43,7 +43,7 @@ def test_entries_are_scaled_rotated_and_translated(folder: Path) -> None:
     assert np.allclose(scene.meshes[0].transform @ [1, 0, 0, 1], [1, 3, 0, 1])
 
 
-def test_entry_sets_kernel_degree(folder: Path) -> None:
+def test_scene_file_entry_sets_the_kernel_degree_of_its_capture(folder: Path) -> None:
     """The capture's file states no degree; entries with equal degrees share the capture."""
     entry = '[[splats]]\npath = "capture.ply"\n'
     scene = load_text(folder, entry + (entry + "kernel_degree = 4\n") * 2)
@@ -53,8 +53,8 @@ def test_entry_sets_kernel_degree(folder: Path) -> None:
     np.testing.assert_array_equal(quartic.means, plain.means)
 
 
-def test_entry_material_overrides_that_of_the_file(folder: Path) -> None:
-    """Values that the entry does not set stay, and other entries are unchanged."""
+def test_scene_file_material_overrides_the_given_values_only(folder: Path) -> None:
+    """Values that the entry does not set stay, and other entries of the same file are unchanged."""
     (folder / "mesh.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl tin\nf 1 2 3\n")
     (folder / "a.mtl").write_text("newmtl tin\nKd 0.5 0.25 1\nPr 0.75\n")
     scene = load_text(
@@ -70,8 +70,8 @@ def test_entry_material_overrides_that_of_the_file(folder: Path) -> None:
     assert (mirror.roughness, mirror.metallic, mirror.base_color) == (0.75, 1.0, (0.9, 0.8, 0.7))
 
 
-def test_entry_material_applies_to_all_meshes_of_a_file(folder: Path) -> None:
-    """All meshes of the file change, and a mesh that is placed twice is still one mesh."""
+def test_scene_file_material_applies_to_all_meshes_of_the_file(folder: Path) -> None:
+    """A mesh that the file places twice is still one mesh object."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, translation=[3, 0, 0])
     gltf.json["meshes"].append({"primitives": [dict(gltf.json["meshes"][0]["primitives"][0])]})
@@ -82,8 +82,8 @@ def test_entry_material_applies_to_all_meshes_of_a_file(folder: Path) -> None:
     assert scene.meshes[0].mesh is scene.meshes[1].mesh is not scene.meshes[2].mesh
 
 
-def test_entry_sets_sh_degree_shadow_catcher_and_material(folder: Path) -> None:
-    """An entry of a capture sets all three."""
+def test_scene_file_entry_sets_sh_degree_shadow_catcher_and_material(folder: Path) -> None:
+    """The three keys belong to an entry of a capture."""
     scene = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -99,14 +99,14 @@ def test_entry_sets_sh_degree_shadow_catcher_and_material(folder: Path) -> None:
     assert plain.gaussians is shadowed.gaussians is physical.gaussians
 
 
-def test_shadow_only_is_an_alias_of_shadow_catcher(folder: Path) -> None:
-    """Scene files from before the rename keep their meaning."""
+def test_scene_file_key_shadow_only_is_an_alias_of_shadow_catcher(folder: Path) -> None:
+    """Scene files from before the key was renamed keep their meaning."""
     scene = load_text(folder, '[[splats]]\npath = "capture.ply"\nshadow_only = true\n')
     assert scene.splats[0].shadow_catcher
 
 
-def test_comments_and_byte_order_marks_are_ignored(folder: Path) -> None:
-    """Files of editors on other systems load as well."""
+def test_scene_files_with_comments_crlf_and_byte_order_mark_load(folder: Path) -> None:
+    """Editors on Windows write such files."""
     text = '\N{BYTE ORDER MARK}# a scene\r\n[[meshes]] # one\r\npath = "mesh.obj"\r\n'
     (folder / "scene.toml").write_bytes(text.encode())
     assert len(expect_kind(ls.Scene, ls.load(folder / "scene.toml")).meshes) == 1
@@ -159,8 +159,8 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
         (SPLAT + MESH + MESH + "sh_degree = 1", "line 7, meshes[1]: unknown 'sh_degree'"),
     ],
 )
-def test_invalid_scene_files_are_refused(folder, text, problem):
-    """The error is one line that names the file, the line and the key."""
+def test_invalid_scene_files_are_refused_with_file_line_and_key(folder, text, problem):
+    """The error is one line."""
     with pytest.raises(ls.FormatError) as caught:
         load_text(folder, text)
     assert str(caught.value).startswith(f"{folder / 'scene.toml'}: ")
@@ -168,7 +168,7 @@ def test_invalid_scene_files_are_refused(folder, text, problem):
     assert "\n" not in str(caught.value)
 
 
-def test_error_in_a_referenced_file_names_that_file(folder: Path) -> None:
+def test_error_in_a_file_of_a_scene_file_names_that_file(folder: Path) -> None:
     """The error does not name the scene file."""
     (folder / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
     with pytest.raises(ls.FormatError) as caught:
@@ -176,8 +176,8 @@ def test_error_in_a_referenced_file_names_that_file(folder: Path) -> None:
     assert str(caught.value).startswith(f"{folder / 'broken.ply'}: ")
 
 
-def test_caller_can_give_a_missing_up(folder: Path) -> None:
-    """Upright entries use the file's own up, else the caller's, else the default of meshes."""
+def test_up_given_to_load_applies_if_the_scene_file_states_none(folder: Path) -> None:
+    """Without either, up is the default of meshes; upright entries follow it."""
     entry = '[[meshes]]\npath = "mesh.obj"\nupright = true\n'
     load_text(folder, entry)
     alone, given = (expect_kind(ls.Scene, ls.load(folder / "scene.toml", up=up)) for up in (None, (0, -2, 0)))

@@ -36,8 +36,8 @@ focus_distance = 3
 """
 
 
-def test_camera_entry_equals_look_at(tmp_path: Path) -> None:
-    """The camera equals `Camera.look_at` with the same values, plus an exposure."""
+def test_scene_file_camera_equals_look_at_with_the_same_values(tmp_path: Path) -> None:
+    """The entry adds an exposure."""
     (camera,) = load(tmp_path, VIEW)
     expected = ls.Camera.look_at(
         (0, 1, 4),
@@ -57,8 +57,8 @@ def test_camera_entry_equals_look_at(tmp_path: Path) -> None:
     assert (camera.name, camera.exposure) == ("close", 1.5)
 
 
-def test_camera_entry_defaults(tmp_path: Path) -> None:
-    """Up is y, the model a pinhole in focus, and the name is generated."""
+def test_scene_file_camera_defaults_to_a_y_up_pinhole_in_focus(tmp_path: Path) -> None:
+    """The name is generated."""
     first, second = load(tmp_path, "[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\n" * 2)
     expected = ls.Camera.look_at((0, 0, 4), (0, 0, 0))
     assert (first.width, first.height, first.fx, first.exposure) == (1280, 720, expected.fx, 0.0)
@@ -66,15 +66,15 @@ def test_camera_entry_defaults(tmp_path: Path) -> None:
     assert (first.name, second.name) == ("frame_00000", "frame_00001")
 
 
-def test_fisheye_field_of_view_may_exceed_180_degrees(tmp_path: Path) -> None:
+def test_scene_file_fisheye_field_of_view_may_exceed_180_degrees(tmp_path: Path) -> None:
     """The limit is 360 degrees for a fisheye and 180 for other cameras."""
     text = '[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\nmodel = "fisheye"\nfov_y_degrees = 220\n'
     (camera,) = load(tmp_path, text)
     assert camera.fov_y == pytest.approx(math.radians(220))
 
 
-def test_camera_files_and_entries_are_listed_in_order(tmp_path: Path) -> None:
-    """Names are distinct, and sizes and exposure of the entry apply."""
+def test_scene_file_cameras_are_listed_in_order_of_files_and_entries(tmp_path: Path) -> None:
+    """Names are distinct; image sizes and exposure of an entry apply to the cameras of its file."""
     ls.save_cameras(tmp_path / "transforms.json", [front_camera(name="left"), front_camera(name="right")])
     text = (
         '[[cameras]]\npath = "transforms.json"\nwidth = 32\nexposure = -1\n'
@@ -100,8 +100,8 @@ def camera_glb(folder: Path) -> None:
     (folder / "a.glb").write_bytes(gltf.glb())
 
 
-def test_placed_cameras_project_placed_points_to_the_same_pixels(tmp_path: Path) -> None:
-    """The orthographic camera does so, too, and depth scales with the placement."""
+def test_camera_files_placed_with_their_scene_show_the_same_pixels(tmp_path: Path) -> None:
+    """Pinhole and orthographic cameras project a moved point to the same pixel; depth scales with the placement."""
     camera_glb(tmp_path)
     entry = '[[cameras]]\npath = "a.glb"\nheight = 40\n'
     rotation = "position = [1, 2, 3]\nrotation_wxyz = [0.5, 0.1, -0.7, 0.2]\nscale = 2.5\n"
@@ -120,15 +120,15 @@ def test_placed_cameras_project_placed_points_to_the_same_pixels(tmp_path: Path)
         assert placed.near == pytest.approx(2.5 * camera.near)
 
 
-def test_caller_can_give_a_missing_size(tmp_path: Path) -> None:
-    """The caller's size applies only if neither the scene file nor the camera file gives one."""
+def test_size_given_to_load_cameras_applies_if_no_file_states_one(tmp_path: Path) -> None:
+    """A size in the scene file or camera file wins over the argument."""
     camera_glb(tmp_path)
     assert load(tmp_path, '[[cameras]]\npath = "a.glb"\n', width=64, height=48)[0].width == 64
     assert load(tmp_path, '[[cameras]]\npath = "a.glb"\nwidth = 30\n', width=64, height=48)[0].width == 30
 
 
-def test_scene_file_without_cameras_is_valid(tmp_path: Path) -> None:
-    """The scene itself is not loaded for its cameras."""
+def test_scene_file_without_cameras_gives_an_empty_camera_list(tmp_path: Path) -> None:
+    """Loading cameras does not load the captures of the scene."""
     assert load(tmp_path, '[[splats]]\npath = "lost.ply"\n') == []
 
 
@@ -152,8 +152,8 @@ def test_scene_file_without_cameras_is_valid(tmp_path: Path) -> None:
         ("[cameras]\npath = 'x'", "line 1: cameras must be written with double brackets"),
     ],
 )
-def test_invalid_cameras_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    """The error is one line that names the file, the line and the key."""
+def test_invalid_scene_file_cameras_are_refused_with_line_and_key(tmp_path: Path, text: str, problem: str) -> None:
+    """The one-line error also names the file."""
     with pytest.raises(ls.FormatError) as caught:
         load(tmp_path, text)
     refuses(caught, tmp_path, problem)
@@ -173,7 +173,9 @@ VIEW_WITHOUT_UP = "[[cameras]]\neye = [0, 0, -4]\ntarget = [0, 0, 0]\n"
         ('up = [0, 3, 0]\n[[splats]]\npath = "a.ply"\n', (0, 1, 0)),
     ],
 )
-def test_camera_up_defaults_to_that_of_the_scene(tmp_path: Path, text: str, up: tuple[float, float, float]) -> None:
+def test_scene_file_camera_up_defaults_to_the_up_of_the_scene(
+    tmp_path: Path, text: str, up: tuple[float, float, float]
+) -> None:
     """A capture that is y down is thus not upside down in the image."""
     (camera,) = load(tmp_path, text + VIEW_WITHOUT_UP)
     expected = ls.Camera.look_at((0, 0, -4), (0, 0, 0), up)
@@ -183,22 +185,22 @@ def test_camera_up_defaults_to_that_of_the_scene(tmp_path: Path, text: str, up: 
 
 
 @pytest.mark.parametrize("text", ['up = "sideways"\n', "up = [0, 0, 0]\n", "up = 3\n", 'up = "y-up"\nup = "y-down"\n'])
-def test_invalid_up_is_refused_at_its_line(tmp_path: Path, text: str) -> None:
+def test_invalid_up_of_a_scene_file_is_refused_at_its_line(tmp_path: Path, text: str) -> None:
     """The error names the file, the line and the key."""
     with pytest.raises(ls.FormatError) as caught:
         load(tmp_path, text + VIEW_WITHOUT_UP)
     refuses(caught, tmp_path, "up" if text.count("up =") == 1 else "TOML")
 
 
-def test_up_of_a_scene_file_sets_that_of_the_scene(tmp_path: Path) -> None:
-    """Framing without cameras and upright entries use it, too."""
+def test_up_key_of_a_scene_file_is_the_up_of_the_loaded_scene(tmp_path: Path) -> None:
+    """Framing without cameras and upright entries use this direction, too."""
     ls.save(tmp_path / "a.ply", one_gaussian())
     scene = ls.load(write_scene(tmp_path, 'up = "z-up"\n[[splats]]\npath = "a.ply"\n'))
     assert isinstance(scene, ls.Scene) and scene.up_direction == (0.0, 0.0, 1.0)
 
 
-def test_distortion_of_a_camera_entry_is_read(tmp_path: Path) -> None:
-    """Moving cameras have it, too; an error names its line."""
+def test_lens_distortion_of_a_scene_file_camera_is_read(tmp_path: Path) -> None:
+    """Moving cameras have the distortion, too; an error names its line."""
     text = "[[cameras]]\neye = [0, 1, 4]\ntarget = [0, 0, 0]\ndistortion = [-0.1, 0.02, 0, 0, 0.001, -0.002]\n"
     (camera,) = load(tmp_path, text)
     assert camera.distortion == (-0.1, 0.02, 0.0, 0.0, 0.001, -0.002)

@@ -58,7 +58,7 @@ intensity = 4
 """
 
 
-def test_every_light_type_is_read(tmp_path: Path) -> None:
+def test_every_light_type_of_a_scene_file_is_read(tmp_path: Path) -> None:
     """Keys and defaults are those of the Python classes; angles are in degrees."""
     point, spot, sun, sphere, rect, disk = load_scene(tmp_path, ALL).lights
     assert isinstance(point, ls.LightPoint)
@@ -75,16 +75,16 @@ def test_every_light_type_is_read(tmp_path: Path) -> None:
     assert (disk.direction, disk.radius, disk.intensity) == ((0.0, 1.0, 0.0), 0.25, 4)
 
 
-def test_spot_of_90_degrees_is_valid(tmp_path: Path) -> None:
-    """A default inner angle beside a small outer angle is valid, too."""
+def test_scene_file_spot_may_have_an_outer_angle_of_90_degrees(tmp_path: Path) -> None:
+    """A spot with a small outer angle needs no inner angle either."""
     text = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\nouter_angle_degrees = {}\n'
     for degrees in (0.5, 90):
         (spot,) = load_scene(tmp_path, text.format(degrees)).lights
         assert isinstance(spot, ls.LightSpot) and spot.outer_angle == pytest.approx(math.radians(degrees))
 
 
-def test_environment_image_is_read(tmp_path: Path) -> None:
-    """The image is relative to the scene file, with a colour, an intensity and a rotation."""
+def test_scene_file_environment_image_is_read_relative_to_the_file(tmp_path: Path) -> None:
+    """Its colour, intensity, rotation and visibility are read."""
     image = np.array([[[1.0, 0.5, 0.25]] * 4] * 2)
     write_hdr(tmp_path / "sky.hdr", image)
     text = '[environment]\npath = "sky.hdr"\ncolor = [1, 1, 0.5]\nintensity = 0.5\n'
@@ -96,8 +96,8 @@ def test_environment_image_is_read(tmp_path: Path) -> None:
     assert not light.visible
 
 
-def test_environment_may_be_a_constant_colour(tmp_path: Path) -> None:
-    """It needs no image, and comes after the other lights."""
+def test_scene_file_environment_may_be_a_constant_colour(tmp_path: Path) -> None:
+    """The environment needs no image, and follows all other lights in the scene."""
     lights = load_scene(tmp_path, "[environment]\ncolor = [0.1, 0.2, 0.3]\n" + ALL).lights
     assert isinstance(lights[-1], ls.LightEnvironment) and len(lights) == 7
     assert lights[-1].image is None and lights[-1].color == (0.1, 0.2, 0.3)
@@ -114,7 +114,7 @@ def point_light_gltf() -> Gltf:
     return gltf
 
 
-def test_lights_of_a_mesh_file_follow_its_placement(tmp_path: Path) -> None:
+def test_lights_of_a_mesh_file_move_with_its_scene_file_entry(tmp_path: Path) -> None:
     """Position and direction are transformed, intensity and range are not; lights of mesh files come last."""
     (tmp_path / "lamp.glb").write_bytes(point_light_gltf().glb())
     entry = '[[meshes]]\npath = "lamp.glb"\nposition = [10, 0, 0]\nrotation_wxyz = [0, 1, 0, 0]\nscale = 3\n'
@@ -128,7 +128,7 @@ def test_lights_of_a_mesh_file_follow_its_placement(tmp_path: Path) -> None:
     assert len(scene.meshes) == 1
 
 
-def test_lights_of_a_mesh_file_can_be_excluded(tmp_path: Path) -> None:
+def test_scene_file_entry_can_exclude_the_lights_of_its_mesh_file(tmp_path: Path) -> None:
     """``lights = false`` applies to one entry only."""
     (tmp_path / "lamp.glb").write_bytes(point_light_gltf().glb())
     scene = load_scene(tmp_path, '[[meshes]]\npath = "lamp.glb"\nlights = false\n[[meshes]]\npath = "lamp.glb"\n')
@@ -189,14 +189,14 @@ SPOT = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\n
         ("[environment]\nvisible = 'no'", "line 2, environment: visible is 'no', expected true or false"),
     ],
 )
-def test_invalid_lights_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    """The error is one line that names the file, the line and the key."""
+def test_invalid_scene_file_lights_are_refused_with_line_and_key(tmp_path: Path, text: str, problem: str) -> None:
+    """The one-line error also names the file."""
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, text)
     refuses(caught, tmp_path, problem)
 
 
-def test_8_bit_image_is_refused_as_environment(tmp_path: Path) -> None:
+def test_scene_file_refuses_an_8_bit_image_as_environment(tmp_path: Path) -> None:
     """The error names the image file."""
     (tmp_path / "sky.png").write_bytes(png_bytes())
     with pytest.raises(ls.FormatError, match=r"sky\.png: is a PNG image with 8 bits per channel"):

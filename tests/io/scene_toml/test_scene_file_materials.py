@@ -29,7 +29,7 @@ ambient = 0.05
 """
 
 
-def test_texture_without_base_color_is_not_darkened(tmp_path: Path) -> None:
+def test_scene_file_texture_without_base_color_is_not_darkened(tmp_path: Path) -> None:
     """The texture is not multiplied by the default grey; a given base colour multiplies it."""
     (tmp_path / "t.png").write_bytes(png_bytes())
     texture = 'base_color_texture = "t.png"'
@@ -38,8 +38,8 @@ def test_texture_without_base_color_is_not_darkened(tmp_path: Path) -> None:
         assert scene.meshes[0].mesh.material.base_color == (expected,) * 3
 
 
-def test_named_materials_are_shared(tmp_path: Path) -> None:
-    """Several entries use one material, whose name is its key."""
+def test_scene_file_entries_share_a_named_material(tmp_path: Path) -> None:
+    """The key of the material is its name."""
     write_obj(tmp_path)
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=10))
     entries = [('[[meshes]]\npath = "quad.obj"\n', "chrome"), ('[[splats]]\npath = "capture.ply"\n', "matt paint")]
@@ -55,8 +55,8 @@ def test_named_materials_are_shared(tmp_path: Path) -> None:
     assert (paint.shininess, paint.ambient, paint.name) == (12, (0.05,) * 3, "matt paint")
 
 
-def test_unset_values_come_from_the_file(tmp_path: Path) -> None:
-    """All values stay for the same material type; base colour, texture and name stay for the other type."""
+def test_scene_file_material_takes_unset_values_from_the_mesh_file(tmp_path: Path) -> None:
+    """All values stay for the same material type; only base colour, texture and name stay for another type."""
     write_obj(tmp_path)
     scene = load_scene(
         tmp_path,
@@ -71,7 +71,7 @@ def test_unset_values_come_from_the_file(tmp_path: Path) -> None:
     assert (rough.roughness, simple.diffuse, simple.emissive) == (0.125, (0.5,) * 3, (1.0,) * 3)
 
 
-def test_textures_are_relative_to_the_scene_file(tmp_path: Path) -> None:
+def test_textures_of_scene_file_materials_are_relative_to_the_file(tmp_path: Path) -> None:
     """Each texture key names an image file."""
     (tmp_path / "quad.glb").write_bytes(quad_gltf(textured=False).glb())
     (tmp_path / "maps").mkdir()
@@ -85,8 +85,8 @@ def test_textures_are_relative_to_the_scene_file(tmp_path: Path) -> None:
     assert material.metallic == 0.25  # of the file
 
 
-def test_texture_wraps_are_set_by_texture(tmp_path: Path) -> None:
-    """A table maps texture keys to wraps; an invalid wrap is an error at its line."""
+def test_scene_file_texture_wraps_are_set_for_each_texture(tmp_path: Path) -> None:
+    """A table maps texture keys to wrap modes; an invalid mode is an error at its line."""
     (tmp_path / "quad.glb").write_bytes(quad_gltf(textured=False).glb())
     text = '[[meshes]]\npath = "quad.glb"\nmaterial = "wood"\n[materials.wood]\nwrap_u = "mirror"\n'
     text += 'texture_wraps = { normal_texture = "clamp", sheen_color_texture = ["clamp", "mirror"] }\n'
@@ -99,8 +99,8 @@ def test_texture_wraps_are_set_by_texture(tmp_path: Path) -> None:
         load_scene(tmp_path, text.replace('"clamp",', '"clip",', 1))
 
 
-def test_mesh_without_texture_coordinates_drops_the_texture(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A log line says so."""
+def test_scene_file_texture_on_a_mesh_without_uvs_is_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A log line reports the dropped texture."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "a.png").write_bytes(png_bytes())
     text = '[[meshes]]\npath = "a.obj"\nmaterial = "wood"\n[materials.wood]\nbase_color_texture = "a.png"\n'
@@ -137,16 +137,16 @@ MESH = "[[meshes]]\npath = 'a.obj'\n"
         (MESH + "[[materials]]\nroughness = 2", "line 3: materials may appear only once"),
     ],
 )
-def test_invalid_materials_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    """The error is one line that names the file, the line and the key, also for unused materials."""
+def test_invalid_scene_file_materials_are_refused_with_line_and_key(tmp_path: Path, text: str, problem: str) -> None:
+    """The error is one line that names the file, also for unused materials."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, text)
     refuses(caught, tmp_path, problem)
 
 
-def test_total_texture_size_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many small images are allowed one by one but not in sum, over all materials."""
+def test_total_texture_size_of_a_scene_file_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each image is small enough, but not the sum over all materials."""
     monkeypatch.setattr("lumisplat.io.files.source.TEXTURE_BYTES_FREE", 3 * 3 * 64 * 64)
     write_obj(tmp_path)
     (tmp_path / "white.png").write_bytes(png_bytes(np.full((64, 64, 3), 255, np.uint8)))

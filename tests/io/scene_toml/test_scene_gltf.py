@@ -31,15 +31,15 @@ def read(folder: Path, text: str) -> ls.Scene:
     return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
 
 
-def test_gltf_capture_under_splats_is_y_down(folder: Path) -> None:
-    """Under [[splats]] a capture is the same in every format."""
+def test_gltf_capture_under_splats_of_a_scene_file_is_y_down(folder: Path) -> None:
+    """A capture listed under [[splats]] is the same in every format."""
     scene = read(folder, '[[splats]]\npath = "capture.glb"\nposition = [1.0, 0.0, 0.0]\n')
     np.testing.assert_allclose(scene.splats[0].world_means, capture(9).means + np.array([1, 0, 0]), atol=1e-6)
     assert scene.up == (0.0, -1.0, 0.0)
 
 
-def test_gltf_scene_is_placed_as_a_whole(folder: Path) -> None:
-    """Under [[meshes]] the whole file moves together, in its own axes; the entry's material applies to its meshes."""
+def test_gltf_scene_under_meshes_of_a_scene_file_moves_as_a_whole(folder: Path) -> None:
+    """The file keeps its y-up axes; the entry's material applies to its meshes, not to its capture."""
     scene = read(
         folder, '[[meshes]]\npath = "scene.glb"\nposition = [1.0, 0.0, 0.0]\nmaterial = { roughness = 0.25 }\n'
     )
@@ -59,14 +59,16 @@ def test_gltf_scene_is_placed_as_a_whole(folder: Path) -> None:
         ("splats", "mesh.glb", r"which is a mesh: list it under \[\[meshes\]\]"),
     ],
 )
-def test_error_of_a_wrong_heading_names_the_right_one(folder: Path, heading: str, name: str, problem: str) -> None:
+def test_gltf_under_the_wrong_scene_file_heading_names_the_right_one(
+    folder: Path, heading: str, name: str, problem: str
+) -> None:
     """Captures belong under [[splats]], glTF scenes under [[meshes]]."""
     with pytest.raises(ls.FormatError, match=problem):
         read(folder, f'[[{heading}]]\npath = "{name}"\n')
 
 
-def test_documents_list_files_under_the_right_heading(folder: Path) -> None:
-    """A document that opens such a file also has it in its scene."""
+def test_documents_list_glb_captures_as_splats_and_scenes_as_meshes(folder: Path) -> None:
+    """A document that opens both files has both in its scene."""
     assert ls.io.SceneDocument.kind_of(folder / "capture.glb") == "splats"
     assert ls.io.SceneDocument.kind_of(folder / "scene.glb") == "meshes"
     assert ls.io.SceneDocument.kind_of(folder / "mesh.glb") == "meshes"

@@ -68,7 +68,7 @@ LINES = {
 }
 
 
-def test_line_numbers_of_all_key_syntaxes() -> None:
+def test_toml_line_numbers_are_found_for_every_key_syntax() -> None:
     """Documents have comments, four kinds of strings, dates, multi-line arrays, inline tables and headers."""
     tomllib.loads(DOCUMENT)
     found = line_numbers(DOCUMENT)
@@ -76,7 +76,7 @@ def test_line_numbers_of_all_key_syntaxes() -> None:
     assert not [path for path in found if "not" in path or "comment" in path]
 
 
-def test_line_numbers_with_carriage_returns_and_no_final_newline() -> None:
+def test_toml_line_numbers_allow_crlf_and_no_final_newline() -> None:
     """Lines are counted as editors do."""
     assert line_numbers("a = 1\r\n[t]\r\nb = [1,\r\n2]\r\nc = 3") == {
         ("a",): 1,
@@ -118,7 +118,7 @@ VALUES = st.recursive(
 
 
 @given(st.lists(st.tuples(st.booleans(), st.dictionaries(KEYS, VALUES, max_size=4)), max_size=5))
-def test_line_numbers_of_random_documents(tables: list[tuple[bool, dict]]) -> None:
+def test_toml_line_numbers_are_right_in_random_documents(tables: list[tuple[bool, dict]]) -> None:
     """Keys of random tables and arrays of tables are found on the lines where they were written."""
     text, expected, count = "", {}, 0
     for index, (in_array, values) in enumerate(tables):

@@ -43,7 +43,7 @@ def refused(path: Path) -> str:
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_empty_file_is_refused(tmp_path: Path, name: str) -> None:
+def test_empty_capture_files_are_refused(tmp_path: Path, name: str) -> None:
     """The error says that the file is empty."""
     (tmp_path / name).write_bytes(b"")
     assert "is empty" in refused(tmp_path / name)
@@ -51,7 +51,7 @@ def test_empty_file_is_refused(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("fraction", [0.02, 0.3, 0.6, 0.98])
-def test_truncated_file_is_refused(tmp_path: Path, name: str, fraction: float) -> None:
+def test_truncated_capture_files_are_refused(tmp_path: Path, name: str, fraction: float) -> None:
     """The file may end anywhere."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
@@ -60,7 +60,7 @@ def test_truncated_file_is_refused(tmp_path: Path, name: str, fraction: float) -
 
 
 @pytest.mark.parametrize("name", ["capture.ply", "big_endian.ply", "capture.compressed.ply", "capture.spz", "v3.spz"])
-def test_missing_last_byte_is_detected(tmp_path: Path, name: str) -> None:
+def test_capture_files_without_their_last_byte_are_refused(tmp_path: Path, name: str) -> None:
     """In a gzip stream, only the checksum and length may be missing."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
@@ -69,15 +69,15 @@ def test_missing_last_byte_is_detected(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_random_bytes_are_refused(tmp_path: Path, name: str) -> None:
-    """In every format, random bytes are an error."""
+def test_random_bytes_are_refused_by_every_capture_reader(tmp_path: Path, name: str) -> None:
+    """Five thousand random bytes are an error in every format."""
     (tmp_path / name).write_bytes(np.random.default_rng(0).bytes(5000))
     refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_random_truncation_loads_or_is_refused(tmp_path: Path, name: str) -> None:
-    """Nothing else ever happens."""
+def test_capture_files_truncated_anywhere_load_or_are_refused(tmp_path: Path, name: str) -> None:
+    """A refusal is a one-line error."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
     for length in np.random.default_rng(1).integers(1, len(data), 40):
@@ -86,8 +86,8 @@ def test_random_truncation_loads_or_is_refused(tmp_path: Path, name: str) -> Non
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_random_byte_changes_load_or_are_refused(tmp_path: Path, name: str) -> None:
-    """The head of the file is changed more often."""
+def test_capture_files_with_random_byte_changes_load_or_are_refused(tmp_path: Path, name: str) -> None:
+    """Half of the changes hit the first 400 bytes, which hold the header."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
     rng = np.random.default_rng(2)
@@ -102,7 +102,7 @@ def test_random_byte_changes_load_or_are_refused(tmp_path: Path, name: str) -> N
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", FUZZED)
-def test_random_mutations_load_or_are_refused(tmp_path: Path, name: str) -> None:
+def test_randomly_mutated_capture_files_load_or_are_refused(tmp_path: Path, name: str) -> None:
     """Bytes are changed, a piece is cut out, doubled or zeroed, or the end is lost; errors are one line."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
@@ -132,8 +132,8 @@ def mutated(original: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def test_random_changes_of_sog_metadata_load_or_are_refused(tmp_path: Path) -> None:
-    """Random bytes of a meta.json are changed."""
+def test_sog_with_random_byte_changes_in_meta_json_loads_or_is_refused(tmp_path: Path) -> None:
+    """Three random bytes of the JSON text are replaced."""
     folder = unpacked(tmp_path / "sog", sog_files(capture(40), linear=False))
     original = (folder / "meta.json").read_bytes()
     rng = np.random.default_rng(3)
@@ -156,7 +156,7 @@ def load_or_refuse(path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["capture.ply", "ascii.ply", "big_endian.ply"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_nonfinite_values_are_counted_and_can_be_dropped(tmp_path: Path, name: str, value: float) -> None:
+def test_nonfinite_ply_values_are_counted_and_can_be_dropped(tmp_path: Path, name: str, value: float) -> None:
     """The error names the properties with NaN and infinity."""
     path = tmp_path / name
     rows = np.tile([1.0, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0], (5, 1))
@@ -174,24 +174,26 @@ def test_nonfinite_values_are_counted_and_can_be_dropped(tmp_path: Path, name: s
     assert load_gaussians(path, drop_invalid=True).count == 3
 
 
-def test_doubles_beyond_float32_count_as_infinite(tmp_path: Path) -> None:
-    """The error counts them like infinite values."""
+def test_ply_doubles_beyond_float32_count_as_infinite(tmp_path: Path) -> None:
+    """The error counts these values in the property x."""
     row = np.array([1e300, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0])
     (tmp_path / "a.ply").write_bytes(ply_header(1, INRIA, kind="double") + row.astype("<f8").tobytes())
     assert "1 NaN or infinite values in x" in refused(tmp_path / "a.ply")
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
-def test_capture_without_gaussians_is_refused(tmp_path: Path, encoding: str) -> None:
-    """In every format, a count of zero is an error."""
+def test_ply_without_any_gaussian_is_refused(tmp_path: Path, encoding: str) -> None:
+    """A vertex count of zero is an error in every encoding."""
     (tmp_path / "a.ply").write_bytes(ply_header(0, INRIA, encoding))
     assert "zero Gaussians" in refused(tmp_path / "a.ply")
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("count", [6, 10**9, 10**18, 10**40])
-def test_header_count_beyond_the_file_is_refused(tmp_path: Path, encoding: str, count: int) -> None:
-    """It is refused before memory is allocated, however large the count is."""
+def test_ply_count_beyond_the_file_size_is_refused_without_allocation(
+    tmp_path: Path, encoding: str, count: int
+) -> None:
+    """The count may be arbitrarily large."""
     body = b"0 " * 14 * 5 if encoding == "ascii" else bytes(14 * 4 * 5)
     (tmp_path / "a.ply").write_bytes(ply_header(count, INRIA, encoding) + body)
     tracemalloc.start()
@@ -202,8 +204,8 @@ def test_header_count_beyond_the_file_is_refused(tmp_path: Path, encoding: str, 
     assert peak < 2**22
 
 
-def test_compressed_ply_count_beyond_the_file_is_refused(tmp_path: Path) -> None:
-    """Chunks come first in a compressed PLY."""
+def test_compressed_ply_counts_beyond_the_file_size_are_refused(tmp_path: Path) -> None:
+    """The counts of Gaussians and of chunks are checked."""
     path = write_format(tmp_path, "capture.compressed.ply")
     data = path.read_bytes()
     path.write_bytes(data.replace(b"element vertex 40", b"element vertex 4000000000"))
@@ -212,7 +214,7 @@ def test_compressed_ply_count_beyond_the_file_is_refused(tmp_path: Path) -> None
     assert "truncated" in refused(path)
 
 
-def test_gzip_stream_is_inflated_only_to_the_announced_size(tmp_path: Path) -> None:
+def test_spz_gzip_stream_is_inflated_only_to_the_announced_size(tmp_path: Path) -> None:
     """Further zeros in the stream take no memory."""
     header = struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 0)
     good = header + bytes([0] * 9 + [128] + [128] * 3 + [100] * 3 + [0] * 4)
@@ -229,14 +231,14 @@ def test_gzip_stream_is_inflated_only_to_the_announced_size(tmp_path: Path) -> N
     assert peak < 2**24
 
 
-def test_gzip_bomb_with_matching_header_is_refused(tmp_path: Path) -> None:
+def test_spz_gzip_bomb_with_a_matching_header_is_refused(tmp_path: Path) -> None:
     """A header that claims a billion Gaussians in a small file is refused without inflating them."""
     header = struct.pack("<IIIBBBB", 0x5053474E, 3, 10**9, 0, 12, 0, 0)
     (tmp_path / "bomb.spz").write_bytes(gzip.compress(header + bytes(2**20)))
     assert "made to exhaust memory" in refused(tmp_path / "bomb.spz")
 
 
-def test_zip_bomb_is_refused(tmp_path: Path) -> None:
+def test_sog_zip_bomb_is_refused_before_it_is_inflated(tmp_path: Path) -> None:
     """A bundle member that inflates to hundreds of megabytes is not read."""
     files = sog_files(capture(10), linear=False)
     with zipfile.ZipFile(tmp_path / "bomb.sog", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as bundle:
@@ -252,8 +254,8 @@ def test_zip_bomb_is_refused(tmp_path: Path) -> None:
     assert peak < 2**24
 
 
-def test_image_decompression_bomb_is_refused(tmp_path: Path) -> None:
-    """A small file with 90 million pixels is refused before it is decoded."""
+def test_sog_image_that_claims_90_million_pixels_is_refused(tmp_path: Path) -> None:
+    """The image is refused before it is decoded."""
     files = sog_files(capture(10), linear=False)
     buffer = io.BytesIO()
     Image.new("L", (9500, 9500)).save(buffer, "PNG")
@@ -261,7 +263,7 @@ def test_image_decompression_bomb_is_refused(tmp_path: Path) -> None:
     assert "quats.webp" in refused(folder)
 
 
-def test_many_large_images_are_refused_together(tmp_path: Path) -> None:
+def test_total_pixel_count_of_sog_images_is_limited(tmp_path: Path) -> None:
     """Each image is within the limit, but their sum is not."""
     files = sog_files(capture(10), linear=False)
     buffer = io.BytesIO()
@@ -276,29 +278,29 @@ def test_many_large_images_are_refused_together(tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-def test_unknown_extension_lists_the_known_ones(tmp_path: Path) -> None:
-    """The message lists all extensions that can be loaded."""
+def test_load_with_an_unknown_extension_lists_the_supported_ones(tmp_path: Path) -> None:
+    """The error of ``load`` names .ply, .compressed.ply, .spz and all others."""
     (tmp_path / "a.xyz").write_bytes(b"data")
     assert "unknown extension '.xyz', expected .ply, .compressed.ply, .spz" in refused(tmp_path / "a.xyz")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "meta.json", "a.obj", "nothing"])
-def test_missing_file_has_its_own_error(tmp_path: Path, name: str) -> None:
-    """The error is the same for every extension."""
+def test_missing_capture_file_has_the_same_error_for_every_extension(tmp_path: Path, name: str) -> None:
+    """The message is "no such file"."""
     assert "no such file" in refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["folder", "folder.ply", "folder.spz"])
-def test_folder_that_is_no_sog_is_refused(tmp_path: Path, name: str) -> None:
-    """The folder may even have the name of a file."""
+def test_folder_without_meta_json_is_refused_as_a_capture(tmp_path: Path, name: str) -> None:
+    """A folder of training images is refused with advice to train a capture; the folder may end in .ply."""
     (tmp_path / name).mkdir()
     assert "is a folder without a meta.json" in refused(tmp_path / name)
     (tmp_path / name / "transforms.json").write_text("{}")
     assert "is a folder of images, not a capture: train one from them" in refused(tmp_path / name)
 
 
-def test_point_cloud_has_its_own_error(tmp_path: Path) -> None:
-    """The error says that a point cloud is not a capture."""
+def test_point_cloud_ply_is_refused_as_no_capture(tmp_path: Path) -> None:
+    """The error lists the missing properties."""
     (tmp_path / "points.ply").write_bytes(ply_header(2, ["x", "y", "z"]) + bytes(24))
     assert "a point cloud, not a Gaussian capture: no opacity, scale, rotation" in refused(tmp_path / "points.ply")
 
@@ -318,7 +320,7 @@ def test_point_cloud_has_its_own_error(tmp_path: Path) -> None:
         b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty list uchar int opacity\nend_header\n\x00",
     ],
 )
-def test_damaged_ply_headers_are_refused(tmp_path: Path, header: bytes) -> None:
-    """The error names the fault of the header."""
+def test_damaged_ply_headers_of_captures_are_refused_in_one_line(tmp_path: Path, header: bytes) -> None:
+    """Counts are missing or negative, and types are unknown."""
     (tmp_path / "a.ply").write_bytes(header)
     refused(tmp_path / "a.ply")

@@ -47,7 +47,7 @@ def check_same(
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 1, 2])
-def test_all_levels_and_sh_degrees_are_decoded(tmp_path: Path, level: int, degree: int) -> None:
+def test_all_ksplat_levels_and_sh_degrees_are_decoded(tmp_path: Path, level: int, degree: int) -> None:
     """Levels store float32, float16 with buckets, and bytes between two limits; SH are ordered by channel."""
     given = capture(60, degree)
     least, largest = float(given.sh[:, 1:].min(initial=0.0)) - 0.1, float(given.sh[:, 1:].max(initial=0.0)) + 0.1
@@ -59,7 +59,7 @@ def test_all_levels_and_sh_degrees_are_decoded(tmp_path: Path, level: int, degre
     np.testing.assert_allclose(read.sh[:, 1:], given.sh[order, 1:], rtol=2.0**-11, atol=step if level == 2 else 2e-8)
 
 
-def test_missing_header_limits_have_defaults(tmp_path: Path) -> None:
+def test_missing_ksplat_header_limits_have_defaults(tmp_path: Path) -> None:
     """SH limits default to 1.5, and a bucket has 32,767 steps from its centre to its side."""
     given = capture(30, 1)
     data = bytearray(ksplat([given], 2))
@@ -71,8 +71,8 @@ def test_missing_header_limits_have_defaults(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_sections_of_different_sh_degree_are_padded(tmp_path: Path, level: int) -> None:
-    """Missing SH are zero; buckets of a larger section are not all full."""
+def test_ksplat_sections_of_lower_sh_degree_are_padded_with_zeros(tmp_path: Path, level: int) -> None:
+    """The buckets of the larger section are not all full."""
     first, second = capture(21, 2, seed=1), capture(10, 0, seed=2)
     (tmp_path / "a.ksplat").write_bytes(ksplat([first, second], level, bucket=7, block=4.0))
     read = load_gaussians(tmp_path / "a.ksplat")
@@ -99,7 +99,7 @@ def test_sections_of_different_sh_degree_are_padded(tmp_path: Path, level: int) 
         ("<H", 4096 + 40, (3,), "has SH degree 3, expected 0, 1 or 2"),
     ],
 )
-def test_damaged_headers_are_refused_in_one_line(
+def test_damaged_ksplat_headers_are_refused_in_one_line(
     tmp_path: Path, layout: str, offset: int, value: tuple[int, ...], message: str
 ) -> None:
     """The error names the wrong header field."""
@@ -111,8 +111,8 @@ def test_damaged_headers_are_refused_in_one_line(
     assert message in str(error.value) and "\n" not in str(error.value)
 
 
-def test_file_without_gaussians_is_refused(tmp_path: Path) -> None:
-    """A count of zero is an error."""
+def test_ksplat_without_any_gaussian_is_refused(tmp_path: Path) -> None:
+    """The header states a count of zero."""
     data = bytearray(ksplat([capture(1, 0)], 0)[:4096])
     struct.pack_into("<4I", data, 4, 0, 0, 0, 0)
     (tmp_path / "a.ksplat").write_bytes(data)
@@ -122,8 +122,8 @@ def test_file_without_gaussians_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
-def test_mutated_files_load_or_are_refused(tmp_path: Path, level: int, count: int) -> None:
-    """Bytes are changed, mostly in headers, or the end is lost; errors are one line."""
+def test_mutated_ksplat_files_load_or_are_refused_in_one_line(tmp_path: Path, level: int, count: int) -> None:
+    """Bytes are changed, mostly in headers, or the end is lost."""
     path, rng = tmp_path / "a.ksplat", np.random.default_rng(level)
     original = ksplat([capture(20, 2, seed=3), capture(9, 1, seed=4)], level)
     fields = np.concatenate([np.arange(44), 4096 + np.arange(44), 5120 + np.arange(44)])
@@ -140,7 +140,7 @@ def test_mutated_files_load_or_are_refused(tmp_path: Path, level: int, count: in
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 2])
-def test_files_of_the_reference_writer_are_read(tmp_path: Path, level: int, degree: int) -> None:
+def test_ksplat_files_of_gaussiansplats3d_are_read(tmp_path: Path, level: int, degree: int) -> None:
     """GaussianSplats3D converts a PLY of Lumisplat to an equal capture; Gaussians are matched by position."""
     if NODE is None or not (FOLDER / "node_modules" / "@mkkellogg").is_dir():
         pytest.skip(f"no @mkkellogg/gaussian-splats-3d in {FOLDER} (set LUMISPLAT_NODE, or npm install it there)")

@@ -40,14 +40,14 @@ def assert_states(found: ls.Gaussians) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_preserves_up_and_first_view(tmp_path: Path, name: str) -> None:
-    """They are in the coordinates of the loaded capture, which equal those of the saved one."""
+def test_every_capture_format_preserves_up_and_first_view(tmp_path: Path, name: str) -> None:
+    """Up and first view are in the coordinates of the saved capture."""
     ls.save(tmp_path / name, stated())
     assert_states(load_gaussians(tmp_path / name))
     np.testing.assert_allclose(present(stated_up(tmp_path / name)), UNIT, atol=1e-8)
 
 
-def test_openusd_preserves_up_and_first_view(tmp_path: Path) -> None:
+def test_openusd_preserves_up_and_first_view_of_a_capture(tmp_path: Path) -> None:
     """They are custom data of the particle field."""
     pytest.importorskip("pxr")
     ls.save(tmp_path / "a.usda", stated())
@@ -55,8 +55,8 @@ def test_openusd_preserves_up_and_first_view(tmp_path: Path) -> None:
     np.testing.assert_allclose(present(stated_up(tmp_path / "a.usda")), UNIT, atol=1e-8)
 
 
-def test_blocks_preserve_up_and_first_view(tmp_path: Path) -> None:
-    """They are in the index, and all functions that load blocks return them."""
+def test_blocks_preserve_up_and_first_view_of_a_capture(tmp_path: Path) -> None:
+    """The index stores both, and all functions that load blocks return both."""
     index = ls.io.write_blocks(tmp_path / "blocks", [stated()], 10.0)
     assert_states(load_gaussians(tmp_path / "blocks"))
     assert_states(ls.io.thin_blocks(index))
@@ -64,8 +64,8 @@ def test_blocks_preserve_up_and_first_view(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS[:-2])
-def test_capture_without_orientation_is_saved_without_one(tmp_path: Path, name: str) -> None:
-    """Readers thus know that its up direction is a guess."""
+def test_capture_without_stated_up_is_saved_without_one(tmp_path: Path, name: str) -> None:
+    """Readers thus know that the up direction of the capture is a guess."""
     ls.save(tmp_path / name, capture(40))
     found = load_gaussians(tmp_path / name)
     assert found.up is None
@@ -73,15 +73,15 @@ def test_capture_without_orientation_is_saved_without_one(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
-def test_gltf_without_metadata_is_y_up(tmp_path: Path, name: str) -> None:
-    """The format defines up, so a capture of another program is rotated to y down and states its up."""
+def test_gltf_capture_of_another_program_is_y_up(tmp_path: Path, name: str) -> None:
+    """In glTF y is up, so the capture is rotated to y down, and its up is stated."""
     ls.save(tmp_path / name, capture(40))
     assert load_gaussians(tmp_path / name).up == (0.0, -1.0, 0.0)
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.usda"])
 def test_tilted_capture_is_saved_y_up_in_gltf_and_openusd(tmp_path: Path, name: str) -> None:
-    """A scene that uses the file as one of its parts sees the capture upright."""
+    """A scene that loads the file shows the capture upright."""
     if name.endswith("usda"):
         pytest.importorskip("pxr")
     tall = replace(capture(40), means=np.linspace(0, 3, 40)[:, None] * np.array(UP), up=UP)
@@ -105,8 +105,10 @@ def test_tilted_capture_is_saved_y_up_in_gltf_and_openusd(tmp_path: Path, name: 
         ("Vertical Axis: zenith", None),
     ],
 )
-def test_ply_header_comments_state_up(tmp_path: Path, comment: str, up: tuple[float, float, float] | None) -> None:
-    """Comments of nerfstudio and Lumisplat are read; conversion preserves a comment that is still right."""
+def test_ply_comments_of_nerfstudio_and_lumisplat_state_up(
+    tmp_path: Path, comment: str, up: tuple[float, float, float] | None
+) -> None:
+    """Saving the loaded capture preserves a comment that is still right."""
     plain, named = tmp_path / "plain.ply", tmp_path / "named.ply"
     ls.save(plain, capture(5))
     named.write_bytes(plain.read_bytes().replace(b"element", f"comment {comment}\nelement".encode(), 1))
@@ -117,8 +119,8 @@ def test_ply_header_comments_state_up(tmp_path: Path, comment: str, up: tuple[fl
     assert b"Vertical Axis: z\n" in named.read_bytes() or comment != "Vertical Axis: z"
 
 
-def test_own_up_comment_overrides_nerfstudio_comment(tmp_path: Path) -> None:
-    """Saving a rotated capture writes its up, and removes comments that are no longer right."""
+def test_lumisplat_up_comment_of_a_ply_overrides_that_of_nerfstudio(tmp_path: Path) -> None:
+    """Saving a rotated capture writes its new up, and removes comments that are no longer right."""
     path = tmp_path / "a.ply"
     axis = replace(capture(5), comments=("Vertical Axis: z", "a comment"), up="z-up")
     ls.save(path, ls.transform(axis, rotation_degrees=(90.0, 0.0, 0.0)))
@@ -142,7 +144,7 @@ def test_own_up_comment_overrides_nerfstudio_comment(tmp_path: Path) -> None:
         {"first_view": {"eye": [1e308, 0, 0], "target": [-1e308, 0, 0], "up": UP, "fov_y": 1, "width": 9, "height": 9}},
     ],
 )
-def test_invalid_orientation_is_ignored_with_a_log_line(values: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_up_or_first_view_is_ignored_with_a_log_line(values: Any, caplog: pytest.LogCaptureFixture) -> None:
     """The capture itself is loaded."""
     with caplog.at_level(logging.WARNING):
         assert orientation_of("x.ply", values) == (None, None)
@@ -150,7 +152,7 @@ def test_invalid_orientation_is_ignored_with_a_log_line(values: Any, caplog: pyt
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", "{" * 5000, '{"eye": NaN}', "0"])
-def test_damaged_comments_are_ignored(tmp_path: Path, text: str) -> None:
+def test_damaged_up_and_first_view_comments_of_a_ply_are_ignored(tmp_path: Path, text: str) -> None:
     """Whatever follows the keywords of a comment, the capture is loaded."""
     plain, path = tmp_path / "plain.ply", tmp_path / "a.ply"
     ls.save(plain, capture(5))
@@ -159,8 +161,8 @@ def test_damaged_comments_are_ignored(tmp_path: Path, text: str) -> None:
     assert (load_gaussians(path).up, load_gaussians(path).first_view) == (None, None)
 
 
-def test_edits_preserve_up_and_first_view() -> None:
-    """Cutting, decimating and sorting preserve them; merging takes them from the first capture that has them."""
+def test_edits_of_a_capture_preserve_its_up_and_first_view() -> None:
+    """Cutting, decimating and sorting preserve both; merging takes both from the first capture that has them."""
     one = stated()
     box = ls.editing.crop(one, ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
     for edited in (box, ls.editing.decimate(one, 20), ls.editing.sort_morton(one), ls.editing.limit_sh_degree(one, 0)):
@@ -168,7 +170,7 @@ def test_edits_preserve_up_and_first_view() -> None:
     assert_states(ls.merge([capture(10), one]))
 
 
-def test_rotated_capture_rotates_up_and_first_view() -> None:
+def test_rotating_a_capture_rotates_its_up_and_first_view() -> None:
     """The camera of the first view projects every mean to the same pixel as before."""
     one = stated()
     moved = ls.transform(one, scale=3.0, rotation_degrees=(20.0, 130.0, 70.0), translation=(1.0, -2.0, 5.0))
@@ -184,8 +186,8 @@ def test_rotated_capture_rotates_up_and_first_view() -> None:
     assert np.dot(present(rotated.up), present(one.up)) < 0.9
 
 
-def test_json_values_are_plain_numbers(tmp_path: Path) -> None:
-    """Other programs can read them without knowing matrices of Lumisplat."""
+def test_first_view_in_json_is_eye_target_up_and_numbers(tmp_path: Path) -> None:
+    """Other programs can read these values without knowing the matrices of Lumisplat."""
     ls.save(tmp_path / "meta.json", stated())
     held = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
     assert held["first_view"] == {
@@ -198,8 +200,8 @@ def test_json_values_are_plain_numbers(tmp_path: Path) -> None:
     }
 
 
-def test_up_of_a_glb_is_read_once_per_file_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Entries, actors and cameras of a scene file ask for it, and finding it needs the whole capture."""
+def test_up_of_a_glb_is_read_once_for_a_whole_scene_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Entries, actors and cameras need the up direction, and finding it reads the whole capture."""
     ls.save(tmp_path / "a.glb", stated())
     (tmp_path / "scene.toml").write_text(
         '[[splats]]\npath = "a.glb"\n[[cameras]]\neye = [0, 0, 3]\ntarget = [0, 0, 0]\n'

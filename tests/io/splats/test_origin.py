@@ -50,7 +50,7 @@ def in_world(gaussians: ls.Gaussians) -> np.ndarray:
     return gaussians.means.astype(np.float64) + gaussians.origin
 
 
-def test_text_ply_keeps_all_digits_of_positions(tmp_path: Path) -> None:
+def test_ascii_ply_in_map_coordinates_keeps_all_digits(tmp_path: Path) -> None:
     """Programs write map coordinates with all digits, although the header calls them float."""
     near = capture((0.0, 0.0, 0.0))
     columns = (near.means + np.array(UTM), near.sh[:, 0], np.zeros((60, 1)), np.log(near.scales), near.rotations_wxyz)
@@ -62,8 +62,8 @@ def test_text_ply_keeps_all_digits_of_positions(tmp_path: Path) -> None:
     np.testing.assert_allclose(in_world(far), near.means + np.array(UTM), atol=1e-6, rtol=0)
 
 
-def test_map_coordinates_are_stored_relative_to_an_origin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Positions keep their precision, and a log line says so; doubles near zero get no origin."""
+def test_captures_in_map_coordinates_get_a_float64_origin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Positions keep their precision, and a log line reports the origin; doubles near zero get no origin."""
     near = capture((0.0, 0.0, 0.0))
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
     assert isinstance(far, ls.Gaussians) and any(far.origin)
@@ -75,8 +75,8 @@ def test_map_coordinates_are_stored_relative_to_an_origin(tmp_path: Path, caplog
     np.testing.assert_array_equal(same.means, near.means)
 
 
-def test_unplaced_capture_is_at_its_origin(tmp_path: Path) -> None:
-    """Scenes and scene files leave it there if their keys state no position."""
+def test_capture_without_a_given_position_is_placed_at_its_origin(tmp_path: Path) -> None:
+    """Scenes and scene files leave the capture at its origin if no key states a position."""
     far = capture()
     for instance in (ls.SplatInstance(far), ls.Scene([far]).splats[0], ls.SplatInstance(far, scale_by=2.0)):
         np.testing.assert_array_equal(instance.transform[:3, 3], UTM)
@@ -89,8 +89,8 @@ def test_unplaced_capture_is_at_its_origin(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.splats[0].world_means, far.means + np.array(UTM), atol=1e-6, rtol=0)
 
 
-def test_frames_are_the_same_at_map_coordinates_and_at_zero(tmp_path: Path) -> None:
-    """Camera and capture are both in survey coordinates."""
+def test_frames_of_a_capture_in_map_coordinates_equal_those_near_zero(tmp_path: Path) -> None:
+    """Camera and capture are both in map coordinates."""
     near = capture((0.0, 0.0, 0.0))
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
     here = ls.load(write_doubles(tmp_path / "near.ply", near, np.zeros(3)))
@@ -105,8 +105,8 @@ def test_frames_are_the_same_at_map_coordinates_and_at_zero(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", ["x.ply", "x.compressed.ply", "x.glb", "x.usdc"])
-def test_files_preserve_the_origin(tmp_path: Path, name: str) -> None:
-    """A comment, or the transform of a node, has it exactly; comments are not doubled."""
+def test_saved_files_preserve_the_float64_origin_of_a_capture(tmp_path: Path, name: str) -> None:
+    """A comment or the transform of a node stores the origin exactly; saving twice does not repeat the comment."""
     if name.endswith("usdc"):
         pytest.importorskip("pxr")
     far = replace(capture(), origin=(500123.125, 5400987.1, 312.0))
@@ -121,8 +121,10 @@ def test_files_preserve_the_origin(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["x.spz", "x.sog"])
-def test_formats_without_origin_log_a_warning(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Their positions stay relative to it."""
+def test_formats_that_cannot_store_an_origin_log_a_warning(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The stored positions stay relative to the origin."""
     ls.save(tmp_path / name, capture())
     assert "cannot store the origin of the capture, 500123 5400987 312" in caplog.text
     loaded = ls.load(tmp_path / name)
@@ -130,8 +132,10 @@ def test_formats_without_origin_log_a_warning(tmp_path: Path, name: str, caplog:
 
 
 @pytest.mark.parametrize("numbers", ["1 2", "a b c", "1 2 nan", "", "1e400 0 0"])
-def test_invalid_origin_is_logged_and_zero(tmp_path: Path, numbers: str, caplog: pytest.LogCaptureFixture) -> None:
-    """A comment with other than three numbers is ignored."""
+def test_invalid_origin_comment_of_a_ply_is_logged_and_ignored(
+    tmp_path: Path, numbers: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The comment does not hold three finite numbers."""
     near = capture((0.0, 0.0, 0.0))
     ls.save(tmp_path / "x.ply", replace(near, comments=("lumisplat origin_of_nothing",)))
     data = (tmp_path / "x.ply").read_bytes()
@@ -143,7 +147,7 @@ def test_invalid_origin_is_logged_and_zero(tmp_path: Path, numbers: str, caplog:
     assert not numbers or "its origin is not three numbers" in caplog.text
 
 
-def test_edits_use_the_coordinates_of_the_capture() -> None:
+def test_edits_of_a_capture_with_an_origin_use_absolute_coordinates() -> None:
     """Translation, rotation, scaling, cropping, selection and merging match the same edits in float64."""
     far, wide = capture(), in_world(capture())
     moved = ls.transform(far, scale=2.0, rotation_degrees=(0, 0, 90), translation=(1.0, 2.0, 3.0))
@@ -165,16 +169,16 @@ def test_edits_use_the_coordinates_of_the_capture() -> None:
         ls.merge([capture((0.0, 0.0, 0.0)), far])
 
 
-def test_blocks_refuse_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Blocks store absolute positions, so the capture would be misplaced."""
+def test_blocks_command_refuses_a_capture_with_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Blocks store absolute float32 positions, which would round such a capture."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["blocks", str(tmp_path / "far.ply"), "-o", str(tmp_path / "far.blocks")]) == 2
     log_line = capsys.readouterr().err
     assert "convert --translate=-500123" in log_line and not (tmp_path / "far.blocks").exists()
 
 
-def test_info_and_convert_handle_the_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """``info`` has a row and a JSON key for it; ``convert --translate`` moves the capture to zero."""
+def test_info_shows_the_origin_and_convert_can_remove_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """``info`` has a row and a JSON key for the origin; ``convert --translate`` moves the capture to zero."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["info", str(tmp_path / "far.ply")]) == 0
     assert "500123 5400987 312" in capsys.readouterr().out
@@ -187,7 +191,7 @@ def test_info_and_convert_handle_the_origin(tmp_path: Path, capsys: pytest.Captu
     np.testing.assert_array_equal(near.means, capture().means)
 
 
-def test_blocks_warn_of_rounded_positions(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_writing_blocks_of_map_coordinates_warns_of_rounding(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Blocks store absolute float32 positions; captures near zero cause no warning."""
     near = capture((0.0, 0.0, 0.0))
     for name, shift in (("far", np.array(UTM)), ("near", np.zeros(3))):

@@ -36,8 +36,8 @@ def relightable(count: int = 200, **changes: Any) -> ls.Gaussians:
     return replace(made, **changes)
 
 
-def test_columns_are_those_of_r3dg(tmp_path: Path) -> None:
-    """All 130 columns are in order, values are stored before activation, and SH are ordered by channel."""
+def test_r3dg_ply_has_the_130_columns_of_relightable_3d_gaussians(tmp_path: Path) -> None:
+    """Columns are in order, values are stored before activation, and SH are ordered by channel."""
     light = np.random.default_rng(1).normal(size=(200, 16, 3)).astype(np.float32)
     first = relightable(incident=light)
     ls.save(tmp_path / "theirs.ply", first, columns="r3dg")
@@ -54,7 +54,7 @@ def test_columns_are_those_of_r3dg(tmp_path: Path) -> None:
     assert not any(columns[name].any() for name in names if name.startswith("visibility"))
 
 
-def test_round_trip_preserves_materials(tmp_path: Path) -> None:
+def test_r3dg_ply_round_trip_preserves_materials(tmp_path: Path) -> None:
     """Materials are right to the last digit, later round trips exact; no Lumisplat comment marks them as linear."""
     first = relightable(comments=("lumisplat materials linear", "of a walk"))
     ls.save(tmp_path / "once.ply", first, columns="r3dg")
@@ -73,15 +73,17 @@ def test_round_trip_preserves_materials(tmp_path: Path) -> None:
     assert once.comments == ("of a walk",)
 
 
-def test_values_from_float32_logits_round_trip_exactly() -> None:
-    """Encoding and decoding such values gives the same values again."""
+def test_materials_decoded_from_float32_logits_are_encoded_exactly() -> None:
+    """Logits cover -18 to 18; encoding and decoding gives the same albedo and roughness again."""
     logits = np.concatenate([np.linspace(-18.0, 18.0, 100_001), np.random.default_rng(0).normal(size=100_000)])
     for name in ("albedo", "roughness"):
         values = R3DG.activated(name, logits.astype(np.float32))
         np.testing.assert_array_equal(R3DG.activated(name, R3DG.stored(name, values)), values)
 
 
-def test_values_out_of_range_are_clamped_with_a_log_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_materials_outside_the_range_of_r3dg_are_clamped_and_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Dropped metallic values are logged, too."""
     albedo = np.full((4, 3), 0.5)
     albedo[1] = (0.0, 0.5, 0.95)
@@ -102,8 +104,8 @@ def test_values_out_of_range_are_clamped_with_a_log_line(tmp_path: Path, caplog:
     assert not caplog.records
 
 
-def test_incident_light_is_read_only_on_request(tmp_path: Path) -> None:
-    """It is read from R3DG's and Lumisplat's files, and padded with zeros."""
+def test_incident_light_of_r3dg_plys_is_read_only_on_request(tmp_path: Path) -> None:
+    """Files of R3DG and of Lumisplat are read; missing coefficients are zeros."""
     light = np.random.default_rng(1).normal(size=(200, 4, 3)).astype(np.float32)
     made = relightable(incident=light)
     for columns, coefficients in (("lumisplat", 4), ("r3dg", 16)):
@@ -122,7 +124,7 @@ def test_incident_light_is_read_only_on_request(tmp_path: Path) -> None:
 
 
 def test_incident_light_rotates_with_the_capture() -> None:
-    """Merging pads incident light of lower degree."""
+    """Merging pads incident light of lower degree with zeros."""
     light = np.random.default_rng(1).normal(size=(5, 16, 3))
     made = relightable(5, incident=light)
     quarter = ls.transform(made, rotation_degrees=(0.0, 0.0, 90.0), scale=2.0)
@@ -136,8 +138,8 @@ def test_incident_light_rotates_with_the_capture() -> None:
     assert present(both.incident).shape == (10, 16, 3) and not present(both.incident)[5:, 4:].any()
 
 
-def test_unsupported_captures_are_refused_in_one_line(tmp_path: Path) -> None:
-    """Materials are missing, or the format is another one; nothing is written."""
+def test_captures_that_r3dg_columns_cannot_store_are_refused(tmp_path: Path) -> None:
+    """Materials are missing, or the format is no PLY; nothing is written."""
     output = tmp_path / "a.ply"
     with pytest.raises(ls.FormatError, match=r"a.ply: R3DG's columns hold .* no roughness and no normals: lumisplat"):
         ls.save(output, relightable(normals=None, roughness=None), columns="r3dg")

@@ -63,8 +63,8 @@ def write(path: Path, *rows: dict[str, float], comment: str = "") -> Path:
     return path
 
 
-def test_packed_rows_have_the_columns_of_the_trainers() -> None:
-    """The hand-packed rows have as many columns as the files of the trainers."""
+def test_handmade_rows_have_as_many_columns_as_files_of_the_trainers() -> None:
+    """R3DG writes 130 columns and GS-IR 67."""
     assert (len(r3dg_row((0, 0, 0), 0)), len(gs_ir_row((0, 0, 0), 0, 0))) == (130, 67)
 
 
@@ -73,7 +73,9 @@ def test_packed_rows_have_the_columns_of_the_trainers() -> None:
     [((0.0, 0.25, 1.0), 0.5), ((-3.0, 0.0, 40.0), -2.0)],
     ids=["all raw values within 0..1", "any raw values"],
 )
-def test_r3dg_materials_are_decoded(tmp_path: Path, color: tuple[float, float, float], roughness: float) -> None:
+def test_r3dg_albedo_roughness_and_normals_are_decoded(
+    tmp_path: Path, color: tuple[float, float, float], roughness: float
+) -> None:
     """Albedo is 0.77 sigmoid + 0.03, roughness 0.9 sigmoid + 0.09, and normals have any length."""
     loaded = load_gaussians(write(tmp_path / "point_cloud.ply", r3dg_row(color, roughness)))
     expected = [0.77 * sigmoid(raw) + 0.03 for raw in color]
@@ -86,8 +88,8 @@ def test_r3dg_materials_are_decoded(tmp_path: Path, color: tuple[float, float, f
     np.testing.assert_allclose(loaded.sh[0, 1], [0.0, 0.15, 0.3], rtol=1e-6)  # channel-major
 
 
-def test_first_release_of_r3dg_is_decoded(tmp_path: Path) -> None:
-    """It has metallic, and plain sigmoids for all three materials."""
+def test_ply_of_the_first_r3dg_release_is_decoded(tmp_path: Path) -> None:
+    """This release has metallic, and its albedo, roughness and metallic are sigmoids without an offset."""
     row = r3dg_row((0.0, 0.25, 1.0), 0.5)
     columns = list(row)
     columns.insert(columns.index("roughness") + 1, "metallic")
@@ -97,8 +99,8 @@ def test_first_release_of_r3dg_is_decoded(tmp_path: Path) -> None:
     np.testing.assert_allclose(present(loaded.metallic), [sigmoid(0.75)], rtol=1e-6)
 
 
-def test_first_stage_of_r3dg_has_only_normals(tmp_path: Path) -> None:
-    """Materials are trained in the second stage."""
+def test_first_stage_ply_of_r3dg_has_normals_but_no_materials(tmp_path: Path) -> None:
+    """R3DG trains materials in its second stage."""
     row = part("x", "y", "z") | NORMAL | SH | part("opacity") | scales() | ROTATION
     loaded = load_gaussians(write(tmp_path / "stage1.ply", row))
     np.testing.assert_array_equal(present(loaded.normals), [[0, -1, 0]])
@@ -110,10 +112,10 @@ def test_first_stage_of_r3dg_has_only_normals(tmp_path: Path) -> None:
     [((1.0, 1.0, 1.0), 1.0, 1.0), ((0.0, 0.25, 1.0), 0.5, 0.75), ((-3.0, 0.0, 9.0), -2.0, -7.0)],
     ids=["untrained", "all raw values within 0..1", "any raw values"],
 )
-def test_gs_ir_materials_are_decoded(
+def test_gs_ir_albedo_roughness_and_metallic_are_decoded(
     tmp_path: Path, albedo: tuple[float, float, float], roughness: float, metallic: float
 ) -> None:
-    """All three are sigmoids although the columns have Lumisplat's names; normals are normal_0..2."""
+    """All three are sigmoids although the columns have Lumisplat's names; the columns of normals are normal_0..2."""
     loaded = load_gaussians(write(tmp_path / "gs_ir.ply", gs_ir_row(albedo, roughness, metallic)))
     np.testing.assert_allclose(present(loaded.albedo), [[sigmoid(raw) for raw in albedo]], rtol=1e-6)
     np.testing.assert_allclose(present(loaded.roughness), [sigmoid(roughness)], rtol=1e-6)
@@ -121,8 +123,8 @@ def test_gs_ir_materials_are_decoded(
     np.testing.assert_array_equal(present(loaded.normals), [[0, 0, 1]])
 
 
-def test_materials_of_other_trainers_are_saved_as_linear(tmp_path: Path) -> None:
-    """Lumisplat's PLY preserves their materials, and a comment marks them as linear."""
+def test_materials_of_other_trainers_are_saved_as_linear_values(tmp_path: Path) -> None:
+    """A PLY saved by Lumisplat preserves the materials, and a comment marks them as linear."""
     first = load_gaussians(write(tmp_path / "theirs.ply", r3dg_row((0.0, 0.25, 1.0), 0.5)))
     ls.save(tmp_path / "ours.ply", first)
     again = load_gaussians(tmp_path / "ours.ply")
@@ -132,7 +134,7 @@ def test_materials_of_other_trainers_are_saved_as_linear(tmp_path: Path) -> None
         np.testing.assert_array_equal(getattr(again, field), getattr(first, field))
 
 
-def test_capture_without_materials_has_no_material_comment(tmp_path: Path) -> None:
+def test_ply_of_a_capture_without_materials_has_no_material_comment(tmp_path: Path) -> None:
     """Its file is the same as before materials were supported."""
     ls.save(tmp_path / "plain.ply", capture(3))
     assert load_gaussians(tmp_path / "plain.ply").comments == ()
@@ -145,7 +147,7 @@ def unmarked(path: Path, roughness: np.ndarray) -> Path:
     return path
 
 
-def test_older_lumisplat_files_without_comment_are_read(tmp_path: Path) -> None:
+def test_materials_of_older_lumisplat_plys_without_comment_are_read(tmp_path: Path) -> None:
     """Columns that only Lumisplat writes are accepted if all values are within 0..1."""
     path = unmarked(tmp_path / "old.ply", np.linspace(0.0, 1.0, 4))
     assert load_gaussians(path).comments == ()
@@ -159,10 +161,10 @@ def test_older_lumisplat_files_without_comment_are_read(tmp_path: Path) -> None:
         ({"roughness": 0.5, "metallic": 1.5}, "1 of 1 values of metallic are outside 0..1"),
     ],
 )
-def test_materials_of_unknown_trainers_are_dropped(
+def test_materials_of_unknown_trainers_are_dropped_with_the_reason(
     tmp_path: Path, row: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Their encoding is unknown: a log line says why and what to do."""
+    """The encoding is unknown, so a log line names the reason and the comment that declares it."""
     path = write(tmp_path / "unknown.ply", GEOMETRY | ROTATION | SH | row)
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         loaded = load_gaussians(path)
@@ -181,10 +183,10 @@ def test_materials_of_unknown_trainers_are_dropped(
         (("roughness",), None),
     ],
 )
-def test_materials_with_a_missing_column_are_dropped(
+def test_materials_with_a_missing_ply_column_are_dropped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, missing: tuple[str, ...], expected: str | None
 ) -> None:
-    """A log line names them; a material without any column is not mentioned."""
+    """A log line names the missing columns; a material without any column is not mentioned."""
     row = {name: value for name, value in r3dg_row((0.0, 0.25, 1.0), 0.5).items() if name not in missing}
     with caplog.at_level(logging.WARNING, "lumisplat"):
         loaded = load_gaussians(write(tmp_path / "a.ply", row))
@@ -194,8 +196,8 @@ def test_materials_with_a_missing_column_are_dropped(
     assert getattr(loaded, field) is None
 
 
-def test_linear_materials_out_of_range_are_refused(tmp_path: Path) -> None:
-    """The comment says linear, so values outside 0..1 mean damage."""
+def test_ply_materials_marked_linear_but_out_of_range_are_refused(tmp_path: Path) -> None:
+    """A comment marks them as linear, so values outside 0..1 mean damage."""
     path = write(
         tmp_path / "a.ply", GEOMETRY | ROTATION | SH | {"roughness": 2.0}, comment="lumisplat materials linear"
     )
@@ -203,8 +205,8 @@ def test_linear_materials_out_of_range_are_refused(tmp_path: Path) -> None:
         ls.load(path)
 
 
-def test_invalid_stored_values_are_named_by_their_column(tmp_path: Path) -> None:
-    """NaN and infinity are refused although their sigmoid would be finite, under the file's column name."""
+def test_nonfinite_ply_materials_are_refused_by_column_name(tmp_path: Path) -> None:
+    """NaN and infinity are refused although their sigmoid would be finite."""
     bad = r3dg_row((0.0, np.inf, 0.0), np.nan)
     path = write(tmp_path / "bad.ply", r3dg_row((0, 0, 0), 0), bad)
     with pytest.raises(ls.FormatError, match=r"in base_color_1, 1 NaN or infinite values in roughness"):
@@ -219,7 +221,7 @@ def flat_row(x: float, rotation: tuple[float, ...], log_scales: tuple[float, flo
     return row | {f"rot_{i}": value for i, value in enumerate(rotation)}
 
 
-def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
+def test_ply_of_2d_gaussians_gets_a_tiny_third_scale(tmp_path: Path) -> None:
     """The third axis, along which the scale is tiny, is the normal."""
     upright = flat_row(-1.0, (1, 0, 0, 0), (-2.0, -4.0))
     rotated = flat_row(1.0, (1, 1, 0, 0), (-5.0, -3.0))  # a quarter about x: z to -y
@@ -232,15 +234,15 @@ def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
 
 
 def test_2d_gaussians_are_saved_as_3d_gaussians(tmp_path: Path) -> None:
-    """Every reader can load the saved file."""
+    """The saved PLY has scale_2, so that every reader can load it."""
     ls.save(tmp_path / "copy.ply", load_gaussians(write(tmp_path / "a.ply", flat_row(0.0, (1, 0, 0, 0), (-2, -3)))))
     assert "scale_2" in parse_ply((tmp_path / "copy.ply").read_bytes())[0]
     assert load_gaussians(tmp_path / "copy.ply").scales.min() < 0.02 * np.exp(-3)
 
 
 @pytest.mark.parametrize("missing", [("scale_1",), ("scale_1", "scale_2"), ("scale_2", "rot_3")])
-def test_missing_scales_other_than_scale_2_are_refused(tmp_path: Path, missing: tuple[str, ...]) -> None:
-    """Only scale_2 may be missing."""
+def test_ply_may_lack_scale_2_but_no_other_scale(tmp_path: Path, missing: tuple[str, ...]) -> None:
+    """A PLY of 2D Gaussians has two scales; a PLY without scale_1 or a rotation is refused."""
     row = {name: value for name, value in (GEOMETRY | ROTATION | SH).items() if name not in missing}
     with pytest.raises(ls.FormatError, match=f"no {missing[-1] if missing[-1] != 'scale_2' else 'scale_1'}"):
         ls.load(write(tmp_path / "a.ply", row))

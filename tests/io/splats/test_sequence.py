@@ -19,7 +19,7 @@ def write_frames(folder: Path, names: list[str], counts: list[int] | None = None
         ls.save(folder / name, random_gaussians(k, count=counts[k] if counts else 4 + k))
 
 
-def test_frames_are_sorted_by_number(tmp_path: Path) -> None:
+def test_frames_of_a_sequence_are_sorted_by_number(tmp_path: Path) -> None:
     """Numbers in names compare as numbers of any width; other files and hidden ones are ignored."""
     write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
     (tmp_path / "notes.txt").write_text("no frame")
@@ -29,7 +29,7 @@ def test_frames_are_sorted_by_number(tmp_path: Path) -> None:
     assert [sequence.at(k / 2.0).count for k in range(4)] == [4, 5, 6, 7]
 
 
-def test_frame_is_shown_until_the_next(tmp_path: Path) -> None:
+def test_sequence_shows_a_frame_until_the_time_of_the_next(tmp_path: Path) -> None:
     """Frames may differ in count, and are not interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
     sequence = ls.io.load_sequence(tmp_path, 10.0)
@@ -38,7 +38,7 @@ def test_frame_is_shown_until_the_next(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fps", [24.0, 25.0, 29.97, 30.0, 60.0, 1.0 / 3.0])
-def test_no_frame_is_skipped_by_rounding(fps: float, tmp_path: Path) -> None:
+def test_sequence_skips_no_frame_by_rounding_of_times(fps: float, tmp_path: Path) -> None:
     """At time k / fps the frame is k, for all k."""
     shown: list[int] = []
     frame = random_gaussians(0, count=1)
@@ -53,7 +53,7 @@ def test_no_frame_is_skipped_by_rounding(fps: float, tmp_path: Path) -> None:
     assert shown == list(range(500))
 
 
-def test_only_a_few_frames_are_cached(tmp_path: Path) -> None:
+def test_sequence_caches_the_two_frames_used_last(tmp_path: Path) -> None:
     """A frame is loaded on first use, and again only after it has left the cache."""
     loaded: list[str] = []
 
@@ -69,8 +69,8 @@ def test_only_a_few_frames_are_cached(tmp_path: Path) -> None:
     assert loaded == ["0", "1", "2", "0"]
 
 
-def test_invalid_gaussians_can_be_dropped(tmp_path: Path) -> None:
-    """A frame with NaN is refused when it is used, or used without the invalid Gaussians."""
+def test_sequence_refuses_or_drops_invalid_gaussians_of_a_frame(tmp_path: Path) -> None:
+    """A frame with NaN is refused when its time is shown, or with drop_invalid loses the invalid Gaussians."""
     write_frames(tmp_path, ["a1.ply", "a2.ply"], [10, 10])
     data = bytearray((tmp_path / "a2.ply").read_bytes())
     at = data.index(b"end_header\n") + len(b"end_header\n")
@@ -83,8 +83,8 @@ def test_invalid_gaussians_can_be_dropped(tmp_path: Path) -> None:
     assert ls.io.load_sequence(tmp_path, 1.0, drop_invalid=True).at(1.0).count == 9
 
 
-def test_folders_without_frames_are_refused(tmp_path: Path) -> None:
-    """The error is one line that says what was expected."""
+def test_load_sequence_refuses_folders_without_frames_of_one_format(tmp_path: Path) -> None:
+    """The one-line error states what was expected."""
     with pytest.raises(ls.FormatError, match=r"holds no frames: expected files that end in .*\.spz"):
         ls.io.load_sequence(tmp_path, 25.0)
     with pytest.raises(ls.FormatError, match="no such folder"):
@@ -96,7 +96,7 @@ def test_folders_without_frames_are_refused(tmp_path: Path) -> None:
         ls.io.load_sequence(tmp_path, 25.0)
 
 
-def test_meshes_are_refused_as_frames(tmp_path: Path) -> None:
+def test_load_sequence_refuses_meshes_as_frames(tmp_path: Path) -> None:
     """A PLY with faces is not a frame."""
     import trimesh
 
@@ -105,8 +105,8 @@ def test_meshes_are_refused_as_frames(tmp_path: Path) -> None:
         ls.io.load_sequence(tmp_path, 25.0)
 
 
-def test_invalid_rates_and_times_are_refused(tmp_path: Path) -> None:
-    """Rates must be positive, times finite."""
+def test_sequences_refuse_nonpositive_rates_and_nonfinite_times(tmp_path: Path) -> None:
+    """The rate is 0, negative, NaN or text; the time is NaN."""
     write_frames(tmp_path, ["a1.ply"])
     for fps in (0.0, -1.0, float("nan"), cast(Any, "25")):
         with pytest.raises(ls.SceneError, match="fps is"):

@@ -38,7 +38,7 @@ def sorted_rows(values: np.ndarray) -> np.ndarray:
     return values[np.lexsort(values.T)]
 
 
-def test_finest_level_is_the_capture(tmp_path: Path) -> None:
+def test_finest_level_of_streamed_sog_is_the_whole_capture(tmp_path: Path) -> None:
     """Each Gaussian occurs once, with positions within a 16-bit step."""
     given = capture(300, 1)
     ls.save(tmp_path / "city" / "lod-meta.json", given)
@@ -54,8 +54,11 @@ def test_finest_level_is_the_capture(tmp_path: Path) -> None:
     assert read.sh_degree == 1
 
 
-def test_levels_halve_the_count_and_cover_the_same_extent(tmp_path: Path) -> None:
-    """In each leaf a level has about half of the previous one; the file states the counts, and opacity is preserved."""
+def test_levels_of_streamed_sog_halve_the_count_over_the_same_extent(tmp_path: Path) -> None:
+    """In each leaf a level has about half of the Gaussians of the next finer one.
+
+    The file states the counts, and mean opacity is preserved.
+    """
     given = capture(600, 0)
     path = tmp_path / "lod-meta.json"
     ls.save(path, given)
@@ -70,7 +73,7 @@ def test_levels_halve_the_count_and_cover_the_same_extent(tmp_path: Path) -> Non
     assert expect_kind(ls.Gaussians, ls.load(path, budget=levels[2].count)).count == levels[2].count
 
 
-def test_leaves_are_small_and_inside_their_parents(tmp_path: Path) -> None:
+def test_leaves_of_streamed_sog_are_small_and_inside_their_parents(tmp_path: Path) -> None:
     """Each leaf has all levels, and its box contains its Gaussians."""
     ls.save(tmp_path / "lod-meta.json", capture(600, 0))
     meta = json.loads((tmp_path / "lod-meta.json").read_text())
@@ -93,7 +96,7 @@ def test_leaves_are_small_and_inside_their_parents(tmp_path: Path) -> None:
     assert (top_high >= np.max([leaf["bound"]["max"] for leaf in leaves], axis=0)).all()
 
 
-def test_coincident_gaussians_stop_the_division(tmp_path: Path) -> None:
+def test_streamed_sog_stores_any_number_of_coincident_gaussians(tmp_path: Path) -> None:
     """All, or all but one, are at one position, which no split can separate."""
     for far in (0.0, 500.0):
         means = np.zeros((260, 3))
@@ -102,8 +105,8 @@ def test_coincident_gaussians_stop_the_division(tmp_path: Path) -> None:
         assert load_gaussians(tmp_path).count == 260
 
 
-def test_interrupted_write_leaves_no_index(tmp_path: Path) -> None:
-    """There is no lod-meta.json then, not an old one beside new captures."""
+def test_interrupted_write_of_streamed_sog_leaves_no_lod_meta_json(tmp_path: Path) -> None:
+    """An old lod-meta.json beside new captures would be inconsistent."""
     ls.save(tmp_path / "city" / "lod-meta.json", capture(300, 0))
     shutil.rmtree(tmp_path / "city" / "1_0")
     (tmp_path / "city" / "1_0").write_text("in the way")
@@ -112,8 +115,8 @@ def test_interrupted_write_leaves_no_index(tmp_path: Path) -> None:
     assert not (tmp_path / "city" / "lod-meta.json").exists()
 
 
-def test_splat_transform_reads_the_captures(tmp_path: Path) -> None:
-    """It does not read lod-meta.json, but each capture that the file names, with equal values."""
+def test_splat_transform_reads_the_captures_of_streamed_sog(tmp_path: Path) -> None:
+    """splat-transform does not read lod-meta.json, but each SOG that the file names, with equal values."""
     command = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
     if not command:
         pytest.skip("needs PlayCanvas's splat-transform: npm install -g @playcanvas/splat-transform@2.7.1")

@@ -16,7 +16,7 @@ from support.files.splat_files import capture, load_gaussians, rows_of_level, so
 from support.kinds import expect_kind
 
 
-def test_leaves_without_a_level_use_the_next_coarser_one(tmp_path: Path) -> None:
+def test_sog_leaves_without_the_chosen_level_use_the_next_coarser_one(tmp_path: Path) -> None:
     """Level 0 is the whole finest capture; coarser captures have no SH here."""
     path = streamed(tmp_path)
     finest, middle, coarsest = (load_gaussians(tmp_path / name) for name in ("0_0", "1_0", "2_0"))
@@ -31,16 +31,16 @@ def test_leaves_without_a_level_use_the_next_coarser_one(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("budget", "count"), [(10**6, 50), (50, 50), (49, 23), (23, 23), (22, 8), (8, 8), (7, 8)])
-def test_budget_selects_the_finest_level_that_fits(
+def test_budget_selects_the_finest_sog_level_within_a_gaussian_count(
     tmp_path: Path, budget: int, count: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """If no level fits, the coarsest is read, and a log line says so."""
+    """If no level is small enough, the coarsest is read, and a log line warns."""
     assert expect_kind(Gaussians, ls.load(streamed(tmp_path), budget=budget)).count == count
     assert any("no level has 7 Gaussians or fewer" in r.getMessage() for r in caplog.records) == (budget == 7)
 
 
-def test_environment_capture_is_in_every_level(tmp_path: Path) -> None:
-    """The file's environment capture is added to the leaves of each level."""
+def test_environment_capture_of_streamed_sog_is_in_every_level(tmp_path: Path) -> None:
+    """The metadata name one further capture, whose Gaussians are added at each level."""
     unpacked(tmp_path / "sky", sog_files(capture(11), linear=False))
     path = streamed(tmp_path, environment="sky/meta.json")
     assert expect_kind(Gaussians, ls.load(path, lod=2)).count == 8 + 11
@@ -70,21 +70,23 @@ def test_environment_capture_is_in_every_level(tmp_path: Path) -> None:
         ({"filenames": ["gone/meta.json"] * 3}, "no such file"),
     ],
 )
-def test_damaged_metadata_is_refused_in_one_line(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
-    """The error names the fault."""
+def test_damaged_lod_meta_json_of_streamed_sog_is_refused(
+    tmp_path: Path, changed: dict[str, Any], message: str
+) -> None:
+    """The one-line error names the fault."""
     with pytest.raises(FormatError, match=message) as error:
         ls.load(streamed(tmp_path, **changed))
     assert "\n" not in str(error.value)
 
 
-def test_unknown_level_lists_the_known_ones(tmp_path: Path) -> None:
-    """The message has the range of levels."""
+def test_unknown_level_of_streamed_sog_is_refused_with_the_valid_range(tmp_path: Path) -> None:
+    """The message names level 0 as the finest and level 2 as the coarsest."""
     with pytest.raises(FormatError, match=r"has no level 3: its levels are 0 \(finest\) to 2"):
         ls.load(streamed(tmp_path), lod=3)
 
 
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
-def test_mutated_metadata_loads_or_is_refused(tmp_path: Path, count: int) -> None:
+def test_streamed_sog_with_mutated_lod_meta_json_loads_or_is_refused(tmp_path: Path, count: int) -> None:
     """Characters are changed, or the end is lost; errors are one line."""
     path = streamed(tmp_path)
     original = path.read_bytes()
@@ -101,7 +103,7 @@ def test_mutated_metadata_loads_or_is_refused(tmp_path: Path, count: int) -> Non
 
 
 @pytest.mark.data
-def test_playbot_levels_match_its_metadata(data_dir: Path) -> None:
+def test_levels_of_downloaded_playbot_scene_match_its_metadata(data_dir: Path) -> None:
     """PlayCanvas's scene has the counts of its tree at the finest level; coarser levels fill the same volume."""
     folder = data_dir / "splats" / "playbot"
     some = expect_kind(Gaussians, ls.load(folder, budget=20_000))
@@ -112,7 +114,7 @@ def test_playbot_levels_match_its_metadata(data_dir: Path) -> None:
     assert (low > np.array(bound["min"]) - 0.05).all() and (high < np.array(bound["max"]) + 0.05).all()
 
 
-def test_splat_file_is_decoded(tmp_path: Path) -> None:
+def test_splat_files_are_decoded_to_8_bits_of_colour_and_rotation(tmp_path: Path) -> None:
     """Positions and scales of a .splat are exact; colours, opacities and rotations have 8 bits."""
     base = capture(100, 0)
     (tmp_path / "a.splat").write_bytes(splat_rows(base))
@@ -125,7 +127,7 @@ def test_splat_file_is_decoded(tmp_path: Path) -> None:
     assert cosines.min() > 1 - 2 * (1 / 128) ** 2  # four components, each half a step off, or a whole one at 1
 
 
-def test_splat_with_a_partial_row_is_refused(tmp_path: Path) -> None:
+def test_splat_file_with_a_partial_row_is_refused(tmp_path: Path) -> None:
     """The size is not a multiple of 32 bytes."""
     (tmp_path / "a.splat").write_bytes(splat_rows(capture(3, 0))[:-1])
     with pytest.raises(FormatError, match="95 bytes are not a multiple of 32 per Gaussian"):

@@ -31,7 +31,7 @@ def written(folder: Path, gaussians: ls.Gaussians) -> tuple[ls.Gaussians, ls.Gau
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_round_trip_is_within_half_a_step(tmp_path: Path, degree: int) -> None:
+def test_sog_round_trip_is_within_half_a_quantisation_step(tmp_path: Path, degree: int) -> None:
     """A palette of 256 entries for 300 Gaussians preserves most of the SH."""
     before, after = written(tmp_path, capture(300, degree, antialiased=True))
     assert after.antialiased
@@ -50,7 +50,7 @@ def test_round_trip_is_within_half_a_step(tmp_path: Path, degree: int) -> None:
         assert error < np.sqrt(88 / 300 / 2) * before.sh[:, 1:].std()
 
 
-def test_bundle_and_folder_have_the_same_files(tmp_path: Path) -> None:
+def test_sog_bundle_and_folder_contain_the_same_files(tmp_path: Path) -> None:
     """The bundle is an uncompressed zip; images are lossless WebP with sides that are multiples of 4."""
     ls.save(tmp_path / "a.sog", capture(70, 2))
     ls.save(tmp_path / "folder" / "meta.json", capture(70, 2))
@@ -74,15 +74,15 @@ def test_bundle_and_folder_have_the_same_files(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(ours, field), getattr(bundled, field))
 
 
-def test_equal_captures_give_equal_bytes(tmp_path: Path) -> None:
+def test_writing_a_capture_twice_gives_identical_sog_files(tmp_path: Path) -> None:
     """Files contain no time stamps or random data."""
     for name in ("a.sog", "b.sog"):
         ls.save(tmp_path / name, capture(200, 3))
     assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
 
 
-def test_transparent_pixels_preserve_their_colours(tmp_path: Path) -> None:
-    """DC is stored in the colour of pixels whose alpha is the opacity, 0 here."""
+def test_sog_preserves_the_colours_of_fully_transparent_gaussians(tmp_path: Path) -> None:
+    """SH degree 0 is stored in the colour of pixels whose alpha is the opacity, 0 here."""
     base = capture(64)
     invisible = ls.Gaussians(base.means, base.rotations_wxyz, base.scales, np.zeros(64), base.sh[:, :1])
     before, after = written(tmp_path, invisible)
@@ -90,8 +90,8 @@ def test_transparent_pixels_preserve_their_colours(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 17, 1023, 1025])
-def test_any_number_of_gaussians_fits_the_images(tmp_path: Path, count: int) -> None:
-    """All Gaussians may share a coordinate."""
+def test_sog_stores_any_number_of_gaussians(tmp_path: Path, count: int) -> None:
+    """The images are padded; all Gaussians may share a coordinate."""
     base = capture(count, 1)
     flat = ls.Gaussians(base.means * (1, 1, 0), base.rotations_wxyz, base.scales, base.opacities, base.sh)
     before, after = written(tmp_path, flat)
@@ -101,8 +101,10 @@ def test_any_number_of_gaussians_fits_the_images(tmp_path: Path, count: int) -> 
 
 
 @pytest.mark.parametrize("name", ["a.sog", "levels/lod-meta.json"])
-def test_far_captures_preserve_their_positions(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """In map coordinates Lumisplat decodes exact positions; engines round them to float32, as a log line says."""
+def test_sog_preserves_positions_in_map_coordinates(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Lumisplat decodes exact positions; other programs round to float32, as a log line warns."""
     base = capture(400, 0)
     far = replace(base, means=base.means + np.array((5e5, 5.4e6, 0.0)), scales=np.full((400, 3), 0.05))
     ls.save(tmp_path / name, far)
@@ -114,8 +116,10 @@ def test_far_captures_preserve_their_positions(tmp_path: Path, name: str, caplog
     )
 
 
-def test_outliers_with_coarse_positions_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """An outlier does not spoil Gaussians near the origin, but is coarse itself; without it nothing is logged."""
+def test_sog_counts_gaussians_with_positions_coarser_than_their_size(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Only the outlier is coarse, not the Gaussians near the origin; without an outlier nothing is logged."""
     base = capture(100, 0)
     means = base.means.copy()
     means[7] = (40_000.0, 0.0, 0.0)
@@ -130,29 +134,31 @@ def test_outliers_with_coarse_positions_are_counted(tmp_path: Path, caplog: pyte
     assert not caplog.records
 
 
-def test_second_write_loses_no_more_sh(tmp_path: Path) -> None:
-    """The palette of a loaded SOG is found again."""
+def test_saving_a_loaded_sog_loses_no_further_sh(tmp_path: Path) -> None:
+    """The palette of the loaded file is found again."""
     _, once = written(tmp_path, capture(2000, 2))
     before, twice = written(tmp_path, once)
     np.testing.assert_allclose(twice.sh[:, 1:], before.sh[:, 1:], atol=1e-6)
 
 
 @pytest.mark.parametrize(("count", "size"), [(1, 1), (40, 32), (1024, 1024), (152_746, 65_536), (10**6, 65_536)])
-def test_palette_size_is_a_power_of_two(count: int, size: int) -> None:
-    """It is at most the number of Gaussians and the number of 16-bit labels."""
+def test_sog_palette_size_is_a_power_of_two_of_at_most_65536(count: int, size: int) -> None:
+    """The palette has at most as many entries as the capture has Gaussians."""
     assert palette_size(count) == size
 
 
-def test_losses_of_sog_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Materials and the kernel degree are dropped."""
+def test_materials_and_kernel_degree_that_sog_drops_are_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One log line names the roughness, another the kernel degree."""
     ls.save(tmp_path / "a.sog", capture(5, 0, kernel_degree=4, roughness=np.full(5, 0.5)))
     messages = " ".join(record.getMessage() for record in caplog.records)
     assert "SOG cannot store roughness" in messages
     assert "SOG cannot store the kernel degree, 4" in messages
 
 
-def test_interrupted_write_leaves_no_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There is no meta.json then, not an old one beside new images."""
+def test_interrupted_write_of_a_sog_folder_leaves_no_meta_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An old meta.json beside new images would be inconsistent."""
     meta = tmp_path / "folder" / "meta.json"
     ls.save(meta, capture(20))
     (tmp_path / "folder" / "scales.webp").unlink()
@@ -163,8 +169,8 @@ def test_interrupted_write_leaves_no_index(tmp_path: Path, monkeypatch: pytest.M
         ls.load(tmp_path / "folder")
 
 
-def test_codebook_is_exact_for_few_values() -> None:
-    """Up to 256 distinct values are exact."""
+def test_sog_codebook_is_exact_for_up_to_256_distinct_values() -> None:
+    """Each of 200 values, repeated up to 200 times, is decoded to itself."""
     values = np.random.default_rng(0).normal(size=200).astype(np.float32)
     many = np.repeat(values, np.arange(1, 201))
     codebook = fit_codebook(many)
@@ -172,16 +178,16 @@ def test_codebook_is_exact_for_few_values() -> None:
     np.testing.assert_allclose(codebook[encode(many, codebook)], many, rtol=1e-6)
 
 
-def test_codebook_has_entries_for_outliers() -> None:
-    """A few values far from ten thousand others get their own entries."""
+def test_sog_codebook_has_entries_for_outliers() -> None:
+    """Four values far from ten thousand others get their own entries."""
     rng = np.random.default_rng(0)
     values = np.concatenate([rng.normal(size=10_000), [30.0, 31.0, -25.0, 60.0]])
     codebook = fit_codebook(values)
     np.testing.assert_allclose(codebook[encode(values[-4:], codebook)], values[-4:], rtol=1e-6)
 
 
-def test_codebook_error_is_near_the_optimum() -> None:
-    """For uniform numbers the error is that of 256 equal steps, to 1 %."""
+def test_sog_codebook_error_is_within_1_percent_of_the_optimum() -> None:
+    """For uniform numbers the optimum is the error of 256 equal steps."""
     values = (np.arange(51_200) + 0.5) / 51_200
     codebook = fit_codebook(values)
     error = np.mean((codebook[encode(values, codebook)] - values) ** 2)
@@ -189,8 +195,8 @@ def test_codebook_error_is_near_the_optimum() -> None:
 
 
 @pytest.mark.data
-def test_frames_of_a_saved_capture_match(tmp_path: Path, data_dir: Path) -> None:
-    """Frames of the biker match to 60 dB."""
+def test_frames_of_a_capture_saved_as_sog_match_to_60_db(tmp_path: Path, data_dir: Path) -> None:
+    """The capture is the biker, at 320 x 180 pixels."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     ls.save(tmp_path / "biker.sog", biker)
     camera = ls.frame_camera(ls.Scene(splats=[biker]), width=320, height=180)
@@ -211,8 +217,8 @@ def splat_transform() -> list[str]:
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_splat_transform_reads_it(tmp_path: Path, degree: int) -> None:
-    """The PLY that splat-transform makes of the file equals the loaded capture."""
+def test_splat_transform_reads_written_sog_as_lumisplat_does(tmp_path: Path, degree: int) -> None:
+    """The PLY that splat-transform makes of the SOG equals the loaded capture."""
     command = splat_transform()
     _, ours = written(tmp_path, capture(500, degree))
     done = subprocess.run(

@@ -16,7 +16,7 @@ SIGNS = list(itertools.product([1, -1], repeat=3))
 
 @pytest.mark.parametrize("signs", SIGNS)
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_mirroring_preserves_colour(signs: tuple[int, int, int], degree: int) -> None:
+def test_mirroring_sh_along_axes_preserves_colours(signs: tuple[int, int, int], degree: int) -> None:
     """SH of a mirrored capture in a mirrored direction equal the original's in the original direction."""
     columns = columns_from_gaussians(capture(30, degree))
     directions = np.random.default_rng(1).normal(size=(30, 3))
@@ -28,8 +28,8 @@ def test_mirroring_preserves_colour(signs: tuple[int, int, int], degree: int) ->
 
 
 @pytest.mark.parametrize("signs", SIGNS)
-def test_mirroring_mirrors_the_covariance(signs: tuple[int, int, int]) -> None:
-    """A mirrored Gaussian has the covariance S Sigma S, and mirrored mean and normal."""
+def test_mirroring_a_gaussian_mirrors_covariance_mean_and_normal(signs: tuple[int, int, int]) -> None:
+    """The mirrored covariance is S Sigma S, for the diagonal matrix S of the signs."""
     columns = columns_from_gaussians(capture(30, normals=np.tile([0.6, 0.0, 0.8], (30, 1))))
     after = mirror_axes(columns, signs)
     flip = np.diag(signs)

@@ -33,8 +33,8 @@ def poisoned() -> SplatColumns:
     return columns
 
 
-def test_invalid_values_are_counted_by_property() -> None:
-    """The error has counts, property names, and the option that drops invalid Gaussians."""
+def test_invalid_columns_are_counted_by_property_in_the_error() -> None:
+    """The error also names the option that drops invalid Gaussians."""
     with pytest.raises(FormatError) as error:
         gaussians_from_columns("a.ply", poisoned())
     message = str(error.value)
@@ -52,15 +52,15 @@ def test_invalid_values_are_counted_by_property() -> None:
     assert "\n" not in message
 
 
-def test_columns_are_not_copied() -> None:
-    """Gaussians use the arrays that were read, so large captures are in memory once."""
+def test_gaussians_share_the_memory_of_the_columns_read_from_a_file() -> None:
+    """Large captures are thus in memory once."""
     columns = stored()
     gaussians = gaussians_from_columns("a.ply", columns)
     assert np.shares_memory(gaussians.sh, columns.sh) and np.shares_memory(gaussians.means, columns.means)
     assert not gaussians.sh.flags.writeable
 
 
-def test_drop_invalid_removes_only_invalid_rows(caplog: pytest.LogCaptureFixture) -> None:
+def test_drop_invalid_removes_only_gaussians_with_invalid_columns(caplog: pytest.LogCaptureFixture) -> None:
     """A log line has their number."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         valid = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
@@ -68,8 +68,8 @@ def test_drop_invalid_removes_only_invalid_rows(caplog: pytest.LogCaptureFixture
     assert "dropped 4 Gaussians" in caplog.text
 
 
-def test_infinite_logits_are_valid(caplog: pytest.LogCaptureFixture) -> None:
-    """They are opacities 1 and 0, and a log scale of -inf is the smallest scale."""
+def test_infinite_logits_are_valid_opacities_0_and_1(caplog: pytest.LogCaptureFixture) -> None:
+    """A log scale of -inf is valid, too, and becomes the smallest scale."""
     columns = stored()
     columns.opacities[:2] = np.inf, -np.inf
     columns.log_scales[2, 1] = -np.inf
@@ -81,8 +81,8 @@ def test_infinite_logits_are_valid(caplog: pytest.LogCaptureFixture) -> None:
     assert not caplog.records
 
 
-def test_other_infinite_values_are_invalid() -> None:
-    """Infinite log scales, and infinite opacities stored directly, are invalid."""
+def test_infinite_log_scales_and_stored_opacities_are_invalid() -> None:
+    """Opacities are stored directly here, not as logits."""
     columns = stored()
     columns.log_scales[2, 1] = np.inf
     with pytest.raises(FormatError, match="1 NaN or infinite values in scale_1"):
@@ -92,45 +92,45 @@ def test_other_infinite_values_are_invalid() -> None:
         gaussians_from_columns("a.ply", columns)
 
 
-def test_capture_without_a_valid_gaussian_is_refused() -> None:
-    """``drop_invalid`` does not help."""
+def test_capture_without_a_valid_gaussian_is_refused_with_drop_invalid() -> None:
+    """All positions are NaN, so no Gaussian is left."""
     columns = stored(2)
     columns.means[:] = np.nan
     with pytest.raises(FormatError, match="no valid Gaussian is left"):
         gaussians_from_columns("a.ply", columns, drop_invalid=True)
 
 
-def test_underflowing_scales_are_clamped() -> None:
-    """A log scale whose exponential is zero in float32 gives the smallest scale, not an error."""
+def test_log_scales_that_underflow_become_the_smallest_scale() -> None:
+    """The exponential of such a log scale is zero in float32."""
     columns = stored(1)
     columns.log_scales[0] = (-200.0, -50.0, 0.0)
     np.testing.assert_allclose(gaussians_from_columns("a.ply", columns).scales, [[SCALE_MIN, SCALE_MIN, 1.0]])
 
 
-def test_overflowing_scales_are_refused() -> None:
-    """A log scale whose exponential is infinite counts as an infinite value of that property."""
+def test_log_scales_that_overflow_are_refused() -> None:
+    """The infinite exponential is counted for its property."""
     columns = stored(3)
     columns.log_scales[2, 1] = 100.0
     with pytest.raises(FormatError, match="1 NaN or infinite values in scale_1"):
         gaussians_from_columns("a.ply", columns)
 
 
-def test_large_logits_saturate_without_warning() -> None:
-    """Logits far beyond the range of exp give opacity 0 and 1."""
+def test_large_logits_become_opacity_0_or_1_without_a_warning() -> None:
+    """Logits are -500 and 500, beyond the range of exp."""
     columns = stored(2)
     columns.opacities[:] = (-500.0, 500.0)
     np.testing.assert_array_equal(gaussians_from_columns("a.ply", columns).opacities, [0.0, 1.0])
 
 
-def test_error_of_a_value_out_of_range_names_the_file() -> None:
-    """A value that `Gaussians` refuses is reported as an error of the file."""
+def test_column_value_out_of_range_gives_an_error_that_names_the_file() -> None:
+    """A roughness of 1.5 is refused by `Gaussians`, which has no file name."""
     columns = stored(2)
     columns.roughness = np.array([0.5, 1.5], dtype=np.float32)
     with pytest.raises(FormatError, match=r"a\.ply: roughness"):
         gaussians_from_columns("a.ply", columns)
 
 
-def test_repeated_conversion_is_bit_exact() -> None:
+def test_converting_gaussians_to_columns_repeatedly_is_bit_exact() -> None:
     """Values decoded from logarithms and logits do not drift over many conversions."""
     rng = np.random.default_rng(1)
     columns = stored(20_000, degree=0)

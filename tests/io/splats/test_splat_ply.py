@@ -26,7 +26,7 @@ def write(path: Path, names: list[str], rows: list[list[float]], comments: str =
     return path
 
 
-def test_hand_packed_values_are_decoded(tmp_path: Path) -> None:
+def test_ply_packed_by_hand_is_decoded_to_scales_and_opacity(tmp_path: Path) -> None:
     """Scales are exponentials, opacity is a sigmoid, wxyz is normalised, positions are unchanged."""
     one = load_gaussians(write(tmp_path / "one.ply", NAMES, [ROW]))
     np.testing.assert_array_equal(one.means, [[1, 2, 3]])
@@ -37,14 +37,14 @@ def test_hand_packed_values_are_decoded(tmp_path: Path) -> None:
     assert (one.antialiased, one.comments, one.normals) == (False, (), None)
 
 
-def test_f_rest_is_channel_major(tmp_path: Path) -> None:
-    """f_rest_0..K-1 are the red coefficients, then green, then blue."""
+def test_ply_f_rest_columns_are_ordered_by_colour_channel(tmp_path: Path) -> None:
+    """f_rest_0..K-1 are the K red coefficients above degree 0, then green, then blue."""
     path = write(tmp_path / "sh1.ply", NAMES + [f"f_rest_{i}" for i in range(9)], [ROW + list(range(9))])
     np.testing.assert_array_equal(load_gaussians(path).sh[0, 1:], [[0, 3, 6], [1, 4, 7], [2, 5, 8]])
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_property_order_does_not_matter(tmp_path: Path, seed: int) -> None:
+def test_order_of_ply_properties_does_not_matter(tmp_path: Path, seed: int) -> None:
     """Shuffled columns, some of them unknown, give the same capture."""
     ls.save(tmp_path / "plain.ply", capture(20, degree=3))
     names, values = parse_ply((tmp_path / "plain.ply").read_bytes())
@@ -56,15 +56,15 @@ def test_property_order_does_not_matter(tmp_path: Path, seed: int) -> None:
         np.testing.assert_array_equal(getattr(shuffled, field), getattr(plain, field))
 
 
-def test_zero_normals_are_ignored_and_real_ones_kept(tmp_path: Path) -> None:
-    """INRIA fills nx, ny, nz with zeros: no normals. Other values are normals, normalised."""
+def test_zero_normals_in_a_ply_count_as_no_normals(tmp_path: Path) -> None:
+    """INRIA fills nx, ny, nz with zeros. Other values are normals, and are normalised."""
     names = [*NAMES, "nx", "ny", "nz"]
     assert load_gaussians(write(tmp_path / "zero.ply", names, [[*ROW, 0, 0, 0]])).normals is None
     up = load_gaussians(write(tmp_path / "up.ply", names, [[*ROW, 0, 2, 0]]))
     np.testing.assert_array_equal(present(up.normals), [[0, 1, 0]])
 
 
-def test_written_columns_are_those_of_inria(tmp_path: Path) -> None:
+def test_written_ply_has_the_columns_of_inria_in_order(tmp_path: Path) -> None:
     """Columns are in INRIA's order."""
     ls.save(tmp_path / "ours.ply", capture(5, degree=1))
     names, values = parse_ply((tmp_path / "ours.ply").read_bytes())
@@ -87,20 +87,20 @@ def test_written_columns_are_those_of_inria(tmp_path: Path) -> None:
         (("not antialiased 1", "made with care"), False),
     ],
 )
-def test_antialiased_comments_are_recognised(comments: tuple[str, ...], expected: bool) -> None:
-    """Comments of Brush and Postshot are read; the last one counts, others are ignored."""
+def test_ply_comments_of_other_trainers_set_the_antialiased_flag(comments: tuple[str, ...], expected: bool) -> None:
+    """Comments of Brush and Postshot are recognised; the last one counts, other comments are ignored."""
     assert antialiased_from_comments(comments) is expected
 
 
-def test_comments_are_read(tmp_path: Path) -> None:
-    """Header comments are preserved, and set the antialiased flag."""
+def test_ply_comments_are_loaded_and_set_the_antialiased_flag(tmp_path: Path) -> None:
+    """The comment of Brush, "SplatRenderMode: mip", means antialiased."""
     path = write(tmp_path / "brush.ply", NAMES, [ROW], "comment Exported from Brush\ncomment SplatRenderMode: mip\n")
     loaded = load_gaussians(path)
     assert loaded.comments == ("Exported from Brush", "SplatRenderMode: mip")
     assert loaded.antialiased
 
 
-def test_windows_line_ends_are_read(tmp_path: Path) -> None:
+def test_ply_header_with_windows_line_ends_is_read(tmp_path: Path) -> None:
     """The header has CR LF line ends."""
     path = write(tmp_path / "crlf.ply", NAMES, [ROW])
     header, body = path.read_bytes().split(b"end_header\n")
@@ -108,7 +108,7 @@ def test_windows_line_ends_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_gaussians(path).means, [[1, 2, 3]])
 
 
-def test_other_elements_are_skipped(tmp_path: Path) -> None:
+def test_binary_ply_elements_other_than_vertices_are_skipped(tmp_path: Path) -> None:
     """Rows before the vertices are skipped, rows after them ignored."""
     path = write(tmp_path / "extra.ply", NAMES, [ROW])
     header, body = path.read_bytes().split(b"end_header\n")
@@ -118,8 +118,8 @@ def test_other_elements_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_gaussians(path).means, [[1, 2, 3]])
 
 
-def test_other_elements_of_text_files_are_skipped(tmp_path: Path) -> None:
-    """In a text file, rows are lines."""
+def test_text_ply_elements_other_than_vertices_are_skipped(tmp_path: Path) -> None:
+    """Each row is a line."""
     header = ply_header(1, NAMES, "ascii").replace(
         b"element vertex", b"element camera 2\nproperty double t\nelement vertex"
     )
@@ -139,16 +139,18 @@ def test_other_elements_of_text_files_are_skipped(tmp_path: Path) -> None:
         ([*NAMES, *(f"f_rest_{i}" for i in range(1, 10))], "no f_rest_0"),
     ],
 )
-def test_incomplete_captures_are_refused(tmp_path: Path, names: list[str], message: str) -> None:
-    """The error names the missing properties."""
+def test_ply_captures_with_missing_properties_are_refused_by_name(
+    tmp_path: Path, names: list[str], message: str
+) -> None:
+    """A point cloud, or a capture without an opacity, rotation or SH, lacks properties."""
     path = write(tmp_path / "partial.ply", names, [[1.0] * len(names)])
     with pytest.raises(FormatError, match=message) as error:
         ls.load(path)
     assert str(path) in str(error.value)
 
 
-def test_progress_reaches_one(tmp_path: Path) -> None:
-    """Progress never decreases."""
+def test_progress_of_loading_a_ply_rises_to_one(tmp_path: Path) -> None:
+    """Reported fractions never decrease."""
     ls.save(tmp_path / "long.ply", capture(10_000, degree=3))
     seen: list[float] = []
     ls.load(tmp_path / "long.ply", progress=seen.append)
@@ -166,8 +168,8 @@ def _columns(gaussians: ls.Gaussians, folder: Path) -> tuple[list[str], np.ndarr
 
 @pytest.mark.parametrize("prefix", ["scalar_", "scal_", "scalar_scalar_"])
 @pytest.mark.parametrize("ascii", [False, True])
-def test_cloudcompare_prefixes_are_removed(tmp_path: Path, prefix: str, ascii: bool) -> None:
-    """CloudCompare prefixes all field names except positions and normals; this works for SH degree 2, too."""
+def test_cloudcompare_prefixes_of_ply_properties_are_removed(tmp_path: Path, prefix: str, ascii: bool) -> None:
+    """CloudCompare prefixes all field names except positions and normals; SH of degree 2 are found, too."""
     names, values = _columns(capture(40, degree=2), tmp_path)
     written = [name if name in "xyz" or name[0] == "n" else prefix + name for name in names]
     path = write(tmp_path / "cloud.ply", written, values.tolist())
@@ -181,8 +183,8 @@ def test_cloudcompare_prefixes_are_removed(tmp_path: Path, prefix: str, ascii: b
         np.testing.assert_array_equal(piece.sh, plain.sh)
 
 
-def test_unprefixed_property_takes_precedence(tmp_path: Path) -> None:
-    """A file may have a property with and without the prefix."""
+def test_ply_property_without_prefix_wins_over_a_prefixed_one(tmp_path: Path) -> None:
+    """A file may have a property with and without CloudCompare's prefix."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "scalar_opacity", "scal_x"], [[*ROW, 9.0, 9.0]]))
     assert read.opacities[0] == 0.5
     np.testing.assert_array_equal(read.means, [[1, 2, 3]])
@@ -191,7 +193,7 @@ def test_unprefixed_property_takes_precedence(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "dtype", "scale"), [("uchar", "<u1", 255), ("ushort", "<u2", 65535), ("float", "<f4", 1)]
 )
-def test_rgb_properties_replace_missing_f_dc(tmp_path: Path, kind: str, dtype: str, scale: int) -> None:
+def test_rgb_properties_of_a_ply_replace_missing_f_dc(tmp_path: Path, kind: str, dtype: str, scale: int) -> None:
     """Mode rgb of nerfstudio stores display-referred colours instead of SH."""
     whole = capture(40, degree=0)
     names, values = _columns(whole, tmp_path)
@@ -217,8 +219,8 @@ def test_rgb_properties_replace_missing_f_dc(tmp_path: Path, kind: str, dtype: s
 
 
 @pytest.mark.parametrize("colors", [("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ()])
-def test_alternative_property_names_are_read(tmp_path: Path, colors: tuple[str, ...]) -> None:
-    """Colours have three common names, and some programs write names in capitals."""
+def test_ply_colours_are_read_under_three_names_and_in_capitals(tmp_path: Path, colors: tuple[str, ...]) -> None:
+    """Some programs write all property names in capitals."""
     if colors:
         names = [name for name in NAMES if not name.startswith("f_dc")] + list(colors)
         row = [value for name, value in zip(NAMES, ROW, strict=True) if not name.startswith("f_dc")] + [0.25, 0.5, 1.0]
@@ -230,8 +232,8 @@ def test_alternative_property_names_are_read(tmp_path: Path, colors: tuple[str, 
     np.testing.assert_array_equal(read.means, [[1, 2, 3]])
 
 
-def test_f_dc_takes_precedence_over_rgb(tmp_path: Path) -> None:
-    """Some programs add colours for point cloud viewers."""
+def test_f_dc_of_a_ply_takes_precedence_over_rgb(tmp_path: Path) -> None:
+    """Some programs add RGB colours for point cloud viewers."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "red", "green", "blue"], [[*ROW, 1.0, 1.0, 1.0]]))
     np.testing.assert_allclose(read.sh, [[[0.1, 0.2, 0.3]]], rtol=1e-6)
 
@@ -248,10 +250,10 @@ def _activated(folder: Path, whole: ls.Gaussians, *, scales: bool, opacities: bo
 
 @pytest.mark.parametrize(("scales", "opacities"), [(True, True), (False, True), (True, False)])
 @pytest.mark.parametrize("opaque", [False, True])
-def test_activated_values_are_recognised(
+def test_ply_with_scales_and_opacities_after_activation_is_recognised(
     tmp_path: Path, scales: bool, opacities: bool, opaque: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As logits, all opacities would be 0.5 to 0.73; as logarithms, all Gaussians would be larger than one unit."""
+    """Read as logits, all opacities would be 0.5 to 0.73; read as logarithms, all Gaussians would exceed one unit."""
     opacity = np.random.default_rng(2).uniform(0.004, 0.996, 100)
     if opaque and scales and opacities:
         opacity[:] = 1.0
@@ -267,16 +269,18 @@ def test_activated_values_are_recognised(
     np.testing.assert_array_equal(piece.scales, read.scales)
 
 
-def test_logits_comment_overrides_the_guess(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The log line proposes this comment, and is absent with it."""
+def test_comment_lumisplat_logits_overrides_the_guess_of_encoding(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The log line that reports the guess proposes this comment, and is absent with the comment."""
     whole = capture(100, degree=0)
     path = _activated(tmp_path, whole, scales=True, opacities=True, comment="comment lumisplat logits\n")
     np.testing.assert_allclose(load_gaussians(path).scales, np.exp(whole.scales), rtol=1e-6)
     assert not caplog.records
 
 
-def test_captures_that_look_activated_round_trip(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Lumisplat's own file states its encoding if large Gaussians have logits within 0..1."""
+def test_own_ply_that_looks_activated_states_its_encoding(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Large Gaussians with logits within 0..1 survive two round trips thanks to a comment."""
     rng = np.random.default_rng(4)
     whole = capture(100, degree=0, opacities=rng.uniform(0.55, 0.7, 100), scales=rng.uniform(1.5, 3.0, (100, 3)))
     for name in ("a.ply", "b.ply"):
@@ -287,7 +291,7 @@ def test_captures_that_look_activated_round_trip(tmp_path: Path, caplog: pytest.
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_trained_captures_are_not_mistaken_for_activated_ones(
+def test_plys_of_trained_captures_are_not_mistaken_for_activated_ones(
     tmp_path: Path, seed: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Units range from millimetres to kilometres, and captures are dense or faint."""

@@ -82,7 +82,7 @@ def steps(name: str, gaussians: Gaussians) -> Steps:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("name", FORMATS)
-def test_round_trip_is_within_half_a_quantisation_step(tmp_path: Path, name: str, degree: int) -> None:
+def test_every_capture_format_is_within_half_a_quantisation_step(tmp_path: Path, name: str, degree: int) -> None:
     """A capture is written and loaded in each format."""
     gaussians = capture(300, degree)
     loaded = load_gaussians(write_format(tmp_path, name, gaussians))
@@ -107,7 +107,7 @@ def test_round_trip_is_within_half_a_quantisation_step(tmp_path: Path, name: str
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply", "capture.spz"])
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("comments", [(), ("antialiased 1", "made by hand"), ("SplatRenderMode: default",)])
-def test_round_trip_preserves_antialiased_flag(
+def test_capture_round_trip_preserves_the_antialiased_flag(
     tmp_path: Path, name: str, antialiased: bool, comments: tuple[str, ...]
 ) -> None:
     """Old comments that state another value do not matter, also in a second round trip."""
@@ -124,8 +124,10 @@ def test_round_trip_preserves_antialiased_flag(
 @pytest.mark.parametrize(
     "comments", [(), ("made by hand", "lumisplat kernel_degree 5"), ("Lumisplat Kernel_Degree  2",)]
 )
-def test_round_trip_preserves_kernel_degree(tmp_path: Path, name: str, degree: int, comments: tuple[str, ...]) -> None:
-    """PLY and compressed PLY preserve it despite old comments, and write a comment only if it is not 2."""
+def test_ply_round_trip_preserves_the_kernel_degree(
+    tmp_path: Path, name: str, degree: int, comments: tuple[str, ...]
+) -> None:
+    """The degree wins over old comments in PLY and compressed PLY; a comment is written only if the degree is not 2."""
     path = tmp_path / name
     ls.save(path, capture(20, kernel_degree=degree, comments=comments))
     once = load_gaussians(path)
@@ -137,7 +139,7 @@ def test_round_trip_preserves_kernel_degree(tmp_path: Path, name: str, degree: i
 
 
 @pytest.mark.parametrize("stated", [6, -1, 999_999_999])
-def test_invalid_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None:
+def test_invalid_kernel_degree_comments_of_a_ply_are_refused(tmp_path: Path, stated: int) -> None:
     """The error names the file."""
     path = tmp_path / "capture.ply"
     ls.save(path, capture(5))
@@ -146,8 +148,10 @@ def test_invalid_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None
         ls.load(path)
 
 
-def test_spz_logs_the_lost_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """SPZ cannot store it: there is one log line if it is not the default, else none."""
+def test_spz_logs_a_dropped_kernel_degree_other_than_the_default(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """SPZ cannot store the kernel degree; one log line names a degree of 4, and there is none for 2."""
     ls.save(tmp_path / "usual.spz", capture(5))
     assert not caplog.records
     ls.save(tmp_path / "quartic.spz", capture(5, kernel_degree=4))
@@ -157,16 +161,16 @@ def test_spz_logs_the_lost_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptu
 
 
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply"])
-def test_round_trip_preserves_comments(tmp_path: Path, name: str) -> None:
-    """PLY comments stay in order and are not doubled."""
+def test_ply_round_trip_preserves_the_order_of_comments(tmp_path: Path, name: str) -> None:
+    """A second round trip does not double the comments."""
     path = tmp_path / name
     ls.save(path, capture(20, comments=("first", "second  one")))
     ls.save(path, load_gaussians(path))
     assert load_gaussians(path).comments == ("first", "second one")
 
 
-def test_ply_round_trip_preserves_materials(tmp_path: Path) -> None:
-    """Normals, albedo, roughness and metallic are preserved."""
+def test_ply_round_trip_preserves_normals_and_materials(tmp_path: Path) -> None:
+    """The materials are albedo, roughness and metallic."""
     rng = np.random.default_rng(3)
     normals = rng.normal(size=(30, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -178,7 +182,9 @@ def test_ply_round_trip_preserves_materials(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["lossy.compressed.ply", "lossy.spz"])
-def test_lost_materials_are_logged(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_capture_formats_log_materials_that_they_cannot_store(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
     """Formats that cannot store materials log which ones they drop."""
     ls.save(tmp_path / name, capture(10, roughness=np.full(10, 0.5)))
     assert "cannot store roughness" in caplog.text
@@ -186,14 +192,14 @@ def test_lost_materials_are_logged(tmp_path: Path, name: str, caplog: pytest.Log
 
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply", "capture.spz"])
 @pytest.mark.parametrize("count", [1, 255, 256, 257])
-def test_counts_around_a_chunk_size_round_trip(tmp_path: Path, name: str, count: int) -> None:
-    """No Gaussian is lost or added at the edges of a chunk."""
+def test_captures_with_counts_around_a_chunk_size_round_trip(tmp_path: Path, name: str, count: int) -> None:
+    """No Gaussian is lost or added at the edges of a chunk of 256."""
     ls.save(tmp_path / name, capture(count))
     assert load_gaussians(tmp_path / name).count == count
 
 
-def test_opacities_0_and_1_round_trip(tmp_path: Path) -> None:
-    """Their logits are infinite."""
+def test_ply_round_trip_keeps_opacities_0_and_1(tmp_path: Path) -> None:
+    """The stored logits would be infinite."""
     base = capture(3)
     extreme = Gaussians(base.means, base.rotations_wxyz, base.scales, [0.0, 1.0, 0.5], base.sh)
     ls.save(tmp_path / "extreme.ply", extreme)

@@ -33,7 +33,7 @@ def v4(path: Path, flags: int, extensions: bytes) -> Path:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("states_sizes", [True, False])
-def test_gzip_and_zstd_containers_agree(tmp_path: Path, degree: int, states_sizes: bool) -> None:
+def test_spz_gzip_and_zstd_containers_load_as_the_same_capture(tmp_path: Path, degree: int, states_sizes: bool) -> None:
     """The same sections are one gzip stream, or zstd streams with or without a stated size."""
     old = legacy_spz(capture(100, degree), 3)
     (tmp_path / "3.spz").write_bytes(old)
@@ -78,8 +78,8 @@ SECTIONS_OF_TWO = (
 """Sections that gsply 0.4.6 wrote for `TWO`, mirrored to RUB by hand, with 14 fractional bits."""
 
 
-def test_written_sections_match_those_of_gsply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Header and sections of a tiny file are equal byte by byte."""
+def test_written_spz_sections_equal_those_of_gsply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Header and sections of a file with two Gaussians are equal byte by byte."""
     monkeypatch.setattr("lumisplat.io.splats.spz.position_bits", lambda path, largest: 14)
     ls.save(tmp_path / "two.spz", TWO)
     data = (tmp_path / "two.spz").read_bytes()
@@ -92,8 +92,8 @@ def test_written_sections_match_those_of_gsply(tmp_path: Path, monkeypatch: pyte
     assert start == len(data)
 
 
-def test_stored_axes_are_rub(tmp_path: Path) -> None:
-    """The reader of gsply 0.4.6 sees y and z of `TWO` negated: down and forward are negative in RUB."""
+def test_spz_stores_positions_in_right_up_back_axes(tmp_path: Path) -> None:
+    """The reader of gsply 0.4.6 returns y and z of `TWO` negated: down and forward are negative in RUB."""
     (tmp_path / "two.spz").write_bytes(
         as_version_4(
             gzip.compress(
@@ -130,8 +130,8 @@ def damaged_stream(path: Path, stream: int, replacement: bytes, states: int | No
 
 
 @pytest.mark.parametrize("states_size", [True, False])
-def test_zstd_bombs_are_refused(tmp_path: Path, states_size: bool) -> None:
-    """A stream that unpacks to a gigabyte is refused in one line, without more memory than it should take."""
+def test_spz_zstd_bombs_are_refused_without_using_memory(tmp_path: Path, states_size: bool) -> None:
+    """A stream that unpacks to a gigabyte is refused in one line."""
     packer = zstandard.ZstdCompressor(level=1, write_content_size=states_size)
     stream = packer.compressobj(size=2**28 if states_size else -1)
     bomb = b"".join([*(stream.compress(bytes(2**23)) for _ in range(32)), stream.flush()])
@@ -158,13 +158,15 @@ def test_zstd_bombs_are_refused(tmp_path: Path, states_size: bool) -> None:
         (zstandard.compress(bytes(51)), 51, "its streams do not hold 50 Gaussians"),
     ],
 )
-def test_damaged_streams_are_named(tmp_path: Path, stream: bytes, states: int | None, message: str) -> None:
+def test_damaged_spz_stream_is_named_by_the_error(
+    tmp_path: Path, stream: bytes, states: int | None, message: str
+) -> None:
     """A stream may be invalid, too short or too long."""
     with pytest.raises(FormatError, match=message):
         ls.load(damaged_stream(tmp_path / "a.spz", 1, stream, states))
 
 
-def test_checksums_detect_changed_bytes(tmp_path: Path) -> None:
+def test_spz_checksums_detect_changed_bytes(tmp_path: Path) -> None:
     """Written streams have checksums, so no changed byte is decoded to Gaussians."""
     ls.save(tmp_path / "a.spz", capture(50, degree=1))
     data = (tmp_path / "a.spz").read_bytes()
@@ -176,8 +178,8 @@ def test_checksums_detect_changed_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("version", [1, 2, 3])
 @pytest.mark.parametrize("flag", [0, 1])
-def test_antialiased_flag_is_read_from_all_versions(tmp_path: Path, version: int, flag: int) -> None:
-    """The flag is bit 0."""
+def test_spz_antialiased_flag_is_bit_0_in_all_versions(tmp_path: Path, version: int, flag: int) -> None:
+    """Versions 1 to 3 have the same flags."""
     (tmp_path / "a.spz").write_bytes(legacy_spz(capture(5), version, flags=flag))
     assert load_gaussians(tmp_path / "a.spz").antialiased is bool(flag)
 
@@ -197,8 +199,10 @@ def test_antialiased_flag_is_read_from_all_versions(tmp_path: Path, version: int
         (8, (1, -1, 1)),
     ],
 )
-def test_axes_extension_is_read(tmp_path: Path, container: str, number: int, signs: tuple[int, int, int]) -> None:
-    """LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF are 1 to 8, RUB is the default; unknown records are skipped."""
+def test_spz_axes_extension_mirrors_the_capture(
+    tmp_path: Path, container: str, number: int, signs: tuple[int, int, int]
+) -> None:
+    """LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF are 1 to 8, and the default is RUB; unknown records are skipped."""
     record = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack("<III", COORDINATES, 4, number)
     path = tmp_path / "axes.spz"
     if container == "v4":
@@ -212,15 +216,15 @@ def test_axes_extension_is_read(tmp_path: Path, container: str, number: int, sig
     np.testing.assert_array_equal(load_gaussians(path).means, mirrored_means * (1, -1, -1) * signs)
 
 
-def test_axes_with_exchanged_y_and_z_are_refused(tmp_path: Path) -> None:
-    """Axes that cannot be converted are an error, not a wrong capture."""
+def test_spz_axes_with_exchanged_y_and_z_are_refused(tmp_path: Path) -> None:
+    """Such axes cannot be converted by mirroring."""
     path = v4(tmp_path / "rfu.spz", flags=2, extensions=struct.pack("<III", COORDINATES, 4, 16))
     with pytest.raises(FormatError, match="SPZ_ADOBE_coordinate_system 16"):
         ls.load(path)
 
 
 @pytest.mark.parametrize("largest", [1e-6, 0.01, 1.0, 31.9, 32.0, 100.0, 2047.9, 2048.0, 1e5, 4e6])
-def test_positions_fit_their_bits(largest: float) -> None:
+def test_spz_position_bits_suit_the_largest_coordinate(largest: float) -> None:
     """Coordinates fit 24 bits, with steps of at most 2^-17 of the largest one, or 12 fractional bits."""
     bits = position_bits("a.spz", largest)
     assert 1 <= bits <= 24
@@ -230,7 +234,7 @@ def test_positions_fit_their_bits(largest: float) -> None:
 
 
 @pytest.mark.parametrize("size", [0.01, 30.0, 5000.0, 1e6])
-def test_positions_of_small_and_large_scenes_are_precise(tmp_path: Path, size: float) -> None:
+def test_spz_positions_are_precise_in_small_and_large_scenes(tmp_path: Path, size: float) -> None:
     """At any scale, positions are preserved to 2^-16 of the scene's size."""
     base = capture(50)
     means = base.means / np.abs(base.means).max() * size
@@ -238,8 +242,8 @@ def test_positions_of_small_and_large_scenes_are_precise(tmp_path: Path, size: f
     np.testing.assert_allclose(load_gaussians(tmp_path / "a.spz").means, means, rtol=0, atol=size * 2**-16)
 
 
-def test_clamped_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The limits are e^-10 and e^5.94 for scales, 3.33 for DC, -1 and 1 for other SH."""
+def test_spz_counts_clamped_scales_and_sh(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The limits are e^-10 and e^5.94 for scales, 3.33 for SH degree 0, -1 and 1 for other SH."""
     base = capture(4)
     scales, sh = base.scales.copy(), base.sh.copy()
     scales[0], scales[1, 2], scales[2] = 1e-7, 4.4e-5, 1e4
@@ -257,8 +261,8 @@ def test_clamped_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFix
     assert "a.spz: 1 Gaussians have SH coefficients outside -1..1" in sharp
 
 
-def test_positions_beyond_the_format_are_refused(tmp_path: Path) -> None:
-    """A scene too large for fixed point is refused instead of clamped."""
+def test_positions_beyond_the_range_of_spz_are_refused(tmp_path: Path) -> None:
+    """Clamping such positions would destroy the capture."""
     base = capture(2)
     far = ls.Gaussians(base.means * 1e7, base.rotations_wxyz, base.scales, base.opacities, base.sh)
     with pytest.raises(FormatError, match="is beyond 4,194,304, the largest of SPZ"):
@@ -278,10 +282,10 @@ def test_positions_beyond_the_format_are_refused(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("container", ["v3", "v4"])
-def test_header_fields_are_checked(
+def test_spz_header_fields_out_of_range_are_refused_by_name(
     tmp_path: Path, container: str, field: tuple[int, str], value: int, message: str
 ) -> None:
-    """An error names each header field out of range, in both containers."""
+    """Both the gzip and the zstd container are checked."""
     path = tmp_path / "a.spz"
     if container == "v4":
         ls.save(path, capture(20))
@@ -298,8 +302,8 @@ def test_header_fields_are_checked(
 
 
 @pytest.mark.data
-def test_spz_and_compressed_ply_of_one_capture_agree(data_dir: Path) -> None:
-    """Positions of the biker agree to half a step of 12 bits and of the PLY; so do rotations, colours and opacities."""
+def test_spz_and_compressed_ply_of_the_biker_agree(data_dir: Path) -> None:
+    """Positions agree to half a step of 12 bits and of the PLY, and so do rotations, colours and opacities."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     np.testing.assert_allclose(spz.means, ply.means, rtol=0, atol=2**-13 + 1e-6)
     np.testing.assert_allclose(spz.opacities, ply.opacities, rtol=0, atol=2e-6)
@@ -307,13 +311,11 @@ def test_spz_and_compressed_ply_of_one_capture_agree(data_dir: Path) -> None:
     inside = np.log(ply.scales) > -10.0  # the smallest scale of SPZ
     np.testing.assert_allclose(np.log(spz.scales)[inside], np.log(ply.scales)[inside], rtol=0, atol=1 / 32 + 1e-5)
     cosines = np.abs(np.einsum("ij,ij->i", spz.rotations_wxyz, ply.rotations_wxyz))
-    assert (
-        cosines.min() > 1 - 6e-6
-    )  # the rounding of both formats, see test_round_trip_is_within_half_a_quantisation_step
+    assert cosines.min() > 1 - 6e-6  # the rounding of both formats, as in tests of round trips
 
 
 @pytest.mark.data
-def test_only_the_chosen_mirroring_makes_files_agree(data_dir: Path) -> None:
+def test_only_unmirrored_axes_make_spz_and_ply_of_the_biker_agree(data_dir: Path) -> None:
     """All eight combinations of mirrored axes are tried."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     agreeing = []

@@ -50,8 +50,8 @@ def refusal(folder: Path, **options: Any) -> str:
     return str(caught.value).replace(str(folder.parent), "")
 
 
-def test_folders_without_images_are_refused(tmp_path):
-    """The error says what is expected and what to do."""
+def test_folders_without_training_images_are_refused_with_advice(tmp_path):
+    """The error states what is expected."""
     assert refusal(tmp_path).endswith(
         ": has no images with poses: expected transforms.json (nerfstudio), transforms_train.json (Blender) or a "
         "COLMAP sparse model in sparse/0; for images without poses, find_poses (--poses colmap) creates one"
@@ -67,7 +67,7 @@ def test_folders_without_images_are_refused(tmp_path):
     assert "transforms.json: is a file, expected the folder that holds" in refusal(tmp_path / "transforms.json")
 
 
-def test_error_counts_and_names_missing_images(nerfstudio, colmap):
+def test_error_counts_and_names_missing_training_images(nerfstudio, colmap):
     """The error has the count, the first names and the expected folder."""
     for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
         shutil.rmtree(folder / "images")
@@ -76,15 +76,15 @@ def test_error_counts_and_names_missing_images(nerfstudio, colmap):
         assert message.endswith("n or its images" if folder is nerfstudio else "/c"), "where they were looked for"
 
 
-def test_single_image_is_refused(nerfstudio, colmap):
-    """A set with one image left after skipping missing ones is refused, too."""
+def test_single_training_image_is_refused(nerfstudio, colmap):
+    """A set with one image left after skipping missing images is refused, too."""
     for folder in (nerfstudio, colmap):
         for name in ("view_0.png", "view_2.png"):
             (folder / "images" / name).unlink()
         assert "has a single image, expected two or more: depth needs several viewpoints" in refusal(folder)
 
 
-def test_image_of_another_size_than_its_camera_is_refused(nerfstudio, colmap):
+def test_training_image_of_another_size_than_its_camera_is_refused(nerfstudio, colmap):
     """The error names both sizes and both files."""
     for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
         Image.new("RGB", (6, 4)).save(folder / "images" / "view_1.png")
@@ -93,7 +93,7 @@ def test_image_of_another_size_than_its_camera_is_refused(nerfstudio, colmap):
         assert f"{listed} has 12 x 8: expected the images that the cameras were computed from" in message
 
 
-def test_nonfinite_poses_are_refused(nerfstudio, colmap, tmp_path):
+def test_nonfinite_poses_of_training_images_are_refused(nerfstudio, colmap, tmp_path):
     """The error names the frame, in every layout."""
     change_frame(nerfstudio / "transforms.json", 1, transform_matrix=NAN_POSE)
     assert "transforms.json: frame 1 (images/view_1.png) has transform_matrix" in refusal(nerfstudio)
@@ -106,15 +106,15 @@ def test_nonfinite_poses_are_refused(nerfstudio, colmap, tmp_path):
     assert "transforms_train.json: frame 2 (./train/view_2) has transform_matrix" in refusal(blender)
 
 
-def test_orthographic_cameras_are_refused(nerfstudio):
+def test_training_images_of_orthographic_cameras_are_refused(nerfstudio):
     """The error names the camera and its type."""
     content = json.loads((nerfstudio / "transforms.json").read_text()) | {"camera_model": "ORTHOPHOTO"}
     (nerfstudio / "transforms.json").write_text(json.dumps(content))
     assert "view_0 is of an orthographic camera, expected a pinhole or a fisheye" in refusal(nerfstudio)
 
 
-def test_invalid_masks_are_refused(nerfstudio):
-    """Masks that are black, of another size, missing or not an image are refused on loading, not on decoding."""
+def test_invalid_training_masks_are_refused_when_loading(nerfstudio):
+    """Masks are black, of another size, missing or no image; the error does not wait until their pixels are decoded."""
     (nerfstudio / "masks").mkdir()
     mask = nerfstudio / "masks" / "view_1.png"
     Image.new("L", (12, 8)).save(mask)
@@ -130,7 +130,7 @@ def test_invalid_masks_are_refused(nerfstudio):
     assert 'transforms.json: names the mask "masks/lost.png", which does not exist' in refusal(nerfstudio)
 
 
-def test_damaged_images_are_refused(nerfstudio, tmp_path):
+def test_damaged_training_images_are_refused(nerfstudio, tmp_path):
     """Garbage and truncated images are refused on loading, transparent ones when their pixels are decoded."""
     blender = write_blender_images(tmp_path / "b", {"train": CAMERAS}, alpha=0.0)
     with pytest.raises(ls.FormatError, match=r"view_0.png: is transparent everywhere: there is nothing to train with"):
@@ -145,7 +145,7 @@ def test_damaged_images_are_refused(nerfstudio, tmp_path):
     assert "view_1.png: is not a readable image" in refusal(nerfstudio)
 
 
-def test_image_deleted_after_loading_is_named(nerfstudio):
+def test_training_image_deleted_after_loading_is_named(nerfstudio):
     """Decoding a deleted image raises an error with its name; cached images remain available."""
     views = ls.io.load_training_images(nerfstudio, hold_out=0).training
     views[0].pixels()
@@ -169,14 +169,14 @@ def test_image_deleted_after_loading_is_named(nerfstudio):
         ({"background": "mauve-ish"}, "background is 'mauve-ish', expected three numbers"),
     ],
 )
-def test_settings_are_checked_before_the_folder(options, message):
+def test_settings_of_training_images_are_checked_before_the_folder(options, message):
     """The folder does not exist."""
     with pytest.raises(ls.ConfigError, match=message):
         ls.io.load_training_images("nowhere", **cast(Any, options))
 
 
 @pytest.mark.parametrize("cut", [0, 4, 8, 30, 51, 58, -1, -8])
-def test_truncated_point_files_are_named(colmap, cut):
+def test_truncated_colmap_point_files_are_named(colmap, cut):
     """Files may end within the count, a point or a track, or be empty."""
     path = colmap / "sparse/0/points3D.bin"
     path.write_bytes(path.read_bytes()[:cut])
@@ -184,8 +184,8 @@ def test_truncated_point_files_are_named(colmap, cut):
     assert "sparse/0/points3D.bin: " in message and ("truncated" in message or "ends too early" in message or not cut)
 
 
-def test_nonfinite_points_are_refused(colmap, tmp_path):
-    """Both file types count them; text with too few values or colours out of range is refused, too."""
+def test_nonfinite_colmap_points_are_refused_and_counted(colmap, tmp_path):
+    """Points are binary or text; text with too few values or colours out of range is refused, too."""
     path = colmap / "sparse/0/points3D.bin"
     stored = bytearray(path.read_bytes())
     stored[16:24] = struct.pack("<d", np.inf)
@@ -231,8 +231,8 @@ def survives(path: Path, data: bytes, read: Callable[[], object]) -> None:
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_points_load_or_are_refused(colmap, changes, cut):
-    """Random bytes of points3D.bin give a Lumisplat error or finite points."""
+def test_mutated_colmap_points_load_or_are_refused(colmap, changes, cut):
+    """Random bytes of points3D.bin give a one-line error or finite points."""
     path = colmap / "sparse/0/points3D.bin"
 
     def read() -> None:
@@ -245,7 +245,7 @@ def test_damaged_points_load_or_are_refused(colmap, changes, cut):
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_models_load_or_are_refused(colmap, changes, cut):
+def test_mutated_colmap_images_load_or_are_refused(colmap, changes, cut):
     """Random bytes of images.bin are changed."""
     path = colmap / "sparse/0/images.bin"
     survives(path, mutated(path.read_bytes(), changes, cut), lambda: ls.io.load_training_images(colmap))
@@ -253,7 +253,7 @@ def test_damaged_models_load_or_are_refused(colmap, changes, cut):
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_transforms_load_or_are_refused(nerfstudio, changes, cut):
+def test_mutated_transforms_json_loads_or_is_refused(nerfstudio, changes, cut):
     """Random bytes of transforms.json are changed."""
     path = nerfstudio / "transforms.json"
     survives(path, mutated(path.read_bytes(), changes, cut), lambda: ls.io.load_training_images(nerfstudio))
@@ -269,8 +269,8 @@ KEYS = ("file_path", "mask_path", "transform_matrix", "w", "h", "fl_x", "cx", "k
 
 @CHECKED
 @given(st.sampled_from(KEYS), VALUES, st.booleans())
-def test_random_values_in_transforms_load_or_are_refused(nerfstudio, key, value, shared):
-    """Random JSON replaces a value, a frame or the whole file."""
+def test_random_values_in_transforms_json_load_or_are_refused(nerfstudio, key, value, shared):
+    """Random JSON replaces a value of the file or of one frame."""
     path = nerfstudio / "transforms.json"
     content = json.loads(path.read_text())
     (content if shared else content["frames"][1])[key] = value

@@ -17,8 +17,8 @@ from lumisplat.io.images.texture import write_png
 needs_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed (extra poses)")
 
 
-def test_missing_pycolmap_names_the_extra(tmp_path, monkeypatch):
-    """The error says how to install pycolmap."""
+def test_find_poses_without_pycolmap_names_the_extra_to_install(tmp_path, monkeypatch):
+    """The error is "pip install 'lumisplat[poses]'", and no file is written."""
     for k in range(2):
         write_png(tmp_path / f"{k}.png", np.full((8, 8, 3), 0.5))
     monkeypatch.setitem(sys.modules, "pycolmap", None)
@@ -27,7 +27,7 @@ def test_missing_pycolmap_names_the_extra(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"0.png", "1.png"}
 
 
-def test_unsuitable_folders_are_refused(tmp_path):
+def test_find_poses_refuses_unsuitable_folders(tmp_path):
     """There is no folder, no image or a single one, or a model exists already."""
     with pytest.raises(ls.errors.MissingFileError, match="nowhere: no such folder"):
         ls.io.find_poses(tmp_path / "nowhere")
@@ -43,8 +43,8 @@ def test_unsuitable_folders_are_refused(tmp_path):
 
 
 @needs_colmap
-def test_images_without_texture_have_no_poses(tmp_path):
-    """The call is refused, leaves nothing behind, and has reported progress."""
+def test_find_poses_refuses_images_without_texture(tmp_path):
+    """The call leaves nothing behind, and has reported progress of every step."""
     (tmp_path / "images").mkdir()
     for k in range(3):
         write_png(tmp_path / "images" / f"grey {k}.png", np.full((60, 80, 3), 0.5))
@@ -58,7 +58,7 @@ def test_images_without_texture_have_no_poses(tmp_path):
 
 
 @needs_colmap
-def test_images_without_parallax_have_no_poses(tmp_path):
+def test_find_poses_refuses_images_without_parallax(tmp_path):
     """Textured images from a camera that only rolls about its axis have no depth."""
     noise = np.random.default_rng(0).integers(0, 256, (60, 60, 3)).astype(np.uint8)
     wide = Image.fromarray(noise).resize((480, 480), Image.Resampling.NEAREST)
@@ -74,7 +74,7 @@ def test_images_without_parallax_have_no_poses(tmp_path):
 @needs_colmap
 @pytest.mark.data
 @pytest.mark.deep
-def test_interrupted_call_continues(tmp_path, data_dir, caplog):
+def test_interrupted_find_poses_continues_with_stored_results(tmp_path, data_dir, caplog):
     """Ctrl C between any two progress reports keeps the results, and the next call does not compute them again."""
     source = Path(data_dir) / "photos" / "fox" / "images"
     (tmp_path / "images").mkdir()
@@ -108,10 +108,10 @@ def test_interrupted_call_continues(tmp_path, data_dir, caplog):
 @needs_colmap
 @pytest.mark.data
 @pytest.mark.deep
-def test_poses_of_the_fox_match_its_transforms(tmp_path, data_dir):
-    """Poses match those of transforms.json up to a similarity: to 1 % of the camera path's length, and 1 degree.
+def test_find_poses_matches_the_given_poses_of_the_fox(tmp_path, data_dir):
+    """Poses match transforms.json up to a similarity, to 1 % of the camera path's length and 1 degree.
 
-    COLMAP keeps the principal point at the image centre, which is off by 0.6 degrees; file names have spaces here.
+    COLMAP keeps the principal point at the image centre, which is off by 0.6 degrees. File names have spaces here.
     """
     source = Path(data_dir) / "photos" / "fox"
     (tmp_path / "images").mkdir()
@@ -144,7 +144,7 @@ def similarity(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, floa
     return u @ np.diag(signs) @ v, float((sizes * signs).sum() / (a * a).sum())
 
 
-def test_known_similarity_is_recovered():
+def test_similarity_of_point_sets_is_recovered():
     """Tests the helper `similarity`."""
     camera = ls.Camera.look_at((1, 2, 3), (0, 0, 0))
     points = np.random.default_rng(1).normal(size=(9, 3))

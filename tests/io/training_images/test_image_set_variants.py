@@ -30,8 +30,8 @@ HALF[:, :20] = 255
     ["{}.png.mask.png", "{}.mask.png", "{}_mask.png", "{}-mask.png", "{}_MASK.PNG", "{}.jpg", "{}.png.jpg", "{}.tif"],
 )
 @pytest.mark.parametrize("folder", ["masks", "mask"])
-def test_masks_are_found_by_common_names(tmp_path: Path, name: str, folder: str) -> None:
-    """Mask names of COLMAP, nerfstudio, RealityScan and others are recognised."""
+def test_training_masks_are_found_by_common_names(tmp_path: Path, name: str, folder: str) -> None:
+    """Mask names of COLMAP, nerfstudio, RealityScan and other programs are recognised."""
     write_colmap_images(tmp_path, ring_cameras(3), POINTS)
     (tmp_path / folder).mkdir()
     for k in range(3):
@@ -42,7 +42,7 @@ def test_masks_are_found_by_common_names(tmp_path: Path, name: str, folder: str)
         np.testing.assert_array_equal(mask, HALF > 0)
 
 
-def test_masks_are_found_beside_images_and_in_parallel_folders(tmp_path: Path) -> None:
+def test_training_masks_are_found_beside_images_and_in_mask_folders(tmp_path: Path) -> None:
     """Masks in ``masks/a`` belong to images in ``images/a``."""
     write_nerfstudio_images(tmp_path, ring_cameras(3))
     content = json.loads((tmp_path / "transforms.json").read_text())
@@ -57,8 +57,10 @@ def test_masks_are_found_beside_images_and_in_parallel_folders(tmp_path: Path) -
     assert masks["view_0"] is not None and masks["view_1"] is not None and masks["view_2"] is None
 
 
-def test_unmatched_masks_are_counted_in_a_log_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Masks match no image, or only some."""
+def test_training_masks_without_an_image_are_counted_in_a_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The masks of a folder match no image, or only some images."""
     write_colmap_images(tmp_path, ring_cameras(3), POINTS)
     (tmp_path / "masks").mkdir()
     Image.fromarray(HALF).save(tmp_path / "masks" / "other_7.png")
@@ -71,8 +73,10 @@ def test_unmatched_masks_are_counted_in_a_log_line(tmp_path: Path, caplog: pytes
 
 
 @pytest.mark.parametrize("has_val", [False, True])
-def test_test_file_without_images_is_replaced(tmp_path: Path, caplog: pytest.LogCaptureFixture, has_val: bool) -> None:
-    """A log line says which images are held out instead: those of the validation file, else training images."""
+def test_blender_test_file_without_images_is_replaced(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, has_val: bool
+) -> None:
+    """A log line names the images held out instead: those of the validation file, else training images."""
     cameras = ring_cameras(6, 16, 12)
     write_blender_images(tmp_path, {"train": cameras[:4], "test": cameras[4:5], "val": cameras[5:]})
     shutil.rmtree(tmp_path / "test")
@@ -86,8 +90,8 @@ def test_test_file_without_images_is_replaced(tmp_path: Path, caplog: pytest.Log
     assert "none of its images exists" in caplog.text and expected in caplog.text
 
 
-def test_model_with_most_images_is_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A log line counts the other models and the images that the chosen one lacks."""
+def test_colmap_model_with_the_most_images_is_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A log line counts the other models and the images that the chosen model lacks."""
     cameras = ring_cameras(7, 16, 12)
     for model, part in (("sparse/0", cameras[:2]), ("sparse/2", cameras[4:]), ("sparse/10", cameras[2:4])):
         write_colmap_images(tmp_path, part, POINTS, model=model, text=model == "sparse/2")
@@ -100,8 +104,10 @@ def test_model_with_most_images_is_used(tmp_path: Path, caplog: pytest.LogCaptur
     assert len(ls.io.load_training_images(tmp_path, hold_out=0).training) == 2
 
 
-def test_images_without_a_pose_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A log line has their number and first names."""
+def test_training_images_without_a_pose_are_counted_in_a_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The line also has the first names."""
     cameras = ring_cameras(4, 16, 12)
     write_nerfstudio_images(tmp_path, cameras)
     content = json.loads((tmp_path / "transforms.json").read_text())
@@ -113,7 +119,7 @@ def test_images_without_a_pose_are_counted(tmp_path: Path, caplog: pytest.LogCap
 
 
 @pytest.mark.parametrize("layout", ["transforms", "colmap", "split"])
-def test_backslashes_in_paths_are_separators(tmp_path: Path, layout: str) -> None:
+def test_backslashes_in_training_image_paths_are_separators(tmp_path: Path, layout: str) -> None:
     """Backslashes separate folders unless a file has that very name."""
     cameras = ring_cameras(3, 16, 12)
     if layout == "colmap":
@@ -136,7 +142,7 @@ def test_backslashes_in_paths_are_separators(tmp_path: Path, layout: str) -> Non
     assert [view.name for view in (*found.training, *found.held_out)] == ["view_0", "view_1", "view_2"]
 
 
-def test_file_name_with_a_backslash_is_found(tmp_path: Path) -> None:
+def test_training_image_whose_file_name_has_a_backslash_is_found(tmp_path: Path) -> None:
     """On Linux a file name may contain a backslash."""
     write_colmap_images(tmp_path, ring_cameras(2, 16, 12), POINTS, text=True)
     (tmp_path / "images/view_0.png").rename(tmp_path / "images/a\\view_0.png")
@@ -145,8 +151,8 @@ def test_file_name_with_a_backslash_is_found(tmp_path: Path) -> None:
     assert len(ls.io.load_training_images(tmp_path, hold_out=0).training) == 2
 
 
-def test_backslashes_cannot_leave_the_folder(tmp_path: Path) -> None:
-    """A path with backslashes is checked like one with slashes."""
+def test_training_image_paths_with_backslashes_cannot_leave_the_folder(tmp_path: Path) -> None:
+    """Such a path is checked like one with slashes."""
     write_nerfstudio_images(tmp_path / "set", ring_cameras(2, 16, 12))
     content = json.loads((tmp_path / "set/transforms.json").read_text())
     content["frames"][0]["file_path"] = "..\\view_0.png"
@@ -174,7 +180,7 @@ def _with_points(text: bytes) -> bytes:
 
 @pytest.mark.parametrize("change", [_marked, _wide, _without_points, _with_points])
 def test_colmap_text_may_have_a_byte_order_mark_and_no_points(tmp_path: Path, change: Callable[[bytes], bytes]) -> None:
-    """Other programs write such images.txt files."""
+    """Other programs write such images.txt files, in UTF-8 or UTF-16."""
     write_colmap_images(tmp_path, ring_cameras(4, 16, 12), POINTS, text=True)
     for name in ("images", "cameras", "points3D"):
         file = tmp_path / f"sparse/0/{name}.txt"
@@ -188,8 +194,10 @@ def test_colmap_text_may_have_a_byte_order_mark_and_no_points(tmp_path: Path, ch
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1e308, 1e200])
 @pytest.mark.parametrize(("model", "count"), [(2, 1), (3, 2), (4, 4), (5, 4)])
-def test_absurd_distortion_is_refused_in_one_line(tmp_path: Path, value: float, model: int, count: int) -> None:
-    """Coefficients beyond any real lens would overflow."""
+def test_absurd_lens_distortion_of_training_images_is_refused(
+    tmp_path: Path, value: float, model: int, count: int
+) -> None:
+    """Coefficients beyond any physical lens would overflow; the error is one line."""
     write_colmap_images(tmp_path, ring_cameras(2, 16, 12), POINTS)
     values = (*((45.0, 8.0, 6.0) if model < 4 else (45.0, 45.0, 8.0, 6.0)), *([value] * count))
     packed = struct.pack(f"<QiiQQ{len(values)}d", 1, 1, model, 16, 12, *values)
@@ -198,8 +206,8 @@ def test_absurd_distortion_is_refused_in_one_line(tmp_path: Path, value: float, 
         ls.io.load_training_images(tmp_path)
 
 
-def test_negligible_distortion_is_ignored(tmp_path: Path) -> None:
-    """Coefficients whose reciprocals overflow give the image of an undistorted lens."""
+def test_distortion_too_small_to_invert_is_ignored(tmp_path: Path) -> None:
+    """Coefficients whose reciprocals overflow give the rays of an undistorted lens."""
     camera = ring_cameras(1, 16, 12)[0]
     tiny = ring_cameras(1, 16, 12, distortion=(1e-320, 1e-310, -1e-320, 1e-300, 0.0, 0.0))[0]
     np.testing.assert_array_equal(tiny.ray_directions(), camera.ray_directions())

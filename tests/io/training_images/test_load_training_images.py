@@ -36,7 +36,7 @@ def same_view(camera: ls.Camera, other: ls.Camera) -> bool:
 
 
 @pytest.mark.parametrize("layout", ["transforms", "blender", "colmap", "colmap text", "colmap sparse", "colmap bare"])
-def test_all_layouts_give_the_same_views(tmp_path, layout):
+def test_every_layout_of_training_images_gives_the_same_views(tmp_path, layout):
     """Poses, intrinsics, pixels and names are those that were written."""
     lens: dict[str, Any] = {"fy": 45.0, "cx": 20.0, "cy": 15.0} if layout == "blender" else {}
     cameras = ring_cameras(**lens)
@@ -58,7 +58,7 @@ def test_all_layouts_give_the_same_views(tmp_path, layout):
 
 
 @pytest.mark.parametrize("text", [False, True])
-def test_colmap_points_are_loaded(tmp_path, text):
+def test_colmap_points_are_loaded_with_training_images(tmp_path, text):
     """Positions and colours are right for tracks of any length; other layouts have no points."""
     found = ls.io.load_training_images(write_colmap_images(tmp_path / "c", ring_cameras(), POINTS, text=text))
     assert found.points is not None and found.point_colors is not None
@@ -69,8 +69,11 @@ def test_colmap_points_are_loaded(tmp_path, text):
     assert ls.io.load_training_images(write_nerfstudio_images(tmp_path / "t", ring_cameras())).points is None
 
 
-def test_every_eighth_image_by_name_is_held_out(tmp_path):
-    """The first image and every eighth after it, ordered by name and not by file order; none with hold_out=0."""
+def test_every_eighth_training_image_by_name_is_held_out(tmp_path):
+    """The first image and every eighth after it are held out, ordered by name and not by file order.
+
+    None with hold_out=0.
+    """
     cameras = [replace(camera, name=f"v{k:02d}") for k, camera in enumerate(ring_cameras(18, 8, 6))]
     write_nerfstudio_images(tmp_path, cameras[::-1])
     names = [camera.name for camera in cameras]
@@ -81,7 +84,10 @@ def test_every_eighth_image_by_name_is_held_out(tmp_path):
 
 
 def test_blender_test_file_defines_the_held_out_images(tmp_path):
-    """transforms_test.json, else transforms_val.json, else every eighth image; none with hold_out=0."""
+    """These are the images of transforms_test.json, else of transforms_val.json, else every eighth.
+
+    None with hold_out=0.
+    """
     cameras = ring_cameras(6, 16, 12)
     parts = {"train": cameras[:3], "test": cameras[3:5], "val": cameras[4:]}
     write_blender_images(tmp_path, parts)
@@ -95,8 +101,8 @@ def test_blender_test_file_defines_the_held_out_images(tmp_path):
     assert [view.path.parent.name for view in ls.io.load_training_images(tmp_path).held_out] == ["train"]
 
 
-def test_transparent_pixels_are_composited_over_the_background(tmp_path):
-    """Pixels of alpha 0.4 have 0.4 of the image and 0.6 of the background; without one they stay premultiplied."""
+def test_transparent_training_pixels_are_composited_over_background(tmp_path):
+    """Pixels of alpha 0.4 are 0.4 image and 0.6 background; without a background, colours stay premultiplied."""
     camera = ring_cameras(3, 16, 12)
     write_blender_images(tmp_path, {"train": camera}, alpha=102 / 255)
     for background, behind in ((None, 0.0), ("transparent", 0.0), ("white", 1.0), ((0.0, 0.5, 1.0), (0.0, 0.5, 1.0))):
@@ -109,7 +115,7 @@ def test_transparent_pixels_are_composited_over_the_background(tmp_path):
 
 
 @pytest.mark.parametrize(("scale", "size"), [(0.5, (20, 15)), (0.25, (10, 8)), (0.3, (12, 9)), (0.01, (1, 1))])
-def test_downscaled_images_are_area_means(tmp_path, scale, size):
+def test_downscaled_training_images_are_area_means(tmp_path, scale, size):
     """Means are taken of display-referred values; cameras show the same view at the new size."""
     cameras = ring_cameras(2)
     noise = [np.random.default_rng(k).uniform(size=(30, 40, 3)) for k in range(2)]
@@ -124,8 +130,8 @@ def test_downscaled_images_are_area_means(tmp_path, scale, size):
 
 
 @pytest.mark.parametrize("location", ["mask_path", "beside", "colmap"])
-def test_black_mask_pixels_have_zero_weight(tmp_path, location):
-    """Masks are named by the file or found by image name; any other value has weight 1, as in nerfstudio and COLMAP."""
+def test_black_pixels_of_training_masks_have_zero_weight(tmp_path, location):
+    """Any other value has weight 1, as in nerfstudio and COLMAP. Masks are named by the file or found by image name."""
     cameras = ring_cameras(3)
     if location == "colmap":
         write_colmap_images(tmp_path, cameras, POINTS)
@@ -148,7 +154,7 @@ def test_black_mask_pixels_have_zero_weight(tmp_path, location):
 
 
 @pytest.mark.parametrize("scale", [0.5, 0.35])
-def test_downscaling_excludes_masked_pixels(tmp_path, scale):
+def test_downscaling_training_images_excludes_masked_pixels(tmp_path, scale):
     """Masked pixels may have any colour; at the mask's edge, pixels are means over their unmasked area."""
     views = []
     for name, painted in (("a", 0), ("b", 255)):
@@ -169,7 +175,7 @@ def test_downscaling_excludes_masked_pixels(tmp_path, scale):
     assert (views[0].pixels() != views[1].pixels()).any()
 
 
-def test_target_and_extent_follow_from_the_cameras(tmp_path):
+def test_camera_target_and_extent_follow_from_a_ring_of_cameras(tmp_path):
     """The extent is 1.1 times the radius of a camera ring, the target its centre."""
     write_nerfstudio_images(tmp_path, ring_cameras(6, 8, 6))
     found = ls.io.load_training_images(tmp_path, hold_out=0)
@@ -203,7 +209,7 @@ def test_target_of_parallel_cameras_ignores_their_direction():
         np.testing.assert_allclose(camera_target(cameras), eyes.mean(axis=0), atol=1e-6)
 
 
-def test_image_cache_stays_within_its_limit(tmp_path, monkeypatch):
+def test_training_image_cache_stays_within_its_byte_limit(tmp_path, monkeypatch):
     """Recently used images are cached, others decoded again with the same pixels; a limit of 0 caches none."""
     from lumisplat.io.training_images import loading as module
 
@@ -230,7 +236,7 @@ def test_image_cache_stays_within_its_limit(tmp_path, monkeypatch):
     assert len(read) == 2 and none.training[0]._cache.held == 0
 
 
-def test_missing_images_are_skipped_with_a_log_line(tmp_path, caplog):
+def test_missing_training_images_are_skipped_with_a_log_line(tmp_path, caplog):
     """The line counts the missing images and names the first ones."""
     cameras = ring_cameras(8, 8, 6)
     for folder in (
@@ -246,7 +252,7 @@ def test_missing_images_are_skipped_with_a_log_line(tmp_path, caplog):
         assert "view_1.png, " in caplog.text and "view_4.png, ...): left out" in caplog.text
 
 
-def test_undistortion_is_logged_once(tmp_path, caplog):
+def test_undistortion_of_training_images_is_logged_once(tmp_path, caplog):
     """There is one line for all images, and none without distortion."""
     lens: dict[str, Any] = {"distortion": (0.05, -0.02, 0.0, 0.0, 0.001, 0.0)}
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -256,7 +262,7 @@ def test_undistortion_is_logged_once(tmp_path, caplog):
     assert line.endswith("/bent/transforms.json: 4 images of distorted or fisheye lenses are resampled to pinholes")
 
 
-def test_images_in_subfolders_get_unique_names(tmp_path):
+def test_training_images_in_subfolders_get_unique_names(tmp_path):
     """Equal file names in several folders get numbers."""
     cameras = ring_cameras(2, 8, 6)
     write_nerfstudio_images(tmp_path, cameras)
@@ -269,7 +275,7 @@ def test_images_in_subfolders_get_unique_names(tmp_path):
     assert [(view.name, view.path.parent.name) for view in views] == [("a", "left"), ("a_2", "right")]
 
 
-def test_images_outside_the_folder_need_allow_outside(tmp_path):
+def test_training_images_outside_the_folder_need_allow_outside(tmp_path):
     """By default a path outside the folder is refused."""
     folder = write_nerfstudio_images(tmp_path / "inner", ring_cameras(2, 8, 6))
     write_png(tmp_path / "outer.png", render_image(ring_cameras(2, 8, 6)[0]))
@@ -280,8 +286,8 @@ def test_images_outside_the_folder_need_allow_outside(tmp_path):
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg"])
-def test_saved_cameras_find_images_in_the_images_folder(tmp_path, extension):
-    """The output of ``save_cameras`` beside an ``images`` folder is a training set, masks included."""
+def test_cameras_saved_beside_an_images_folder_are_a_training_set(tmp_path, extension):
+    """`save_cameras` writes transforms.json; images and masks are found by camera name."""
     cameras = ring_cameras(4, 8, 6)
     (tmp_path / "images").mkdir()
     (tmp_path / "masks").mkdir()
@@ -301,8 +307,8 @@ def test_saved_cameras_find_images_in_the_images_folder(tmp_path, extension):
 
 
 @pytest.mark.data
-def test_fox_is_loaded(data_dir):
-    """50 phone images: 7 are held out, and undistortion leaves few pixels without data."""
+def test_downloaded_fox_images_load_with_7_held_out(data_dir):
+    """The 50 images are of a phone, and undistortion leaves few pixels without data."""
     folder = Path(data_dir) / "photos" / "fox"
     found = ls.io.load_training_images(folder, scale=0.5)
     listed = json.loads((folder / "transforms.json").read_text())["frames"]

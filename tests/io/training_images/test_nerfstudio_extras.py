@@ -39,7 +39,7 @@ def names(found: tuple[Any, ...]) -> list[int]:
     return [int(view.name.removeprefix("view_")) for view in found]
 
 
-def test_nerfstudio_points_are_loaded(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_points_of_nerfstudio_transforms_json_are_loaded(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Colours may be bytes, floats or missing; a missing file is logged."""
     folder = folder_with(tmp_path / "set", ply_file_path="./sparse_pc.ply")
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -73,7 +73,7 @@ def test_nerfstudio_points_are_loaded(tmp_path: Path, caplog: pytest.LogCaptureF
         ({}, [1, 2, 3, 4, 5, 6, 7, 9], [0, 8]),
     ],
 )
-def test_splits_of_the_file_define_held_out_images(
+def test_splits_of_nerfstudio_transforms_json_define_held_out_images(
     given: dict[str, list[int]], training: list[int], held_out: list[int], tmp_path: Path
 ) -> None:
     """Frames match by path in any spelling; without splits every eighth image is held out."""
@@ -86,7 +86,7 @@ def test_splits_of_the_file_define_held_out_images(
         assert names(all_of_it.training) == training and not all_of_it.held_out
 
 
-def test_invalid_splits_are_refused(tmp_path: Path) -> None:
+def test_invalid_splits_of_nerfstudio_transforms_json_are_refused(tmp_path: Path) -> None:
     """A split is not a list, or names no frame."""
     for value, problem in (("all", "expected a list of the file_path of frames"), (["a.png"], "none of the frames")):
         folder = folder_with(tmp_path / str(len(value)), train_filenames=value)

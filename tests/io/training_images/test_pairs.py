@@ -28,15 +28,15 @@ def walk_features(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
     return frames
 
 
-def test_few_images_are_all_matched() -> None:
-    """All pairs are selected in any order, without computing features."""
+def test_all_pairs_of_few_images_are_matched_without_features() -> None:
+    """Every pair is selected whether images are ordered or not, and no features are computed to compare images."""
     for count, ordered in ((2, False), (ALL_PAIRS_UP_TO, False), (2, True), (NEXT_FRAMES, True)):
         pairs = compared_pairs(count, pytest.fail, ordered, lambda share: None)
         assert pairs == [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
-def test_loop_of_a_video_is_closed() -> None:
-    """Frames are paired with the next ones, and with those of the second round that show the same objects."""
+def test_video_frames_are_matched_with_earlier_views_of_the_same_place() -> None:
+    """Frames are paired with the next ones, and with those of the camera's second round that show the same objects."""
     count, period = 80, 40
     reported: list[float] = []
     pairs = compared_pairs(count, lambda: walk_features(count, period), True, reported.append)
@@ -52,7 +52,7 @@ def test_loop_of_a_video_is_closed() -> None:
     assert reported == sorted(reported) and 0.0 <= reported[0] and reported[-1] <= 1.0
 
 
-def test_unordered_images_are_matched_with_similar_ones() -> None:
+def test_unordered_images_are_matched_with_similar_images() -> None:
     """Pairs without common content are skipped; the order of names does not matter."""
     count, period = 60, 60
     order = np.random.default_rng(3).permutation(count)
@@ -68,7 +68,7 @@ def test_unordered_images_are_matched_with_similar_ones() -> None:
     assert min(nearest.values()) >= SIMILAR_IMAGES and len(pairs) < count * (count - 1) // 4
 
 
-def test_images_without_features_have_no_pairs() -> None:
+def test_images_without_features_are_matched_with_none() -> None:
     """Empty descriptors are no error."""
     nothing = np.zeros((0, 128), np.float32)
     one = np.eye(1, 128, dtype=np.float32)
@@ -76,7 +76,7 @@ def test_images_without_features_have_no_pairs() -> None:
     assert similar_pairs([], 0, lambda share: None) == []
 
 
-def test_largest_features_are_selected() -> None:
+def test_largest_image_features_are_selected_for_comparison() -> None:
     """Features are ordered by the size of their shape, affine or not."""
     rng = np.random.default_rng(0)
     count = 3 * SIMILARITY_FEATURES

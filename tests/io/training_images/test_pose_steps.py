@@ -31,8 +31,8 @@ def write_images(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Pat
     return folder
 
 
-def test_images_of_one_size_share_one_lens(colmap: ColmapStub, tmp_path: Path) -> None:
-    """Features are extracted in several calls; images of two sizes get a lens each."""
+def test_find_poses_gives_images_of_one_size_a_shared_lens(colmap: ColmapStub, tmp_path: Path) -> None:
+    """Features are extracted in several calls; if images have two sizes, each image gets a lens of its own."""
     colmap.models = [range(9)]
     ls.io.find_poses(write_images(tmp_path / "one", 9))
     assert colmap.lenses == [(LENS_MODEL, "single", k > 0) for k in range(3)]
@@ -41,8 +41,10 @@ def test_images_of_one_size_share_one_lens(colmap: ColmapStub, tmp_path: Path) -
     assert colmap.lenses == [(LENS_MODEL, "per image", False)] * 3
 
 
-def test_interrupted_run_keeps_its_results(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
-    """At every step, the next call continues, logs this, and removes the work folder at the end."""
+def test_find_poses_continues_after_an_interruption_at_any_step(
+    colmap: ColmapStub, tmp_path: Path, caplog: Any
+) -> None:
+    """The next call continues, logs this, and removes the work folder at the end."""
     write_images(tmp_path, 9)
     colmap.models = [range(9)]
     for step, summary in (
@@ -62,7 +64,7 @@ def test_interrupted_run_keeps_its_results(colmap: ColmapStub, tmp_path: Path, c
     assert {path.name for path in tmp_path.iterdir()} == {"images", "sparse"}
 
 
-def test_changed_images_restart_the_run(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+def test_find_poses_restarts_if_images_changed(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """A changed, removed or added image invalidates the stored results."""
     colmap.interrupt_in = "match"
     paths = [tmp_path / "images" / f"of day {k}.png" for k in (1, 2, 9)]
@@ -83,7 +85,7 @@ def test_changed_images_restart_the_run(colmap: ColmapStub, tmp_path: Path, capl
         assert "continues from" not in caplog.text
 
 
-def test_largest_model_is_used_and_logged(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+def test_find_poses_uses_and_logs_the_largest_model(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """The log counts images without a pose by their original names."""
     colmap.models = [(0, 1, 2), (3, 4, 5, 6, 7)]
     reported: list[tuple[str, float]] = []
@@ -96,15 +98,15 @@ def test_largest_model_is_used_and_logged(colmap: ColmapStub, tmp_path: Path, ca
     assert [share for _, share in placing] == sorted(share for _, share in placing)
 
 
-def test_models_without_further_images_are_not_logged(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
-    """COLMAP also returns models of pairs, and models whose images the largest one has, too."""
+def test_find_poses_does_not_log_models_without_further_images(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """COLMAP also returns models of two images, and models whose images the largest one has, too."""
     colmap.models = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
     ls.io.find_poses(write_images(tmp_path, 9))
     assert caplog.text == ""
 
 
-def test_progress_reports_bundle_adjustment(colmap: ColmapStub, tmp_path: Path) -> None:
-    """The last adjustment of many images takes long, and the progress bar at 99 % says why."""
+def test_find_poses_reports_progress_of_the_bundle_adjustment(colmap: ColmapStub, tmp_path: Path) -> None:
+    """The last adjustment of many images takes long, and the progress bar explains why it stays at 99 %."""
     colmap.models = [range(5)]
     reported: list[tuple[str, float]] = []
     ls.io.find_poses(write_images(tmp_path, 5), progress=lambda step, share: reported.append((step, share)))
@@ -119,7 +121,7 @@ def test_progress_reports_bundle_adjustment(colmap: ColmapStub, tmp_path: Path) 
         (500, 30, "there is no parallax"),
     ],
 )
-def test_error_explains_why_no_poses_were_found(
+def test_find_poses_error_explains_why_no_poses_were_found(
     features: int, verified: int, reason: str, colmap: ColmapStub, tmp_path: Path
 ) -> None:
     """The error is one line, and the work folder is removed."""

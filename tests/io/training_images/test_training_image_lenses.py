@@ -23,8 +23,8 @@ LENSES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_undistorted_images_match_pinhole_rays(tmp_path, lens, scale):
-    """An image rendered through the lens and undistorted matches the pinhole's own rays to a few bytes."""
+def test_undistorted_training_images_match_rays_of_a_pinhole(tmp_path, lens, scale):
+    """An image rendered through the lens and undistorted matches one rendered with pinhole rays to a few bytes."""
     cameras = ring_cameras(2, 120, 90, **lens)
     folder = write_nerfstudio_images(tmp_path, cameras, [_large(camera) for camera in cameras])
     for view in ls.io.load_training_images(folder, hold_out=0, scale=scale).training:
@@ -40,8 +40,8 @@ def test_undistorted_images_match_pinhole_rays(tmp_path, lens, scale):
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_lens_points_invert_camera_rays(lens):
-    """A pinhole pixel and its point in the lens image have the same ray."""
+def test_points_in_a_lens_image_have_the_rays_of_the_pinhole_pixels(lens):
+    """`lens_points` maps a pinhole pixel to a point of the lens image that has the same ray."""
     camera = ring_cameras(1, 60, 45, **lens)[0]
     points, covered = lens_points(camera)
     rays = _pinhole(camera).ray_directions()
@@ -62,7 +62,7 @@ def test_lens_points_invert_camera_rays(lens):
             np.testing.assert_allclose(shifted.ray_directions()[0, 0], rays[row, column], atol=1e-9)
 
 
-def test_pixels_outside_the_lens_image_are_masked(tmp_path):
+def test_undistorted_pixels_outside_the_lens_image_are_masked(tmp_path):
     """Corners of a pincushion lens are masked and black; a barrel lens covers all pixels."""
     masks = {}
     for name in ("cushion", "barrel"):
@@ -76,7 +76,7 @@ def test_pixels_outside_the_lens_image_are_masked(tmp_path):
     assert cushion[0, 0] == cushion[-1, -1] == 0.0 and cushion[22, 30] == 1.0
 
 
-def test_pixels_beyond_the_distortion_fold_are_masked(tmp_path):
+def test_undistorted_pixels_beyond_the_distortion_fold_are_masked(tmp_path):
     """Beyond the fold of the distortion polynomial, no image position belongs to a ray."""
     folder = write_nerfstudio_images(
         tmp_path, ring_cameras(2, 120, 90, fx=60.0, fy=60.0, distortion=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))

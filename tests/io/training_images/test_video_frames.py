@@ -46,7 +46,7 @@ def pixels(path: Path) -> np.ndarray:
         return np.asarray(image, np.float64)
 
 
-def test_sharpest_frame_of_each_interval_is_extracted(tmp_path: Path) -> None:
+def test_sharpest_frame_of_each_video_interval_is_extracted(tmp_path: Path) -> None:
     """Of ten frames per second, one in five is not blurred."""
     sharp = [3, 5, 14]
     images = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
@@ -60,15 +60,15 @@ def test_sharpest_frame_of_each_interval_is_extracted(tmp_path: Path) -> None:
     assert reported == sorted(reported) and reported[-1] > 0.9
 
 
-def test_interval_length_sets_the_number_of_images(tmp_path: Path) -> None:
+def test_interval_length_sets_the_number_of_extracted_frames(tmp_path: Path) -> None:
     """An interval as long as the video gives one image, a very short one gives every frame."""
     video = write_video(tmp_path / "a.mp4", [scene(number) for number in range(7)])
     assert len(ls.io.extract_frames(video, tmp_path / "one", every=10.0)) == 1
     assert len(ls.io.extract_frames(video, tmp_path / "all", every=0.01)) == 7
 
 
-def test_sharpness_decreases_with_blur() -> None:
-    """Noise of single pixels does not count as sharpness, as larger images are compared at a smaller size."""
+def test_image_sharpness_decreases_with_blur() -> None:
+    """Images are compared at a reduced size, so noise of single pixels does not count as sharpness."""
     values = [sharpness(scene(0, blur)) for blur in (0.0, 0.7, 1.5, 3.0)]
     assert values == sorted(values, reverse=True) and values[0] > 10.0 * values[-1]
     plain = Image.new("RGB", (1920, 1920), (120, 120, 120))
@@ -77,7 +77,7 @@ def test_sharpness_decreases_with_blur() -> None:
     assert sharpness(Image.new("RGB", (2, 2))) == 0.0
 
 
-def test_rotated_frames_are_made_upright(tmp_path: Path) -> None:
+def test_frames_of_rotated_videos_are_extracted_upright(tmp_path: Path) -> None:
     """Phones store portrait videos rotated: red at the left comes from the bottom or top of the stored frame."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 3)
     for angle, where in ((90, np.s_[-20:]), (-90, np.s_[:20]), (180, np.s_[:, -20:])):
@@ -100,15 +100,15 @@ def rotated_video(video: Path, path: Path, angle: int) -> Path:
     return path
 
 
-def test_large_frames_are_downscaled(tmp_path: Path) -> None:
-    """Small frames are never upscaled."""
+def test_extracted_video_frames_are_downscaled_but_never_upscaled(tmp_path: Path) -> None:
+    """The longer side is at most the given number of pixels."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 2)
     for size, expected in ((48, (48, 32)), (1600, SIZE)):
         (file,) = ls.io.extract_frames(video, tmp_path / str(size), size=size)
         assert pixels(file).shape[1::-1] == expected
 
 
-def test_hdr_video_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_extracting_frames_of_an_hdr_video_logs_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The video is HLG, the default of phones."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 2, color_trc=18)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -116,7 +116,7 @@ def test_hdr_video_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -
     assert "is HDR (HLG)" in caplog.text and caplog.text.count("HDR (") == 1
 
 
-def test_black_and_still_videos_are_refused(tmp_path: Path) -> None:
+def test_black_and_still_videos_are_refused_as_training_images(tmp_path: Path) -> None:
     """Black videos may have sensor noise; nothing is left behind."""
     rng = np.random.default_rng(0)
 

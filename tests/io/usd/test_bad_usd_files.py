@@ -48,7 +48,7 @@ def refused(path: Path) -> str:
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
 @pytest.mark.parametrize("fraction", [0.0, 0.001, 0.3, 0.98])
-def test_truncated_file_is_refused_at_every_length(tmp_path: Path, extension: str, fraction: float) -> None:
+def test_truncated_usd_files_are_refused_at_any_length(tmp_path: Path, extension: str, fraction: float) -> None:
     """A file cut off at any byte gives a one-line error."""
     usd_core()
     path = tmp_path / f"a{extension}"
@@ -58,8 +58,8 @@ def test_truncated_file_is_refused_at_every_length(tmp_path: Path, extension: st
     refused(path)
 
 
-def test_error_names_the_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library's message repeats the absolute path and that the layer cannot be opened; both are removed."""
+def test_usd_read_error_names_the_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library's message repeats the absolute path and that the layer cannot be opened; Lumisplat removes both."""
     usd_core()
     monkeypatch.chdir(tmp_path)
     for name, content in {"a.usda": "#usda 1.0\ndef Mesh (", "a.usdc": "no crate at all", "a.usdz": "no zip"}.items():
@@ -128,36 +128,36 @@ def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool
 
 
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
-def test_few_mutated_files_load_or_are_refused(tmp_path: Path, extension: str) -> None:
-    """A few mutations of each kind of file."""
+def test_ten_mutated_usd_files_of_each_kind_load_or_are_refused(tmp_path: Path, extension: str) -> None:
+    """Ten mutations are read, or refused in one line, for text, binary files and packages."""
     usd_core()
     check_mutations(tmp_path, extension, range(10))
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
-def test_many_mutated_files_load_or_are_refused(tmp_path: Path, extension: str) -> None:
-    """Two thousand mutations of each kind of file."""
+def test_2000_mutated_usd_files_of_each_kind_load_or_are_refused(tmp_path: Path, extension: str) -> None:
+    """Two thousand mutations are read, or refused in one line, for text, binary files and packages."""
     usd_core()
     check_mutations(tmp_path, extension, range(2000))
 
 
 @pytest.mark.parametrize(("extension", "count"), [(".usda", 8), (".usdc", 16)])
-def test_few_mutated_animations_load_or_are_refused(tmp_path: Path, extension: str, count: int) -> None:
-    """A few mutations, two thousand in the deep suite."""
+def test_few_mutated_usd_animations_load_or_are_refused(tmp_path: Path, extension: str, count: int) -> None:
+    """The mutations are 8 of a text file and 16 of a binary one."""
     usd_core()
     check_mutations(tmp_path, extension, range(count), moves=True)
 
 
 @pytest.mark.deep
-def test_many_mutated_binary_animations_load_or_are_refused(tmp_path: Path) -> None:
-    """Two thousand mutations of a binary file, whose time samples are nested lists."""
+def test_2000_mutated_binary_usd_animations_load_or_are_refused(tmp_path: Path) -> None:
+    """The time samples of a binary file are nested lists."""
     usd_core()
     check_mutations(tmp_path, ".usdc", range(2000), moves=True)
 
 
 @pytest.mark.parametrize("step", [148, pytest.param(37, marks=pytest.mark.deep)])
-def test_wrong_bytes_in_binary_tables_do_not_crash(tmp_path: Path, step: int) -> None:
+def test_wrong_bytes_in_tables_of_a_binary_usd_do_not_crash(tmp_path: Path, step: int) -> None:
     """A file with a changed byte in the tables after its values is refused or read."""
     usd_core()
     path = tmp_path / "a.usdc"
@@ -203,8 +203,8 @@ It runs in a process of its own, because the kernel's peak value includes earlie
 """
 
 
-def test_impossible_counts_take_no_memory(tmp_path: Path) -> None:
-    """Counts of terabytes in a binary layer, alone and in a package, cost this process nothing."""
+def test_impossible_usd_counts_take_no_memory_of_this_process(tmp_path: Path) -> None:
+    """Counts of terabytes are in a binary layer, alone and in a package."""
     usd_core()
     paths: list[Path] = []
     for name in ("SPECS", "PATHS", "FIELDS", "TOKENS"):
@@ -229,8 +229,8 @@ def laughs(depth: int) -> str:
     return f'{references}\ndef "a{depth}" {{\n}}\n'
 
 
-def test_exponentially_nested_references_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """References nested 24 deep are 16 million prims: the child exceeds its time or memory limit."""
+def test_exponentially_nested_usd_references_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """References nested 24 deep are 16 million prims: the child process exceeds its time or memory limit."""
     usd_core()
     path = write_usda(tmp_path / "a.usda", laughs(24))
     message = refused(path)
@@ -249,7 +249,7 @@ def limits_with_textures(path: Path) -> list[int]:
     return found
 
 
-def test_each_texture_raises_the_memory_limit(tmp_path: Path) -> None:
+def test_each_usd_texture_raises_the_memory_limit_of_the_child(tmp_path: Path) -> None:
     """Textures have their own limit, so that a small stage may have many of them."""
     usd_core()
     none, one, two = process.read_in_child(tmp_path / "a.usda", limits_with_textures)
@@ -278,7 +278,9 @@ def halving(path: Path, factor: float) -> list[object]:
     return [factor, process.Remote(lambda argument: np.full(3, factor * argument))]
 
 
-def test_crashed_or_hung_child_gives_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crashed_or_hung_usd_child_process_gives_a_one_line_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The next file is read by a new child. Bugs in Lumisplat still give a traceback."""
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
@@ -292,8 +294,8 @@ def test_crashed_or_hung_child_gives_one_line(tmp_path: Path, monkeypatch: pytes
     assert isinstance(ls.load(tmp_path / "a.usda"), ls.Gaussians)
 
 
-def test_child_lives_as_long_as_its_remote_functions(tmp_path: Path) -> None:
-    """Two results at once have a child each, which ends with its result."""
+def test_usd_child_process_lives_as_long_as_its_remote_functions(tmp_path: Path) -> None:
+    """Two results in use at once have a child process each, which ends with its result."""
     usd_core()
     first, second = (process.read_in_child(tmp_path / "a.usda", halving, factor)[1] for factor in (0.5, 2.0))
     np.testing.assert_array_equal([first(4.0), second(4.0)], np.array([[2.0] * 3, [8.0] * 3]))
@@ -314,7 +316,7 @@ def working(path: Path) -> process.Remote:
     return process.Remote(work)
 
 
-def test_each_remote_call_has_its_own_time_limit(tmp_path: Path) -> None:
+def test_each_remote_call_to_a_usd_child_has_a_time_limit(tmp_path: Path) -> None:
     """The frames of a long animation may exceed a file's limit together; a single frame may not."""
     usd_core()
     work = process.read_in_child(tmp_path / "a.usda", working)
@@ -328,8 +330,10 @@ def limits(path: Path) -> tuple[int, int]:
     return resource.getrlimit(resource.RLIMIT_DATA)[0], resource.getrlimit(resource.RLIMIT_CPU)[0]
 
 
-def test_limits_grow_with_file_size_from_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The parent sets the memory and time for a large file before the child opens it."""
+def test_limits_of_the_usd_child_grow_with_file_size_from_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The parent sets the memory and time for a large file before the child process opens it."""
     usd_core()
     monkeypatch.setattr(process, "USD_MEMORY", 2**30)
     path = tmp_path / "a.usda"
@@ -345,15 +349,15 @@ def exhausted(path: Path) -> None:
     raise FormatError(path, "damaged, or not a USD file: std::bad_alloc")
 
 
-def test_exhausted_memory_is_reported_as_memory_limit(tmp_path: Path) -> None:
+def test_exhausted_memory_of_the_usd_child_is_reported_as_limit(tmp_path: Path) -> None:
     """The library's std::bad_alloc is not reported as a damaged file."""
     usd_core()
     with pytest.raises(FormatError, match=r"or takes more than 0\.8 GB of memory"):
         process.read_in_child(tmp_path / "a.usda", exhausted)
 
 
-def test_child_imports_nothing_from_the_working_folder(tmp_path: Path) -> None:
-    """Modules in the user's working folder are not run by the reader process."""
+def test_usd_child_imports_nothing_from_the_working_folder(tmp_path: Path) -> None:
+    """The reader process does not run modules in the user's working folder."""
     usd_core()
     write_usda(tmp_path / "a.usda", field())
     for name in ("struct", "lumisplat", "pxr", "sitecustomize", "usercustomize", "pickle"):
@@ -364,7 +368,7 @@ def test_child_imports_nothing_from_the_working_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_ended_child_is_not_killed_again(tmp_path: Path) -> None:
+def test_ended_usd_child_is_not_killed_again(tmp_path: Path) -> None:
     """Another process may have its id by then."""
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
@@ -384,7 +388,7 @@ def test_ended_child_is_not_killed_again(tmp_path: Path) -> None:
     ],
     ids=["reference", "payload", "clip", "variant", "sublayer"],
 )
-def test_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) -> None:
+def test_usd_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) -> None:
     """An expression may name any file, in places where names are no longer checked."""
     usd_core()
     (tmp_path / "in").mkdir()
@@ -394,7 +398,7 @@ def test_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) -> N
     assert "names a file by the expression" in refused(write_usda(tmp_path / "in" / "a.usda", body, head))
 
 
-def test_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
+def test_usd_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
     """A pipe named with arguments looked like a missing file, and the library waited for its writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
@@ -402,7 +406,7 @@ def test_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
     assert "with arguments" in refused(write_usda(tmp_path / "a.usda", body))
 
 
-def test_value_clips_in_variants_must_stay_in_the_folder(tmp_path: Path) -> None:
+def test_usd_value_clips_in_variants_must_be_in_the_folder(tmp_path: Path) -> None:
     """A clip that only a variant names is a layer, too."""
     usd_core()
     (tmp_path / "in").mkdir()
@@ -415,8 +419,8 @@ def test_value_clips_in_variants_must_stay_in_the_folder(tmp_path: Path) -> None
     assert "which is not in its folder" in refused(write_usda(tmp_path / "in" / "a.usda", body))
 
 
-def test_textures_in_packages_outside_the_folder_are_refused(tmp_path: Path) -> None:
-    """The package file counts, whatever is named inside it; a pipe is refused, too."""
+def test_usd_textures_in_packages_outside_the_folder_are_refused(tmp_path: Path) -> None:
+    """The folder of the package counts, whatever is named inside the package; a pipe is refused, too."""
     usd_core()
     (tmp_path / "in").mkdir()
     with zipfile.ZipFile(tmp_path / "out.usdz", "w") as package:
@@ -432,8 +436,8 @@ def test_textures_in_packages_outside_the_folder_are_refused(tmp_path: Path) -> 
     assert "names a file by the expression" in refused(path)
 
 
-def test_layers_outside_the_folder_need_permission(tmp_path: Path) -> None:
-    """References, payloads, sublayers and value clips are refused without allow_outside."""
+def test_usd_layers_outside_the_folder_need_allow_outside(tmp_path: Path) -> None:
+    """References, payloads, sublayers and value clips outside the folder are refused by default."""
     home = tmp_path / "home"
     home.mkdir()
     write_usda(tmp_path / "secret.usda", f'def Xform "in" {{\n{field()}\n}}', 'upAxis = "Y"\ndefaultPrim = "in"')
@@ -457,8 +461,8 @@ def test_layers_outside_the_folder_need_permission(tmp_path: Path) -> None:
     assert isinstance(trusted, ls.Gaussians)
 
 
-def test_images_outside_the_folder_and_pipes_are_refused(tmp_path: Path) -> None:
-    """The image of a dome light in another folder, and one that is a pipe."""
+def test_usd_dome_images_outside_the_folder_or_pipes_are_refused(tmp_path: Path) -> None:
+    """A missing image is refused, too."""
     usd_core()
     home = tmp_path / "home"
     home.mkdir()
@@ -469,7 +473,7 @@ def test_images_outside_the_folder_and_pipes_are_refused(tmp_path: Path) -> None
     assert "no such file" in refused(write_usda(home / "c.usda", dome.format("./gone.hdr")))
 
 
-def test_layers_that_are_pipes_are_refused(tmp_path: Path) -> None:
+def test_usd_layers_that_are_pipes_are_refused(tmp_path: Path) -> None:
     """The reader must not wait for a writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
@@ -478,14 +482,14 @@ def test_layers_that_are_pipes_are_refused(tmp_path: Path) -> None:
         ls.load(path)
 
 
-def test_missing_layers_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The rest of the stage is read."""
+def test_missing_usd_layers_are_logged_and_the_rest_is_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A stage refers to a layer that does not exist beside a valid particle field."""
     path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./gone.usda@ ) {\n}\n' + field())
     assert isinstance(ls.load(path), ls.Gaussians)
     assert "layers that cannot be composed" in caplog.text and "gone.usda" in caplog.text
 
 
-def test_recursive_point_instancers_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recursive_usd_point_instancers_are_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An instancer that instances itself is skipped, and prims above the limit are refused."""
     loop = """def PointInstancer "a" {
         int[] protoIndices = [0, 0]
@@ -502,8 +506,8 @@ def test_recursive_point_instancers_end(tmp_path: Path, monkeypatch: pytest.Monk
         scene_of(write_usda(tmp_path / "b.usda", many + field(name="b")), False)
 
 
-def test_nested_instances_of_hidden_prims_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twenty instancers each instance the one before ten times; the first instances a hidden prim."""
+def test_nested_usd_instances_of_hidden_prims_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty instancers each instance the previous one ten times; the first instances a hidden prim."""
     monkeypatch.setattr("lumisplat.io.usd.stage.USD_INSTANCES_MAX", 1000)
     positions = ", ".join(f"({k}, 0, 0)" for k in range(10))
     body = 'def "a0" {\n}\n' + "".join(
@@ -531,13 +535,15 @@ def test_nested_instances_of_hidden_prims_are_limited(tmp_path: Path, monkeypatc
         ('upAxis = "Y"', 'def SphereLight "l" {\n float inputs:radius = 0\n}', "/l: radius is 0"),
     ],
 )
-def test_invalid_values_are_named(tmp_path: Path, head: str, body: str, message: str) -> None:
+def test_invalid_usd_values_are_refused_by_prim_and_attribute(
+    tmp_path: Path, head: str, body: str, message: str
+) -> None:
     """The message names the prim and attribute."""
     assert message in refused(write_usda(tmp_path / "a.usda", body, head))
 
 
-def test_missing_usd_core_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is written."""
+def test_missing_usd_core_is_an_error_that_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No file is written."""
 
     def missing(name: str) -> ModuleType:
         raise ModuleNotFoundError(name)
@@ -557,8 +563,8 @@ def test_missing_usd_core_says_how_to_install_it(tmp_path: Path, monkeypatch: py
         library.pxr.cache_clear()
 
 
-def test_library_prints_nothing_to_the_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Neither for damaged nor for valid files."""
+def test_reading_usd_prints_nothing_to_the_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The library's own messages are silenced for damaged and for valid files."""
     usd_core()
     path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./gone.usda@ ) {\n}\n' + field())
     ls.load(path)
@@ -569,8 +575,8 @@ def test_library_prints_nothing_to_the_terminal(tmp_path: Path, capfd: pytest.Ca
     assert not out and "Warning" not in err and "Error" not in err
 
 
-def test_changed_files_are_reread(tmp_path: Path) -> None:
-    """The library caches open layers; Lumisplat closes them."""
+def test_usd_files_changed_on_disk_are_read_again(tmp_path: Path) -> None:
+    """The library caches open layers, so Lumisplat closes them."""
     usd_core()
     for count in (3, 5):
         ls.save(tmp_path / "a.usdc", capture(count))

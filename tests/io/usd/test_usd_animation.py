@@ -42,7 +42,7 @@ def animation(up: str = "y-down") -> ls.Animation:
 
 @pytest.mark.parametrize("extension", [".usda", ".usdz"])
 @pytest.mark.parametrize("up", ["y-down", "z-up"])
-def test_animation_round_trip(tmp_path: Path, extension: str, up: str) -> None:
+def test_usd_round_trip_keeps_animated_actors_and_camera(tmp_path: Path, extension: str, up: str) -> None:
     """Actors and camera match at each frame, with y up; static objects do not become actors."""
     usd_core()
     saved, path = animation(up), tmp_path / f"walk{extension}"
@@ -64,7 +64,7 @@ def test_animation_round_trip(tmp_path: Path, extension: str, up: str) -> None:
     np.testing.assert_array_equal(flies.means, capture(4, seed=3).means)
 
 
-def test_time_samples_are_written_only_where_values_change(tmp_path: Path) -> None:
+def test_usd_time_samples_are_written_only_where_values_change(tmp_path: Path) -> None:
     """A pause of 0.5 s has a sample at its beginning and end, then one per frame; static prims have none."""
     usd_core()
     ls.save(tmp_path / "walk.usdc", animation())
@@ -78,11 +78,10 @@ def test_time_samples_are_written_only_where_values_change(tmp_path: Path) -> No
     assert not validation_messages(tmp_path / "walk.usdc")
 
 
-def test_rigs_and_rigged_gaussians_are_baked_exactly(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Points of a skinned mesh, and the Gaussians on it, become time samples.
-
-    They are read again at each time, interpolated between frames; `ls.load` returns the first frame.
-    """
+def test_rigs_and_rigged_gaussians_are_written_to_usd_as_time_samples(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The samples are read again at each time, interpolated between frames; `ls.load` returns the first frame."""
     usd_core()
     rig = ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
     bound = ls.bind_gaussians(rig, 40)
@@ -142,8 +141,10 @@ def ParticleField3DGaussianSplat "g" {
 """Stage of another program: a mesh that stretches while it moves, and a field that gains particles, then hides."""
 
 
-def test_foreign_deforming_prims_match_their_time_samples(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Shapes at each time are those of the file at that time."""
+def test_deforming_usd_prims_have_the_shapes_of_their_time_samples(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A mesh is interpolated between its samples, and a particle field is held."""
     head = 'upAxis = "Y"\ntimeCodesPerSecond = 24'
     loaded = ls.load_animation(write_usda(tmp_path / "a.usda", DEFORMING, head))
     assert loaded.frame_count == 25 and loaded.fps == 24.0 and not caplog.messages
@@ -157,8 +158,8 @@ def test_foreign_deforming_prims_match_their_time_samples(tmp_path: Path, caplog
     assert field.at(1.0) == () and len(loaded.actors_at(1.0)) == 1
 
 
-def test_instanced_deforming_prims_keep_their_first_shape(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A log line says so."""
+def test_instanced_deforming_usd_prims_keep_their_first_shape(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A log line reports the instances."""
     body = f"""def PointInstancer "i" {{
         int[] protoIndices = [0, 0]
         point3f[] positions = [(0, 0, 0), (5, 0, 0)]
@@ -173,7 +174,7 @@ def test_instanced_deforming_prims_keep_their_first_shape(tmp_path: Path, caplog
 
 
 @pytest.mark.parametrize("stands_first", [True, False])
-def test_deforming_prim_animates_but_its_instances_do_not(
+def test_deforming_usd_prim_animates_but_its_instances_do_not(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, stands_first: bool
 ) -> None:
     """The prim is shown directly and by a point instancer, in either order."""
@@ -196,7 +197,7 @@ def test_deforming_prim_animates_but_its_instances_do_not(
     assert "animated shapes, of which only the first is used (m, g)" in caplog.text
 
 
-def test_load_shows_the_first_time_code(tmp_path: Path) -> None:
+def test_load_shows_the_first_time_code_of_a_usd_animation(tmp_path: Path) -> None:
     """Seconds count from the first time code, at timeCodesPerSecond."""
     body = """def Cube "c" {
         double3 xformOp:translate.timeSamples = { 48: (1, 0, 0), 72: (3, 0, 0) }
@@ -212,8 +213,8 @@ def test_load_shows_the_first_time_code(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.actors[0].at(2.0)[0].transform[:3, 3], (3, 0, 0))
 
 
-def test_time_samples_of_a_parent_move_its_children(tmp_path: Path) -> None:
-    """Time samples define the time range if none is authored."""
+def test_usd_time_samples_of_a_parent_prim_move_its_children(tmp_path: Path) -> None:
+    """Without a stated time range, the samples define it."""
     body = """def Xform "p" {
         double xformOp:rotateY.timeSamples = { 0: 0, 24: 90 }
         uniform token[] xformOpOrder = ["xformOp:rotateY"]
@@ -227,16 +228,18 @@ def test_time_samples_of_a_parent_move_its_children(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.actors[0].at(1.0)[0].transform[:3, 3], (0, 0, -1), atol=1e-9)
 
 
-def test_reversed_or_huge_time_ranges_are_refused(tmp_path: Path) -> None:
-    """A range that ends before it starts, or has over a million frames."""
+def test_reversed_or_huge_usd_time_ranges_are_refused(tmp_path: Path) -> None:
+    """A range ends before it starts, or has over a million frames."""
     for times in ("startTimeCode = 5\nendTimeCode = 4", "startTimeCode = 0\nendTimeCode = 1e9"):
         path = write_usda(tmp_path / "a.usda", 'def Cube "c" {\n}', f'upAxis = "Y"\n{times}')
         with pytest.raises(ls.FormatError, match="expected at most 1,000,000 frames between them"):
             ls.load_animation(path)
 
 
-def test_lighting_settings_of_actors_are_logged_as_lost(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """An actor without shadows is an ordinary prim in other programs."""
+def test_lighting_settings_of_actors_are_logged_as_lost_in_usd(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In other programs, an actor with casts_shadow=False is an ordinary prim."""
     usd_core()
     moving = animation()
     ls.save(tmp_path / "a.usdc", replace(moving, actors=[replace(moving.actors[0], casts_shadow=False)]))

@@ -26,7 +26,7 @@ def cameras(path: Path, inputs: str, head: str = 'upAxis = "Y"', **size: int) ->
     return ls.load_cameras(write_usda(path / "a.usda", f'def Camera "view" {{\n{inputs}\n}}', head), **size)
 
 
-def test_apertures_set_field_of_view_and_size(tmp_path: Path) -> None:
+def test_usd_apertures_set_field_of_view_and_image_size(tmp_path: Path) -> None:
     """Apertures of 40 x 20 at focal length 50: tan(fov_y / 2) = 0.2, and the largest size within 1280 x 720."""
     (camera,) = cameras(tmp_path, LENS)
     assert (camera.width, camera.height, camera.name, camera.near) == (1280, 640, "view", 0.5)
@@ -37,7 +37,7 @@ def test_apertures_set_field_of_view_and_size(tmp_path: Path) -> None:
     assert (small.width, small.height) == (320, 160) and small.fov_y == pytest.approx(camera.fov_y)
 
 
-def test_render_product_sets_image_size(tmp_path: Path) -> None:
+def test_usd_render_product_sets_the_image_size_of_its_camera(tmp_path: Path) -> None:
     """Aperture offsets move the principal point in the opposite direction."""
     shifted = f"{LENS}\nfloat horizontalApertureOffset = 4\nfloat verticalApertureOffset = 2"
     body = f"""def Camera "view" {{
@@ -52,7 +52,7 @@ def test_render_product_sets_image_size(tmp_path: Path) -> None:
     assert (camera.cx, camera.cy) == pytest.approx((200.0 - 40.0, 100.0 + 20.0))
 
 
-def test_written_cameras_match_the_frustum_of_usd_core(tmp_path: Path) -> None:
+def test_written_usd_cameras_match_the_frustum_of_usd_core(tmp_path: Path) -> None:
     """The image corners project to the corners of the library's frustum."""
     usd_core()
     camera = replace(
@@ -71,7 +71,7 @@ def test_written_cameras_match_the_frustum_of_usd_core(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.stack([u, v], axis=1), [(0, 300), (400, 300), (0, 0), (400, 0)], atol=1e-3)
 
 
-def test_f_stop_focus_and_exposure(tmp_path: Path) -> None:
+def test_usd_f_stop_focus_and_exposure_set_the_lens(tmp_path: Path) -> None:
     """Focal length 0.5 (tenths of a metre) at f-stop 2.5 is an aperture radius of 0.01 m; exposures add up."""
     thin = """float focalLength = 0.5
         float fStop = 2.5
@@ -83,7 +83,7 @@ def test_f_stop_focus_and_exposure(tmp_path: Path) -> None:
     assert camera.exposure == pytest.approx(3.0)
 
 
-def test_orthographic_apertures_are_tenths_of_a_unit(tmp_path: Path) -> None:
+def test_orthographic_usd_apertures_are_tenths_of_a_stage_unit(tmp_path: Path) -> None:
     """A stage in centimetres has apertures in millimetres."""
     (camera,) = cameras(tmp_path, f'{LENS}\ntoken projection = "orthographic"', 'upAxis = "Y"\nmetersPerUnit = 0.01')
     assert camera.model is ls.CameraModel.ORTHOGRAPHIC
@@ -100,7 +100,7 @@ def test_orthographic_apertures_are_tenths_of_a_unit(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_camera_round_trip(tmp_path: Path, camera: ls.Camera) -> None:
+def test_usd_round_trip_keeps_cameras(tmp_path: Path, camera: ls.Camera) -> None:
     """Poses are exact; focal lengths are exact to 1e-7, because apertures are float32."""
     usd_core()
     ls.save(tmp_path / "a.usda", ls.Scene(up="y-up"), cameras=[camera, camera])
@@ -113,15 +113,15 @@ def test_camera_round_trip(tmp_path: Path, camera: ls.Camera) -> None:
         assert getattr(first, name) == pytest.approx(getattr(camera, name), rel=2e-7), name
 
 
-def test_invalid_cameras_are_named(tmp_path: Path) -> None:
-    """A camera without an aperture width, and one with an unknown projection."""
+def test_invalid_usd_cameras_are_refused_by_name(tmp_path: Path) -> None:
+    """Errors are a camera without an aperture width, and an unknown projection."""
     with pytest.raises(FormatError, match=r"/view: horizontalAperture is 0, expected a length above 0"):
         cameras(tmp_path, "float horizontalAperture = 0")
     with pytest.raises(FormatError, match="projection is 'wide', expected perspective or orthographic"):
         cameras(tmp_path, 'token projection = "wide"')
 
 
-def test_fisheyes_and_distortion_are_logged_as_lost(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_fisheyes_and_distortion_are_logged_as_lost_in_usd(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A fisheye is left out; a distorted camera is written without distortion."""
     usd_core()
     wide = ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="wide", model="fisheye")

@@ -41,8 +41,8 @@ def relightable(count: int = 60) -> ls.Gaussians:
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_capture_round_trip_is_exact(tmp_path: Path, extension: str, degree: int) -> None:
-    """Binary and text files, with any SH degree."""
+def test_usd_round_trip_keeps_every_bit_of_a_capture(tmp_path: Path, extension: str, degree: int) -> None:
+    """Files are binary, text and packages."""
     usd_core()
     saved, path = capture(50, degree), tmp_path / f"capture{extension}"
     ls.save(path, saved)
@@ -51,7 +51,7 @@ def test_capture_round_trip_is_exact(tmp_path: Path, extension: str, degree: int
         np.testing.assert_array_equal(getattr(loaded, name), values, err_msg=name)
 
 
-def test_relightable_captures_keep_their_materials(tmp_path: Path) -> None:
+def test_usd_round_trip_keeps_materials_of_relightable_captures(tmp_path: Path) -> None:
     """Normals, albedo, roughness and metallic are primvars; training settings and comments are restored, too."""
     usd_core()
     saved, path = relightable(), tmp_path / "capture.usdc"
@@ -67,14 +67,14 @@ def test_relightable_captures_keep_their_materials(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
-def test_written_captures_pass_the_validators_of_usd_core(tmp_path: Path, extension: str) -> None:
-    """The validators find no error."""
+def test_captures_written_to_usd_pass_the_validators_of_usd_core(tmp_path: Path, extension: str) -> None:
+    """Files are text, binary and packages."""
     usd_core()
     ls.save(tmp_path / f"capture{extension}", relightable())
     assert not validation_messages(tmp_path / f"capture{extension}")
 
 
-def test_coefficient_count_and_colour_space_are_written(tmp_path: Path) -> None:
+def test_sh_count_and_colour_space_of_captures_are_written_to_usd(tmp_path: Path) -> None:
     """The schema itself leaves both open."""
     usd = usd_core()
     ls.save(tmp_path / "a.usdc", capture(5, 2))
@@ -85,7 +85,7 @@ def test_coefficient_count_and_colour_space_are_written(tmp_path: Path) -> None:
     assert authored == (9, "vertex", "srgb_rec709_scene")
 
 
-def test_written_captures_stand_upright_in_other_programs(tmp_path: Path) -> None:
+def test_captures_written_to_usd_are_upright_in_other_programs(tmp_path: Path) -> None:
     """The root rotates a y-down capture: -y becomes +y. Units are metres."""
     usd_core()
     ls.save(tmp_path / "capture.usdc", capture(5))
@@ -96,7 +96,7 @@ def test_written_captures_stand_upright_in_other_programs(tmp_path: Path) -> Non
     assert geom.GetStageUpAxis(stage) == "Y" and geom.GetStageMetersPerUnit(stage) == 1.0
 
 
-def test_quaternions_are_scalar_first_in_text_and_last_in_memory(tmp_path: Path) -> None:
+def test_usd_quaternions_of_gaussians_are_read_scalar_first(tmp_path: Path) -> None:
     """The text (0.6, 0, 0, 0.8) is w, x, y, z, a rotation about z; y up adds a half turn about x."""
     rotation = "[(0.6, 0, 0, 0.8), (1, 0, 0, 0)]"
     path = write_usda(
@@ -107,8 +107,8 @@ def test_quaternions_are_scalar_first_in_text_and_last_in_memory(tmp_path: Path)
     np.testing.assert_allclose(matrices_from_quaternions(loaded.rotations_wxyz)[0], expected, atol=1e-6)
 
 
-def test_sh_coefficients_are_stored_particle_by_particle(tmp_path: Path) -> None:
-    """Four coefficients of the first particle, then four of the second."""
+def test_usd_sh_coefficients_are_stored_particle_by_particle(tmp_path: Path) -> None:
+    """Four coefficients of the first particle are followed by four of the second."""
     sh = {
         "uniform int radiance:sphericalHarmonicsDegree": "1",
         "float3[] radiance:sphericalHarmonicsCoefficients": SH_1,
@@ -119,7 +119,7 @@ def test_sh_coefficients_are_stored_particle_by_particle(tmp_path: Path) -> None
     np.testing.assert_array_equal(scene.splats[0].gaussians.sh, stored.reshape(2, 4, 3))
 
 
-def test_half_attributes_are_used_only_without_float_ones(tmp_path: Path) -> None:
+def test_usd_half_attributes_are_used_only_without_float_ones(tmp_path: Path) -> None:
     """An attribute ending in h replaces a missing float attribute."""
     halves = {
         "point3f[] positions": "",
@@ -138,8 +138,8 @@ def test_half_attributes_are_used_only_without_float_ones(tmp_path: Path) -> Non
     np.testing.assert_allclose(loaded.sh[0, 0], (1.0, 2.0, 3.0), atol=1e-6)
 
 
-def test_missing_or_short_attributes_get_defaults(tmp_path: Path) -> None:
-    """Opacity 1, rotation none, scale 1, SH grey; longer arrays are cut."""
+def test_missing_or_short_usd_particle_attributes_get_defaults(tmp_path: Path) -> None:
+    """Opacity is 1, rotation none, scale 1, SH grey; longer arrays are truncated."""
     odd = {
         "quatf[] orientations": "[(0, 1, 0, 0)]",
         "float3[] scales": "[(5, 5, 5)]",
@@ -155,8 +155,8 @@ def test_missing_or_short_attributes_get_defaults(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.opacities, (0.25, 0.5))
 
 
-def test_log_scales_and_logit_opacities_are_detected(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A few negative scales are mirrored ones and not logarithms."""
+def test_usd_log_scales_and_logit_opacities_are_detected(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """If only a few scales are negative, they are mirrored scales and not logarithms."""
     logs = {"float3[] scales": "[(-3, -4, 0.1), (-1, -2, -0.5)]", "float[] opacities": "[2, 2]"}
     loaded = load_gaussians(write_usda(tmp_path / "a.usda", field(logs)))
     np.testing.assert_allclose(loaded.scales, np.exp([(-3, -4, 0.1), (-1, -2, -0.5)]), rtol=1e-6)
@@ -169,8 +169,8 @@ def test_log_scales_and_logit_opacities_are_detected(tmp_path: Path, caplog: pyt
     assert "logarithms" not in caplog.text
 
 
-def test_sh_above_degree_three_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The first 16 of 25 coefficients of degree 4 are kept."""
+def test_usd_sh_above_degree_three_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The first 16 of 25 coefficients of degree 4 are read."""
     values = "[" + ", ".join(f"({k}, 0, 0)" for k in range(50)) + "]"
     four = {
         "uniform int radiance:sphericalHarmonicsDegree": "4",
@@ -181,7 +181,7 @@ def test_sh_above_degree_three_are_dropped(tmp_path: Path, caplog: pytest.LogCap
     assert "SH above degree 3 (/splats)" in caplog.text
 
 
-def test_unsupported_kernels_are_refused_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_unsupported_usd_particle_kernels_are_refused_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Discs of constant opacity are refused; Gaussian surflets become flat Gaussians."""
     kernel = '"ParticleFieldPositionAttributeAPI", "ParticleFieldScaleAttributeAPI", "ParticleFieldKernel{}API"'
     constant = field(kind="ParticleField", schemas=kernel.format("ConstantSurflet"))
@@ -195,7 +195,7 @@ def test_unsupported_kernels_are_refused_by_name(tmp_path: Path, caplog: pytest.
 
 
 @pytest.mark.parametrize("where", ["field", "attribute"])
-def test_linear_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
+def test_linear_usd_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
     """The prim or the attribute may state the linear colour space: 0.5 becomes 0.735."""
     dc = (0.5 - 0.5) / 0.28209479177387814
     grey = f"[({dc}, {dc}, {dc}), ({dc}, {dc}, {dc})]"
@@ -216,7 +216,9 @@ def test_linear_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
     np.testing.assert_array_equal(unchanged.sh, 0.0)
 
 
-def test_foreign_materials_of_captures_are_ignored_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_foreign_usd_materials_of_captures_are_ignored_silently(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Omniverse binds a material that is no UsdPreviewSurface; the colours are used as captured."""
     material = """def Material "m" {
         token outputs:mdl:surface.connect = </m/s.outputs:out>
@@ -232,13 +234,15 @@ def test_foreign_materials_of_captures_are_ignored_silently(tmp_path: Path, capl
     assert not caplog.text
 
 
-def test_prim_type_name_of_nuke_is_read(tmp_path: Path) -> None:
-    """Nuke 17.0 writes it with an underscore."""
+def test_prim_type_name_of_nuke_with_an_underscore_is_read(tmp_path: Path) -> None:
+    """Nuke 17.0 writes ParticleField_3DGaussianSplat."""
     path = write_usda(tmp_path / "a.usda", field(kind="ParticleField_3DGaussianSplat"))
     assert load_gaussians(path).count == 2
 
 
-def test_up_axis_and_metres_per_unit_are_applied_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_usd_up_axis_and_metres_per_unit_are_applied_and_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """(1, 2, 3) cm with z up is (0.01, 0.03, -0.02) m with y up."""
     one = field({"point3f[] positions": "[(1, 2, 3)]"}, count=1)
     path = write_usda(tmp_path / "a.usda", one + "\n" + field(name="b"), f"{Z_UP}\nmetersPerUnit = 0.01")
@@ -250,8 +254,8 @@ def test_up_axis_and_metres_per_unit_are_applied_and_logged(tmp_path: Path, capl
     np.testing.assert_allclose(alone.means, [(1.0, -3.0, 2.0)], atol=1e-6)
 
 
-def test_nested_transforms_rotate_and_stretch_gaussians(tmp_path: Path) -> None:
-    """Below a rotated and stretched prim, covariances are M Sigma M^T, and SH rotate along."""
+def test_nested_usd_transforms_rotate_and_stretch_gaussians(tmp_path: Path) -> None:
+    """Below a rotated and stretched prim with matrix M, covariances are M Sigma M^T, and SH rotate along."""
     sh = {
         "uniform int radiance:sphericalHarmonicsDegree": "1",
         "float3[] radiance:sphericalHarmonicsCoefficients": SH_1,
@@ -283,16 +287,16 @@ def test_nested_transforms_rotate_and_stretch_gaussians(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen, (0.0, 3.0, 2.0, -1.0), atol=1e-6)
 
 
-def test_invalid_particles_are_refused_or_dropped_on_request(tmp_path: Path) -> None:
-    """The error says how to drop them."""
+def test_invalid_usd_particles_are_refused_or_dropped_on_request(tmp_path: Path) -> None:
+    """The error names the option that drops invalid particles."""
     path = write_usda(tmp_path / "a.usda", field({"float3[] scales": "[(1, nan, 1), (1, 1, 1)]"}))
     with pytest.raises(FormatError, match=r"in 1 of 2 Gaussians; --drop-invalid"):
         ls.load(path)
     assert load_gaussians(path, drop_invalid=True).count == 1
 
 
-def test_hidden_guide_and_zero_scale_prims_are_skipped(tmp_path: Path) -> None:
-    """Neither invisible, guide, proxy nor zero-scale prims are read."""
+def test_hidden_guide_proxy_and_zero_scale_usd_prims_are_skipped(tmp_path: Path) -> None:
+    """One particle field of four is visible, of purpose default and of nonzero scale."""
     hidden = field(name="a", properties='token visibility = "invisible"')
     guide = field(name="b", properties='uniform token purpose = "guide"')
     nothing = 'double3 xformOp:scale = (0, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
@@ -303,8 +307,10 @@ def test_hidden_guide_and_zero_scale_prims_are_skipped(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("left", [0, 4000])
-def test_full_disk_keeps_the_old_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: int) -> None:
-    """The library reports success for a package that a full disk cut off."""
+def test_usd_package_write_on_a_full_disk_keeps_the_old_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: int
+) -> None:
+    """The library reports success for a package that a full disk truncated."""
     usd_core()
     path = tmp_path / "a.usdz"
     ls.save(path, capture(3))
@@ -331,10 +337,10 @@ def test_full_disk_keeps_the_old_package(tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.data
 @pytest.mark.parametrize("extension", [".usdc", ".usdz"])
-def test_real_capture_round_trip_is_exact_and_silent(
+def test_usd_round_trip_of_the_biker_is_exact_and_logs_nothing(
     tmp_path: Path, data_dir: Path, extension: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The biker's Gaussians and its rendered frames are identical, and nothing is logged."""
+    """The biker's Gaussians and its rendered frames are identical."""
     usd_core()
     saved, path = load_gaussians(data_dir / "splats" / "biker.spz"), tmp_path / f"biker{extension}"
     caplog.set_level(logging.WARNING)

@@ -27,7 +27,7 @@ def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schema
     return found
 
 
-def test_sphere_intensity_and_exposure_give_radiance(tmp_path: Path) -> None:
+def test_usd_sphere_light_intensity_and_exposure_give_radiance(tmp_path: Path) -> None:
     """Intensity 3 with exposure 2 is a radiance of 12."""
     loaded = expect_kind(
         ls.LightSphere,
@@ -40,7 +40,7 @@ def test_sphere_intensity_and_exposure_give_radiance(tmp_path: Path) -> None:
     assert (loaded.intensity, loaded.radius, loaded.position) == (12.0, 0.25, (1.0, 2.0, 3.0))
 
 
-def test_normalized_sphere_gives_candela_at_any_radius(tmp_path: Path) -> None:
+def test_normalized_usd_sphere_light_has_the_same_candela_at_any_radius(tmp_path: Path) -> None:
     """Radiance 8 / (4 pi r^2) on a visible disk of pi r^2 is 2 candela."""
     inputs = "float inputs:intensity = 8\nbool inputs:normalize = 1\nfloat inputs:radius = {}"
     for radius in (0.1, 2.0):
@@ -49,7 +49,7 @@ def test_normalized_sphere_gives_candela_at_any_radius(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.01])
-def test_normalized_lights_are_equally_bright_in_any_unit(tmp_path: Path, unit: float) -> None:
+def test_normalized_usd_lights_are_equally_bright_in_any_unit(tmp_path: Path, unit: float) -> None:
     """Areas are in square stage units: 8 / (4 pi r^2) nits for a sphere, 12 / 6 nits for a 2 x 3 rectangle."""
     head = f'upAxis = "Y"\nmetersPerUnit = {unit}'
     ball = "float inputs:intensity = 8\nbool inputs:normalize = 1\nfloat inputs:radius = 5"
@@ -60,7 +60,7 @@ def test_normalized_lights_are_equally_bright_in_any_unit(tmp_path: Path, unit: 
     assert light(tmp_path, "RectLight", sheet, head).intensity == pytest.approx(2.0)
 
 
-def test_treat_as_point_gives_a_point_light(tmp_path: Path) -> None:
+def test_usd_sphere_light_treated_as_point_becomes_a_point_light(tmp_path: Path) -> None:
     """Radiance 2 at radius 0.5 is 2 pi 0.25 candela; in centimetres, a ten-thousandth of that."""
     inputs = "float inputs:intensity = 2\nfloat inputs:radius = 0.5\nbool treatAsPoint = 1"
     loaded = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs))
@@ -69,7 +69,7 @@ def test_treat_as_point_gives_a_point_light(tmp_path: Path) -> None:
     assert small.intensity == pytest.approx(2.0 * math.pi * 0.25e-4)
 
 
-def test_cone_gives_a_spot_light(tmp_path: Path) -> None:
+def test_usd_sphere_light_with_a_cone_becomes_a_spot_light(tmp_path: Path) -> None:
     """The spot shines along -z, fades within the outer 40 % of 30 degrees, and has the candela of its sphere."""
     inputs = """float inputs:shaping:cone:angle = 30
         float inputs:shaping:cone:softness = 0.4
@@ -84,7 +84,7 @@ def test_cone_gives_a_spot_light(tmp_path: Path) -> None:
     assert loaded.intensity == pytest.approx(1.0)
 
 
-def test_distant_light_gives_lux(tmp_path: Path) -> None:
+def test_usd_distant_light_is_read_in_lux(tmp_path: Path) -> None:
     """50,000 nits over 0.53 degrees give pi sin(0.265 deg)^2 times that; normalized, the intensity is in lux."""
     sun = expect_kind(ls.LightDirectional, light(tmp_path, "DistantLight", ""))
     assert sun.intensity == pytest.approx(50000.0 * math.pi * math.sin(math.radians(0.265)) ** 2)
@@ -97,8 +97,8 @@ def test_distant_light_gives_lux(tmp_path: Path) -> None:
     assert light(tmp_path, "DistantLight", parallel).intensity == pytest.approx(7.0)
 
 
-def test_rect_light_radiance_and_direction(tmp_path: Path) -> None:
-    """Normalized radiance is divided by the world area. The light shines along -z, also if mirrored."""
+def test_usd_rect_light_has_radiance_and_shines_along_minus_z(tmp_path: Path) -> None:
+    """Normalized radiance is divided by the world area; a mirrored light shines along -z, too."""
     inputs = "float inputs:width = 2\nfloat inputs:height = 3\nfloat inputs:intensity = 12"
     loaded = expect_kind(ls.LightRect, light(tmp_path, "RectLight", inputs))
     assert loaded.intensity == 12.0
@@ -109,8 +109,8 @@ def test_rect_light_radiance_and_direction(tmp_path: Path) -> None:
     assert mirrored.intensity == pytest.approx(1.0)
 
 
-def test_disk_light_radiance_and_direction(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Normalized radiance is divided by the world area. The light shines along -z, also if mirrored."""
+def test_usd_disk_light_has_radiance_and_shines_along_minus_z(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Normalized radiance is divided by the world area; a mirrored light shines along -z, too."""
     inputs = "float inputs:radius = 2\nfloat inputs:intensity = 12"
     loaded = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", inputs))
     assert (loaded.radius, loaded.intensity, loaded.direction) == (2.0, 12.0, (0.0, 0.0, -1.0))
@@ -121,7 +121,9 @@ def test_disk_light_radiance_and_direction(tmp_path: Path, caplog: pytest.LogCap
     assert not caplog.text
 
 
-def test_stretched_disks_become_round_with_equal_area(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_stretched_usd_disk_lights_become_round_with_equal_area(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """A remark reports the change."""
     scaled = '\ndouble3 xformOp:scale = (4, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
     loaded = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"float inputs:radius = 2{scaled}"))
@@ -129,8 +131,8 @@ def test_stretched_disks_become_round_with_equal_area(tmp_path: Path, caplog: py
     assert "stretched disk lights, read as round disks of the same area (/lamp)" in caplog.text
 
 
-def test_blackbody_temperature_multiplies_colour(tmp_path: Path) -> None:
-    """3,000 K is orange."""
+def test_usd_colour_temperature_multiplies_the_colour_of_a_light(tmp_path: Path) -> None:
+    """The colour of 3,000 K is orange."""
     inputs = """color3f inputs:color = (1, 0.5, 0.5)
         bool inputs:enableColorTemperature = 1
         float inputs:colorTemperature = 3000"""
@@ -149,10 +151,10 @@ def test_blackbody_temperature_multiplies_colour(tmp_path: Path) -> None:
         ('upAxis = "Y"', "DomeLight_1", 'uniform token poleAxis = "Z"', (0.0, -1.0, 0.0)),
     ],
 )
-def test_dome_light_image_orientation(
+def test_usd_dome_light_image_is_centred_on_plus_z(
     tmp_path: Path, head: str, kind: str, extra: str, expected: tuple[float, ...]
 ) -> None:
-    """The image's middle is +z, with +x to its left, or -y for pole axis z."""
+    """The image's middle is +z with +x to its left, or -y for pole axis z."""
     usd_core()
     image = np.zeros((4, 8, 3), np.float32)
     image[1:3, 3:5] = 5.0
@@ -166,7 +168,7 @@ def test_dome_light_image_orientation(
     np.testing.assert_allclose(-forward, expected, atol=1e-6)  # images of LightEnvironment have -z in the middle
 
 
-def test_quarter_of_dome_image_is_plus_x(tmp_path: Path) -> None:
+def test_quarter_of_a_usd_dome_light_image_is_plus_x(tmp_path: Path) -> None:
     """The direction a quarter of the width from the left edge is +x."""
     usd_core()
     image = np.zeros((2, 4, 3), np.float32)
@@ -181,8 +183,8 @@ def test_quarter_of_dome_image_is_plus_x(tmp_path: Path) -> None:
     )  # images of LightEnvironment have +x right of the middle
 
 
-def test_shadow_settings_and_visibility_of_lights(tmp_path: Path) -> None:
-    """A light without shadows, one with a shadow distance, and a hidden one, which is disabled."""
+def test_usd_shadow_settings_and_visibility_of_lights_are_read(tmp_path: Path) -> None:
+    """One light casts no shadows, one has a shadow distance, and a hidden one is disabled."""
     api = '"ShadowAPI"'
     assert not light(tmp_path, "SphereLight", "bool inputs:shadow:enable = 0", schemas=api).casts_shadow
     sun = light(tmp_path, "DistantLight", "float inputs:shadow:distance = 4", schemas=api)
@@ -190,8 +192,10 @@ def test_shadow_settings_and_visibility_of_lights(tmp_path: Path) -> None:
     assert not light(tmp_path, "SphereLight", 'token visibility = "invisible"').enabled
 
 
-def test_unsupported_light_features_are_logged_in_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Light types, shaping focus, diffuse and specular multipliers."""
+def test_unsupported_usd_light_features_are_logged_in_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """These are light types, shaping focus, and diffuse and specular multipliers."""
     body = """def CylinderLight "tube" {
     }
     def SphereLight "odd" ( prepend apiSchemas = ["ShapingAPI"] ) {

@@ -77,7 +77,7 @@ def quad_material(path: Path, inputs: str, nodes: str = "", extra: str = "") -> 
     return expect_kind(ls.MaterialPbr, scene.meshes[0].mesh.material)
 
 
-def test_polygons_become_triangle_fans(tmp_path: Path) -> None:
+def test_usd_polygons_become_triangle_fans(tmp_path: Path) -> None:
     """A quad becomes two counter-clockwise triangles; without a material it is grey, without normals flat."""
     quad = load_scene(tmp_path, mesh()).meshes[0].mesh
     np.testing.assert_array_equal(quad.indices, [(0, 1, 2), (0, 2, 3)])
@@ -85,14 +85,14 @@ def test_polygons_become_triangle_fans(tmp_path: Path) -> None:
     assert quad.material.base_color == (0.18, 0.18, 0.18)
 
 
-def test_left_handed_faces_are_reversed(tmp_path: Path) -> None:
+def test_left_handed_usd_faces_are_reversed(tmp_path: Path) -> None:
     """A clockwise face gets the opposite normal."""
     quad = load_scene(tmp_path, mesh('uniform token orientation = "leftHanded"')).meshes[0].mesh
     corners = quad.positions[quad.indices[0]]
     assert np.cross(corners[1] - corners[0], corners[2] - corners[0])[2] < 0.0
 
 
-def test_face_varying_primvars_split_vertices(tmp_path: Path) -> None:
+def test_face_varying_usd_primvars_split_vertices(tmp_path: Path) -> None:
     """Two triangles with different coordinates at shared vertices have six vertices; equal corners stay merged."""
     two = """point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]
     int[] faceVertexCounts = [3, 3]
@@ -113,7 +113,7 @@ def test_face_varying_primvars_split_vertices(tmp_path: Path) -> None:
     )
 
 
-def test_indexed_primvars_are_resolved(tmp_path: Path) -> None:
+def test_indexed_usd_primvars_are_resolved(tmp_path: Path) -> None:
     """Vertex colours are the base colour of a mesh without a material."""
     colors = """color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] ( interpolation = "vertex" )
     int[] primvars:displayColor:indices = [0, 1, 1, 0]"""
@@ -122,7 +122,7 @@ def test_indexed_primvars_are_resolved(tmp_path: Path) -> None:
     assert quad.material.base_color == (1.0, 1.0, 1.0)
 
 
-def test_subdivision_surfaces_get_smooth_normals(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_usd_subdivision_surfaces_get_smooth_normals(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Subdivision is the default; the control mesh is used, with a remark."""
     quad = load_scene(tmp_path, mesh(geometry=QUAD.replace('"none"', '"catmullClark"'))).meshes[0].mesh
     assert quad.normals is not None
@@ -130,8 +130,8 @@ def test_subdivision_surfaces_get_smooth_normals(tmp_path: Path, caplog: pytest.
     assert "subdivision surfaces, read as their control meshes (/quad)" in caplog.text
 
 
-def test_geometry_subsets_become_separate_meshes(tmp_path: Path) -> None:
-    """Other faces keep the mesh's material. Each mesh has only the vertices that it uses."""
+def test_usd_geometry_subsets_become_separate_meshes(tmp_path: Path) -> None:
+    """Faces outside subsets have the mesh's material; each mesh has only the vertices that it uses."""
     two = """point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]
     int[] faceVertexCounts = [3, 3]
     int[] faceVertexIndices = [0, 1, 2, 0, 2, 3]
@@ -153,7 +153,7 @@ def test_geometry_subsets_become_separate_meshes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(colors[0.0, 1.0, 0.0].positions, [(0, 0, 0), (1, 0, 0), (1, 1, 0)])
 
 
-def test_preview_surface_constants_are_read(tmp_path: Path) -> None:
+def test_constants_of_usd_preview_surfaces_are_read(tmp_path: Path) -> None:
     """Inputs without textures become material fields."""
     found = quad_material(
         tmp_path,
@@ -171,7 +171,7 @@ def test_preview_surface_constants_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("stored", "expected"), [("", False), ("uniform bool doubleSided = 1", True)])
-def test_emission_is_one_sided_unless_double_sided(tmp_path: Path, stored: str, expected: bool) -> None:
+def test_usd_emission_is_one_sided_unless_double_sided(tmp_path: Path, stored: str, expected: bool) -> None:
     """The default of doubleSided is one side."""
     applied, binding = bound()
     body = mesh(f"{binding}\n{stored}", applied=applied) + material("color3f inputs:emissiveColor = (4, 5, 6)")
@@ -189,7 +189,7 @@ def test_emission_is_one_sided_unless_double_sided(tmp_path: Path, stored: str, 
         ("float inputs:opacity = 0.25\nfloat inputs:opacityThreshold = 0.5", ls.AlphaMode.MASK, 0.25, 0.0),
     ],
 )
-def test_opacity_becomes_transmission_alpha_or_mask(
+def test_usd_opacity_becomes_transmission_alpha_or_mask(
     tmp_path: Path, inputs: str, mode: ls.AlphaMode, alpha: float, transmission: float
 ) -> None:
     """Smooth or explicitly transparent surfaces transmit; other opacity is alpha, or a mask with a threshold."""
@@ -197,8 +197,8 @@ def test_opacity_becomes_transmission_alpha_or_mask(
     assert (found.alpha_mode, found.alpha, found.transmission) == (mode, alpha, transmission)
 
 
-def test_preview_surface_textures_are_read(tmp_path: Path) -> None:
-    """Scales become factors, channels are rearranged, v is flipped, and alpha is kept."""
+def test_textures_of_usd_preview_surfaces_are_read(tmp_path: Path) -> None:
+    """Scales become factors, channels are rearranged, v is flipped, and alpha stays."""
     usd_core()
     texels = np.random.default_rng(1).integers(0, 256, (4, 4, 4), dtype=np.uint8)
     Image.fromarray(texels).save(tmp_path / "t.png")
@@ -232,7 +232,7 @@ def test_preview_surface_textures_are_read(tmp_path: Path) -> None:
     assert wraps["metallic_roughness_texture"] == (ls.TextureWrap.MIRROR, ls.TextureWrap.CLAMP)
 
 
-def test_uv_transform_scales_rotates_then_translates(tmp_path: Path) -> None:
+def test_usd_texture_transform_scales_rotates_then_translates(tmp_path: Path) -> None:
     """(1, 0) doubled and rotated by 90 degrees is (0, 2), translated (0.5, 2)."""
     usd_core()
     Image.new("RGB", (4, 4)).save(tmp_path / "t.png")
@@ -253,7 +253,7 @@ def test_uv_transform_scales_rotates_then_translates(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.uvs[1], (0.5, 1.0 - 2.0), atol=1e-6)
 
 
-def test_vertex_colours_need_a_primvar_reader(tmp_path: Path) -> None:
+def test_usd_vertex_colours_need_a_shader_that_reads_them(tmp_path: Path) -> None:
     """Only a shader that reads displayColor uses the mesh's colours."""
     colors = """color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = "constant" )"""
     reader = """def Shader "v" {
@@ -271,8 +271,8 @@ def test_vertex_colours_need_a_primvar_reader(tmp_path: Path) -> None:
     assert unread.colors is None
 
 
-def test_instances_share_one_mesh(tmp_path: Path) -> None:
-    """Two instances by reference, one in the other's space: one mesh with two transforms and names."""
+def test_usd_instances_share_one_mesh(tmp_path: Path) -> None:
+    """Two instances by reference, one below the other, are one mesh with two transforms and names."""
     body = (
         'class "P" {\n def Xform "tree" {\n' + mesh() + "}\n}\n"
         """def Xform "one" ( instanceable = true\n references = </P/tree> ) {
@@ -287,11 +287,8 @@ def test_instances_share_one_mesh(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.transform[:3, 3], (1, 2, 3))
 
 
-def test_point_instancer_transforms(tmp_path: Path) -> None:
-    """Instances are scaled, rotated, then translated; hidden ones are skipped.
-
-    The location of prototypes in the file does not matter.
-    """
+def test_usd_point_instances_are_scaled_rotated_then_translated(tmp_path: Path) -> None:
+    """Hidden instances are skipped. The location of prototypes in the file does not matter."""
     body = f"""def PointInstancer "many" {{
         int[] protoIndices = [0, 0, 1, 0]
         point3f[] positions = [(10, 0, 0), (0, 10, 0), (0, 0, 10), (5, 5, 5)]
@@ -319,8 +316,8 @@ def test_point_instancer_transforms(tmp_path: Path) -> None:
     )  # orientations are half floats
 
 
-def test_cubes_spheres_and_planes_have_their_sizes(tmp_path: Path) -> None:
-    """Planes also have their axis."""
+def test_usd_cubes_spheres_and_planes_have_their_sizes(tmp_path: Path) -> None:
+    """A plane also has its axis."""
     body = """def Cube "c" {\n double size = 3\n }
     def Sphere "s" {\n double radius = 2\n }
     def Plane "p" {\n double width = 4\n double length = 6\n uniform token axis = "X"\n }
@@ -350,7 +347,7 @@ def test_cubes_spheres_and_planes_have_their_sizes(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_invalid_meshes_are_refused_or_cleaned(tmp_path: Path, geometry: str, message: str | None) -> None:
+def test_invalid_usd_meshes_are_refused_or_cleaned(tmp_path: Path, geometry: str, message: str | None) -> None:
     """Errors are one line; a triangle with a missing vertex is dropped and counted."""
     path = write_usda(tmp_path / "a.usda", mesh(geometry=geometry))
     if message is None:
@@ -360,7 +357,7 @@ def test_invalid_meshes_are_refused_or_cleaned(tmp_path: Path, geometry: str, me
         ls.load(path)
 
 
-def test_missing_texture_and_its_stage_are_named(tmp_path: Path) -> None:
+def test_missing_usd_texture_and_its_stage_are_named_by_the_error(tmp_path: Path) -> None:
     """The message names the texture file and the stage that needs it."""
     nodes = READER + texture("c", "float3 outputs:rgb", file="gone.png")
     with pytest.raises(FormatError, match=r"gone\.png: no such file \(needed by .*a\.usda\)"):

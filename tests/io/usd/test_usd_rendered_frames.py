@@ -25,8 +25,10 @@ LIGHTS: dict[str, ls.LightPoint | ls.LightSpot | ls.LightSphere | ls.LightRect |
 
 @pytest.mark.parametrize("names", [*((name,) for name in LIGHTS), tuple(LIGHTS)], ids="+".join)
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.PATH])
-def test_round_trip_renders_identical_noise(tmp_path: Path, names: tuple[str, ...], pipeline: ls.Pipeline) -> None:
-    """Bit-identical, up to the rounding of rectangle corners and spot cones: none of 4 samples differs."""
+def test_usd_round_trip_renders_frames_with_identical_noise(
+    tmp_path: Path, names: tuple[str, ...], pipeline: ls.Pipeline
+) -> None:
+    """Frames of 4 samples are bit-identical, up to the rounding of rectangle corners and spot cones."""
     usd_core()
     red = ls.MaterialPbr(base_color=(0.8, 0.3, 0.2), roughness=0.4)
     ball = ls.MeshInstance(ls.sphere(0.5, material=red), name="ball")

@@ -81,8 +81,8 @@ def upright_scene(scene: ls.Scene) -> ls.Scene:
     ("extension", "up", "moved"),
     [(".usda", "y-down", 0.0), (".usdc", "z-up", 0.0), (".usdz", (0.3, 1.0, 0.2), 2e-15), (".usd", "x-down", 0.0)],
 )
-def test_scene_round_trip(tmp_path: Path, extension: str, up: str, moved: float) -> None:
-    """Everything is restored, rotated to y up; exactly if up was an axis."""
+def test_usd_round_trip_keeps_every_object_of_a_scene(tmp_path: Path, extension: str, up: str, moved: float) -> None:
+    """Objects are rotated to y up, exactly if up was an axis."""
     usd_core()
     saved, path = full_scene(up), tmp_path / f"scene{extension}"
     ls.save(path, saved)
@@ -99,7 +99,7 @@ def test_scene_round_trip(tmp_path: Path, extension: str, up: str, moved: float)
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
-def test_written_scenes_pass_the_validators_of_usd_core(tmp_path: Path, extension: str) -> None:
+def test_scenes_written_to_usd_pass_the_validators_of_usd_core(tmp_path: Path, extension: str) -> None:
     """Textures are beside the file, or inside a package."""
     usd_core()
     path = tmp_path / f"scene{extension}"
@@ -114,8 +114,8 @@ def test_written_scenes_pass_the_validators_of_usd_core(tmp_path: Path, extensio
         assert {file.name for file in (tmp_path / "scene_textures").iterdir()} >= {"sky.exr", "textures_normal.png"}
 
 
-def test_all_losses_are_logged_in_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Everything that OpenUSD cannot store is in one warning."""
+def test_losses_of_writing_a_scene_to_usd_are_one_log_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The warning lists everything that OpenUSD cannot store."""
     usd_core()
     ls.save(tmp_path / "a.usdc", full_scene("y-down"))
     (line,) = [record.getMessage() for record in caplog.records]
@@ -131,8 +131,8 @@ def test_all_losses_are_logged_in_one_line(tmp_path: Path, caplog: pytest.LogCap
         assert remark in line
 
 
-def test_lost_material_features_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Sheen, absorption, thin walls and simple materials."""
+def test_lost_material_features_of_usd_scenes_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The features are sheen, absorption, thin walls and simple materials."""
     usd_core()
     odd = ls.MaterialPbr(name="odd", sheen_color=(1, 0, 0), thin_walled=True, specular=0.5, attenuation_distance=2.0)
     simple = ls.MaterialSimple(name="simple", emissive=0.25, diffuse=0.5, base_color=(1.0, 0.5, 0.0))
@@ -152,8 +152,8 @@ def test_lost_material_features_are_logged(tmp_path: Path, caplog: pytest.LogCap
     assert near.base_color == (0.5, 0.25, 0.0) and near.emissive == (0.25, 0.125, 0.0)
 
 
-def test_round_trip_renders_the_same_image(tmp_path: Path) -> None:
-    """Through the scene's own camera."""
+def test_usd_round_trip_renders_the_same_image(tmp_path: Path) -> None:
+    """The image is rendered through the scene's own camera."""
     usd_core()
     camera = ls.Camera.look_at((1.5, -2.0, -6.0), (1, 0, 0), (0, -1, 0), width=48, height=32, name="view")
     saved = full_scene("y-down")
@@ -166,7 +166,7 @@ def test_round_trip_renders_the_same_image(tmp_path: Path) -> None:
     assert ls.metrics.psnr(before, after) > 90.0
 
 
-def test_single_mesh_is_written_as_a_scene(tmp_path: Path) -> None:
+def test_single_mesh_is_written_to_usd_as_a_scene(tmp_path: Path) -> None:
     """The loaded scene has y up and one mesh."""
     usd_core()
     ls.save(tmp_path / "a.usdc", full_scene("y-up").meshes[0].mesh)
@@ -174,8 +174,8 @@ def test_single_mesh_is_written_as_a_scene(tmp_path: Path) -> None:
     assert len(loaded.meshes) == 1 and loaded.up_direction == (0.0, 1.0, 0.0)
 
 
-def test_single_capture_loads_as_gaussians_unless_it_has_a_material(tmp_path: Path) -> None:
-    """The transform is applied to the Gaussians, with y down."""
+def test_single_usd_capture_loads_as_gaussians_unless_it_has_settings(tmp_path: Path) -> None:
+    """The transform is applied to the Gaussians, with y down; a material or shadow catcher flag makes it a scene."""
     usd_core()
     ls.save(tmp_path / "a.usdc", ls.Scene([ls.SplatInstance(capture(5), position=(1, 2, 3))], up="y-down"))
     loaded = expect_kind(ls.Gaussians, ls.load(tmp_path / "a.usdc"))
@@ -188,8 +188,8 @@ def test_single_capture_loads_as_gaussians_unless_it_has_a_material(tmp_path: Pa
     assert [holds_one_capture(tmp_path / name) for name in ("a.usdc", "b.usdc", "c.usdc")] == [True, False, False]
 
 
-def test_any_object_names_are_kept(tmp_path: Path) -> None:
-    """Names with any characters, equal and empty names, and names of Lumisplat's own prims."""
+def test_object_names_with_any_characters_survive_usd(tmp_path: Path) -> None:
+    """Names are equal, empty or those of Lumisplat's own prims, too."""
     usd_core()
     names = ["", "Materials", "1 ü/ö", "a", "a", "Prototypes"]
     ball = full_scene("y-up").meshes[0].mesh
@@ -198,7 +198,7 @@ def test_any_object_names_are_kept(tmp_path: Path) -> None:
     assert [one.name for one in loaded.meshes][1:] == names[1:]
 
 
-def test_failed_package_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_write_of_a_usd_package_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No other file is left."""
     usd_core()
     path = tmp_path / "a.usdz"
