@@ -1,8 +1,8 @@
 """BVH nodes: slab tests of packets and single rays against child boxes, traversal stacks, and ray footprints.
 
-A packet is bounded by a box around its ray origins, which widens along each axis with the slowest and fastest ray. In
-this moving frame, each of a child box's six planes bounds the packet's distances by a linear inequality. A single ray
-is a packet of zero width.
+A packet is bounded by a box around its ray origins, which widens along each axis with the slowest and fastest ray.
+Relative to this moving box, each of a child box's six planes bounds the packet's distances by a linear inequality. A
+single ray is a packet of zero width.
 
 The equations are in docs/method/ray_tracing.md#traversal.
 """
@@ -18,12 +18,13 @@ TRAVERSE_MARGIN = 1e-6
 """
 
 FOOTPRINT_REACH = 3.7
-"""Largest canonical radius of a Gaussian of any degree and opacity."""
+"""Largest canonical radius within which a ray can hit a Gaussian, over all degrees and opacities."""
 
 FOOTPRINT_LEAD = 1.1
-"""Largest ratio of the footprint that widens a Gaussian to the footprint where its ellipsoid begins.
+"""Largest ratio of the footprint that widens a Gaussian to the footprint at the near end of the Gaussian's ellipsoid.
 
-A Gaussian is widened by the footprint at its mean, limited by this ratio, so that nodes widen as their Gaussians do."""
+A Gaussian is widened by the footprint at its mean, limited by this ratio, so that the boxes of nodes need not be
+widened by more than the ray's footprint at the box."""
 
 FOOTPRINT_MAX = 0.1
 """Largest footprint half width over path length; no practical image exceeds it."""
@@ -43,15 +44,15 @@ def lesser(a: float, b: float) -> float:
 
 @wp.func
 def larger(a: float, b: float) -> float:
-    """Returns the larger number; see ``lesser``."""
+    """Returns the larger number, without NaN handling like ``lesser``."""
     return wp.where(a > b, a, b)
 
 
 @wp.func
 def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
-    """Computes the plane factors and terms of a packet's bound.
+    """Computes the plane factors and terms of a packet's bounding volume.
 
-    A plane of slope s, ``s t <= b``, means t <= b / s or, for s < 0, t >= b / s. ``low`` and ``high`` are the corners
+    A plane with slope s, ``s t <= b``, means t <= b / s or, for s < 0, t >= b / s. ``low`` and ``high`` are the corners
     of a box around the ray origins; ``slow`` and ``fast`` are the smallest and largest components of the directions.
     """
     slabs = Slabs()
@@ -82,9 +83,9 @@ def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> S
 def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
     """Returns, for each child box, a lower bound of the distance at which a ray of the packet is inside the box.
 
-    2 FAR: no ray enters the box, or all leave it before ``begin``. -FAR: rays may start inside, because slabs do not
-    bound the space behind the origins. The loop over the children becomes vector instructions; hence one local vector
-    per side of the boxes.
+    The bound is 2 FAR if no ray enters the box, or if all rays leave the box before ``begin``. It is -FAR if rays may
+    start inside, because slabs do not bound the space behind the origins. The loop over the children becomes vector
+    instructions; for this reason each side of the boxes is a local vector.
     """
     entries = Children()
     low_x = node.low_x
@@ -127,7 +128,8 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
 def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end: float) -> Children:
     """Returns, for each child box, a lower bound of the distance at which a mean in the box projects onto a ray.
 
-    2 FAR: by ``entries`` no ray enters the box before ``end``, or all means of the box project before ``begin``.
+    The bound is 2 FAR if, by ``entries``, no ray enters the box before ``end``, or if all means in the box project
+    before ``begin``.
     """
     low_x = node.low_x
     low_y = node.low_y
@@ -155,7 +157,7 @@ def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end:
 
 @wp.func
 def least_product(a: float, b: float, c: float, d: float) -> float:
-    """Returns the smallest product of a number in ``a``..``b`` and a number in ``c``..``d``."""
+    """Returns the smallest product of a number in ``a`` to ``b`` and a number in ``c`` to ``d``."""
     return lesser(lesser(a * c, a * d), lesser(b * c, b * d))
 
 
@@ -170,7 +172,7 @@ WIDEST = wp.constant(wp.float32(FOOTPRINT_MAX))
 
 @wp.func
 def footprint_of_ray(footprint: float, spread: float, scale: float) -> float:
-    """Returns the standard deviation by which a ray widens Gaussians, divided by the path length, object space.
+    """Returns the standard deviation by which a ray widens Gaussians, divided by the path length, in object space.
 
     ``footprint`` is the standard deviation in pixel widths, ``spread`` the pixel width over the path length, and
     ``scale`` the uniform scale from object to world.
@@ -180,9 +182,10 @@ def footprint_of_ray(footprint: float, spread: float, scale: float) -> float:
 
 @wp.func
 def footprint_slope(footprint: float, length: float) -> float:
-    """Returns the slope by which a ray widens such that it enters the boxes of all Gaussians that it hits.
+    """Returns the slope by which a ray must widen to enter the boxes of all Gaussians that it hits.
 
-    ``length`` is the length of the ray's direction.
+    ``footprint`` is the standard deviation by which the ray widens Gaussians, divided by the path length; ``length`` is
+    the length of the ray's direction.
     """
     ahead = LEAD * REACH * footprint
     return ahead / (1.0 - ahead / length)
@@ -194,7 +197,7 @@ def footprint_variance(footprint: float, path: float, largest_scale: float) -> f
 
     ``footprint`` is a standard deviation over the path length, ``path`` the path length to the projection of the mean.
     If an ellipsoid of ``largest_scale``, world space, may begin long before its mean, a nearer and smaller footprint is
-    used, so that nodes need not be wider than the footprints of their rays.
+    used, so that the boxes of nodes need not be wider than the footprints of their rays.
     """
     width = footprint * larger(lesser(path, LEAD * (path - REACH * largest_scale)), 0.0)
     return width * width
@@ -202,7 +205,7 @@ def footprint_variance(footprint: float, path: float, largest_scale: float) -> f
 
 @wp.func
 def footprint_slopes(footprint: float, path: float, largest_scale: float) -> wp.vec2:
-    """Returns the derivatives of ``footprint_variance`` with respect to the path and the largest scale, world space."""
+    """Returns the derivatives of ``footprint_variance`` with respect to ``path`` and ``largest_scale``, world space."""
     nearer = LEAD * (path - REACH * largest_scale)
     width = footprint * larger(lesser(path, nearer), 0.0)
     if path <= nearer:
@@ -229,13 +232,13 @@ load_node = aligned_load_of(Node)
 
 @wp.func
 def link_stack(storage: wp.ref[LinkStackStorage]) -> wp.array[WaitingLink]:
-    """Returns the stack whose links are stored in a local variable."""
+    """Returns the stack of links that is stored in a local variable."""
     return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingLink)
 
 
 @wp.func
 def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
-    """Pushes a link as the next one to visit, with an entry distance that always passes."""
+    """Pushes a link so that it is visited next, with an entry distance so small that it is never skipped."""
     waiting = WaitingLink()
     waiting.entry = -FAR
     waiting.link = link
@@ -245,7 +248,7 @@ def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
 
 @wp.func
 def inverse_or_large(v: wp.vec3) -> wp.vec3:
-    """Returns ``1 / x`` of each component, limited to finite values."""
+    """Returns ``1 / x`` for each component of a vector, limited to finite values."""
     return wp.vec3(
         wp.where(wp.abs(v[0]) > 1.0e-30, 1.0 / v[0], 1.0e30),
         wp.where(wp.abs(v[1]) > 1.0e-30, 1.0 / v[1], 1.0e30),
@@ -257,7 +260,7 @@ def inverse_or_large(v: wp.vec3) -> wp.vec3:
 def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
     """Returns the distance, at least 0, at which a ray enters each child box of a node; 2 FAR: the ray misses the box.
 
-    ``inverse`` holds the reciprocals of the direction's components, finite, in the space of the tree.
+    ``inverse`` holds the reciprocals of the direction's components in the space of the tree, limited to finite values.
     """
     entries = Children()
     low_x = node.low_x
@@ -284,7 +287,11 @@ def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
 
 @wp.func
 def tree_ray(origin: wp.vec3, direction: wp.vec3, footprint: float, path_length: float, hit_distance: int) -> TreeRay:
-    """Sets up a ray in the space of a tree; ``footprint`` is in that space, divided by the path length."""
+    """Sets up a ray in the space of a tree.
+
+    ``footprint`` is the standard deviation by which the ray widens Gaussians, in the space of the tree, divided by the
+    path length.
+    """
     ray = TreeRay()
     ray.origin = origin
     ray.direction = direction

@@ -1,7 +1,7 @@
 """Packets: coherent rays that traverse the BVH together, their traversal stack, and their hit lists.
 
-Loops over the lanes become vector instructions, so types and functions are made for a number of lanes: ``PACKET_RAYS``
-on the CPU; a CUDA thread has a single lane.
+A packet has one lane for each ray. Loops over the lanes become vector instructions, so types and functions are built
+for a fixed number of lanes: ``PACKET_RAYS`` on the CPU, and one for each CUDA thread.
 """
 
 import functools
@@ -48,7 +48,7 @@ COHERENT_SPREAD = 0.15
 
 @wp.func
 def is_before(t: float, index: int, other_t: float, other_index: int) -> bool:
-    """Returns whether a hit precedes another one: by distance, or by index at equal distances."""
+    """Returns whether a hit precedes another hit: by distance, or by Gaussian index at equal distances."""
     return t < other_t or (t == other_t and index < other_index)
 
 
@@ -67,7 +67,7 @@ def buffer_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], slots: int, hit: 
     """Inserts a hit into a list of at most ``slots`` hits; a full list drops its farthest hit.
 
     Returns:
-        The dropped hit; its distance is FAR if none was dropped.
+        The dropped hit; its distance is FAR if no hit was dropped.
     """
     if hit_list.tail == hit_list.begin + slots:
         move_to_begin(hits, hit_list)
@@ -112,7 +112,9 @@ def insert_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], hit: Hit):
 # group 0, as all threads on CPUs.
 
 GROUP_MIN = 8
-"""Smallest group of threads that traverses together; a smaller group would visit more extra nodes than it shares."""
+"""Smallest group of CUDA threads that traverses together.
+
+The threads of a smaller group visit more additional nodes than the group saves by sharing."""
 
 
 def _on_cuda(code: str, otherwise: str) -> str:
@@ -158,35 +160,35 @@ return most;
 
 @wp.func_native(_on_cuda(_GROUP.replace("GROUP_MIN", str(GROUP_MIN)), "return 0;"))
 def group_of(origin: wp.vec3, direction: wp.vec3, radius: float, spread: float) -> int:
-    """Returns the group of a thread's ray: the threads of its warp whose rays are close to a common first ray.
+    """Returns the bit mask of the threads of this thread's warp whose rays are close to a common first ray.
 
-    Origins differ by at most ``radius``, directions by at most ``spread``. All threads of the warp that have a ray call
-    the function together.
+    Their origins differ by at most ``radius`` from that of the first ray, their directions by at most ``spread``. All
+    threads of the warp that have a ray must call the function together.
     """
     ...
 
 
 @wp.func_native(_on_cuda(_LARGEST, "return number;"))
 def largest_of(group: int, number: float) -> float:
-    """Returns the largest number of a group's threads, all of which call the function."""
+    """Returns the largest ``number`` among a group's threads, all of which must call the function."""
     ...
 
 
 @wp.func
 def least_of(group: int, number: float) -> float:
-    """Returns the smallest number of a group's threads."""
+    """Returns the smallest ``number`` among a group's threads, all of which must call the function."""
     return -largest_of(group, -number)
 
 
 @wp.func
 def largest_vector(group: int, numbers: wp.vec3) -> wp.vec3:
-    """Returns the componentwise maximum over a group's threads."""
+    """Returns the componentwise maximum of ``numbers`` over a group's threads, all of which must call the function."""
     return wp.vec3(largest_of(group, numbers[0]), largest_of(group, numbers[1]), largest_of(group, numbers[2]))
 
 
 @wp.func
 def least_vector(group: int, numbers: wp.vec3) -> wp.vec3:
-    """Returns the componentwise minimum over a group's threads."""
+    """Returns the componentwise minimum of ``numbers`` over a group's threads, all of which must call the function."""
     return -largest_vector(group, -numbers)
 
 
@@ -195,15 +197,15 @@ def least_vector(group: int, numbers: wp.vec3) -> wp.vec3:
 WIDTH = wp.constant(NODE_WIDTH)
 
 NEAR_FIRST = wp.constant(wp.float32(1.0))
-"""Visiting order of siblings: the nearest entry first."""
+"""Order in which sibling nodes are visited: the one that rays enter first comes first."""
 
 FAR_FIRST = wp.constant(wp.float32(-1.0))
-"""Visiting order of siblings: the nearest entry last."""
+"""Order in which sibling nodes are visited: the one that rays enter last comes first."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeStack:
-    """Type and constructor of a node stack of a certain size."""
+    """Type and constructor of a traversal stack for a certain number of nodes."""
 
     storage: Any
     """Type of the local variable that stores the nodes."""
@@ -212,13 +214,13 @@ class NodeStack:
 
 @functools.cache
 def node_stack_of(entries: int) -> NodeStack:
-    """Builds the type and constructor of stacks with this many entries."""
+    """Builds the type and constructor of traversal stacks for up to ``entries`` nodes."""
     ENTRIES = entries
     NodeStackStorage = storage_of(WaitingNode, entries)
 
     @wp.func
     def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array[WaitingNode]:
-        """Returns the stack whose nodes are stored in a local variable."""
+        """Returns the stack of nodes that is stored in a local variable."""
         return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingNode)
 
     return NodeStack(NodeStackStorage, node_stack)
@@ -244,10 +246,10 @@ def push_children(
     reach: float,
     order: float,
 ) -> int:
-    """Pushes the child nodes of a node and collects its leaves.
+    """Pushes the inner children of a node onto the stack and collects its leaves.
 
-    ``leaves`` receives the indices of Gaussians in the particle array of the asset. Children that the packet enters
-    beyond ``reach`` are skipped; ``order`` is NEAR_FIRST or FAR_FIRST.
+    ``leaves`` receives the leaves as indices of Gaussians in the particle array of the asset. Children that the packet
+    enters beyond ``reach`` are skipped; ``order`` is NEAR_FIRST or FAR_FIRST.
 
     Returns:
         The number of leaves.
@@ -276,7 +278,7 @@ def push_children(
 
 @wp.func
 def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: WaitingNode, order: float):
-    """Inserts a node among its siblings, which occupy the stack from ``base`` to ``top``."""
+    """Inserts a node among its siblings, which occupy stack entries ``base`` to ``top``, by visiting order."""
     j = int(top)
     while j > base and order * stack[j - 1].entry < order * node.entry:
         stack[j] = stack[j - 1]
@@ -286,7 +288,7 @@ def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: Waiting
 
 @wp.func
 def set_floors(stack: wp.array[WaitingNode], base: int, top: int):
-    """Sets the floors of siblings, which occupy the stack from ``base`` to ``top``."""
+    """Sets ``floor`` of the sibling nodes that occupy stack entries ``base`` to ``top``."""
     below = float(FAR)
     if base > 0:
         below = stack[base - 1].floor
@@ -366,7 +368,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def ends_of(rays: RayData, limits: wp.array[float], first: int) -> Floats:
-        """Returns the end distance of each ray, at most FAR; -FAR for rays that are inactive or empty."""
+        """Returns the end distance of each ray, at most FAR; -FAR for inactive rays and for ends that are at most 0."""
         ends = Floats(-FAR)
         for lane in range(LANES):
             if rays.is_active[first + lane] and limits[first + lane] > 0.0:
@@ -375,7 +377,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def largest(numbers: Any) -> float:
-        """Returns the largest element of a vector or array with one number for each ray; at least -FAR."""
+        """Returns the largest element of a vector or array that has one number for each ray; at least -FAR."""
         most = float(-FAR)
         for lane in range(LANES):
             most = larger(most, numbers[lane])
@@ -385,11 +387,11 @@ def packet_of(lanes: int) -> RayPacket:
     def take_coherent(rays: RayData, first: int, waiting: wp.ref[Floats], radius_max: float) -> Floats:
         """Takes the first waiting ray and all waiting rays that are close to it in origin and direction.
 
-        ``waiting`` is positive for waiting rays and becomes -FAR for those taken. ``radius_max`` is the largest
-        distance between origins.
+        ``waiting`` has a positive number for each waiting ray; it becomes -FAR for the rays that are taken.
+        ``radius_max`` is the largest distance between origins.
 
         Returns:
-            The numbers of the rays taken, and -FAR for all others.
+            The numbers of the rays that are taken, and -FAR for all others.
         """
         numbers = waiting
         origin = wp.vec3()
@@ -414,7 +416,7 @@ def packet_of(lanes: int) -> RayPacket:
     def begin_packet(packet: PacketRays, waiting: wp.ref[Floats], rays: RayData, first: int, radius_max: float):
         """Starts a packet with the waiting rays that ``take_coherent`` selects.
 
-        The numbers of the rays are their end distances.
+        ``waiting`` has the end distance of each waiting ray, and -FAR for all others.
         """
         ends = take_coherent(rays, first, waiting, radius_max)
         for lane in range(LANES):
@@ -426,10 +428,11 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def slabs_of(packet: PacketRays) -> Slabs:
-        """Bounds the rays whose limit is positive: a box around their origins and the smallest and largest slopes.
+        """Returns the bounding volume of the rays whose limit is positive.
 
-        The bound includes the rays of the other threads of the group, and the widths of the footprints, within which
-        the widened Gaussians of a box may be hit (docs/method/ray_tracing.md#footprints).
+        The volume is a box around the origins that widens with the extreme slopes. It includes the rays of the other
+        threads of the group. It is widened by the footprints, because rays hit widened Gaussians
+        (docs/method/ray_tracing.md#footprints).
         """
         low = wp.vec3(FAR)
         high = wp.vec3(-FAR)
@@ -471,9 +474,9 @@ def packet_of(lanes: int) -> RayPacket:
         rays: RayData,
         first: int,
     ):
-        """Switches the packet to the tree of instance ``number``, or to the top-level tree for WORLD.
+        """Switches the packet to the tree of instance ``number``, or to the top-level tree if ``number`` is WORLD.
 
-        ``tree`` receives the new tree, ``packet`` the origins and directions in its space.
+        ``tree`` receives the new tree, ``packet`` the ray origins and directions in the space of the tree.
         """
         tree.number = number
         object_from_world = wp.identity(n=3, dtype=wp.float32)
@@ -508,10 +511,10 @@ def packet_of(lanes: int) -> RayPacket:
         hit_distance: int,
         end: float,
     ) -> int:
-        """Pushes the children of the node just popped from the stack, as ``push_children``.
+        """Pushes the children of the node just popped from the stack, as ``push_children`` does.
 
-        Children that the packet leaves before ``begin`` or enters beyond ``reach`` are skipped. With HIT_MEAN, ``end``
-        is the distance at which the last ray of the packet ends, and ``reach`` is a distance of means.
+        Children that the packet leaves before ``begin`` or enters beyond ``reach`` are skipped. With HIT_MEAN,
+        ``reach`` limits the projections of means, and ``end`` is the distance at which the last ray of the packet ends.
 
         Returns:
             The number of leaves.

@@ -27,27 +27,29 @@ class RayMotion:
 
 @struct
 class HitMoments:
-    """Sums over the hits of one Gaussian from which its gradients follow, along its own axes unless stated otherwise.
+    """Sums over the hits of one Gaussian from which its gradients follow.
 
-    Each term is multiplied by the derivative with respect to the squared canonical distance; the terms are those of
+    The vectors are in the frame of the Gaussian's axes unless stated otherwise. Each term is multiplied by the
+    derivative of the loss with respect to the hit's squared canonical distance; the terms are those of
     docs/method/gradients.md#hits.
     """
 
     log_opacity: float
     pull: wp.vec3
-    """Canonical offset of the ray from the mean, over the scales."""
+    """Sum of the rays' canonical offsets from the mean, divided by the scales."""
     torque: wp.vec3
-    """Torque of ``pull`` about the mean."""
+    """Sum of the torques of ``pull`` about the mean."""
     spread: wp.vec3
-    """Squares of the canonical offset, over the scales."""
+    """Sum of the rays' squared canonical offsets from the mean, divided by the scales."""
     path: wp.vec3
-    """Gradient with respect to the mean's position along the ray, which sets the footprint width; object space."""
+    """Gradient with respect to the mean's position along the ray, which determines the footprint width; object space.
+    """
     largest: float
     """Gradient with respect to the largest scale, which limits the footprint width; object space."""
 
 
 NEAREST2 = wp.constant(wp.float32(1.0e-30))
-"""Squared canonical distance below which a ray counts as hitting the mean, where degrees 0 and 1 have a kink."""
+"""Squared canonical distance up to which a ray counts as hitting the mean, where degrees 0 and 1 have a kink."""
 
 
 @wp.func
@@ -55,14 +57,17 @@ def log_alpha_gradient(alpha: float, before: float, shown: float, behind: float)
     """Returns the derivative of the loss with respect to the logarithm of a hit's alpha; 0 where alpha is clamped.
 
     ``before`` is the transmittance in front of the hit, ``shown`` the gradient of the pixel's colour times the hit's
-    colour, and ``behind`` the loss contribution of this hit and all behind it.
+    colour, and ``behind`` the loss contribution of this hit and of all hits behind it.
     """
     return wp.where(alpha < ALPHA_LIMIT, alpha * (before * shown - behind) / (1.0 - alpha), 0.0)
 
 
 @wp.func
 def log_response_slope(kernel: KernelData, distance2: float) -> float:
-    """Returns the derivative of a response's logarithm with respect to the squared canonical distance, within reach."""
+    """Returns the derivative of the response's logarithm with respect to the squared canonical distance.
+
+    The distance must be within the Gaussian's reach.
+    """
     if kernel.degree == 2:
         return -0.5
     near2 = wp.max(distance2, NEAREST2)
@@ -127,9 +132,10 @@ def add_hit(
 def add_moments(
     gaussians: GaussianData, i: int, axes: wp.mat33, moments: HitMoments, out: GaussianGradient
 ) -> RayMotion:
-    """Adds the gradients of Gaussian ``i`` that follow from its hits; returns the gradient of its rays.
+    """Adds the gradients of Gaussian ``i`` that follow from its hits to ``out``.
 
-    A motion of all rays has the same effect as the opposite motion of the Gaussian.
+    Returns the gradient with respect to a rigid motion of the rays, which has the same effect as the opposite motion of
+    the Gaussian.
     """
     scale = gaussians.scales[i]
     by_scale = -2.0 * moments.spread
@@ -166,9 +172,9 @@ def add_color(
     motion: RayMotion,
     out: GaussianGradient,
 ) -> RayMotion:
-    """Adds the gradients of the SH and the mean of Gaussian ``i`` through its view-dependent colour.
+    """Adds the gradients of the SH and the mean of Gaussian ``i`` through its view-dependent colour to ``out``.
 
-    Returns ``motion`` with the gradient of the rays added, because their eye moves with them.
+    Returns ``motion`` plus the gradient through the eye, which moves with the rays.
     """
     if instance.shows_albedo != 0:
         return motion

@@ -1,4 +1,7 @@
-"""Test whether a Gaussian near the origin of a ray belongs to another surface layer (docs/method/shadows.md#layers)."""
+"""Test whether a Gaussian near the origin of a ray belongs to another surface layer than the origin.
+
+See docs/method/shadows.md#layers.
+"""
 
 import warp as wp
 
@@ -7,23 +10,26 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 LAYER_FLATNESS = 0.15
-"""Largest ratio of smallest to middle scale for which a Gaussian's thin axis is its layer normal (docs/adr/0088)."""
+"""Largest ratio of smallest to middle scale of a flat Gaussian, whose thin axis is its layer's normal (docs/adr/0088).
+"""
 
 LAYER_COSINE = 0.35
-"""Cosine between two layer normals below which only their order decides: 70 degrees apart and more."""
+"""Cosine of 70 degrees; if the normals of two layers differ by more, their order alone distinguishes the layers."""
 
 LAYER_HEIGHT = 0.0625
-"""Smallest height of another layer's mean above a surface, and of the surface above its plane, in shadow offsets.
+"""Smallest height above a surface of the mean of another layer's Gaussian, in shadow offsets: a quarter of a scale.
 
-It is a quarter of a scale."""
+It is also the smallest distance of the ray's origin from the plane of this Gaussian, unless the ray hits the Gaussian
+from the front."""
 
 LAYER_RISE = 1.0
-"""Increase of ``LAYER_HEIGHT`` with the cosine beyond ``LAYER_COSINE``: up to 2.85 scales between parallel layers."""
+"""Amount by which ``LAYER_HEIGHT`` grows with the cosine beyond ``LAYER_COSINE``: to 2.85 scales for parallel layers.
+"""
 
 LAYER_LIFT = 0.0625
 """Height above a surface of Gaussians at which bounced rays start, in shadow offsets: a quarter of a scale.
 
-From inside a layer, rays along it would leave below and see the light of its other side (docs/adr/0088)."""
+From inside a layer, rays along the layer would leave it below and see the light of its other side (docs/adr/0088)."""
 
 COSINE = wp.constant(wp.float32(LAYER_COSINE))
 FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))
@@ -44,15 +50,15 @@ def is_flat(scales: wp.vec3) -> bool:
 def above_layer(point: wp.vec3, normal: wp.vec3, near: float) -> wp.vec3:
     """Returns the origin of a ray that bounces at a surface of Gaussians, lifted so that the ray does not leave below.
 
-    ``normal`` of the layer is unit, on the ray's side; with a zero normal the ray starts at the point. ``near`` is the
-    offset within which Gaussians of the same layer do not block the ray, scene units; 0 for meshes.
+    ``normal``, the normal of the layer, is unit and on the ray's side; if it is zero, the ray starts at ``point``.
+    ``near`` is the distance within which Gaussians of the same layer do not block the ray, scene units; 0 for meshes.
     """
     return point + LIFT * near * normal
 
 
 @wp.func
 def thin_axis(particle: Particle, instance: SplatInstanceData) -> wp.vec3:
-    """Returns the unit normal of a flat Gaussian, of either sign, world space; zero unless ``is_flat`` holds."""
+    """Returns the world-space unit normal of a flat Gaussian, on either side; zero for a Gaussian that is not flat."""
     rows = particle.canonical_from_object
     sharp = wp.vec3(wp.length_sq(rows[0]), wp.length_sq(rows[1]), wp.length_sq(rows[2]))
     thinnest = int(0)
@@ -85,12 +91,12 @@ def is_other_layer(
 ) -> bool:
     """Returns whether a Gaussian that ray ``i`` hits near its origin belongs to another layer than the ray's surface.
 
-    Both must be flat Gaussians. The hit Gaussian's mean must lie above the ray's surface, by little if the layers are
-    inclined to each other and by more if they are parallel. The ray must hit it from the front, or come from well in
-    front of its plane.
+    Both the hit Gaussian and the ray's surface must be flat. The hit Gaussian's mean must lie above the ray's surface,
+    by little if the layers are inclined to each other and by more if they are parallel. The ray must hit the Gaussian
+    from the front, or come from well in front of its plane.
 
-    ``near`` is the offset within which Gaussians of the ray's own layer do not block it, scene units; ``mean`` is in
-    world space, and ``axis`` is the Gaussian's ``thin_axis``.
+    ``near`` is the distance within which Gaussians of the ray's own layer do not block it, scene units; ``mean`` is the
+    hit Gaussian's mean, world space, and ``axis`` its ``thin_axis``.
     """
     normal = rays.normal[i]
     away = mean - rays.origin[i]

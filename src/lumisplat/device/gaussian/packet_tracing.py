@@ -1,7 +1,8 @@
 """Packet tracing: intersection of rays with a Gaussian, hit lists, and blending of final hits.
 
-The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one hit; and
-a stochastic pass is drawn after every k blended hits (docs/method/ray_tracing.md#strategies).
+The strategies differ in two places. STRATEGY_HIT accepts each hit at random before it enters the list, which then holds
+one hit. STRATEGY_PASS accepts the blended hits at random after every k of them
+(docs/method/ray_tracing.md#strategies).
 """
 
 import functools
@@ -42,10 +43,11 @@ HIT_FAR: int = wp.constant(1)
 """The ray hits a Gaussian beyond the shadow offset."""
 
 HIT_NEAR: int = wp.constant(2)
-"""The ray hits a Gaussian within the shadow offset; the hit counts only if it is of another layer."""
+"""The ray hits a Gaussian within the shadow offset; the hit counts only if the Gaussian is of another layer."""
 
 PASS_REWIND = 1e-4
-"""Fraction of the distance by which a new pass starts earlier, because rounding may place hits outside their box."""
+"""Fraction of the distance by which a new pass starts earlier, because rounding may place hits outside their node's
+box."""
 
 # --- Intersection, and alpha of each hit (docs/method/ray_tracing.md#hits) ---
 
@@ -70,8 +72,8 @@ def packet_hits_of(lanes: int) -> PacketHits:
         """Intersects each ray with a Gaussian, widened by the ray's footprint.
 
         Returns the distance that orders hits (FAR without a hit), the squared canonical distance at the peak of the
-        response, and HIT_NONE, HIT_FAR or HIT_NEAR. The peak of a hit lies before ``t_max``. The peak of a near hit
-        lies not beyond ``t_min``, or ``begin`` if that is nearer.
+        response, and HIT_NONE, HIT_FAR or HIT_NEAR. The response of a hit peaks before ``t_max``. That of a near hit
+        peaks up to ``t_min``, or up to ``begin`` if that is nearer.
         """
         origin = packet.origin
         direction = packet.direction
@@ -125,10 +127,10 @@ def packet_hits_of(lanes: int) -> PacketHits:
 
     @wp.func
     def hit_responses(particle: Particle, begin: float, packet: PacketRays):
-        """Intersects each ray with a Gaussian as ``hit_distances`` does, but without the distance.
+        """Intersects each ray with a Gaussian as ``hit_distances`` does, but does not compute the distance.
 
-        Returns the kind of hit, and numerator and denominator of the squared canonical distance, which most rays do not
-        need.
+        Returns the kind of hit, and the numerator and denominator of the squared canonical distance, because most rays
+        do not need their quotient.
         """
         origin = packet.origin
         direction = packet.direction
@@ -182,9 +184,9 @@ def packet_hits_of(lanes: int) -> PacketHits:
         rays: RayData,
         first: int,
     ) -> int:
-        """Drops near hits except those of Gaussians of another layer; returns 0 if no hit is left.
+        """Sets the kind of near hits to HIT_NONE unless the Gaussian is of another layer; returns 0 if no hit is left.
 
-        ``kind`` and ``begin`` are as for ``hit_distances``.
+        ``kind`` is the kind of each ray's hit; ``begin`` is the distance up to which a response peak counts as near.
         """
         found = int(0)
         for lane in range(LANES):
@@ -224,17 +226,17 @@ class RayProgress:
     """Progress of blending along a ray."""
 
     hit_list: HitList
-    """Hits that are not final yet."""
+    """Hits that nearer hits may still precede, so that they cannot be blended yet."""
     next_t: float
     """Distance of the first hit of ``hit_list``; FAR: the list is empty."""
     start_t: float
-    """Hits up to (start_t, start_index) were blended in earlier passes."""
+    """Distance of the last hit blended in earlier passes; hits up to (start_t, start_index) are skipped."""
     start_index: int
     last_t: float
     """Distance of the farthest blended hit."""
     last_index: int
     blended: int
-    """Hits blended in the current stochastic pass."""
+    """Number of hits blended in the current stochastic pass."""
 
 
 @struct
@@ -245,13 +247,13 @@ class TracedPacket:
     hits: wp.array[Hit]
     """Slots of the hit lists of all rays."""
     cut_t: wp.array[float]
-    """Hits from (cut_t, cut_index) on are left to another pass."""
+    """Distance from which on hits, from (cut_t, cut_index), are left to another pass."""
     cut_index: wp.array[int]
 
 
 @wp.func
 def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
-    """Empties the hit list; the new pass starts behind the last blended hit."""
+    """Empties a ray's hit list for a new pass, which starts behind the last blended hit."""
     progress.hit_list = empty_list(first_slot)
     progress.next_t = FAR
     progress.start_t = progress.last_t
@@ -272,7 +274,7 @@ def ray_of(rays: RayData, i: int) -> Ray:
 
 @wp.func
 def surface_distance(scene: SceneBvh, ray: Ray, t_max: float, index: int, t: float) -> float:
-    """Returns the surface distance, at least 0, of Gaussian ``index`` of the scene, which a ray hits at ``t``."""
+    """Returns the distance, at least 0, of the surface of the scene's Gaussian ``index``, which a ray hits at ``t``."""
     instance = scene.instances[instance_of(scene.instances, index)]
     if instance.hit_distance == HIT_HULL:
         return larger(t, 0.0)
@@ -300,7 +302,7 @@ def blend_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> bool:
-    """Blends the hits of ray ``i`` that are nearer than ``bound``; returns whether the ray is opaque afterwards."""
+    """Blends the stored hits of ray ``i`` nearer than ``bound``; returns whether the ray is opaque afterwards."""
     ray = ray_of(rays, i)
     if config.offset < FAR:
         ray.t_min = 0.0  # small Gaussians count even before it
@@ -355,18 +357,18 @@ def begin_rays(traced: TracedPacket):
 
 @wp.func
 def end_of_hits(limit: float, scene: SceneBvh) -> float:
-    """Returns the upper bound of a ray's hit distances.
+    """Returns the upper bound of a ray's hit distances, given the ray's end ``limit``.
 
-    A mean may lie behind the limit in front of which it responds.
+    With HIT_MEAN, the bound is FAR, because a Gaussian may respond before the limit although its mean lies behind it.
     """
     return wp.where(scene.hit_distance == HIT_MEAN and limit > 0.0, FAR, limit)
 
 
 @wp.func
 def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scene: SceneBvh) -> float:
-    """Begins a pass of all rays, including those of the group.
+    """Begins a pass of all rays of the packet.
 
-    Returns the smallest distance at which a hit may count.
+    Returns the smallest distance at which a hit may count on any ray of the packet or its thread group.
     """
     begin = float(FAR)
     slots = traced.hits.shape[0] // traced.rays.shape[0]
@@ -398,7 +400,7 @@ def blend_final_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> float:
-    """Blends the hits of all rays that are nearer than ``bound``; returns the distance of the nearest remaining hit."""
+    """Blends the stored hits of all rays nearer than ``bound``; returns the distance of the nearest remaining hit."""
     nearest = float(FAR)
     for lane in range(traced.rays.shape[0]):
         if traced.rays[lane].next_t < bound:
@@ -413,7 +415,7 @@ def blend_final_hits(
 
 @wp.func
 def is_cut(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> bool:
-    """Returns whether any ray, including those of the group, has hits left for another pass."""
+    """Returns whether any ray of the packet or its thread group has hits left for another pass."""
     found = float(0.0)
     for lane in range(traced.rays.shape[0]):
         found = larger(found, wp.where(traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene), 1.0, 0.0))
@@ -429,7 +431,7 @@ def close_last_pass(
     i: int,
     radiance: GaussianHits,
 ):
-    """Draws the last stochastic pass of ray ``i``, which has fewer hits than a full pass."""
+    """Accepts or rejects the last stochastic pass of ray ``i`` at random; it has fewer hits than a full pass."""
     if progress.blended > 0:
         index = progress.last_index
         depth = surface_distance(scene, ray_of(rays, i), t_max, index, progress.last_t)
@@ -476,7 +478,10 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def hits_before_cut(traced: TracedPacket, t: wp.ref[Floats], kind: Ints, index: int) -> int:
-        """Sets distances of invalid hits and of hits behind their ray's cut to FAR; returns whether any hit is left."""
+        """Sets the distances of missing hits and of hits behind their ray's cut to FAR.
+
+        Returns whether any hit is left.
+        """
         found = int(0)
         distances = t
         for lane in range(LANES):
@@ -489,7 +494,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def accepted_hits(t: Floats, index: int, alpha: Floats, config: TraceData, rays: RayData, first: int) -> Floats:
-        """Accepts each hit with probability alpha; returns its distance, or FAR if rejected."""
+        """Accepts each hit with a probability of its alpha; returns the hit's distance, or FAR if it is rejected."""
         dimension = mix(wp.uint32(index))
         for lane in range(LANES):
             number = draw_mixed(rays.sample_key[first + lane], dimension)
@@ -509,7 +514,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
     ) -> float:
         """Inserts the hits of a Gaussian into the lists of their rays.
 
-        Returns the distance of the nearest first hit.
+        Returns the smallest distance of a list's first hit.
         """
         index = instance.first + particle.index
         begin = float(FAR)

@@ -1,6 +1,6 @@
 """Gaussians as rays hit them: canonical space, response by degree, extent, and intersection of single rays.
 
-Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4. The equations are in docs/method/gaussians.md.
+Source: Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4. The equations are in docs/method/gaussians.md.
 """
 
 import warp as wp
@@ -26,13 +26,13 @@ class ParticleHit:
     distance2: float
     """Squared canonical distance at the peak of the response."""
     is_near: bool
-    """True if the hit lies within the ray's offset, where it counts only if the Gaussian is of another layer."""
+    """True if the hit lies within the ray's shadow offset, where it counts only if the Gaussian is of another layer."""
 
 
 SURFACE_DEPTH_SCALES = 3.0
-"""Largest distance of a Gaussian's surface from its mean along a ray, in largest scales: the end of the Gaussian.
+"""Largest distance of a Gaussian's surface from its mean along a ray, in largest scales: the Gaussian ends there.
 
-Only Gaussians smaller than a pixel reach this limit, where the pixel's footprint shows them beyond their own extent."""
+Only Gaussians smaller than a pixel reach this limit, because the pixel's footprint shows them beyond their extent."""
 
 load_particle = aligned_load_of(Particle)
 
@@ -58,7 +58,7 @@ def distance_squared(kernel: KernelData, log_response: float) -> float:
 
 @wp.func
 def reach_squared(kernel: KernelData, opacity: float) -> float:
-    """Returns the squared canonical distance beyond which a Gaussian is ignored; negative: always ignored.
+    """Returns the squared canonical distance beyond which a Gaussian is ignored; negative: it is ignored everywhere.
 
     A Gaussian ends where its alpha falls to 1/255, or its response to the minimum if that is nearer.
     """
@@ -74,7 +74,7 @@ def reach_squared(kernel: KernelData, opacity: float) -> float:
 
 @wp.func
 def alpha_of_degree(kernel: KernelData, log_opacity: float, distance2: float) -> float:
-    """Returns alpha at a squared canonical distance within reach."""
+    """Returns a Gaussian's alpha at a squared canonical distance within its reach, for any kernel degree."""
     if kernel.degree == 0:
         return wp.min(wp.exp(log_opacity) * wp.max(1.0 - kernel.falloff * wp.sqrt(distance2), 0.0), ALPHA_LIMIT)
     return alpha_from_log(log_opacity - kernel.falloff * wp.pow(distance2, 0.5 * float(kernel.degree)))
@@ -82,7 +82,7 @@ def alpha_of_degree(kernel: KernelData, log_opacity: float, distance2: float) ->
 
 @wp.func
 def canonical_from_object(rotation: wp.quat, scale: wp.vec3) -> wp.mat33:
-    """Returns the inverse of rotation times scale."""
+    """Returns the matrix from object to canonical space: the inverse of rotation times scale."""
     axes = wp.quat_to_matrix(rotation)
     return wp.matrix_from_rows(
         wp.vec3(axes[0, 0], axes[1, 0], axes[2, 0]) / scale[0],
@@ -106,9 +106,10 @@ def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle
 
 @wp.func
 def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
-    """Returns the tightest axis-aligned box of Gaussian ``i``'s bounding ellipsoid; inverted if it is always ignored.
+    """Returns the tightest axis-aligned box of Gaussian ``i``'s bounding ellipsoid.
 
-    The box grows by a few units in the last place of its longest side to cover rounding of rotation, box and ray.
+    The box grows by a few units in the last place of its longest side, to cover rounding of rotation, box and ray. It
+    is inverted if rays always ignore the Gaussian.
     """
     box = Box()
     box.low = wp.vec3(FAR)
@@ -154,14 +155,14 @@ def ellipsoid_normal(
 
 @wp.func
 def gaussian_color(gaussians: GaussianData, i: int, eye: wp.vec3, sh_degree: int) -> wp.vec3:
-    """Returns the display-referred colour of Gaussian ``i`` for an eye in object space."""
+    """Returns the display-referred colour of Gaussian ``i`` as seen from ``eye``, object space."""
     degree = wp.min(sh_degree, int(wp.sqrt(float(gaussians.sh_count))) - 1)
     return sh_color(gaussians.sh, i * gaussians.sh_count, degree, wp.normalize(gaussians.means[i] - eye))
 
 
 @wp.func
 def gaussian_facing(gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
-    """Returns the normal of Gaussian ``i``'s max-density plane for an eye in object space."""
+    """Returns the normal of the max-density plane of Gaussian ``i`` as seen from ``eye``, object space."""
     rotation = wp.quat_to_matrix(gaussians.rotations[i])
     return gaussian_normal(rotation, gaussians.scales[i], eye - gaussians.means[i])
 
@@ -171,7 +172,10 @@ def gaussian_facing(gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
 
 @wp.func
 def world_ray(i: int, footprint: float, rays: RayData) -> TreeRay:
-    """Sets up ray ``i`` for the top-level tree, whose widest footprint is ``footprint``."""
+    """Sets up ray ``i`` for the top-level tree.
+
+    ``footprint`` is the largest standard deviation by which the ray widens Gaussians of any instance, in pixel widths.
+    """
     width = footprint_of_ray(footprint, rays.spread[i], 1.0)
     return tree_ray(rays.origin[i], rays.direction[i], width, rays.path_length[i], HIT_PEAK)
 
@@ -191,8 +195,8 @@ def hit_particle(
 ) -> ParticleHit:
     """Intersects a ray with a Gaussian, widened by the ray's footprint.
 
-    ``scale`` is the scale from the ray's space to world. Hits whose response peaks up to ``begin`` are near ones; the
-    peak must lie before ``end``.
+    ``scale`` is the scale from the ray's space to the world. Hits whose response peaks up to ``begin`` are marked as
+    near; the response must peak before ``end``.
     """
     hit = ParticleHit()
     hit.t = FAR
@@ -235,7 +239,10 @@ def alpha_at(kernel: KernelData, particle: Particle, distance2: float) -> float:
 
 @wp.func
 def begin_past(t_min: float, offset: float, offset_absolute: float, particle: Particle, scale: float) -> float:
-    """Returns the distance from which a Gaussian counts: ``t_min``, or less for a small Gaussian."""
+    """Returns the distance from which a Gaussian counts on a ray: ``t_min``, or a shorter one for a small Gaussian.
+
+    The shorter distance is ``offset`` times the Gaussian's largest scale plus ``offset_absolute``.
+    """
     return lesser(t_min, offset * scale * particle.largest_scale + offset_absolute)
 
 
@@ -248,11 +255,11 @@ SCALES_MAX = wp.constant(wp.float32(SURFACE_DEPTH_SCALES))
 def surface_peak(
     rotation: wp.quat, scale: wp.vec3, away: wp.vec3, along: wp.vec3, middle: float, largest_scale: float
 ) -> float:
-    """Returns the distance of a Gaussian's peak response along a ray, limited to its extent around the mean.
+    """Returns the distance along a ray at which a Gaussian responds most, limited to the Gaussian's extent.
 
-    The limit matters where footprints show a Gaussian beyond its extent. ``away`` is the mean relative to the ray's
-    origin and ``along`` the direction, object space. The length of ``along`` is the unit of ``middle``, the distance of
-    the mean, and of ``largest_scale``.
+    The limit matters where pixel footprints show a Gaussian beyond its extent. ``away`` is the mean relative to the
+    ray's origin and ``along`` the direction, object space. ``middle``, the distance of the mean, ``largest_scale`` and
+    the result are in units of the length of ``along``.
     """
     # Canonical space times the smallest scale, so that flat Gaussians stay inside float32.
     ratio = wp.cw_div(wp.vec3(wp.min(scale)), scale)

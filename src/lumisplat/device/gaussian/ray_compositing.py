@@ -1,4 +1,4 @@
-"""Blending of the Gaussians along a ray, and the random decision of a stochastic pass.
+"""Blending of the Gaussians along a ray, and the random acceptance of a stochastic pass.
 
 The equations are in docs/method/ray_tracing.md#strategies.
 """
@@ -17,7 +17,7 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 @wp.func
 def load_pixel(hits: GaussianHits, ray: int) -> BlendState:
-    """Returns the blending state of a ray."""
+    """Returns the blending state of a ray, read from its hits."""
     pixel = BlendState()
     pixel.color = hits.color[ray]
     pixel.normal = hits.normal[ray]
@@ -30,7 +30,7 @@ def load_pixel(hits: GaussianHits, ray: int) -> BlendState:
 
 @wp.func
 def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
-    """Stores the blending state of a ray, except for the depth of its surface."""
+    """Writes the blending state of a ray to its hits, except for the depth of its surface."""
     hits.color[ray] = pixel.color
     hits.normal[ray] = pixel.normal
     hits.transmittance[ray] = pixel.transmittance
@@ -40,7 +40,7 @@ def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
 
 @wp.func
 def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
-    """Returns the colour of Gaussian ``i`` of an instance for an eye in object space."""
+    """Returns the colour of Gaussian ``i`` of an instance as seen from ``eye``, object space."""
     if instance.shows_albedo != 0:
         return gaussians.albedo[i]
     return gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
@@ -58,7 +58,8 @@ def blend_hit(
 ) -> BlendState:
     """Blends Gaussian ``index`` of the scene behind the Gaussians already blended.
 
-    Its colour and plane are evaluated for the unfolded eye: a plane mirror shows what a mirrored camera would see.
+    Its colour and max-density plane are evaluated for the unfolded eye: a plane mirror shows what a mirrored camera
+    sees.
     """
     number = instance_of(instances, index)
     instance = instances[number]
@@ -95,11 +96,11 @@ def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: 
 
 @wp.func
 def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
-    """Decides by the opacity of a stochastic pass whether its Gaussians are shown; ``last`` is the farthest of them.
+    """Accepts or rejects a stochastic pass with a probability of its opacity; ``last`` is its farthest Gaussian.
 
-    A chosen pass stands for all passes: its transmittance becomes 0 and its surface ``last`` unless it has one.
-    Otherwise the next pass starts empty. The expectation equals full blending: a pass is reached with the transmittance
-    of the passes before it, chosen with its opacity, and divided by that opacity.
+    An accepted pass stands for the whole ray: the transmittance becomes 0, and the surface becomes ``last`` if the pass
+    has none. After a rejected pass, the next pass starts empty. The expectation equals full blending: a pass is reached
+    with the transmittance of the passes before it, accepted with its opacity, and divided by its opacity.
     """
     opacity = 1.0 - pixel.transmittance
     if draw(sample_key, wp.uint32(last)) >= opacity:
@@ -116,7 +117,7 @@ def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
 def close_pass(
     pixel: BlendState, hits: GaussianHits, ray: int, sample_key: wp.uint32, depth: float, last: int
 ) -> BlendState:
-    """Ends a stochastic pass of a ray as ``end_pass``, and updates the depth of its surface.
+    """Ends a stochastic pass of a ray as ``end_pass`` does, and updates the depth of the ray's surface.
 
     ``depth`` is the distance of the surface of ``last``, the farthest Gaussian of the pass.
     """

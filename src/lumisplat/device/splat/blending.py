@@ -72,9 +72,9 @@ def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, a
 
 @wp.func
 def blend(pixel: BlendState, splat: Any, alpha: float, transmittance_min: float, iso: float) -> BlendState:
-    """Blends a splat behind the others.
+    """Blends a splat behind the splats already blended.
 
-    If the transmittance would fall to its minimum, drops it and finishes the pixel.
+    If the transmittance would fall to its minimum, the function drops the splat and finishes the pixel.
     """
     before = pixel.transmittance
     if before - before * alpha > transmittance_min:
@@ -95,16 +95,17 @@ def left_behind(before: float, after: float, transmittance_min: float) -> float:
 
 @wp.func
 def to_surface(before: float, after: float, iso: float, index: int) -> int:
-    """Returns the increment of a pixel's surface index, -1 at first, for a splat: nonzero where it crosses ``iso``.
+    """Returns the amount to add to a pixel's surface index for a splat: 0 unless the splat crosses ``iso``.
 
-    The index is set once, so that a sum suffices; compilers make a selection a masked store, slow on some CPUs.
+    Before that, the index is -1. As it is set once, adding replaces a selection, which compilers turn into a masked
+    store that is slow on some CPUs.
     """
     return wp.where(wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0) > 0.0, index + 1, 0)
 
 
 @wp.func
 def instance_of(instances: wp.array[Any], item: int) -> int:
-    """Returns the instance that contains a Gaussian or triangle: the last one that starts at or before its index."""
+    """Returns the instance that contains a Gaussian or triangle: the last one that starts at or before ``item``."""
     low = int(0)
     high = instances.shape[0]
     while high - low > 1:
@@ -118,7 +119,7 @@ def instance_of(instances: wp.array[Any], item: int) -> int:
 
 @wp.func
 def begin_relit(hits: GaussianHits, ray: int):
-    """Resets the separate sums of relit sets on a ray, if they are recorded."""
+    """Resets the sums over relit splat sets on a ray, if the frame records them."""
     if hits.relit_weight:
         hits.relit_color[ray] = wp.vec3(0.0)
         hits.relit_weight[ray] = 0.0
@@ -134,7 +135,7 @@ def add_relit(
     after: BlendState,
     index: int,
 ):
-    """Adds the contribution of Gaussian ``index`` to the sums of relit sets, if its set is relit."""
+    """Adds the contribution of Gaussian ``index`` to the ray's sums over relit splat sets, if its set is relit."""
     if instances[instance_of(instances, index)].relit != 0:
         hits.relit_color[ray] += after.color - before.color
         hits.relit_weight[ray] += before.transmittance - after.transmittance
@@ -233,9 +234,10 @@ def store_result(
 
 @wp.func
 def behind_pixel(pixels: PixelData, gradient: PixelGradient, pixel: int, mesh_z: float) -> float:
-    """Returns the loss contribution of a whole pixel: the backward pass starts with it and subtracts splat by splat.
+    """Returns the loss contribution of all of a pixel's splats and its background.
 
-    The alpha of a pixel with a mesh does not depend on splats.
+    The backward pass starts with it and subtracts splat by splat. The alpha of a pixel with a mesh does not depend on
+    splats.
     """
     transmittance = wp.where(mesh_z < wp.inf, 0.0, 1.0 - pixels.alpha[pixel])
     return wp.dot(gradient.color[pixel], pixels.color[pixel]) - gradient.alpha[pixel] * transmittance

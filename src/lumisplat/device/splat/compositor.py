@@ -1,8 +1,8 @@
-"""Compositors: loops over the splats of a tile for visitors that blend or differentiate them, on CPUs and CUDA.
+"""Compositors: loops over the splats of a tile that call visitors, on CPUs and CUDA.
 
-A footprint (``ellipse.ELLIPSE`` or ``ray_splat.ALONG_RAYS``) evaluates splats at pixels, and a visitor processes the
-result. Both are sets of functions that the compiler inlines. The equations are in docs/method/rasterisation.md and
-docs/method/gradients.md.
+A footprint (``ellipse.ELLIPSE`` or ``ray_splat.ALONG_RAYS``) evaluates splats at pixels, and a visitor blends or
+differentiates the result. Footprints and visitors are sets of functions that the compiler inlines. The equations are in
+docs/method/rasterisation.md and docs/method/gradients.md.
 """
 
 import functools
@@ -44,37 +44,38 @@ class Footprint(NamedTuple):
     settings: Any
     """Struct of the rasteriser's settings: at least ``transmittance_min`` and ``depth_iso_transmittance``."""
     splat: Any
-    """Struct of a Gaussian: at least ``depth``, ``color``, ``normal`` and ``index``."""
+    """Struct of a prepared Gaussian (splat): at least ``depth``, ``color``, ``normal`` and ``index``."""
     pixel_limits: Any
-    """Struct that limits the range of each pixel: depths of meshes, or rays with their ends."""
+    """Struct of the arrays that limit the splats of each pixel: mesh depths, or rays and their end distances."""
     at: Any
     """Struct of a splat evaluated at a pixel: at least ``alpha`` and its logarithm."""
 
     # Functions on strips of pixels, used on CPUs.
     tile: Any
-    """Struct of one value for each pixel of a tile.
+    """Struct of arrays with one value for each pixel of a tile.
 
-    One field is ``limit_z``, the depth from which splats are hidden.
+    The array ``limit_z`` is the depth from which splats are hidden.
     """
     begin_pixel: Any
-    """``(tile, i, view, pixel_limits, x, y) -> float``: initialises pixel ``i`` and returns its limit.
+    """``(tile, i, view, pixel_limits, x, y) -> float``: sets pixel ``i`` of ``tile`` and returns its limit.
 
-    A limit of 0 marks a pixel that sees nothing."""
+    Splats beyond the limit are hidden; a limit of 0 marks a pixel without splats."""
     rows_of: Any
     """``(splat, top, rows) -> vec2i``: returns the first tile row that a splat may touch and the row after the last."""
     row_of: Any
-    """``(splat, view, left, top, y) -> row``: evaluates a splat's terms that the pixels of a row share."""
+    """``(splat, view, left, top, y) -> row``: evaluates the terms of a splat that all pixels of row ``y`` share."""
     touches_strip: Any
-    """``(splat, row, strip) -> bool``: returns whether a splat may be visible at a pixel of a strip of the row."""
+    """``(splat, row, strip) -> bool``: returns whether a splat may be visible in a strip of adjacent pixels of a row.
+    """
     at_pixel: Any
-    """``(splat, row, tile, i, x) -> at``: evaluates a splat at pixel ``i``, column ``x``.
+    """``(splat, row, tile, i, x) -> at``: evaluates a splat at pixel ``i``, column ``x``, of a tile.
 
-    ``alpha`` is 0 below 1/255.
+    ``alpha`` is set to 0 if it is below 1/255.
     """
 
     # Functions on single pixels, used on CUDA.
     pixel: Any
-    """Struct of a pixel: at least ``limit_z``, and ``limit``, which is finite in front of a mesh."""
+    """Struct of a pixel: at least ``limit_z``, and ``limit``, which is finite if the pixel shows a mesh."""
     pixel_at: Any
     """``(view, pixel_limits, x, y) -> pixel``: sets up a pixel."""
     covers: Any
@@ -84,17 +85,17 @@ class Footprint(NamedTuple):
     item: Any
     """Struct that a thread block stores for a splat in shared memory; one field is ``index``."""
     fetch: Any
-    """``(splats, index, item)``: fills an item."""
+    """``(splats, index, item)``: fills an item with the data of splat ``index``."""
     splat_of: Any
     """``(splats, item) -> splat``: returns the splat of an item."""
 
     # Gradients.
     sums: Any
-    """Vector of sums over pixels from which the gradient of a splat follows."""
+    """Vector of the sums over pixels from which the gradient of a splat is computed."""
     part_of: Any
-    """``(splat, at, v, weight, by_color) -> sums``: returns a pixel's terms.
+    """``(splat, at, v, weight, by_color) -> sums``: returns one pixel's terms in the sums of a splat.
 
-    ``v`` is the derivative by its log alpha.
+    ``v`` is the derivative of the loss with respect to the logarithm of the splat's alpha at the pixel.
     """
     gradient: Any
     """Struct of a splat's gradient."""
@@ -117,37 +118,40 @@ TILE_OPTIONS = {
 """Module options of kernels that walk tiles."""
 
 BATCH = wp.constant(32)
-"""Splats of a tile between two checks for unfinished pixels."""
+"""Number of splats of a tile that are processed between two checks for unfinished pixels."""
 
 
 class TileVisitor(NamedTuple):
     """Types and functions that process the splats at the pixels of a tile."""
 
     pixels: Any
-    """Struct of one value for each pixel of the tile.
+    """Struct of arrays with one value for each pixel of the tile.
 
-    Field ``transmittance`` starts at 1 and is at most 0 when finished."""
+    ``transmittance`` starts at 1; a value of at most 0 marks a finished pixel."""
     sums: Any
-    """Vector of sums for a splat over the pixels of the tile."""
+    """Vector of a splat's sums over the pixels of the tile."""
     arrays: Any
-    """Struct of the arrays that are read and written."""
+    """Struct of the device arrays that the visitor reads and writes."""
     begin_pixel: Any
     """``(pixels, i, view, x, y, limit, arrays)``: called before all splats, for pixels with a ``limit`` above 0."""
     visit: Any
     """``(pixels, sums, splat, at, i, x, settings)``: processes a splat at pixel ``i``, column ``x`` of its strip."""
     end_splat: Any
-    """``(arrays, view, tile, splat, sums)``: called after all pixels of a splat."""
+    """``(arrays, view, tile, splat, sums)``: called after a splat was visited at all its pixels."""
     pass_by: Any
-    """``(arrays, view, tile, index)``: called for splats behind everything visible."""
+    """``(arrays, view, tile, index)``: called instead of ``visit`` for splats that are hidden at all pixels."""
     end_pixel: Any
-    """``(pixels, i, view, tile, x, y, settings, arrays)``: called after all splats."""
+    """``(pixels, i, view, tile, x, y, settings, arrays)``: called for each pixel after all splats."""
     is_sorted: bool = True
-    """True if splats arrive sorted by depth."""
+    """True if the splats of a tile are sorted by depth."""
 
 
 @wp.func
 def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileFloats]) -> StripFloats:
-    """Returns, for each strip, the largest depth limit of its unfinished pixels: splats from there on are hidden."""
+    """Returns, for each strip, the largest depth limit of its unfinished pixels.
+
+    Splats at this depth or beyond are hidden in the strip.
+    """
     farthest = StripFloats(0.0)
     for strip in range(TILE * STRIPS):
         for x in range(STRIP):
@@ -158,7 +162,7 @@ def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileF
 
 
 def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
-    """Builds the function that passes the splats of a tile to a visitor."""
+    """Builds the function that loops over the splats of a tile and calls a visitor at their pixels."""
     Settings, Splat, PixelLimits, Tile = footprint.settings, footprint.splat, footprint.pixel_limits, footprint.tile
     Pixels, Sums, Arrays, IS_SORTED = visitor.pixels, visitor.sums, visitor.arrays, visitor.is_sorted
     begin_limit, rows_of, row_of = footprint.begin_pixel, footprint.rows_of, footprint.row_of
@@ -168,10 +172,10 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
 
     @wp.func
     def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
-        """Returns the first entry of a tile's sorted list at or beyond a depth; ``end`` if there is none.
+        """Returns the first entry of a tile's sorted list at or beyond depth ``farthest``; ``end`` if there is none.
 
-        It reads all entries instead of stopping at the first, so that their memory is fetched at once: a seventh off
-        the composite.
+        It reads all entries instead of stopping at the first one, so that their memory is fetched at once: the
+        composite takes a seventh less time.
         """
         visible = int(begin)
         for j in range(begin, end):
@@ -253,19 +257,19 @@ class PixelVisitor(NamedTuple):
     """Types and functions that process the splats at a single pixel."""
 
     state: Any
-    """Struct of the result; one field is ``transmittance``, at most 0 once the pixel is finished."""
+    """Struct of the pixel's result; its field ``transmittance`` is at most 0 once the pixel is finished."""
     arrays: Any
-    """Struct of the other arrays that are read and written."""
+    """Struct of the device arrays that the visitor reads and writes."""
     wants: Any
-    """``(state, splat) -> bool``: returns whether a splat matters if it is visible."""
+    """``(state, splat) -> bool``: returns whether a splat would change the result if it is visible."""
     visit: Any
     """``(state, splat, log_alpha, settings, arrays)``: processes a visible splat."""
     ends_by_depth: bool
-    """True if the list is sorted, so that the first splat at or beyond the pixel's ``limit_z`` ends it."""
+    """True if the tile's splats are sorted, so that the first splat at or beyond ``limit_z`` ends the pixel."""
 
 
 def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
-    """Builds the function that passes the splats of a tile, at one pixel, to a visitor."""
+    """Builds the function that loops over the splats of a tile and calls a visitor for one pixel."""
     Settings, SplatType, Pixel = footprint.settings, footprint.splat, footprint.pixel
     covers, evaluate = footprint.covers, footprint.evaluate
     State, Arrays, wants, visit, ENDS_BY_DEPTH = visitor
@@ -307,7 +311,10 @@ WARP_OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "bl
 
 
 def backward_walk(footprint: Footprint) -> Any:
-    """Builds the function that writes the gradient records of a tile's splats; all threads of a block call it."""
+    """Builds the function that writes the gradient records of a tile's splats.
+
+    All threads of a thread block call the function together.
+    """
     Settings, SplatType, PixelLimits = footprint.settings, footprint.splat, footprint.pixel_limits
     Item, fetch, splat_of = footprint.item, footprint.fetch, footprint.splat_of
     pixel_at, covers, evaluate = footprint.pixel_at, footprint.covers, footprint.evaluate
@@ -402,12 +409,15 @@ def backward_walk(footprint: Footprint) -> Any:
 
 @functools.cache
 def backward_arrays(footprint: Footprint) -> Any:
-    """Builds the struct of the backward pass's inputs and of the records of splat-tile pairs that it writes."""
+    """Builds the struct of the arrays that the backward pass reads, and of the gradient records that it writes.
+
+    There is one record for each splat and each tile that it touches.
+    """
     Gradient = footprint.gradient
 
     @struct
     class BackwardArrays:
-        """Arrays of the backward pass of one footprint."""
+        """Arrays of the backward pass for one type of footprint."""
 
         rects: wp.array[TileRect]
         pair_starts: wp.array[int]

@@ -19,7 +19,7 @@ load_splat, store_splat = aligned_load_of(Splat), aligned_store_of(Splat)
 
 @wp.func
 def is_finite(splat: Splat) -> bool:
-    """Returns whether no NaN or infinity of the splat would reach a pixel or an index."""
+    """Returns whether no number of a splat that reaches pixels or indices is NaN or infinite."""
     total = splat.color[0] + splat.color[1] + splat.color[2] + splat.center[0] + splat.center[1]
     total += splat.along + splat.shear + splat.across + splat.normal[0] + splat.normal[1] + splat.normal[2]
     return wp.isfinite(total) and splat.extent[0] < wp.inf and splat.extent[1] < wp.inf
@@ -49,7 +49,7 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
 
 @wp.func
 def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
-    """Returns the first row of a tile whose pixel centres the splat's box covers, and the one after the last."""
+    """Returns the first row of a tile whose pixel centres a splat's box covers, and the row after the last."""
     center_y = splat.center[1] - float(top)
     first = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
     last = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1))))
@@ -61,7 +61,7 @@ class EllipseTile:
     """Depth limits of a tile's pixels."""
 
     limit_z: TileFloats
-    """View depth of the nearest mesh; inf: none."""
+    """View depth of the nearest mesh at each pixel; inf: none."""
 
 
 @struct
@@ -73,7 +73,7 @@ class EllipseRow:
     log_alpha: float
     """Logarithm of the largest alpha on the row."""
     center: float
-    """Position of the row's largest alpha, pixels from the tile's left edge."""
+    """Column of the row's largest alpha, pixels from the tile's left edge."""
 
 
 @struct
@@ -85,7 +85,7 @@ class EllipseAt:
     log_alpha: float
     """Logarithm of alpha before clamping."""
     dx: float
-    """Horizontal distance from the row's largest alpha, pixels."""
+    """Horizontal distance from the position of the row's largest alpha, pixels."""
     dy: float
     """Vertical distance from the splat's centre, pixels."""
 
@@ -157,7 +157,7 @@ def covers(splat: Splat, pixel: EllipsePixel) -> bool:
 
 @wp.func
 def evaluate(splat: Splat, pixel: EllipsePixel) -> EllipseAt:
-    """Evaluates a splat at a pixel, regardless of the depth limit; ``alpha`` is left to the caller."""
+    """Evaluates a splat at a pixel, regardless of the depth limit; leaves ``alpha`` for the caller to set."""
     at = EllipseAt()
     at.dy = pixel.center[1] - splat.center[1]
     at.dx = pixel.center[0] - splat.center[0] - splat.shear * at.dy
@@ -200,17 +200,17 @@ def sum_of_pairs(pairs: wp.array[SplatGradient], begin: int, end: int) -> SplatG
 
 
 PairFloats = wp.types.vector(length=12, dtype=wp.float32)
-"""Sums over pixels from which the gradient of a splat follows.
+"""Vector of the sums over pixels from which the gradient of a splat is computed.
 
-They are the sums of v, v dx, v dx^2, v dy, v dx dy, v dy^2, of colour and weight, and of the magnitudes of the terms
-that move the centre."""
+They are the sums of v, v dx, v dx^2, v dy, v dx dy and v dy^2, of the gradient by colour, of the weight, and of the
+magnitudes of the terms that move the centre. v is the derivative of the loss with respect to the logarithm of alpha."""
 
 
 @wp.func
 def part_of(splat: Splat, at: EllipseAt, v: float, weight: float, by_color: wp.vec3) -> PairFloats:
     """Returns one pixel's terms in the sums of a splat.
 
-    ``v`` is the derivative with respect to the logarithm of its alpha.
+    ``v`` is the derivative of the loss with respect to the logarithm of the splat's alpha at the pixel.
     """
     vx = v * at.dx
     slope = splat.along * vx
@@ -249,13 +249,13 @@ def gradient_of(splat: Splat, sums: PairFloats) -> SplatGradient:
 
 @wp.func
 def fetch(splats: wp.array[Splat], index: int, item: wp.ref[Splat]):
-    """Reads a splat for shared memory."""
+    """Reads splat ``index`` into ``item``, an element of shared memory."""
     load_splat(splats, index, item)
 
 
 @wp.func
 def splat_of(splats: wp.array[Splat], item: Splat) -> Splat:
-    """Returns the fetched splat."""
+    """Returns the splat that ``fetch`` has stored in ``item``."""
     return item
 
 

@@ -1,4 +1,4 @@
-"""Projection of Gaussians to the image, their alpha, and the derivatives of both.
+"""Projection of Gaussians to the image, their alpha, and the derivatives of projection and alpha.
 
 EWA splatting, Zwicker et al. 2001; Kerbl et al. 2023. The equations are in docs/method/rasterisation.md.
 """
@@ -31,7 +31,7 @@ class SplatOrigin:
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
 BEYOND_HORIZON = 0.5
-"""Cosine beyond the horizon up to which a Gaussian's own normal counts as facing the eye: 30 degrees.
+"""Cosine beyond the horizon up to which the normal of a Gaussian counts as facing the eye: 30 degrees.
 
 A normal slightly beyond the horizon belongs to a surface that curves away; one farther beyond belongs to a surface seen
 from behind (docs/method/gaussians.md#normals)."""
@@ -80,10 +80,10 @@ def projection_jacobian(camera: CameraData, point: wp.vec3) -> mat23:
 
 @wp.func
 def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
-    """Returns the unit normal of the max-density plane, inverse(covariance) (eye - mean).
+    """Returns the unit normal of a Gaussian's max-density plane: inverse(covariance) (eye - mean), normalised.
 
     It always points towards the eye, because the inverse covariance is positive definite. Dividing by the smallest
-    scale first keeps flat Gaussians inside float32. See docs/method/gaussians.md#normals.
+    scale first keeps flat Gaussians within the range of float32. See docs/method/gaussians.md#normals.
     """
     smallest = wp.min(scale)
     ratio = wp.vec3(smallest / scale[0], smallest / scale[1], smallest / scale[2])
@@ -95,8 +95,8 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
     """Returns the unit normal, or its opposite if it faces away from the eye by more than the cosine ``beyond``.
 
-    Pixels see silhouettes, which show Gaussians with normals slightly beyond the horizon (``BEYOND_MAX``,
-    docs/method/gaussians.md#normals). Light arrives from anywhere, at sheets from either side (0).
+    For pixels, ``beyond`` is ``BEYOND_MAX``, because silhouettes show Gaussians with normals slightly beyond the
+    horizon (docs/method/gaussians.md#normals). For light, which may arrive on either side of a sheet, it is 0.
     """
     return wp.where(wp.dot(normal, to_eye) < -beyond * wp.length(to_eye), -normal, normal)
 
@@ -116,7 +116,7 @@ def shown_color(
 ) -> wp.vec3:
     """Returns the display-referred colour of Gaussian ``i`` of an instance.
 
-    ``to_eye`` is from its mean, object space.
+    ``to_eye`` is the vector from the Gaussian's mean to the eye, object space.
     """
     if instance.shows_albedo != 0:
         return gaussians.albedo[i]
@@ -129,7 +129,10 @@ def shown_color(
 def shown_normal(
     instance: SplatInstanceData, gaussians: GaussianData, i: int, rotation: wp.mat33, to_eye: wp.vec3
 ) -> wp.vec3:
-    """Returns the world-space unit normal of Gaussian ``i`` of an instance: stored, or of its max-density plane."""
+    """Returns the world-space unit normal of Gaussian ``i`` of an instance: stored, or of its max-density plane.
+
+    ``rotation`` is that of the Gaussian; ``to_eye`` is the vector from its mean to the eye, object space.
+    """
     if instance.stored_normals != 0:
         return instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
     return instance.world_from_object * gaussian_normal(rotation, gaussians.scales[i], to_eye)
@@ -203,9 +206,10 @@ def project_gaussian(
 
 @wp.func
 def alpha_from_log(log_alpha: float) -> float:
-    """Returns alpha for a logarithm in [log(1/255), 0], to 7e-7 relative.
+    """Returns alpha for its logarithm ``log_alpha`` in [log(1/255), 0], to a relative error of 7e-7.
 
-    exp(x) = p(x / 8)^8 with a minimax p of degree 5 and p(0) = 1: multiplications and additions, so that it vectorises.
+    exp(x) = p(x / 8)^8 with a minimax polynomial p of degree 5 and p(0) = 1. These are only multiplications and
+    additions, so that compilers vectorise them.
     """
     x = 0.125 * log_alpha
     p = 0.039882663 + x * 0.0059069833
@@ -217,7 +221,7 @@ def alpha_from_log(log_alpha: float) -> float:
 
 @wp.func
 def visible_alpha(log_alpha: float) -> float:
-    """Returns alpha for a logarithm, 0 below 1/255, without branches so that rows of pixels vectorise."""
+    """Returns alpha for its logarithm, or 0 if alpha is below 1/255; has no branches, so that pixels vectorise."""
     return wp.where(log_alpha >= LOG_ALPHA_MIN, alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN)), 0.0)
 
 
@@ -225,10 +229,10 @@ def visible_alpha(log_alpha: float) -> float:
 def depth_plane(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> wp.vec3:
-    """Returns the vector k such that Gaussian ``i``, dilated as its splat, responds most on ray r at view depth k . r.
+    """Returns the vector k such that Gaussian ``i`` responds most on ray r at the view depth k . r.
 
-    ``dilation`` is the variance added to the projected covariance, pixel^2. The Gaussian must lie beyond the near
-    plane.
+    The Gaussian is widened as its splat is: ``dilation`` is the variance added to the projected covariance, pixel^2. It
+    must lie beyond the near plane.
     """
     view = instance.camera_from_object * gaussians.means[i] + instance.camera_from_object_offset
     spread = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
@@ -271,10 +275,10 @@ def splat_dot(
     antialiased: float,
     gradient: SplatGradient,
 ) -> wp.float32:
-    """Returns ``gradient . splat`` for the splat of ``project_gaussian``, without its colour.
+    """Returns ``gradient . splat`` for the splat of ``project_gaussian``, without its colour; Warp differentiates it.
 
     The opacity compensation of a Gaussian seen edge-on is almost 0, with an almost infinite derivative with respect to
-    its scales: below a floor, as in gsplat, it is taken as constant.
+    the scales: below a floor, as in gsplat, the compensation is taken as constant.
     """
     view = camera_from_object * mean + camera_from_object_offset
     inv_z = 1.0 / view[2]
@@ -320,9 +324,9 @@ def splat_origin(
     i: int,
     gradient: SplatGradient,
 ) -> SplatOrigin:
-    """Returns the gradients of Gaussian ``i`` of an instance and of the camera, without those of the colour.
+    """Returns the gradients of Gaussian ``i`` of an instance and of the camera, except those through the colour.
 
-    ``gradient`` is the gradient of the Gaussian's splat.
+    ``gradient`` is the gradient of the loss with respect to the Gaussian's splat.
     """
     (
         mean,
@@ -363,9 +367,9 @@ def splat_origin(
 
 @wp.func
 def color_dot(mean: wp.vec3, eye: wp.vec3, degree: int, weights: ShFloats) -> wp.float32:
-    """Returns the weighted sum of SH basis functions in the direction from the eye to a mean.
+    """Returns the weighted sum of SH basis functions in the direction from the eye to a Gaussian's mean.
 
-    Its derivatives with respect to the weights are the basis functions themselves.
+    Its derivatives with respect to the weights are the basis functions.
     """
     direction = wp.normalize(mean - eye)
     x = direction[0]

@@ -59,22 +59,26 @@ UNSCENTED_KAPPA = 0.0
 """Secondary spread parameter of the sigma points."""
 
 UNSCENTED_SINE_MAX = 0.02
-"""Largest half size, over its distance from singularities of the projection, of a Gaussian bounded by sigma points.
+"""Largest ratio of a Gaussian's half size to its distance from singularities of the projection for sigma points.
 
-Sigma points sample the projection along three axes only and extrapolate; where it curves within the Gaussian, their
-bounds miss parts of it."""
+Sigma points sample the projection along three axes only and extrapolate. Where the projection curves within the
+Gaussian, their bounds miss parts of the image; such Gaussians are bounded by their outline."""
 
 PLANE_SHARE = 5.0
-"""Factor of the distance to a pinhole's plane: within 0.02 of the result, tangents grow by up to a tenth."""
+"""Factor by which `leeway` multiplies the distance to a pinhole's plane.
+
+Within 0.02 of the result, the tangents of the projection then grow by at most a tenth."""
 
 UNSCENTED_MARGIN = 0.1
-"""Relative margin of bounds by sigma points; within 0.02 of the distance from singularities, projections curve less."""
+"""Relative margin of bounds by sigma points.
+
+The curvature of projections within 0.02 of the distance from singularities has less effect."""
 
 UNSCENTED_SLACK_PX = 0.5
 """Absolute margin of bounds by sigma points, pixels, for lenses whose magnification nearly vanishes at their edge."""
 
 OUTLINE_POINTS = 16
-"""Points around the outline of a large Gaussian."""
+"""Number of points around the outline of a large Gaussian."""
 
 OUTLINE_SLACK = 0.5
 """Margin of the outline's bounds as a fraction of the points' largest second difference.
@@ -82,7 +86,9 @@ OUTLINE_SLACK = 0.5
 It is four times the deviation of a smooth curve from the chord between two points."""
 
 OUTLINE_MARGIN = 0.1
-"""Relative margin of the outline in the test whether it contains the backward axis and so surrounds the image."""
+"""Relative margin by which the outline is widened in the test whether it contains the camera's backward axis.
+
+The image of such an outline surrounds the image centre."""
 
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
 
@@ -100,7 +106,7 @@ OuterPoints = wp.types.matrix(shape=(6, 2), dtype=wp.float32)
 
 @wp.func
 def add_point(moments: ImageMoments, weight: float, offset: wp.vec2) -> ImageMoments:
-    """Adds a weighted point to the second moments."""
+    """Adds a weighted point to the covariance of a projected Gaussian; ``offset`` is relative to its mean, pixels."""
     moments.xx += weight * offset[0] * offset[0]
     moments.xy += weight * offset[0] * offset[1]
     moments.yy += weight * offset[1] * offset[1]
@@ -109,7 +115,7 @@ def add_point(moments: ImageMoments, weight: float, offset: wp.vec2) -> ImageMom
 
 @wp.func
 def projected_moments(camera: CameraData, field: float, gaussian: WorldGaussian) -> ImageMoments:
-    """Returns mean and covariance of a projected Gaussian by sigma points; exact for affine projections."""
+    """Returns mean and covariance of a projected Gaussian, estimated by sigma points; exact for affine projections."""
     points = OuterPoints()
     moments = ImageMoments()
     first = pixel_at_row_time(camera, field, gaussian.point)
@@ -139,7 +145,8 @@ HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
 
 WIDER = wp.constant(wp.float32(1.0 / math.cos(math.pi / OUTLINE_POINTS)))
-"""Ratio of circumradius to radius at which a polygon of ``OUTLINE_POINTS`` corners contains the circle."""
+"""Circumradius over inradius of a polygon with ``OUTLINE_POINTS`` corners, which makes the polygon contain the circle.
+"""
 
 AROUND = wp.constant(wp.float32((1.0 + OUTLINE_MARGIN) / math.cos(math.pi / OUTLINE_POINTS)))
 
@@ -156,13 +163,13 @@ SLACK_PX = wp.constant(wp.float32(UNSCENTED_SLACK_PX))
 
 @wp.func
 def canonical(gaussian: WorldGaussian, vector: wp.vec3) -> wp.vec3:
-    """Transforms a vector to canonical space."""
+    """Transforms a world-space vector to the canonical space of a Gaussian."""
     return wp.cw_div(wp.transpose(gaussian.axes) * vector, gaussian.scale)
 
 
 @wp.func
 def everywhere() -> ImageBounds:
-    """Returns infinite bounds."""
+    """Returns bounds without limits, which contain all pixels."""
     bounds = ImageBounds()
     bounds.low = wp.vec2(-wp.inf)
     bounds.high = wp.vec2(wp.inf)
@@ -171,7 +178,7 @@ def everywhere() -> ImageBounds:
 
 @wp.func
 def sigma_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
-    """Returns the bounds of the ellipse estimated by sigma points."""
+    """Returns the image bounds of a Gaussian of canonical radius ``reach``, estimated by sigma points."""
     moments = projected_moments(camera, field, gaussian)
     extent = MARGIN * reach * wp.vec2(wp.sqrt(moments.xx), wp.sqrt(moments.yy)) + wp.vec2(moments.error + SLACK_PX)
     bounds = ImageBounds()
@@ -191,7 +198,10 @@ def across_of(vector: wp.vec3) -> wp.vec3:
 
 @wp.func
 def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
-    """Returns how far the image bulges between two points around its centre, pixels; inf if over 45 degrees apart."""
+    """Returns how far a curve around the image centre may bulge beyond the chord of two points, pixels.
+
+    ``before`` and ``after`` are relative to the image centre. The result is inf if they are over 45 degrees apart.
+    """
     lengths = wp.length(before) * wp.length(after)
     if wp.dot(before, after) < HALF_RIGHT * lengths:
         return wp.inf
@@ -200,10 +210,10 @@ def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
 
 @wp.func
 def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
-    """Returns the distance of a point, relative to the eye, from singularities of the projection.
+    """Returns the distance of a point, relative to the eye, from the nearest singularity of the projection.
 
-    They are the eye; for a fisheye the half-line against its axis, which is a circle in the image; for a pinhole its
-    plane, near which tangents grow.
+    The eye is a singularity. For a fisheye, so is the half-line against its axis, whose image is a circle. For a
+    pinhole, so is the plane through the eye, near which tangents grow.
     """
     ahead = -wp.dot(point, backward)
     if camera.model != FISHEYE:
@@ -215,7 +225,7 @@ def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
 
 @wp.func
 def is_around(eye: wp.vec3, away: wp.vec3, reach: float) -> bool:
-    """Returns whether a canonical direction lies within or close to the cone of the outline's points."""
+    """Returns whether a direction in canonical space lies within or close to the cone of the outline's points."""
     across = wp.length(wp.cross(eye, away))
     along = -wp.dot(eye, away)
     return across * wp.sqrt(wp.length_sq(eye) - reach * reach) <= AROUND * reach * along
@@ -231,13 +241,13 @@ def outline_bounds(
     backward: wp.vec3,
     reach: float,
 ) -> ImageBounds:
-    """Returns the bounds of points around the outline of a Gaussian's bounding ellipsoid.
+    """Returns the image bounds of points around the outline of a Gaussian's bounding ellipsoid.
 
-    The outline is where rays touch the unit sphere in canonical space; the points are the corners of a polygon around
-    it.
+    The outline is where rays from the eye touch the ellipsoid; the points are the corners of a polygon around it.
 
-    ``eye`` is the eye's position in canonical space at ``time`` of the shutter, when the mean is exposed, outside the
-    ellipsoid. ``backward`` is opposite to the axis, world space; ``reach`` is the canonical radius of the Gaussian.
+    ``eye`` is the eye's position in canonical space, outside the ellipsoid, at ``time`` of the shutter, when the mean
+    is exposed. ``backward`` is opposite to the camera's axis, world space; ``reach`` is the Gaussian's canonical
+    radius.
     """
     distance2 = wp.length_sq(eye)
     middle = (reach * reach / distance2) * eye
@@ -281,9 +291,9 @@ def outline_bounds(
 
 @wp.func
 def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
-    """Returns bounds of the pixels whose rays pass within ``reach`` of a Gaussian.
+    """Returns image bounds of the pixels whose rays pass within canonical distance ``reach`` of a Gaussian.
 
-    The bounds refer to the positions of the pixels' samples.
+    The bounds refer to the positions of the samples in the pixels.
     """
     time = float(0.0)
     if camera.shutter != 0:

@@ -23,7 +23,7 @@ from lumisplat.device.structs.raster import PixelBox, PixelRays, RayRasterData, 
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 DEPTH_MIN = wp.constant(wp.float32(1.0e-30))
-"""Smallest depth: Gaussians with means behind the eye that reach around it come first."""
+"""Smallest sorting depth: Gaussians whose means lie behind the eye but that reach around it come first."""
 
 
 @wp.func
@@ -44,7 +44,7 @@ def pixel_variance(camera: CameraData, view: wp.vec3) -> float:
 def widened_gaussian(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int, time: float
 ) -> WorldGaussian:
-    """Returns Gaussian ``i`` of an instance, widened by the footprint of a pixel that exposes its mean at this time."""
+    """Returns Gaussian ``i`` of an instance, widened by the footprint of a pixel that exposes its mean at ``time``."""
     gaussian = WorldGaussian()
     gaussian.point = instance.scale * (instance.world_from_object * (gaussians.means[i] - instance.eye))
     gaussian.axes = instance.world_from_object * wp.quat_to_matrix(gaussians.rotations[i])
@@ -75,9 +75,9 @@ def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.v
 
 @wp.func
 def is_too_near(camera: CameraData, gaussian: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
-    """Returns whether a whole Gaussian is nearer than the near plane or behind the eye.
+    """Returns whether all of a Gaussian is nearer than the near plane or behind the eye.
 
-    ``axes`` are camera-space columns.
+    ``axes`` are the Gaussian's unit axes as columns, camera space.
     """
     if camera.model == FISHEYE:
         return wp.length(view) + reach * wp.max(gaussian.scale) <= camera.near
@@ -124,7 +124,7 @@ def ray_splat(
 
 @wp.func
 def is_finite(splat: RaySplat) -> bool:
-    """Returns whether no NaN or infinity of the splat would reach a pixel."""
+    """Returns whether no number of a splat that reaches pixels is NaN or infinite."""
     total = splat.color[0] + splat.color[1] + splat.color[2] + splat.normal[0] + splat.normal[1] + splat.normal[2]
     total += splat.eye[0] + splat.eye[1] + splat.eye[2] + splat.depth
     for k in range(3):
@@ -146,9 +146,9 @@ def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
 
 @wp.func
 def eye_of_row(splat: RaySplat, motion: wp.vec3, time: float) -> wp.vec3:
-    """Returns the eye at a time of the shutter, canonical space.
+    """Returns the eye in a Gaussian's canonical space at a time of the shutter.
 
-    ``motion`` is its translation from first to last row.
+    ``motion`` is the translation of the eye from the first to the last row.
     """
     return splat.eye + time * (splat.canonical_from_world * motion)
 
@@ -158,9 +158,10 @@ class RayTile:
     """Rays of a tile's pixels."""
 
     limit_z: TileFloats
-    """Depth limit: inf for every pixel, because its Gaussians end at a distance (``t_max``) instead of a depth."""
+    """Depth limit: inf for every pixel, because Gaussians end at a distance along the ray (``t_max``) instead of a
+    depth."""
     x: TileFloats
-    """x of the ray directions, world space."""
+    """x component of each pixel's ray direction, world space."""
     y: TileFloats
     z: TileFloats
     t_min: TileFloats
@@ -172,11 +173,11 @@ class RayRow:
     """A Gaussian prepared for the rays of a row of a tile."""
 
     eye: wp.vec3
-    """Eye in canonical space."""
+    """Eye in the Gaussian's canonical space."""
     left: int
-    """First pixel of its box, from the tile's left edge."""
+    """First column of the Gaussian's pixel box, from the tile's left edge."""
     right: int
-    """Pixel after the last one of its box."""
+    """Column after the last one of the Gaussian's pixel box, from the tile's left edge."""
 
 
 @struct
@@ -184,7 +185,7 @@ class RayAt:
     """A Gaussian evaluated along one ray."""
 
     alpha: float
-    """Alpha; 0 below 1/255, outside its box, and where the ray does not reach it."""
+    """Alpha; 0 if below 1/255, outside the Gaussian's pixel box, and where the ray does not reach the Gaussian."""
     along: wp.vec3
     """Ray direction in canonical space."""
     across: wp.vec3
@@ -213,7 +214,7 @@ def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, pixel_rays: Pix
 
 @wp.func
 def rows_of(splat: RaySplat, top: int, rows: int) -> wp.vec2i:
-    """Returns the first row of a tile that a splat's box covers, and the one after the last."""
+    """Returns the first row of a tile that a splat's pixel box covers, and the row after the last."""
     return wp.vec2i(wp.max(splat.box.y0 - top, 0), wp.min(splat.box.y1 - top, rows))
 
 
@@ -237,7 +238,7 @@ def touches_strip(splat: RaySplat, row: RayRow, strip: int) -> bool:
 
 @wp.func
 def at_pixel(splat: RaySplat, row: RayRow, tile: wp.ref[RayTile], i: int, x: int) -> RayAt:
-    """Evaluates a splat at pixel ``i`` of a tile, in column ``x``, as ``evaluate`` but without branches."""
+    """Evaluates a splat at pixel ``i`` of a tile, in column ``x``, as ``evaluate`` does but without branches."""
     w = splat.canonical_from_world
     c = row.eye
     rx = float_at(tile.x, i)
@@ -280,7 +281,7 @@ class RayPixel:
     """Ray direction, world space, unit."""
     t_min: float
     limit: float
-    """Distance up to which Gaussians count."""
+    """Distance along the ray beyond which Gaussians are ignored."""
 
 
 @wp.func
@@ -309,9 +310,9 @@ def covers(splat: RaySplat, pixel: RayPixel) -> bool:
 
 @wp.func
 def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
-    """Evaluates a splat along the ray of a pixel in its box; ``alpha`` is left to the caller.
+    """Evaluates a splat along the ray of a pixel in its box; leaves ``alpha`` for the caller to set.
 
-    ``log_alpha`` belongs to the largest alpha along the ray, and is -inf unless its position is between the ray's ends.
+    ``log_alpha`` belongs to the largest alpha along the ray. It is -inf if that alpha is not between the ray's ends.
     """
     eye = splat.eye
     if pixel.time > 0.0:
@@ -328,14 +329,14 @@ def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
 
 
 RaySplatFloats = wp.types.vector(length=14, dtype=wp.float32)
-"""Sums over pixels that form a gradient record, in the order of its fields."""
+"""Vector of the sums over pixels that form a `RaySplatGradient`, in the order of its fields."""
 
 
 @wp.func
 def part_of(splat: RaySplat, at: RayAt, v: float, weight: float, by_color: wp.vec3) -> RaySplatFloats:
     """Returns one pixel's terms in the sums of a splat.
 
-    ``v`` is the derivative with respect to the logarithm of its alpha.
+    ``v`` is the derivative of the loss with respect to the logarithm of the splat's alpha at the pixel.
     """
     along = at.along
     across = at.across
@@ -401,13 +402,13 @@ class RayItem:
 
 @wp.func
 def fetch(splats: wp.array[RaySplat], index: int, item: wp.ref[RayItem]):
-    """Stores a splat's index in shared memory, which has no room for whole splats."""
+    """Stores the index of a splat in shared memory, which is too small for whole splats."""
     item.index = index
 
 
 @wp.func
 def splat_of(splats: wp.array[RaySplat], item: RayItem) -> RaySplat:
-    """Returns the splat of a stored index."""
+    """Returns the splat whose index ``fetch`` has stored in ``item``."""
     return splats[item.index]
 
 
@@ -462,16 +463,16 @@ def pixel_variance_gradient(camera: CameraData, view: wp.vec3) -> wp.vec3:
 
 @wp.func
 def scale_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
-    """Returns the gradient with respect to the widened standard deviations, each divided by its value.
+    """Returns the gradient with respect to the widened standard deviations, each divided by its standard deviation.
 
-    Half of it is the gradient with respect to their squares.
+    Half of the result is the gradient with respect to the squared standard deviations.
     """
     return wp.cw_div(sums.squares, wp.cw_mul(gaussian.scale, gaussian.scale))
 
 
 @wp.func
 def rotation_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
-    """Returns the gradient with respect to small rotations about the Gaussian's own axes."""
+    """Returns the gradient of the loss with respect to small rotations of a Gaussian about its own axes."""
     s = gaussian.scale
     return wp.vec3(
         sums.products[0] * (s[1] / s[2] - s[2] / s[1]),
@@ -484,10 +485,10 @@ def rotation_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec
 def mean_gradient(
     camera: CameraData, variance_per_pixel: float, gaussian: WorldGaussian, time: float, sums: RaySplatGradient
 ) -> wp.vec3:
-    """Returns the gradient with respect to the mean, world space: through its position and the pixel width there.
+    """Returns the gradient with respect to the mean, world space, through its position and the pixel width there.
 
-    ``variance_per_pixel`` is the widening variance in squared pixel widths; ``time`` is the time of the shutter at
-    which the mean is exposed.
+    ``variance_per_pixel`` is the variance that widens the Gaussian, in squared pixel widths; ``time`` is the time of
+    the shutter at which the mean is exposed.
     """
     by_mean = gaussian.axes * wp.cw_div(sums.point, gaussian.scale)
     if variance_per_pixel > 0.0:

@@ -1,4 +1,4 @@
-"""Visitors of compositors, which compute colours, random samples, largest weights or gradients at pixels.
+"""Visitors of compositors, which compute colours, random samples, largest weights or gradients of pixels.
 
 The equations are in docs/method/rasterisation.md and docs/method/gradients.md.
 """
@@ -68,7 +68,7 @@ class ColorTile:
     surface: TileInts
     """Index of the surface's Gaussian plus one; 0: not reached."""
     first: TileInts
-    """Index of the first blended Gaussian plus one; set only along rays."""
+    """Index of the first blended Gaussian plus one; 0: none. Set only by the visitor along rays."""
 
 
 @wp.func
@@ -82,7 +82,10 @@ def blend_at(
     t_min: float,
     iso: float,
 ) -> float:
-    """Blends a Gaussian behind the others, as ``blending.blend`` but without branches; returns its weight."""
+    """Blends a Gaussian behind those already blended, without branches; returns the weight of the Gaussian.
+
+    A Gaussian that would make the transmittance fall to ``t_min`` is dropped and finishes the pixel.
+    """
     before = float_at(pixels.transmittance, i)
     weight = before * alpha
     after = before - weight
@@ -113,7 +116,7 @@ def blended_pixel(pixels: wp.ref[ColorTile], i: int) -> BlendState:
 
 @struct
 class EllipseColors:
-    """Inputs of blended ellipses, and their outputs: pixels, or hits of rays."""
+    """Arrays of the visitor that blends ellipses: its inputs, and its outputs for pixels or for hits of rays."""
 
     instances: wp.array[SplatInstanceData]
     splats: wp.array[Splat]
@@ -129,7 +132,7 @@ class EllipseColors:
 def begin_ellipses(
     pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: EllipseColors
 ):
-    """Does nothing: the blending state starts empty."""
+    """Does nothing when a pixel begins: its blending state is empty."""
 
 
 @wp.func
@@ -142,19 +145,19 @@ def blend_ellipse(
     x: int,
     settings: RasterData,
 ):
-    """Blends an ellipse."""
+    """Blends a splat, evaluated as an ellipse, at pixel ``i``."""
     t_min = settings.transmittance_min
     blend_at(pixels, i, splat.color, splat.normal, splat.index, at.alpha, t_min, settings.depth_iso_transmittance)
 
 
 @wp.func
 def end_ellipse(arrays: EllipseColors, view: CameraData, tile: int, splat: Splat, sums: StripSums):
-    """Does nothing: there are no sums."""
+    """Does nothing when a splat ends: blending has no sums over pixels."""
 
 
 @wp.func
 def pass_ellipse(arrays: EllipseColors, view: CameraData, tile: int, index: int):
-    """Does nothing: hidden splats have no output."""
+    """Does nothing for a hidden splat: it has no output."""
 
 
 @wp.func
@@ -168,7 +171,7 @@ def store_ellipses(
     settings: RasterData,
     arrays: EllipseColors,
 ):
-    """Writes a pixel."""
+    """Writes the blending state of pixel ``i`` to the image or to the hits of its ray."""
     pixel = blended_pixel(pixels, i)
     begin = arrays.tile_starts[tile]
     end = arrays.tile_starts[tile + 1]
@@ -204,7 +207,7 @@ ELLIPSE_COLORS = TileVisitor(
 
 @wp.func
 def begin_rays(pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, hits: GaussianHits):
-    """Does nothing: the blending state starts empty."""
+    """Does nothing when a pixel begins: its blending state is empty."""
 
 
 @wp.func
@@ -217,7 +220,7 @@ def blend_along_ray(
     x: int,
     settings: RayRasterData,
 ):
-    """Blends a Gaussian along its ray."""
+    """Blends a Gaussian, evaluated along the ray of pixel ``i``."""
     t_min = settings.transmittance_min
     iso = settings.depth_iso_transmittance
     weight = blend_at(pixels, i, splat.color, splat.normal, splat.index, at.alpha, t_min, iso)
@@ -227,12 +230,12 @@ def blend_along_ray(
 
 @wp.func
 def end_ray_splat(hits: GaussianHits, view: CameraData, tile: int, splat: RaySplat, sums: StripSums):
-    """Does nothing: there are no sums."""
+    """Does nothing when a splat ends: blending has no sums over pixels."""
 
 
 @wp.func
 def pass_ray_splat(hits: GaussianHits, view: CameraData, tile: int, index: int):
-    """Does nothing: hidden splats have no output."""
+    """Does nothing for a hidden splat: it has no output."""
 
 
 @wp.func
@@ -246,7 +249,7 @@ def store_rays(
     settings: RayRasterData,
     hits: GaussianHits,
 ):
-    """Writes the hits of a ray; a later kernel replaces the surface depth 0."""
+    """Writes the blending state of pixel ``i`` to the hits of its ray; a later kernel writes the surface depth."""
     ray = ray_index(view, x, y)
     pixel = blended_pixel(pixels, i)
     hits.color[ray] = pixel.color
@@ -273,21 +276,21 @@ RAY_COLORS = TileVisitor(
 
 @struct
 class SampleTile:
-    """Randomly chosen splats of the pixels of a tile."""
+    """Splats chosen at random for the pixels of a tile: stochastic transparency."""
 
     transmittance: TileFloats
     """Always 1, so that no pixel is finished before the last splat."""
     nearest: TileFloats
-    """View depth of the chosen splat."""
+    """View depth of each pixel's chosen splat, or of the mesh if no splat is chosen."""
     winner: TileInts
-    """Index of the chosen splat plus one; 0: none, or the mesh."""
+    """Index of each pixel's chosen splat plus one; 0: no splat is chosen."""
     keys: TileWords
-    """Keys of the random numbers."""
+    """Key of each pixel's random numbers."""
 
 
 @struct
 class SampleArrays:
-    """Inputs and outputs of random samples."""
+    """Arrays of the visitor that chooses splats at random: its inputs and outputs."""
 
     splats: wp.array[Splat]
     sample: SampleData
@@ -298,7 +301,7 @@ class SampleArrays:
 def begin_sample(
     pixels: wp.ref[SampleTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: SampleArrays
 ):
-    """Starts with the mesh as the nearest surface, and sets the random key."""
+    """Starts pixel ``i`` with the mesh as the nearest surface, and sets its random key."""
     set_at(pixels.nearest, i, limit)
     set_word_at(pixels.keys, i, sample_key_of(full_image_index(view, x, y), arrays.sample.index, arrays.sample.seed))
 
@@ -313,7 +316,10 @@ def sample_splat(
     x: int,
     settings: RasterData,
 ):
-    """Chooses a splat if it is drawn and nearer than the previous choice; at equal depths, the lower index wins."""
+    """Chooses a splat at random, with a probability of its alpha, if it is nearer than the previous choice.
+
+    At equal depths, the splat with the lower index is chosen.
+    """
     number = splat.index + 1
     chosen = draw_mixed(word_at(pixels.keys, i), mix(wp.uint32(splat.index))) < visible_alpha(at.log_alpha)
     depth = wp.where(chosen, splat.depth, wp.inf)
@@ -327,12 +333,12 @@ def sample_splat(
 
 @wp.func
 def end_sampled(arrays: SampleArrays, view: CameraData, tile: int, splat: Splat, sums: StripSums):
-    """Does nothing: there are no sums."""
+    """Does nothing when a splat ends: random choice has no sums over pixels."""
 
 
 @wp.func
 def pass_sampled(arrays: SampleArrays, view: CameraData, tile: int, index: int):
-    """Does nothing: hidden splats have no output."""
+    """Does nothing for a hidden splat: it has no output."""
 
 
 @wp.func
@@ -346,7 +352,7 @@ def store_sample(
     settings: RasterData,
     arrays: SampleArrays,
 ):
-    """Writes the chosen splat."""
+    """Writes the chosen splat of pixel ``i`` to the hits of the pixel's ray."""
     pixel = opaque_pixel(arrays.splats, int_at(pixels.winner, i) - 1)
     store_gaussian_hits(view, arrays.splats, pixel, x, y, arrays.hits_out)
 
@@ -375,7 +381,7 @@ class WeightTile:
 
 @struct
 class WeightArrays:
-    """Outputs of the largest weights of splat-tile pairs."""
+    """Arrays of the visitor that finds largest weights: one weight for each splat and each tile that it touches."""
 
     rects: wp.array[TileRect]
     pair_starts: wp.array[int]
@@ -391,7 +397,7 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
     def begin_weights(
         pixels: wp.ref[WeightTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: WeightArrays
     ):
-        """Does nothing: the transmittance starts at 1."""
+        """Does nothing when a pixel begins: its transmittance is 1."""
 
     @wp.func
     def weigh(
@@ -432,7 +438,7 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
         settings: Settings,
         arrays: WeightArrays,
     ):
-        """Does nothing: pixels have no output."""
+        """Does nothing when a pixel ends: only splats have an output."""
 
     return TileVisitor(
         pixels=WeightTile,
@@ -455,16 +461,19 @@ class BackwardTile:
 
     transmittance: TileFloats
     behind: TileFloats
-    """Loss contribution of the splats not yet blended."""
+    """Loss contribution of the splats that each pixel has not blended yet."""
     red: TileFloats
-    """Derivative with respect to the pixel's red channel; green and blue follow."""
+    """Derivative of the loss with respect to each pixel's red channel; the next two fields are for green and blue."""
     green: TileFloats
     blue: TileFloats
 
 
 @functools.cache
 def derivatives(footprint: Footprint) -> TileVisitor:
-    """Builds the visitor that sums the gradients of a tile's splats over its pixels, one record for each splat."""
+    """Builds the visitor that sums the gradients of a tile's splats over its pixels.
+
+    It writes one record for each splat and each tile that the splat touches.
+    """
     Settings, SplatType, At = footprint.settings, footprint.splat, footprint.at
     Sums, part_of, gradient_of, Gradient = footprint.sums, footprint.part_of, footprint.gradient_of, footprint.gradient
     PARTS = wp.constant(Sums._length_)
@@ -538,7 +547,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
         settings: Settings,
         arrays: Arrays,
     ):
-        """Does nothing: pixels have no output."""
+        """Does nothing when a pixel ends: only splats have an output."""
 
     return TileVisitor(
         pixels=BackwardTile,
@@ -554,14 +563,14 @@ def derivatives(footprint: Footprint) -> TileVisitor:
 
 @struct
 class NoArrays:
-    """Placeholder of visitors that use no arrays beside their state."""
+    """Empty placeholder for visitors that read and write no arrays."""
 
     unused: int
 
 
 @wp.func
 def wants_all(pixel: BlendState, splat: Any) -> bool:
-    """Returns True: every splat is blended."""
+    """Returns True, because every splat is blended."""
     return True
 
 
@@ -569,14 +578,14 @@ def wants_all(pixel: BlendState, splat: Any) -> bool:
 def blend_ellipse_at_pixel(
     pixel: wp.ref[BlendState], splat: Splat, log_alpha: float, settings: RasterData, arrays: NoArrays
 ):
-    """Blends an ellipse behind the others."""
+    """Blends a splat, evaluated as an ellipse, behind those that the pixel has already blended."""
     alpha = alpha_from_log(log_alpha)
     pixel = blend(pixel, splat, alpha, settings.transmittance_min, settings.depth_iso_transmittance)
 
 
 @struct
 class RelitHits:
-    """Output of separate sums of relit sets on a ray, if they are mixed with others."""
+    """Arrays for the sums over relit splat sets on a ray, in scenes that have both relit splat sets and others."""
 
     instances: wp.array[SplatInstanceData]
     hits: GaussianHits
@@ -587,7 +596,7 @@ class RelitHits:
 def blend_at_ray(
     pixel: wp.ref[BlendState], splat: RaySplat, log_alpha: float, settings: RayRasterData, relit: RelitHits
 ):
-    """Blends a Gaussian behind the others on its ray."""
+    """Blends a Gaussian behind those that the ray of a pixel has already blended."""
     alpha = alpha_from_log(log_alpha)
     blended = blend(pixel, splat, alpha, settings.transmittance_min, settings.depth_iso_transmittance)
     if relit.hits.relit_weight and blended.transmittance > 0.0:
@@ -597,27 +606,30 @@ def blend_at_ray(
 
 @struct
 class Sample:
-    """Nearest splat chosen by a random number below its alpha."""
+    """Nearest splat of a pixel whose random number is below its alpha."""
 
     key: wp.uint32
     """Key of the random numbers."""
     nearest: float
-    """View depth of the chosen splat."""
+    """View depth of the chosen splat, or of the mesh if no splat is chosen."""
     winner: int
-    """Index of the chosen splat; -1: none, or the mesh."""
+    """Index of the chosen splat; -1: no splat is chosen."""
     transmittance: float
     """Always 1, so that every splat is visited."""
 
 
 @wp.func
 def wants_nearer(sample: Sample, splat: Splat) -> bool:
-    """Returns whether a splat would be chosen if drawn; at equal depths, the lower index wins."""
+    """Returns whether a splat would replace the chosen one if its random number is below its alpha.
+
+    The nearer splat is chosen, and at equal depths the one with the lower index.
+    """
     return splat.depth < sample.nearest or (splat.depth == sample.nearest and splat.index < sample.winner)
 
 
 @wp.func
 def draw_sample(sample: wp.ref[Sample], splat: Splat, log_alpha: float, settings: RasterData, arrays: NoArrays):
-    """Draws a splat with its alpha as probability."""
+    """Chooses a splat, which must be nearer than the previous choice, with a probability of its alpha."""
     if draw(sample.key, wp.uint32(splat.index)) < alpha_from_log(log_alpha):
         sample.nearest = splat.depth
         sample.winner = splat.index
