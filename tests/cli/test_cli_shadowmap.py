@@ -120,7 +120,7 @@ def test_casting_meshes_are_inserted_onto_the_capture(work: Workspace, caplog: p
     """Their position is that of `render`; --keep-coordinates leaves them at their coordinates."""
     args = ("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
     put = work.run(*args, "-o", "@put.ply")
-    assert put.status == 0 and "mesh.obj has no position, and is put upright on the ground" in caplog.text
+    assert put.status == 0 and "mesh.obj has no position: it stands upright on the ground" in caplog.text
     caplog.clear()
     kept = work.run(*args, "--keep-coordinates", "-o", "@kept.ply")
     assert kept.status == 0 and not caplog.text

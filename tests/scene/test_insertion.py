@@ -232,7 +232,8 @@ def test_entry_without_position_stands_upright_and_is_logged(tmp_path: Path, cap
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         scene = loaded(scene_file(tmp_path, ""))
     (line,) = (record.getMessage() for record in caplog.records)
-    assert "meshes[0]: has no position, and is put upright on the ground (upright = false: as in its file)" in line
+    assert "meshes[0]: has no position: it stands upright on the ground: upright = true, position = [" in line
+    assert line.endswith("(upright = false: as in its file)")
     heights, own = corners(scene)[:, 1], scene.meshes[0].mesh.positions[:, 1]
     np.testing.assert_allclose(heights - heights.min(), own - own.min(), atol=1e-6)
     np.testing.assert_allclose(heights.min(), 0.7, atol=0.06)

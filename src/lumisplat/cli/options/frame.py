@@ -68,7 +68,7 @@ class EnvironmentOptions(LightOptions):
     exposure: Annotated[float | None, setting("STOPS", "the camera's, or 0")] = None
     """Brighten lit images by so many stops."""
     capture_gain: Annotated[float | Literal["auto"] | None, setting("N|auto", "0")] = None
-    """Brighten captured light on added objects by N stops."""
+    """Brighten captured light on added objects by N stops; auto: estimate N from the scene."""
     denoise: Flag = False
     """Denoise lit frames; needs pip install 'lumisplat[denoise]'."""
 

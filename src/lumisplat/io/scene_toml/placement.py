@@ -140,12 +140,14 @@ def insert_entry(
     matrix = found.world_from_asset
     if "ground" in table.values:
         matrix[:3, 3] = 0.0
-        _warn(table, "has no position, and is rotated upright where its file has it (upright = false: as in its file)")
+        _warn(
+            table, "has no position: it stands upright at the coordinates of its file (upright = false: as in its file)"
+        )
     else:
         _warn(
             table,
-            f"has no position, and is put upright {found.where}{found.scaling} "
-            f"(upright = false: as in its file): {found}",
+            f"has no position: it stands upright {found.where}{found.scaling}: {found} "
+            "(upright = false: as in its file)",
         )
     return matrix
 

@@ -138,8 +138,7 @@ class Insertion:
         """The scale and its reason as the end of a message; empty if the size is kept."""
         if not self.fits:
             return ""
-        why = f"as it is {self.size:.3g} times as large as the scene"
-        return f" and scaled by {self.scale:.3g}, {why} (scale = 1 or --keep-coordinates keeps its size)"
+        return f", scaled to fit, as its file makes it {self.size:.3g} times as large as the scene"
 
     def __str__(self) -> str:
         """Returns the scene-file keys of the same placement."""
@@ -179,7 +178,7 @@ def insert(
         found = insertion(scene, (*objects.meshes, *objects.splats), objects.up, scale, front)
         matrix = found.world_from_asset
         label = name or next((i.name or i.mesh.name for i in objects.meshes), "") or "the mesh"
-        _log.warning("%s has no position, and is put upright %s%s: %s", label, found.where, found.scaling, found)
+        _log.warning("%s has no position: it stands upright %s%s: %s", label, found.where, found.scaling, found)
 
     def placed(instance: SplatInstance | MeshInstance) -> dict[str, object]:
         return {"world_from_object": matrix @ instance.transform}
