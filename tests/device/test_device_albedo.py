@@ -47,7 +47,7 @@ def furnace_integral(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np
 
 @pytest.mark.parametrize("cosine", [0.95, 0.5, 0.2])
 @pytest.mark.parametrize("name", MATERIALS)
-def test_albedo_equals_the_bsdf_integral_under_a_constant_environment(name: str, cosine: float) -> None:
+def test_denoising_albedo_equals_the_bsdf_integral_in_a_constant_environment(name: str, cosine: float) -> None:
     """Diffuse plus glossy albedo equals the reflected integral, the transmitted albedo the transmitted integral.
 
     The tolerance covers the curve fit of the energy that microfacets lose. The fit is worst for rough metals and at
@@ -61,7 +61,7 @@ def test_albedo_equals_the_bsdf_integral_under_a_constant_environment(name: str,
         np.testing.assert_allclose(transmitted, below, rtol=0.1 if cosine > 0.2 else 0.2, atol=0.01)
 
 
-def test_multiple_scattering_brightens_rough_metals() -> None:
+def test_multiple_scattering_raises_the_glossy_albedo_of_rough_metals() -> None:
     """Compensation adds the light that scatters several times between microfacets to the glossy albedo."""
     plain, whole = (bsdf_row(MATERIALS["rough metal"], compensates=compensates) for compensates in (False, True))
     assert albedos(whole, 0.5)[1][0] > 1.15 * albedos(plain, 0.5)[1][0]

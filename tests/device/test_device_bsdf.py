@@ -144,7 +144,7 @@ MATERIALS = [
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_values_and_pdfs_match_the_oracle(number: int, device: str) -> None:
+def test_bsdf_values_and_pdfs_match_the_float64_oracle(number: int, device: str) -> None:
     """BSDF values and pdfs match the float64 oracle within what rounding the directions to float32 allows."""
     material = MATERIALS[number]
     normals, views, lights = pairs(3000, material["alpha"], number)
@@ -164,7 +164,7 @@ def test_values_and_pdfs_match_the_oracle(number: int, device: str) -> None:
         assert np.median((spread[0] / np.maximum(values, 1e-30))[values > 0.0]) < 1e-4
 
 
-def test_values_at_normal_incidence_match_closed_forms() -> None:
+def test_bsdf_values_at_normal_incidence_match_closed_forms() -> None:
     """The forms are albedo / pi, the GGX highlight F0 / (4 pi alpha^2) and Phong's (n + 2) / (2 pi)."""
     straight = NORMAL[None]
     matte, _ = on_device(pbr(0.5, diffuse=0.6, specular=0.0, grazing=0.0), NORMAL, straight, straight)
@@ -181,7 +181,7 @@ def test_values_at_normal_incidence_match_closed_forms() -> None:
 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_bsdf_is_reciprocal(number: int) -> None:
+def test_bsdf_values_are_reciprocal_in_view_and_light_direction(number: int) -> None:
     """Swapping view and light leaves the value unchanged."""
     normals, views, lights = pairs(6000, MATERIALS[number]["alpha"], 7)
     forward, _ = on_device(MATERIALS[number], normals, views, lights)
@@ -190,7 +190,7 @@ def test_bsdf_is_reciprocal(number: int) -> None:
 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_bsdf_and_pdf_are_zero_below_the_horizon(number: int) -> None:
+def test_bsdf_values_and_pdfs_are_zero_below_the_horizon(number: int) -> None:
     """A view below the surface yields no samples either."""
     material = MATERIALS[number]
     normals, views, lights = pairs(6000, material["alpha"], 8)
@@ -203,7 +203,7 @@ def test_bsdf_and_pdf_are_zero_below_the_horizon(number: int) -> None:
 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_bsdf_is_finite_for_extreme_directions(number: int) -> None:
+def test_bsdf_values_and_samples_are_finite_for_extreme_directions(number: int) -> None:
     """Values and samples stay finite for opposite, tangential and zero vectors and for random numbers of 0 and 1."""
     material = MATERIALS[number]
     special = [NORMAL, ALONG, -ALONG, unit(ALONG + 1e-8 * NORMAL), unit(-ALONG + 1e-8 * NORMAL), ALONG + 1e-25 * NORMAL]
@@ -267,7 +267,7 @@ COSINES = (1.0, 0.9, 0.62, 0.4, 0.2, 0.1, 0.05)
 
 
 @pytest.mark.parametrize("alpha", [0.004, 0.01, 0.03, 0.09, 0.14, 0.25, 0.5, 1.0])
-def test_pbr_white_furnace_conserves_energy(alpha: float) -> None:
+def test_pbr_bsdf_conserves_energy_in_a_white_furnace(alpha: float) -> None:
     """Reflected light never exceeds the incident light; common dielectrics reflect at least 97 % of it."""
     for specular, grazing in ((0.0, 1.0), (0.04, 1.0), (0.2, 1.0), (0.7, 1.0), (0.25, 0.25), (0.04, 0.5)):
         for cos in COSINES:
@@ -279,7 +279,7 @@ def test_pbr_white_furnace_conserves_energy(alpha: float) -> None:
 
 
 @pytest.mark.parametrize("cos", COSINES)
-def test_nearly_smooth_perfect_mirror_reflects_all_light(cos: float) -> None:
+def test_perfect_mirror_of_small_roughness_reflects_all_light(cos: float) -> None:
     """A reflectance of 1 at small roughness reflects all light."""
     if cos > 0.1:
         assert highlighted(pbr(0.01, 0.0, 1.0), direction(cos, 1.0)) == pytest.approx(1.0, abs=0.01)
@@ -287,7 +287,7 @@ def test_nearly_smooth_perfect_mirror_reflects_all_light(cos: float) -> None:
 
 
 @pytest.mark.parametrize("cos", COSINES)
-def test_smooth_white_dielectric_conserves_energy(cos: float) -> None:
+def test_mirror_and_diffuse_reflection_of_a_smooth_white_dielectric_add_up_to_1(cos: float) -> None:
     """The specular reflection, which the BSDF leaves to mirror rays, and the white diffuse part add up to 1."""
     mirror = float(fresnel(np.array(cos), 1.0 / 1.5))
     total = mirror + reflected(pbr(0.0, 1.0, 0.04), direction(cos, 1.0), 200)
@@ -296,7 +296,7 @@ def test_smooth_white_dielectric_conserves_energy(cos: float) -> None:
 
 @pytest.mark.parametrize("cos", COSINES[:-2])
 @pytest.mark.parametrize("alpha", [0.01, 0.09, 0.25, 1.0])
-def test_partial_metal_albedo_is_linear_in_metallic(alpha: float, cos: float) -> None:
+def test_albedo_of_a_partial_metal_is_linear_in_the_metallic_factor(alpha: float, cos: float) -> None:
     """The albedo of a half metal is the weighted mean of white metal and white paint."""
     view = direction(cos, 0.3)
     paint = highlighted(pbr(alpha, 0.0), view) + reflected(pbr(alpha, 1.0), view)
@@ -308,7 +308,7 @@ def test_partial_metal_albedo_is_linear_in_metallic(alpha: float, cos: float) ->
         assert total <= 1.0003
 
 
-def test_diffuse_material_reflects_exactly_its_albedo() -> None:
+def test_diffuse_bsdf_reflects_exactly_its_albedo() -> None:
     """Both models reflect their diffuse colour when they have no highlight."""
     for material in (pbr(0.3, 0.7, 0.0, 0.0), simple(8.0, 0.7, 0.0)):
         for cos in COSINES:
@@ -316,7 +316,7 @@ def test_diffuse_material_reflects_exactly_its_albedo() -> None:
 
 
 @pytest.mark.parametrize("shininess", [0.0, 1.0, 10.0, 60.0])
-def test_simple_model_conserves_energy(shininess: float) -> None:
+def test_simple_material_bsdf_conserves_energy(shininess: float) -> None:
     """The highlight reflects its full strength at normal incidence; the total never exceeds 1."""
     for cos in COSINES:
         view = direction(cos, 0.3)
@@ -392,14 +392,14 @@ def chi_square_of_samples(material: Material, assumed: Material, cos: float, alp
     ],
     ids=lambda m: f"{m['model']}-{m['alpha']:.2g}-{m['shininess']:.0f}-{max(m['diffuse']):.1f}",
 )
-def test_sampled_directions_follow_the_pdf(material: Material, cos: float) -> None:
+def test_directions_sampled_from_the_bsdf_follow_its_pdf(material: Material, cos: float) -> None:
     """A chi-square test over the whole sphere, with rejected samples as one more bin."""
     narrow = material["alpha"] if material["model"] == "pbr" else 1.0 / math.sqrt(material["shininess"] + 1.0)
     alpha = float(np.clip(2.0 * narrow, 0.02, 1.0)) if narrow > 0.0 else 1.0
     assert abs(chi_square_of_samples(material, material, cos, alpha)) < LIMIT
 
 
-def test_chi_square_test_rejects_wrong_pdfs() -> None:
+def test_chi_square_test_of_bsdf_samples_rejects_wrong_pdfs() -> None:
     """The chi-square test rejects a slightly wider highlight and a slightly different diffuse fraction."""
     metal = pbr(0.09, diffuse=0.0)
     assert chi_square_of_samples(metal, pbr(0.1, diffuse=0.0), 0.7, 0.2) > LIMIT
@@ -407,7 +407,7 @@ def test_chi_square_test_rejects_wrong_pdfs() -> None:
 
 
 @pytest.mark.parametrize("number", [4, 6, 8, 10, 12, 14, 17, 19])
-def test_sample_weight_is_bsdf_times_cosine_over_pdf(number: int) -> None:
+def test_bsdf_sample_weight_is_value_times_cosine_over_pdf(number: int) -> None:
     """The mean weight is the light reflected under a constant environment of radiance 1."""
     material = MATERIALS[number]
     view = direction(0.6, 0.4)

@@ -8,7 +8,7 @@ from lumisplat.device.math import color
 from lumisplat.math.color import decode_srgb
 
 
-def test_srgb_decoding_matches_the_standard() -> None:
+def test_device_srgb_decoding_matches_the_standard() -> None:
     """Decoding is accurate to one millionth in the linear segment, the polynomial segment and above 1."""
     values = np.concatenate([np.linspace(0.0, 0.05, 40), np.linspace(0.05, 1.0, 160), np.linspace(1.0, 2.0, 40)])
     decoded = [color.decode_srgb(float(v)) for v in values.astype(np.float32)]

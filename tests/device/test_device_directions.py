@@ -16,7 +16,7 @@ AXES += [v / np.linalg.norm(v) for v in np.array([(1e-6, 2e-6, -1.0), (1e-6, -2e
 
 
 @pytest.mark.parametrize("axis", AXES)
-def test_around_returns_unit_directions_at_the_given_angles(axis: np.ndarray) -> None:
+def test_directions_around_an_axis_are_unit_vectors_at_the_given_angles(axis: np.ndarray) -> None:
     """The azimuth runs counterclockwise about every axis, by the fraction of a full rotation that is passed."""
     angle = 0.7
     found = [
@@ -32,7 +32,7 @@ def test_around_returns_unit_directions_at_the_given_angles(axis: np.ndarray) ->
     np.testing.assert_allclose(flat[1] + flat[3], 0.0, atol=1e-6)
 
 
-def test_angle_of_matches_atan2() -> None:
+def test_device_arctangent_angle_of_matches_numpy_arctan2() -> None:
     """``angle_of`` matches NumPy's arctan2 in all quadrants and next to the axes, and returns 0 for (0, 0)."""
     rng = np.random.default_rng(1)
     pairs = rng.normal(size=(2000, 2)) * 10.0 ** rng.uniform(-6.0, 6.0, (2000, 2))

@@ -79,7 +79,7 @@ def random_image(height: int, width: int, seed: int = 1, dark: float = 0.4) -> n
 # --- Lookup ---
 
 
-def test_environment_image_axes_map_to_world_axes() -> None:
+def test_top_of_the_environment_image_is_plus_y_and_its_centre_minus_z() -> None:
     """The top row is +y, the centre is -z, right of the centre is +x and the seam of left and right edge is +z."""
     image = np.zeros((2, 4, 3), dtype=np.float32)
     image[..., 0] = [[1, 2, 3, 4], [5, 6, 7, 8]]
@@ -92,7 +92,7 @@ def test_environment_image_axes_map_to_world_axes() -> None:
     np.testing.assert_allclose(poles, (2.5, 6.5))
 
 
-def test_half_rotation_about_x_flips_up() -> None:
+def test_half_rotation_about_x_turns_the_environment_image_upside_down() -> None:
     """The rotation (0, 1, 0, 0) places the image's top at -y, for worlds whose y axis points down."""
     image = np.zeros((4, 8, 3), dtype=np.float32)
     image[0] = 1.0
@@ -100,7 +100,7 @@ def test_half_rotation_about_x_flips_up() -> None:
     np.testing.assert_allclose(environment.evaluate(np.array([(0.0, -1.0, 0.0), (0.0, 1.0, 0.0)]))[0][:, 1], (1.0, 0.0))
 
 
-def test_quarter_rotation_about_y_moves_the_centre_to_minus_x() -> None:
+def test_quarter_rotation_about_y_moves_the_environment_centre_to_minus_x() -> None:
     """The rotation maps environment to world coordinates, so the image's centre moves from -z to -x."""
     image = np.zeros((4, 8, 3), dtype=np.float32)
     image[:, 3:5] = 1.0
@@ -112,7 +112,7 @@ def test_quarter_rotation_about_y_moves_the_centre_to_minus_x() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 3), (17, 40), (128, 256)])
-def test_lookup_matches_the_oracle(shape: tuple[int, int], device: str) -> None:
+def test_environment_lookup_matches_the_float64_oracle(shape: tuple[int, int], device: str) -> None:
     """Bilinear lookups, times colour and intensity, match the oracle within the rounding of float32 directions."""
     image = np.random.default_rng(3).random((*shape, 3), dtype=np.float32)
     environment = DeviceEnvironment(image, device, rotation_wxyz=ROTATED, color=(1.0, 0.5, 0.25), intensity=2.0)
@@ -122,7 +122,7 @@ def test_lookup_matches_the_oracle(shape: tuple[int, int], device: str) -> None:
     np.testing.assert_allclose(environment.evaluate(vectors)[0], expected, atol=2e-6 * max(shape) + 2e-6)
 
 
-def test_lookup_is_continuous_at_seam_and_poles() -> None:
+def test_environment_lookup_is_continuous_at_the_seam_and_the_poles() -> None:
     """The lookup interpolates across the seam, and directions next to a pole reach all texels of its row."""
     environment = DeviceEnvironment(random_image(16, 32, dark=0.0))
     azimuth = np.array([-1e-5, 1e-5])
@@ -137,7 +137,7 @@ def test_lookup_is_continuous_at_seam_and_poles() -> None:
         np.testing.assert_allclose(values, expected, rtol=1e-2)
 
 
-def test_constant_environment_is_sampled_uniformly() -> None:
+def test_environment_without_an_image_is_sampled_uniformly() -> None:
     """An environment without an image has its colour in all directions and the pdf 1 / (4 pi)."""
     environment = DeviceEnvironment(None, color=(0.2, 0.4, 0.6), intensity=5.0)
     radiances, pdfs = environment.evaluate(directions(1000))
@@ -157,7 +157,9 @@ def test_constant_environment_is_sampled_uniformly() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (7, 1), (6, 12), (9, 16)])
-def test_pdf_is_proportional_to_mean_cell_brightness(shape: tuple[int, int], device: str) -> None:
+def test_environment_pdf_is_proportional_to_the_mean_brightness_of_the_cell(
+    shape: tuple[int, int], device: str
+) -> None:
     """The pdf of a texel's cell matches brute-force averages of the lookup, and integrates to 1 over the sphere."""
     image = np.random.default_rng(5).random((*shape, 3), dtype=np.float32)
     height, width = shape
@@ -170,7 +172,7 @@ def test_pdf_is_proportional_to_mean_cell_brightness(shape: tuple[int, int], dev
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 2), (5, 8), (16, 32), (64, 128)])
 @pytest.mark.parametrize("wxyz", [UPRIGHT, ROTATED])
-def test_sampled_directions_follow_the_pdf(height: int, width: int, wxyz: Any) -> None:
+def test_directions_sampled_from_an_environment_follow_its_pdf(height: int, width: int, wxyz: Any) -> None:
     """A chi-square test with bins of half a texel, poles and black regions included."""
     environment = DeviceEnvironment(random_image(height, width), rotation_wxyz=wxyz)
     count = 400_000
@@ -185,7 +187,7 @@ def test_sampled_directions_follow_the_pdf(height: int, width: int, wxyz: Any) -
     assert abs(chi_square_z(counts, expected)) < LIMIT
 
 
-def test_samples_match_lookup_and_integrate_to_total_light() -> None:
+def test_mean_of_environment_samples_is_the_total_irradiance() -> None:
     """Pdf and irradiance of a sample equal those of a lookup; the mean irradiance is the integral over the sphere."""
     image = random_image(32, 64)
     environment = DeviceEnvironment(image, rotation_wxyz=ROTATED, intensity=0.5)
@@ -204,7 +206,7 @@ def test_samples_match_lookup_and_integrate_to_total_light() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pdf_is_positive_wherever_radiance_is(seed: int) -> None:
+def test_environment_pdf_is_positive_wherever_radiance_is(seed: int) -> None:
     """The pdf is above 0 next to black texels too, and for texels that a sun outshines by many decades."""
     rng = np.random.default_rng(seed)
     image = np.zeros((12, 24, 3), dtype=np.float32)
@@ -227,7 +229,7 @@ def test_pdf_is_positive_wherever_radiance_is(seed: int) -> None:
     assert ends[0][-1] == 1.0
 
 
-def test_black_environment_has_no_samples() -> None:
+def test_black_environment_has_zero_radiance_and_pdf() -> None:
     """A black image has radiance, irradiance and pdf 0 in all directions."""
     environment = DeviceEnvironment(np.zeros((4, 8, 3)))
     radiances, pdfs = environment.evaluate(directions(100))
@@ -239,7 +241,7 @@ def test_black_environment_has_no_samples() -> None:
     np.testing.assert_allclose(np.linalg.norm(samples["direction"], axis=1), 1.0)
 
 
-def test_missing_environment_has_no_samples() -> None:
+def test_missing_environment_has_zero_radiance_and_pdf() -> None:
     """The struct of a scene without an environment has radiance, irradiance and pdf 0."""
     environment = DeviceEnvironment(random_image(4, 8))
     environment.table.sync(Scene(), CAMERA, environment.buffers)
@@ -253,7 +255,7 @@ def test_missing_environment_has_no_samples() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 1), (8, 16), (512, 4)])
-def test_environment_is_finite_for_extreme_values(shape: tuple[int, int], device: str) -> None:
+def test_environment_lookups_and_samples_are_finite_for_extreme_values(shape: tuple[int, int], device: str) -> None:
     """Results stay finite for random numbers of 0 and 1, poles, a zero direction and the largest float32 radiances."""
     for brightest in (1e-38, 1.0, 3e38):
         image = np.zeros((*shape, 3), dtype=np.float32)

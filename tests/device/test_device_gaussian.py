@@ -31,13 +31,13 @@ def camera_data(**changes: object) -> CameraData:
 
 
 @given(st.floats(float(np.log(ALPHA_MIN)), 0.0))
-def test_alpha_approximates_the_exponential(log_alpha: float) -> None:
+def test_polynomial_alpha_of_the_rasteriser_approximates_the_exponential(log_alpha: float) -> None:
     """The polynomial matches exp to two millionths over its range and is clamped at 0.99."""
     expected = min(np.exp(np.float32(log_alpha), dtype=np.float64), ALPHA_MAX)
     assert alpha_from_log(log_alpha) == pytest.approx(expected, rel=2e-6)
 
 
-def test_alpha_is_monotonic() -> None:
+def test_rasterised_alpha_is_monotonic_in_the_gaussian_response() -> None:
     """Alpha never decreases when the response increases."""
     values = [alpha_from_log(float(x)) for x in np.linspace(np.log(ALPHA_MIN), 0.0, 2000)]
     assert (np.diff(values) >= 0.0).all() and values[0] >= ALPHA_MIN * (1.0 - 1e-6)
@@ -45,7 +45,7 @@ def test_alpha_is_monotonic() -> None:
 
 @settings(max_examples=50)
 @given(unit, unit, st.floats(0.05, 50.0))
-def test_jacobian_matches_central_differences(x: float, y: float, z: float) -> None:
+def test_projection_jacobian_matches_central_differences(x: float, y: float, z: float) -> None:
     """The Jacobian of the projection matches central differences for points inside the image."""
     camera = front_camera()
     point = np.array([0.5 * x * z, 0.35 * y * z, z])
@@ -62,7 +62,7 @@ def test_jacobian_matches_central_differences(x: float, y: float, z: float) -> N
 @pytest.mark.parametrize(
     ("cx", "side", "limit"), [(32.0, 1, 0.5333), (32.0, -1, -0.5333), (10.0, 1, 0.9), (10.0, -1, -0.1667)]
 )
-def test_jacobian_is_clamped_outside_the_image(cx: float, side: int, limit: float) -> None:
+def test_projection_jacobian_is_clamped_outside_the_image(cx: float, side: int, limit: float) -> None:
     """The clamp lies 0.3 half image widths beyond the image's edge, measured from the principal point."""
     margin = 0.3 * 0.5 * 64.0 / 60.0
     jacobian = np.array(projection_jacobian(camera_data(cx=cx), wp.vec3(side * 90.0, 0.0, 2.0))).reshape(2, 3)
@@ -80,7 +80,7 @@ def test_normal_of_tiny_gaussians_does_not_overflow_float32() -> None:
 
 @settings(max_examples=60)
 @given(rotations, st.tuples(*[st.floats(-6.0, 2.0)] * 3), st.tuples(unit, unit, st.floats(0.2, 1.0)))
-def test_normal_is_that_of_the_max_density_plane(
+def test_normal_of_a_gaussian_is_that_of_its_plane_of_maximum_density(
     quaternion: tuple[float, ...], log_scales: tuple[float, ...], to_eye: tuple[float, ...]
 ) -> None:
     """The normal is inverse(covariance) (eye - mean), normalised and facing the viewer; scales span eight decades."""

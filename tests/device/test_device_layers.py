@@ -49,7 +49,7 @@ def albedo(row: npt.NDArray[Any], cosine: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("base", [PAINT, METAL], ids=["paint", "metal"])
 @pytest.mark.parametrize("layers", COATS.values(), ids=COATS.keys())
-def test_layered_materials_conserve_energy(layers: dict[str, Any], base: ls.MaterialPbr) -> None:
+def test_clearcoat_and_sheen_conserve_energy_in_a_white_furnace(layers: dict[str, Any], base: ls.MaterialPbr) -> None:
     """Reflected light never exceeds the incident light; coated white paint still reflects more than 90 % of it."""
     row = bsdf_row(replace(base, **layers))
     for cosine in (1.0, 0.8, 0.5, 0.2, 0.05):
@@ -60,7 +60,7 @@ def test_layered_materials_conserve_energy(layers: dict[str, Any], base: ls.Mate
 
 
 @pytest.mark.parametrize("layers", COATS.values(), ids=COATS.keys())
-def test_layered_bsdf_is_reciprocal(layers: dict[str, Any]) -> None:
+def test_bsdf_with_clearcoat_and_sheen_is_reciprocal(layers: dict[str, Any]) -> None:
     """Swapping view and light leaves the value unchanged."""
     row = bsdf_row(replace(PAINT, **layers))
     rng = np.random.default_rng(1)
@@ -72,7 +72,9 @@ def test_layered_bsdf_is_reciprocal(layers: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("base", [PAINT, METAL], ids=["paint", "metal"])
 @pytest.mark.parametrize("layers", [*COATS.values(), None], ids=[*COATS.keys(), "compensated"])
-def test_sampled_directions_follow_the_pdf(layers: dict[str, Any] | None, base: ls.MaterialPbr) -> None:
+def test_directions_sampled_from_layered_materials_follow_the_pdf(
+    layers: dict[str, Any] | None, base: ls.MaterialPbr
+) -> None:
     """A chi-square test over the hemisphere, with rejected samples as one more bin."""
     row = bsdf_row(replace(base, **(layers or {})), compensates=layers is None)
     view, rows, columns, fine, count = direction(0.6, 1.0), 12, 12, 24, 100_000
@@ -106,7 +108,7 @@ def test_clearcoat_over_black_matches_the_gltf_equation() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.3, 0.6, 1.0])
-def test_sheen_curve_approximates_the_sheen_albedo(roughness: float) -> None:
+def test_fitted_sheen_curve_approximates_the_sheen_albedo(roughness: float) -> None:
     """The fitted curve stays within a few percent and does not underestimate large albedos."""
     curve = albedo_curve(roughness)
     for cosine in (0.02, 0.1, 0.3, 0.5, 0.8, 1.0):
@@ -118,7 +120,9 @@ def test_sheen_curve_approximates_the_sheen_albedo(roughness: float) -> None:
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 0.8, 1.0])
 @pytest.mark.parametrize(("cosine", "least"), [(1.0, 0.9), (0.6, 0.9), (0.342, 0.9), (0.12, 0.87), (0.05, 0.87)])
-def test_compensated_rough_metal_conserves_most_energy(roughness: float, cosine: float, least: float) -> None:
+def test_energy_compensated_rough_metal_reflects_at_least_87_percent(
+    roughness: float, cosine: float, least: float
+) -> None:
     """Compensated white metal reflects at least 87 % of the light, never more than all, and more than uncompensated."""
     metal = replace(METAL, roughness=roughness)
     mean, error = albedo(bsdf_row(metal, compensates=True), cosine)

@@ -89,7 +89,7 @@ def mean_irradiance(samples: Any, normal: Array) -> Array:
 # --- Closed forms ---
 
 
-def test_point_light_follows_the_inverse_square_law() -> None:
+def test_point_light_samples_follow_the_inverse_square_law() -> None:
     """8 candela give 2 lux at 2 units and 32 lux at 0.5 units."""
     table = light(LIGHT_POINT, power=(8.0, 4.0, 0.0))
     samples = sample_lights(table, [(1.0, 0.0, -0.5), (1.0, 2.0, 0.0)])
@@ -99,7 +99,7 @@ def test_point_light_follows_the_inverse_square_law() -> None:
     assert not samples["pdf"].any()
 
 
-def test_range_window_matches_closed_form() -> None:
+def test_range_window_of_a_point_light_matches_the_closed_form() -> None:
     """The window is 15/16 at half the range, 0.3439 at 0.9 of it, and 0 from the range on."""
     table = light(LIGHT_POINT, range=4.0, position=(0.0, 0.0, 0.0), power=(16.0, 16.0, 16.0))
     samples = sample_lights(table, [(2.0, 0.0, 0.0), (3.6, 0.0, 0.0), (4.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
@@ -107,7 +107,7 @@ def test_range_window_matches_closed_form() -> None:
     assert window(2.0, 4.0) == 0.9375
 
 
-def test_spot_cone_matches_closed_form() -> None:
+def test_cone_falloff_of_a_spot_light_matches_the_closed_form() -> None:
     """A cone from 30 to 60 degrees is 1 at 20 degrees, 0.56580^2 at 45, and 0 at 61 and behind the light."""
     table = light(
         LIGHT_SPOT, direction=(0.0, -1.0, 0.0), position=(0.0, 0.0, 0.0), inner=math.pi / 6, outer=math.pi / 3
@@ -120,7 +120,7 @@ def test_spot_cone_matches_closed_form() -> None:
 
 
 @pytest.mark.parametrize("outer", [1e-4, 1e-3, 0.1, math.pi / 2.0])
-def test_narrow_spot_cones_keep_precision(outer: float) -> None:
+def test_narrow_spot_light_cones_keep_float32_precision(outer: float) -> None:
     """A cone of 1e-4 radians fades as a wide cone does."""
     table = light(LIGHT_SPOT, position=(0.0, 0.0, 0.0), inner=0.5 * outer, outer=outer)
     angles = outer * np.linspace(0.0, 1.1, 23)
@@ -130,7 +130,7 @@ def test_narrow_spot_cones_keep_precision(outer: float) -> None:
     np.testing.assert_allclose(sample_lights(table, points)["irradiance"][:, 0], expected, atol=1e-5 + 6e-7 / outer)
 
 
-def test_equal_spot_angles_make_a_sharp_edge() -> None:
+def test_spot_light_with_equal_cone_angles_has_a_sharp_edge() -> None:
     """Inner and outer angles that are equal in float32 cause no division by zero."""
     table = light(LIGHT_SPOT, position=(0.0, 0.0, 0.0), inner=0.5, outer=math.nextafter(0.5, 1.0))
     angles = np.array([0.49, 0.51])
@@ -142,7 +142,7 @@ def test_equal_spot_angles_make_a_sharp_edge() -> None:
     assert sample_lights(table, (1.0, 0.0, 0.0))["irradiance"][0, 0] in (0.0, 3.0)  # on the edge
 
 
-def test_directional_light_and_headlight_have_no_falloff() -> None:
+def test_directional_light_and_headlight_do_not_fall_off_with_distance() -> None:
     """Both have the same irradiance at every point; a directional light is infinitely far, a headlight at the eye."""
     points = [(0.0, 0.0, 0.0), (1.0, 2.0, 3.5)]
     samples = sample_lights(light(LIGHT_DIRECTIONAL), points)
@@ -155,7 +155,7 @@ def test_directional_light_and_headlight_have_no_falloff() -> None:
     np.testing.assert_allclose(samples["distance"], (math.sqrt(5.25), 4.0), rtol=1e-6)
 
 
-def test_hard_rectangle_matches_closed_form() -> None:
+def test_hard_rectangle_light_matches_the_closed_form() -> None:
     """Area 6 at 6 units gives radiance times 6 / 36, half of it at 60 degrees, 0 behind, at most radiance times pi."""
     table = light(LIGHT_RECT, position=(0.0, 6.0, 0.0), edge_u=(2.0, 0.0, 0.0), edge_v=(0.0, 0.0, 3.0))
     np.testing.assert_allclose(table["direction"][0], (0.0, -1.0, 0.0))
@@ -167,7 +167,7 @@ def test_hard_rectangle_matches_closed_form() -> None:
     assert not samples["pdf"].any()
 
 
-def test_hard_lights_ignore_their_extent() -> None:
+def test_hard_light_samples_ignore_the_extent_of_the_light() -> None:
     """Radius, angular radius and random numbers affect soft lights only."""
     for kind in (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL):
         sharp, wide = (light(kind, radius=radius, inner=0.1, outer=1.0) for radius in (0.0, 0.7))
@@ -177,7 +177,7 @@ def test_hard_lights_ignore_their_extent() -> None:
         assert sample_lights(sharp, (0.4, 3.0, 0.1)) == sample_lights(sharp, (0.4, 3.0, 0.1), soft=True)
 
 
-def test_environment_is_not_sampled_by_sample_light() -> None:
+def test_sample_light_returns_zero_irradiance_for_environments() -> None:
     """Environments have their own sampling function, so ``sample_light`` returns irradiance 0 for them."""
     assert not sample_lights(light(LIGHT_ENVIRONMENT), (0.0, 0.0, 0.0), soft=True)["irradiance"].any()
 
@@ -187,7 +187,7 @@ def test_environment_is_not_sampled_by_sample_light() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("ratio", [1e-5, 1e-3, 0.05, 0.5, 0.9, 0.999])
-def test_sphere_light_samples_hit_the_sphere(ratio: float, device: str) -> None:
+def test_sphere_light_samples_end_on_the_near_side_of_the_sphere(ratio: float, device: str) -> None:
     """Samples end on the near side of the sphere, with pdf 1 / solid angle and the irradiance of its radiance."""
     rng = np.random.default_rng(2)
     distance = 3.0
@@ -211,7 +211,7 @@ def test_sphere_light_samples_hit_the_sphere(ratio: float, device: str) -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
 @pytest.mark.parametrize("ratio", [1e-5, 1e-3, 0.05, 0.5, 0.9])
-def test_sphere_light_has_the_irradiance_of_a_point_light(ratio: float, tilt: float) -> None:
+def test_sphere_light_has_the_irradiance_of_a_point_light_at_its_centre(ratio: float, tilt: float) -> None:
     """A sphere wholly above the horizon gives candela / distance^2 times the cosine of its centre's direction."""
     point = np.array(POSITION) + 3.0 * AXIS
     normal = -math.cos(tilt) * AXIS + math.sin(tilt) * ACROSS
@@ -222,7 +222,7 @@ def test_sphere_light_has_the_irradiance_of_a_point_light(ratio: float, tilt: fl
     np.testing.assert_allclose(mean_irradiance(samples, normal), expected, rtol=1e-4)
 
 
-def test_soft_spot_attenuation_is_that_of_its_centre() -> None:
+def test_soft_spot_light_is_attenuated_by_range_and_cone_at_its_centre() -> None:
     """Range window and cone of a spot with a radius are evaluated at the centre."""
     table = light(LIGHT_SPOT, radius=0.3, inner=0.2, outer=0.5, range=4.0)
     angle = 0.35
@@ -235,7 +235,7 @@ def test_soft_spot_attenuation_is_that_of_its_centre() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 1e-8, 0.3, 0.999, 1.001])
-def test_sphere_light_is_continuous_at_its_surface(share: float) -> None:
+def test_sphere_light_irradiance_is_continuous_at_the_surface_of_the_sphere(share: float) -> None:
     """Points inside the sphere receive the irradiance of the surface; the centre gives finite values."""
     point = np.array(POSITION) + share * 0.5 * AXIS
     samples = sample_lights(light(LIGHT_POINT, radius=0.5), point, True, grid(64))
@@ -245,7 +245,7 @@ def test_sphere_light_is_continuous_at_its_surface(share: float) -> None:
 
 
 @pytest.mark.parametrize("angle", [1e-4, 0.00465, 0.1, 1.0, math.pi / 2.0])
-def test_soft_directional_light_covers_its_angular_radius(angle: float) -> None:
+def test_soft_directional_light_samples_are_uniform_in_its_angular_radius(angle: float) -> None:
     """A facing surface receives the lux of the light, and directions are uniform over the light's cone."""
     samples = sample_lights(light(LIGHT_DIRECTIONAL, radius=angle), (0.0, 0.0, 0.0), True, grid(256))
     np.testing.assert_allclose(mean_irradiance(samples, -AXIS), (3.0, 2.0, 1.0), rtol=1e-4)
@@ -260,7 +260,7 @@ def test_soft_directional_light_covers_its_angular_radius(angle: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_rectangle_light_matches_lambert_formula(seed: int) -> None:
+def test_rectangle_light_samples_match_lamberts_polygon_formula(seed: int) -> None:
     """The irradiance of a parallelogram matches Lambert's polygon formula; its samples cover its area."""
     rng = np.random.default_rng(seed)
     position = np.array([0.0, 0.0, 2.0]) + 0.3 * rng.normal(size=3)
@@ -286,7 +286,7 @@ def test_rectangle_light_matches_lambert_formula(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_disk_light_matches_lambert_formula(seed: int) -> None:
+def test_disk_light_samples_match_lamberts_polygon_formula(seed: int) -> None:
     """The irradiance of a disk matches Lambert's formula for a polygon of 4000 corners; samples are uniform in area."""
     rng = np.random.default_rng(seed)
     position, axis = np.array([0.0, 0.0, 2.0]) + 0.3 * rng.normal(size=3), np.array([0.0, 0.0, -1.0])
@@ -313,7 +313,7 @@ def test_disk_light_matches_lambert_formula(seed: int) -> None:
 
 
 @pytest.mark.parametrize("height", [0.05, 0.7, 20.0])
-def test_disk_light_on_axis_matches_closed_form(height: float) -> None:
+def test_disk_light_on_its_axis_matches_the_closed_form(height: float) -> None:
     """A soft disk gives radiance times pi r^2 / (r^2 + h^2), a hard one pi r^2 / h^2 and at most pi."""
     table = light(LIGHT_DISK, position=(0.0, height, 0.0), direction=(0.0, -1.0, 0.0), radius=0.7)
     up = np.array([0.0, 1.0, 0.0])
@@ -332,7 +332,7 @@ FLAT = {
 
 
 @pytest.mark.parametrize("kind", FLAT)
-def test_ray_intersection_agrees_with_light_samples(kind: Any) -> None:
+def test_ray_hits_on_lights_have_the_distance_and_pdf_of_light_samples(kind: Any) -> None:
     """Distance and pdf of the intersection equal those of the sample; the pdf integrates to 1 over the sphere."""
     table = light(kind, **FLAT[kind])
     towards = table["direction"][0].astype(np.float64)
@@ -352,7 +352,7 @@ def test_ray_intersection_agrees_with_light_samples(kind: Any) -> None:
     assert np.isinf(intersect(table, point, -samples["direction"])["t"]).all()
 
 
-def test_polygon_oracle_matches_the_closed_form_of_a_disk() -> None:
+def test_lambert_polygon_oracle_matches_the_closed_form_of_a_disk() -> None:
     """A disk on the axis gives pi times the squared sine of its angular radius."""
     azimuth = 2.0 * np.pi * np.arange(4000) / 4000
     corners = np.stack([0.7 * np.cos(azimuth), 0.7 * np.sin(azimuth), np.ones(4000)], axis=1)
@@ -366,7 +366,7 @@ def test_polygon_oracle_matches_the_closed_form_of_a_disk() -> None:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("soft", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
-def test_lights_are_finite_for_extreme_values(kind: Any, soft: bool, device: str) -> None:
+def test_light_samples_are_finite_for_extreme_values(kind: Any, soft: bool, device: str) -> None:
     """Samples stay finite at, next to and far from lights of any size and power."""
     offsets = [0.0, 1e-30, 1e-18, 1e-9, 1e-4, 1.0, 1e9, 1e18]
     points = np.array([(sign * x, y, 0.0) for x in offsets for y in offsets for sign in (-1.0, 1.0)])

@@ -78,7 +78,7 @@ def frames(gaussians: ls.Gaussians) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_all_degrees_respond_equally_at_three_standard_deviations(degree: int) -> None:
+def test_all_kernel_degrees_respond_equally_at_three_standard_deviations(degree: int) -> None:
     """Every degree responds by exp(-4.5) there; NVIDIA's linear kernel deviates by 0.1 %."""
     _, alphas = probe(kernel_of(degree), np.array([0.9]), np.array([3.0]), "cpu")
     assert alphas[0] == pytest.approx(0.9 * math.exp(-4.5), rel=1e-3 if degree == 0 else 1e-5)
@@ -86,7 +86,7 @@ def test_all_degrees_respond_equally_at_three_standard_deviations(degree: int) -
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("degree", DEGREES)
-def test_alpha_is_opacity_times_response(degree: int, device: str) -> None:
+def test_alpha_of_a_traced_gaussian_is_opacity_times_response(degree: int, device: str) -> None:
     """The product holds from the centre to the reach and is clamped at 0.99."""
     random = np.random.default_rng(degree)
     opacities = np.concatenate([random.uniform(0.01, 1.0, 500), np.ones(100)])
@@ -104,7 +104,9 @@ def test_alpha_is_opacity_times_response(degree: int, device: str) -> None:
 @pytest.mark.parametrize("adaptive", [True, False])
 @pytest.mark.parametrize("min_response", [0.0, 0.0113, 0.5])
 @pytest.mark.parametrize("degree", DEGREES)
-def test_reach_is_where_a_threshold_is_reached(degree: int, min_response: float, adaptive: bool, device: str) -> None:
+def test_reach_of_a_gaussian_ends_at_minimum_alpha_or_minimum_response(
+    degree: int, min_response: float, adaptive: bool, device: str
+) -> None:
     """At the reach either alpha is 1/255 or the response is ``min_response``, whichever comes first.
 
     With adaptive clamping, opacity times response is compared with ``min_response``.
@@ -120,7 +122,7 @@ def test_reach_is_where_a_threshold_is_reached(degree: int, min_response: float,
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_gaussians_below_minimum_opacity_have_no_reach(degree: int) -> None:
+def test_gaussians_below_an_opacity_of_1_255_have_no_reach(degree: int) -> None:
     """The squared reach is negative below an opacity of 1/255, 0 at it, and positive above."""
     step = np.float32(ALPHA_MIN)
     opacities = np.array([0.0, 1e-30, 0.5 * step, np.nextafter(step, np.float32(0.0)), step, 1.01 * step])
@@ -140,7 +142,7 @@ def test_adaptive_minimum_response_drops_transparent_gaussians(adaptive: bool) -
 # --- Space ---
 
 
-def test_canonical_space_is_the_inverse_of_rotation_and_scale() -> None:
+def test_object_to_canonical_matrix_inverts_rotation_and_scale() -> None:
     """The product W R S is the identity for flat and round Gaussians of scales from 1e-4 to 1e4."""
     gaussians = random_gaussians(1, 60, scale_range=(1e-4, 1e4))
     rotations, scales = frames(gaussians)
@@ -150,7 +152,7 @@ def test_canonical_space_is_the_inverse_of_rotation_and_scale() -> None:
         np.testing.assert_allclose(actual * scale[:, None] @ rotation, np.eye(3), atol=1e-6)
 
 
-def test_particle_stores_its_gaussian() -> None:
+def test_traced_particle_stores_the_parameters_of_its_gaussian() -> None:
     """A particle holds mean, index, log opacity, squared reach and the matrix from object to canonical space."""
     gaussians = random_gaussians(2, 200)
     kernel = kernel_of(2)
@@ -167,7 +169,7 @@ def test_particle_stores_its_gaussian() -> None:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("offset", [0.0, 1e4])
-def test_boxes_tightly_contain_the_ellipsoids(degree: int, offset: float) -> None:
+def test_bounding_boxes_tightly_contain_the_ellipsoids_of_gaussians(degree: int, offset: float) -> None:
     """Boxes contain the ellipsoid's exact bounds and exceed them by rounding only.
 
     Thin needles along an axis are the hard case: rounding their rotation to float32 moves their ends by more than their
@@ -193,7 +195,7 @@ def test_boxes_tightly_contain_the_ellipsoids(degree: int, offset: float) -> Non
         assert (out <= slack).all()
 
 
-def test_ignored_gaussians_have_inverted_boxes() -> None:
+def test_gaussians_without_reach_have_inverted_bounding_boxes() -> None:
     """An inverted box is hit by no ray and leaves a union with another box unchanged."""
     gaussians = ls.Gaussians(
         [[1.0, 2.0, 3.0]] * 2, [[1, 0, 0, 0]] * 2, np.ones((2, 3)), [0.0, 0.0039], np.ones((2, 1, 3))
@@ -205,7 +207,7 @@ def test_ignored_gaussians_have_inverted_boxes() -> None:
 # --- Ellipsoid ---
 
 
-def test_ellipsoid_normal_is_the_gradient_at_the_entry_point() -> None:
+def test_ellipsoid_normal_is_the_density_gradient_at_the_entry_point() -> None:
     """The entry point is where |W (x - mean)| equals the reach; the gradient, by central differences, faces the ray."""
     count = 300
     gaussians = random_gaussians(4, count, scale_range=(0.02, 2.0))
@@ -241,7 +243,7 @@ def test_ellipsoid_normal_is_the_gradient_at_the_entry_point() -> None:
     assert (np.einsum("ni,ni->n", actual, directions) <= 1e-6).all()
 
 
-def test_ellipsoid_normal_of_a_sphere_matches_closed_form() -> None:
+def test_ellipsoid_normal_of_a_sphere_matches_the_closed_form() -> None:
     """A ray that passes the centre at 0.6 radii enters 0.8 radii before it, so the normal is (0.6, 0, -0.8)."""
     ball = ls.Gaussians([[0.0, 0.0, 0.0]], [[1, 0, 0, 0]], [[0.5] * 3], [1.0], np.zeros((1, 1, 3)))
     radius = 0.5 * math.sqrt(2.0 * math.log(255.0))

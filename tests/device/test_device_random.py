@@ -63,7 +63,7 @@ def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
         (2**31 - 1, 2**24 - 1, 12345, 0x8B5F3FF8),
     ],
 )
-def test_sample_keys_match_stored_values(pixel: int, sample: int, seed: int, sample_key: int) -> None:
+def test_random_sample_keys_match_stored_values(pixel: int, sample: int, seed: int, sample_key: int) -> None:
     """The values were computed once with Python's integers; they keep frames of a seed unchanged."""
     assert int(random.sample_key_of(pixel, sample, wp.uint32(seed))) == sample_key
 
@@ -78,12 +78,12 @@ def test_sample_keys_match_stored_values(pixel: int, sample: int, seed: int, sam
         (0x89ED2DF0, LAST - 1, 1_094_224),
     ],
 )
-def test_draws_match_stored_values(sample_key: int, dimension: int, value: int) -> None:
+def test_random_draws_match_stored_values(sample_key: int, dimension: int, value: int) -> None:
     """Draws are multiples of 2^-24."""
     assert random.draw(wp.uint32(sample_key), wp.uint32(dimension)) == value * 2.0**-24
 
 
-def test_permutation_matches_its_publication() -> None:
+def test_random_permutation_matches_its_publication() -> None:
     """The published permutation is written here with Python's integers."""
     for word in (1, 2, 0xDEADBEEF, LAST, 0x80000000):
         x = word
@@ -93,7 +93,7 @@ def test_permutation_matches_its_publication() -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_kernels_numpy_and_python_give_the_same_bits(device: str) -> None:
+def test_random_numbers_of_kernels_numpy_and_python_have_equal_bits(device: str) -> None:
     """The law holds for the largest counters too."""
     rng = np.random.default_rng(1)
     count = 20_000
@@ -116,7 +116,7 @@ def test_kernels_numpy_and_python_give_the_same_bits(device: str) -> None:
         assert random.draw_mixed(sample_key, random.mix(wp.uint32(int(dimensions[i])))) == drawn[i]
 
 
-def test_draws_stay_below_one() -> None:
+def test_random_draws_stay_below_one_for_the_largest_word() -> None:
     """The largest word also gives a draw below 1, since float32 represents 24 bits exactly."""
     inverse = pow(0xD35A2D97, -1, 2**32), pow(0x21F0AAAD, -1, 2**32)
     word = LAST  # the inverse permutation, which finds the word that it maps to 0xFFFFFFFF
@@ -130,7 +130,7 @@ def test_draws_stay_below_one() -> None:
     assert random.draw(wp.uint32(sample_key), wp.uint32(9)) == 1.0 - 2.0**-24
 
 
-def test_lens_and_branch_dimensions_do_not_overlap_gaussians() -> None:
+def test_random_dimensions_of_lens_and_branches_do_not_overlap_gaussian_indices() -> None:
     """These dimensions count down from the largest, and Gaussians count up by index."""
     taken = [int(value) for value in (random.LENS_RADIUS, random.LENS_ANGLE, random.BRANCH_LAST)]
     assert taken == [LENS_RADIUS, LENS_ANGLE, BRANCH_LAST] == [LAST, LAST - 1, LAST - 2]
@@ -140,7 +140,7 @@ def test_lens_and_branch_dimensions_do_not_overlap_gaussians() -> None:
 
 
 @pytest.mark.parametrize("dimension", [0, 1, 7, 152_745, 2**31 - 1, LAST - 3, LAST - 1, LAST])
-def test_draws_are_uniform(dimension: int) -> None:
+def test_random_draws_are_uniform_over_pixels_samples_and_seeds(dimension: int) -> None:
     """The first 12 bits and the next 12 are uniform over pixels, over samples and over seeds."""
     for key in (sample_keys(PIXELS), sample_keys(77, PIXELS), sample_keys(77, 5, PIXELS)):
         words = absorbed(key, dimension)
@@ -149,7 +149,7 @@ def test_draws_are_uniform(dimension: int) -> None:
 
 
 @pytest.mark.parametrize("key", [0, 1, 12345, LAST])
-def test_dimensions_of_a_key_are_uniform_and_independent(key: int) -> None:
+def test_random_dimensions_of_one_key_are_uniform_and_independent(key: int) -> None:
     """One ray's draws for all Gaussians are uniform, and Gaussians of neighbouring index are independent."""
     words = absorbed(np.uint32(key), PIXELS)
     assert abs(chi_square_z(np.bincount(words >> 20, minlength=4096))) < LIMIT
@@ -158,7 +158,7 @@ def test_dimensions_of_a_key_are_uniform_and_independent(key: int) -> None:
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 16, 255, 4096, 65_537, 1 << 20, 1 << 24, 1 << 28, 1 << 29, 1 << 30, 1 << 31])
-def test_draws_of_different_gaussians_are_independent(step: int) -> None:
+def test_random_draws_of_different_gaussians_are_independent(step: int) -> None:
     """The draws are independent for every difference of indices."""
     key = sample_keys(PIXELS)
     for index in (0, 1, 1000):
@@ -166,7 +166,7 @@ def test_draws_of_different_gaussians_are_independent(step: int) -> None:
 
 
 @pytest.mark.parametrize("offset", [1, 2, 16, 640, 1920, 65_536])
-def test_draws_of_different_pixels_are_independent(offset: int) -> None:
+def test_random_draws_of_different_pixels_are_independent(offset: int) -> None:
     """Neighbours within a row and between rows are independent, for Gaussians and for lens points."""
     key = sample_keys(PIXELS)
     for dimension in (0, 12345, LAST):
@@ -175,7 +175,7 @@ def test_draws_of_different_pixels_are_independent(offset: int) -> None:
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 255, 256, 65_536, 1 << 23])
-def test_draws_of_different_samples_and_seeds_are_independent(step: int) -> None:
+def test_random_draws_of_different_samples_and_seeds_are_independent(step: int) -> None:
     """A pixel's successive samples are independent, and so are equal samples of different seeds."""
     first = sample_keys(PIXELS, seed=3)
     for second in (sample_keys(PIXELS, step, 3), sample_keys(PIXELS, 0, 3 + step)):
@@ -183,7 +183,7 @@ def test_draws_of_different_samples_and_seeds_are_independent(step: int) -> None
             assert np.abs(pair_z(absorbed(first, dimension), absorbed(second, dimension))).max() < LIMIT
 
 
-def test_lens_coordinates_and_branches_are_independent() -> None:
+def test_random_draws_of_lens_coordinates_and_of_branches_are_independent() -> None:
     """The two lens coordinates are independent, and so are a Gaussian's draws before and after a mirror or glass."""
     key = sample_keys(PIXELS)
     assert np.abs(pair_z(absorbed(key, LENS_RADIUS), absorbed(key, LENS_ANGLE))).max() < LIMIT
@@ -194,13 +194,13 @@ def test_lens_coordinates_and_branches_are_independent() -> None:
             assert np.abs(pair_z(words[i], words[j])).max() < LIMIT
 
 
-def test_all_pixels_and_samples_have_distinct_keys() -> None:
+def test_all_pixels_and_samples_have_distinct_random_keys() -> None:
     """The mixing is one-to-one, so no two pixels of a sample and no two samples of a pixel share a key."""
     assert np.unique(sample_keys(PIXELS)).size == PIXELS.size
     assert np.unique(sample_keys(7, PIXELS)).size == PIXELS.size
 
 
-def test_statistics_reject_weak_generators() -> None:
+def test_randomness_statistics_reject_weak_generators() -> None:
     """The tests reject an unmixed counter and the low bits of a multiplication."""
     key = sample_keys(PIXELS)
     with np.errstate(over="ignore"):
@@ -221,7 +221,7 @@ def sobol_points(keys: np.ndarray, samples: np.ndarray) -> np.ndarray:
     return points.numpy().astype(float).reshape(len(keys), len(samples), 2)
 
 
-def test_sobol_points_match_python() -> None:
+def test_sobol_points_of_kernels_and_python_have_equal_bits() -> None:
     """The kernel gives the same bits as the function called from Python."""
     points = sobol_points(np.array([0, 5, LAST]), np.array([0, 3, 100]))
     for i, key in enumerate((0, 5, LAST)):
@@ -230,7 +230,7 @@ def test_sobol_points_match_python() -> None:
 
 
 @pytest.mark.parametrize("key", [0, 0x9E3779B9])
-def test_sobol_points_are_stratified(key: int) -> None:
+def test_sobol_points_are_stratified_in_elementary_intervals(key: int) -> None:
     """Each aligned run of 2^n points has one point in each of the 2^n elementary intervals of every shape."""
     (points,) = sobol_points(np.array([key]), np.arange(128))
     assert (points >= 0.0).all() and (points < 1.0).all()
@@ -251,7 +251,7 @@ def test_sobol_points_of_different_keys_are_independent() -> None:
     assert max(abs(related[0, 1]), abs(related[2, 3])) < 4.5 / np.sqrt(count)
 
 
-def test_reversed_bits_reverses_the_bit_string() -> None:
+def test_reversed_bits_reverses_the_bits_of_a_32_bit_word() -> None:
     """Reversing twice restores the word."""
     for word in (0, 1, 0x80000000, 0x12345678, 0xDEADBEEF):
         turned = int(random.reversed_bits(wp.uint32(word)))

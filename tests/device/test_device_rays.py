@@ -73,7 +73,9 @@ def lens_camera(model: ls.CameraModel, **changes: object) -> ls.Camera:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("features", [{}, {"aperture": 0.0}, {"camera_from_world_end": None}])
-def test_rays_match_the_float64_oracle(model: ls.CameraModel, features: dict[str, object], device: str) -> None:
+def test_device_camera_rays_match_the_float64_oracle(
+    model: ls.CameraModel, features: dict[str, object], device: str
+) -> None:
     """Origin, direction and ``t_min`` match for the first samples and for a sample above one million."""
     camera = lens_camera(model, **features)
     for sample, seed in ((0, 0), (1, 0), (2, 7), (1_000_003, 2**32 - 1)):
@@ -89,7 +91,7 @@ def test_rays_match_the_float64_oracle(model: ls.CameraModel, features: dict[str
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_ray_directions_match_the_host(model: ls.CameraModel) -> None:
+def test_device_camera_ray_directions_match_the_host(model: ls.CameraModel) -> None:
     """Without aperture, the first sample's directions equal ``ray_directions``, which define depth_z."""
     camera = front_camera(40, 30, 7.0, model=model)
     np.testing.assert_allclose(device_rays(camera)["direction"], camera.ray_directions(), atol=1e-6)
@@ -105,7 +107,7 @@ def test_ray_directions_match_the_host(model: ls.CameraModel) -> None:
         (0.21, 0.03, 0.01, 0.002, 0.004, -0.003),
     ],
 )
-def test_distorted_ray_directions_match_the_host(lens, model, device) -> None:
+def test_device_ray_directions_through_distorted_lenses_match_the_host(lens, model, device) -> None:
     """Newton's method converges in float32 to the float64 result."""
     camera = front_camera(40, 30, 23.0, model=model, distortion=lens)
     expected = camera.ray_directions()
@@ -113,7 +115,7 @@ def test_distorted_ray_directions_match_the_host(lens, model, device) -> None:
     np.testing.assert_allclose(device_rays(camera, device=device)["direction"], expected, atol=3e-6)
 
 
-def test_lens_has_no_rays_beyond_its_monotonic_radius() -> None:
+def test_distorted_lens_has_no_rays_beyond_its_monotonic_radius() -> None:
     """Device and host agree on the pixels without rays, except at the radius itself, where rounding decides."""
     camera = front_camera(64, 48, 33.0, distortion=(-0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
     missing = (camera.ray_directions() == 0.0).all(axis=2)
@@ -121,7 +123,7 @@ def test_lens_has_no_rays_beyond_its_monotonic_radius() -> None:
     assert missing.any() and (found != missing).mean() < 0.01
 
 
-def test_pinhole_rays_match_the_rasteriser() -> None:
+def test_pinhole_camera_rays_match_the_rasterisers_projection() -> None:
     """Rays pass through the pixel centres of the rasteriser and start at the same near plane."""
     camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0, near=0.25)
     data = CameraData()
@@ -134,7 +136,7 @@ def test_pinhole_rays_match_the_rasteriser() -> None:
     np.testing.assert_array_equal(rays["origin"], 0.0)
 
 
-def test_camera_ray_called_from_python_matches_the_kernel() -> None:
+def test_camera_ray_called_from_python_equals_that_of_the_kernel() -> None:
     """Python and the kernel return the same ray for a pixel, and none for a corner beyond the lens."""
     camera = lens_camera(FISHEYE)
     rays = device_rays(camera, 3, 5)
@@ -153,7 +155,7 @@ def test_camera_ray_called_from_python_matches_the_kernel() -> None:
 # --- Camera models, closed forms ---
 
 
-def test_fisheye_of_220_degrees_sees_behind_itself() -> None:
+def test_fisheye_of_220_degrees_has_rays_that_point_backwards() -> None:
     """Rays at the middle of an edge point 110 degrees off the axis, and ``near`` is a distance along the ray."""
     camera = ls.Camera.look_at(
         (1, 2, 3), (1, 2, 9), (0, -1, 0), width=222, height=220, fov_y=np.radians(220.0), near=0.4, model=FISHEYE
@@ -178,7 +180,7 @@ def test_orthographic_rays_start_on_the_plane_through_the_eye() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_scaled_camera_keeps_the_rays(model: ls.CameraModel) -> None:
+def test_camera_scaled_threefold_keeps_the_rays_of_the_original_pixels(model: ls.CameraModel) -> None:
     """At three times the resolution, the middle of each 3 x 3 pixels has the original pixel's ray."""
     camera = lens_camera(model, aperture=0.0, camera_from_world_end=None)
     large, small = device_rays(camera.scaled(width=120)), device_rays(camera)
@@ -189,7 +191,7 @@ def test_scaled_camera_keeps_the_rays(model: ls.CameraModel) -> None:
 # --- Samples ---
 
 
-def test_subpixel_samples_follow_the_r2_sequence() -> None:
+def test_sub_pixel_sample_positions_follow_the_r2_sequence() -> None:
     """Sample 0 is the pixel centre, and all pixels share the offsets; without jitter every sample is the centre."""
     assert subpixel(0) == (0.5, 0.5)
     np.testing.assert_allclose(subpixel(1), (0.2548776662466927, 0.0698402909980532), atol=1e-15)
@@ -203,14 +205,14 @@ def test_subpixel_samples_follow_the_r2_sequence() -> None:
     np.testing.assert_array_equal(device_rays(camera, 2, jitter=False), device_rays(camera, 0))
 
 
-def test_r2_steps_are_powers_of_the_plastic_number() -> None:
+def test_r2_sequence_steps_are_powers_of_the_plastic_number() -> None:
     """The steps are 1/g and 1/g^2, where g^3 = g + 1."""
     x, y = SUBPIXEL_STEPS
     assert 1.0 / x**3 == pytest.approx(1.0 / x + 1.0, abs=1e-14)
     assert y == pytest.approx(x * x, abs=1e-15)
 
 
-def test_subpixel_samples_are_evenly_distributed() -> None:
+def test_sub_pixel_sample_positions_are_evenly_distributed() -> None:
     """Of 64 successive samples, at most three fall into each of 32 cells and at most one cell stays empty.
 
     Random samples leave four cells empty.
@@ -225,7 +227,7 @@ def test_subpixel_samples_are_evenly_distributed() -> None:
 # --- Lens ---
 
 
-def test_disk_points_are_uniform_in_area() -> None:
+def test_disk_sampling_is_uniform_in_area() -> None:
     """Equal parts of (u, v) map to equal areas in rings and sectors."""
     grid = (np.arange(40) + 0.5) / 40.0
     points = np.array([disk_point(float(u), float(v)) for u in grid for v in grid])
@@ -237,7 +239,7 @@ def test_disk_points_are_uniform_in_area() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_lens_rays_of_a_pixel_intersect_in_focus(model: ls.CameraModel) -> None:
+def test_thin_lens_rays_of_a_pixel_intersect_at_the_focus_distance(model: ls.CameraModel) -> None:
     """The rays of all samples meet at view depth 2.5, or at distance 2.5 for a fisheye."""
     camera = front_camera(12, 10, 3.0, model=model, aperture=0.4, focus_distance=2.5)
     sharp = replace(camera, aperture=0.0)
@@ -260,7 +262,7 @@ def test_lens_rays_of_a_pixel_intersect_in_focus(model: ls.CameraModel) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_circle_of_confusion_matches_the_thin_lens(model: ls.CameraModel) -> None:
+def test_circle_of_confusion_matches_the_thin_lens_formula(model: ls.CameraModel) -> None:
     """At depths of half and twice the focus distance, the blur is a uniform disk of |depth / focus - 1| apertures."""
     camera = front_camera(64, 64, 64.0 / 1.2, model=model, aperture=0.2, focus_distance=2.0, near=1e-3)
     center, rays = device_rays(replace(camera, aperture=0.0)), device_rays(camera, 5, jitter=False)
@@ -282,7 +284,7 @@ def test_circle_of_confusion_matches_the_thin_lens(model: ls.CameraModel) -> Non
         assert np.abs((points - middle).mean(axis=(0, 1))).max() < 4.0 * 0.5 * 0.2 * abs(depth / 2.0 - 1.0) / 64.0
 
 
-def test_fisheye_lens_is_perpendicular_to_each_ray() -> None:
+def test_fisheye_aperture_is_perpendicular_to_each_ray() -> None:
     """The blur has the same size across the image, also for rays that point sideways or backwards."""
     camera = front_camera(40, 40, 9.0, model=FISHEYE, aperture=0.3, focus_distance=2.0)
     rays, center = device_rays(camera, 1, jitter=False), device_rays(replace(camera, aperture=0.0))
@@ -291,7 +293,7 @@ def test_fisheye_lens_is_perpendicular_to_each_ray() -> None:
     assert np.abs(along).max() < 1e-6
 
 
-def test_lens_point_depends_on_seed_and_sample_only() -> None:
+def test_lens_point_of_a_pixel_depends_only_on_seed_and_sample() -> None:
     """Equal seed and sample give equal bits; a different seed or sample gives different origins."""
     camera = lens_camera(PINHOLE)
     first = device_rays(camera, 4, 9)
@@ -304,14 +306,14 @@ def test_lens_point_depends_on_seed_and_sample_only() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_rolling_shutter_without_motion_changes_nothing(model: ls.CameraModel) -> None:
+def test_rolling_shutter_without_motion_changes_no_bit_of_the_rays(model: ls.CameraModel) -> None:
     """Equal start and end poses give the bits of a camera without an end pose."""
     once = lens_camera(model, camera_from_world_end=None)
     twice = replace(once, camera_from_world_end=once.camera_from_world)
     np.testing.assert_array_equal(device_rays(once, 3), device_rays(twice, 3))
 
 
-def test_rolling_shutter_translates_linearly_over_rows() -> None:
+def test_rolling_shutter_translates_the_camera_linearly_over_rows() -> None:
     """A motion of 5 units over 10 rows starts row y at 0.5 y + 0.25 and keeps all directions."""
     end = np.eye(4)
     end[0, 3] = -5.0
@@ -324,7 +326,7 @@ def test_rolling_shutter_translates_linearly_over_rows() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_rolling_shutter_rotates_linearly_over_rows(model: ls.CameraModel) -> None:
+def test_rolling_shutter_rotates_the_camera_linearly_over_rows(model: ls.CameraModel) -> None:
     """A rotation by 90 degrees about y over 9 rows rotates row y by 10 y + 5 degrees."""
     end = np.linalg.inv(rotation((0.0, 1.0, 0.0), 0.5 * np.pi))
     still = front_camera(9, 9, 6.0, model=model)
@@ -337,7 +339,7 @@ def test_rolling_shutter_rotates_linearly_over_rows(model: ls.CameraModel) -> No
             np.testing.assert_allclose(rays[name][y], unrotated[name][y] @ row_rotation.T, atol=2e-6)
 
 
-def test_rotated_is_a_right_handed_rotation() -> None:
+def test_device_function_rotated_is_a_right_handed_rotation() -> None:
     """A rotation by 0 about the zero axis returns the vector."""
     vector = wp.vec3(0.3, -0.2, 0.9)
     axis = np.array([1.0, 2.0, -2.0]) / 3.0
@@ -346,7 +348,7 @@ def test_rotated_is_a_right_handed_rotation() -> None:
     np.testing.assert_array_equal(np.array(rotated(vector, wp.vec3(0.0, 0.0, 0.0), 0.0)), np.array(vector))
 
 
-def test_camera_table_fills_every_struct_field() -> None:
+def test_camera_table_fills_every_field_of_the_camera_struct() -> None:
     """A field that ``camera_table`` does not set would be 0."""
     camera = lens_camera(FISHEYE, distortion=(-0.01, 0.0, 0.0, 0.0, 0.001, 0.0))
     table = camera_table(replace(camera, window=(16, 16, 24, 14)), subpixel(4))

@@ -80,7 +80,7 @@ def walter(alpha: float, eta: float, view: Doubles, light: Doubles) -> float:
 
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [0.1, 0.5])
-def test_values_match_walter_2007(alpha: float, eta: float) -> None:
+def test_rough_glass_values_match_walter_2007(alpha: float, eta: float) -> None:
     """Reflection and transmission match, for light that arrives from outside and from inside."""
     view, (lights, _) = direction(0.7, 0.4), sphere(24, 24)
     lights = lights.reshape(-1, 3).astype(np.float32).astype(np.float64)
@@ -92,7 +92,7 @@ def test_values_match_walter_2007(alpha: float, eta: float) -> None:
 
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.parametrize("inside", [False, True])
-def test_values_match_mitsuba(number: int, inside: bool) -> None:
+def test_rough_glass_values_match_mitsuba(number: int, inside: bool) -> None:
     """The tool make_mitsuba_glass_reference stored the values; Mitsuba's radiance is not over the squared index."""
     with np.load(REFERENCE / "mitsuba_rough_dielectric.npz") as stored:
         views, lights, expected = stored["views"], stored["lights"], stored["values"][number, int(inside)]
@@ -109,7 +109,7 @@ def test_values_match_mitsuba(number: int, inside: bool) -> None:
 @pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [0.2, 0.6])
-def test_rough_glass_is_reciprocal(alpha: float, eta: float, thin: bool) -> None:
+def test_rough_glass_bsdf_is_reciprocal(alpha: float, eta: float, thin: bool) -> None:
     """Reflection is symmetric in view and light; transmission is so after division by the squared index behind."""
     rng = np.random.default_rng(2)
     for _ in range(40):
@@ -129,7 +129,7 @@ def test_rough_glass_is_reciprocal(alpha: float, eta: float, thin: bool) -> None
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [0.01, 0.1, 0.3, 1.0])
 @pytest.mark.parametrize("cosine", [1.0, 0.7, 0.3])
-def test_rough_glass_conserves_energy(alpha: float, eta: float, thin: bool, cosine: float) -> None:
+def test_rough_glass_bsdf_conserves_energy(alpha: float, eta: float, thin: bool, cosine: float) -> None:
     """Smooth clear glass passes or reflects nearly all light; only the loss of single scattering is missing.
 
     Coloured glass loses the absorbed part of the transmission.
@@ -171,21 +171,23 @@ def chi_square(sampled: npt.NDArray[Any], assumed: npt.NDArray[Any], view: Doubl
 @pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize(("alpha", "cosine"), [(0.25, 0.8), (0.5, 0.3), (1.0, 1.0)])
-def test_sampled_directions_follow_the_pdf(alpha: float, cosine: float, eta: float, thin: bool) -> None:
+def test_directions_sampled_from_rough_glass_follow_the_pdf(
+    alpha: float, cosine: float, eta: float, thin: bool
+) -> None:
     """A chi-square test over the sphere, with and without a diffuse part, with rejected samples as one more bin."""
     for diffuse in (0.0, 0.5):
         table = glass(alpha, eta, thin=thin, diffuse=diffuse)
         assert abs(chi_square(table, table, direction(cosine, 2.0))) < LIMIT
 
 
-def test_chi_square_test_rejects_wrong_materials() -> None:
+def test_chi_square_test_of_rough_glass_rejects_wrong_materials() -> None:
     """The chi-square test rejects a slightly different roughness and a slightly different index."""
     view = direction(0.8, 2.0)
     assert chi_square(glass(0.25, 1.0 / 1.5), glass(0.27, 1.0 / 1.5), view) > LIMIT
     assert chi_square(glass(0.25, 1.0 / 1.5), glass(0.25, 1.0 / 1.45), view) > LIMIT
 
 
-def test_rough_glass_is_finite_for_extreme_directions() -> None:
+def test_rough_glass_values_are_finite_for_extreme_directions() -> None:
     """Values and weights stay finite for grazing directions and for indices of 0.05, 1 and 20."""
     ends = np.array([[1.0, 0.0, 1e-7], [-1.0, 0.0, 1e-7], [1.0, 0.0, -1e-7], [0, 0, 1], [0, 0, -1], [0.6, 0, -0.8]])
     for eta in (1.0, 0.9999, 1.0001, 0.05, 20.0):

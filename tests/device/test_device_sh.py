@@ -38,19 +38,19 @@ def device_basis() -> np.ndarray:
     return np.stack([colors(np.repeat(c[:, None], 3, axis=1), 3, directions)[:, 0] - 0.5 for c in one_hot], 1) / 0.1
 
 
-def test_sh_basis_is_orthonormal() -> None:
+def test_device_sh_basis_functions_are_orthonormal() -> None:
     """The integral of the product of two basis functions is 1 for equal functions and 0 otherwise."""
     basis, (_, weights) = device_basis(), sphere()
     np.testing.assert_allclose(basis.T * weights @ basis, np.eye(16), atol=1e-5)
 
 
-def test_sh_basis_order_and_signs_match_the_oracle() -> None:
+def test_device_sh_basis_order_and_signs_match_the_oracle() -> None:
     """The oracle writes out the constants of every basis function."""
     np.testing.assert_allclose(device_basis(), oracles.sh_basis(sphere()[0]), atol=2e-6)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_coefficients_above_the_degree_are_ignored(degree: int) -> None:
+def test_sh_coefficients_above_the_degree_are_ignored(degree: int) -> None:
     """NaN coefficients above the degree do not reach the colour."""
     directions, _ = sphere()
     sh = np.random.default_rng(0).normal(0.0, 0.1, (16, 3))

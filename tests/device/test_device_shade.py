@@ -32,7 +32,7 @@ def z_of_counts(values: np.ndarray, bins: int) -> float:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_sixteen_samples_cover_sixteen_strata(device: str) -> None:
+def test_sixteen_stochastic_samples_draw_one_number_in_each_sixteenth(device: str) -> None:
     """Each aligned run of 16 samples has one draw per stratum in every dimension; draws are k 2^-24 in [0, 1)."""
     drawn = numbers(device, 500, 64)
     assert (drawn >= 0.0).all() and (drawn < 1.0).all()
@@ -43,7 +43,7 @@ def test_sixteen_samples_cover_sixteen_strata(device: str) -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_stratified_draws_are_uniform_and_independent(device: str) -> None:
+def test_stratified_draws_of_stochastic_samples_are_uniform_and_independent(device: str) -> None:
     """Every sample is uniform over Gaussians; pairs of Gaussians, of samples and of seeds are independent."""
     drawn = numbers(device, 1 << 16, 32)
     cells = (16.0 * drawn).astype(int)
@@ -60,7 +60,7 @@ def test_stratified_draws_are_uniform_and_independent(device: str) -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_strata_of_two_gaussians_are_independent(device: str) -> None:
+def test_stratified_draws_of_two_gaussians_are_independent(device: str) -> None:
     """The number of samples where both Gaussians draw low numbers follows the hypergeometric distribution."""
     low = numbers(device, 1 << 15, 16) < 0.5
     both = (low[::2] & low[1::2]).sum(axis=1)
@@ -70,7 +70,7 @@ def test_strata_of_two_gaussians_are_independent(device: str) -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_exactly_one_triangle_owns_an_edge_crossing(device: str) -> None:
+def test_ray_through_a_shared_triangle_edge_hits_exactly_one_triangle(device: str) -> None:
     """A ray through a shared corner or edge hits one triangle, from every side and for both windings."""
     rng = np.random.default_rng(1)
     angles = (np.arange(7) + rng.uniform(0.0, 0.5, 7)) * 2.0 * math.pi / 7.0

@@ -75,7 +75,7 @@ def test_smooth_white_material_reflects_all_light(ior: float, degrees: float) ->
 
 @pytest.mark.parametrize("degrees", DEGREES)
 @pytest.mark.parametrize("inside", [False, True])
-def test_partly_transmitting_white_conserves_energy(inside: bool, degrees: float) -> None:
+def test_partly_transmitting_smooth_white_material_conserves_energy(inside: bool, degrees: float) -> None:
     """Refraction and diffuse reflection share the light that is not mirrored, also under total internal reflection."""
     cosine = float(np.cos(np.radians(degrees)))
     for specular in (1.0, 0.5):

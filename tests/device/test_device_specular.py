@@ -59,7 +59,9 @@ def bounce(
 
 
 @given(vectors, vectors)
-def test_reflection_keeps_angle_and_plane(direction: tuple[float, ...], normal: tuple[float, ...]) -> None:
+def test_mirror_reflection_keeps_the_angle_and_the_plane_of_incidence(
+    direction: tuple[float, ...], normal: tuple[float, ...]
+) -> None:
     """The reflected direction is a unit vector in the plane of incidence, at the same angle on the other side."""
     d, n, cosine = facing(direction, normal)
     mirrored = np.array(reflect(wp.vec3(*d), wp.vec3(*n)))
@@ -69,7 +71,9 @@ def test_reflection_keeps_angle_and_plane(direction: tuple[float, ...], normal: 
 
 
 @given(vectors, vectors, st.floats(0.3, 3.0))
-def test_refraction_obeys_snell(direction: tuple[float, ...], normal: tuple[float, ...], eta: float) -> None:
+def test_refracted_directions_obey_snells_law(
+    direction: tuple[float, ...], normal: tuple[float, ...], eta: float
+) -> None:
     """The refracted direction is a unit vector in the plane of incidence; the sines have the ratio of the indices."""
     d, n, cosine = facing(direction, normal)
     assume(cosine2_beyond(cosine, eta) > 1e-4)
@@ -79,7 +83,7 @@ def test_refraction_obeys_snell(direction: tuple[float, ...], normal: tuple[floa
     np.testing.assert_allclose(np.cross(beyond, n), eta * np.cross(d, n), atol=2e-6)
 
 
-def test_refraction_matches_known_angles() -> None:
+def test_refraction_of_45_degrees_into_glass_matches_known_angles() -> None:
     """Rays at 45 degrees refract to 28.1255 degrees in glass of index 1.5; perpendicular rays continue straight."""
     d = wp.vec3(*(np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)))
     inside = np.array(refract(d, wp.vec3(0.0, 1.0, 0.0), 1.0 / 1.5))
@@ -104,13 +108,13 @@ def test_refraction_matches_known_angles() -> None:
         (60.0, 1.5, 1.0),
     ],
 )
-def test_fresnel_matches_known_reflectances(degrees: float, eta: float, expected: float) -> None:
+def test_fresnel_reflectance_matches_known_values(degrees: float, eta: float, expected: float) -> None:
     """The reflectances are those of unpolarised light from outside and from inside."""
     assert fresnel(float(np.cos(np.radians(degrees))), eta) == pytest.approx(expected, rel=1e-3, abs=1e-5)
 
 
 @given(st.floats(0.01, 1.5), st.floats(0.3, 3.0))
-def test_fresnel_matches_the_angle_form(angle: float, eta: float) -> None:
+def test_fresnel_reflectance_matches_the_sine_and_tangent_form(angle: float, eta: float) -> None:
     """Fresnel's form uses squared sines and tangents of the difference and the sum of the two angles."""
     assume(eta * np.sin(angle) < 0.99)
     beyond = np.arcsin(eta * np.sin(angle))
@@ -127,7 +131,7 @@ def test_total_internal_reflection_starts_at_the_critical_angle() -> None:
 
 
 @given(st.floats(1e-3, 1.0), st.floats(0.3, 3.0))
-def test_fresnel_is_reciprocal(cosine: float, eta: float) -> None:
+def test_fresnel_reflectance_is_equal_for_the_reversed_path(cosine: float, eta: float) -> None:
     """The reflectance is between 0 and 1 and the same for the reversed path."""
     beyond2 = cosine2_beyond(cosine, eta)
     assume(beyond2 > 1e-4)
@@ -137,13 +141,13 @@ def test_fresnel_is_reciprocal(cosine: float, eta: float) -> None:
 
 
 @given(st.floats(0.0, 1.0))
-def test_equal_indices_reflect_nothing(cosine: float) -> None:
+def test_interface_between_equal_indices_reflects_nothing(cosine: float) -> None:
     """The reflectance is 0 at grazing angles too."""
     assume(cosine > 1e-12)
     assert fresnel(cosine, 1.0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_schlick_matches_known_values() -> None:
+def test_schlick_reflectance_of_metals_matches_known_values() -> None:
     """The reflectance is the metal's colour at normal incidence, 1/32 closer to white at 60 degrees, white at 90."""
     gold = wp.vec3(1.0, 0.7, 0.3)
     np.testing.assert_allclose(np.array(schlick(gold, 1.0)), np.array(gold), atol=1e-7)
@@ -152,7 +156,7 @@ def test_schlick_matches_known_values() -> None:
 
 
 @given(vectors, vectors, st.floats(1.0, 3.0), unit_floats)
-def test_white_dielectrics_conserve_energy(
+def test_bounce_weights_of_smooth_white_dielectrics_add_up_to_1(
     direction: tuple[float, ...], face: tuple[float, ...], ior: float, transmission: float
 ) -> None:
     """Reflected, refracted and diffuse weights add up to 1 from both sides."""
@@ -164,7 +168,7 @@ def test_white_dielectrics_conserve_energy(
 
 
 @given(vectors, vectors, colors, unit_floats, unit_floats, unit_floats)
-def test_no_material_adds_light(
+def test_bounce_weights_of_no_smooth_material_add_light(
     direction: tuple[float, ...],
     face: tuple[float, ...],
     base: tuple[float, ...],
@@ -180,7 +184,7 @@ def test_no_material_adds_light(
     assert (parts.sum(axis=0) <= 1.0 + 1e-5).all()
 
 
-def test_bounce_weights_at_normal_incidence() -> None:
+def test_bounce_weights_at_normal_incidence_match_known_values() -> None:
     """Mirrors reflect their colour and glass reflects 4 %; the tint of glass is applied once per crossing."""
     down, up = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
     tint = (0.2, 0.5, 0.9)
@@ -196,7 +200,7 @@ def test_bounce_weights_at_normal_incidence() -> None:
     np.testing.assert_array_equal(np.array([rough.reflected, rough.refracted]), np.zeros((2, 3)))
 
 
-def test_triangle_orientation_determines_inside() -> None:
+def test_triangle_orientation_determines_whether_a_ray_enters_glass() -> None:
     """A ray against the triangle's normal enters glass and a ray along it leaves; opaque materials have no inside."""
     along = np.array([0.0, 0.6, -0.8])
     up = np.array([0.0, 0.0, 1.0])
@@ -216,7 +220,7 @@ def test_total_internal_reflection_reflects_all_light() -> None:
 
 
 @given(vectors, vectors, vectors, indices, unit_floats)
-def test_reflection_and_refraction_stay_on_their_sides(
+def test_reflections_and_refractions_stay_on_their_side_of_the_triangle(
     direction: tuple[float, ...],
     face: tuple[float, ...],
     shading: tuple[float, ...],
@@ -234,7 +238,7 @@ def test_reflection_and_refraction_stay_on_their_sides(
         assert np.array(refract(wp.vec3(*d), normal, result.eta)) @ side < 0.0
 
 
-def test_reflection_uses_the_shading_normal() -> None:
+def test_mirror_reflection_uses_the_shading_normal_of_either_sign() -> None:
     """A tilted shading normal bends the reflection; its sign does not matter."""
     d, n, s = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.6, 0.8])
     for normal in (s, -s):

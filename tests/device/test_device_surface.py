@@ -34,7 +34,7 @@ def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0
 
 
 @given(st.lists(st.floats(0.0, 0.99), max_size=12))
-def test_blend_weights_and_transmittance_sum_to_one(alphas: list[float]) -> None:
+def test_blend_weights_and_transmittance_of_a_pixel_sum_to_one(alphas: list[float]) -> None:
     """The transmittance also stays above its minimum."""
     pixel = blended(alphas)
     green = np.array(pixel.color)[1]
@@ -44,7 +44,7 @@ def test_blend_weights_and_transmittance_sum_to_one(alphas: list[float]) -> None
 
 
 @given(st.lists(st.floats(0.0, 0.99), max_size=12), st.floats(0.0, 1.0))
-def test_blend_finds_the_iso_opacity_surface(alphas: list[float], iso: float) -> None:
+def test_blending_finds_the_splat_of_the_iso_opacity_surface(alphas: list[float], iso: float) -> None:
     """The surface is the first blended splat after which the transmittance is below the threshold, or -1."""
     pixel = blended(alphas, iso=iso)
     remaining, expected, first = np.float32(1.0), -1, -1
@@ -61,14 +61,14 @@ def test_blend_finds_the_iso_opacity_surface(alphas: list[float], iso: float) ->
     assert (pixel.surface, pixel.first) == (expected, first)
 
 
-def test_blend_marks_a_finished_pixel_by_negative_transmittance() -> None:
+def test_blending_marks_a_finished_pixel_by_negative_transmittance() -> None:
     """The splat that would bring the transmittance below its minimum is dropped."""
     pixel = blended([0.9, 0.9, 0.99, 0.5])
     assert pixel.transmittance == pytest.approx(-0.01, rel=1e-4)
     assert pixel.color[0] == pytest.approx(0.09, rel=1e-4)
 
 
-def test_pixel_rays_pass_through_pixel_centres() -> None:
+def test_rasteriser_pixel_rays_pass_through_the_pixel_centres() -> None:
     """Rays have z = 1 and project to the pixel's index plus 0.5."""
     camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0)
     data = CameraData()
@@ -82,7 +82,7 @@ def test_pixel_rays_pass_through_pixel_centres() -> None:
 
 @settings(max_examples=60)
 @given(points, points, points, st.tuples(*[st.floats(0.02, 1.0)] * 3))
-def test_barycentric_coordinates_recover_the_point(
+def test_barycentric_coordinates_of_a_ray_recover_its_point_on_the_triangle(
     v0: tuple[float, ...], v1: tuple[float, ...], v2: tuple[float, ...], mix: tuple[float, ...]
 ) -> None:
     """A ray at a point of the triangle returns its barycentric coordinates and depth for both windings."""
@@ -102,7 +102,7 @@ def test_barycentric_coordinates_recover_the_point(
 
 @settings(max_examples=60)
 @given(points, points)
-def test_shared_edges_have_opposite_edge_functions(a: tuple[float, ...], b: tuple[float, ...]) -> None:
+def test_shared_edges_of_two_triangles_have_opposite_edge_functions(a: tuple[float, ...], b: tuple[float, ...]) -> None:
     """Two triangles that share an edge compute edge functions of opposite sign and equal bits."""
     apart = wp.vec3(-3.0, 2.0, 1.0), wp.vec3(3.0, -2.0, 1.5)
     one = setup_triangle(apart[0], wp.vec3(*a), wp.vec3(*b))
@@ -112,6 +112,6 @@ def test_shared_edges_have_opposite_edge_functions(a: tuple[float, ...], b: tupl
 
 
 @given(st.floats(0.0, 4.0))
-def test_srgb_encoding_matches_the_host(value: float) -> None:
+def test_device_srgb_encoding_matches_the_host(value: float) -> None:
     """The law holds for values from 0 to 4."""
     assert encode_srgb(value) == pytest.approx(float(encode_srgb_host(np.float64(value))), abs=1e-5)

@@ -38,7 +38,7 @@ def expected(image: np.ndarray, uvs: np.ndarray, modes: tuple[Any, Any]) -> np.n
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("modes", list(itertools.product(MODES, MODES)), ids="-".join)
-def test_texture_wrapping_matches_numpy_padding(modes: tuple[str, str], device: str) -> None:
+def test_device_texture_wrapping_matches_numpy_padding(modes: tuple[str, str], device: str) -> None:
     """The law holds for each wrap mode on each axis, and for alpha as for colours."""
     rng = np.random.default_rng(4)
     image = rng.integers(0, 256, (3, 5, 4)).astype(np.uint8)
@@ -56,7 +56,7 @@ def test_texture_wrapping_matches_numpy_padding(modes: tuple[str, str], device: 
     np.testing.assert_allclose(found, expected(image / 255.0, uvs.astype(np.float64), modes), atol=2e-5)
 
 
-def test_host_texture_wrapping_is_the_same() -> None:
+def test_host_texture_wrapping_equals_the_device_wrapping() -> None:
     """The host's ``wrapped`` maps coordinates outside 0..1 as the device does."""
     x = np.array([-1.75, -0.25, 0.25, 1.0, 1.25, 2.5])
     np.testing.assert_allclose(wrapped(x, TextureWrap.REPEAT), [0.25, 0.75, 0.25, 0.0, 0.25, 0.5])

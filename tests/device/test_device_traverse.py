@@ -185,7 +185,7 @@ SPREADS = [0.0, 1e-6, 1e-3, 0.05, COHERENT_SPREAD]
 
 @pytest.mark.parametrize("far", [0.0, 1e3])
 @pytest.mark.parametrize("spread", SPREADS)
-def test_slabs_contain_the_rays(spread: float, far: float) -> None:
+def test_slabs_of_a_ray_packet_contain_its_rays(spread: float, far: float) -> None:
     """At any distance, each live ray lies between the planes of its packet in the instance's space."""
     packets, _, found = setting(spread, far)
     up, down = (
@@ -203,7 +203,7 @@ def test_slabs_contain_the_rays(spread: float, far: float) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("far", [0.0, 1e3])
 @pytest.mark.parametrize("spread", SPREADS)
-def test_box_entry_is_a_lower_bound_for_every_ray(spread: float, far: float, device: str) -> None:
+def test_box_entry_distance_of_a_packet_is_a_lower_bound_for_every_ray(spread: float, far: float, device: str) -> None:
     """The law holds for rays that start outside and inside a box, and no box that a ray hits is missed."""
     packets, nodes, found = setting(spread, far, device)
     low, high = corners(nodes)
@@ -221,7 +221,7 @@ def test_box_entry_is_a_lower_bound_for_every_ray(spread: float, far: float, dev
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_box_entries_of_single_rays_are_tight(device: str) -> None:
+def test_box_entry_distances_of_single_rays_are_tight(device: str) -> None:
     """Entry distances are too small by a few roundings at most; boxes that are missed by more are not entered."""
     packets, nodes, found = setting(0.0, device=device)
     low, high = corners(nodes)
@@ -256,7 +256,7 @@ def mean_entries(found: Found, nodes: np.ndarray, begins: np.ndarray, ends: np.n
 
 
 @pytest.mark.parametrize("spread", SPREADS)
-def test_mean_entries_are_lower_bounds_of_projections(spread: float) -> None:
+def test_mean_entry_distance_of_a_box_is_a_lower_bound_of_projected_means(spread: float) -> None:
     """The distance is at most the projection of any point of the box on any live ray.
 
     Boxes that are entered before the packet's end, with means beyond its begin, are not missed.
@@ -287,7 +287,7 @@ def test_mean_entries_are_lower_bounds_of_projections(spread: float) -> None:
         assert (here[counts] >= (nearest - 10.0 * room)[counts]).all()
 
 
-def test_empty_children_are_never_entered() -> None:
+def test_ray_packets_never_enter_empty_or_inverted_boxes() -> None:
     """Packets of any spread and scale miss empty boxes and the inverted boxes of ignored Gaussians."""
     for spread in SPREADS:
         packets = random_packets(5, spread)
@@ -295,7 +295,7 @@ def test_empty_children_are_never_entered() -> None:
         assert (found.entries == NEVER).all()
 
 
-def test_packets_miss_boxes_off_their_direction() -> None:
+def test_ray_packets_miss_boxes_off_their_direction() -> None:
     """A packet of half a degree towards +z hits a box ahead and misses boxes 10 degrees off and behind."""
     random = np.random.default_rng(0)
     directions = normalized(np.array([0.0, 0.0, 1.0]) + 0.009 * random.uniform(-0.57, 0.57, (1, LANES, 3)))
@@ -318,7 +318,7 @@ def test_packets_miss_boxes_off_their_direction() -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_packets_take_rays_close_to_the_first(device: str) -> None:
+def test_ray_packet_takes_rays_close_to_the_first_waiting_ray(device: str) -> None:
     """A packet takes the first waiting ray and those within the radius and the angular spread of it, from any lane."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1

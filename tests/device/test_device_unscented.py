@@ -53,7 +53,7 @@ def gaussians_in_view(camera: ls.Camera, seed: int, count: int = 200) -> tuple[n
 
 
 @pytest.mark.parametrize("spread", [(1.0, 2.0, 0.0), (0.1, 2.0, 0.0), (1.0, 0.0, 1.0), (0.5, 2.0, -1.0)])
-def test_oracle_moments_are_exact_for_linear_maps(spread: tuple[float, float, float]) -> None:
+def test_unscented_oracle_moments_are_exact_for_linear_maps(spread: tuple[float, float, float]) -> None:
     """The law holds for every spread of the sigma points, also if the mean's weight is negative."""
     rng = np.random.default_rng(1)
     matrix, offset = rng.normal(size=(2, 3)), rng.normal(size=2)
@@ -64,7 +64,7 @@ def test_oracle_moments_are_exact_for_linear_maps(spread: tuple[float, float, fl
     np.testing.assert_allclose(covariance, matrix @ (axes * scales**2) @ axes.T @ matrix.T, rtol=1e-8, atol=1e-10)
 
 
-def test_moments_are_exact_for_disks_facing_a_pinhole() -> None:
+def test_unscented_moments_are_exact_for_disks_facing_a_pinhole() -> None:
     """Disks perpendicular to the optical axis have constant depth, so their projection is linear."""
     camera = replace(lens(45.0), camera_from_world=np.eye(4))
     rng = np.random.default_rng(2)
@@ -84,7 +84,7 @@ def test_moments_are_exact_for_disks_facing_a_pinhole() -> None:
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_moments_match_the_oracle(name: str) -> None:
+def test_unscented_moments_match_the_oracle_for_every_lens(name: str) -> None:
     """The law holds for every lens."""
     camera = LENSES[name]
     points, axes, scales = gaussians_in_view(camera, 3)
@@ -100,7 +100,7 @@ def test_moments_match_the_oracle(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_projection_inverts_pixel_rays(name: str) -> None:
+def test_lens_projection_inverts_pixel_rays(name: str) -> None:
     """Points on a pixel's ray project back to the pixel's centre."""
     camera = LENSES[name]
     rays = camera.ray_directions()
@@ -114,7 +114,7 @@ def test_projection_inverts_pixel_rays(name: str) -> None:
 @pytest.mark.parametrize(
     "camera", [rolling(lens(45.0)), rolling(lens(18.0, model=FISHEYE))], ids=["pinhole", "fisheye"]
 )
-def test_rolling_shutter_projection_inverts_row_rays(camera: ls.Camera) -> None:
+def test_rolling_shutter_projection_inverts_the_rays_of_each_row(camera: ls.Camera) -> None:
     """Points at any distance on the rays of a row project to this row, although rows differ in pose."""
     rays = rays_of(camera)
     rng = np.random.default_rng(4)
@@ -126,7 +126,7 @@ def test_rolling_shutter_projection_inverts_row_rays(camera: ls.Camera) -> None:
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_invisible_points_do_not_project_into_the_image(name: str) -> None:
+def test_points_outside_the_view_of_a_lens_do_not_project_into_the_image(name: str) -> None:
     """The points lie behind a pinhole, beside the image or beyond the monotonic radius of a lens."""
     camera = LENSES[name]
     rng = np.random.default_rng(5)

@@ -23,12 +23,12 @@ from lumisplat.frame.mattes import id_floats, matte_channels, matte_metadata, mu
         ("é café", 0x735C2790),
     ],
 )
-def test_hashes_are_murmur3(name: str, expected: int) -> None:
+def test_cryptomatte_hashes_are_murmur3(name: str, expected: int) -> None:
     """Matches the package mmh3 5.2 with seed 0, for all lengths of the last block."""
     assert murmur3_32(name) == expected
 
 
-def test_ids_are_normal_floats() -> None:
+def test_cryptomatte_ids_are_normal_floats() -> None:
     """No id is denormal, infinite or NaN, because readers may change such floats."""
     names = [f"thing {number}" for number in range(20_000)]
     hashes = np.array([murmur3_32(name) for name in names], dtype=np.uint32)
@@ -40,7 +40,7 @@ def test_ids_are_normal_floats() -> None:
     assert set(turned[np.isin(exponents, (0, 255))]) == {1 << 23} and not turned[~np.isin(exponents, (0, 255))].any()
 
 
-def test_channels_hold_two_ranks_each() -> None:
+def test_cryptomatte_channels_hold_two_ranks_each() -> None:
     """Ids and coverage fill R and G, then B and A; the manifest maps names to ids."""
     ids = id_floats(["a", "b", "c"])[:, None, None] * np.ones((3, 2, 2), np.float32)
     shares = np.array([0.5, 0.3, 0.2], np.float32)[:, None, None] * np.ones((3, 2, 2), np.float32)

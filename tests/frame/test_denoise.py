@@ -49,7 +49,7 @@ def shadowed(frame: ls.Frame, share: np.ndarray) -> ls.Frame:
 
 @needs_denoiser
 @pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
-def test_denoising_lowers_noise_and_preserves_the_mean(background: tuple | None) -> None:
+def test_denoising_a_frame_lowers_noise_and_preserves_the_mean(background: tuple | None) -> None:
     """The error of noisy light falls to less than a quarter, and its mean stays within 5 %."""
     truth = ball_frame(*SIZE, background=background)
     before = noisy(truth)
@@ -63,7 +63,7 @@ def test_denoising_lowers_noise_and_preserves_the_mean(background: tuple | None)
 
 
 @needs_denoiser
-def test_unlit_captures_are_unchanged_to_the_bit() -> None:
+def test_denoising_leaves_unlit_captures_unchanged_to_the_bit() -> None:
     """Pixels that show only captures or background have the same colour, light and bytes as before."""
     before = noisy(ball_frame(*SIZE, tone_map=ls.ToneMap.AGX))
     after = before.denoised()
@@ -81,7 +81,7 @@ def test_unlit_captures_are_unchanged_to_the_bit() -> None:
 
 
 @needs_denoiser
-def test_captures_keep_their_detail_in_shadows() -> None:
+def test_denoising_a_shadow_keeps_the_detail_of_the_capture_below_it() -> None:
     """A noisy shadow becomes smooth, while the sharp tiles of the capture in it are unchanged."""
     frame = ball_frame(*SIZE, background=None)
     rng = np.random.default_rng(1)
@@ -97,7 +97,7 @@ def test_captures_keep_their_detail_in_shadows() -> None:
 
 
 @needs_denoiser
-def test_nonfinite_light_counts_as_zero() -> None:
+def test_denoising_counts_non_finite_light_as_zero() -> None:
     """One NaN pixel and one infinite pixel do not spread."""
     before = noisy(ball_frame(*SIZE))
     assert before.light is not None
@@ -116,7 +116,7 @@ def test_denoising_a_denoised_frame_changes_nothing() -> None:
 
 
 @needs_denoiser
-def test_noisy_albedo_is_not_used_as_a_guide() -> None:
+def test_denoiser_gets_no_guides_if_the_first_surface_is_random() -> None:
     """If the first surface is chosen at random, the denoiser gets no guides."""
     frame = replace(noisy(ball_frame(*SIZE)), albedo=None)
     for settings in (
@@ -131,7 +131,7 @@ def test_noisy_albedo_is_not_used_as_a_guide() -> None:
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 @pytest.mark.parametrize("alpha_mode", [ls.AlphaMode.OPAQUE, ls.AlphaMode.BLEND])
-def test_guides_are_clean_unless_meshes_are_stochastic(
+def test_denoiser_guides_are_noisy_only_with_stochastic_mesh_alpha(
     alpha_mode: ls.AlphaMode, pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If rays pass a mesh at random by its alpha, the denoiser is told that the guides have noise."""
@@ -159,13 +159,13 @@ def test_guides_are_clean_unless_meshes_are_stochastic(
         (replace(ball_frame(), albedo=None), "the frame has no 'albedo': add it to RenderConfig.aovs"),
     ],
 )
-def test_unlit_frames_and_frames_without_albedo_are_refused(frame: ls.Frame, message: str) -> None:
+def test_denoising_unlit_frames_or_frames_without_albedo_is_refused(frame: ls.Frame, message: str) -> None:
     """The error is one line that says what to do."""
     with pytest.raises(ls.ConfigError, match=message):
         frame.denoised()
 
 
-def test_missing_denoiser_names_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_denoising_without_the_denoiser_package_names_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error appears before a frame is rendered, and also for an existing frame."""
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     for ask in (ls.Frame.check_denoiser, ball_frame().denoised):

@@ -24,7 +24,7 @@ def frame() -> ls.Frame:
     )
 
 
-def test_depth_z_is_depth_along_the_axis(frame: ls.Frame) -> None:
+def test_depth_z_of_a_frame_is_depth_along_the_camera_axis(frame: ls.Frame) -> None:
     """A point at distance ``depth`` along a pixel's ray has view depth ``depth_z``."""
     y, x = np.argwhere(np.isfinite(frame.depth))[0]
     camera = frame.camera
@@ -33,7 +33,7 @@ def test_depth_z_is_depth_along_the_axis(frame: ls.Frame) -> None:
     assert frame.depth_z[y, x] == pytest.approx(point[2], rel=1e-5)
 
 
-def test_premultiplied_removes_the_background(frame: ls.Frame) -> None:
+def test_premultiplied_colours_of_a_frame_exclude_the_background(frame: ls.Frame) -> None:
     """``premultiplied`` equals the radiance of the same frame rendered without a background."""
     scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
     bare = ls.render(scene, frame.camera, ls.RenderConfig(background=None, lighting=False), device="cpu")
@@ -41,14 +41,14 @@ def test_premultiplied_removes_the_background(frame: ls.Frame) -> None:
     np.testing.assert_allclose(frame.premultiplied(), frame.straight() * frame.alpha[..., None], atol=1e-6)
 
 
-def test_png_shows_the_colours_as_trained(frame: ls.Frame, tmp_path: Path) -> None:
+def test_png_of_an_unlit_frame_shows_the_colours_as_trained(frame: ls.Frame, tmp_path: Path) -> None:
     """An unlit frame is written without tone mapping: its display-referred values, rounded to 8 bits."""
     frame.save(tmp_path / "a.png")
     expected = np.floor(np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"], expected)
 
 
-def test_transparent_png_keeps_straight_alpha(tmp_path: Path) -> None:
+def test_transparent_png_stores_colours_that_are_not_premultiplied(tmp_path: Path) -> None:
     """Without a background the PNG has an alpha channel, and its colours are not premultiplied."""
     scene = ls.Scene([scenes.one_gaussian(opacity=0.5, color=(0.8, 0.4, 0.2))])
     frame = ls.render(
@@ -61,7 +61,7 @@ def test_transparent_png_keeps_straight_alpha(tmp_path: Path) -> None:
     np.testing.assert_allclose(saved / 255.0, (0.8, 0.4, 0.2, center), atol=0.5 / 255.0)
 
 
-def test_exr_is_linear_and_names_its_layers(frame: ls.Frame, tmp_path: Path) -> None:
+def test_exr_stores_linear_colours_and_every_layer_under_its_nuke_name(frame: ls.Frame, tmp_path: Path) -> None:
     """One part holds linear premultiplied RGBA and every AOV, bit for bit, under the names that Nuke reads."""
     frame.save(tmp_path / "a.exr")
     channels = read_image(tmp_path / "a.exr")
@@ -76,7 +76,7 @@ def test_exr_is_linear_and_names_its_layers(frame: ls.Frame, tmp_path: Path) -> 
     np.testing.assert_allclose(np.stack([channels[c] for c in "RGB"], axis=2), expected, atol=1e-7)
 
 
-def test_only_named_layers_are_saved(frame: ls.Frame, tmp_path: Path) -> None:
+def test_saving_a_frame_writes_only_the_named_layers(frame: ls.Frame, tmp_path: Path) -> None:
     """An EXR holds exactly the named layers, a PNG has them as images beside it, and a misspelt name writes no file."""
     frame.save(tmp_path / "a.exr", ["depth"])
     assert read_image(tmp_path / "a.exr").keys() == {"R", "G", "B", "A", "depth.Z"}
@@ -87,7 +87,7 @@ def test_only_named_layers_are_saved(frame: ls.Frame, tmp_path: Path) -> None:
     assert not (tmp_path / "c.png").exists()
 
 
-def test_missing_index_is_the_largest_integer_in_exr(frame: ls.Frame, tmp_path: Path) -> None:
+def test_exr_index_layers_store_4294967295_where_no_surface_is_hit(frame: ls.Frame, tmp_path: Path) -> None:
     """Without a hit, index layers hold 4294967295, as the guide says."""
     frame.save(tmp_path / "a.exr", ["instance_index"])
     index = read_image(tmp_path / "a.exr")["index.instance"]
@@ -95,7 +95,7 @@ def test_missing_index_is_the_largest_integer_in_exr(frame: ls.Frame, tmp_path: 
     assert (index[frame.instance_index == -1] == 4294967295).all() and (frame.instance_index == -1).any()
 
 
-def test_reprs_are_short(frame: ls.Frame) -> None:
+def test_reprs_of_frames_captures_and_meshes_contain_no_arrays(frame: ls.Frame) -> None:
     """The repr of a frame, a capture and a mesh describes them without their arrays."""
     gaussians = scenes.random_gaussians(3, count=40)
     assert len(gaussians) == 40
@@ -114,7 +114,7 @@ def test_reprs_are_short(frame: ls.Frame) -> None:
     assert "array" not in repr(scene) + repr(scene.splats) + repr(scene.meshes)
 
 
-def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
+def test_npz_files_store_every_image_of_a_frame(frame: ls.Frame, tmp_path: Path) -> None:
     """Every array survives a round trip."""
     frame.save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as saved:
@@ -122,20 +122,20 @@ def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
             np.testing.assert_array_equal(saved[name], array)
 
 
-def test_objects_other_than_scenes_are_refused() -> None:
+def test_rendering_an_object_that_is_not_a_scene_is_refused() -> None:
     """A bare capture is refused, with how to make a scene of it."""
     with pytest.raises(ls.SceneError, match=r"expected a Scene, got Gaussians: ls\.Scene\(splats="):
         ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # pyright: ignore[reportArgumentType]
 
 
-def test_objects_other_than_cameras_are_refused() -> None:
+def test_rendering_with_an_object_that_is_not_a_camera_is_refused() -> None:
     """An object that is no camera is refused, with how to make a camera."""
     with pytest.raises(ls.SceneError, match=r"expected a Camera, got str: ls\.Camera\.look_at"):
         ls.render(ls.Scene(), "front", device="cpu")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("config", ["fast", ls.RasterConfig(), ""], ids=type)
-def test_objects_other_than_settings_are_refused(config: Any) -> None:
+def test_rendering_with_an_object_that_is_not_a_config_is_refused(config: Any) -> None:
     """All functions refuse an object that is no RenderConfig in the same words."""
     rays = (ls.Scene(), np.zeros((1, 3)), np.ones((1, 3)))
     view = scenes.front_camera(8, 8)
@@ -149,7 +149,7 @@ def test_objects_other_than_settings_are_refused(config: Any) -> None:
             attempt()
 
 
-def test_glass_is_opaque_without_a_background() -> None:
+def test_clear_glass_has_alpha_1_without_a_background() -> None:
     """Clear glass has alpha 1 although its rays go through; without a background it shows black."""
     scene = ls.Scene(meshes=[slab(3.0, 0.5, GLASS, half=9.0)])
     camera = scenes.front_camera(8, 8)
@@ -164,13 +164,13 @@ def test_glass_is_opaque_without_a_background() -> None:
     assert hits.transmittance[0] == 0.0
 
 
-def test_image_beyond_the_indices_is_refused() -> None:
+def test_image_with_more_pixels_than_32_bit_indices_is_refused() -> None:
     """An image too large for 32-bit indices is an error before anything is allocated."""
     with pytest.raises(ls.SceneError, match="at most 200,000,000 pixels"):
         ls.render(ls.Scene(), scenes.front_camera(65536, 65536), device="cpu")
 
 
-def test_unknown_extension_and_layer_are_refused(frame: ls.Frame, tmp_path: Path) -> None:
+def test_saving_a_frame_with_unknown_extension_or_layer_is_refused(frame: ls.Frame, tmp_path: Path) -> None:
     """The message lists the choices, and no file is written."""
     with pytest.raises(ls.FormatError, match=r"expected \.png, \.exr or \.npz"):
         frame.save(tmp_path / "a.jpg")

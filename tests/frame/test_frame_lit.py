@@ -27,7 +27,7 @@ def untouched(frame: ls.Frame) -> np.ndarray:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 @pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
-def test_pixels_without_added_light_equal_the_unlit_frame(
+def test_pixels_of_a_lit_frame_without_added_light_equal_the_unlit_frame(
     tone_map: ls.ToneMap, background: tuple | None, tmp_path: Path
 ) -> None:
     """Exactly the pixels without added light have the values and PNG bytes of the unlit frame."""
@@ -43,7 +43,7 @@ def test_pixels_without_added_light_equal_the_unlit_frame(
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_png_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp_path: Path) -> None:
+def test_png_of_a_lit_frame_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp_path: Path) -> None:
     """Pixels without a capture are the tone-mapped, exposed light."""
     frame = ball_frame(tone_map=tone_map, exposure=1.5)
     assert frame.light is not None and frame.captured_weight is not None
@@ -54,7 +54,7 @@ def test_png_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp_path: Path) ->
     assert bare.any() and np.abs(saved - expected).max() <= 1.0
 
 
-def test_transparent_png_divides_by_alpha(tmp_path: Path) -> None:
+def test_transparent_png_of_a_lit_frame_divides_colours_by_alpha(tmp_path: Path) -> None:
     """A half-covered pixel has the full colour and alpha one half."""
     frame = ball_frame(background=None, tone_map=ls.ToneMap.NEUTRAL)
     assert frame.light is not None and frame.captured is not None and frame.captured_weight is not None
@@ -70,7 +70,7 @@ def test_transparent_png_divides_by_alpha(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"][..., 3], np.where(frame.alpha > 0.0, 128, 0))
 
 
-def test_premultiplied_is_linear_and_without_background() -> None:
+def test_premultiplied_colours_of_a_lit_frame_are_linear_without_background() -> None:
     """``premultiplied`` equals the radiance of the same frame rendered without a background."""
     over, bare = ball_frame(), ball_frame(background=None)
     np.testing.assert_allclose(over.premultiplied(), bare.color, atol=2e-6)
@@ -78,7 +78,7 @@ def test_premultiplied_is_linear_and_without_background() -> None:
     assert over.premultiplied()[over.alpha == 0.0].max() == 0.0
 
 
-def test_partial_coverage_loses_only_the_background() -> None:
+def test_capture_of_partial_alpha_without_background_keeps_colour_times_alpha() -> None:
     """A capture of alpha 0.6 over a background keeps 0.6 of its radiance, and its colour."""
     frame = ball_frame(1, 1)
     captured = np.array([[[0.9, 0.2, 0.4]]], np.float32)
@@ -95,7 +95,7 @@ def test_partial_coverage_loses_only_the_background() -> None:
     np.testing.assert_allclose(thin.layers(())["R"], unlit(thin).layers(())["R"], atol=1e-6)
 
 
-def test_exr_ignores_exposure_and_tone_map(tmp_path: Path) -> None:
+def test_exr_of_a_lit_frame_ignores_exposure_and_tone_map(tmp_path: Path) -> None:
     """RGBA is premultiplied and linear, independent of exposure and tone map; every layer has its channels."""
     frame = ball_frame(tone_map=ls.ToneMap.AGX, exposure=2.0)
     frame.save(tmp_path / "a.exr")
@@ -115,7 +115,7 @@ def test_exr_ignores_exposure_and_tone_map(tmp_path: Path) -> None:
     np.testing.assert_array_equal(channels["position.Z"], frame.position[..., 2])
 
 
-def test_exr_of_unlit_captures_equals_the_unlit_frame(tmp_path: Path) -> None:
+def test_exr_pixels_without_added_light_equal_the_unlit_frame(tmp_path: Path) -> None:
     """Pixels without added light have the same linear channels, lit or unlit."""
     frame = ball_frame()
     lit, plain = frame.layers(()), unlit(frame).layers(())
@@ -123,14 +123,14 @@ def test_exr_of_unlit_captures_equals_the_unlit_frame(tmp_path: Path) -> None:
         np.testing.assert_allclose(lit[name][untouched(frame)], plain[name][untouched(frame)], atol=1e-6)
 
 
-def test_layers_are_saved_beside_the_png(tmp_path: Path) -> None:
+def test_layers_of_a_lit_frame_are_saved_as_images_beside_the_png(tmp_path: Path) -> None:
     """Each layer becomes an image of its name; each light becomes two."""
     ball_frame().save(tmp_path / "a.png", ["albedo", "lights", "position"])
     names = ["albedo", "light.key.direct", "light.key.shadow", "light.1.direct", "light.1.shadow", "position"]
     assert {path.name for path in tmp_path.iterdir()} == {"a.png", *(f"a.{name}.png" for name in names)}
 
 
-def test_npz_holds_the_rendered_images_only(tmp_path: Path) -> None:
+def test_npz_files_store_only_the_rendered_layers_of_a_lit_frame(tmp_path: Path) -> None:
     """Every image and the lights' names survive a round trip; layers that were not requested are absent."""
     frame = replace(ball_frame(), reflection=None)
     frame.save(tmp_path / "a.npz")
@@ -141,7 +141,7 @@ def test_npz_holds_the_rendered_images_only(tmp_path: Path) -> None:
     assert "reflection" not in arrays and "depth_z" in arrays and "position" in arrays
 
 
-def test_missing_layers_are_refused(tmp_path: Path) -> None:
+def test_saving_or_viewing_layers_that_were_not_rendered_is_refused(tmp_path: Path) -> None:
     """A layer or view that was not rendered is refused with the setting that adds it, and no file is written."""
     frame = replace(ball_frame(), albedo=None, light_direct=None, light_shadow=None, hits=None)
     for layer in ("albedo", "lights", "hits"):
@@ -156,7 +156,7 @@ def test_missing_layers_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_light_labels_are_unique_and_safe() -> None:
+def test_labels_of_lights_in_files_are_unique_and_valid() -> None:
     """Light names become unique labels that are valid in channel and file names."""
     frame = ball_frame()
     direct, shadow = np.zeros((6, 27, 48, 3), np.float32), np.ones((6, 27, 48, 3), np.float32)
@@ -168,7 +168,7 @@ def test_light_labels_are_unique_and_safe() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("field", ["light", "captured", "captured_weight", "alpha", "color"])
-def test_nonfinite_radiance_is_black_and_reported(
+def test_saving_non_finite_radiance_writes_black_and_logs_a_warning(
     value: float, field: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A warning counts non-finite pixels; PNG and EXR hold 0 there, and all other pixels are unchanged."""
@@ -192,7 +192,7 @@ def test_nonfinite_radiance_is_black_and_reported(
         assert np.isfinite(channels[name]).all() and not channels[name][20, 10:13].any()
 
 
-def test_nonfinite_layers_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_saving_non_finite_layers_logs_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A non-finite pixel in a radiance layer does not blacken the image, but is counted in the warning."""
     frame = ball_frame()
     assert frame.light_direct is not None
@@ -206,7 +206,7 @@ def test_nonfinite_layers_are_reported(tmp_path: Path, caplog: pytest.LogCapture
     assert channels["light.1.direct.B"][20, 4] == 0.0 and channels["B"][20, 4] > 0.0
 
 
-def test_discarded_samples_are_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_saving_a_frame_logs_discarded_samples_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Samples that the renderer left out as non-finite are reported once, when the frame is saved."""
     good = FrameStats({}, 1, 1, 0, 1, 1, 1)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -218,7 +218,7 @@ def test_discarded_samples_are_reported_once(tmp_path: Path, caplog: pytest.LogC
     ]
 
 
-def test_color_is_captured_plus_light() -> None:
+def test_colour_of_a_lit_frame_is_captured_colour_plus_light() -> None:
     """The frame from formulas obeys the renderers' rule: color = decoded captured part + light."""
     frame = ball_frame()
     plain = untouched(frame)

@@ -27,7 +27,7 @@ def pixels_of(data: str) -> Image.Image:
 
 
 @pytest.mark.parametrize("background", ["black", None])
-def test_bright_captures_are_clipped_to_white(background: str | None) -> None:
+def test_images_of_captures_brighter_than_white_are_clipped_to_white(background: str | None) -> None:
     """SH colours above white are clipped in images, as documented, and metrics accept such frames."""
     frame = shown((1.3, 0.5, 0.1), background=background)
     assert frame.color.max() > 1.05
@@ -37,7 +37,7 @@ def test_bright_captures_are_clipped_to_white(background: str | None) -> None:
     assert ls.metrics.psnr(pixels[..., :3], pixels[..., :3]) == float("inf")
 
 
-def test_frames_convert_to_numpy_arrays() -> None:
+def test_frames_convert_to_numpy_arrays_of_the_requested_dtype() -> None:
     """NumPy's protocol gives a new array of the PNG's pixels in the requested dtype."""
     frame = shown()
     np.testing.assert_array_equal(np.asarray(frame), frame.pixels_srgb())
@@ -50,7 +50,7 @@ def test_frames_convert_to_numpy_arrays() -> None:
     assert ls.metrics.psnr(cast(Any, frame), cast(Any, frame)) == float("inf")
 
 
-def test_notebooks_show_the_image() -> None:
+def test_notebook_output_of_a_frame_is_a_png_with_its_size_and_repr() -> None:
     """The bundle holds a PNG of the pixels with its size, and the repr."""
     frame = shown()
     data, about = frame._repr_mimebundle_()
@@ -61,7 +61,7 @@ def test_notebooks_show_the_image() -> None:
     assert alone is not None and alone == base64.b64decode(data["image/png"])
 
 
-def test_notebooks_get_the_requested_mime_types() -> None:
+def test_notebook_output_of_a_frame_has_only_the_requested_mime_types() -> None:
     """MIME types that are not included, or are excluded, are left out."""
     frame = shown()
     assert set(frame._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
@@ -69,7 +69,7 @@ def test_notebooks_get_the_requested_mime_types() -> None:
     assert frame._repr_mimebundle_(include={"image/png"}, exclude={"image/png"}) == ({}, {})
 
 
-def test_large_frames_are_jpegs_unless_transparent() -> None:
+def test_notebook_output_of_large_opaque_frames_is_jpeg() -> None:
     """Frames above a megapixel become JPEGs; transparent ones stay PNGs, because JPEG has no alpha."""
     large = shown(size=1040)
     data, about = large._repr_mimebundle_()
@@ -82,7 +82,7 @@ def test_large_frames_are_jpegs_unless_transparent() -> None:
     assert pixels_of(data["image/png"]).mode == "RGBA"
 
 
-def test_broken_frames_are_shown_as_text() -> None:
+def test_notebook_output_of_a_broken_frame_is_text() -> None:
     """Showing a broken frame in a notebook never raises."""
     broken = replace(shown(), color=cast(Any, None))
     data, about = broken._repr_mimebundle_()

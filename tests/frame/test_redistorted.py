@@ -30,7 +30,7 @@ def shown(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings:
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_raster_and_rays_agree_on_meshes(lens):
+def test_rasterised_meshes_through_distorted_lenses_equal_traced_meshes(lens):
     """A tilted square has the same curved edge, colour, depth and normal as when ray traced."""
     scene = ls.Scene([], [quad(4.0, 1.6, tilt=0.4)])
     camera = camera_of(lens)
@@ -51,7 +51,7 @@ def test_raster_and_rays_agree_on_meshes(lens):
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_depth_agrees_with_rays(lens: Any, pipeline: ls.Pipeline) -> None:
+def test_depth_of_rasterised_distorted_frames_equals_the_depth_of_rays(lens: Any, pipeline: ls.Pipeline) -> None:
     """A floor's depth agrees with rays up to rounding, even beside the edge of a ball, and the ball's within 1e-3."""
     floor = quad(8.0, 6.0, tilt=1.2)
     ball = ls.MeshInstance(sphere(0.9, rows=64), position=(0.3, 0.2, 4.0))
@@ -73,13 +73,13 @@ def test_depth_agrees_with_rays(lens: Any, pipeline: ls.Pipeline) -> None:
     "lens",
     [pytest.param(lens, id=name, marks=[] if name == "barrel" else pytest.mark.deep) for name, lens in LENSES.items()],
 )
-def test_realtime_depth_agrees_with_rays(lens: Any) -> None:
+def test_depth_of_realtime_distorted_frames_equals_the_depth_of_rays(lens: Any) -> None:
     """Real-time frames have the first hits of the other pipelines."""
-    test_depth_agrees_with_rays(lens, ls.Pipeline.REALTIME)
+    test_depth_of_rasterised_distorted_frames_equals_the_depth_of_rays(lens, ls.Pipeline.REALTIME)
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_distortion_preserves_agreement_of_raster_and_rays(lens):
+def test_lens_distortion_adds_no_difference_between_raster_and_rays(lens):
     """With a lens, raster and rays without a footprint differ no more than without."""
     scene = ls.Scene([random_gaussians(5, count=400, center=(0, 0, 5), extent=(2.5, 2.0, 0.5))])
     difference = []
@@ -91,7 +91,7 @@ def test_distortion_preserves_agreement_of_raster_and_rays(lens):
     assert difference[1] < 1.15 * difference[0]
 
 
-def test_points_appear_at_their_distorted_position():
+def test_points_appear_at_the_pixel_of_opencvs_distortion_formula():
     """A small Gaussian off the axis appears at the pixel of OpenCV's formula."""
     camera = camera_of(BARREL)
     u, v = 0.5, -0.35
@@ -106,7 +106,7 @@ def test_points_appear_at_their_distorted_position():
     assert center == pytest.approx([camera.fx * x + camera.cx, camera.fy * y + camera.cy], abs=0.05)
 
 
-def test_all_images_of_lit_frames_are_resampled():
+def test_all_layers_of_lit_frames_through_distorted_lenses_are_resampled():
     """All images have the camera's size and are finite; uncovered pixels show the background."""
     light = ls.LightPoint((1, -2, 2), intensity=30.0)
     scene = ls.Scene([random_gaussians(6)], [quad(5.0, 0.8)], [light])
@@ -123,7 +123,7 @@ def test_all_images_of_lit_frames_are_resampled():
         np.testing.assert_allclose(corner, (0.1, 0.2, 0.3), atol=1e-5)
 
 
-def test_background_appears_beyond_the_fold():
+def test_background_appears_beyond_the_fold_of_the_distortion_polynomial():
     """Beyond the fold of the polynomial the background appears, not a second image of the centre."""
     camera = front_camera(96, 72, 60.0, distortion=(-0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
     missing = (camera.ray_directions() == 0.0).all(axis=2)
@@ -136,7 +136,7 @@ def test_background_appears_beyond_the_fold():
     np.testing.assert_array_equal(frame.color[missing], np.broadcast_to((1.0, 0.0, 0.0), (int(missing.sum()), 3)))
 
 
-def test_extreme_distortion_and_resuming_are_refused():
+def test_distortion_near_180_degrees_and_resuming_are_refused():
     """A lens near 180 degrees would need an unbounded pinhole image; a resumed frame would be filtered twice."""
     with pytest.raises(ls.SceneError, match=r"undistorted image of .* use Pipeline.TRACE"):
         undistorted_camera(front_camera(96, 72, 60.0, distortion=(-0.3, 0.045, 0.0, 0.0, 0.0, 0.0), fx=40.0, fy=40.0))

@@ -38,7 +38,9 @@ def oklab(srgb: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("view", OF_ALL_PIPELINES)
-def test_views_are_display_images(frame: ls.Frame, view: str, tmp_path: Path) -> None:
+def test_every_view_of_a_frame_is_an_image_in_0_to_1_saved_unchanged(
+    frame: ls.Frame, view: str, tmp_path: Path
+) -> None:
     """Each view has the image's size, lies in 0..1, is not empty, and is saved unchanged."""
     picture = frame.view(view)
     assert picture.shape == (27, 48, 3) and picture.dtype == np.float32
@@ -49,7 +51,7 @@ def test_views_are_display_images(frame: ls.Frame, view: str, tmp_path: Path) ->
     )
 
 
-def test_heat_map_is_perceptually_uniform(frame: ls.Frame) -> None:
+def test_heat_map_of_the_transmittance_view_is_perceptually_uniform(frame: ls.Frame) -> None:
     """Equal steps of transmittance are equal steps of perceived colour, with rising brightness."""
     alpha = np.linspace(1.0, 0.0, 33, dtype=np.float32)[None]
     colors = oklab(replace(frame, alpha=alpha).view("transmittance")[0].astype(np.float64))
@@ -58,7 +60,7 @@ def test_heat_map_is_perceptually_uniform(frame: ls.Frame) -> None:
     assert (np.diff(colors[:, 0]) > 0.0).all()
 
 
-def test_depth_runs_from_red_to_blue(frame: ls.Frame) -> None:
+def test_depth_view_runs_from_red_to_blue_over_the_depth_range(frame: ls.Frame) -> None:
     """The default range is the frame's own; with the same limits, equal depths have equal colours in all frames."""
     near, far = frame.view_limits("depth")
     surface = np.isfinite(frame.depth)
@@ -73,7 +75,7 @@ def test_depth_runs_from_red_to_blue(frame: ls.Frame) -> None:
     np.testing.assert_allclose(picture[same], other[0, 2], atol=0.05)
 
 
-def test_empty_frames_have_views(frame: ls.Frame) -> None:
+def test_frames_without_a_surface_have_views(frame: ls.Frame) -> None:
     """A frame without a surface has views, too: black, or the colour of no light."""
     empty = replace(
         frame,
@@ -93,7 +95,7 @@ def test_empty_frames_have_views(frame: ls.Frame) -> None:
     assert not layer_pictures(empty, "lights")
 
 
-def test_shadow_weighs_lights_by_brightness(frame: ls.Frame) -> None:
+def test_shadow_view_weights_lights_by_their_brightness(frame: ls.Frame) -> None:
     """With lights of 3 and 1 units, a half shadow of the first leaves five eighths; no light at all is blue."""
     direct = np.zeros((2, 1, 4, 3), np.float32)
     shadow = np.ones_like(direct)
@@ -107,7 +109,7 @@ def test_shadow_weighs_lights_by_brightness(frame: ls.Frame) -> None:
     np.testing.assert_allclose(picture[0], expected, atol=1e-6)
 
 
-def test_hits_are_logarithmic(frame: ls.Frame) -> None:
+def test_hits_view_is_logarithmic_on_a_fixed_scale(frame: ls.Frame) -> None:
     """Each doubling of 1 + hits is an equal step on a fixed scale; zero hits are black."""
     hits = np.array([[0.0, 1.0, 3.0, 15.0, 255.0, 9000.0]], np.float32)
     picture = replace(frame, hits=hits).view("hits")[0]
@@ -119,7 +121,7 @@ def test_hits_are_logarithmic(frame: ls.Frame) -> None:
     np.testing.assert_allclose(replace(frame, hits=hits).view("hits", (0.0, 15.0))[0, 3], heat[3], atol=1e-5)
 
 
-def test_index_colours_are_distinct_and_stable(frame: ls.Frame) -> None:
+def test_index_views_have_distinct_and_stable_colours(frame: ls.Frame) -> None:
     """Neighbouring indices differ in colour, a Gaussian looks the same in every frame, and meshes differ, too."""
     gaussian = np.array([[0, 1, 0, -1, -1, -1]], np.int32)
     instance = np.array([[0, 0, 1, 2, 3, -1]], np.int32)
@@ -130,7 +132,7 @@ def test_index_colours_are_distinct_and_stable(frame: ls.Frame) -> None:
     np.testing.assert_array_equal(picture[5], 0.0)
 
 
-def test_radiance_is_exposed(frame: ls.Frame) -> None:
+def test_views_of_light_are_exposed_and_views_of_albedo_are_not(frame: ls.Frame) -> None:
     """Light is exposed and sRGB-encoded, albedo is not exposed, and shadows are linear."""
     bright = ball_frame(exposure=1.0)
     assert frame.reflection is not None and frame.albedo is not None and frame.light_shadow is not None
@@ -142,7 +144,7 @@ def test_radiance_is_exposed(frame: ls.Frame) -> None:
     assert list(lights) == ["light.key.direct", "light.key.shadow", "light.1.direct", "light.1.shadow"]
 
 
-def test_positions_are_scaled_to_their_range(frame: ls.Frame) -> None:
+def test_position_view_scales_coordinates_to_their_range(frame: ls.Frame) -> None:
     """Red follows x, green y and blue z, over the range of the frame."""
     picture = layer_pictures(frame, "position")["position"]
     surface = np.isfinite(frame.depth)
@@ -153,7 +155,7 @@ def test_positions_are_scaled_to_their_range(frame: ls.Frame) -> None:
     assert not picture[~surface].any()
 
 
-def test_every_layer_can_be_shown(frame: ls.Frame) -> None:
+def test_every_layer_of_a_frame_can_be_viewed(frame: ls.Frame) -> None:
     """Every layer of the frame can be shown; NaN is black."""
     layers = [
         layer for layer in ls.Frame.LAYERS if layer not in (*PATH_AOVS, *REALTIME_AOVS, "shadow_ratio", "shadow_matte")
@@ -166,7 +168,7 @@ def test_every_layer_can_be_shown(frame: ls.Frame) -> None:
     assert not layer_pictures(spoiled, "emission")["emission"].any()
 
 
-def test_unknown_views_are_refused(frame: ls.Frame, tmp_path: Path) -> None:
+def test_saving_unknown_views_or_extensions_is_refused(frame: ls.Frame, tmp_path: Path) -> None:
     """An unknown view lists the choices, another extension names the right one, and no file is written."""
     with pytest.raises(ls.ConfigError, match="unknown view 'shadows', expected one of normal, depth"):
         frame.view("shadows")

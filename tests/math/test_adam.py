@@ -19,7 +19,7 @@ def steps_of_paper(gradients: np.ndarray, rate: float) -> np.ndarray:
     return np.stack(moves)
 
 
-def test_steps_match_the_paper() -> None:
+def test_adam_steps_match_the_paper() -> None:
     """Every step agrees with the paper, for arrays of any shape."""
     gradients = RNG.normal(size=(12, 5, 3))
     adam = Adam.still((5, 3))
@@ -27,7 +27,7 @@ def test_steps_match_the_paper() -> None:
     np.testing.assert_allclose(found, steps_of_paper(gradients, 0.02), rtol=1e-10)
 
 
-def test_rows_are_independent() -> None:
+def test_adam_bias_correction_counts_the_steps_of_each_row() -> None:
     """Bias correction counts the steps of each row, not those of all rows."""
     gradients, rows = RNG.normal(size=(30, 4)), RNG.integers(3, size=30)
     adam = Adam.still((3, 4), by_rows=True)

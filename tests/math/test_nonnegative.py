@@ -10,7 +10,7 @@ from lumisplat.math.nonnegative import bounded_least_squares, nonnegative_least_
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_nonnegative_solution_matches_scipy(seed):
+def test_nonnegative_least_squares_matches_scipy(seed):
     """Random problems of many shapes, with half of the free unknowns negative, match SciPy."""
     rng = np.random.default_rng(seed)
     rows, count = int(rng.integers(10, 60)), int(rng.integers(1, 25))
@@ -25,7 +25,7 @@ def test_nonnegative_solution_matches_scipy(seed):
     assert ((found == 0.0) == (expected == 0.0)).all() or rows < count
 
 
-def test_duplicate_columns_do_not_change_the_fit():
+def test_duplicate_columns_do_not_change_a_nonnegative_least_squares_fit():
     """Three copies of a column explain as much as one."""
     column = np.random.default_rng(1).random(30)
     matrix = np.stack([column] * 3, axis=1)
@@ -34,14 +34,14 @@ def test_duplicate_columns_do_not_change_the_fit():
     assert found.sum() == pytest.approx(2.0, rel=1e-6)
 
 
-def test_empty_problems_have_zero_solutions():
+def test_empty_nonnegative_least_squares_problems_have_zero_solutions():
     """Problems without unknowns, and with zero columns, have the solution 0."""
     assert nonnegative_least_squares(np.zeros((0, 0)), np.zeros(0)).shape == (0,)
     assert not nonnegative_least_squares(np.zeros((3, 3)), np.zeros(3)).any()
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_bounded_minimum_satisfies_kkt_conditions(seed):
+def test_bounded_least_squares_minimum_satisfies_the_kkt_conditions(seed):
     """All constraints hold, and only active ones carry the gradient.
 
     These are the Karush-Kuhn-Tucker conditions, which the unique minimum of a convex problem satisfies;
@@ -63,7 +63,7 @@ def test_bounded_minimum_satisfies_kkt_conditions(seed):
     assert multipliers.max() > 0.0
 
 
-def test_inactive_bounds_do_not_change_the_minimum():
+def test_inactive_bounds_do_not_change_the_least_squares_minimum():
     """If the unconstrained minimum satisfies the constraints, it is returned."""
     gram, moments = np.diag([2.0, 4.0]), np.array([2.0, 4.0])
     found = bounded_least_squares(gram, moments, np.eye(2), np.zeros(2))

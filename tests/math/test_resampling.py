@@ -20,7 +20,7 @@ def overlaps(size: int, count: int) -> np.ndarray:
 
 @settings(max_examples=60)
 @given(st.integers(1, 40), st.integers(1, 40), st.data())
-def test_area_mean_weights_by_overlap(height, width, data):
+def test_area_mean_weights_pixels_by_their_overlap(height, width, data):
     """Every smaller size matches explicit overlap matrices in float64, including fractional pixels."""
     rows, columns = data.draw(st.integers(1, height)), data.draw(st.integers(1, width))
     image = np.random.default_rng(height * 41 + width).integers(0, 256, (height, width, 3)).astype(np.uint8)
@@ -31,7 +31,7 @@ def test_area_mean_weights_by_overlap(height, width, data):
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_cubics_reproduce_quadratics(kind):
+def test_bicubic_interpolation_reproduces_monotonic_quadratics(kind):
     """Catmull-Rom cubics are exact for monotonic quadratics away from the edge."""
     y, x = np.mgrid[:12, :14] + 0.5
     image = np.stack([0.1 * x**2 + 0.2 * x * y, x + 3.0 * y], axis=-1).astype(kind)
@@ -43,7 +43,7 @@ def test_cubics_reproduce_quadratics(kind):
     np.testing.assert_allclose(found, expected, rtol=2e-5 if kind is np.float32 else 1e-12)
 
 
-def test_cubics_do_not_overshoot():
+def test_bicubic_interpolation_does_not_overshoot_steps():
     """A step stays within its two values, pixel centres return their pixels, and the edge extends outwards."""
     image = np.zeros((6, 6, 1))
     image[:, 3:] = 1.0

@@ -10,7 +10,7 @@ from support.oracles.raster_oracle import sh_basis as twin_basis
 from support.scenes.sphere import sphere_quadrature, unit
 
 
-def test_sh_basis_is_orthonormal() -> None:
+def test_sh_basis_functions_are_orthonormal_up_to_degree_8() -> None:
     """Integrals of products over the sphere are 1 for equal functions and 0 for others, up to degree 8."""
     directions, weights = sphere_quadrature(10)
     basis = sh_basis(directions, 8)
@@ -18,14 +18,14 @@ def test_sh_basis_is_orthonormal() -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_sh_basis_matches_the_convention_of_captures(degree: int) -> None:
+def test_sh_basis_has_the_order_signs_and_scale_of_captures(degree: int) -> None:
     """Order, signs and scale match captures, so that their coefficients and those of probes mean the same."""
     directions = unit(0, 100)
     expected = twin_basis(directions)[:, : (degree + 1) ** 2]
     np.testing.assert_allclose(sh_basis(directions, degree), expected, atol=1e-12)
 
 
-def test_lower_degrees_are_a_prefix_of_higher_ones() -> None:
+def test_sh_basis_of_lower_degree_is_a_prefix_of_higher_degrees() -> None:
     """A function has the same bits whatever the highest degree is."""
     directions = unit(0, 100)
     highest = sh_basis(directions, 8)
@@ -33,7 +33,7 @@ def test_lower_degrees_are_a_prefix_of_higher_ones() -> None:
         np.testing.assert_array_equal(sh_basis(directions, degree), highest[:, : (degree + 1) ** 2])
 
 
-def test_sh_basis_accepts_any_leading_shape() -> None:
+def test_sh_basis_preserves_leading_axes_and_is_finite_at_the_poles() -> None:
     """Leading axes are preserved, and the poles are finite."""
     poles = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
     basis = sh_basis(poles, 4)

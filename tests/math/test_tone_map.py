@@ -57,7 +57,7 @@ def agx_with_polynomial(linear: np.ndarray) -> np.ndarray:
     return encode_srgb(np.clip(display, 0.0, 1.0))
 
 
-def test_neutral_inverts_the_specification() -> None:
+def test_khronoss_inverse_function_inverts_the_neutral_tone_map() -> None:
     """The inverse of Khronos's function maps every result back to its input."""
     colors = random_colors(4000).astype(np.float64)
     back = neutral_inverse(decode_srgb(apply_tone_map(colors, ToneMap.NEUTRAL).astype(np.float64)))
@@ -76,19 +76,21 @@ def test_neutral_inverts_the_specification() -> None:
         ((1.72, 0.04, 0.04), (0.9507692, 0.0999663, 0.0999663)),
     ],
 )
-def test_neutral_by_hand(color: tuple[float, ...], expected: tuple[float, ...]) -> None:
+def test_neutral_tone_map_matches_values_computed_by_hand(
+    color: tuple[float, ...], expected: tuple[float, ...]
+) -> None:
     """Between 0.08 and 0.8, 0.04 is subtracted; white and red match values computed by hand."""
     np.testing.assert_allclose(apply_tone_map(color, ToneMap.NEUTRAL), encode_srgb(np.array(expected)), atol=1e-5)
 
 
-def test_agx_matches_the_published_polynomial() -> None:
+def test_agx_tone_map_is_within_0_006_of_the_published_polynomial() -> None:
     """The result differs by no more than the published polynomial from the curve, 0.006 before the 2.2 power."""
     colors = random_colors(4000)
     error = np.abs(decode_srgb(apply_tone_map(colors, ToneMap.AGX)) - decode_srgb(agx_with_polynomial(colors)))
     assert error.max() < 0.018 and error.mean() < 0.003
 
 
-def test_agx_by_hand() -> None:
+def test_agx_tone_map_matches_values_computed_by_hand() -> None:
     """Middle grey maps to 0.5 before the display's 2.2 power; 6.5 stops above is white, 10 below is black."""
     grey = np.array([0.18 * 2.0**-10, 0.18, 0.18 * 2.0**6.5])[:, None] * np.ones(3)
     expected = encode_srgb(np.array([0.0, 0.5**2.2, 1.0]))
@@ -96,7 +98,7 @@ def test_agx_by_hand() -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_brighter_greys_are_brighter(tone_map: ToneMap) -> None:
+def test_tone_maps_are_monotonic_along_the_greys(tone_map: ToneMap) -> None:
     """Along the greys no channel decreases by more than rounding, and greys stay grey."""
     greys = np.linspace(0.0, 20.0, 5001)[:, None] * np.ones(3)
     mapped = apply_tone_map(greys, tone_map)
@@ -106,7 +108,7 @@ def test_brighter_greys_are_brighter(tone_map: ToneMap) -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_any_light_has_a_display_colour(tone_map: ToneMap) -> None:
+def test_tone_maps_give_a_finite_colour_for_any_light(tone_map: ToneMap) -> None:
     """Zero, negative, tiny, huge and infinite light give finite colours in 0..1; only NaN stays NaN."""
     values = np.array([0.0, -1.0, 1e-45, 1e-20, 1.0, 1e20, 3e38, np.inf], np.float32)
     colors = np.stack(np.meshgrid(values, values, values), axis=-1)
@@ -117,7 +119,7 @@ def test_any_light_has_a_display_colour(tone_map: ToneMap) -> None:
     assert np.isnan(apply_tone_map(np.full(3, np.nan), tone_map)).all()
 
 
-def test_no_tone_map_is_the_srgb_curve() -> None:
+def test_no_tone_map_encodes_colours_by_the_srgb_curve() -> None:
     """Colours up to white are sRGB-encoded; brighter ones are white."""
     colors = random_colors(1000)
     expected = encode_srgb(np.minimum(colors, 1.0))
@@ -135,7 +137,7 @@ def pixels(count: int, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_captures_without_light_are_unchanged_to_the_bit(tone_map: ToneMap) -> None:
+def test_tone_mapping_leaves_captures_without_light_unchanged_to_the_bit(tone_map: ToneMap) -> None:
     """Without light, the result is the captured colour, also above 1."""
     captured = random_colors(1000)
     weight = np.float32(1.0) - np.random.default_rng(1).uniform(0.0, 2e-6, 1000).astype(np.float32)
@@ -143,7 +145,7 @@ def test_captures_without_light_are_unchanged_to_the_bit(tone_map: ToneMap) -> N
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_faint_light_changes_the_image_continuously(tone_map: ToneMap) -> None:
+def test_tone_mapped_image_is_continuous_as_light_on_a_capture_tends_to_zero(tone_map: ToneMap) -> None:
     """As light tends to zero, the image tends to the captured one, so that lit regions have no seam."""
     captured, weight, light = pixels(2000)
     dark = captured_radiance(captured, weight)
@@ -155,7 +157,7 @@ def test_faint_light_changes_the_image_continuously(tone_map: ToneMap) -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_light_never_darkens(tone_map: ToneMap) -> None:
+def test_added_light_never_darkens_a_tone_mapped_capture(tone_map: ToneMap) -> None:
     """Channels that gain light are never darker than captured, channels that lose light never brighter.
 
     This includes white, which every tone mapper shows darker than the capture.
@@ -169,7 +171,7 @@ def test_light_never_darkens(tone_map: ToneMap) -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_strong_light_is_purely_tone_mapped(tone_map: ToneMap) -> None:
+def test_light_much_brighter_than_the_capture_is_purely_tone_mapped(tone_map: ToneMap) -> None:
     """Without a capture, or where light is much brighter than the capture, the image is that of the tone mapper."""
     light = random_colors(1000)
     none = np.zeros_like(light)
@@ -183,7 +185,7 @@ def test_strong_light_is_purely_tone_mapped(tone_map: ToneMap) -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_brighter_light_is_brighter(tone_map: ToneMap) -> None:
+def test_more_light_on_a_grey_capture_is_never_darker_after_tone_mapping(tone_map: ToneMap) -> None:
     """Over any captured grey, more grey light is never darker, from full shadow to far beyond white."""
     for grey in (0.02, 0.2, 0.5, 0.8, 1.0):
         radiance = decode_srgb(np.full(3, grey))
@@ -193,7 +195,7 @@ def test_brighter_light_is_brighter(tone_map: ToneMap) -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_exposure_scales_light(tone_map: ToneMap) -> None:
+def test_exposure_of_one_stop_doubles_light_before_the_tone_map(tone_map: ToneMap) -> None:
     """One stop doubles light before the tone mapper; captures brighten along their own curve."""
     light = random_colors(500)
     none = np.zeros_like(light)
@@ -206,7 +208,7 @@ def test_exposure_scales_light(tone_map: ToneMap) -> None:
         assert np.isfinite(lit_picture(captured, np.ones(1), np.ones((1, 3)), exposure, tone_map)).all()
 
 
-def test_captured_radiance_divides_first() -> None:
+def test_partly_covered_captured_colour_is_decoded_after_division_by_alpha() -> None:
     """Half a pixel of a captured colour has half of its radiance, not the radiance of half its code value."""
     captured = np.array([[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]])
     radiance = captured_radiance(captured, np.array([0.5, 0.0]))
@@ -232,7 +234,7 @@ def test_remove_tone_map_inverts_apply_tone_map(tone_map, brightest):
 
 
 @pytest.mark.parametrize("tone_map", ls.ToneMap)
-def test_ends_of_the_range_stay_finite(tone_map):
+def test_remove_tone_map_gives_finite_values_for_black_white_and_saturated(tone_map):
     """Black, white and saturated colours are inverted to finite, non-negative numbers."""
     ends = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 0], [0, 1, 1]], np.float64)
     back = remove_tone_map(ends, tone_map)

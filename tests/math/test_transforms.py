@@ -17,7 +17,7 @@ def generator(twist: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 9e-5, 1.1e-4, 0.1, 1.5])
-def test_rigid_motions_are_exponentials_of_twists(size: float) -> None:
+def test_rigid_motions_are_matrix_exponentials_of_twists(size: float) -> None:
     """Small and large motions match SciPy's matrix exponential and logarithm."""
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -29,7 +29,7 @@ def test_rigid_motions_are_exponentials_of_twists(size: float) -> None:
             np.testing.assert_allclose(generator(twist_from_rigid(motion)), np.real(logm(motion)), atol=1e-10)
 
 
-def test_axis_rotation_is_right_handed() -> None:
+def test_axis_rotation_matrix_is_right_handed() -> None:
     """A right angle about z rotates x to y."""
     motion = rigid_from_twist([0.0, 0.0, np.pi / 2.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(motion @ [1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], atol=1e-15)

@@ -21,7 +21,7 @@ ARCHITECTURES = pytest.mark.parametrize(
 )
 
 
-def test_kernel_modules_are_found() -> None:
+def test_cuda_compile_test_finds_the_expected_kernel_modules() -> None:
     """The lists of modules contain the expected kernels."""
     raster = {
         "splat_kernels",
@@ -37,14 +37,14 @@ def test_kernel_modules_are_found() -> None:
 
 @ARCHITECTURES
 @pytest.mark.parametrize("name", MODULES)
-def test_module_compiles_for_cuda(name: str, architecture: int) -> None:
+def test_each_kernel_module_compiles_for_cuda(name: str, architecture: int) -> None:
     """NVRTC compiles the module, and the result contains each of its kernels."""
     check_compiles(MODULES[name], architecture)
 
 
 @ARCHITECTURES
 @pytest.mark.parametrize("name", GENERATED)
-def test_generated_kernel_compiles_for_cuda(name: str, architecture: int) -> None:
+def test_each_generated_kernel_compiles_for_cuda(name: str, architecture: int) -> None:
     """NVRTC compiles the kernels that are generated for a packet size."""
     check_compiles(GENERATED[name], architecture)
 
@@ -59,7 +59,7 @@ def check_compiles(module: Any, architecture: int) -> None:
         assert f"{kernel.key}_" in code
 
 
-def test_warp_reductions_use_one_instruction() -> None:
+def test_warp_reductions_in_cuda_kernels_use_one_instruction() -> None:
     """Packets reduce over a warp by redux.sync, and launch bounds allow four blocks per multiprocessor."""
     (tracer, *_) = [module for name, module in GENERATED.items() if name.startswith("gaussian_trace_kernel")]
     code = compile_for_cuda(tracer).read_text()

@@ -48,7 +48,7 @@ def test_deep_samples_composite_to_the_traced_frame(cloud: ls.Gaussians, wall: t
     assert inside[np.setdiff1d(np.arange(len(inside)), deep.first[1:-1] - 1)].all()
 
 
-def test_deep_samples_composite_to_a_given_lit_frame(cloud: ls.Gaussians) -> None:
+def test_deep_samples_of_a_given_lit_frame_composite_to_that_frame(cloud: ls.Gaussians) -> None:
     """Colours add up to the lit frame; depths and alphas are those of the rays."""
     lit = ls.Scene(
         splats=[ls.SplatInstance(cloud, material=ls.MaterialPbr())],
@@ -63,7 +63,7 @@ def test_deep_samples_composite_to_a_given_lit_frame(cloud: ls.Gaussians) -> Non
         ls.layers.render_deep(lit, front_camera().scaled(20), frame, device="cpu")
 
 
-def test_objects_can_be_inserted_between_deep_samples(cloud: ls.Gaussians) -> None:
+def test_objects_can_be_inserted_in_depth_between_deep_samples(cloud: ls.Gaussians) -> None:
     """The transmittance in front of an inserted wall equals that of a frame rendered with the wall, within one step."""
     config = replace(TRACED, trace=ls.TraceConfig(hit_distance=ls.config.HitDistance.PEAK))
     deep = ls.layers.render_deep(ls.Scene(splats=[cloud]), front_camera(), config=config, device="cpu")
@@ -78,7 +78,7 @@ def test_objects_can_be_inserted_between_deep_samples(cloud: ls.Gaussians) -> No
     assert (expected < 0.5).mean() > 0.05 and (expected > 0.5).mean() > 0.05
 
 
-def test_pixels_without_rays_have_no_samples(cloud: ls.Gaussians) -> None:
+def test_pixels_without_rays_have_no_deep_samples(cloud: ls.Gaussians) -> None:
     """Corners outside of a fisheye's image circle have no samples."""
     camera = ls.Camera.look_at(
         (0, 0, 0), (0, 0, 1), (0, -1, 0), width=24, height=24, fov_y=np.pi, model=ls.CameraModel.FISHEYE
@@ -107,7 +107,7 @@ def test_exr_files_store_deep_samples(tmp_path: Path, cloud: ls.Gaussians) -> No
         deep.save(tmp_path / "deep.png")
 
 
-def test_an_empty_view_has_no_samples() -> None:
+def test_empty_view_has_no_deep_samples_and_raises_no_error() -> None:
     """A view without any object has no samples and raises no error."""
     away = random_gaussians(3, count=5)
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, -1), (0, -1, 0), width=8, height=4, fov_y=0.5)

@@ -101,7 +101,7 @@ def test_deep_samples_composite_to_frames_of_every_camera_model(scene: ls.Scene,
     check(ls.layers.render_deep(scene, cameras[model], frame, config, device="cpu"), frame)
 
 
-def test_mesh_edges_cover_a_fraction_of_a_pixel(scene: ls.Scene) -> None:
+def test_deep_samples_at_mesh_edges_cover_the_fraction_of_rays_that_hit(scene: ls.Scene) -> None:
     """The fraction is that of the pixel's rays that hit the mesh; surfaces behind get the rest."""
     meshes = ls.Scene(meshes=scene.meshes)
     config = ls.RenderConfig(lighting=True, samples=4)
@@ -114,7 +114,7 @@ def test_mesh_edges_cover_a_fraction_of_a_pixel(scene: ls.Scene) -> None:
     assert {0.25, 0.5, 0.75, 1.0} <= set(shares.tolist())
 
 
-def test_silhouette_samples_have_the_depth_of_their_gaussians() -> None:
+def test_deep_samples_of_sub_pixel_gaussians_have_the_depth_of_the_gaussians() -> None:
     """Sub-pixel Gaussians at one depth: samples lie there, within their footprint, wherever the frame shows them."""
     tiny = random_gaussians(6, count=300)
     flat = replace(tiny, means=tiny.means * (1, 1, 0) + (0, 0, 4), scales=np.full_like(tiny.scales, 1e-3))
@@ -125,7 +125,7 @@ def test_silhouette_samples_have_the_depth_of_their_gaussians() -> None:
         assert (np.abs(deep.near - 4.0) < 2 * 4.0 / front_camera().fx).all()
 
 
-def test_environment_sample_is_behind_everything(scene: ls.Scene) -> None:
+def test_deep_sample_of_the_environment_is_behind_all_other_samples(scene: ls.Scene) -> None:
     """The environment's sample gets the remaining transmittance, and its own colour where nothing is in front."""
     environment = ls.LightEnvironment(np.full((4, 8, 3), 0.5, np.float32))
     lit = ls.Scene(splats=scene.splats, meshes=scene.meshes, lights=[environment])
@@ -144,7 +144,7 @@ def test_environment_sample_is_behind_everything(scene: ls.Scene) -> None:
         assert np.abs(through - (1.0 - without.alpha.ravel())).max() < 1e-3
 
 
-def test_environment_takes_no_light_from_nearer_samples() -> None:
+def test_bright_environment_does_not_change_nearer_deep_samples() -> None:
     """Under a sun far brighter than the background, nearer samples equal those of the frame without an environment."""
     image = np.full((16, 32, 3), 0.2, np.float32)
     image[2, 3] = 5000.0
@@ -174,7 +174,7 @@ LIGHTS = {
 
 
 @pytest.mark.parametrize("name", LIGHTS)
-def test_visible_lights_are_samples_with_alpha_zero(name: str) -> None:
+def test_deep_samples_of_visible_lights_have_alpha_zero_at_the_lights_depth(name: str) -> None:
     """They lie at the light's depth and block nothing: an object inserted behind them does not remove their light."""
     light, camera = LIGHTS[name], front_camera()
     wall = ls.MeshInstance(ls.Mesh([(-9, -9, 6), (9, -9, 6), (0, 9, 6)], [(0, 1, 2)]))

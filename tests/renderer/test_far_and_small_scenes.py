@@ -51,14 +51,14 @@ def shown(pipeline: ls.Pipeline, scene: ls.Scene, camera: ls.Camera) -> np.ndarr
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_lit_scene_far_from_the_origin_looks_the_same(pipeline: ls.Pipeline) -> None:
+def test_lit_frame_does_not_depend_on_the_distance_from_the_origin(pipeline: ls.Pipeline) -> None:
     """Includes shadows; only rounding in penumbrae may differ."""
     expected = shown(pipeline, *lit())
     for place in FAR:
         np.testing.assert_allclose(shown(pipeline, *lit(place)), expected, atol=2e-3)
 
 
-def test_mesh_with_far_object_coordinates_looks_the_same() -> None:
+def test_mesh_with_far_object_coordinates_looks_like_one_at_the_origin() -> None:
     """The corners are far away in object space, at integers that float32 represents."""
     place = (2.0**20, -(2.0**20), 2.0**19)
     scene, camera = lit()
@@ -70,7 +70,7 @@ def test_mesh_with_far_object_coordinates_looks_the_same() -> None:
     np.testing.assert_allclose(shown(ls.Pipeline.TRACE, far, far_camera), expected, atol=2e-3)
 
 
-def test_real_time_frame_far_from_the_origin_is_as_bright() -> None:
+def test_realtime_frame_far_from_the_origin_is_as_bright() -> None:
     """Cells and noise differ, but means agree, and an unmoved scene keeps its history."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, shadows=ls.Shadows.SOFT)
     means = []
@@ -83,18 +83,18 @@ def test_real_time_frame_far_from_the_origin_is_as_bright() -> None:
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("unit", [1e-3, 1e-5, 1e3])
-def test_frames_do_not_depend_on_the_scene_unit(pipeline: ls.Pipeline, unit: float) -> None:
+def test_frames_do_not_depend_on_the_unit_of_length_in_all_pipelines(pipeline: ls.Pipeline, unit: float) -> None:
     """Scenes in millimetres or micrometres are not clipped by a near plane of 0.01 units."""
     np.testing.assert_allclose(shown(pipeline, *lit(unit=unit)), shown(pipeline, *lit()), atol=1e-3)
 
 
-def test_scaling_by_a_power_of_two_changes_no_bit() -> None:
+def test_scaling_the_scene_by_a_power_of_two_changes_no_bit_of_the_frame() -> None:
     """All thresholds are relative to the scene's size, so only exponents change."""
     for pipeline in PIPELINES:
         np.testing.assert_array_equal(shown(pipeline, *lit(unit=2.0**10)), shown(pipeline, *lit(unit=2.0**5)))
 
 
-def test_ray_queries_keep_float64_origins() -> None:
+def test_ray_queries_keep_the_precision_of_float64_origins() -> None:
     """Hits, transmittances, profiles and depths of rays at map coordinates equal those at the origin."""
     near, far = (lit(place)[0] for place in ((0.0, 0.0, 0.0), FAR[1]))
     starts = np.random.default_rng(3).uniform(-0.4, 0.4, (40, 3)) + np.array([0.0, 0.0, 3.0])
@@ -112,7 +112,7 @@ def test_ray_queries_keep_float64_origins() -> None:
     np.testing.assert_allclose(passed[1], passed[0], atol=1e-4)
 
 
-def test_focus_distance_does_not_depend_on_the_origin() -> None:
+def test_focus_distance_does_not_depend_on_the_distance_from_the_origin() -> None:
     """The focus distance at a pixel equals that of the scene at the origin."""
     near, far = (
         ls.rays.focused(*lit(place), 16, 12, device="cpu").focus_distance for place in ((0.0, 0.0, 0.0), FAR[0])
@@ -120,7 +120,7 @@ def test_focus_distance_does_not_depend_on_the_origin() -> None:
     assert far == pytest.approx(near, rel=1e-4)
 
 
-def test_deep_depths_do_not_depend_on_the_origin() -> None:
+def test_deep_sample_depths_do_not_depend_on_the_distance_from_the_origin() -> None:
     """Depths are distances from the camera, wherever it is."""
     frames = [ls.layers.render_deep(*lit(place), device="cpu") for place in ((0.0, 0.0, 0.0), FAR[0])]
     np.testing.assert_array_equal(frames[0].first, frames[1].first)
@@ -129,7 +129,9 @@ def test_deep_depths_do_not_depend_on_the_origin() -> None:
 
 @pytest.mark.parametrize("light", ["point", "parallel"])
 @pytest.mark.parametrize("receives", [False, True])
-def test_deep_shadow_maps_do_not_depend_on_the_origin(light: str, receives: bool, tmp_path: Any) -> None:
+def test_deep_shadow_maps_do_not_depend_on_the_distance_from_the_origin(
+    light: str, receives: bool, tmp_path: Any
+) -> None:
     """Holds for points, Gaussians and meshes, also after saving and loading."""
     points = np.random.default_rng(4).uniform(-1.0, 1.0, (60, 3)) + np.array([0.0, -1.2, 0.0])
     found = []
@@ -157,7 +159,7 @@ def test_deep_shadow_maps_do_not_depend_on_the_origin(light: str, receives: bool
         np.testing.assert_allclose(one, found[0], atol=2e-3)
 
 
-def test_explicit_near_plane_is_not_changed() -> None:
+def test_near_plane_set_by_the_user_is_not_adapted_to_the_scene() -> None:
     """Only the default near plane adapts to the scene."""
     scene, camera = lit(unit=1e-3)
     assert shown(ls.Pipeline.RASTER, scene, camera).any()

@@ -11,7 +11,7 @@ from support.compare.images import assert_images_alike
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.view)
-def test_demo_looks_as_stored(case: Golden, demo: ls.Scene) -> None:
+def test_demo_scene_looks_like_its_approved_golden_images(case: Golden, demo: ls.Scene) -> None:
     """Colour, normal and depth of a view agree with the stored images."""
     now = case.render(demo)
     with np.load(case.path) as stored:
@@ -26,7 +26,7 @@ def test_demo_looks_as_stored(case: Golden, demo: ls.Scene) -> None:
             )
 
 
-def test_goldens_notice_a_change(demo: ls.Scene) -> None:
+def test_golden_image_comparison_fails_for_a_changed_setting(demo: ls.Scene) -> None:
     """A frame with another setting does not pass the comparison."""
     case = CASES[0]
     blurred = Golden(case.view, "", ls.RenderConfig(raster=ls.RasterConfig(dilation=3.0))).render(demo)

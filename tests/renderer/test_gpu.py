@@ -21,7 +21,7 @@ NAMES = ("color", "alpha", "normal")
 
 
 @pytest.mark.parametrize("case", scenes.cases(), ids=lambda case: case.name)
-def test_cuda_raster_frame_equals_the_cpu_frame(case: scenes.Case) -> None:
+def test_raster_frames_of_cuda_and_cpu_are_equal(case: scenes.Case) -> None:
     """Pixels may differ where an alpha is within rounding of 1/255."""
     cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
     cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
@@ -32,7 +32,7 @@ def test_cuda_raster_frame_equals_the_cpu_frame(case: scenes.Case) -> None:
 
 
 @pytest.mark.parametrize("case", trace_scenes.cases(), ids=lambda case: case.name)
-def test_cuda_traced_frame_equals_the_cpu_frame(case: scenes.Case) -> None:
+def test_traced_frames_of_cuda_and_cpu_are_equal(case: scenes.Case) -> None:
     """Pixels may differ where a decision is within rounding."""
     cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
     cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
@@ -43,7 +43,7 @@ def test_cuda_traced_frame_equals_the_cpu_frame(case: scenes.Case) -> None:
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_cuda_lit_frame_equals_the_cpu_frame(pipeline: ls.Pipeline) -> None:
+def test_lit_frames_of_cuda_and_cpu_are_equal(pipeline: ls.Pipeline) -> None:
     """Covers soft shadows, mirrors and glass; pixels may differ where a decision is within rounding."""
     samples = 1 if pipeline is ls.Pipeline.REALTIME else 2
     config = lit_scene.config(pipeline, shadows=ls.Shadows.SOFT, samples=samples)
@@ -56,7 +56,7 @@ def test_cuda_lit_frame_equals_the_cpu_frame(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
-def test_cuda_lighting_leaves_captures_unchanged(pipeline: ls.Pipeline) -> None:
+def test_lighting_on_cuda_leaves_captures_unchanged(pipeline: ls.Pipeline) -> None:
     """Without reflecting surfaces, a lit frame equals the unlit one up to rounding of separately compiled kernels."""
     scene, camera = ls.Scene([scenes.random_gaussians(71, 300, degree=2)], (), lit_scene.LIGHTS), lit_scene.camera()
     config = ls.RenderConfig(pipeline=pipeline, background=(0.2, 0.3, 0.4), lighting=True)
@@ -68,7 +68,7 @@ def test_cuda_lighting_leaves_captures_unchanged(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("degree", [2, 4])
-def test_cuda_ray_gradients_equal_the_cpu_gradients(degree: int) -> None:
+def test_ray_gradients_of_cuda_and_cpu_are_equal(degree: int) -> None:
     """Covers all parameters and the pose; repeated gradients are equal to the bit."""
     scene, camera = ls.Scene([replace(gradient_scenes.cloud(count=60), kernel_degree=degree)]), gradient_scenes.view()
     found: list[ls.gradients.SplatGradients] = []
@@ -87,7 +87,7 @@ def test_cuda_ray_gradients_equal_the_cpu_gradients(degree: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
-def test_cuda_unscented_frames_equal_the_cpu_frames(name: str) -> None:
+def test_unscented_frames_and_gradients_of_cuda_and_cpu_are_equal(name: str) -> None:
     """Covers frames of all lenses and their gradients, up to the order of sums."""
     camera = lenses.LENSES[name]
     scene = ls.Scene([scenes.random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
@@ -109,7 +109,7 @@ def test_cuda_unscented_frames_equal_the_cpu_frames(name: str) -> None:
     assert np.abs(poses[0] - poses[1]).max() < 5e-3 * np.abs(poses[0]).max()  # pixels at a threshold pull on all of it
 
 
-def test_graph_replay_equals_the_direct_frame() -> None:
+def test_replayed_cuda_graph_gives_the_bits_of_a_direct_frame() -> None:
     """The third frame, replayed as a graph, equals the first to the bit, and follows a moved camera."""
     case = scenes.cases()[3]
     renderer = ls.create_renderer(case.config, "cuda")
@@ -122,7 +122,7 @@ def test_graph_replay_equals_the_direct_frame() -> None:
     np.testing.assert_array_equal(renderer.render(case.scene, moved).color, expected.color)
 
 
-def test_profiling_times_every_stage() -> None:
+def test_profiling_on_cuda_times_every_stage_and_changes_no_pixel() -> None:
     """Profiling reports every stage and changes no pixel."""
     case = scenes.cases()[3]
     plain = ls.create_renderer(case.config, "cuda").render(case.scene, case.camera)
@@ -133,7 +133,7 @@ def test_profiling_times_every_stage() -> None:
 
 
 @pytest.mark.parametrize("light", [(0.5, -3.0, 1.0), ls.LightDirectional((0.2, 1.0, 0.1))], ids=["point", "parallel"])
-def test_cuda_deep_shadow_map_equals_the_cpu_map(light: object) -> None:
+def test_deep_shadow_maps_of_cuda_and_cpu_are_equal(light: object) -> None:
     """A deep shadow map on CUDA equals the CPU's up to float32 rounding."""
     casters, receivers = scenes.random_gaussians(1, 200), scenes.random_gaussians(2, 2000, extent=(4.0, 4.0, 4.0))
     seen = [
@@ -144,7 +144,7 @@ def test_cuda_deep_shadow_map_equals_the_cpu_map(light: object) -> None:
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-4)
 
 
-def test_gradients_accept_gpu_arrays() -> None:
+def test_gradient_functions_accept_arrays_on_the_gpu() -> None:
     """Arrays on the GPU are read by DLPack, like tensors of other packages."""
     scene, camera = ls.Scene([scenes.random_gaussians(3, 60)]), scenes.front_camera()
     pull = np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)).astype(np.float32)

@@ -78,7 +78,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
-def test_steady_frame_launches_only_graphs(settings: ls.RenderConfig) -> None:
+def test_steady_frame_launches_only_captured_graphs_and_no_single_kernel(settings: ls.RenderConfig) -> None:
     """A frame with samples, lights, mirrors and all layers launches no single kernel, and all bits are equal."""
     pair, shown = Pair(settings), scene(*LIGHTS, ENVIRONMENT)
     pair.warm_up(shown, camera())
@@ -102,7 +102,7 @@ def rotated_environment(shown: ls.Scene) -> ls.Scene:
 
 
 @pytest.mark.parametrize("change", [moved, rotated_environment], ids=["instances and lights", "environment"])
-def test_graphs_are_reused_when_objects_move(change: Callable[[ls.Scene], ls.Scene]) -> None:
+def test_captured_graphs_are_reused_when_cameras_objects_or_lights_move(change: Callable[[ls.Scene], ls.Scene]) -> None:
     """Cameras, transforms, lights and samples are read from arrays with constant addresses."""
     settings = config(ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=2, max_bounces=0)
     pair, shown = Pair(settings), scene(*LIGHTS, ENVIRONMENT)
@@ -151,7 +151,7 @@ FROZEN = [*((change, ls.Pipeline.HYBRID) for change in CHANGES), (partly_relit, 
 
 
 @pytest.mark.parametrize(("change", "pipeline"), FROZEN, ids=[f"{change.__name__} {name}" for change, name in FROZEN])
-def test_graphs_are_stale_after_frozen_values_change(
+def test_captured_graphs_are_stale_after_lights_or_objects_are_replaced(
     change: Callable[[ls.Scene], ls.Scene], pipeline: ls.Pipeline
 ) -> None:
     """Other lights or objects are drawn directly, then captured again; so is the first scene afterwards."""
@@ -165,7 +165,7 @@ def test_graphs_are_stale_after_frozen_values_change(
     assert pair.launches_of(shown, camera()) == 0
 
 
-def test_graphs_are_stale_after_buffers_grow() -> None:
+def test_captured_graphs_are_stale_after_buffers_grow() -> None:
     """Graphs hold addresses, so that memory that was freed must not be written."""
     pair, shown = Pair(config(shadows=ls.Shadows.SOFT, samples=1)), scene(*LIGHTS)
     pair.warm_up(shown, camera())
@@ -176,7 +176,7 @@ def test_graphs_are_stale_after_buffers_grow() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_ray_queries_do_not_disturb_captured_frames(pipeline: ls.Pipeline) -> None:
+def test_ray_queries_do_not_change_frames_replayed_from_graphs(pipeline: ls.Pipeline) -> None:
     """Ray queries use the same arrays with other sizes; no graph of a frame reads their results."""
     settings, shown = config(pipeline, shadows=ls.Shadows.SOFT, samples=2, max_bounces=2), scene(*LIGHTS, ENVIRONMENT)
     renderer = ls.Renderer(settings, GraphLauncher())
@@ -191,7 +191,7 @@ def test_ray_queries_do_not_disturb_captured_frames(pipeline: ls.Pipeline) -> No
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_graphs_distinguish_rays_that_leave_gaussians(pipeline: ls.Pipeline) -> None:
+def test_camera_rays_and_rays_leaving_gaussians_use_different_graphs(pipeline: ls.Pipeline) -> None:
     """With equal counts, camera rays and rays that leave Gaussians need different graphs."""
     settings = config(pipeline, samples=2, max_bounces=1, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
     graphs, direct = (
@@ -207,7 +207,7 @@ def test_graphs_distinguish_rays_that_leave_gaussians(pipeline: ls.Pipeline) -> 
         np.testing.assert_array_equal(graphs.leaving_hits(*rays, near).radiance, leaving.radiance)
 
 
-def test_graphs_grow_with_the_number_of_refracted_rays() -> None:
+def test_captured_graph_is_enlarged_when_glass_fills_the_view() -> None:
     """Glass that fills the view needs larger arrays than the graph of a small ball, and is rendered completely."""
     pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=2)), scene(*LIGHTS)
     far = ls.Camera.look_at((0.1, 1.0, -9.0), (0.8, 0.35, 1.0), width=96, height=64, fov_y=0.8)
@@ -240,7 +240,9 @@ NEVER_CAPTURED = (READ_BACK, (Buffers, "_allocate"), (buffers, "assign_table"))
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_path_waves_only_launch_kernels(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_path_tracing_of_a_sample_reads_back_allocates_and_uploads_nothing(
+    adaptive: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Once buffers have grown, the waves of a sample read back, allocate and upload nothing."""
     settings = config(ls.Pipeline.PATH, samples=NOISE_SAMPLES_MIN + 2, max_bounces=2, adaptive=adaptive)
     renderer, shown = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)), scene(*LIGHTS, ENVIRONMENT)
@@ -250,7 +252,7 @@ def test_path_waves_only_launch_kernels(adaptive: bool, monkeypatch: pytest.Monk
     np.testing.assert_array_equal(renderer.render(shown, camera().scaled(24, 16)).color, expected.color)
 
 
-def test_adaptive_samples_replay_the_same_graphs() -> None:
+def test_adaptive_samples_replay_the_same_captured_graphs() -> None:
     """The sampled pixels differ between samples, and are read from arrays with constant addresses."""
     samples = NOISE_SAMPLES_MIN + 6
     settings = config(ls.Pipeline.PATH, samples=samples, max_bounces=2, adaptive=True)
@@ -259,7 +261,7 @@ def test_adaptive_samples_replay_the_same_graphs() -> None:
     assert pair.launches_of(shown, view) < 3 * samples, "lists of rays are launched, and nothing else"
 
 
-def test_real_time_frames_read_back_no_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_realtime_frames_on_cuda_read_no_counts_back_to_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
     """In CUDA's schedule, the host uses upper bounds and does not wait for counts."""
     sources = [replace(LIGHTS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
     renderer = ls.Renderer(config(ls.Pipeline.REALTIME), Launcher("cpu", threads=1, parallel=True))
@@ -271,7 +273,7 @@ def test_real_time_frames_read_back_no_counts(monkeypatch: pytest.MonkeyPatch) -
     assert {*used} == {"start_lobes", "of_wave"}
 
 
-def test_truncated_tile_list_is_redrawn_before_storing() -> None:
+def test_frame_replayed_with_a_truncated_tile_list_is_redrawn_before_it_is_stored() -> None:
     """The camera moves so close that splats exceed the allocated tile list, in a frame of two samples."""
     shown = replace(scene(*LIGHTS), meshes=())
     pair = Pair(config(ls.Pipeline.RASTER, shadows=ls.Shadows.OFF, samples=2))

@@ -85,7 +85,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("parallel", [False, True], ids=["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.deep)], ids=["some", "all"])
-def test_first_frame_of_a_prepared_renderer_compiles_nothing(
+def test_first_frame_of_a_prepared_renderer_compiles_no_kernels(
     all_of_them: bool, pipeline: ls.Pipeline, parallel: bool
 ) -> None:
     """A kernel that compiles during a frame would block one thread without progress.
@@ -107,7 +107,7 @@ def test_first_frame_of_a_prepared_renderer_compiles_nothing(
             assert launcher.launched <= loaded, f"{name}, {kind}"
 
 
-def test_capture_without_lights_loads_only_raster_kernels() -> None:
+def test_rendering_a_capture_without_lights_loads_only_raster_kernels() -> None:
     """The first frame does not wait for kernels of meshes, mirrors, lights, or of the other schedule."""
     launcher = Recorder(parallel=False)
     Renderer(ls.RenderConfig(), launcher).render(ls.Scene([random_gaussians(3)]), front_camera(16, 16))
@@ -123,7 +123,7 @@ def names_of(content: ls.Scene, **settings: Any) -> set[str]:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_frames_without_blockers_trace_no_shadow_rays(soft: bool) -> None:
+def test_shadow_catcher_without_other_objects_launches_no_shadow_rays(soft: bool) -> None:
     """Only added objects cast shadows on catchers: a catcher alone needs no shadow rays and no BVH."""
     settings: dict[str, Any] = {"shadows": ls.Shadows.SOFT} if soft else {}
     for light in (LIGHT, ls.LightEnvironment()):
@@ -136,14 +136,14 @@ def test_frames_without_blockers_trace_no_shadow_rays(soft: bool) -> None:
             assert shadowed >= {"shadow_kernel", "gaussian_bvh_kernels", "direct_light_kernels"}
 
 
-def test_mesh_shadows_load_no_gaussian_kernels() -> None:
+def test_mesh_shadows_load_no_kernels_for_gaussians() -> None:
     """Frames of meshes do not wait for the kernels of Gaussians."""
     names = names_of(ls.Scene((), [icosphere(0.4)], [LIGHT]))
     assert "mesh_shadow_kernels" in names
     assert not names & {"shadow_kernel", "gaussian_bvh_kernels"}
 
 
-def test_invalid_settings_are_refused_before_kernels_compile() -> None:
+def test_invalid_settings_are_refused_before_any_kernel_is_compiled() -> None:
     """Kernels of a real-time frame take half a minute to compile."""
     launcher = Recorder(parallel=False)
     with pytest.raises(ls.ConfigError, match="one sample a pixel"):
@@ -151,7 +151,7 @@ def test_invalid_settings_are_refused_before_kernels_compile() -> None:
     assert not launcher.loaded
 
 
-def test_kernels_are_loaded_once_per_launcher() -> None:
+def test_renderers_with_one_launcher_load_each_kernel_once() -> None:
     """Renderers with the same launcher share kernels, also after a change of settings."""
     reported: list[str] = []
     launcher = Launcher("cpu", threads=1)

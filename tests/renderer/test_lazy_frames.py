@@ -71,7 +71,7 @@ def assert_same(frame: Any, expected: ls.Frame) -> None:
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
-def test_later_frames_do_not_change_earlier_ones(settings: ls.RenderConfig) -> None:
+def test_unread_frame_is_not_changed_by_later_frames(settings: ls.RenderConfig) -> None:
     """Frames are read after later frames were rendered, whether their images waited on the device or were evicted."""
     renderer, shown = lazy_renderer(settings), scene(*LIGHTS, ENVIRONMENT)
     views = [camera(), other_camera()] * 3
@@ -82,7 +82,7 @@ def test_later_frames_do_not_change_earlier_ones(settings: ls.RenderConfig) -> N
         assert not unread(frame)
 
 
-def test_unread_images_stay_on_the_device() -> None:
+def test_unread_images_of_a_frame_stay_on_the_device() -> None:
     """The frame's repr and list of layers do not download images, either."""
     frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     everything = unread(frame)
@@ -95,7 +95,7 @@ def test_unread_images_stay_on_the_device() -> None:
     assert {"albedo", "light_shadow", "hits", "gaussian_index"} <= unread(frame)
 
 
-def test_copies_of_frames_have_all_images() -> None:
+def test_copied_and_pickled_lazy_frames_have_all_images() -> None:
     """Frames are pickled, copied and deep-copied."""
     expected = eager_frame(SETTINGS["lit"], camera())
     for duplicate in (lambda frame: pickle.loads(pickle.dumps(frame)), copy.copy, copy.deepcopy):
@@ -103,14 +103,14 @@ def test_copies_of_frames_have_all_images() -> None:
         assert_same(duplicate(frame), expected)
 
 
-def test_unknown_attributes_are_errors() -> None:
+def test_unknown_attributes_of_lazy_frames_raise_attribute_errors() -> None:
     """The error is that of any object, for lazy and eager frames."""
     for frame in (lazy_renderer(SETTINGS["unlit"]).render(scene(), camera()), eager_frame(SETTINGS["unlit"], camera())):
         with pytest.raises(AttributeError, match=r"'Frame' object has no attribute 'colour'"):
             frame.colour  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]  # noqa: B018
 
 
-def test_device_memory_of_frames_is_reused() -> None:
+def test_device_memory_of_read_or_dropped_lazy_frames_is_reused() -> None:
     """Memory is returned when a frame is dropped, or when all of its images are read."""
     renderer = lazy_renderer(SETTINGS["lit"])
     downloads = renderer._buffers.downloads
@@ -126,7 +126,7 @@ def test_device_memory_of_frames_is_reused() -> None:
     assert len({stats.memory_bytes for stats in memory if stats}) == 1
 
 
-def test_lazy_frames_can_be_resumed() -> None:
+def test_lazy_frames_with_unread_images_can_be_resumed() -> None:
     """Their images are uploaded again."""
     settings = config(ls.Pipeline.HYBRID, samples=2)
     renderer, shown = lazy_renderer(settings), scene(*LIGHTS, ENVIRONMENT)
@@ -135,7 +135,7 @@ def test_lazy_frames_can_be_resumed() -> None:
     assert_same(resumed, eager.render(shown, camera(), resume=eager.render(shown, camera())))
 
 
-def test_threads_can_read_a_frame_concurrently() -> None:
+def test_several_threads_can_read_a_lazy_frame_concurrently() -> None:
     """Six threads read all images concurrently."""
     frame, expected = (
         lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera()),
@@ -178,7 +178,7 @@ def pictures(color: np.ndarray, alpha: np.ndarray, *, transparent: bool) -> tupl
 
 
 @pytest.mark.parametrize("transparent", [False, True])
-def test_device_and_host_encode_the_same_bytes(transparent: bool) -> None:
+def test_device_and_host_encode_a_frame_to_the_same_8_bit_image(transparent: bool) -> None:
     """Bytes are equal next to rounding edges, beyond 0..1, and for alpha of 0 or nearly 0."""
     rng = np.random.default_rng(4)
     edges = ((np.arange(256) + 0.5) / 255.0).astype(np.float32)
@@ -193,7 +193,7 @@ def test_device_and_host_encode_the_same_bytes(transparent: bool) -> None:
     np.testing.assert_array_equal(picture, expected)
 
 
-def test_non_finite_pixels_are_left_to_the_host() -> None:
+def test_device_leaves_8_bit_encoding_of_non_finite_frames_to_the_host() -> None:
     """One non-finite colour or alpha suffices; the host draws it black and counts it when saving."""
     for channel, value in ((0, np.nan), (1, np.inf), (2, -np.inf)):
         color = np.full((4, 5, 3), 0.5, np.float32)
@@ -232,7 +232,9 @@ def random_lit_images(rng: np.random.Generator) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("transparent", [False, True])
 @pytest.mark.parametrize("exposure", [-2.5, 0.0, 1.0, 100.0])
 @pytest.mark.parametrize("tone_map", ls.ToneMap)
-def test_device_and_host_encode_lit_frames_alike(tone_map: ls.ToneMap, exposure: float, transparent: bool) -> None:
+def test_device_and_host_encode_lit_frames_to_8_bit_within_one_step(
+    tone_map: ls.ToneMap, exposure: float, transparent: bool
+) -> None:
     """Bytes differ by at most 1 next to rounding edges; purely captured pixels are equal to the bit."""
     images = random_lit_images(np.random.default_rng(int(exposure) + 9))
     captured, weight, light = (images[name] for name in ("captured", "captured_weight", "light"))
@@ -252,7 +254,7 @@ def test_device_and_host_encode_lit_frames_alike(tone_map: ls.ToneMap, exposure:
 
 
 @pytest.mark.parametrize("name", ["captured", "captured_weight", "light", "alpha"])
-def test_non_finite_lit_pixels_are_left_to_the_host(name: str) -> None:
+def test_device_leaves_8_bit_encoding_of_non_finite_lit_frames_to_the_host(name: str) -> None:
     """One non-finite value in any part suffices."""
     images = random_lit_images(np.random.default_rng(3))
     assert lit_bytes(images, 0.0, ls.ToneMap.NEUTRAL, transparent=False) is not None
@@ -261,7 +263,9 @@ def test_non_finite_lit_pixels_are_left_to_the_host(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SETTINGS.keys())
-def test_only_the_8_bit_image_is_downloaded(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_saving_or_showing_a_lazy_frame_downloads_only_its_8_bit_image(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Saving, displaying and converting a frame to bytes downloads 4 bytes a pixel."""
     renderer, view = lazy_renderer(SETTINGS[name]), camera()
     copied: list[int] = []
@@ -290,7 +294,7 @@ def assert_same_picture(picture: np.ndarray, expected: np.ndarray, name: str) ->
     assert np.abs(picture.astype(int) - expected).max() <= 1
 
 
-def test_changed_colours_show_in_the_8_bit_image() -> None:
+def test_writing_to_the_colours_of_a_lazy_frame_changes_its_8_bit_image() -> None:
     """Writing to a frame's colours changes its 8-bit image, though the device has encoded one."""
     frame = lazy_renderer(SETTINGS["unlit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     before = np.asarray(frame, dtype=np.uint8)
@@ -303,7 +307,7 @@ def test_changed_colours_show_in_the_8_bit_image() -> None:
 
 @pytest.mark.parametrize("kind", ["png", "exr", "npz"])
 @pytest.mark.parametrize("name", SETTINGS.keys())
-def test_lazy_and_eager_frames_save_the_same_files(name: str, kind: str, tmp_path: Path) -> None:
+def test_lazy_and_eager_frames_save_equal_files(name: str, kind: str, tmp_path: Path) -> None:
     """Files are equal byte by byte; 8-bit lit images differ by at most 1."""
     frame = lazy_renderer(SETTINGS[name]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     lazy, eager = tmp_path / f"lazy.{kind}", tmp_path / f"eager.{kind}"
@@ -315,7 +319,7 @@ def test_lazy_and_eager_frames_save_the_same_files(name: str, kind: str, tmp_pat
         assert lazy.read_bytes() == eager.read_bytes()
 
 
-def test_changed_light_shows_in_the_8_bit_image() -> None:
+def test_writing_to_the_light_of_a_lazy_frame_changes_its_8_bit_image() -> None:
     """Writing to the light of a lit frame changes its 8-bit image."""
     frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     before = np.asarray(frame, dtype=np.uint8)
@@ -325,7 +329,7 @@ def test_changed_light_shows_in_the_8_bit_image() -> None:
 
 
 @pytest.mark.parametrize("name", ["unlit", "unlit rays", "lit", "transparent"])
-def test_a_cpu_encodes_frames_on_request(name: str) -> None:
+def test_cpu_renderer_encodes_the_8_bit_image_with_the_frame_on_request(name: str) -> None:
     """With ``encode``, the frame comes with its bytes, which equal those encoded later."""
     renderer = ls.Renderer(SETTINGS[name], Launcher("cpu", threads=3))
     plain = renderer.render(scene(*LIGHTS, ENVIRONMENT), camera())

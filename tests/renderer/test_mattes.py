@@ -29,7 +29,7 @@ def camera() -> ls.Camera:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.PATH])
-def test_edges_cover_fractions_of_pixels(camera: ls.Camera, pipeline: ls.Pipeline) -> None:
+def test_matte_of_a_mesh_edge_covers_the_fraction_of_the_pixel(camera: ls.Camera, pipeline: ls.Pipeline) -> None:
     """A card that ends a quarter into a column, in front of another, covers a quarter of it."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125), card("back", -9.0, 9.0, depth=8.0)])
     objects = ls.layers.render_mattes(scene, camera, ls.RenderConfig(pipeline=pipeline), device="cpu").objects
@@ -41,7 +41,7 @@ def test_edges_cover_fractions_of_pixels(camera: ls.Camera, pipeline: ls.Pipelin
         objects.coverage("side")
 
 
-def test_gaussians_cover_as_much_as_their_alpha(camera: ls.Camera) -> None:
+def test_matte_of_a_gaussian_covers_as_much_as_its_alpha(camera: ls.Camera) -> None:
     """A half-opaque Gaussian covers half; one too thin to be a surface covers nothing."""
     ball = ls.Gaussians([(0, 0, 4)], [(1, 0, 0, 0)], [(5.0, 5.0, 5.0)], [0.5], [[(0.0, 0.0, 0.0)]])
     mattes = ls.layers.render_mattes(ls.Scene(splats=[ls.SplatInstance(ball, name="fog")]), camera, device="cpu")
@@ -53,7 +53,7 @@ def test_gaussians_cover_as_much_as_their_alpha(camera: ls.Camera) -> None:
     assert not ls.layers.render_mattes(ls.Scene(splats=[thin]), camera, device="cpu").objects.shares.any()
 
 
-def test_instances_of_one_name_are_one_object(camera: ls.Camera) -> None:
+def test_instances_of_one_name_share_one_matte(camera: ls.Camera) -> None:
     """Unnamed instances are named by their index, and their material by the object."""
     scene = ls.Scene(
         meshes=[
@@ -69,7 +69,7 @@ def test_instances_of_one_name_are_one_object(camera: ls.Camera) -> None:
     assert (mattes.objects.coverage("door").sum(axis=1) == 4.0).all()
 
 
-def test_exr_files_store_mattes_in_parts(tmp_path: Path, camera: ls.Camera) -> None:
+def test_exr_files_store_mattes_as_separate_parts(tmp_path: Path, camera: ls.Camera) -> None:
     """The image is the first part, unchanged; ids and coverage are read back, with the manifest in each header."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125, material="oak"), card("back", -9.0, 9.0, depth=8.0)])
     frame, mattes = ls.render(scene, camera, device="cpu"), ls.layers.render_mattes(scene, camera, device="cpu")
@@ -89,7 +89,7 @@ def test_exr_files_store_mattes_in_parts(tmp_path: Path, camera: ls.Camera) -> N
         assert any("oak" in str(value) for key, value in file.header(2).items() if key.endswith("/manifest"))
 
 
-def test_mattes_of_other_frames_are_refused(tmp_path: Path, camera: ls.Camera) -> None:
+def test_saving_mattes_of_another_size_or_in_another_format_is_refused(tmp_path: Path, camera: ls.Camera) -> None:
     """Mattes of another size, or for a format without them, raise an error and write nothing."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125)])
     mattes = ls.layers.render_mattes(scene, camera, device="cpu")

@@ -65,7 +65,7 @@ def dark() -> dict[ls.Pipeline, ls.Frame]:
     return {pipeline: rendered(pipeline, 0.2, catches=True) for pipeline in ls.Pipeline}
 
 
-def test_matte_balls_and_shadows_agree_in_five_pipelines(dark: dict[ls.Pipeline, ls.Frame]) -> None:
+def test_matte_ball_and_its_shadow_agree_in_five_pipelines(dark: dict[ls.Pipeline, ls.Frame]) -> None:
     """Within 5 %: the lit side of the ball, and the floor in full shadow, half shadow and light."""
     truth = dark[ls.Pipeline.PATH]
     assert truth.shadow_ratio is not None
@@ -85,7 +85,7 @@ def test_matte_balls_and_shadows_agree_in_five_pipelines(dark: dict[ls.Pipeline,
 
 
 @pytest.mark.deep
-def test_direct_light_agrees_in_five_pipelines_on_a_bright_floor() -> None:
+def test_direct_light_on_a_bright_floor_agrees_in_five_pipelines() -> None:
     """Within 5 %, without bounces and captured light: the lit side of the matte ball, its shadow, and the lit floor."""
     frames = {pipeline: rendered(pipeline, 0.75, catches=True, lights_only=True) for pipeline in ls.Pipeline}
     truth = frames[ls.Pipeline.HYBRID]
@@ -103,7 +103,7 @@ def test_direct_light_agrees_in_five_pipelines_on_a_bright_floor() -> None:
         assert max(means.values()) / min(means.values()) < 1.05, (name, means)
 
 
-def test_bounced_light_agrees_in_the_pipelines_that_trace_it() -> None:
+def test_bounced_light_agrees_in_the_pipelines_that_trace_bounces() -> None:
     """Within 5 %: the matte ball, which a bright floor lights from below."""
     with_bounces = [rendered(pipeline, 0.75, catches=True) for pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)]
     without = rendered(ls.Pipeline.HYBRID, 0.75, catches=True)
@@ -115,7 +115,7 @@ def test_bounced_light_agrees_in_the_pipelines_that_trace_it() -> None:
 
 
 @pytest.mark.parametrize("number", [2, 3, 4], ids=["rough metal", "mirror", "glass"])
-def test_reflections_agree_in_the_traced_pipelines(number: int) -> None:
+def test_reflections_agree_in_the_pipelines_that_trace_rays(number: int) -> None:
     """Within 5 %, with default settings, on a capture that catches no shadows.
 
     Real-time mirrors are left out: they show rough metals without their reflections.
@@ -132,7 +132,7 @@ def test_reflections_agree_in_the_traced_pipelines(number: int) -> None:
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda one: one.value
 )
-def test_default_samples_antialias_meshes_and_keep_captures(pipeline: ls.Pipeline) -> None:
+def test_default_samples_antialias_meshes_and_leave_captures_unchanged(pipeline: ls.Pipeline) -> None:
     """The ball's edges have intermediate values; pixels of the capture only equal the unlit frame's to the bit."""
     environment = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
     lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [environment])

@@ -36,7 +36,7 @@ def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **tra
 
 
 @pytest.mark.parametrize("order", ["peak", "mean", "hull"])
-def test_profiles_equal_the_float64_twin(order: str) -> None:
+def test_ray_profiles_equal_the_float64_twin(order: str) -> None:
     """Index, distance, alpha and transmittance of each Gaussian are equal, except within float32 rounding."""
     origins, directions = some_rays(150)
     profile = profiled(MIXED, origins, directions, hit_distance=order)
@@ -59,7 +59,7 @@ def test_profiles_equal_the_float64_twin(order: str) -> None:
     assert compared > 50
 
 
-def test_profile_transmittances_are_products_of_alphas() -> None:
+def test_transmittances_of_a_ray_profile_are_products_of_its_alphas() -> None:
     """Distances ascend, and the last transmittance is that of the ray without a mesh."""
     scene = ls.Scene([random_gaussians(4, count=500)])
     origins, directions = some_rays(400)
@@ -75,7 +75,7 @@ def test_profile_transmittances_are_products_of_alphas() -> None:
         assert hits.transmittance[ray] == pytest.approx(product[-1] if len(product) else 1.0, rel=1e-4, abs=1e-7)
 
 
-def test_profiles_do_not_depend_on_the_strategy() -> None:
+def test_ray_profiles_do_not_depend_on_the_trace_strategy() -> None:
     """Stochastic strategies and path tracing give the same profiles."""
     origins, directions = some_rays(50)
     exact = profiled(MIXED, origins, directions)
@@ -88,7 +88,7 @@ def test_profiles_do_not_depend_on_the_strategy() -> None:
     np.testing.assert_array_equal(of_paths.gaussian_index, exact.gaussian_index)
 
 
-def test_profiles_do_not_depend_on_the_hit_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_profiles_do_not_depend_on_the_size_of_the_hit_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Holds even if one ray has more hits than the buffer."""
     origins, directions = some_rays(60)
     whole = profiled(MIXED, origins, directions)
@@ -99,7 +99,7 @@ def test_profiles_do_not_depend_on_the_hit_buffer(monkeypatch: pytest.MonkeyPatc
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
-def test_profile_ranges_respect_the_hit_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_ranges_of_profiles_respect_the_limit_of_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ranges cover all rays with hits once; a range exceeds the limit only if it cannot be split."""
     monkeypatch.setattr(rays_module, "PROFILE_ROWS", 400)
     monkeypatch.setattr(rays_module, "RAY_BATCH", 96)
@@ -125,7 +125,7 @@ def test_rays_without_hits_have_empty_profiles() -> None:
     assert repr(none) == "RayProfile(rays=0, hits=0)"
 
 
-def test_profiles_are_returned_only_on_request() -> None:
+def test_ray_queries_return_profiles_only_on_request() -> None:
     """Without ``profile``, the result has no profile."""
     assert ls.trace_rays(ls.Scene([one_gaussian()]), (0, 0, 0), [[0.0, 0.0, 1.0]], device="cpu").profile is None
 
@@ -138,7 +138,7 @@ CAMERAS = {
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_camera_focuses_on_the_surface_at_a_pixel(name: str) -> None:
+def test_camera_can_be_focused_on_the_surface_at_a_pixel(name: str) -> None:
     """The focus distance is the frame's view depth, or the distance for a fisheye, on Gaussians and meshes."""
     scene, camera = ls.Scene([one_gaussian((-0.6, 0.0, 3.0), opacity=0.9)], [quad(4.0, tilt=0.2)]), CAMERAS[name]
     frame = ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
@@ -152,7 +152,7 @@ def test_camera_focuses_on_the_surface_at_a_pixel(name: str) -> None:
     assert seen == {0, 1}
 
 
-def test_focused_surface_is_sharp() -> None:
+def test_surface_in_focus_is_as_sharp_as_with_a_pinhole() -> None:
     """With a wide aperture, the texture at the pixel is as sharp as with a pinhole, and nearer objects are not."""
     rng = np.random.default_rng(2)
     texture = rng.integers(0, 2, (16, 16, 3), np.uint8) * 255
@@ -180,13 +180,13 @@ def test_focused_surface_is_sharp() -> None:
         ((0, 0), r"pixel \(0, 0\) shows no surface to focus on"),
     ],
 )
-def test_pixels_without_a_surface_are_refused(pixel: tuple[Any, Any], message: str) -> None:
+def test_focusing_on_a_pixel_without_a_surface_is_refused(pixel: tuple[Any, Any], message: str) -> None:
     """Focusing on such a pixel raises an error."""
     with pytest.raises(ls.SceneError, match=message):
         ls.rays.focused(ls.Scene([one_gaussian()]), front_camera(), *pixel, device="cpu")
 
 
-def test_rasteriser_refuses_to_focus() -> None:
+def test_renderer_of_the_raster_pipeline_refuses_to_focus_a_camera() -> None:
     """A rasterised pipeline has no lens to focus."""
     with pytest.raises(ls.ConfigError, match="this one rasterises"):
         ls.create_renderer(device="cpu").focused(ls.Scene([one_gaussian()]), front_camera(), 32, 24)

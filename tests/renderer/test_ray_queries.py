@@ -31,7 +31,7 @@ def stack(*opacities: float) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_zero_rays_give_empty_arrays(pipeline: ls.Pipeline) -> None:
+def test_query_of_zero_rays_in_a_lit_scene_returns_empty_arrays(pipeline: ls.Pipeline) -> None:
     """Zero rays in any scene give arrays without rows."""
     scene = ls.Scene([stack(0.5)], [quad(4.0)], [ls.LightPoint((0.0, 0.0, 0.0))])
     none = np.zeros((0, 3))
@@ -39,7 +39,7 @@ def test_zero_rays_give_empty_arrays(pipeline: ls.Pipeline) -> None:
     assert hits.radiance.shape == (0, 3) and len(hits) == 0
 
 
-def test_transmittance_is_the_product_of_gaussians() -> None:
+def test_transmittance_query_is_the_product_over_gaussians_before_the_ray_end() -> None:
     """The product is over the Gaussians whose mean is in front of the ray's end."""
     scene = ls.Scene([stack(0.5, 0.8, 0.3)])
     distances = np.array([2.5, 3.5, 4.5, 5.5, math.inf])
@@ -48,7 +48,7 @@ def test_transmittance_is_the_product_of_gaussians() -> None:
     assert ls.transmittance(scene, ORIGIN, AHEAD, 3.5, device="cpu") == pytest.approx(0.5, rel=1e-5)
 
 
-def test_transmittance_equals_sorted_rays() -> None:
+def test_transmittance_query_equals_the_transmittance_of_sorted_rays() -> None:
     """In any order, the product equals the transmittance of sorted rays, except below the threshold."""
     rng = np.random.default_rng(5)
     scene = ls.Scene([random_gaussians(70, count=400)])
@@ -59,7 +59,7 @@ def test_transmittance_equals_sorted_rays() -> None:
     np.testing.assert_allclose(through, hits.transmittance, atol=2e-4)
 
 
-def test_meshes_block_all_transmittance() -> None:
+def test_meshes_block_all_transmittance_of_a_query() -> None:
     """A mesh of any material blocks; a segment that ends in front of it is not blocked."""
     glass = ls.MaterialPbr(transmission=1.0, roughness=0.0)
     scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass)])
@@ -70,7 +70,7 @@ def test_meshes_block_all_transmittance() -> None:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_gaussian_with_peak_behind_a_wall_is_hidden(hit_distance: ls.config.HitDistance) -> None:
+def test_gaussian_whose_peak_is_behind_a_wall_adds_no_colour_and_no_shadow(hit_distance: ls.config.HitDistance) -> None:
     """Even if its hull reaches through the wall, the Gaussian adds no colour and no shadow in front."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 5.0), 0.5, opacity=0.95)], [quad(4.0, material=ls.MaterialPbr())])
     renderer = tracer(hit_distance=hit_distance)
@@ -82,7 +82,7 @@ def test_gaussian_with_peak_behind_a_wall_is_hidden(hit_distance: ls.config.HitD
     assert renderer.transmittance(alone, ORIGIN, AHEAD, 5.5) < 0.1
 
 
-def test_queried_rays_equal_the_pixels_of_a_frame() -> None:
+def test_queried_rays_through_pixels_have_the_colours_of_a_frame() -> None:
     """Rays through pixels give the colours of a frame without footprint, whatever their lengths and order."""
     scene, camera = ls.Scene([random_gaussians(71)], [quad(4.0, 0.6, tilt=0.3)]), front_camera()
     frame = tracer(dilation=0.0).render(scene, camera)
@@ -95,7 +95,7 @@ def test_queried_rays_equal_the_pixels_of_a_frame() -> None:
     np.testing.assert_allclose(1.0 - hits.transmittance, frame.alpha.reshape(-1)[order], atol=2e-3)
 
 
-def test_batch_size_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_ray_queries_do_not_depend_on_the_batch_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """Batches of 64 rays give the results of one batch, including random numbers, with the memory of a batch."""
     scene = ls.Scene([random_gaussians(72)])
     rng = np.random.default_rng(8)
@@ -109,7 +109,7 @@ def test_batch_size_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_array_equal(parts.depth, whole.depth)
 
 
-def test_queries_of_many_sizes_share_buffers() -> None:
+def test_ray_queries_of_many_sizes_share_buffers() -> None:
     """Queries with ever other numbers of rays use a few buffers."""
     renderer, scene = tracer(), ls.Scene([stack(0.5)])
     renderer.trace_rays(scene, np.zeros((900, 3)), np.repeat(AHEAD, 900, axis=0))
@@ -120,21 +120,21 @@ def test_queries_of_many_sizes_share_buffers() -> None:
     assert len(renderer._buffers._views) == views
 
 
-def test_one_origin_is_used_for_all_rays() -> None:
+def test_ray_query_uses_a_single_origin_for_all_directions() -> None:
     """The result equals that of a repeated origin."""
     scene, directions = ls.Scene([random_gaussians(73)]), np.random.default_rng(9).normal((0, 0, 3), 1.0, (50, 3))
     one, many = (ls.trace_rays(scene, o, directions, device="cpu") for o in ((0, 0, 1), np.tile((0, 0, 1), (50, 1))))
     np.testing.assert_array_equal(one.radiance, many.radiance)
 
 
-def test_zero_rays_raise_no_error() -> None:
+def test_queries_of_zero_rays_and_zero_transmittances_raise_no_error() -> None:
     """Zero rays give empty arrays."""
     hits = ls.trace_rays(ls.Scene([stack(0.5)]), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu")
     assert len(hits) == 0 and hits.radiance.shape == (0, 3)
     assert ls.transmittance(ls.Scene(), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu").shape == (0,)
 
 
-def test_overflowing_colours_are_black_and_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_ray_whose_colour_overflows_is_black_and_logged(caplog: pytest.LogCaptureFixture) -> None:
     """A ray whose colour overflows is black; a log line counts such rays."""
     wild = ls.Gaussians([[0.0, 0.0, 3.0]], [[1, 0, 0, 0]], [[0.2] * 3], [0.9], np.full((1, 16, 3), 3e38))
     hits = ls.trace_rays(ls.Scene([wild]), np.zeros((2, 3)), [[0, 0, 1], [0, 0, -1]], device="cpu")
@@ -156,7 +156,7 @@ def test_overflowing_colours_are_black_and_logged(caplog: pytest.LogCaptureFixtu
         (ORIGIN, [[1j, 0, 0]], "directions are not numbers"),
     ],
 )
-def test_invalid_rays_are_refused(origins: Any, directions: Any, message: str) -> None:
+def test_ray_queries_refuse_invalid_origins_and_directions(origins: Any, directions: Any, message: str) -> None:
     """One message counts them, without NumPy warnings."""
     with warnings.catch_warnings(), pytest.raises(ls.SceneError, match=message):
         warnings.simplefilter("error")
@@ -172,20 +172,20 @@ def test_invalid_rays_are_refused(origins: Any, directions: Any, message: str) -
         ("far", "max_distance are not numbers"),
     ],
 )
-def test_invalid_distances_are_refused(distance: Any, message: str) -> None:
+def test_ray_queries_refuse_invalid_maximum_distances(distance: Any, message: str) -> None:
     """One message counts them, without NumPy warnings."""
     with pytest.raises(ls.SceneError, match=message):
         ls.transmittance(ls.Scene([stack(0.5)]), ORIGIN, AHEAD, distance, device="cpu")
 
 
-def test_rasterising_renderer_refuses_ray_queries() -> None:
+def test_renderer_of_the_raster_pipeline_refuses_ray_queries() -> None:
     """The message names the pipelines that trace rays."""
     with pytest.raises(ls.ConfigError, match=r"a renderer with Pipeline\.TRACE"):
         ls.create_renderer(device="cpu").trace_rays(ls.Scene([stack(0.5)]), ORIGIN, AHEAD)
 
 
 @pytest.mark.data
-def test_rays_do_not_depend_on_other_rays_of_the_query(data_dir: Path) -> None:
+def test_result_of_a_queried_ray_does_not_depend_on_other_rays(data_dir: Path) -> None:
     """Parallel rays from all directions have the same result alone and in any company."""
     capture = ls.load(data_dir / "splats" / "biker.compressed.ply")
     assert isinstance(capture, ls.Gaussians)

@@ -51,7 +51,7 @@ def images_of(renderer: ls.Renderer) -> list[np.ndarray]:
     return [np.array(getattr(frame, name)) for name in IMAGES]
 
 
-def test_reconfigured_renderer_equals_a_new_one() -> None:
+def test_reconfigured_renderer_equals_a_new_renderer() -> None:
     """Bit-equal, there and back through settings of all pipelines."""
     renderer = ls.create_renderer(BASE, "cpu")
     expected: dict[str, list[np.ndarray]] = {}
@@ -65,7 +65,7 @@ def test_reconfigured_renderer_equals_a_new_one() -> None:
             np.testing.assert_array_equal(image, of_new, f"{name}: {what}")
 
 
-def test_reconfiguring_uploads_and_builds_nothing() -> None:
+def test_reconfiguring_a_renderer_uploads_and_builds_nothing() -> None:
     """Gaussians, meshes and their BVHs are reused, except for BVHs whose bounds change."""
     renderer = ls.create_renderer(replace(BASE, pipeline=ls.Pipeline.HYBRID), "cpu")
     renderer.render(LIT, CAMERA)
@@ -81,7 +81,7 @@ def test_reconfiguring_uploads_and_builds_nothing() -> None:
     assert renderer._scene.bvh.cached[0].bvh is not tree
 
 
-def test_buffers_of_other_settings_are_freed() -> None:
+def test_reconfiguring_a_renderer_frees_buffers_of_the_old_settings() -> None:
     """Buffers of a real-time sequence are many times those of a rasterised frame."""
     renderer = ls.create_renderer(BASE, "cpu")
     renderer.render(LIT, CAMERA)
@@ -94,7 +94,7 @@ def test_buffers_of_other_settings_are_freed() -> None:
     assert renderer._buffers.bytes == small
 
 
-def test_refused_settings_leave_the_renderer_unchanged() -> None:
+def test_refused_settings_leave_a_reconfigured_renderer_unchanged() -> None:
     """No part of refused settings is applied."""
     renderer = ls.create_renderer(BASE, "cpu")
     before = images_of(renderer)
@@ -105,7 +105,7 @@ def test_refused_settings_leave_the_renderer_unchanged() -> None:
         np.testing.assert_array_equal(image, same)
 
 
-def test_reconfiguring_updates_the_backward_pass() -> None:
+def test_reconfiguring_a_differentiable_renderer_updates_its_gradients() -> None:
     """Gradients equal those of a new renderer; settings that the class refuses change nothing."""
     scene = ls.Scene([random_gaussians(1, count=60)])
     raster, trace = (ls.RenderConfig(pipeline=pipeline) for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE))
@@ -127,7 +127,7 @@ def test_reconfiguring_updates_the_backward_pass() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
-def test_developing_takes_no_new_samples(pipeline: str) -> None:
+def test_developing_a_frame_with_another_tone_map_takes_no_new_samples(pipeline: str) -> None:
     """The last frame gets another tone map and exposure, on the device or from its arrays."""
     config = replace(BASE, pipeline=ls.Pipeline(pipeline))
     shown = replace(config, tone_map=ls.ToneMap.AGX)
@@ -145,7 +145,7 @@ def test_developing_takes_no_new_samples(pipeline: str) -> None:
     np.testing.assert_array_equal(added.color, of_four.color)
 
 
-def test_another_tone_map_keeps_the_real_time_history() -> None:
+def test_changing_the_tone_map_keeps_the_history_of_a_realtime_sequence() -> None:
     """The history of a real-time sequence is kept to the bit."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     changed, same = (ls.create_renderer(config, "cpu") for _ in range(2))
@@ -155,7 +155,7 @@ def test_another_tone_map_keeps_the_real_time_history() -> None:
     np.testing.assert_array_equal(changed.render(LIT, CAMERA).color, same.render(LIT, CAMERA).color)
 
 
-def test_derived_frames_are_not_developed_from_the_film() -> None:
+def test_frame_with_mesh_catchers_is_developed_from_its_images_not_the_film() -> None:
     """A frame with shadows on catcher meshes is developed from its arrays, as the film does not contain them."""
     catcher = ls.MeshInstance(ls.box(4.0), position=(0.0, 3.0, 4.0), shadow_catcher=True)
     scene = replace(LIT, meshes=(*LIT.meshes, catcher))

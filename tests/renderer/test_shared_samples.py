@@ -38,7 +38,7 @@ def part_of(values: np.ndarray, first: int, layer: np.ndarray) -> SamplePart:
     return SamplePart(first, len(values), (1, 1), held, {})
 
 
-def test_merged_sums_equal_the_sums_of_all_samples() -> None:
+def test_merged_sample_sums_equal_the_sums_over_all_samples() -> None:
     """Counts, sums, centred squares and layer means agree in float64; parts without samples have no effect."""
     rng = np.random.default_rng(2)
     values = 5.0 + rng.normal(size=90).astype(np.float32)
@@ -57,7 +57,7 @@ def test_merged_sums_equal_the_sums_of_all_samples() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.HYBRID])
-def test_a_merged_frame_has_the_bits_of_one_renderer(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_frame_merged_from_two_renderers_has_the_bits_of_one_renderer(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     """Two renderers in any order, through files, give the bits of one; a frame rendered at once is nearly equal."""
     config = settings(pipeline, shadows=ls.Shadows.SOFT, aovs=("albedo", "lights", "variance", "sample_count"))
     scene = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT)
@@ -83,7 +83,7 @@ def test_a_merged_frame_has_the_bits_of_one_renderer(pipeline: ls.Pipeline, tmp_
     assert np.abs(shared.color - plain.color).max() < 1e-5
 
 
-def test_mismatched_parts_are_refused() -> None:
+def test_merging_sample_parts_that_do_not_fit_is_refused() -> None:
     """Each error is one line."""
     scene, renderer = lit_scene.scene(), ls.create_renderer(settings(samples=2), "cpu")
     part = ls.farm.render_samples(renderer, scene, CAMERA, range(2))
@@ -110,7 +110,7 @@ def test_mismatched_parts_are_refused() -> None:
         (ls.RenderConfig(pipeline=ls.Pipeline.PATH, time_limit=1.0), "set samples"),
     ],
 )
-def test_unsupported_frames_are_refused(config: ls.RenderConfig, message: str) -> None:
+def test_frames_that_cannot_be_split_into_sample_parts_are_refused(config: ls.RenderConfig, message: str) -> None:
     """Such frames are refused in one line."""
     renderer = ls.create_renderer(config, "cpu")
     scene = ls.Scene() if config.pipeline is ls.Pipeline.RASTER else lit_scene.scene()
@@ -118,7 +118,7 @@ def test_unsupported_frames_are_refused(config: ls.RenderConfig, message: str) -
         ls.farm.sample_blocks(renderer, scene)
 
 
-def test_resampled_frames_are_refused() -> None:
+def test_rasterised_frames_of_distorted_lenses_cannot_be_split_into_parts() -> None:
     """Rasterised frames of distorted lenses are resampled, and hence refused."""
     renderer = ls.create_renderer(settings(ls.Pipeline.HYBRID), "cpu")
     with pytest.raises(ls.ConfigError, match="lens distortion"):
@@ -127,7 +127,7 @@ def test_resampled_frames_are_refused() -> None:
         )
 
 
-def test_damaged_part_files_are_refused(tmp_path: Path) -> None:
+def test_damaged_sample_part_files_are_refused(tmp_path: Path) -> None:
     """Truncated files and files of other formats are refused."""
     renderer, scene = ls.create_renderer(settings(samples=1), "cpu"), lit_scene.scene()
     path = tmp_path / "part.npz"

@@ -32,7 +32,7 @@ def renderer(pipeline: ls.Pipeline) -> ls.Renderer:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_stopped_frame_leaves_no_trace(pipeline: ls.Pipeline) -> None:
+def test_stopped_frame_does_not_change_later_frames(pipeline: ls.Pipeline) -> None:
     """Wherever it stopped, the next frame and a resumed frame equal those of a new renderer to the bit."""
     expected = renderer(pipeline).render(LIT, CAMERA)
     for count in (1, 2, 7, 30, 90):
@@ -46,7 +46,7 @@ def test_stopped_frame_leaves_no_trace(pipeline: ls.Pipeline) -> None:
     np.testing.assert_array_equal(used.render(LIT, CAMERA, resume=expected).color, again.color)
 
 
-def test_frame_is_complete_if_stop_returns_false() -> None:
+def test_frame_is_complete_if_the_stop_function_returns_false() -> None:
     """The stop function is polled throughout and returns False."""
     asked: list[bool] = []
     frame = renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA, stop=lambda: bool(asked.append(True)))
@@ -54,7 +54,7 @@ def test_frame_is_complete_if_stop_returns_false() -> None:
     np.testing.assert_array_equal(frame.color, renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA).color)
 
 
-def test_real_time_frames_ignore_stop() -> None:
+def test_realtime_frames_ignore_the_stop_function() -> None:
     """Real-time frames depend on each other and are always finished."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     frames = [ls.create_renderer(config, "cpu").render(LIT, CAMERA, stop=stop) for stop in (None, lambda: True)]

@@ -48,7 +48,9 @@ def assert_crop(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> No
 
 @pytest.mark.parametrize("backend", SCHEDULES)
 @pytest.mark.parametrize("strategy", list(ls.config.RasterStrategy))
-def test_unlit_windows_equal_crops(strategy: ls.config.RasterStrategy, backend: str) -> None:
+def test_unlit_frame_of_a_window_equals_the_crop_of_the_full_image(
+    strategy: ls.config.RasterStrategy, backend: str
+) -> None:
     """Sorted and stochastic, in both schedules, with Gaussians larger than windows and meshes with alpha."""
     sheet = checker_quad(0.0)
     seen_through = replace(sheet.material, alpha=0.5, alpha_mode="blend")
@@ -66,7 +68,7 @@ def test_unlit_windows_equal_crops(strategy: ls.config.RasterStrategy, backend: 
 
 @pytest.mark.parametrize("backend", DEVICES)
 @pytest.mark.parametrize("pipeline", SAMPLED)
-def test_lit_windows_equal_crops(pipeline: ls.Pipeline, backend: str) -> None:
+def test_lit_frame_of_a_window_equals_the_crop_of_the_full_image(pipeline: ls.Pipeline, backend: str) -> None:
     """Covers soft shadows, mirrors, glass, captures and relit sets, with light layers."""
     aovs = ("albedo", "lights", "variance", "sample_count")
     if pipeline is ls.Pipeline.PATH:
@@ -77,7 +79,7 @@ def test_lit_windows_equal_crops(pipeline: ls.Pipeline, backend: str) -> None:
 
 
 @pytest.mark.parametrize("name", RAY_CAMERAS)
-def test_traced_windows_equal_crops_for_all_lenses(name: str) -> None:
+def test_traced_frame_of_a_window_equals_the_crop_for_all_lenses(name: str) -> None:
     """Covers fisheye, thin lens, orthographic and rolling shutter."""
     camera = RAY_CAMERAS[name]
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
@@ -86,7 +88,7 @@ def test_traced_windows_equal_crops_for_all_lenses(name: str) -> None:
 
 @pytest.mark.parametrize("backend", SCHEDULES)
 @pytest.mark.parametrize("name", ["distorted fisheye", "rolling shutter"])
-def test_unscented_windows_equal_crops(name: str, backend: str) -> None:
+def test_unscented_frame_of_a_window_equals_the_crop_of_the_full_image(name: str, backend: str) -> None:
     """Covers sigma-point projection and pixel rays."""
     camera = RAY_CAMERAS[name]
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
@@ -94,13 +96,13 @@ def test_unscented_windows_equal_crops(name: str, backend: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["phone", "barrel"])
-def test_resampled_windows_equal_crops(name: str) -> None:
+def test_resampled_frame_of_a_window_equals_the_crop_of_the_full_image(name: str) -> None:
     """Covers rasterised frames with lens distortion, resampled from a larger pinhole frame."""
     camera = replace(LENSES[name], width=71, height=53, cx=36.0, cy=25.0, fx=60.0, fy=63.0)
     assert_crop(ls.create_renderer(None, "cpu"), ls.Scene([layers(camera)]), camera)
 
 
-def test_focus_and_depth_use_full_image_coordinates() -> None:
+def test_focus_pixel_of_a_windowed_camera_is_in_full_image_coordinates() -> None:
     """The pixel to focus on is given in full-image coordinates, and host-side depth fits a window's frame."""
     camera = lens(60.0, SIZE, aperture=0.1)
     scene = ls.Scene([layers(camera)])
@@ -124,7 +126,7 @@ def test_focus_and_depth_use_full_image_coordinates() -> None:
         ((0, 0, 16.5, 16), "four whole numbers"),
     ],
 )
-def test_invalid_windows_are_refused(window: tuple[float, ...], message: str) -> None:
+def test_camera_refuses_invalid_windows(window: tuple[float, ...], message: str) -> None:
     """The camera's constructor refuses them."""
     with pytest.raises(ls.SceneError, match=message):
         lens(60.0, SIZE, window=window)
@@ -139,14 +141,16 @@ def test_invalid_windows_are_refused(window: tuple[float, ...], message: str) ->
         ({"pipeline": "hybrid", "time_limit": 1.0}, "choose samples by the whole image"),
     ],
 )
-def test_settings_that_need_the_full_image_are_refused(settings: dict[str, Any], message: str) -> None:
+def test_windowed_camera_is_refused_by_settings_that_need_the_full_image(
+    settings: dict[str, Any], message: str
+) -> None:
     """One message instead of pixels that differ from the full image."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.ConfigError, match=message):
         ls.render(lit_scene.scene(), camera, ls.RenderConfig(**settings), device="cpu")
 
 
-def test_gradients_and_scaling_refuse_windows() -> None:
+def test_gradients_and_scaling_refuse_windowed_cameras() -> None:
     """Gradients need the full image, and a camera with a window cannot be scaled."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.SceneError, match="need the whole image"):

@@ -25,7 +25,7 @@ def vectors_of(*rows: tuple[float, float, float]) -> DeviceArray:
 
 
 @pytest.mark.parametrize("is_lazy", [False, True])
-def test_later_writes_do_not_change_copies(is_lazy: bool) -> None:
+def test_writes_after_copying_do_not_change_a_device_copy(is_lazy: bool) -> None:
     """Copies hold the values at the time of copying, whenever and however they are read."""
     lender, color, alpha = Downloads(is_lazy=is_lazy), vectors_of((1, 2, 3), (4, 5, 6)), array_of(0.5, 0.25)
     copies = lender.copies({"color": color, "alpha": alpha})
@@ -40,7 +40,7 @@ def test_later_writes_do_not_change_copies(is_lazy: bool) -> None:
     assert callable(given) == is_lazy
 
 
-def test_only_read_words_are_downloaded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_part_of_a_device_copy_downloads_only_that_part(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each read downloads just the words that it asks for."""
     lender = Downloads(is_lazy=True)
     copies = lender.copies({"color": vectors_of((1, 2, 3), (4, 5, 6)), "alpha": array_of(0.5, 0.25)})
@@ -58,7 +58,7 @@ def test_only_read_words_are_downloaded(monkeypatch: pytest.MonkeyPatch) -> None
     assert lender.lent == {"host": 1, "device": 1}
 
 
-def test_blocks_in_use_are_not_reused() -> None:
+def test_host_blocks_with_a_live_view_are_not_reused() -> None:
     """A single view keeps the host block in use; the next copies use other memory."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0, 3.0, 4.0)
     part = lender.copies({"a": source}).words("a", 1, 2).reshape(2, 1)
@@ -72,7 +72,7 @@ def test_blocks_in_use_are_not_reused() -> None:
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_returned_blocks_are_reused() -> None:
+def test_host_block_of_a_dropped_frame_is_reused_by_the_next_frame() -> None:
     """Once nobody holds a frame, the next frame of its size reuses its block; another size gets a new one."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0)
     first = lender.copies({"a": source}).words("a")
@@ -87,7 +87,7 @@ def test_returned_blocks_are_reused() -> None:
     assert lender.device_bytes == 12
 
 
-def test_device_copies_are_limited() -> None:
+def test_number_of_frames_that_wait_on_the_device_is_limited() -> None:
     """When a program holds many frames, the first few stay on the device and the others are downloaded at once."""
     lender = Downloads(is_lazy=True)
     kept = [lender.copies({"a": array_of(float(number))}) for number in range(FRAME_BLOCKS_MAX + 2)]
@@ -98,7 +98,7 @@ def test_device_copies_are_limited() -> None:
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_page_locked_memory_is_limited() -> None:
+def test_number_of_frames_in_page_locked_memory_is_limited() -> None:
     """When a program holds many images, a few frames use page-locked memory and the others ordinary memory."""
     lender = Downloads(is_lazy=True)
     kept = [lender.copies({"a": array_of(number, 9.0)}).words("a", 0, 1) for number in range(FRAME_BLOCKS_MAX + 2)]
@@ -106,7 +106,7 @@ def test_page_locked_memory_is_limited() -> None:
     assert [float(image[0]) for image in kept] == list(range(FRAME_BLOCKS_MAX + 2))
 
 
-def test_full_device_downloads_immediately(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_downloaded_at_once_if_the_device_memory_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without device memory for a second copy, the frame is downloaded at once."""
 
     def refuse(*_: object, **__: object) -> None:
@@ -120,7 +120,7 @@ def test_full_device_downloads_immediately(monkeypatch: pytest.MonkeyPatch) -> N
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_blocks_may_return_while_one_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_block_may_be_returned_while_another_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     """A garbage collection on the same thread may return a block at that moment, without deadlock or loss."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)})]
@@ -137,7 +137,7 @@ def test_blocks_may_return_while_one_is_taken(monkeypatch: pytest.MonkeyPatch) -
     assert lender.device_bytes == 16  # of what came back, too, until the next frame of another size
 
 
-def test_concurrent_threads_respect_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_threads_respect_the_limit_of_memory_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two threads compete for the last block while the first is still allocating; only one gets it."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)}) for _ in range(FRAME_BLOCKS_MAX - 1)]

@@ -50,7 +50,7 @@ def _garbage(file: Path) -> None:
 
 @pytest.mark.parametrize("damage", [_cut, _empty, _garbage])
 @pytest.mark.parametrize("suffix", [".o", ".meta"])
-def test_damaged_modules_are_recompiled(kernel, tmp_path, caplog, suffix, damage) -> None:
+def test_damaged_modules_in_the_kernel_cache_are_recompiled(kernel, tmp_path, caplog, suffix, damage) -> None:
     """One warning names the folder; the kernel works, and the next load finds nothing wrong."""
     (file,) = tmp_path.glob(f"*/*{suffix}")
     damage(file)
@@ -66,7 +66,7 @@ def test_damaged_modules_are_recompiled(kernel, tmp_path, caplog, suffix, damage
     assert values.numpy().tolist() == [2.0, 4.0]
 
 
-def test_intact_cache_is_unchanged(kernel, tmp_path, caplog) -> None:
+def test_intact_kernel_cache_is_left_unchanged_without_warning(kernel, tmp_path, caplog) -> None:
     """No warning, and the same files."""
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     load_module(kernel.module, "cpu", 1)
@@ -74,14 +74,14 @@ def test_intact_cache_is_unchanged(kernel, tmp_path, caplog) -> None:
     assert not caplog.records
 
 
-def test_non_utf8_cache_folders_are_refused(kernel, tmp_path, monkeypatch) -> None:
+def test_kernel_cache_folders_with_names_not_in_utf8_are_refused(kernel, tmp_path, monkeypatch) -> None:
     """Warp passes names as UTF-8, so any other folder name is one clear error."""
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / os.fsdecode(b"fa\xe7ade")))
     with pytest.raises(DeviceError, match="WARP_CACHE_PATH to another folder"):
         load_module(kernel.module, "cpu", 1)
 
 
-def test_impossible_cache_folder_is_one_clear_error(kernel, tmp_path, monkeypatch) -> None:
+def test_kernel_cache_folder_inside_a_file_raises_an_error_with_the_reason(kernel, tmp_path, monkeypatch) -> None:
     """A cache folder inside a file is reported with place, reason and advice, to programs and commands alike."""
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / "file" / "kernels"))
@@ -90,7 +90,7 @@ def test_impossible_cache_folder_is_one_clear_error(kernel, tmp_path, monkeypatc
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
-def test_headers_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> None:
+def test_header_folders_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> None:
     """Folders of dead processes and old folders without an owner are removed; those of living processes stay."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
@@ -108,7 +108,7 @@ def test_headers_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> No
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
-def test_compilation_marks_its_header_folder(kernel) -> None:
+def test_compilation_writes_its_process_id_to_its_header_folder(kernel) -> None:
     """The header folder of Warp's compiler holds this process's id."""
     folder = wp._src.context.runtime.get_clang_pch_dir()  # pyright: ignore[reportPrivateUsage, reportAttributeAccessIssue]
     assert Path(cast(str, folder), "lumisplat.pid").read_text() == f"{os.getpid()}"

@@ -27,14 +27,14 @@ from support.kernels import package_modules
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
 @pytest.mark.parametrize("bands", [None, 1, 7])
-def test_bands_cover_every_item_once(count: int, bands: int | None) -> None:
+def test_thread_ranges_of_a_launch_cover_every_item_once(count: int, bands: int | None) -> None:
     """However a launch is cut into bands, each item runs exactly once."""
     order = wp.array(np.full(count, -1, np.int32), dtype=wp.int32, device="cpu")
     Launcher("cpu", threads=3).run_banded(binning_kernels.fill_identity, count, order, bands=bands)
     np.testing.assert_array_equal(order.numpy(), np.arange(count))
 
 
-def test_stages_accumulate_under_their_names() -> None:
+def test_stage_times_accumulate_under_the_name_of_the_stage() -> None:
     """A stage that runs twice is reported once, with the sum of both times."""
     launcher = Launcher("cpu")
     for _ in range(2):
@@ -45,14 +45,14 @@ def test_stages_accumulate_under_their_names() -> None:
 
 
 @pytest.mark.parametrize("name", ["cuda:99", "tpu", "", "cpu:1"])
-def test_missing_device_lists_available_devices(name: str) -> None:
+def test_error_for_a_missing_device_lists_the_available_devices(name: str) -> None:
     """A missing device is refused with a list of the available ones."""
     with pytest.raises(DeviceError, match=r"use auto or one of cpu"):
         resolve_device(name)
 
 
 @pytest.mark.parametrize("threads", [0, -1])
-def test_zero_threads_are_refused(threads: int) -> None:
+def test_launcher_with_zero_threads_is_refused(threads: int) -> None:
     """Zero threads are an error, and do not mean all cores."""
     with pytest.raises(ConfigError, match="threads is"):
         Launcher("cpu", threads=threads)
@@ -72,7 +72,7 @@ def joining(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return event
 
 
-def test_failed_launch_waits_for_running_bands(joining: threading.Event) -> None:
+def test_failed_launch_waits_for_the_threads_that_still_run(joining: threading.Event) -> None:
     """When one band fails, no other starts, and none still writes to the arrays once the error is raised."""
     started = threading.Event()
     begun: list[int] = []
@@ -97,7 +97,7 @@ def test_failed_launch_waits_for_running_bands(joining: threading.Event) -> None
         joining.set()
 
 
-def test_buffers_grow_and_never_shrink() -> None:
+def test_buffers_grow_for_larger_requests_and_never_shrink() -> None:
     """Smaller requests reuse memory; only a larger one allocates."""
     buffers = Buffers("cpu")
     first = buffers.get("a", wp.float32, (4, 8))
@@ -110,7 +110,7 @@ def test_buffers_grow_and_never_shrink() -> None:
     assert buffers.allocations == 2
 
 
-def test_memory_limits_are_read_only_for_large_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_limits_are_read_only_before_allocating_large_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame allocates many small arrays, and reading the limits takes longer than rendering a small frame."""
     asked: list[None] = []
     monkeypatch.setattr("lumisplat.runtime.buffers.usable_memory", lambda: asked.append(None))
@@ -122,13 +122,13 @@ def test_memory_limits_are_read_only_for_large_arrays(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("size", [2**40, 2**55])
-def test_out_of_memory_is_a_device_error(size: int) -> None:
+def test_out_of_memory_raises_an_error_that_names_device_and_buffer(size: int) -> None:
     """An impossible allocation names the device and the buffer, before the system kills the process."""
     with pytest.raises(DeviceError, match=r"cpu.*'huge'"):
         Buffers("cpu").get("huge", wp.float64, size)
 
 
-def test_nested_stages_are_not_counted_twice() -> None:
+def test_time_of_nested_stages_is_not_counted_twice() -> None:
     """The outer stage gets the time that its inner stages leave; together they are the elapsed time."""
     launcher, now = Launcher("cpu"), [5.0]
     launcher.clock = lambda: now[0]
@@ -139,7 +139,7 @@ def test_nested_stages_are_not_counted_twice() -> None:
     assert launcher.stage_ms == pytest.approx({"outer": 3.0, "inner": 20.0})
 
 
-def test_stages_are_timed_per_pass():
+def test_stages_are_timed_separately_for_each_pass():
     """The same stage in two passes has two times; time outside stages counts for the pass."""
     launcher, now = Launcher("cpu", threads=1), [5.0]
     launcher.clock = lambda: now[0]
@@ -152,7 +152,7 @@ def test_stages_are_timed_per_pass():
     assert launcher.stage_ms["first: work"] == pytest.approx(1.0)
 
 
-def test_without_memory_pools_nothing_is_captured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_devices_without_memory_pools_capture_no_graphs(monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that cannot allocate during capture runs the work every time; the third frame equals the first."""
     launcher, runs = Launcher("cpu"), []
     launcher.is_cuda = True
@@ -163,7 +163,7 @@ def test_without_memory_pools_nothing_is_captured(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(("enabled", "before", "after"), [(True, 0, 2**30), (True, 2**31, 2**31), (False, 0, 0)])
-def test_gpu_pools_retain_scratch_memory(
+def test_memory_pool_of_a_gpu_retains_scratch_memory(
     monkeypatch: pytest.MonkeyPatch, enabled: bool, before: int, after: int
 ) -> None:
     """A GPU's memory pool retains memory across waits, and never less than the program has set."""
@@ -179,7 +179,7 @@ def test_gpu_pools_retain_scratch_memory(
 # --- Loading kernels ---
 
 
-def test_load_reports_every_module() -> None:
+def test_loading_kernels_reports_progress_after_every_module() -> None:
     """The reported fraction grows module by module, on the caller's thread."""
     heard: list[tuple[float, threading.Thread]] = []
     modules = [binning_kernels, camera_ray_kernels, film_kernels]
@@ -189,7 +189,7 @@ def test_load_reports_every_module() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_compile_errors_reach_the_caller(
+def test_kernel_compile_error_reaches_the_caller(
     threads: int, joining: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The error of one module is raised, and pending modules are not compiled."""
@@ -217,7 +217,7 @@ KERNELS = [module.name for module in package_modules()]
         pytest.param(KERNELS, id="all", marks=pytest.mark.deep),
     ],
 )
-def test_kernels_compile_without_warnings(names: list[str], tmp_path: Path) -> None:
+def test_kernels_of_a_first_frame_compile_without_warnings(names: list[str], tmp_path: Path) -> None:
     """A first frame shows no compiler warnings."""
     program = (
         f"import importlib, warp as wp; wp.config.kernel_cache_dir = {str(tmp_path)!r}; wp.init();"
@@ -240,7 +240,9 @@ def test_warp_prints_nothing_on_standard_output() -> None:
     assert done.stdout.startswith("mine\nHelp on function render in module lumisplat.renderer.one_shot")
 
 
-def test_slow_compilation_is_announced_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_slow_kernel_compilation_is_announced_once_in_the_log(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """One log line announces compilation; modules that load quickly are not announced."""
     said = threading.Event()
     monkeypatch.setattr(wp, "load_module", lambda *_, **__: None)

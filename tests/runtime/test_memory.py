@@ -60,13 +60,17 @@ V1 = [("/", "cpu", "cgroup", "rw,cpu"), ("/", "fs", "cgroup", "rw,memory"), ("/"
         "v1 Slurm", "v1 parent", "v1 without a limit", "v1 in a container", "v2 seen from outside",
     ],
 )  # fmt: skip
-def test_usable_memory_is_the_smallest_limit(system, cgroup, mounts, limits, expected) -> None:
+def test_usable_memory_is_the_smallest_limit_of_machine_and_control_groups(
+    system, cgroup, mounts, limits, expected
+) -> None:
     """Limits of parent groups count, limits of other groups and controllers do not."""
     system(cgroup, mounts, limits)
     assert memory.usable_memory() == expected
 
 
-def test_a_system_without_sysconf_and_groups_reports_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_system_without_sysconf_and_control_groups_reports_no_memory_limit(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Windows has neither ``sysconf`` nor ``/proc``."""
     monkeypatch.delattr(os, "sysconf")
     monkeypatch.setattr(memory, "_PROCESS", tmp_path)

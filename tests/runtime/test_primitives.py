@@ -18,7 +18,7 @@ def ints(values: list[int]) -> DeviceArray:
     return DeviceArray(np.array(values, np.int32), dtype=wp.int32, device="cpu")
 
 
-def test_sort_is_stable_and_uses_the_given_bits() -> None:
+def test_device_sort_is_stable_and_compares_only_the_given_bits() -> None:
     """Only the low bits of keys are compared; values of equal keys keep their order."""
     keys, values = ints([7, 1, 6, 2, 0, 0, 0, 0]), ints([0, 1, 2, 3, 9, 9, 9, 9])
     sort_pairs(keys, values, 4, bits=1)
@@ -26,7 +26,7 @@ def test_sort_is_stable_and_uses_the_given_bits() -> None:
     assert values.numpy()[:4].tolist() == [2, 3, 0, 1]
 
 
-def test_silently_failing_sort_raises_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_device_sort_that_fails_silently_raises_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without scratch memory the library returns normally and leaves a message, which is raised once per failure."""
     message = b"Warp sort error: Failed to acquire radix sort buffer"
     sort = wp.utils.radix_sort_pairs
@@ -44,7 +44,7 @@ def test_silently_failing_sort_raises_device_error(monkeypatch: pytest.MonkeyPat
         assert keys.numpy()[:2].tolist() == [1, 2]
 
 
-def test_sort_is_retried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_device_sort_is_retried_once_after_a_failed_allocation(monkeypatch: pytest.MonkeyPatch) -> None:
     """After a failed allocation on a GPU, CUB's next sort reports that failure without sorting."""
     sort, tries = wp.utils.radix_sort_pairs, []
 
@@ -61,7 +61,7 @@ def test_sort_is_retried_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert keys.numpy()[:2].tolist() == [1, 2] and len(tries) == 2
 
 
-def test_failing_sum_raises_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_device_sum_that_fails_raises_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """The library's error becomes one line, like that of any other allocation."""
 
     def fail(*_: Any, **__: Any) -> None:
@@ -73,7 +73,7 @@ def test_failing_sum_raises_device_error(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("name", ["array_scan", "radix_sort_pairs"])
-def test_primitives_run_on_the_arrays_device(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_device_sums_and_sorts_run_on_the_device_of_their_arrays(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The library uses the thread's current CUDA context, which may belong to another GPU."""
     entered: list[str] = []
     scoped = wp.ScopedDevice

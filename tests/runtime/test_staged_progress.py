@@ -7,7 +7,7 @@ import pytest
 from lumisplat.progress import StagedProgress
 
 
-def test_progress_follows_expected_costs() -> None:
+def test_staged_progress_follows_the_expected_costs_of_the_stages() -> None:
     """Pieces before the first stage are not reported; progress waits at a stage's end, or jumps to it."""
     told: list[tuple[str, float]] = []
     pace = StagedProgress(lambda *now: told.append(now), "work")
@@ -25,7 +25,7 @@ def test_progress_follows_expected_costs() -> None:
     assert [share for _, share in told] == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.6])
 
 
-def test_progress_stays_below_one() -> None:
+def test_staged_progress_stays_below_one() -> None:
     """At the end of the last stage, and with expected costs of 0, progress is still below 1."""
     told: list[float] = []
     pace = StagedProgress(lambda _, share: told.append(share), "work")

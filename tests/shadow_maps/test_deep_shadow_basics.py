@@ -34,7 +34,7 @@ def behind(casters: Any, light: Any = LIGHT, config: ls.config.DeepShadowConfig 
     return ls.DeepShadowMap.build(casters, light, BEHIND, config, device="cpu", **options).transmittance(BEHIND)
 
 
-def test_shadow_is_behind_the_caster_and_not_beside_it() -> None:
+def test_deep_shadow_map_shadows_points_behind_the_caster_and_not_beside_it() -> None:
     """Transmittance in the middle of a ball's shadow is that of the closed form; beside the ball it is 1."""
     seen = behind(ball())
     # avg: beta integrated along a line through the centre of an isotropic Gaussian is tau itself.
@@ -55,12 +55,12 @@ def test_shadow_is_behind_the_caster_and_not_beside_it() -> None:
     ],
     ids=lambda light: type(light).__name__,
 )
-def test_points_and_lights_at_one_position_cast_equal_shadows(light: Any) -> None:
+def test_deep_shadow_maps_of_all_light_types_at_one_position_are_equal(light: Any) -> None:
     """Lights of any kind are treated as points."""
     np.testing.assert_array_equal(behind(ball(), light), behind(ball()))
 
 
-def test_casters_may_be_sets_instances_scenes_or_lists() -> None:
+def test_deep_shadow_maps_accept_sets_instances_scenes_and_lists_as_casters() -> None:
     """Equal Gaussians cast equal shadows in any form."""
     moved = replace(ball(), means=ball().means + np.array([1.0, 2.0, 3.0], np.float32))
     back = similarity((0.3, -0.2, 1.0), 0.7)
@@ -71,13 +71,13 @@ def test_casters_may_be_sets_instances_scenes_or_lists() -> None:
         np.testing.assert_allclose(behind(given), expected, atol=2e-5)
 
 
-def test_scaled_instances_cast_shadows_of_their_size() -> None:
+def test_scaled_instance_casts_the_deep_shadow_of_its_size() -> None:
     """A set of half the size, scaled by two, casts the shadow of the set itself."""
     half = replace(ball(), scales=ball().scales * np.float32(0.5))
     np.testing.assert_allclose(behind(ls.SplatInstance(half, np.diag([2.0, 2.0, 2.0, 1.0]))), behind(ball()), atol=1e-6)
 
 
-def test_transmittances_of_two_casters_multiply() -> None:
+def test_transmittances_of_two_casters_multiply_in_a_deep_shadow_map() -> None:
     """Optical depths add."""
     other = one_gaussian((0.1, 0.0, 1.0), scale=0.4, opacity=0.5)
     np.testing.assert_allclose(behind([ball(), other]), behind(ball()) * behind(other), rtol=1e-4)
@@ -94,7 +94,7 @@ def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
     return calls
 
 
-def test_meshes_are_opaque_casters(sampled: list[ls.Mesh], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_meshes_are_opaque_casters_of_deep_shadow_maps(sampled: list[ls.Mesh], monkeypatch: pytest.MonkeyPatch) -> None:
     """A mesh is opaque in its middle, also one that an instance stretches or mirrors."""
     sphere = icosphere(radius=0.5)
     with monkeypatch.context() as plain:
@@ -108,7 +108,7 @@ def test_meshes_are_opaque_casters(sampled: list[ls.Mesh], monkeypatch: pytest.M
     assert behind(ls.MeshInstance(sphere))[1] == 1.0
 
 
-def test_moving_mesh_is_converted_to_gaussians_once(sampled: list[ls.Mesh]) -> None:
+def test_deep_shadow_map_converts_a_moving_mesh_to_gaussians_once(sampled: list[ls.Mesh]) -> None:
     """A moving mesh keeps its Gaussians from frame to frame."""
     sphere = icosphere(radius=0.5)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
@@ -116,7 +116,7 @@ def test_moving_mesh_is_converted_to_gaussians_once(sampled: list[ls.Mesh]) -> N
     assert sampled == [sphere]
 
 
-def test_deforming_mesh_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
+def test_deep_shadow_map_keeps_the_gaussians_of_a_deforming_mesh(sampled: list[ls.Mesh]) -> None:
     """Poses of the same triangles are one surface, whose Gaussians follow the pose."""
     sphere = icosphere(radius=0.5)
     moved = replace(sphere, positions=sphere.positions * np.array([8.0, 1.0, 1.0], np.float32), normals=None)
@@ -129,7 +129,7 @@ def test_deforming_mesh_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
     np.testing.assert_array_equal(shadow.transmittance(BEHIND), behind(sphere))
 
 
-def test_reappearing_mesh_casts_the_same_shadow(sampled: list[ls.Mesh]) -> None:
+def test_mesh_that_reappears_casts_the_same_deep_shadow(sampled: list[ls.Mesh]) -> None:
     """Earlier frames of an animation do not change a frame."""
     sphere = icosphere(radius=0.5)
     moved = replace(sphere, positions=sphere.positions * np.array([3.0, 1.0, 1.0], np.float32), normals=None)
@@ -142,7 +142,7 @@ def test_reappearing_mesh_casts_the_same_shadow(sampled: list[ls.Mesh]) -> None:
     assert sampled == [sphere]
 
 
-def test_cached_meshes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_deep_shadow_map_caches_a_bounded_number_of_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
     """The most recently used ones are cached."""
     assert casters_and_receivers.SURFACES_HELD < 1000
     monkeypatch.setattr(casters_and_receivers, "SURFACES_HELD", 3)
@@ -155,7 +155,7 @@ def test_cached_meshes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(turned._surfaces) == [id(mesh.indices) for mesh in shown[-3:]]
 
 
-def test_light_at_a_casters_centre_passes_half_its_depth() -> None:
+def test_light_at_the_centre_of_a_caster_passes_half_its_optical_depth() -> None:
     """The direction does not matter."""
     points = np.array([[3.0, 0.0, 0.0], [0.0, -3.0, 0.0], [-1.0, 2.0, 1.5]], np.float32)
     config = replace(SMALL, bins=256)
@@ -163,7 +163,7 @@ def test_light_at_a_casters_centre_passes_half_its_depth() -> None:
     np.testing.assert_allclose(seen, np.sqrt(0.05), rtol=1e-3)
 
 
-def test_directional_light_is_blocked_from_any_distance() -> None:
+def test_deep_shadow_map_of_a_sun_includes_casters_at_any_distance() -> None:
     """A caster far towards the sun casts a shadow; one behind the receivers casts none."""
     sun = ls.LightDirectional((0.0, 0.0, 1.0))
     for z, expected in ((-50.0, 0.05), (0.0, 0.05), (60.0, 1.0)):
@@ -173,7 +173,9 @@ def test_directional_light_is_blocked_from_any_distance() -> None:
 
 
 @pytest.mark.parametrize("receivers", [np.empty((0, 3)), []], ids=["array", "list"])
-def test_map_without_receivers_near_warns_and_is_lit(receivers: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_deep_shadow_map_with_empty_receivers_warns_and_is_lit(
+    receivers: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     """The transmittance is 1 everywhere."""
     with caplog.at_level(logging.WARNING, "lumisplat"):
         shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, SMALL, device="cpu")
@@ -183,7 +185,7 @@ def test_map_without_receivers_near_warns_and_is_lit(receivers: Any, caplog: pyt
     shadow.rebuild(ball())
 
 
-def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
+def test_region_radius_of_a_deep_shadow_map_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
     """A log line reports if no receiver is within the radius."""
     points = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 4.0]], np.float32)
     config = replace(SMALL, region_radius=2.0)
@@ -195,7 +197,7 @@ def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture
     assert "no receivers are near" in caplog.text or "no receivers near" in caplog.text
 
 
-def test_region_radius_keeps_the_ground_under_tall_casters() -> None:
+def test_region_radius_of_a_deep_shadow_map_keeps_ground_under_tall_casters() -> None:
     """A column of 8 units casts its shadow on the floor at its foot, with a radius of 1.5."""
     heights = np.linspace(0.0, 8.0, 81)
     means = np.stack([np.zeros(81), np.zeros(81), heights], axis=1)
@@ -206,7 +208,7 @@ def test_region_radius_keeps_the_ground_under_tall_casters() -> None:
     assert shadow.transmittance(points[:1])[0] < 0.5
 
 
-def test_region_radius_changes_nothing_for_near_receivers() -> None:
+def test_region_radius_of_a_deep_shadow_map_does_not_change_near_receivers() -> None:
     """Near receivers sample the same points as without a radius, whatever their index."""
     receivers, casters = random_gaussians(4, 400, extent=(6.0, 6.0, 1.0)), random_gaussians(5, 40)
     whole, part = (
@@ -219,7 +221,7 @@ def test_region_radius_changes_nothing_for_near_receivers() -> None:
     np.testing.assert_allclose(part[near], whole[near], atol=1e-6)
 
 
-def test_map_without_receivers_covers_all_points_behind_casters() -> None:
+def test_deep_shadow_map_without_receivers_covers_all_points_behind_casters() -> None:
     """The map is as exact as one for receivers."""
     casters = random_gaussians(3, 40)
     points = np.random.default_rng(0).uniform(-3.0, 9.0, (500, 3)).astype(np.float32)
@@ -230,7 +232,7 @@ def test_map_without_receivers_covers_all_points_behind_casters() -> None:
     np.testing.assert_allclose(anyone.transmittance(points), own.transmittance(points), atol=2e-6)
 
 
-def test_receiver_samples_are_repeatable() -> None:
+def test_sample_points_of_a_deep_shadow_map_receiver_are_repeatable() -> None:
     """A receiver has its own sample points, so that nothing flickers; another seed gives others."""
     casters, receivers = random_gaussians(3, 40), random_gaussians(4, 200)
     config = replace(SMALL, max_distance=20.0, region=False)
@@ -242,7 +244,7 @@ def test_receiver_samples_are_repeatable() -> None:
     assert (shadow.transmittance_of(receivers) != first).any()
 
 
-def test_rebuild_of_the_same_size_allocates_nothing() -> None:
+def test_rebuilding_a_deep_shadow_map_of_the_same_size_allocates_nothing() -> None:
     """Device memory stays the same from frame to frame."""
     casters, receivers = random_gaussians(3, 60), random_gaussians(4, 300)
     shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, SMALL, device="cpu")
@@ -255,7 +257,7 @@ def test_rebuild_of_the_same_size_allocates_nothing() -> None:
 
 
 @pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.1, 0.0, 1.0))], ids=["point", "parallel"])
-def test_saved_map_equals_the_original_and_can_be_rebuilt(light: Any, tmp_path: Path) -> None:
+def test_saved_deep_shadow_map_equals_the_original_and_can_be_rebuilt(light: Any, tmp_path: Path) -> None:
     """Transmittances of the loaded map are the same."""
     config = replace(
         SMALL, absorption=ls.config.Absorption.MASS, strength=0.01, sampling=ls.config.ReceiverSampling.STENCIL
@@ -272,7 +274,7 @@ def test_saved_map_equals_the_original_and_can_be_rebuilt(light: Any, tmp_path: 
 
 
 @pytest.mark.parametrize("culling", [True, False])
-def test_loaded_map_without_receivers_follows_its_casters(culling: bool, tmp_path: Path) -> None:
+def test_loaded_deep_shadow_map_without_receivers_follows_moved_casters(culling: bool, tmp_path: Path) -> None:
     """A rebuild for casters elsewhere computes another region."""
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, None, replace(SMALL, culling=culling), device="cpu")
     shadow.save(tmp_path / "map.npz")
@@ -285,7 +287,7 @@ def test_loaded_map_without_receivers_follows_its_casters(culling: bool, tmp_pat
         assert one.transmittance(aside) < 0.1
 
 
-def test_missing_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
+def test_missing_foreign_and_damaged_deep_shadow_map_files_are_refused(tmp_path: Path) -> None:
     """Messages are one line and name the file."""
     good = tmp_path / "good.npz"
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu")
@@ -330,7 +332,7 @@ def _tampered(header: dict[str, Any], **changes: Any) -> np.ndarray:
     return np.frombuffer(json.dumps(header | changes).encode(), np.uint8)
 
 
-def test_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
+def test_deep_shadow_map_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
     """No foreign exception escapes."""
     path, rng = tmp_path / "map.npz", np.random.default_rng(0)
     ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu").save(path)
@@ -364,7 +366,7 @@ def test_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
         ({"receivers": "floor"}, "points"),
     ],
 )
-def test_invalid_arguments_are_refused(given: dict[str, Any], problem: str) -> None:
+def test_invalid_arguments_of_deep_shadow_maps_are_refused(given: dict[str, Any], problem: str) -> None:
     """Messages are one line."""
     settings = {"casters": ball(), "light_position": LIGHT, "receivers": BEHIND} | given
     with pytest.raises(ls.SceneError, match=problem) as error:
@@ -384,14 +386,14 @@ def test_invalid_arguments_are_refused(given: dict[str, Any], problem: str) -> N
         {"absorption": "average"},
     ],
 )
-def test_invalid_settings_are_refused_with_their_names(changes: dict[str, Any]) -> None:
+def test_invalid_settings_of_deep_shadow_maps_are_refused_with_their_range(changes: dict[str, Any]) -> None:
     """The message gives the expected range."""
     with pytest.raises(ls.ConfigError, match=next(iter(changes))):
         ls.config.DeepShadowConfig(**changes)
 
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
-def test_unshadowed_receivers_get_exactly_1(sampling: ls.config.ReceiverSampling) -> None:
+def test_unshadowed_receivers_of_a_deep_shadow_map_get_exactly_1(sampling: ls.config.ReceiverSampling) -> None:
     """Lit captures must keep their colours to the bit."""
     receivers = random_gaussians(6, 500, center=(40.0, 0.0, 4.0))
     config = replace(SMALL, sampling=sampling)

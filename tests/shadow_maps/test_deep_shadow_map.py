@@ -59,7 +59,9 @@ def texel_directions(layout: ls.config.AtlasLayout, resolution: int) -> np.ndarr
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
 @pytest.mark.parametrize("absorption", list(ls.config.Absorption))
-def test_bins_match_the_closed_form(layout: ls.config.AtlasLayout, absorption: ls.config.Absorption) -> None:
+def test_bins_of_a_deep_shadow_map_match_the_closed_form(
+    layout: ls.config.AtlasLayout, absorption: ls.config.Absorption
+) -> None:
     """T is within 1e-3 at the centres of bins along texels' rays, for any absorption and layout."""
     config = replace(WHOLE, layout=layout, absorption=absorption, strength=0.7)
     rng = np.random.default_rng(0)
@@ -78,7 +80,9 @@ def test_bins_match_the_closed_form(layout: ls.config.AtlasLayout, absorption: l
     [((0.4, 0.4, 1e-3), 3.0), ((1e-3, 0.4, 0.4), 3.0), ((0.02, 0.02, 0.8), 3.0), ((2.0, 1.0, 0.01), 80.0)],
     ids=["disc", "disc on edge", "needle", "far"],
 )
-def test_thin_and_far_casters_match_the_closed_form(scale: tuple[float, float, float], distance: float) -> None:
+def test_deep_shadow_of_thin_and_far_casters_matches_the_closed_form(
+    scale: tuple[float, float, float], distance: float
+) -> None:
     """T is within 1e-3 before, within and behind the caster, where float32 could cancel."""
     caster = one_gaussian((0.0, 0.0, distance), scale, 0.9, rotation=(0.999, 0.03, -0.02, 0.01))
     reach = 2.0 * distance
@@ -91,7 +95,7 @@ def test_thin_and_far_casters_match_the_closed_form(scale: tuple[float, float, f
     assert seen.min() < 0.7
 
 
-def test_lookups_match_the_float64_twin() -> None:
+def test_deep_shadow_map_lookups_match_the_float64_twin() -> None:
     """Trilinear lookups: over the fold and the square's corners, before the first bin and past the last."""
     config = replace(WHOLE, resolution=16, bins=8, max_distance=3.0)
     points = scattered(3000, radius=4.0)
@@ -101,7 +105,7 @@ def test_lookups_match_the_float64_twin() -> None:
 
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
-def test_error_decreases_with_resolution(layout: ls.config.AtlasLayout) -> None:
+def test_error_of_a_deep_shadow_map_decreases_with_resolution(layout: ls.config.AtlasLayout) -> None:
     """Four times the texels and bins reduce errors to less than a sixth, even with the light inside a Gaussian."""
     points = scattered(1000)
     expected = exact(points)
@@ -115,7 +119,7 @@ def test_error_decreases_with_resolution(layout: ls.config.AtlasLayout) -> None:
 
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
-def test_errors_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> None:
+def test_errors_of_a_deep_shadow_map_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> None:
     """Along circles over the square's rim, or the cube's edges, errors are as small as elsewhere."""
     rotation = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
     circles = [
@@ -145,7 +149,9 @@ def test_errors_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> N
 @pytest.mark.parametrize("resolution", [8, 16, 40, 128])
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
 @pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.2, -0.1, 1.0))], ids=["point", "directional"])
-def test_culling_does_not_change_transmittance(resolution: int, layout: ls.config.AtlasLayout, light: Any) -> None:
+def test_tile_culling_does_not_change_a_deep_shadow_map(
+    resolution: int, layout: ls.config.AtlasLayout, light: Any
+) -> None:
     """Culled by tiles of any size or not at all, the result is the same to float precision."""
     casters = joined(AROUND, random_gaussians(2, 200, center=(0.0, 0.0, 2.0), scale_range=(0.003, 0.3)))
     points = scattered(2000)
@@ -155,7 +161,7 @@ def test_culling_does_not_change_transmittance(resolution: int, layout: ls.confi
     np.testing.assert_allclose(culled.transmittance(points), every.transmittance(points), atol=3e-5)
 
 
-def test_caster_lists_in_parts_equal_whole_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_caster_lists_summed_in_parts_equal_whole_lists_in_a_deep_shadow_map(monkeypatch: pytest.MonkeyPatch) -> None:
     """Several CUDA items share the casters of a cell, in the same order."""
     config = replace(WHOLE, bins=16, max_distance=None)
     whole = build(config=config)
@@ -178,7 +184,7 @@ def test_caster_lists_in_parts_equal_whole_lists(monkeypatch: pytest.MonkeyPatch
         pytest.param(ls.LightDirectional((0.0, 0.0, 1.0)), id="sun", marks=pytest.mark.deep),
     ],
 )
-def test_culling_keeps_receivers_whose_outer_samples_are_shadowed(light: Any) -> None:
+def test_deep_shadow_culling_keeps_receivers_shadowed_only_at_outer_samples(light: Any) -> None:
     """Only the outermost samples of a wide receiver reach the shadow of a small caster."""
     caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
     rng = np.random.default_rng(0)
@@ -200,7 +206,7 @@ def test_culling_keeps_receivers_whose_outer_samples_are_shadowed(light: Any) ->
 
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
-def test_region_of_receivers_equals_the_whole_map(sampling: ls.config.ReceiverSampling) -> None:
+def test_deep_shadow_map_of_the_receivers_region_equals_the_whole_map(sampling: ls.config.ReceiverSampling) -> None:
     """Results agree to rounding, because bins are summed from where columns begin."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0), scale_range=(0.01, 0.2))
     part, whole = (
@@ -210,7 +216,7 @@ def test_region_of_receivers_equals_the_whole_map(sampling: ls.config.ReceiverSa
     np.testing.assert_allclose(part.transmittance_of(receivers), whole.transmittance_of(receivers), atol=5e-7)
 
 
-def test_rebuild_equals_a_new_map() -> None:
+def test_rebuilt_deep_shadow_map_equals_a_new_map() -> None:
     """Other casters, then the first ones again, give the bits of new maps in the same memory."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0))
     moved = ls.SplatInstance(AROUND, similarity((0.0, 1.0, 0.0), 0.2, 1.0, (0.1, 0.0, 0.1)))
@@ -228,7 +234,7 @@ def test_rebuild_equals_a_new_map() -> None:
     assert shadow.bytes == held
 
 
-def test_average_absorption_is_scale_invariant() -> None:
+def test_average_absorption_of_a_deep_shadow_map_is_scale_invariant() -> None:
     """Everything ten times as large has the same `avg` shadows."""
     points = scattered(500)
     ten = np.diag([10.0, 10.0, 10.0, 1.0])
@@ -237,14 +243,14 @@ def test_average_absorption_is_scale_invariant() -> None:
     np.testing.assert_allclose(large, build().transmittance(points), atol=1e-4)
 
 
-def test_caster_order_does_not_matter() -> None:
+def test_deep_shadow_map_does_not_depend_on_the_order_of_casters() -> None:
     """Optical depth is a sum."""
     points = scattered(500)
     turned = AROUND.subset(np.arange(len(AROUND))[::-1])
     np.testing.assert_allclose(build(turned).transmittance(points), build().transmittance(points), atol=1e-5)
 
 
-def test_casters_behind_light_or_receivers_change_no_bit() -> None:
+def test_casters_behind_the_light_or_the_receivers_change_no_deep_shadow_bit() -> None:
     """No ray reaches them before it ends."""
     points = LIGHT + np.random.default_rng(0).uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 2.0], (500, 3))
     expected = build(receivers=points).transmittance(points)
@@ -256,7 +262,7 @@ def test_casters_behind_light_or_receivers_change_no_bit() -> None:
 # --- Directional light ---
 
 
-def test_directional_light_is_the_limit_of_far_point_lights() -> None:
+def test_deep_shadow_map_of_a_sun_is_the_limit_of_far_point_lights() -> None:
     """The map converges to the closed form of lights so far away that nothing is behind them."""
     sun = ls.LightDirectional((0.3, -0.5, 1.0))
     points = np.random.default_rng(3).uniform(-2.5, 2.5, (1000, 3)).astype(np.float32)
@@ -279,14 +285,14 @@ def receivers_of(count: int = 40) -> ls.Gaussians:
     return random_gaussians(7, count, center=(0.5, 0.5, 1.0), extent=(1.5, 1.5, 1.5), scale_range=(0.05, 0.6))
 
 
-def test_center_sampling_reads_the_mean() -> None:
+def test_center_sampling_of_a_deep_shadow_map_reads_the_receivers_mean() -> None:
     """The sample is at the Gaussian's mean."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.CENTER))
     receivers = receivers_of()
     np.testing.assert_array_equal(shadow.transmittance_of(receivers), shadow.transmittance(receivers.means))
 
 
-def test_stencil_sampling_averages_seven_points() -> None:
+def test_stencil_sampling_of_a_deep_shadow_map_averages_seven_points() -> None:
     """The weighted mean of the map at the twin's seven points."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.STENCIL))
     receivers = receivers_of()
@@ -295,7 +301,7 @@ def test_stencil_sampling_averages_seven_points() -> None:
     np.testing.assert_allclose(shadow.transmittance_of(receivers), expected, atol=1e-4)
 
 
-def test_monte_carlo_sampling_converges_to_the_footprint_mean() -> None:
+def test_monte_carlo_sampling_of_a_deep_shadow_map_converges_to_the_mean() -> None:
     """1024 points are within four standard errors; different seeds give different points."""
     receivers = receivers_of()
     shadow = build(config=replace(WHOLE, samples=1024))
@@ -310,7 +316,7 @@ def test_monte_carlo_sampling_converges_to_the_footprint_mean() -> None:
     np.testing.assert_allclose(few.mean(), others.mean(), atol=0.02)
 
 
-def test_footprints_rotate_with_their_receivers() -> None:
+def test_sample_points_of_a_deep_shadow_map_rotate_with_the_receiver() -> None:
     """The extent of a flat receiver along the edge of a shadow does not matter; across it does."""
     wall = one_gaussian((-2.0, 0.0, 2.0), (0.5, 3.0, 0.01), 0.99)
     shadow = build(wall, np.zeros(3), replace(WHOLE, resolution=256, samples=256))

@@ -49,7 +49,7 @@ def assert_equal(found: ls.Frame, expected: ls.Frame) -> None:
         np.testing.assert_array_equal(image(found, name), image(expected, name), name)
 
 
-def test_pixels_equal_those_of_frames_with_the_same_sample_count() -> None:
+def test_adaptively_sampled_pixels_equal_frames_of_the_same_fixed_sample_count() -> None:
     """Bits are equal, as samples, subpixel positions and low-discrepancy points are numbered without gaps."""
     found, counts = adaptive(), image(adaptive(), "sample_count")
     assert counts.min() == 16 + 24 * SAMPLE_RATE_MIN // SAMPLE_RATES and counts.max() == 40
@@ -65,7 +65,7 @@ def test_pixels_equal_those_of_frames_with_the_same_sample_count() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_results_do_not_depend_on_interruptions_or_threads(threads: int) -> None:
+def test_adaptive_frames_do_not_depend_on_interruptions_or_thread_count(threads: int) -> None:
     """Frames are interrupted before, at and after the sample that sets the rates, and while pixels pause."""
     frame = None
     renderers = {n: ls.create_renderer(replace(PATHS, samples=n), "cpu", threads=threads) for n in (1, 7, 9, 11)}
@@ -76,7 +76,7 @@ def test_results_do_not_depend_on_interruptions_or_threads(threads: int) -> None
 
 
 @pytest.mark.parametrize("schedule", BACKENDS[1:])
-def test_all_schedules_choose_the_same_sample_counts(schedule: str) -> None:
+def test_cpu_and_cuda_schedules_choose_the_same_adaptive_sample_counts(schedule: str) -> None:
     """CUDA's schedule, with and without graphs, gives the same sample counts up to rounding."""
     frame = renderer_of(schedule, PATHS).render(lit_room(), view())
     counts = image(frame, "sample_count"), image(adaptive(), "sample_count")
@@ -85,7 +85,7 @@ def test_all_schedules_choose_the_same_sample_counts(schedule: str) -> None:
     assert frame.stats is not None and frame.stats.nonfinite_count == 0
 
 
-def test_a_frame_ends_at_its_noise_target() -> None:
+def test_frame_with_a_noise_target_ends_at_the_same_sample_when_interrupted() -> None:
     """The frame ends at the same sample, however often it was interrupted; a finished frame gets no more samples."""
     settings = replace(PATHS, samples=None, noise=0.15, adaptive=None)
     whole = ls.render(lit_room(), view(), settings, device="cpu")
@@ -102,7 +102,7 @@ def test_a_frame_ends_at_its_noise_target() -> None:
     assert np.mean(errors / luminance <= whole.stats.noise) == pytest.approx(0.95, abs=0.01)
 
 
-def test_a_frame_ends_at_its_time_limit() -> None:
+def test_frame_with_a_time_limit_renders_at_least_one_sample_and_stops() -> None:
     """At least one sample is rendered; a resumed frame equals one with the same number of samples."""
     settings = replace(PATHS, samples=None, adaptive=None, aovs=LAYERS)
     short = ls.create_renderer(replace(settings, time_limit=1e-6), "cpu")
@@ -129,7 +129,7 @@ def score(means: np.ndarray, counts: np.ndarray, truth: np.ndarray) -> float:
     return float((means - truth).sum() / np.sqrt((truth * (1.0 - truth) / counts).sum()))
 
 
-def test_adaptive_sampling_is_unbiased() -> None:
+def test_adaptive_sampling_does_not_bias_the_mean_brightness() -> None:
     """Rare samples are bright, so stopping pixels by their own samples would darken the frame."""
     gaussian, camera, settings = veil()
     steady = replace(settings, trace=ls.TraceConfig(), aovs=())
@@ -157,7 +157,7 @@ def naive_counts(draws: np.ndarray) -> np.ndarray:
     return np.where(is_done.any(axis=0), is_done.argmax(axis=0) + 1, len(draws))
 
 
-def test_rates_follow_the_noise() -> None:
+def test_adaptive_sampling_rate_of_a_pixel_rises_with_its_noise() -> None:
     """Rates rise in steps from an eighth for quiet pixels to 1 for the noisiest; frames without noise have rate 1."""
     noise = np.linspace(0.0, 1.0, 1001, dtype=np.float32)
     rates = rates_of(noise)
@@ -166,7 +166,7 @@ def test_rates_follow_the_noise() -> None:
     assert (rates_of(np.zeros(9, np.float32)) == SAMPLE_RATES).all()
 
 
-def test_non_finite_samples_are_dropped_and_counted() -> None:
+def test_path_tracer_drops_and_counts_non_finite_samples() -> None:
     """The path tracer counts dropped samples and averages the others, with fixed and with adaptive sample counts."""
     _, camera, settings = veil()
     broken = replace(one_gaussian(scale=0.7, opacity=0.6), sh=np.full((1, 16, 3), 3e38, np.float32))
@@ -194,13 +194,15 @@ def test_non_finite_samples_are_dropped_and_counted() -> None:
         ({"adaptive": "yes"}, r"^adaptive is 'yes', expected True or False$"),
     ],
 )
-def test_wrong_limits_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_invalid_noise_targets_and_time_limits_are_refused_with_their_range(
+    changes: dict[str, Any], message: str
+) -> None:
     """The error names the setting and its range."""
     with pytest.raises(ls.ConfigError, match=message):
         ls.RenderConfig(**changes)
 
 
-def test_unsupported_adaptive_sampling_is_refused() -> None:
+def test_adaptive_sampling_of_rasterised_frames_is_refused() -> None:
     """Rasterised frames and shared random numbers cannot be adaptive; by default, they sample all pixels equally."""
     gaussian, camera, settings = veil()
     shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
@@ -220,7 +222,7 @@ def test_unsupported_adaptive_sampling_is_refused() -> None:
     ("changes", "names"),
     [({"noise": 0.1}, "noise"), ({"adaptive": False}, "adaptive"), ({"aovs": ("albedo",)}, "aovs")],
 )
-def test_frames_are_resumed_with_equal_settings_only(changes: dict[str, Any], names: str) -> None:
+def test_adaptive_frames_resume_only_with_equal_noise_target_and_layers(changes: dict[str, Any], names: str) -> None:
     """Another noise target or other layers are refused in one line."""
     renderer = ls.create_renderer(replace(PATHS, **changes), "cpu")
     with pytest.raises(ls.ConfigError, match=rf"other settings: they differ in {names}$"):

@@ -42,7 +42,7 @@ STREAMS = {
 
 
 @pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS.keys())
-def test_sums_of_100000_samples_are_exact(stream) -> None:
+def test_film_mean_and_variance_of_100000_samples_match_float64(stream) -> None:
     """Mean and variance match float64 up to float32 rounding, which running means in float32 would not."""
     values = stream(np.random.default_rng(5), 100_000).astype(np.float32)
     mean, variance, alpha, _ = statistics(values)
@@ -52,7 +52,7 @@ def test_sums_of_100000_samples_are_exact(stream) -> None:
     np.testing.assert_allclose(variance, exact.var(axis=0, ddof=1), rtol=1e-6)
 
 
-def test_relative_variance_uses_luminance() -> None:
+def test_relative_variance_is_luminance_variance_over_squared_mean_luminance() -> None:
     """Luminance of the variances over the squared luminance of the mean, or of the minimum; inf for one sample."""
     values = np.random.default_rng(6).random((64, 3)) * (0.2, 1.0, 3.0)
     exact = values.astype(np.float32).astype(np.float64)
@@ -66,20 +66,20 @@ def test_relative_variance_uses_luminance() -> None:
     assert statistics(grey)[3] == pytest.approx(grey[:, 0].var(ddof=1) / grey.mean() ** 2, rel=1e-5)
 
 
-def test_equal_samples_have_no_variance() -> None:
+def test_film_measures_no_variance_among_equal_samples() -> None:
     """10,000 equal samples have no variance beyond rounding."""
     _, variance, _, noise = statistics(np.full((10_000, 3), 0.1))
     assert (variance >= 0.0).all() and variance.max() < 1e-15 and noise < 1e-13
 
 
-def test_minimum_luminance_follows_the_exposure() -> None:
+def test_noise_estimates_count_darker_pixels_at_higher_exposure() -> None:
     """An exposure of two stops makes darker pixels visible; unlit frames are in display space."""
     assert least_luminance(0.0, is_lit=True) == pytest.approx(0.01)
     assert least_luminance(2.0, is_lit=True) == pytest.approx(0.0025)
     assert least_luminance(2.0, is_lit=False) == pytest.approx(0.0998, abs=1e-4)
 
 
-def test_quantiles_are_elements_of_the_data() -> None:
+def test_noise_quantile_is_an_element_of_the_data() -> None:
     """The quantile is the smallest value that the given fraction does not exceed."""
     values = np.random.default_rng(7).permutation(np.arange(1, 101)).astype(np.float32)
     assert quantile(values, 0.95) == 95.0
@@ -89,7 +89,7 @@ def test_quantiles_are_elements_of_the_data() -> None:
     assert np.isfinite(quantile(values, 0.95))
 
 
-def test_noise_is_estimated_eight_times_while_samples_double() -> None:
+def test_noise_is_estimated_eight_times_while_the_sample_count_doubles() -> None:
     """Estimates begin at 16 samples."""
     checks = [n for n in range(1000) if is_noise_checked(n)]
     assert checks[:9] == [16, 18, 20, 22, 24, 26, 28, 30, 32]

@@ -40,7 +40,7 @@ def render(scene: ls.Scene, pipeline: ls.Pipeline, samples: int | None = None, *
 
 @PIPELINES
 @pytest.mark.parametrize("lighting", [True, False])
-def test_alpha_mask_has_holes(pipeline: ls.Pipeline, lighting: bool) -> None:
+def test_surface_below_its_alpha_mask_cutoff_is_invisible(pipeline: ls.Pipeline, lighting: bool) -> None:
     """Below the cutoff, the camera sees exactly what is behind."""
     masked = emitting(GREEN, base_color_texture=HALVES, alpha_mode="mask")
     scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, emitting(RED), 4.0)])
@@ -50,7 +50,7 @@ def test_alpha_mask_has_holes(pipeline: ls.Pipeline, lighting: bool) -> None:
     np.testing.assert_allclose(frame.color[:, 17:], np.broadcast_to(right, (16, 15, 3)), atol=2e-6)
 
 
-def test_alpha_cutoff_is_inclusive() -> None:
+def test_masked_surface_whose_alpha_equals_its_cutoff_is_opaque() -> None:
     """Texture alpha times the factor is opaque from the cutoff on; with a cutoff above 1, nothing is."""
     for alpha, cutoff, is_there in ((0.6, 0.5, True), (0.5, 0.5, True), (0.4, 0.5, False), (1.0, 1.5, False)):
         masked = emitting(GREEN, alpha_mode="mask", alpha=alpha, alpha_cutoff=cutoff)
@@ -60,7 +60,7 @@ def test_alpha_cutoff_is_inclusive() -> None:
 
 
 @PIPELINES
-def test_alpha_blending_weights_surfaces(pipeline: ls.Pipeline) -> None:
+def test_alpha_blended_surfaces_weight_their_colours_front_to_back(pipeline: ls.Pipeline) -> None:
     """0.25 of one surface, 0.5 of the next, and the rest of the last: exact by continued rays, else in the mean."""
     thin, thick = (emitting(c, alpha_mode="blend", alpha=a) for c, a in ((GREEN, 0.25), (RED, 0.5)))
     last = emitting((0.0, 0.0, 1.0))
@@ -79,7 +79,7 @@ def test_alpha_blending_weights_surfaces(pipeline: ls.Pipeline) -> None:
         np.testing.assert_allclose(color.mean(axis=(0, 1)), truth, atol=0.01)
 
 
-def test_unlit_alpha_blends_display_values() -> None:
+def test_alpha_blending_of_unlit_surfaces_mixes_display_encoded_colours() -> None:
     """Encoded colours are blended, as for captures, in traced frames and, by samples, in rasterised ones."""
     scene = ls.Scene(
         meshes=[board(0.0, emitting(GREEN, alpha_mode="blend", alpha=0.3)), board(1.0, emitting(RED), 4.0)]
@@ -94,7 +94,7 @@ def test_unlit_alpha_blends_display_values() -> None:
 
 @pytest.mark.parametrize("pipeline", SAMPLED)
 @pytest.mark.parametrize(("alpha", "mode"), [(0.25, ls.AlphaMode.BLEND), (1.0, ls.AlphaMode.MASK)])
-def test_shadow_density_equals_alpha(pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode) -> None:
+def test_surface_with_alpha_blocks_light_by_its_alpha(pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode) -> None:
     """Behind the right half of a screen, light is reduced by alpha; behind its left half it is not."""
     shade = replace(
         emitting((1.0, 1.0, 1.0), base_color_texture=HALVES, alpha_mode=mode, alpha=alpha), emissive=(0.0,) * 3
@@ -111,7 +111,7 @@ def test_shadow_density_equals_alpha(pipeline: ls.Pipeline, alpha: float, mode: 
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
-def test_mirrors_show_alpha(pipeline: ls.Pipeline) -> None:
+def test_mirrors_reflect_alpha_masked_and_alpha_blended_surfaces(pipeline: ls.Pipeline) -> None:
     """A mask and a blended surface, seen in a mirror behind the camera."""
     mirror = board(0.0, ls.MaterialPbr(base_color=(1,) * 3, metallic=1.0, roughness=0.0), 4.0)
     masked = board(-3.0, emitting(GREEN, base_color_texture=HALVES, alpha_mode="mask"), 4.0)
@@ -123,7 +123,7 @@ def test_mirrors_show_alpha(pipeline: ls.Pipeline) -> None:
     np.testing.assert_allclose(frame.color[:, 17:].mean(axis=(0, 1)), GREEN, atol=1e-5)
 
 
-def test_emitters_with_alpha_emit_less() -> None:
+def test_emitter_with_alpha_emits_as_much_as_an_opaque_one_dimmed_by_alpha() -> None:
     """An emitting square with alpha lights as much as an opaque one that is darker by alpha."""
     floor = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
     settings: dict[str, Any] = {"max_bounces": 1, "background": None}

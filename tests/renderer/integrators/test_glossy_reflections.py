@@ -66,17 +66,17 @@ GLOSSY = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=6, glossy_reflectio
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_highlight_reflections_equal_one_bounce_paths(name: str) -> None:
+def test_glossy_reflections_on_meshes_equal_one_bounce_path_tracing(name: str) -> None:
     """Under a point light and an environment, neither of which is counted twice."""
     agree(GLOSSY, floor_and_box(MATERIALS[name], LIGHT, DAYLIGHT))
 
 
-def test_gaussian_reflections_equal_one_bounce_paths() -> None:
+def test_glossy_reflections_on_gaussians_equal_one_bounce_path_tracing() -> None:
     """A floor of Gaussians does not reflect itself."""
     agree(GLOSSY, floor_and_box(METAL, LIGHT, splats=True))
 
 
-def test_hybrid_and_traced_reflections_are_equal() -> None:
+def test_hybrid_and_trace_pipelines_give_equal_glossy_reflections_on_meshes() -> None:
     """Compares meshes, whose first hit is the same."""
     shown = floor_and_box(METAL, LIGHT, DAYLIGHT)
     traced = ls.render(shown, CAMERA, replace(GLOSSY, samples=2), device="cpu")
@@ -84,7 +84,7 @@ def test_hybrid_and_traced_reflections_are_equal() -> None:
     np.testing.assert_allclose(hybrid.color, traced.color, rtol=1e-3, atol=1e-5)
 
 
-def test_mirrors_in_highlights_show_the_environment() -> None:
+def test_glossy_reflections_of_a_mirror_include_the_environment_it_reflects() -> None:
     """With a mirror as the box, only reflection rays reach the environment by it; shadow rays do not."""
     shown = floor_and_box(METAL, DAYLIGHT)
     mirror = ls.MaterialPbr(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.0)
@@ -94,7 +94,9 @@ def test_mirrors_in_highlights_show_the_environment() -> None:
 
 @pytest.mark.parametrize("pane", [False, True], ids=["open", "behind clear panes"])
 @pytest.mark.parametrize("light", [(DAYLIGHT,), ()], ids=["sky", "background"])
-def test_environment_is_not_counted_twice(light: tuple[ls.LightEnvironment, ...], pane: bool) -> None:
+def test_glossy_reflection_rays_do_not_count_environment_light_twice(
+    light: tuple[ls.LightEnvironment, ...], pane: bool
+) -> None:
     """Without other emitters around, rough metals are bit-equal with and without reflection rays.
 
     A pane of glass that neither reflects nor refracts passes all environment light, and hides nothing else.
@@ -109,7 +111,7 @@ def test_environment_is_not_counted_twice(light: tuple[ls.LightEnvironment, ...]
     np.testing.assert_array_equal(with_rays.color, without.color)
 
 
-def test_highlights_reflect_captures() -> None:
+def test_rough_floor_reflects_an_emissive_capture() -> None:
     """A rough floor reflects an emissive capture, over no background."""
     box = ls.gaussians_from_mesh(replace(ls.box(0.8), material=diffuse(0.6)), 3000)
     kept = ls.SplatInstance(box, position=(0.0, 0.41, -0.4))
@@ -122,7 +124,7 @@ def test_highlights_reflect_captures() -> None:
     assert (seen.color[floor] > 0.0).any()
 
 
-def test_glossy_reflections_need_a_bounce() -> None:
+def test_glossy_reflections_are_off_by_default_and_without_bounces() -> None:
     """There are none with max_bounces 0, in rasterised frames, or by default."""
     shown = floor_and_box(METAL, LIGHT)
     plain = ls.render(shown, CAMERA, replace(GLOSSY, glossy_reflections=False), device="cpu")
@@ -132,14 +134,14 @@ def test_glossy_reflections_need_a_bounce() -> None:
     assert not FramePlan.of(replace(GLOSSY, pipeline=ls.Pipeline.RASTER), shown).has_lobes
 
 
-def test_default_samples_follow_reflection_noise() -> None:
+def test_default_sample_count_with_glossy_reflections_is_16() -> None:
     """The default is sixteen, also with only a point light."""
     shown = floor_and_box(METAL, LIGHT)
     assert FramePlan.of(replace(GLOSSY, samples=None), shown).samples == 16
     assert FramePlan.of(replace(GLOSSY, samples=None, glossy_reflections=False), shown).samples == 1
 
 
-def test_reflection_layer_contains_highlights() -> None:
+def test_reflection_layer_contains_the_light_of_glossy_reflection_rays() -> None:
     """The image ``reflection`` contains the light of reflection rays."""
     shown = floor_and_box(METAL, LIGHT)
     settings = replace(GLOSSY, samples=4, aovs=("reflection",))
@@ -150,7 +152,7 @@ def test_reflection_layer_contains_highlights() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
-def test_threads_and_schedules_change_nothing(pipeline: ls.Pipeline) -> None:
+def test_glossy_reflections_do_not_depend_on_thread_count_or_cuda_schedule(pipeline: ls.Pipeline) -> None:
     """Bit-equal for any number of threads, and nearly equal in CUDA's schedule with graphs."""
     settings = config(pipeline, samples=2, glossy_reflections=True)
     shown = scene(*LIGHTS, ENVIRONMENT)

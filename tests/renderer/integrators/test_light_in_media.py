@@ -57,20 +57,20 @@ def assert_absorbed(case: Case, light: ls.LightPoint | ls.LightSphere, pipeline:
 
 @TRACED
 @pytest.mark.parametrize("name", CASES)
-def test_light_is_absorbed_on_both_paths(pipeline: ls.Pipeline, name: str) -> None:
+def test_absorbing_body_attenuates_paths_to_the_light_and_to_the_camera(pipeline: ls.Pipeline, name: str) -> None:
     """The light cannot be hit, so that its shadow rays pass glass."""
     assert_absorbed(CASES[name], ls.LightPoint(CASES[name].light * SLANT, intensity=50.0), pipeline)
 
 
 @TRACED
-def test_visible_lights_are_absorbed(pipeline: ls.Pipeline) -> None:
+def test_absorbing_body_attenuates_visible_sphere_lights_inside_it(pipeline: ls.Pipeline) -> None:
     """A sphere light nearly as small: glass blocks the shadow rays of paths towards it."""
     case = CASES["both are inside"]
     assert_absorbed(case, ls.LightSphere(case.light * SLANT, 0.001, intensity=2e7), pipeline)
 
 
 @TRACED
-def test_gaussians_in_media_are_lit_like_meshes(pipeline: ls.Pipeline) -> None:
+def test_gaussians_inside_an_absorbing_body_are_lit_like_meshes(pipeline: ls.Pipeline) -> None:
     """Gaussians inside of the body are lit like meshes."""
     case = CASES["both are inside"]
     without, within = (
@@ -86,7 +86,7 @@ def test_gaussians_in_media_are_lit_like_meshes(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("visible", [False, True])
-def test_light_inside_rough_glass_is_absorbed(visible: bool) -> None:
+def test_absorbing_rough_glass_attenuates_a_light_inside_it(visible: bool) -> None:
     """The light is sampled through the surface, whether or not rays can hit it; its path inside is absorbed."""
     light = ls.LightSphere((0.0, 0.0, 1.0), 0.001, intensity=1e6, visible=visible)
     clear, dim = (

@@ -28,7 +28,7 @@ def reflectance(before: float, behind: float) -> float:
 
 @TRACED
 @pytest.mark.parametrize("behind", ["sky", "mesh"])
-def test_slab_absorbs_by_beers_law(pipeline: ls.Pipeline, behind: str) -> None:
+def test_transmittance_of_a_glass_slab_follows_beers_law(pipeline: ls.Pipeline, behind: str) -> None:
     """Transmittance is the colour to the power of thickness over distance, for an environment or an emitter."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=0.7)
     if behind == "sky":
@@ -41,7 +41,7 @@ def test_slab_absorbs_by_beers_law(pipeline: ls.Pipeline, behind: str) -> None:
     np.testing.assert_allclose(color(scene, pipeline, 4), truth, rtol=2e-5)
 
 
-def test_unlit_absorption_multiplies_display_values() -> None:
+def test_absorption_in_unlit_frames_multiplies_display_values() -> None:
     """The transmittance is encoded before it multiplies displayed colours, like tints."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     settings = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=(0.5, 0.5, 0.5), lighting=False)
@@ -52,7 +52,7 @@ def test_unlit_absorption_multiplies_display_values() -> None:
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 @pytest.mark.parametrize("place", ["beyond", "within"])
-def test_absorbing_glass_tints_shadows(pipeline: ls.Pipeline, place: str) -> None:
+def test_shadow_rays_through_absorbing_glass_are_tinted_by_its_transmittance(pipeline: ls.Pipeline, place: str) -> None:
     """With a light behind it, in it, or far away, shadow rays get the transmittance of their path."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
@@ -67,7 +67,7 @@ def test_absorbing_glass_tints_shadows(pipeline: ls.Pipeline, place: str) -> Non
 
 
 @TRACED
-def test_thin_wall_reflects_once_and_does_not_refract(pipeline: ls.Pipeline) -> None:
+def test_thin_walled_pane_reflects_once_and_does_not_refract(pipeline: ls.Pipeline) -> None:
     """One pane reflects like one surface, and transmits the tinted rest straight, whatever the index."""
     pane = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=1.0, ior=1.8, thin_walled=True)
     meshes = [
@@ -82,7 +82,7 @@ def test_thin_wall_reflects_once_and_does_not_refract(pipeline: ls.Pipeline) -> 
 
 
 @TRACED
-def test_thin_wall_does_not_shift_the_view(pipeline: ls.Pipeline) -> None:
+def test_thin_walled_pane_does_not_shift_objects_behind_it(pipeline: ls.Pipeline) -> None:
     """An edge seen at an angle stays in place behind the pane."""
     halves = [
         quad((-9, -9, 2.0), (9, 0, 0), (0, 18, 0), LIT),
@@ -101,7 +101,7 @@ def test_thin_wall_does_not_shift_the_view(pipeline: ls.Pipeline) -> None:
 
 @TRACED
 @pytest.mark.parametrize(("water_priority", "ice_priority", "in_ice"), [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 1.0)])
-def test_overlapping_media_use_priorities(
+def test_overlap_of_two_media_is_the_medium_of_higher_priority(
     pipeline: ls.Pipeline, water_priority: int, ice_priority: int, in_ice: float
 ) -> None:
     """Ice half in water: the overlap is the medium of higher priority, or the one entered last.
@@ -119,7 +119,7 @@ def test_overlapping_media_use_priorities(
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, pytest.param(ls.Pipeline.PATH, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("priority", [1, pytest.param(-1, marks=pytest.mark.deep)])
-def test_surfaces_between_media_use_both_indices(pipeline: ls.Pipeline, priority: int) -> None:
+def test_surface_between_two_media_reflects_by_the_indices_of_both(pipeline: ls.Pipeline, priority: int) -> None:
     """Two overlapping bodies have three surfaces, each with the Fresnel reflectance of the media on both sides.
 
     For multiple reflections between parallel surfaces, 1 over the transmitted fraction is 1 + sum R / (1 - R).
@@ -135,7 +135,7 @@ def test_surfaces_between_media_use_both_indices(pipeline: ls.Pipeline, priority
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_glass_inside_equal_glass_is_invisible(pipeline: ls.Pipeline) -> None:
+def test_glass_ball_inside_a_ball_of_equal_glass_is_invisible(pipeline: ls.Pipeline) -> None:
     """A ball of glass in a ball of the same glass neither reflects nor refracts; one of air does."""
     glass = replace(CLEAR, ior=1.5)
     view = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=24, height=24, fov_y=0.5)
@@ -159,7 +159,9 @@ def test_glass_inside_equal_glass_is_invisible(pipeline: ls.Pipeline) -> None:
 
 
 @TRACED
-def test_inverted_glass_is_logged_once(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
+def test_glass_mesh_with_inward_facing_triangles_logs_one_warning(
+    pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture
+) -> None:
     """The warning names the mesh whose triangles face inwards; closed meshes log nothing."""
     good = ball(0.5, replace(CLEAR, ior=1.5), rows=12)
     bad = ball(0.5, replace(CLEAR, ior=1.5), hollow=True, rows=12)
@@ -174,14 +176,14 @@ def test_inverted_glass_is_logged_once(pipeline: ls.Pipeline, caplog: pytest.Log
 
 
 @pytest.mark.parametrize("distance", [0.0, -1.0, float("nan"), "far"])
-def test_invalid_attenuation_distances_are_refused(distance: Any) -> None:
+def test_material_refuses_invalid_attenuation_distances(distance: Any) -> None:
     """One message states the expected values."""
     with pytest.raises(ls.SceneError, match=r"attenuation_distance is .*, expected a number above 0, or inf"):
         ls.MaterialPbr(attenuation_distance=distance)
 
 
 @pytest.mark.parametrize("value", [(0.5, -0.1, 1.0), (float("nan"), 1.0, 1.0), (2.0, 1.0, 1.0), float("inf")])
-def test_invalid_attenuation_colors_are_refused(value: Any) -> None:
+def test_material_refuses_attenuation_colours_outside_0_to_1(value: Any) -> None:
     """Negative values, values above 1 and NaN are refused."""
     with pytest.raises(ls.SceneError, match=r"attenuation_color is .*, expected three numbers in 0\.\.1"):
         ls.MaterialPbr(attenuation_color=value)

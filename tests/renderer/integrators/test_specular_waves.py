@@ -76,7 +76,7 @@ def aims(rng: np.random.Generator, mesh: ls.Mesh, count: int) -> np.ndarray:
 # --- Colours ---
 
 
-def test_rough_meshes_show_their_colour(rig: RayRig) -> None:
+def test_rough_mesh_shows_its_base_colour_without_reflected_rays(rig: RayRig) -> None:
     """One wave, and the background where there is no mesh."""
     grey = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), metallic=1.0, transmission=1.0)
     along = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
@@ -86,13 +86,13 @@ def test_rough_meshes_show_their_colour(rig: RayRig) -> None:
     assert len(rig.waves) == 1
 
 
-def test_scene_without_meshes_shows_the_background(rig: RayRig) -> None:
+def test_rays_through_a_scene_without_meshes_return_the_background(rig: RayRig) -> None:
     """Holds also where a pixel has no ray."""
     seen = rig.colors(ls.Scene(), np.zeros((2, 3)), np.eye(3)[:2], background=WHITE, t_max=np.array([np.inf, 0.0]))
     np.testing.assert_array_equal(seen, [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
 
 
-def test_mirror_at_45_degrees_reflects_by_90(rig: RayRig) -> None:
+def test_mirror_tilted_by_45_degrees_turns_rays_by_90_degrees(rig: RayRig) -> None:
     """The reflected ray has the expected origin and direction, and the mirror's colour."""
     gold = replace(MIRROR, base_color=(1.0, 0.7, 0.3))
     scene = ls.Scene([], [quad(2.0, tilt=1.0, material=gold)])
@@ -106,7 +106,7 @@ def test_mirror_at_45_degrees_reflects_by_90(rig: RayRig) -> None:
     np.testing.assert_allclose(seen[0], 0.5 * encode_srgb(head_on), atol=1e-5)
 
 
-def test_reflected_paths_are_unfolded(rig: RayRig) -> None:
+def test_reflected_rays_store_the_length_of_the_whole_path(rig: RayRig) -> None:
     """After any number of reflections, the virtual eye is as far behind the ray as the path is long."""
     scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
     along = normalized(np.array([[0.3, 0.1, 1.0]]))
@@ -118,7 +118,7 @@ def test_reflected_paths_are_unfolded(rig: RayRig) -> None:
 
 
 @pytest.mark.parametrize("bounces", [0, 1, 2, 7])
-def test_max_bounces_limits_the_waves(rig: RayRig, bounces: int) -> None:
+def test_max_bounces_limits_the_reflections_between_two_mirrors(rig: RayRig, bounces: int) -> None:
     """Between two mirrors, the last wave sees the background; fewer waves start where rays leave."""
     scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
     seen = rig.colors(scene, ORIGIN, FORWARD, bounces=bounces, background=WHITE)
@@ -130,7 +130,7 @@ def test_max_bounces_limits_the_waves(rig: RayRig, bounces: int) -> None:
     assert len(rig.waves) == 1 + min(bounces, 1)
 
 
-def test_slab_shifts_rays_by_snells_law(rig: RayRig) -> None:
+def test_glass_slab_shifts_rays_by_snells_law(rig: RayRig) -> None:
     """The shift is d sin(a) (1 - cos(a) / (n cos(b))), and rays leave parallel."""
     angle, ior, thickness = np.radians(50.0), 1.5, 0.3
     along = np.array([[np.sin(angle), 0.0, np.cos(angle)]])
@@ -148,7 +148,7 @@ def test_slab_shifts_rays_by_snells_law(rig: RayRig) -> None:
     assert origin[2] == pytest.approx(1.0 + thickness, rel=3e-5)
 
 
-def test_slab_reflects_and_transmits_by_fresnel(rig: RayRig) -> None:
+def test_glass_slab_reflects_and_transmits_by_fresnels_equations(rig: RayRig) -> None:
     """Head on, each face reflects 4 %, tinted by each crossing; the second inner reflection sees the background."""
     tint = np.array([0.8, 0.5, 0.2])
     glass = replace(GLASS, base_color=tuple(tint))
@@ -158,7 +158,7 @@ def test_slab_reflects_and_transmits_by_fresnel(rig: RayRig) -> None:
     np.testing.assert_allclose(seen[0], expected, atol=1e-5)
 
 
-def test_partly_transparent_glass_shows_its_colour(rig: RayRig) -> None:
+def test_partly_transmitting_glass_adds_its_base_colour(rig: RayRig) -> None:
     """The fraction that is neither reflected nor transmitted shows the base colour."""
     paint = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), roughness=0.0, transmission=0.25)
     scene = ls.Scene([], [quad(1.0, material=paint)])
@@ -166,7 +166,7 @@ def test_partly_transparent_glass_shows_its_colour(rig: RayRig) -> None:
     np.testing.assert_allclose(seen[0], 0.96 * 0.75 * encode_srgb(np.full(3, 0.5)), atol=1e-5)
 
 
-def test_prism_reflects_totally(rig: RayRig) -> None:
+def test_light_in_a_45_degree_prism_is_totally_reflected(rig: RayRig) -> None:
     """Total internal reflection at 45 degrees: all light but two crossings' 4 % arrives, and none goes straight."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 1, 0], [0, 1, 1]], dtype=float) - [0, 0.5, 0]
     faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [0, 2, 5], [0, 5, 3], [1, 4, 5], [1, 5, 2]]
@@ -176,7 +176,7 @@ def test_prism_reflects_totally(rig: RayRig) -> None:
     np.testing.assert_allclose(seen[0], np.full(3, 0.96**2), atol=1e-5)
 
 
-def test_gaussians_in_front_of_each_surface_are_blended(rig: RayRig) -> None:
+def test_gaussians_are_blended_on_every_segment_of_a_mirror_or_glass_path(rig: RayRig) -> None:
     """Their colour and transmittance apply on every segment of the path."""
     rig.color, rig.transmittance = (0.1, 0.2, 0.3), 0.5
     fog, environment = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
@@ -185,7 +185,7 @@ def test_gaussians_in_front_of_each_surface_are_blended(rig: RayRig) -> None:
         np.testing.assert_allclose(seen[0], fog + 0.5 * (fog + 0.5 * environment), atol=1e-6)
 
 
-def test_faint_branches_are_not_traced() -> None:
+def test_mirror_and_glass_rays_below_1_512_of_the_pixel_are_not_traced() -> None:
     """A branch below 1/512 of the pixel ends, whether by reflectance, tint or transmittance."""
     head_on = ls.Scene([], [quad(2.0, material=ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0))])
     for specular, transmittance, waves in ((1.0, 1.0, 2), (0.05, 1.0, 2), (0.048, 1.0, 1), (1.0, 0.048, 1)):
@@ -195,7 +195,7 @@ def test_faint_branches_are_not_traced() -> None:
         assert len(rig.waves) == waves, f"specular {specular}, transmittance {transmittance}"
 
 
-def test_weights_multiply_along_the_path(rig: RayRig) -> None:
+def test_mirror_path_ends_when_the_product_of_reflectances_is_below_1_512(rig: RayRig) -> None:
     """Between two surfaces that reflect 19.75 %, the third reflection still counts, and the fourth does not."""
     dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=2.6)
     corridor = ls.Scene([], [quad(2.0, material=dark), quad(-1.0, material=dark)])
@@ -203,7 +203,7 @@ def test_weights_multiply_along_the_path(rig: RayRig) -> None:
     assert len(rig.waves) == 1 + 3
 
 
-def test_branches_have_independent_random_numbers(rig: RayRig) -> None:
+def test_rays_of_a_mirror_and_glass_ray_tree_have_independent_random_numbers(rig: RayRig) -> None:
     """No two rays of a tree share random numbers."""
     rig.colors(ls.Scene([], [slab(1.0, 0.3, GLASS)]), ORIGIN, normalized(np.array([[0.5, 0.0, 1.0]])), bounces=4)
     sample_keys = np.concatenate([wave.sample_key for wave in rig.waves])
@@ -223,7 +223,9 @@ def test_branches_have_independent_random_numbers(rig: RayRig) -> None:
         ("air", 1.0, 1.0, 1e-5),
     ],
 )
-def test_clear_glass_disappears_in_a_furnace(rig: RayRig, name: str, ior: float, specular: float, lost: float) -> None:
+def test_clear_glass_ball_is_invisible_in_a_white_furnace(
+    rig: RayRig, name: str, ior: float, specular: float, lost: float
+) -> None:
     """White furnace: a clear ball is invisible, except for branches too faint to trace."""
     rng = np.random.default_rng(1)
     across = rng.uniform(-0.6, 0.6, (4000, 2))
@@ -235,7 +237,7 @@ def test_clear_glass_disappears_in_a_furnace(rig: RayRig, name: str, ior: float,
     assert seen.min() > 1.0 - lost
 
 
-def test_white_mirrors_disappear_in_a_furnace(rig: RayRig) -> None:
+def test_white_mirrors_are_invisible_in_a_white_furnace(rig: RayRig) -> None:
     """White mirrors reflect all of a white environment, in any orientation."""
     meshes = [
         ls.MeshInstance(ball(MIRROR, 2), similarity(offset=(x, y, 6.0), scale=0.6)) for x in (-1, 1) for y in (-1, 1)
@@ -251,7 +253,9 @@ def test_white_mirrors_disappear_in_a_furnace(rig: RayRig) -> None:
 
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
-def test_convex_mirrors_do_not_hit_themselves(rig: RayRig, name: str, scale: float, offset: float) -> None:
+def test_rays_reflected_by_a_convex_mirror_do_not_hit_it_again(
+    rig: RayRig, name: str, scale: float, offset: float
+) -> None:
     """From outside, near and far, every reflection leaves at once."""
     mesh, matrix = shape(name, MIRROR), placed(scale, offset)
     rng = np.random.default_rng(3)
@@ -268,7 +272,9 @@ def test_convex_mirrors_do_not_hit_themselves(rig: RayRig, name: str, scale: flo
 @pytest.mark.parametrize("pose", [pytest.param("turned", marks=pytest.mark.deep), "sheared"])
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
-def test_closed_mirrors_do_not_leak(rig: RayRig, name: str, scale: float, offset: float, pose: str) -> None:
+def test_rays_inside_a_closed_mirror_stay_inside_for_six_reflections(
+    rig: RayRig, name: str, scale: float, offset: float, pose: str
+) -> None:
     """From inside, at faces, edges and corners, no ray is outside after six reflections."""
     mesh, matrix = shape(name, MIRROR), placed(scale, offset)
     if pose == "sheared":
@@ -286,7 +292,9 @@ def test_closed_mirrors_do_not_leak(rig: RayRig, name: str, scale: float, offset
 
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
-def test_refracted_rays_cross_the_body(rig: RayRig, name: str, scale: float, offset: float) -> None:
+def test_refracted_rays_skip_the_entered_surface_and_hit_the_opposite_one(
+    rig: RayRig, name: str, scale: float, offset: float
+) -> None:
     """They neither hit the surface through which they entered nor miss the other one."""
     mesh, matrix = shape(name, GLASS), placed(scale, offset)
     rng = np.random.default_rng(5)
@@ -301,7 +309,7 @@ def test_refracted_rays_cross_the_body(rig: RayRig, name: str, scale: float, off
     assert (wave.t_max[refracted] > 1e-3 * scale).mean() > 0.999
 
 
-def test_mirrored_glass_instances_are_entered_from_outside(rig: RayRig) -> None:
+def test_mirrored_instance_of_a_glass_body_renders_like_a_mirrored_mesh(rig: RayRig) -> None:
     """A mirrored instance of a glass body renders like the mirrored body."""
     mesh = shapes.rounded_box((1.0, 2.0, 0.8), 0.2)
     lens = replace(mesh, material=replace(GLASS, base_color=(0.9, 0.7, 0.4)))
@@ -335,7 +343,7 @@ def noise_texture() -> np.ndarray:
 # --- The machinery ---
 
 
-def test_threads_do_not_change_a_bit() -> None:
+def test_colours_of_mirrors_and_glass_do_not_depend_on_thread_count() -> None:
     """Colours are bit-equal with one thread and with three."""
     rng = np.random.default_rng(8)
     along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
@@ -344,7 +352,7 @@ def test_threads_do_not_change_a_bit() -> None:
     np.testing.assert_array_equal(one, three)
 
 
-def test_waves_reuse_buffers(rig: RayRig) -> None:
+def test_mirror_and_glass_rays_of_similar_views_reuse_their_buffers(rig: RayRig) -> None:
     """A view with a few more or fewer rays in glass allocates nothing, and old rays leave no trace."""
     rng = np.random.default_rng(9)
     along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
@@ -360,7 +368,7 @@ def test_waves_reuse_buffers(rig: RayRig) -> None:
     np.testing.assert_array_equal(back, first)
 
 
-def test_zero_rays_give_no_colours(rig: RayRig) -> None:
+def test_tracing_zero_rays_through_mirrors_and_glass_returns_empty_arrays(rig: RayRig) -> None:
     """Zero rays give empty arrays."""
     seen = rig.colors(ls.Scene([], [quad(2.0, material=MIRROR)]), np.zeros((0, 3)), np.zeros((0, 3)))
     assert seen.shape == (0, 3)

@@ -39,7 +39,9 @@ def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 @TRACED
 @pytest.mark.parametrize("ior", [1.5, 1.33, 1.1, 1.0])
 @pytest.mark.parametrize("thin_walled", [False, True])
-def test_normal_reflectance_under_water(pipeline: ls.Pipeline, ior: float, thin_walled: bool) -> None:
+def test_reflectance_under_water_at_normal_incidence_uses_both_indices(
+    pipeline: ls.Pipeline, ior: float, thin_walled: bool
+) -> None:
     """Black varnish, or a black pane, under a white environment: squared difference over squared sum of the indices."""
     black = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=ior)
     if thin_walled:
@@ -51,7 +53,7 @@ def test_normal_reflectance_under_water(pipeline: ls.Pipeline, ior: float, thin_
 
 @TRACED
 @pytest.mark.parametrize(("kind", "roughness"), [("mesh", 0.0), ("mesh", 0.5), ("capture", 0.5)])
-def test_underwater_body_equals_one_in_air_with_the_relative_index(
+def test_underwater_body_is_shaded_like_one_in_air_with_the_relative_index(
     pipeline: ls.Pipeline, kind: str, roughness: float
 ) -> None:
     """Compares highlight and diffuse light from a light behind the camera."""
@@ -74,7 +76,7 @@ def test_underwater_body_equals_one_in_air_with_the_relative_index(
 
 @pytest.mark.parametrize("ior", [1.6, 1.15])
 @pytest.mark.parametrize("roughness", [0.0, 0.4])
-def test_white_body_under_water_disappears_in_a_furnace(ior: float, roughness: float) -> None:
+def test_white_body_in_water_is_invisible_in_a_white_furnace(ior: float, roughness: float) -> None:
     """A white body in a ball of water is invisible, and so is the water."""
     white = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=roughness, ior=ior)
     water = ball(1.0, replace(WATER, specular=1.0), rows=16)

@@ -41,7 +41,7 @@ def frame_of(splats: list[ls.SplatInstance], pipeline: ls.Pipeline = ls.Pipeline
 @PIPELINES
 @pytest.mark.parametrize("kind", KEPT)
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.9, 0.6, 0.1), None], ids=["black", "orange", "none"])
-def test_emissive_haze_stays_as_captured(
+def test_emissive_haze_without_a_surface_is_equal_in_lit_and_unlit_frames(
     background: tuple[float, float, float] | None, kind: str, pipeline: ls.Pipeline
 ) -> None:
     """Where no surface is found, a lit frame equals an unlit one to the bit."""
@@ -56,7 +56,7 @@ def test_emissive_haze_stays_as_captured(
 @PIPELINES
 @pytest.mark.parametrize("first", ["captured", "relit"])
 @pytest.mark.parametrize("opacity", [0.12, 0.5, 0.9])
-def test_mixed_haze_adds_captured_and_relit_parts(opacity: float, first: str, pipeline: ls.Pipeline) -> None:
+def test_frame_of_emissive_and_relit_haze_is_the_sum_of_both(opacity: float, first: str, pipeline: ls.Pipeline) -> None:
     """Whichever set is in front, and whether there is a surface or not, the frame is the sum of both parts."""
     depths = (2.0, 2.5) if first == "captured" else (2.5, 2.0)
     captured = ls.SplatInstance(veil(depths[0], opacity, GREEN))
@@ -71,7 +71,7 @@ def test_mixed_haze_adds_captured_and_relit_parts(opacity: float, first: str, pi
 
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
-def test_stochastic_hits_of_mixed_sets_are_unbiased(strategy: ls.config.TraceStrategy) -> None:
+def test_stochastic_hits_of_emissive_and_relit_layers_are_unbiased(strategy: ls.config.TraceStrategy) -> None:
     """Three layers of both kinds, by rays that hit one Gaussian, or one pass, each."""
     splats = [
         ls.SplatInstance(veil(2.0, 0.3, GREEN)),
@@ -86,7 +86,7 @@ def test_stochastic_hits_of_mixed_sets_are_unbiased(strategy: ls.config.TraceStr
 
 @PIPELINES
 @pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside a captured set"])
-def test_relit_haze_is_lit_without_a_surface(beside: bool, pipeline: ls.Pipeline) -> None:
+def test_relit_haze_too_thin_for_a_surface_is_lit_by_its_alpha(beside: bool, pipeline: ls.Pipeline) -> None:
     """Light from the front gives no jump where alpha reaches that of a surface, 0.3."""
     material = ls.MaterialSimple(emissive=(0.0, 0.0, 0.0), diffuse=(1.0, 1.0, 1.0))
     more = [ls.SplatInstance(veil(9.0, 1e-6, GREEN))] if beside else []
@@ -98,7 +98,7 @@ def test_relit_haze_is_lit_without_a_surface(beside: bool, pipeline: ls.Pipeline
 
 
 @PIPELINES
-def test_captures_beside_relit_sets_are_unchanged(pipeline: ls.Pipeline) -> None:
+def test_captured_pixels_outside_a_relit_set_equal_the_unlit_frame(pipeline: ls.Pipeline) -> None:
     """Pixels that the relit set does not reach equal the unlit frame to the bit."""
     capture = ls.SplatInstance(veil(2.0, 0.6, GREEN))
     spot = ls.Gaussians([[-0.4, 0.0, 1.9]], [[1.0, 0.0, 0.0, 0.0]], [[0.05, 0.05, 0.05]], [0.8], flat_sh(RED[None]))
@@ -111,7 +111,9 @@ def test_captures_beside_relit_sets_are_unchanged(pipeline: ls.Pipeline) -> None
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @PIPELINES
-def test_all_schedules_agree(pipeline: ls.Pipeline, backend: str) -> None:
+def test_cpu_and_cuda_schedules_agree_on_alternating_emissive_and_relit_layers(
+    pipeline: ls.Pipeline, backend: str
+) -> None:
     """CPU and CUDA schedules give equal frames of alternating layers of both kinds with a mesh between them."""
     splats = [ls.SplatInstance(veil(2.0 + 0.1 * k, 0.2, GREEN)) for k in range(3)]
     splats += [ls.SplatInstance(veil(2.05 + 0.1 * k, 0.2, RED), material=GLOWING) for k in range(3)]

@@ -65,7 +65,7 @@ def light_on(scene: ls.Scene, **settings: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_diffuse_mesh_in_a_captured_furnace_shows_its_albedo(pipeline: ls.Pipeline) -> None:
+def test_diffuse_mesh_inside_a_uniform_capture_shows_its_albedo(pipeline: ls.Pipeline) -> None:
     """White furnace: albedo times the capture's constant radiance, from every side, in one sample."""
     color = np.array([0.9, 0.6, 0.3])
     seen = light_on(ls.Scene([shell(color)], [ball()]), pipeline=pipeline)
@@ -74,7 +74,7 @@ def test_diffuse_mesh_in_a_captured_furnace_shows_its_albedo(pipeline: ls.Pipeli
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_captured_light_comes_from_bright_directions(axis: int) -> None:
+def test_irradiance_on_a_mesh_follows_the_bright_half_of_the_capture_around_it(axis: int) -> None:
     """With half of the sphere bright, irradiance is (1 + cosine) / 2 by the normal's angle to that half."""
     along = even_directions(3000)
     colors = np.where(along[:, axis, None] > 0.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
@@ -86,7 +86,7 @@ def test_captured_light_comes_from_bright_directions(axis: int) -> None:
     assert abs(error.mean()) < 0.01 and np.sqrt(np.mean(error**2)) < 0.03
 
 
-def test_captured_light_is_rendered_again_after_a_move(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_of_a_capture_on_a_mesh_is_rendered_again_after_the_mesh_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is rendered at each new position, not for a new object at the same one, and equals a new renderer's."""
     found, made = captured_light.captured_light, list[object]()
     boxes = list[np.ndarray]()
@@ -107,7 +107,7 @@ def test_captured_light_is_rendered_again_after_a_move(monkeypatch: pytest.Monke
     np.testing.assert_array_equal(frame.color, ls.render(scene, camera, device="cpu").color)
 
 
-def test_captured_light_agrees_with_path_tracing() -> None:
+def test_light_of_a_capture_on_a_mesh_agrees_with_path_tracing() -> None:
     """The mean over the mesh agrees within 5 %."""
     along = even_directions(3000)
     colors = 0.5 + 0.4 * along[:, [1, 0, 2]]
@@ -116,7 +116,7 @@ def test_captured_light_agrees_with_path_tracing() -> None:
     np.testing.assert_allclose(seen.mean(axis=0), truth.mean(axis=0), rtol=0.05)
 
 
-def test_captured_light_changes_only_mesh_pixels() -> None:
+def test_lighting_a_mesh_by_a_capture_does_not_change_captured_pixels() -> None:
     """Pixels of the capture are byte-equal."""
     scene = ls.Scene([shell(np.array([0.7, 0.5, 0.2]))], [ball()])
     camera = front_camera(64, 48)
@@ -129,7 +129,7 @@ def test_captured_light_changes_only_mesh_pixels() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_mesh_outside_a_capture_gets_a_headlight(share: float) -> None:
+def test_mesh_outside_a_capture_is_lit_by_a_headlight(share: float) -> None:
     """With a capture of a figure, or a floor without a sky, the frame equals that of lighting=True."""
     capture = shell(np.array([0.5, 0.5, 0.5]), share) if share else one_gaussian((1.5, 0.0, 4.0))
     scene = ls.Scene([capture], [octahedron((0.0, 0.0, 4.0), 1.0)])
@@ -140,7 +140,7 @@ def test_mesh_outside_a_capture_gets_a_headlight(share: float) -> None:
     np.testing.assert_array_equal(frame.color, asked.color)
 
 
-def test_explicit_lights_and_settings_disable_captured_light() -> None:
+def test_captures_do_not_light_meshes_if_lights_or_lighting_are_specified() -> None:
     """A light, a disabled light, and lighting=True or False take no light from the capture."""
     capture, light = shell(np.array([0.2, 0.2, 0.8])), ls.LightPoint(POSITION - (0, 0, 3), intensity=5.0)
     scene = ls.Scene([capture], [ball()])
@@ -151,7 +151,7 @@ def test_explicit_lights_and_settings_disable_captured_light() -> None:
     assert np.ptp(flat.color[flat.instance_index == 1], axis=0).max() < 1e-6
 
 
-def test_captured_light_does_not_depend_on_earlier_frames() -> None:
+def test_light_of_captures_on_meshes_does_not_depend_on_earlier_frames() -> None:
     """A renderer that has rendered other positions equals a new one to the bit, with any number of threads."""
     along = even_directions(3000)
     scene = ls.Scene([shell(np.where(along[:, :1] > 0.0, 0.9, 0.1) * np.ones(3))], [ball()])
@@ -166,7 +166,7 @@ def test_captured_light_does_not_depend_on_earlier_frames() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH, ls.Pipeline.REALTIME])
-def test_capture_gain_scales_captured_light(pipeline: ls.Pipeline) -> None:
+def test_capture_gain_of_one_stop_doubles_the_light_of_captures_on_meshes(pipeline: ls.Pipeline) -> None:
     """One stop doubles the light in every pipeline; the estimated gain exposes a grey ball like its grey room."""
     color = np.array([0.5, 0.5, 0.5])
     scene = ls.Scene([shell(color, radius=30.0)], [ball()])
@@ -189,7 +189,7 @@ def test_capture_gain_scales_captured_light(pipeline: ls.Pipeline) -> None:
     np.testing.assert_array_equal(mapped.pixels_srgb()[beside], plain.pixels_srgb()[beside])
 
 
-def test_captured_light_agrees_for_any_number_of_samples() -> None:
+def test_light_of_a_capture_on_a_mesh_does_not_depend_on_the_sample_count() -> None:
     """Directions are spread over samples; with images of single lights, each sample has one direction."""
     scene = ls.Scene([shell(np.array([0.9, 0.6, 0.3]))], [ball()])
     one = light_on(scene).mean(axis=0)
@@ -197,7 +197,7 @@ def test_captured_light_agrees_for_any_number_of_samples() -> None:
     np.testing.assert_allclose(light_on(scene, aovs=("lights",), jitter=False).mean(axis=0), one, rtol=0.02)
 
 
-def test_captured_light_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_lighting_meshes_by_captures_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     """Two renderers and three frames log one line, which names the setting."""
     scene = ls.Scene([shell(np.array([0.5, 0.5, 0.5]))], [ball()])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):

@@ -58,7 +58,7 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
         (scene(ENVIRONMENT), {"samples": 3}, 3),
     ],
 )
-def test_default_samples_depend_on_lights_and_surfaces(
+def test_default_sample_count_is_1_unless_random_light_is_reflected_or_blocked(
     content: ls.Scene, settings: dict[str, Any], samples: int
 ) -> None:
     """Many where random light is reflected or blocked, else one."""
@@ -66,7 +66,9 @@ def test_default_samples_depend_on_lights_and_surfaces(
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_default_samples_leave_no_black_pixels(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
+def test_default_sample_count_leaves_no_black_pixels_in_a_room_with_a_window(
+    pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture
+) -> None:
     """With a bright window in a dark room, one sample leaves black pixels beside bright ones; the default does not."""
     image = np.full((16, 32, 3), 0.02, np.float32)
     image[5:9, 12:20] = 12.0
@@ -83,7 +85,7 @@ def test_default_samples_leave_no_black_pixels(pipeline: ls.Pipeline, caplog: py
     assert errors[None] < 0.35 * errors[1]
 
 
-def test_too_few_samples_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_too_few_samples_log_one_warning_that_names_the_noisy_light(caplog: pytest.LogCaptureFixture) -> None:
     """The warning names the noisy light and the remedy; none by default, nor once resumed frames have enough."""
     camera, soft = front_camera(16, 16), scene(ENVIRONMENT, SOFT_SUN)
 
@@ -109,7 +111,7 @@ def test_too_few_samples_are_logged_once(caplog: pytest.LogCaptureFixture) -> No
 
 
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
-def test_default_samples_leave_captures_unchanged(pipeline: ls.Pipeline) -> None:
+def test_default_sample_count_leaves_captured_pixels_equal_to_the_unlit_frame(pipeline: ls.Pipeline) -> None:
     """An emissive capture in front of a noisy mesh: pixels without the mesh equal the unlit frame to the bit."""
     content = scene(replace(ENVIRONMENT, visible=False))
     pose = np.eye(4)
@@ -125,7 +127,7 @@ def test_default_samples_leave_captures_unchanged(pipeline: ls.Pipeline) -> None
     np.testing.assert_array_equal(frame.pixels_srgb()[untouched], alone.pixels_srgb()[untouched])
 
 
-def test_demo_animation_suppresses_its_noise_warning(
+def test_demo_animation_logs_no_warning_about_too_few_samples(
     caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: Any
 ) -> None:
     """Its animation deliberately has few samples and logs no warning; other frames still do."""

@@ -28,7 +28,7 @@ def frame(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 
 
 @pytest.mark.parametrize("look", LOOKS)
-def test_pipelines_agree_on_layers_under_a_light(look: str) -> None:
+def test_pipelines_agree_on_layered_materials_under_a_light(look: str) -> None:
     """On a ball without bounces; the layer, or multiple scattering, changes the image."""
     compensated = look == "metal"
     scene = ls.Scene(meshes=[ball(0.3, ls.MaterialPbr(**(PLAIN | LOOKS[look])), rows=24)], lights=[LIGHT])
@@ -40,7 +40,7 @@ def test_pipelines_agree_on_layers_under_a_light(look: str) -> None:
     assert np.abs(without - shown[0]).max() > 0.02
 
 
-def test_relit_gaussians_have_layers() -> None:
+def test_relit_gaussians_have_clearcoat_and_sheen() -> None:
     """Clearcoat and sheen work on relit sets."""
     gaussians = ls.gaussians_from_mesh(ball(0.3, ls.MaterialPbr(base_color=(0.5, 0.1, 0.1))), 3000)
     shown = [
@@ -50,7 +50,7 @@ def test_relit_gaussians_have_layers() -> None:
     assert shown[1].mean() > shown[0].mean() + 0.005
 
 
-def test_coat_reflects_its_surroundings() -> None:
+def test_path_traced_clearcoat_reflects_4_percent_of_a_lit_wall() -> None:
     """In path tracing, a coat over black reflects 0.04 of a lit wall behind the camera at normal incidence."""
     coated = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, clearcoat=1.0)
     dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, emissive=(1.0, 1.0, 1.0))

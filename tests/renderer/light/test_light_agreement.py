@@ -85,7 +85,7 @@ def psnr(first: np.ndarray, second: np.ndarray) -> float:
 
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
-def test_mesh_and_gaussians_have_equal_shadows(name: str, pipeline: ls.Pipeline) -> None:
+def test_mesh_and_gaussians_of_one_object_cast_equal_shadows(name: str, pipeline: ls.Pipeline) -> None:
     """Compares masks of the shadows on the floor and on the object itself."""
     mesh = lit(as_mesh(name), CAMERA, pipeline, aovs=("lights",))
     splats = lit(as_gaussians(name), CAMERA, pipeline, aovs=("lights",))
@@ -113,7 +113,7 @@ def test_mesh_and_gaussians_have_equal_shadows(name: str, pipeline: ls.Pipeline)
 
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
-def test_mesh_and_gaussians_have_equal_shading(name: str, pipeline: ls.Pipeline) -> None:
+def test_mesh_and_gaussians_of_one_object_are_shaded_equally(name: str, pipeline: ls.Pipeline) -> None:
     """Compares unshadowed brightness away from edges.
 
     The rasteriser orders discs by their centres, so that discs that face the viewer get too much weight. Footprints
@@ -131,7 +131,7 @@ def test_mesh_and_gaussians_have_equal_shading(name: str, pipeline: ls.Pipeline)
     assert np.abs(shone_too - shone).mean() < each * shone.mean()
 
 
-def test_pipelines_shade_meshes_equally() -> None:
+def test_raster_trace_and_hybrid_pipelines_shade_meshes_equally() -> None:
     """Raster, trace and hybrid frames of meshes differ only by rounding."""
     scene = as_mesh("tray")
     raster, trace, hybrid = (lit(scene, CAMERA, pipeline) for pipeline in DIRECT)
@@ -141,7 +141,7 @@ def test_pipelines_shade_meshes_equally() -> None:
 
 
 @pytest.mark.parametrize("name", ["ring", "shiny sphere"])
-def test_pipelines_shade_splats_equally(name: str) -> None:
+def test_raster_trace_and_hybrid_pipelines_shade_gaussians_equally(name: str) -> None:
     """Raster and hybrid frames are equal, and differ from traced ones as their footprints do."""
     raster, trace, hybrid = (lit(as_gaussians(name), CAMERA, pipeline) for pipeline in DIRECT)
     assert_close(hybrid.color, raster.color, atol=1e-4)
@@ -152,7 +152,7 @@ def test_pipelines_shade_splats_equally(name: str) -> None:
 
 
 @PIPELINES
-def test_white_gaussians_disappear_in_a_furnace(pipeline: ls.Pipeline) -> None:
+def test_white_gaussians_are_nearly_invisible_in_a_white_furnace(pipeline: ls.Pipeline) -> None:
     """White furnace: Gaussians of a surface lose less than 1 % to shadows on each other."""
     white = matte(1.0)
     splats = ls.gaussians_from_mesh(ball_at((0.0, 0.7, 0.0), 0.5, white), 4000)
@@ -171,7 +171,7 @@ def capture() -> ls.Gaussians:
 
 @PIPELINES
 @pytest.mark.parametrize("lights", [(LIGHT,), (replace(LIGHT, enabled=False),), ()], ids=["lamp", "off", "headlight"])
-def test_lighting_without_reflecting_surfaces_changes_nothing(
+def test_lighting_setting_changes_nothing_without_reflecting_surfaces(
     lights: tuple[ls.LightPoint, ...], pipeline: ls.Pipeline, tmp_path: Path
 ) -> None:
     """No light, equal colours and equal files, whatever the tone mapping."""
@@ -192,7 +192,7 @@ def test_lighting_without_reflecting_surfaces_changes_nothing(
 
 
 @PIPELINES
-def test_capture_beside_a_lit_mesh_is_unchanged(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_capture_in_front_of_a_lit_mesh_equals_the_unlit_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     """Light on a floor changes no pixel of the capture in front of it, nor of the background."""
     half = parallelogram((-3.0, 0.0, 0.2), (3.2, 0.0, 0.0), (0.0, 0.0, -1.4), matte(0.8))
     scene = ls.Scene([capture()], [half], [LIGHT])

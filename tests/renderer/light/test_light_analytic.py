@@ -30,7 +30,9 @@ EVEN = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
 
 @PIPELINES
 @pytest.mark.parametrize("reach", [math.inf, 2.6], ids=["no range", "range"])
-def test_point_light_over_a_plane(pipeline: ls.Pipeline, reach: float) -> None:
+def test_plane_under_a_point_light_matches_the_inverse_square_law_and_gltf_window(
+    pipeline: ls.Pipeline, reach: float
+) -> None:
     """Every pixel is albedo / pi times candela / distance squared times the cosine, and glTF's range window."""
     light = ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.5, 0.2), intensity=7.0, range=reach)
     camera, albedo = above(), (0.9, 0.6, 0.3)
@@ -45,7 +47,7 @@ def test_point_light_over_a_plane(pipeline: ls.Pipeline, reach: float) -> None:
 
 
 @PIPELINES
-def test_spot_over_a_plane(pipeline: ls.Pipeline) -> None:
+def test_plane_under_a_spot_light_matches_the_gltf_cone_falloff(pipeline: ls.Pipeline) -> None:
     """Full inside the inner cone, none outside the outer one, and glTF's squared ramp of the cosine between."""
     light = ls.LightSpot((-0.5, 2.0, 0.4), (0.3, -1.0, -0.2), intensity=9.0, inner_angle=0.25, outer_angle=0.5)
     camera = above()
@@ -62,7 +64,7 @@ def test_spot_over_a_plane(pipeline: ls.Pipeline) -> None:
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", ls.Shadows, ids=lambda shadows: shadows.value)
-def test_unblocked_light_is_equal_for_all_shadow_modes(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
+def test_unblocked_lights_are_equally_bright_in_all_shadow_modes(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
     """Spheres and distant discs above the horizon light like their centres; sampling them only adds noise."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), intensity=7.0, radius=0.3),
@@ -91,7 +93,7 @@ def test_unblocked_light_is_equal_for_all_shadow_modes(pipeline: ls.Pipeline, sh
 
 
 @PIPELINES
-def test_frame_is_the_sum_of_its_lights(pipeline: ls.Pipeline) -> None:
+def test_frame_is_the_sum_over_lights_of_unshadowed_light_times_shadow(pipeline: ls.Pipeline) -> None:
     """The image is the sum over lights of unshadowed light times shadow; a disabled light adds nothing."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.2, 0.1), intensity=7.0, name="lamp"),
@@ -117,7 +119,7 @@ def test_frame_is_the_sum_of_its_lights(pipeline: ls.Pipeline) -> None:
 
 
 @PIPELINES
-def test_without_lights_there_is_a_headlight(pipeline: ls.Pipeline) -> None:
+def test_scene_without_lights_is_lit_by_a_headlight_at_the_camera(pipeline: ls.Pipeline) -> None:
     """A white wall that faces the camera is 1 at any distance; tilted ones are darker by their cosine."""
     camera = above(height=3.0, eye=(1.5, 0.4))
     frame = lit(ls.Scene((), [floor(matte(0.9))]), camera, pipeline)
@@ -142,7 +144,7 @@ def rect_irradiance(light: ls.LightRect, points: np.ndarray) -> np.ndarray:
     return 0.5 * light.intensity * np.maximum(-total, 0.0)
 
 
-def test_rectangle_over_a_plane() -> None:
+def test_plane_under_a_rectangle_light_matches_the_closed_form() -> None:
     """Sampled, the closed form of its irradiance; as a point light, that of its centre, area and both cosines."""
     camera = above()
     scene = ls.Scene((), [floor(matte(0.8))], [RECT])
@@ -159,7 +161,7 @@ def test_rectangle_over_a_plane() -> None:
     assert np.abs(tile_means(ours) / tile_means(expected) - 1.0).max() < 0.02
 
 
-def test_disk_over_a_plane() -> None:
+def test_plane_under_a_disk_light_matches_the_closed_form() -> None:
     """Sampled, the closed form of its irradiance (a disk parallel to the receiver); hard, that of its centre."""
     camera, disk = above(), ls.LightDisk((0.3, 1.2, -0.2), (0.0, -1.0, 0.0), 0.5, intensity=3.0)
     scene, points = ls.Scene((), [floor(matte(0.8))], [disk]), floor_points(camera)
@@ -260,7 +262,7 @@ rather take too much."""
 
 @PIPELINES
 @pytest.mark.parametrize("name", MATERIALS)
-def test_materials_under_a_point_light_equal_the_formulas(name: str, pipeline: ls.Pipeline) -> None:
+def test_plane_under_a_point_light_matches_the_formula_of_each_material(name: str, pipeline: ls.Pipeline) -> None:
     """Compares the image of a plane, highlight included."""
     (material, loss), camera = MATERIALS[name], above(eye=(2.5, 1.0), height=2.5)
     light = ls.LightPoint((-1.2, 1.4, -0.4), intensity=7.0)
@@ -276,7 +278,7 @@ def test_materials_under_a_point_light_equal_the_formulas(name: str, pipeline: l
 
 
 @PIPELINES
-def test_simple_material_under_a_point_light(pipeline: ls.Pipeline) -> None:
+def test_simple_material_adds_emission_and_ambient_light_once_for_all_lights(pipeline: ls.Pipeline) -> None:
     """Diffuse and Phong highlight per light; emission and ambient light are added once for any number of lights."""
     material = ls.MaterialSimple(
         base_color=(0.9, 0.7, 0.5),
@@ -303,7 +305,7 @@ def test_simple_material_under_a_point_light(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_materials_in_a_furnace_equal_their_albedo(name: str) -> None:
+def test_plane_in_a_constant_environment_shows_the_albedo_of_each_material(name: str) -> None:
     """A plane shows its highlight's directional albedo at each angle, and its diffuse colour times the rest."""
     material, loss = MATERIALS[name]
     camera = ls.Camera.look_at((3.0, 2.0, 0.0), (0.0, 0.0, 0.0), width=32, height=48, fov_y=0.7)
@@ -322,7 +324,7 @@ def test_materials_in_a_furnace_equal_their_albedo(name: str) -> None:
 
 
 @PIPELINES
-def test_diffuse_plane_in_a_furnace_shows_its_albedo(pipeline: ls.Pipeline) -> None:
+def test_diffuse_plane_in_a_constant_environment_shows_albedo_times_radiance(pipeline: ls.Pipeline) -> None:
     """Albedo times the environment's radiance."""
     camera, albedo = above(), np.array([0.9, 0.5, 0.2])
     frame = lit(ls.Scene((), [floor(matte(*albedo))], [EVEN]), camera, pipeline, shadows=ls.Shadows.SOFT, samples=64)
@@ -344,7 +346,7 @@ FURNACE = {
 
 
 @pytest.mark.parametrize("name", FURNACE)
-def test_lossless_materials_disappear_in_a_furnace(name: str) -> None:
+def test_convex_objects_of_lossless_materials_are_invisible_in_a_white_furnace(name: str) -> None:
     """White furnace: a convex object of any lossless material cannot be distinguished from the environment."""
     material, off = FURNACE[name]
     camera = ls.Camera.look_at((1.5, 1.0, 2.6), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.6)

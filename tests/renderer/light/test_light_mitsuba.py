@@ -76,7 +76,7 @@ def block_means(image: np.ndarray, compared: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("name", SHARP)
-def test_point_spot_and_directional_lights_equal_mitsuba(name: str, pipeline: ls.Pipeline) -> None:
+def test_images_lit_by_point_spot_and_directional_lights_equal_mitsuba(name: str, pipeline: ls.Pipeline) -> None:
     """Compares every pixel: diffuse and metal surfaces, and mirror and glass."""
     if SCENES[name].smooth and pipeline is ls.Pipeline.RASTER:
         pytest.skip("a raster frame has no reflections")
@@ -88,7 +88,7 @@ def test_point_spot_and_directional_lights_equal_mitsuba(name: str, pipeline: ls
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.deep] if name in AGAIN else []) for name in SOFT]
 )
-def test_area_lights_and_environments_equal_mitsuba(name: str) -> None:
+def test_images_lit_by_area_lights_and_environments_equal_mitsuba(name: str) -> None:
     """Rectangle, disk, sphere, and environments, one constant and one with a sun, rotated about all axes.
 
     Compares means of whole surfaces and of blocks, of which one in a hundred may exceed the noise.
@@ -104,7 +104,7 @@ def test_area_lights_and_environments_equal_mitsuba(name: str) -> None:
     assert_as_bright(ours, block_means(theirs.image, theirs.compared), most=0.03)
 
 
-def test_comparison_fails_for_a_moved_light() -> None:
+def test_mitsuba_comparison_fails_for_a_light_moved_by_3_cm() -> None:
     """A light that is 3 cm off fails the comparison."""
     one, theirs = SCENES["point"], reference_of("point")
     moved = ls.LightPoint((1.63, 2.6, 1.4), color=(1.0, 0.9, 0.7), intensity=30.0)

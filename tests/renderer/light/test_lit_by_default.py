@@ -13,7 +13,7 @@ LIGHT = ls.LightPoint((0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_meshes_alone_are_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
+def test_scene_of_meshes_without_lights_is_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
     """Faces differ in brightness, as with lighting=True; unlit they would have one flat colour."""
     scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
     frame, asked, flat = (
@@ -36,13 +36,13 @@ def test_meshes_alone_are_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
         (ls.Scene([one_gaussian()], lights=[LIGHT]), True),
     ],
 )
-def test_captures_without_lights_are_unlit(scene: ls.Scene, is_lit: bool) -> None:
+def test_captures_without_lights_are_rendered_unlit(scene: ls.Scene, is_lit: bool) -> None:
     """Captures are lit only if there are lights; meshes always are."""
     assert scene.is_lit_by_default is is_lit
     assert (ls.render(scene, front_camera(8, 6), device="cpu").light is not None) is is_lit
 
 
-def test_rays_without_a_camera_have_no_headlight() -> None:
+def test_ray_queries_without_a_camera_get_no_headlight() -> None:
     """A headlight needs a camera position."""
     scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
     unlit = ls.RenderConfig(lighting=False)

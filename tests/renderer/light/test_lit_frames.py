@@ -24,7 +24,7 @@ def checked(image: np.ndarray | None) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_light_layers_add_up_to_the_frame(pipeline: ls.Pipeline) -> None:
+def test_layers_of_a_lit_frame_add_up_to_its_colour(pipeline: ls.Pipeline) -> None:
     """Colour is captured radiance plus light; light is emission, shadowed light of each light, and reflections."""
     # Of one sample: means of display-referred and of linear colours do not add up.
     settings = config(pipeline, samples=1, aovs=all_aovs(), background=(0.0, 0.0, 0.0))
@@ -54,7 +54,9 @@ def all_aovs() -> tuple[str, ...]:
 
 @pytest.mark.parametrize("shadows", list(ls.Shadows))
 @pytest.mark.parametrize("pipeline", SAMPLED)
-def test_backends_give_equal_lit_frames(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
+def test_lit_frames_do_not_depend_on_cuda_schedule_graphs_or_thread_count(
+    pipeline: ls.Pipeline, shadows: ls.Shadows
+) -> None:
     """CUDA's schedule, its graphs and any number of threads agree; a renderer repeats its frames."""
     settings = config(pipeline, shadows=shadows, samples=2, background=None)
     frames = [renderer_of(backend, settings).render(scene(*LIGHTS, ENVIRONMENT), camera()) for backend in BACKENDS]
@@ -83,7 +85,7 @@ def test_resumed_lit_frames_equal_uninterrupted_ones() -> None:
             np.testing.assert_array_equal(getattr(resumed, name), getattr(at_once, name), name)
 
 
-def test_resume_refuses_a_change_of_lighting() -> None:
+def test_unlit_frames_cannot_be_resumed_as_lit_ones_nor_the_reverse() -> None:
     """An unlit frame cannot be resumed as a lit one, nor the reverse."""
     unlit = ls.render(scene(), camera(), config(lighting=False), device="cpu")
     bright = ls.render(scene(), camera(), config(), device="cpu")
@@ -92,7 +94,7 @@ def test_resume_refuses_a_change_of_lighting() -> None:
             ls.create_renderer(settings, "cpu").render(scene(), camera(), resume=frame)
 
 
-def test_lighting_by_default_follows_the_scene() -> None:
+def test_frames_are_lit_by_default_if_the_scene_has_lights_or_meshes() -> None:
     """Lights and meshes make frames lit by default; captures alone are unlit, or lit by a headlight on request."""
     dark = replace(scene(), lights=())
     captures = replace(dark, meshes=())
@@ -103,7 +105,7 @@ def test_lighting_by_default_follows_the_scene() -> None:
     assert checked(ls.render(dark, camera(), config(lighting=True), device="cpu").light).max() > 0.1
 
 
-def test_soft_shadow_samples_converge_to_the_mean() -> None:
+def test_noise_of_soft_shadows_falls_with_the_number_of_samples() -> None:
     """Samples of an area light scatter around their mean with the expected error."""
     source = replace(LIGHTS[0], radius=0.3)
     renderers = [ls.create_renderer(config(shadows=ls.Shadows.SOFT, samples=n), "cpu") for n in (1, 16, 256)]
@@ -112,7 +114,7 @@ def test_soft_shadow_samples_converge_to_the_mean() -> None:
     assert errors[0] > 2.5 * errors[1] > 0.0
 
 
-def test_stochastic_splats_converge_to_sorted_ones() -> None:
+def test_stochastic_splats_converge_to_sorted_splats() -> None:
     """Unlit frames without jitter converge to the blend of all splats."""
     captures = replace(scene(), meshes=(), lights=())
     exact = ls.render(captures, camera(), config(ls.Pipeline.RASTER), device="cpu")
@@ -127,7 +129,7 @@ def test_stochastic_splats_converge_to_sorted_ones() -> None:
     assert 3.0 < errors[0] / errors[1] < 5.0, "16 times the samples, a quarter of the noise"
 
 
-def test_stochastic_splats_do_not_depend_on_order_or_backend() -> None:
+def test_stochastic_splats_do_not_depend_on_set_order_or_schedule() -> None:
     """Sets may be reordered, and pixels processed one by one."""
     chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     settings = config(ls.Pipeline.RASTER, raster=chance, samples=3)
@@ -138,7 +140,7 @@ def test_stochastic_splats_do_not_depend_on_order_or_backend() -> None:
 
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
-def test_stochastic_samples_are_lit_separately(strategy: ls.config.TraceStrategy) -> None:
+def test_frame_of_stochastic_splats_is_the_mean_of_separately_lit_samples(strategy: ls.config.TraceStrategy) -> None:
     """The frame is the mean of lit samples, close to the sorted frame on thin surfaces."""
     settings = config(trace=ls.TraceConfig(strategy=strategy), shadows=ls.Shadows.OFF, samples=64, jitter=False)
     exact = replace(settings, trace=ls.TraceConfig(), samples=1)
@@ -149,7 +151,7 @@ def test_stochastic_samples_are_lit_separately(strategy: ls.config.TraceStrategy
     assert inside.sum() > 200 and relative.mean() < 0.05
 
 
-def test_mirrors_show_lit_objects() -> None:
+def test_mirror_reflects_lights_and_shadows_like_a_mirrored_camera() -> None:
     """A plane mirror shows the view of a mirrored camera, including lights and shadows."""
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     pane = ls.Mesh(
@@ -180,7 +182,7 @@ def pane_below() -> ls.MeshInstance:
     return ls.MeshInstance(ls.Mesh(corners, [[0, 2, 1], [0, 3, 2]], material=ls.MaterialPbr(specular=0.0)))
 
 
-def test_lit_ray_queries_equal_pixels() -> None:
+def test_trace_rays_returns_the_linear_colours_of_the_lit_frame() -> None:
     """``trace_rays`` of a lit scene gives the frame's linear colours without the background."""
     view = camera()
     thin = ls.TraceConfig(dilation=0.0)  # given rays have no footprint
@@ -197,7 +199,7 @@ def test_lit_ray_queries_equal_pixels() -> None:
     assert empty.any() and (white.radiance[empty] == 0.0).all()
 
 
-def test_overflowing_light_is_counted() -> None:
+def test_light_that_overflows_float32_is_dropped_and_counted() -> None:
     """Values beyond float32 are dropped, and the statistics count them."""
     blinding = ls.MaterialPbr(emissive=(3e38, 3e38, 3e38), emissive_texture=None)
     source = ls.LightPoint((0.0, 1.0, -1.0), intensity=1e30)
@@ -210,7 +212,7 @@ def test_overflowing_light_is_counted() -> None:
     assert frame.stats.nonfinite_count > 20
 
 
-def test_moving_a_light_uploads_no_assets() -> None:
+def test_moving_a_light_between_frames_uploads_no_gaussians_or_meshes() -> None:
     """A renderer follows lights between frames, and returns to unlit frames without them."""
     renderer = ls.create_renderer(config(ls.Pipeline.HYBRID), "cpu")
     assets = scene()
@@ -227,7 +229,7 @@ def test_moving_a_light_uploads_no_assets() -> None:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_roughness_of_the_last_capture_is_not_reused(pipeline: ls.Pipeline) -> None:
+def test_roughness_of_a_previous_capture_is_not_reused_for_the_next_capture(pipeline: ls.Pipeline) -> None:
     """A renderer that switches to another capture lights it as a new renderer does."""
     settings, view = ls.RenderConfig(pipeline=pipeline), front_camera()
     warm = ls.create_renderer(settings, "cpu")
@@ -248,7 +250,7 @@ def glossy(roughness: float) -> ls.Scene:
     return ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[source])
 
 
-def test_disabled_lights_add_nothing() -> None:
+def test_disabled_lights_add_no_light_to_the_frame() -> None:
     """Disabled lights only replace the headlight."""
     rect = ls.LightRect((0.0, 2.0, 0.5), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), intensity=3.0)
     ball = ls.LightSphere((0.5, 2.0, 0.5), 0.2, intensity=5.0)
@@ -259,7 +261,7 @@ def test_disabled_lights_add_nothing() -> None:
     np.testing.assert_allclose(with_them.color, without.color, atol=1e-6)
 
 
-def test_visible_environment_fills_the_background() -> None:
+def test_visible_environment_fills_the_background_and_appears_in_mirrors() -> None:
     """It is rotated as specified and appears in mirrors; an invisible one does not show."""
     image = np.zeros((8, 16, 3), np.float32)
     image[:, 8:] = (1.0, 0.5, 0.25)  # right of the middle: +x
@@ -277,7 +279,7 @@ def test_visible_environment_fills_the_background() -> None:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_transparent_captures_keep_their_premultiplied_light(pipeline: ls.Pipeline) -> None:
+def test_transparent_lit_frames_of_captures_have_premultiplied_colours(pipeline: ls.Pipeline) -> None:
     """Without a background, half of a grey is half of its light, for every material and pipeline."""
     veil = one_gaussian(mean=(0.0, 0.0, 0.0), scale=(3.0, 3.0, 0.01), opacity=0.5, color=(0.5, 0.5, 0.5))
     view = ls.Camera.look_at((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), width=16, height=16, fov_y=0.1)
@@ -302,7 +304,7 @@ def test_transparent_captures_keep_their_premultiplied_light(pipeline: ls.Pipeli
             np.testing.assert_allclose(frame.pixels_srgb()[..., :3], 0.5, atol=1e-3)
 
 
-def test_partly_covered_fisheye_pixels_are_premultiplied() -> None:
+def test_transparent_fisheye_frames_are_premultiplied_at_the_image_circle() -> None:
     """Where only some samples have a ray, a transparent frame's captured part does not exceed its coverage."""
     fisheye = ls.Camera(
         width=32, height=32, fx=5.0, fy=5.0, cx=16.0, cy=16.0, camera_from_world=np.eye(4), model=ls.CameraModel.FISHEYE

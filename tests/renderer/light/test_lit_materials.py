@@ -60,7 +60,7 @@ def diffuse(**changes: object) -> ls.MaterialPbr:
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_emission_needs_no_light(pipeline: ls.Pipeline) -> None:
+def test_emissive_material_is_visible_with_all_lights_disabled(pipeline: ls.Pipeline) -> None:
     """Emission, times its decoded texture, is visible with all lights off; light is added to it."""
     dark = replace(FACING, enabled=False)
     shining = replace(diffuse(), emissive=(2.0, 1.0, 0.5), emissive_texture=texture(255, 128, 0))
@@ -73,7 +73,7 @@ def test_emission_needs_no_light(pipeline: ls.Pipeline) -> None:
 
 @pytest.mark.parametrize("lights", [1, 3])
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_ambient_is_added_once(lights: int, pipeline: ls.Pipeline) -> None:
+def test_ambient_light_is_added_once_for_any_number_of_lights(lights: int, pipeline: ls.Pipeline) -> None:
     """Ambient light is added once for any number of lights, on meshes and splats."""
     material = ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.3, 0.2, 0.1), diffuse=(0.5, 0.5, 0.5))
     each = replace(FACING, intensity=np.pi / lights)
@@ -85,7 +85,7 @@ def test_ambient_is_added_once(lights: int, pipeline: ls.Pipeline) -> None:
     np.testing.assert_allclose(middle(shadowless), own * [0.8, 0.7, 0.6], rtol=5e-3)
 
 
-def test_metallic_roughness_texture_multiplies() -> None:
+def test_metallic_roughness_texture_multiplies_the_factors_of_the_material() -> None:
     """Green is roughness, blue metallic: a texture gives the look of the multiplied factors."""
     light = ls.LightDirectional((0.1, 0.05, 1.0), intensity=2.0)
     plain = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.8 * 0.4, metallic=0.8)
@@ -94,7 +94,7 @@ def test_metallic_roughness_texture_multiplies() -> None:
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
 
 
-def test_smooth_texels_of_rough_materials_have_highlights() -> None:
+def test_smooth_texels_of_a_rough_material_show_the_environment_as_a_highlight() -> None:
     """Only smooth materials spawn reflection rays; smooth texels of rough ones show the environment in a highlight."""
     spotless = ls.MaterialPbr(
         base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0, metallic_roughness_texture=texture(0, 0, 255)
@@ -104,7 +104,7 @@ def test_smooth_texels_of_rough_materials_have_highlights() -> None:
     np.testing.assert_allclose(seen, [0.2, 0.3, 0.4], rtol=0.02)
 
 
-def test_normal_texture_tilts_the_normal() -> None:
+def test_normal_texture_tilts_the_normal_right_by_red_and_up_by_green() -> None:
     """Red tilts right, green up; the cosine changes accordingly, and scales with the texture's strength."""
     up = ls.LightDirectional((0.0, 1.0, 1.0), intensity=np.pi)  # from above: y of the camera points down
     right = ls.LightDirectional((-1.0, 0.0, 1.0), intensity=np.pi)
@@ -120,7 +120,7 @@ def test_normal_texture_tilts_the_normal() -> None:
             np.testing.assert_allclose(seen, normal @ toward, rtol=1e-4)
 
 
-def test_occlusion_dims_only_the_environment() -> None:
+def test_occlusion_texture_dims_only_environment_light() -> None:
     """Occlusion scales environment light by its strength, and no other light."""
     hidden = texture(51, 0, 0)
     environment = ls.LightEnvironment(visible=False)
@@ -132,7 +132,7 @@ def test_occlusion_dims_only_the_environment() -> None:
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_relit_gaussians_use_their_stored_material(pipeline: ls.Pipeline) -> None:
+def test_relit_gaussians_use_their_stored_albedo_roughness_and_metallic(pipeline: ls.Pipeline) -> None:
     """Albedo replaces the captured colour where nothing is emitted; roughness and metallic are used, too."""
     light = ls.LightDirectional((0.15, 0.0, 1.0), intensity=3.0)
     own = {"albedo": np.array([0.2, 0.6, 0.4]), "roughness": np.float32(0.35), "metallic": np.float32(0.7)}
@@ -151,7 +151,7 @@ def test_relit_gaussians_use_their_stored_material(pipeline: ls.Pipeline) -> Non
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_relit_gaussians_use_their_stored_normals(pipeline: ls.Pipeline) -> None:
+def test_relit_gaussians_are_shaded_with_their_stored_normals(pipeline: ls.Pipeline) -> None:
     """Light uses the stored normals, turned towards the viewer.
 
     The curtain just fills the view: on a wider one, turned normals would be near the horizon at its sides, where they
@@ -171,7 +171,7 @@ def test_relit_gaussians_use_their_stored_normals(pipeline: ls.Pipeline) -> None
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_sh_degree_is_limited_per_set(pipeline: ls.Pipeline) -> None:
+def test_sh_degree_limit_of_one_set_does_not_affect_other_sets(pipeline: ls.Pipeline) -> None:
     """Degree 0 drops the view-dependent part of that set only."""
     capture = curtain()
     sh = np.concatenate([capture.sh, np.full((capture.count, 3, 3), 0.2, np.float32)], axis=1)
@@ -187,7 +187,7 @@ def test_sh_degree_is_limited_per_set(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_thin_splats_without_a_surface_stay_as_captured(pipeline: ls.Pipeline) -> None:
+def test_captured_part_of_thin_splats_does_not_depend_on_their_reflectance(pipeline: ls.Pipeline) -> None:
     """A layer below the iso-opacity threshold looks the same whether its set also reflects or only emits."""
     veil = curtain(rows=3, opacity=0.04)
     background = (0.2, 0.4, 0.6)
@@ -199,7 +199,7 @@ def test_thin_splats_without_a_surface_stay_as_captured(pipeline: ls.Pipeline) -
     np.testing.assert_array_equal(kept.captured, shining.captured)
 
 
-def test_light_behind_a_triangle_does_not_light_it() -> None:
+def test_light_behind_a_triangle_never_lights_it_by_tilted_shading_normals() -> None:
     """A light behind the triangle adds nothing, however far its shading normals lean towards it."""
     plain = wall(diffuse())
     leaning = replace(plain, normals=np.tile([0.0, -0.9, -0.4359], (4, 1)))
@@ -207,7 +207,7 @@ def test_light_behind_a_triangle_does_not_light_it() -> None:
     assert middle(lit(ls.Scene(meshes=[leaning], lights=[below]), shadows=ls.Shadows.OFF)).max() == 0.0
 
 
-def test_stochastic_relit_splats_are_lit_without_bias() -> None:
+def test_stochastic_hits_of_relit_splats_have_the_mean_of_the_blended_light() -> None:
     """Lit samples of single Gaussians, over black and white, have the mean of the blended light."""
     capture = curtain(rows=5, opacity=0.35)
     splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
@@ -224,7 +224,7 @@ def test_stochastic_relit_splats_are_lit_without_bias() -> None:
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("samples", [1, 32])
-def test_shadows_darken_fine_detail_evenly(samples: int, pipeline: ls.Pipeline) -> None:
+def test_shadows_darken_sub_pixel_stripes_equally_for_any_sample_count(samples: int, pipeline: ls.Pipeline) -> None:
     """A capture with stripes narrower than pixels darkens equally for any number of samples."""
     x = np.linspace(-1.7, 1.7, 341)
     means = np.column_stack([x, np.zeros(341), np.full(341, 2.0)])
@@ -247,7 +247,7 @@ def test_shadows_darken_fine_detail_evenly(samples: int, pipeline: ls.Pipeline) 
     np.testing.assert_allclose(dark.color.mean() / free.color.mean(), 1.0 / 3.0, rtol=0.03)
 
 
-def test_rough_glass_scatters_the_transmitted_light_back() -> None:
+def test_rough_glass_reflects_its_transmitted_light_without_path_tracing() -> None:
     """Without path tracing, rough transmission becomes diffuse reflection instead of a loss."""
     frosted = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.4, transmission=1.0)
     plain = replace(frosted, transmission=0.0)

@@ -54,7 +54,7 @@ def test_back_of_a_one_sided_emitter_is_black(pipeline: ls.Pipeline) -> None:
         np.testing.assert_allclose(frame.emission, expected, atol=1e-5)
 
 
-def test_one_sided_emitter_lights_by_its_form_factor() -> None:
+def test_one_sided_emitter_lights_by_its_form_factor_and_only_in_front() -> None:
     """Radiance is albedo times emission times form factor below the front, and 0 below the back."""
     expected = 0.5 * EMITTED * form_factor()
     for mirrored in (False, True):
@@ -67,7 +67,7 @@ def test_one_sided_emitter_lights_by_its_form_factor() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.1, 1.0])
-def test_one_and_two_sided_emitters_agree_in_front(roughness: float) -> None:
+def test_one_sided_and_two_sided_emitters_light_the_front_equally(roughness: float) -> None:
     """Bit-equal, whether samples of lights or of a highlight find the emitter."""
     shown = []
     for double_sided in (False, True):
@@ -79,7 +79,7 @@ def test_one_and_two_sided_emitters_agree_in_front(roughness: float) -> None:
     assert shown[0].mean() > 0.05
 
 
-def test_hollow_emitting_ball_equals_the_geometric_series() -> None:
+def test_radiance_inside_an_emitting_ball_equals_the_geometric_series() -> None:
     """Radiance is emission over one minus albedo in all directions; 0 if it emits outwards, except at edges."""
     camera = ls.Camera.look_at((0.1, 0.2, 0.0), (1.0, 0.3, 0.2), (0.0, 1.0, 0.0), width=24, height=24, fov_y=1.0)
     material = replace(diffuse(0.5, 1.0), double_sided=False)
@@ -89,7 +89,7 @@ def test_hollow_emitting_ball_equals_the_geometric_series() -> None:
     assert outwards.color.mean() < 1e-5
 
 
-def test_real_time_emitters_light_only_in_front() -> None:
+def test_one_sided_emitters_light_only_in_front_in_the_realtime_pipeline() -> None:
     """In front within 3 % of path tracing, and nothing behind."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
     lit, back = floor_below(LIGHT, faces_down=True), floor_below(LIGHT, faces_down=False)

@@ -58,7 +58,7 @@ def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settin
 
 @PIPELINES
 @pytest.mark.parametrize("ambient", [None, 0.2])
-def test_sun_shadow_leaves_ambient_light_in_all_pipelines(pipeline: ls.Pipeline, ambient: float | None) -> None:
+def test_sun_shadow_on_a_shadow_catcher_leaves_the_ambient_light(pipeline: ls.Pipeline, ambient: float | None) -> None:
     """Below the disc, the ratio is the unblocked ambient irradiance over ambient irradiance plus the sun's."""
     scene = ls.Scene([floor(0.3, ambient)], [disc()], [SUN])
     frame = rendered(scene, below(), pipeline)
@@ -69,7 +69,7 @@ def test_sun_shadow_leaves_ambient_light_in_all_pipelines(pipeline: ls.Pipeline,
 
 
 @PIPELINES
-def test_environment_replaces_default_ambient_light(pipeline: ls.Pipeline) -> None:
+def test_environment_light_replaces_the_default_ambient_light_of_catchers(pipeline: ls.Pipeline) -> None:
     """No ambient light is assumed besides it: the ratio is its unblocked fraction, over it and the sun."""
     environment = ls.LightEnvironment(color=(0.5, 0.6, 0.8), visible=False)
     frame = rendered(ls.Scene([floor(0.3)], [disc()], [SUN, environment]), below(), pipeline)
@@ -80,7 +80,7 @@ def test_environment_replaces_default_ambient_light(pipeline: ls.Pipeline) -> No
 
 
 @PIPELINES
-def test_catcher_is_not_darkened_below_unlisted_light(pipeline: ls.Pipeline) -> None:
+def test_catcher_shadow_leaves_captured_light_that_no_scene_light_explains(pipeline: ls.Pipeline) -> None:
     """No surface reflects more than it receives: light that the scene does not list must exist, and remains."""
     dim = replace(SUN, color=(1, 1, 1), intensity=0.2)
     frame = rendered(ls.Scene([floor(0.9, ambient=0.0)], [disc()], [dim]), below(), pipeline)
@@ -108,7 +108,7 @@ def channels(path: Path, name: str, letters: str) -> npt.NDArray[np.float64]:
 
 
 @PIPELINES
-def test_exr_layers_composite_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_exr_layers_of_a_shadow_catcher_composite_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     """``matte`` over the plate equals the frame; so does the plate times ``ratio`` where only the capture shows."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3))
     captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
@@ -141,7 +141,7 @@ def test_exr_layers_composite_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=lambda one: one.value
 )
-def test_light_layers_add_up_on_catchers(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_light_layers_on_shadow_catchers_add_up_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     """Emission, direct light times shadow, and reflection add up to the frame, as read by OpenEXR."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3), name="sun")
     lights = [sun, ls.LightPoint((-1, 1.5, 1), intensity=4.0, name="bulb")]
@@ -181,7 +181,7 @@ def _far_from(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=["hybrid", "trace"])
-def test_shadow_is_not_lighter_at_object_edges(pipeline: ls.Pipeline) -> None:
+def test_shadow_on_a_catcher_is_not_lighter_at_edges_of_objects(pipeline: ls.Pipeline) -> None:
     """Samples that hit the object do not lighten the catcher in the other samples of a pixel."""
     sun = replace(SUN, color=(1, 1, 1))
     below_all = replace(disc(), positions=disc().positions * np.array([4.0, 1.0, 4.0]))
@@ -196,7 +196,7 @@ def test_shadow_is_not_lighter_at_object_edges(pipeline: ls.Pipeline) -> None:
     assert frame.shadow_ratio[mixed].mean() < frame.shadow_ratio[clear].max()
 
 
-def test_blocked_and_bounced_light_are_bounded_by_received_light() -> None:
+def test_blocked_and_bounced_light_of_a_catcher_is_bounded_by_its_received_light() -> None:
     """Given ambient light bounds the measured light; without any, all of it was measured, or the minimum is missing."""
     one = dict.fromkeys(
         ("unshadowed", "change", "emitted_unshadowed", "emitted_change", "ambient", "blocked", "least"), np.zeros(1)
@@ -248,7 +248,7 @@ def sharp_steps(ratio: npt.NDArray[np.float32]) -> int:
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.PATH], ids=lambda one: one.value
 )
-def test_floaters_have_one_soft_shadow(pipeline: ls.Pipeline) -> None:
+def test_shadow_on_a_catcher_of_floaters_is_smooth(pipeline: ls.Pipeline) -> None:
     """Each floater ends the shadow elsewhere, and their mean is visible: dark in the middle, unshadowed far away."""
     ratio = shadow_of_a_disc(floaters(), pipeline)
     assert sharp_steps(ratio) < 20
@@ -256,14 +256,14 @@ def test_floaters_have_one_soft_shadow(pipeline: ls.Pipeline) -> None:
     assert ratio[:, 130:].min() > 0.85
 
 
-def test_opaque_catchers_have_sharp_shadow_edges() -> None:
+def test_shadow_on_an_opaque_catcher_has_sharp_edges() -> None:
     """Pixels at the edge are fully lit or fully shadowed, as the rays found."""
     ratio = shadow_of_a_disc(floor(0.6), ls.Pipeline.HYBRID)
     rows = (ratio < 0.6).any(axis=1).sum()
     assert rows > 70 and sharp_steps(ratio) >= 2 * rows - 4
 
 
-def test_smoothed_shadows_are_the_same_in_all_schedules() -> None:
+def test_smoothed_catcher_shadows_are_equal_in_all_schedules() -> None:
     """Bit-equal for any number of threads and for graphs; CUDA's schedule composites with other roundings."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=80, height=60, fov_y=0.3)
     lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]))

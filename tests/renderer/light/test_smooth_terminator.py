@@ -53,7 +53,9 @@ def misjudged(coarse: ls.Frame, fine: ls.Frame) -> tuple[float, float]:
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.OFF], ids=lambda shadows: shadows.value)
-def test_coarse_sphere_is_lit_like_a_fine_one(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+def test_coarse_smooth_sphere_under_a_point_light_is_lit_like_a_fine_one(
+    shadows: ls.Shadows, pipeline: ls.Pipeline
+) -> None:
     """A sphere of 12 meridians is lit up to the terminator, and not beyond."""
     coarse, fine = (frame_of([sphere(count)], SIDE, pipeline, shadows) for count in (12, 192))
     dark, lit = misjudged(coarse, fine)
@@ -73,7 +75,7 @@ def test_coarse_sphere_is_lit_like_a_fine_one(shadows: ls.Shadows, pipeline: ls.
     ],
     ids=["sun", "lamp"],
 )
-def test_coarse_sphere_is_lit_by_soft_light_like_a_fine_one(light: Light) -> None:
+def test_coarse_smooth_sphere_under_an_area_light_is_lit_like_a_fine_one(light: Light) -> None:
     """Covers a sun of 6 degrees and a nearby area light."""
     coarse, fine = (frame_of([sphere(count)], light, shadows=ls.Shadows.SOFT, samples=16) for count in (12, 192))
     dark, lit = misjudged(coarse, fine)
@@ -82,7 +84,7 @@ def test_coarse_sphere_is_lit_by_soft_light_like_a_fine_one(light: Light) -> Non
 
 
 @PIPELINES
-def test_back_facing_surfaces_stay_black(pipeline: ls.Pipeline) -> None:
+def test_surfaces_facing_away_from_the_light_stay_black(pipeline: ls.Pipeline) -> None:
     """Covers a coarse smooth sphere, and a box with face normals."""
     ball = frame_of([sphere(12)], BEHIND, pipeline)
     assert ball.alpha.max() == 1.0
@@ -107,7 +109,7 @@ def cube(half: float = 0.7) -> ls.Mesh:
     return ls.Mesh(positions, faces, normals=normals, material=matte(1.0))
 
 
-def test_light_does_not_leak_into_a_closed_room() -> None:
+def test_coarse_smooth_meshes_leak_no_light_into_a_closed_room() -> None:
     """Coarse spheres that touch the walls get no light from outside."""
     room = cube(1.0)
     balls = [sphere(8, (x, y, 0.0), 0.45) for x in (-0.55, 0.55) for y in (-0.55, 0.55)]
@@ -118,7 +120,7 @@ def test_light_does_not_leak_into_a_closed_room() -> None:
         assert not frame.color.any()
 
 
-def test_concave_creases_keep_their_shadow() -> None:
+def test_concave_creases_with_smoothed_normals_keep_their_shadow() -> None:
     """In a valley with smoothed normals, the slope that faces away stays black down to the bottom."""
     ends = np.array([[-1.0, 0.6], [0.0, 0.0], [1.0, 0.6]])
     positions = [[x, y, z] for z in (-1.0, 1.0) for x, y in ends]
@@ -135,7 +137,7 @@ def test_concave_creases_keep_their_shadow() -> None:
     assert frame.color[x < -20.0].all()
 
 
-def test_walls_behind_a_light_do_not_block_it() -> None:
+def test_walls_behind_a_light_do_not_block_its_light() -> None:
     """Shadow rays end at the light, wherever they start."""
     source = ls.LightPoint((1.6, 0.0, -1.1), intensity=10.0)
     corners = [[1.66, -9.0, -9.0], [1.66, 9.0, -9.0], [1.66, 9.0, 9.0], [1.66, -9.0, 9.0]]

@@ -46,7 +46,7 @@ def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_normals_are_correct_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
+def test_stored_normals_of_gaussians_are_correct_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
     """Gaussians from just behind the horizon are visible there, and must not cancel those in front.
 
     Opaque ones reach 3.3 scales, 0.1 here: visible ones are at most acos(0.9) = 26 degrees from the horizon.
@@ -58,7 +58,7 @@ def test_normals_are_correct_up_to_the_silhouette(pipeline: ls.Pipeline) -> None
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_side_light_reaches_only_its_own_silhouette(pipeline: ls.Pipeline) -> None:
+def test_gaussian_ball_lit_from_one_side_is_black_at_the_opposite_silhouette(pipeline: ls.Pipeline) -> None:
     """Flipped normals would be lit by light from behind the ball."""
     frame = seen(ball(), pipeline, ls.LightDirectional((-1.0, 0.0, 0.0), intensity=np.pi))
     missed, outwards = silhouette(frame)
@@ -70,7 +70,7 @@ def test_side_light_reaches_only_its_own_silhouette(pipeline: ls.Pipeline) -> No
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_back_facing_sheet_normals_are_flipped(pipeline: ls.Pipeline) -> None:
+def test_stored_normals_more_than_30_degrees_behind_the_horizon_are_flipped(pipeline: ls.Pipeline) -> None:
     """Beyond 30 degrees behind the horizon the normal is flipped; below, it is bent to the horizon in images."""
     for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
@@ -82,7 +82,7 @@ def test_back_facing_sheet_normals_are_flipped(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH])
-def test_slightly_back_facing_surfaces_are_shaded_from_their_side(pipeline: ls.Pipeline) -> None:
+def test_gaussian_facing_slightly_away_is_shaded_as_if_facing_slightly_towards(pipeline: ls.Pipeline) -> None:
     """A surface reflects as to an eye that is as far above its horizon, for any light.
 
     Shaded from just above the horizon, a glossy surface would be a mirror at every angle.

@@ -62,7 +62,9 @@ def assert_halves(textured: ls.MaterialPbr, name: str, factors: tuple[Any, Any],
 @pytest.mark.parametrize(
     ("name", "channel"), [("clearcoat", 0), ("clearcoat_roughness", 1), ("sheen_color", 0), ("sheen_roughness", 3)]
 )
-def test_texels_multiply_layer_factors(name: str, channel: int, pipeline: ls.Pipeline) -> None:
+def test_clearcoat_and_sheen_textures_multiply_the_factors_of_the_material(
+    name: str, channel: int, pipeline: ls.Pipeline
+) -> None:
     """Each layer reads its own channel; sheen's colour is decoded from sRGB."""
     layers: dict[str, Any] = {"clearcoat": 0.9, "clearcoat_roughness": 0.9}
     factors: Any = (0.2, 0.8)
@@ -83,7 +85,9 @@ def test_texels_multiply_layer_factors(name: str, channel: int, pipeline: ls.Pip
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
 @pytest.mark.parametrize("lighting", [True, False])
-def test_texels_multiply_transmission(pipeline: ls.Pipeline, lighting: bool) -> None:
+def test_transmission_texture_multiplies_the_transmission_of_smooth_glass(
+    pipeline: ls.Pipeline, lighting: bool
+) -> None:
     """Smooth glass in front of an emitting wall, lit and unlit."""
     behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), EMITTER)
     textured = replace(GLASS, transmission_texture=halves(0))
@@ -96,7 +100,7 @@ def test_texels_multiply_transmission(pipeline: ls.Pipeline, lighting: bool) -> 
     assert_halves(textured, "transmission", (0.2, 0.8), show)
 
 
-def test_transmission_texels_tint_shadows() -> None:
+def test_transmission_texture_scales_the_light_that_passes_to_a_lit_surface() -> None:
     """Each half of the glass transmits its own fraction to the lit surface."""
     floor = quad((-9, -9, 0.3), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
     pane = wall(replace(GLASS, ior=1.0, transmission_texture=halves(0)))
@@ -109,7 +113,7 @@ def test_transmission_texels_tint_shadows() -> None:
     np.testing.assert_allclose(shown[4, 10], 0.8 * 0.8 * share, rtol=1e-4)
 
 
-def test_transmission_texels_apply_to_rough_glass() -> None:
+def test_transmission_texture_multiplies_the_transmission_of_rough_glass() -> None:
     """In path tracing, with equal random numbers the noise is equal."""
     behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), EMITTER)
     textured = replace(GLASS, roughness=0.4, transmission_texture=halves(0))
@@ -122,7 +126,7 @@ def test_transmission_texels_apply_to_rough_glass() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH])
-def test_textures_have_separate_wrap_modes(pipeline: ls.Pipeline) -> None:
+def test_base_colour_and_emission_textures_have_separate_wrap_modes(pipeline: ls.Pipeline) -> None:
     """Beyond the right edge, the base colour repeats and the emission is clamped, or the reverse."""
     texels = np.zeros((2, 16, 3), np.uint8)
     texels[:, :8], texels[:, 8:] = LOW, HIGH
@@ -150,7 +154,7 @@ def test_textures_have_separate_wrap_modes(pipeline: ls.Pipeline) -> None:
     np.testing.assert_allclose(shown, [(low, high), (high, low)], rtol=rtol)
 
 
-def test_interpolated_sheen_curves_equal_quadrature() -> None:
+def test_interpolated_sheen_albedo_curves_equal_quadrature() -> None:
     """For roughnesses between two table entries, the curve is close to the albedo and hardly below it."""
     curves = albedo_curves()
     for place in np.linspace(0.5, SHEEN_CURVES - 0.5, 9):
@@ -172,7 +176,7 @@ def test_interpolated_sheen_curves_equal_quadrature() -> None:
         ({"normal_texture": 3}, r"texture_wraps of normal_texture is 3, expected"),
     ],
 )
-def test_invalid_wrap_modes_are_refused(wraps: Any, message: str) -> None:
+def test_textures_with_unknown_wrap_modes_are_refused(wraps: Any, message: str) -> None:
     """The message lists the wrap modes."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MaterialPbr(texture_wraps=wraps)

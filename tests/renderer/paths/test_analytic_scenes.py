@@ -35,7 +35,7 @@ def scene_of(mesh: ls.Mesh, kind: str, count: int) -> ls.Scene:
 
 @KINDS
 @pytest.mark.parametrize("albedo", [1.0, 0.5])
-def test_ball_in_an_open_furnace_shows_its_albedo(kind: str, albedo: float) -> None:
+def test_ball_in_a_constant_environment_shows_its_albedo(kind: str, albedo: float) -> None:
     """A ball in a constant environment shows albedo times its radiance; a white ball is invisible, edges included."""
     scene = scene_of(ball(0.3, diffuse(albedo)), kind, 4000)
     scene = replace(scene, lights=[ls.LightEnvironment(color=(0.7,) * 3)])
@@ -47,7 +47,7 @@ def test_ball_in_an_open_furnace_shows_its_albedo(kind: str, albedo: float) -> N
 
 @pytest.mark.parametrize("shape", ["ball", "cube"])
 @pytest.mark.parametrize("bounces", [0, 1, 3, 64])
-def test_closed_furnace_equals_the_geometric_series(bounces: int, shape: str) -> None:
+def test_n_bounces_in_a_closed_furnace_give_n_terms_of_the_geometric_series(bounces: int, shape: str) -> None:
     """Everything emits 1 and reflects half: n bounces give the first terms of a geometric series."""
     shining = diffuse(0.5, 1.0)
     cube = [*cube_without_ceiling(shining), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), shining)]
@@ -59,7 +59,7 @@ def test_closed_furnace_equals_the_geometric_series(bounces: int, shape: str) ->
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.1), (-0.6, 0.5, 0.2)])
-def test_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> None:
+def test_bounced_irradiance_in_an_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> None:
     """For any position of the light, bounced irradiance is rho Phi / (4 pi R^2 (1 - rho))."""
     light = ls.LightPoint(place, intensity=1.0)
     scene = ls.Scene(meshes=[ball(1.0, diffuse(0.5), hollow=True, rows=96)], lights=[light])
@@ -69,7 +69,9 @@ def test_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> Non
 
 @pytest.mark.parametrize("light", ["mesh", "rect"])
 @pytest.mark.parametrize(("albedo", "truth"), [(0.5, 1.2416), (0.8, 2.8002)])
-def test_cube_below_an_emitting_ceiling(light: str, albedo: float, truth: float) -> None:
+def test_irradiance_in_a_cube_below_an_emitting_ceiling_matches_collocation(
+    light: str, albedo: float, truth: float
+) -> None:
     """Irradiance at the middle of the floor equals float64 collocation, and direct light the form factor."""
     ceiling = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(albedo, 1.0 if light == "mesh" else 0.0))
     lights = [ls.LightRect((0.5, 0.99999, 0.5), (1, 0, 0), (0, 0, 1), intensity=1.0)] if light == "rect" else []
@@ -79,7 +81,7 @@ def test_cube_below_an_emitting_ceiling(light: str, albedo: float, truth: float)
 
 
 @pytest.mark.parametrize("light", ["mesh", "rect", "sky"])
-def test_clear_panes_count_light_once(light: str) -> None:
+def test_light_through_panes_of_index_1_is_counted_once(light: str) -> None:
     """Light through glass of index 1 is counted once, by refracted rays or by light samples."""
     shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if light == "mesh" else 0.0))
     lights: dict[str, list[Light]] = {
@@ -101,7 +103,7 @@ def test_clear_panes_count_light_once(light: str) -> None:
 
 
 @pytest.mark.parametrize("shadows", ["none of the light's", "short", "off"])
-def test_unshadowed_environment_passes_blockers(shadows: str) -> None:
+def test_environment_without_shadows_lights_a_floor_below_a_roof(shadows: str) -> None:
     """Without shadows, or beyond the shadow distance, a floor under a roof has all environment light."""
     environment = ls.LightEnvironment(
         casts_shadow=shadows != "none of the light's", shadow_distance=0.5 if shadows == "short" else np.inf
@@ -115,7 +117,7 @@ def test_unshadowed_environment_passes_blockers(shadows: str) -> None:
 
 
 @KINDS
-def test_concentric_spheres_exchange_light(kind: str) -> None:
+def test_light_bounces_between_concentric_spheres_match_the_closed_form(kind: str) -> None:
     """The outer one emits; light bounces between them, in each channel by its albedo."""
     inner, outer, share = 0.8, 0.5, 0.25
     matrix = np.array([[1.0, -inner], [-outer * share, 1.0 - outer * (1.0 - share)]])
@@ -135,7 +137,7 @@ def test_concentric_spheres_exchange_light(kind: str) -> None:
 
 
 @pytest.mark.parametrize("side", ["reflected", "transmitted"])
-def test_two_gaussian_sheets_exchange_light(side: str) -> None:
+def test_light_bounces_between_two_gaussian_sheets_match_the_closed_form(side: str) -> None:
     """Two wide Gaussians of opacity 0.6 and albedo 0.8: light bounces between them and passes both."""
     reflectance, transmittance = 0.6 * 0.8, 0.4
     between = 1.0 / (1.0 - reflectance**2)
@@ -158,7 +160,7 @@ def test_two_gaussian_sheets_exchange_light(side: str) -> None:
     assert_is(frame.color[..., 1].astype(np.float64), truth)
 
 
-def test_captures_emit_light() -> None:
+def test_panel_of_captured_gaussians_lights_a_floor_by_its_form_factor() -> None:
     """A panel of captured Gaussians over a floor gives the irradiance of its form factor."""
     panel = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5))
     gaussians = ls.gaussians_from_mesh(panel, 40_000)
@@ -171,7 +173,7 @@ def test_captures_emit_light() -> None:
     np.testing.assert_allclose(values.mean(), np.pi * 0.5 * 0.239456, rtol=0.02)
 
 
-def test_visible_sphere_light_is_rendered() -> None:
+def test_visible_sphere_light_is_rendered_and_lights_by_the_closed_form() -> None:
     """A sphere of radiance 3 over a floor has irradiance pi L (r / d)^2, and is visible unless set otherwise."""
     light = ls.LightSphere((0.0, 2.0, 0.0), 0.25, intensity=3.0)
     floor = quad((-5, 0, -5), (0, 0, 10), (10, 0, 0), diffuse(0.5))

@@ -32,7 +32,7 @@ def view(samples_of: int = 8) -> ls.Camera:
     return ls.Camera.look_at((0, 0, -1), (0, 0, 1), width=samples_of, height=samples_of, fov_y=0.01)
 
 
-def test_capture_alone_is_blended_as_traced() -> None:
+def test_path_traced_emissive_capture_equals_the_trace_pipeline() -> None:
     """Bit-equal to the traced frame with one sample: captures are not noisy."""
     capture = ls.Scene(splats=[random_gaussians(3)])
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
@@ -42,7 +42,7 @@ def test_capture_alone_is_blended_as_traced() -> None:
     np.testing.assert_array_equal(frame.light, 0.0)
 
 
-def test_mirrors_show_the_blend_of_display_values() -> None:
+def test_path_traced_mirror_shows_captures_blended_in_display_values() -> None:
     """Half of black over white is the half in display values, which is less light than half of white."""
     mirror = quad(
         (-5, -5, -2), (10, 0, 0), (0, 10, 0), ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.0)
@@ -53,7 +53,7 @@ def test_mirrors_show_the_blend_of_display_values() -> None:
     np.testing.assert_allclose(shown, linear(0.5), rtol=0.02)  # the sheets' alpha ends at 0.99
 
 
-def test_emissive_haze_in_front_of_lit_surfaces_is_unbiased() -> None:
+def test_path_traced_haze_in_front_of_a_lit_sheet_is_unbiased() -> None:
     """A ray hits either with its weight: a captured sheet of opacity 0.3 in front of a lit one of 0.8."""
     scene = ls.Scene(
         splats=[captured_sheet(0.0, 0.3, (0.8, 0.8, 0.8)), wide_sheet(1.0, 0.8, 0.5)],
@@ -66,7 +66,7 @@ def test_emissive_haze_in_front_of_lit_surfaces_is_unbiased() -> None:
     assert_is(captured, 0.3 * 0.8)
 
 
-def test_light_behind_haze_is_scaled_by_transmittance() -> None:
+def test_light_behind_captured_haze_is_scaled_by_its_transmittance() -> None:
     """Holds for the camera, whether or not the haze has an iso-opacity surface."""
     for opacity in (0.2, 0.6):
         scene = ls.Scene(
@@ -79,7 +79,7 @@ def test_light_behind_haze_is_scaled_by_transmittance() -> None:
         np.testing.assert_allclose(frame.light, (1.0 - opacity) * alone.light, rtol=2e-3)
 
 
-def test_panel_behind_a_panel_is_scaled_by_transmittance() -> None:
+def test_floor_below_two_captured_panels_receives_their_blended_display_value() -> None:
     """White of opacity 0.5 over black: the floor between receives half of the decoded white, as blended."""
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
@@ -94,7 +94,7 @@ def test_panel_behind_a_panel_is_scaled_by_transmittance() -> None:
 
 
 @pytest.mark.parametrize("primary", list(ls.config.PathPrimary))
-def test_iso_surface_and_particles_have_different_means(primary: ls.config.PathPrimary) -> None:
+def test_iso_primary_lights_the_blend_and_particle_primary_each_gaussian(primary: ls.config.PathPrimary) -> None:
     """Two lit sheets of unlike albedo: the iso surface lights the blend, particles are lit separately.
 
     Their display-referred means differ; means of light do not.
@@ -112,7 +112,7 @@ def test_iso_surface_and_particles_have_different_means(primary: ls.config.PathP
 
 
 @pytest.mark.parametrize("opacity", [0.3, 0.6])
-def test_light_behind_a_lit_sheet_agrees_for_both_primaries(opacity: float) -> None:
+def test_light_behind_a_lit_sheet_is_equal_for_iso_and_particle_primaries(opacity: float) -> None:
     """Also where the sheet is blended, with or without an iso-opacity surface."""
     light = ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)
     scene = ls.Scene(splats=[wide_sheet(0.0, opacity, 0.0)], lights=[light])
@@ -121,7 +121,7 @@ def test_light_behind_a_lit_sheet_agrees_for_both_primaries(opacity: float) -> N
         np.testing.assert_allclose(frame.color.mean(), 1.0 - opacity, rtol=0.02)
 
 
-def test_stochastic_shadows_are_unbiased() -> None:
+def test_stochastic_shadows_of_path_tracing_have_the_mean_of_exact_shadows() -> None:
     """Through haze, off the centre of a light: the blocking of a point does not depend on which point it is."""
     floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), diffuse(0.8))
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)

@@ -50,7 +50,7 @@ def board(albedo: float, emitted: float) -> list[ls.Mesh]:
 @pytest.mark.parametrize(
     ("source", "albedo"), [("point", 0.5), ("mesh", 0.5), ("rect", 0.5), ("sphere", 0.5), ("sphere", 0.8)]
 )
-def test_closed_room_conserves_energy(source: str, albedo: float) -> None:
+def test_mean_irradiance_in_a_closed_room_follows_energy_conservation(source: str, albedo: float) -> None:
     """With one albedo, mean irradiance over all surfaces is Phi / (A (1 - rho)), whatever is inside."""
     place = (0.6, 0.75, 0.7)
     lights: dict[str, tuple[Light, float]] = {
@@ -65,7 +65,7 @@ def test_closed_room_conserves_energy(source: str, albedo: float) -> None:
     assert_is(found, power / (sum(map(area_of, meshes)) * (1.0 - albedo)))
 
 
-def test_integrating_sphere_with_a_port_loses_light() -> None:
+def test_integrating_sphere_with_a_hole_loses_light_at_every_bounce() -> None:
     """Light leaves through a hole in the top at every bounce: rho (1 - f) replaces rho."""
     albedo, rows = 0.8, 96
     whole = ball(1.0, diffuse(albedo), hollow=True, rows=rows)
@@ -78,7 +78,7 @@ def test_integrating_sphere_with_a_port_loses_light() -> None:
     assert_is(total, 1.0 + kept / (1.0 - kept), share=0.005)
 
 
-def test_parallel_plates_exchange_light() -> None:
+def test_light_bounces_between_parallel_plates_match_the_closed_form() -> None:
     """Two facing plates: J1 = (M1 + rho1 M2) / (1 - rho1 rho2) in each channel."""
     emitted = np.array([[1.0, 0.2, 0.0], [0.0, 0.5, 2.0]])
     albedo = np.array([[0.2, 0.5, 0.8], [0.9, 0.6, 0.3]])
@@ -102,7 +102,9 @@ def test_parallel_plates_exchange_light() -> None:
     ("arrangement", "factor"),
     [("opposed", opposed_squares(1.0)), ("wide", opposed_squares(10.0)), ("perpendicular", perpendicular_squares())],
 )
-def test_squares_light_by_their_form_factor(arrangement: str, factor: float, backend: str) -> None:
+def test_direct_light_of_one_square_on_another_equals_their_form_factor(
+    arrangement: str, factor: float, backend: str
+) -> None:
     """Mean direct light of one square on the other."""
     side = 10.0 if arrangement == "wide" else 1.0
     u, v = np.array([side, 0, 0]), np.array([0, 0, side])
@@ -129,7 +131,7 @@ def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstanc
 
 
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.5, 1), (0.5, 32), (0.7, 64)])
-def test_closed_furnace_of_gaussians_equals_the_series(albedo: float, bounces: int) -> None:
+def test_closed_furnace_of_emitting_gaussians_equals_the_geometric_series(albedo: float, bounces: int) -> None:
     """A hollow ball of Gaussians in a mesh ball, all emitting and reflecting, so that transmitted light fits, too."""
     shell = ball(1.2, diffuse(albedo, 1.0), hollow=True, rows=24)
     inner = ball(1.0, diffuse(albedo), hollow=True, rows=24)
@@ -140,7 +142,7 @@ def test_closed_furnace_of_gaussians_equals_the_series(albedo: float, bounces: i
 
 
 @pytest.mark.parametrize("bounces", [0, 8])
-def test_gaussians_are_lit_by_adjacent_walls(bounces: int) -> None:
+def test_floor_of_gaussians_receives_light_from_an_adjacent_wall(bounces: int) -> None:
     """In a furnace, a floor of wide Gaussians near a wall: the wall counts although it is within their own layer."""
     albedo = 0.5
     walls = [replace(wall, material=diffuse(albedo, 1.0)) for wall in crowded_room(albedo)[:6]]

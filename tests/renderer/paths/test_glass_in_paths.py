@@ -18,7 +18,7 @@ GLASS = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0
 
 
 @pytest.mark.parametrize("behind", ["wall", "sky"])
-def test_blended_glass_absorbs_inside_only(behind: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_alpha_blended_glass_absorbs_light_only_inside_the_body(behind: str, caplog: pytest.LogCaptureFixture) -> None:
     """For every alpha, rays that enter also leave, and nothing in front of or behind the body absorbs."""
     caplog.set_level(logging.WARNING)
     tinted = replace(
@@ -34,7 +34,9 @@ def test_blended_glass_absorbs_inside_only(behind: str, caplog: pytest.LogCaptur
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.3])
-def test_blended_glass_disappears_in_a_furnace(roughness: float, caplog: pytest.LogCaptureFixture) -> None:
+def test_alpha_blended_clear_glass_is_invisible_in_a_white_furnace(
+    roughness: float, caplog: pytest.LogCaptureFixture
+) -> None:
     """An emissive one emits by its alpha at each hit."""
     caplog.set_level(logging.WARNING)
     material = replace(GLASS, roughness=roughness, alpha_mode="blend", alpha=0.5)
@@ -47,7 +49,7 @@ def test_blended_glass_disappears_in_a_furnace(roughness: float, caplog: pytest.
     assert "without entering it" not in caplog.text
 
 
-def test_blended_glass_emits_by_its_alpha() -> None:
+def test_alpha_blended_emissive_glass_lights_a_floor_by_its_alpha() -> None:
     """On a floor, samples of its triangles and rays that hit them agree."""
     shining = replace(GLASS, ior=1.0, specular=0.0, emissive=(1.0, 1.0, 1.0), alpha_mode="blend", alpha=0.5)
     floor = quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), diffuse(0.5))
@@ -61,7 +63,7 @@ def test_blended_glass_emits_by_its_alpha() -> None:
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_milky_glass_is_not_noisy(inside: bool) -> None:
+def test_partly_diffuse_glass_in_a_white_furnace_is_not_noisy(inside: bool) -> None:
     """White in a white environment; light is not sampled in directions of total internal reflection.
 
     Light beyond the bounce limit is missing.

@@ -51,7 +51,9 @@ def found(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR, sampl
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("place", [(0.0, 1.0, 0.0), (0.9, 1.2, -0.5)])
-def test_sphere_light_irradiance(place: tuple[float, float, float], strategy: str) -> None:
+def test_path_traced_irradiance_of_a_sphere_light_matches_the_closed_form(
+    place: tuple[float, float, float], strategy: str
+) -> None:
     """Irradiance is pi L (r / d)^2 cos."""
     light = ls.LightSphere(place, 0.45, intensity=2.0)
     distance = np.linalg.norm(place)
@@ -60,7 +62,7 @@ def test_sphere_light_irradiance(place: tuple[float, float, float], strategy: st
 
 
 @pytest.mark.parametrize("strategy", ["hit", "both"])
-def test_emissive_ball_irradiance(strategy: str) -> None:
+def test_path_traced_irradiance_of_an_emissive_ball_sums_its_triangles(strategy: str) -> None:
     """A sphere of emissive triangles: the sum over the front-facing ones."""
     source = ball(0.45, diffuse(0.0, 2.0), rows=24)
     source = replace(source, positions=source.positions + np.array([0.9, 1.2, -0.5]))
@@ -70,7 +72,7 @@ def test_emissive_ball_irradiance(strategy: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", ["hit", "both"])
-def test_emissive_disc_irradiance(strategy: str) -> None:
+def test_path_traced_irradiance_of_an_emissive_disc_matches_the_closed_form(strategy: str) -> None:
     """Irradiance is pi L r^2 / (r^2 + h^2), with enough corners to be round."""
     angles = 2.0 * np.pi * np.arange(96) / 96
     rim = np.stack([0.6 * np.cos(angles), np.full(96, 0.8), 0.6 * np.sin(angles)], axis=1)
@@ -83,7 +85,9 @@ def test_emissive_disc_irradiance(strategy: str) -> None:
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("place", [(0.0, 0.8, 0.0), (0.7, 0.9, -0.4)])
-def test_disk_light_irradiance(place: tuple[float, float, float], strategy: str) -> None:
+def test_path_traced_irradiance_of_a_disk_light_matches_lamberts_formula(
+    place: tuple[float, float, float], strategy: str
+) -> None:
     """L / 2 times Lambert's sum over its edge, as a polygon of many corners, slanted to the floor."""
     light = ls.LightDisk(place, (-0.2, -1.0, 0.1), 0.35, intensity=2.0)
     u, v = (light.boundary()[k] - place for k in (0, 12))
@@ -95,7 +99,7 @@ def test_disk_light_irradiance(place: tuple[float, float, float], strategy: str)
 @pytest.mark.parametrize(
     ("source", "strategy"), [("mesh", "hit"), ("mesh", "both"), *(("rect", strategy) for strategy in STRATEGIES)]
 )
-def test_rectangle_light_irradiance(source: str, strategy: str) -> None:
+def test_path_traced_irradiance_of_a_rectangle_light_matches_lamberts_formula(source: str, strategy: str) -> None:
     """L / 2 times Lambert's sum over its edges: a slanted parallelogram."""
     corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
     light = ls.LightRect(corner + 0.5 * (u + v), u, v, intensity=2.0)
@@ -104,7 +108,7 @@ def test_rectangle_light_irradiance(source: str, strategy: str) -> None:
 
 
 @pytest.mark.parametrize(("half", "unit"), [(0.03, 1.0), (0.3, 1e3), (1.0, 1.0), (3.0, 1e-3), (3.0, 1.0), (30.0, 1e3)])
-def test_transformed_emitter_irradiance(half: float, unit: float) -> None:
+def test_path_traced_irradiance_of_a_sheared_emitter_matches_lamberts_formula(half: float, unit: float) -> None:
     """The same polygon as a square that is rotated, stretched and sheared, far away, and moved since the last frame.
 
     Shadow rays end in front of it, from any offset above a floor of any size.
@@ -131,14 +135,14 @@ def test_transformed_emitter_irradiance(half: float, unit: float) -> None:
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("slope", [0.0, 0.7, np.pi / 2])
-def test_environment_irradiance_on_a_tilted_wall(slope: float, strategy: str) -> None:
+def test_path_traced_environment_irradiance_on_a_tilted_wall_is_exact(slope: float, strategy: str) -> None:
     """Irradiance is pi L (1 + cos) / 2: half of the environment is bright, and it is tilted instead of the wall."""
     above = np.repeat((np.arange(256) < 128)[:, None, None], 512, axis=1) * np.full(3, 2.0, np.float32)
     environment = ls.LightEnvironment(above, rotation_wxyz=(np.cos(0.5 * slope), 0.0, 0.0, np.sin(0.5 * slope)))
     assert_is(found(environment, strategy), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
 
 
-def test_point_light_irradiance_is_noise_free() -> None:
+def test_path_traced_irradiance_of_a_point_light_is_exact_and_noise_free() -> None:
     """Irradiance is I cos / d^2."""
     place = np.array([0.9, 1.2, -0.5])
     distance = np.linalg.norm(place)
@@ -177,7 +181,7 @@ def veach(roughness: float, strategy: str) -> Estimate:
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-def test_sampling_strategies_agree_on_veach_plates(roughness: float) -> None:
+def test_light_sampling_and_bsdf_sampling_agree_on_veachs_plates(roughness: float) -> None:
     """Means agree within four standard errors, and both combined are about as precise as the better strategy."""
     sampled, hit, both = (veach(roughness, strategy) for strategy in STRATEGIES)
     assert all(found.error < 0.01 * found.mean for found in (sampled, hit, both))
@@ -187,7 +191,7 @@ def test_sampling_strategies_agree_on_veach_plates(roughness: float) -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_veach_plate_equals_quadrature(strategy: str) -> None:
+def test_each_sampling_strategy_on_a_veach_plate_equals_quadrature(strategy: str) -> None:
     """Each strategy equals the integral over the lights' cones in float64."""
     view = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
     truth = sum(reflected_light(source, view, 0.35) for source in LIGHTS)
@@ -212,7 +216,7 @@ def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) 
 
 @pytest.mark.parametrize("setting", ["transmittance_threshold", "color_strength"])
 @pytest.mark.parametrize("source", ["rect", "mesh", "sky"])
-def test_shadow_settings_apply_to_all_strategies(source: str, setting: str) -> None:
+def test_shadow_threshold_and_tint_apply_to_light_sampling_and_bsdf_sampling(source: str, setting: str) -> None:
     """Stretched or tinted shadows through haze equal those of an invisible light, which is only sampled."""
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     sheet = wide_sheet(1.0, 0.5, 0.0).gaussians

@@ -24,7 +24,7 @@ def rooms() -> ls.Scene:
 
 
 @pytest.mark.parametrize("shown", ["all", "shadow-only"])
-def test_path_layers_add_up_to_the_frame(shown: str) -> None:
+def test_layers_of_path_traced_frames_add_up_to_the_frame(shown: str) -> None:
     """The five parts; the bounces with captures; the lights with captures: to 1e-5."""
     lit = rooms()
     if shown == "shadow-only":
@@ -40,13 +40,13 @@ def test_path_layers_add_up_to_the_frame(shown: str) -> None:
     np.testing.assert_allclose(frame.light_total.sum(0), frame.bounces.sum(0), rtol=1e-5, atol=1e-5)
 
 
-def test_layers_do_not_change_the_frame() -> None:
+def test_requesting_layers_does_not_change_a_path_traced_frame() -> None:
     """The frame is bit-equal with and without layers."""
     plain, layered = (paths(rooms(), camera(), 2, 3, aovs=aovs) for aovs in ((), ALL))
     np.testing.assert_array_equal(plain.color, layered.color)
 
 
-def test_diffuse_room_has_only_diffuse_layers() -> None:
+def test_path_traced_room_of_diffuse_walls_has_no_glossy_light() -> None:
     """A cube of diffuse walls under a panel: nothing is glossy, and the floor's direct light is the panel's."""
     panel = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))
     room = ls.Scene(meshes=[*cube_without_ceiling(diffuse(0.5)), panel])
@@ -59,7 +59,7 @@ def test_diffuse_room_has_only_diffuse_layers() -> None:
     np.testing.assert_allclose(frame.indirect_diffuse.mean(), 0.5 / np.pi * 1.2416 - direct / np.pi, rtol=0.02)
 
 
-def test_metal_is_glossy_and_visible_lights_are_emission() -> None:
+def test_rough_metal_has_only_glossy_light_and_visible_lights_are_emission() -> None:
     """A rough metal floor has only glossy light; a directly visible light is emission."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.4)
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), metal)
@@ -73,7 +73,7 @@ def test_metal_is_glossy_and_visible_lights_are_emission() -> None:
     np.testing.assert_allclose(seen.light_total[0], seen.color)
 
 
-def test_light_layers_equal_frames_of_single_lights() -> None:
+def test_layer_of_each_light_equals_the_frame_of_that_light_alone() -> None:
     """In the mean, with shadows and bounces."""
     room = cube_without_ceiling(diffuse(0.7))
     screen = quad((0.4, 0.2, 0.4), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.2))
@@ -94,7 +94,7 @@ def test_light_layers_equal_frames_of_single_lights() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.0])
-def test_unblocked_light_reflected_in_metal_is_unshadowed(roughness: float) -> None:
+def test_shadow_layer_is_1_for_unblocked_lights_reflected_in_metal(roughness: float) -> None:
     """Its samples reach rough metal whole, however few; in a mirror, only hits bring its light."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=roughness)
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), metal)
@@ -109,7 +109,7 @@ def test_unblocked_light_reflected_in_metal_is_unshadowed(roughness: float) -> N
         assert not frame.light_direct.any()
 
 
-def test_path_layers_are_refused_in_other_pipelines() -> None:
+def test_layers_of_the_path_pipeline_are_refused_in_other_pipelines() -> None:
     """The message names the pipeline that has them; the reverse is refused likewise."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.HYBRID has no bounces among its aovs: Pipeline\.PATH does"):
         ls.render(rooms(), camera(), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, aovs=("bounces",)), device="cpu")
@@ -117,7 +117,7 @@ def test_path_layers_are_refused_in_other_pipelines() -> None:
         ls.render(rooms(), camera(), ls.RenderConfig(pipeline=ls.Pipeline.PATH, aovs=("reflection",)), device="cpu")
 
 
-def test_resumed_layers_equal_uninterrupted_ones() -> None:
+def test_layers_of_resumed_path_traced_frames_equal_uninterrupted_ones() -> None:
     """Two plus two samples equal four to the bit, in all layers, also with shadow catchers."""
     lit = rooms()
     lit = replace(
@@ -131,7 +131,7 @@ def test_resumed_layers_equal_uninterrupted_ones() -> None:
         np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name), err_msg=name)
 
 
-def test_layers_are_saved_by_name(tmp_path: Path) -> None:
+def test_files_of_path_layers_are_named_by_layer_and_light(tmp_path: Path) -> None:
     """EXR channels are named by layers and lights, and a PNG has one image file per layer."""
     frame: Any = paths(rooms(), camera(), 1, 1, aovs=ALL)
     channels = {name.rsplit(".", 1)[0] for name in frame.layers()}
@@ -142,7 +142,7 @@ def test_layers_are_saved_by_name(tmp_path: Path) -> None:
     assert {"a.direct_diffuse.png", "a.bounce.0.png", "a.bounce.2.png", "a.light.ball.total.png"} <= names
 
 
-def test_coat_is_glossy_and_its_base_diffuse() -> None:
+def test_clearcoat_light_is_glossy_and_light_of_its_diffuse_base_diffuse() -> None:
     """The coat takes its fraction of the diffuse light and adds a highlight; the parts are otherwise unchanged."""
     light = ls.LightPoint((0.3, 0.8, 0.0), intensity=2.0)
     above = ls.Camera.look_at((-0.3, 0.8, 0.0), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)
@@ -160,7 +160,7 @@ def test_coat_is_glossy_and_its_base_diffuse() -> None:
     assert 0.8 < (parts["red"][0] / whole).min() <= (parts["red"][0] / whole).max() < 0.97
 
 
-def test_gaussian_emission_is_not_environment_light() -> None:
+def test_emission_of_gaussians_is_not_attributed_to_the_environment() -> None:
     """An emissive sheet in front of a dim environment adds to the light without a light source."""
     material = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(3.0, 3.0, 3.0))
     sheet = replace(wide_sheet(0.0, 0.9, 0.5), material=material)

@@ -32,7 +32,7 @@ def balls(kind: str) -> ls.Scene:
 
 @pytest.mark.parametrize("kind", ["mesh", "gaussians"])
 @pytest.mark.parametrize("light", LIGHTS_BY_NAME.values(), ids=LIGHTS_BY_NAME.keys())
-def test_paths_without_bounces_equal_traced_direct_light(light: Light, kind: str) -> None:
+def test_path_tracing_without_bounces_has_the_mean_of_traced_direct_light(light: Light, kind: str) -> None:
     """In the mean, they equal the trace pipeline with stochastic hits."""
     lit = replace(balls(kind), lights=[light])
     view = ls.Camera.look_at((0.3, 0.6, -1.4), (0.0, -0.1, 0.0), width=48, height=36, fov_y=0.7)
@@ -51,7 +51,7 @@ def test_paths_without_bounces_equal_traced_direct_light(light: Light, kind: str
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_threads_change_nothing(threads: int) -> None:
+def test_path_traced_frames_do_not_depend_on_thread_count(threads: int) -> None:
     """Bit-equal, with light that bounces between Gaussians, meshes, mirrors and glass."""
     settings = config(ls.Pipeline.PATH, samples=3, max_bounces=5)
     shown = scene(*LIGHTS, ENVIRONMENT)
@@ -59,7 +59,7 @@ def test_threads_change_nothing(threads: int) -> None:
     np.testing.assert_array_equal(frames[0].color, frames[1].color)
 
 
-def test_emitter_tessellation_does_not_change_its_light() -> None:
+def test_light_of_an_emissive_square_does_not_depend_on_its_tessellation() -> None:
     """One emissive square, cut into many triangles of many sizes, or as two instances, gives equal light."""
     room = cube_without_ceiling(diffuse(0.5))
     view = ls.Camera.look_at((0.5, 0.8, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=32, height=32, fov_y=0.03)
@@ -78,7 +78,7 @@ def test_emitter_tessellation_does_not_change_its_light() -> None:
     np.testing.assert_allclose(means, means[0], rtol=0.01)
 
 
-def test_paths_respect_the_near_plane() -> None:
+def test_path_tracer_does_not_render_gaussians_in_front_of_the_near_plane() -> None:
     """Small Gaussians in front of it are not visible, as in traced frames."""
     speck = one_gaussian((0.0, 0.0, 0.05), 0.002, 0.99, (0.9, 0.1, 0.1))
     wall = one_gaussian((0.0, 0.0, 2.0), (2.0, 2.0, 0.01), 0.99, (0.2, 0.4, 0.8))
@@ -90,7 +90,7 @@ def test_paths_respect_the_near_plane() -> None:
     assert seen > 0.5
 
 
-def test_relit_captures_alone_have_a_headlight() -> None:
+def test_path_traced_scene_of_relit_captures_alone_is_lit_by_a_headlight() -> None:
     """Relit captures emit nothing; emissive captures and meshes do, and need no headlight."""
     alone = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=32), 4000)])
     view = ls.Camera.look_at((0.0, 0.0, -1.4), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.3)
@@ -100,7 +100,7 @@ def test_relit_captures_alone_have_a_headlight() -> None:
     assert paths(kept, view, 8, 2, lighting=True).color[10:14, 14:18].mean() > 0.4
 
 
-def test_ray_queries_include_light_of_emitters() -> None:
+def test_path_traced_ray_queries_include_the_light_of_emissive_meshes() -> None:
     """Rays through a camera's pixels equal the frame, with an emissive mesh as the only light."""
     room = [*cube_without_ceiling(diffuse(0.5)), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))]
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=64, max_bounces=4)
@@ -112,7 +112,7 @@ def test_ray_queries_include_light_of_emitters() -> None:
     np.testing.assert_allclose(hits.radiance.mean(), frame.color.mean(), rtol=0.02)
 
 
-def test_ray_queries_of_unlit_scenes_are_unlit() -> None:
+def test_path_traced_ray_queries_of_unlit_scenes_return_captured_colours() -> None:
     """Without any light, rays see a relit set's captured colours, as in the trace pipeline."""
     unlit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=16), 500)])
     ways = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.0]])
@@ -124,7 +124,7 @@ def test_ray_queries_of_unlit_scenes_are_unlit() -> None:
 
 
 @pytest.mark.parametrize("kind", ["rect", "emitter"])
-def test_media_absorb_light_and_view_paths(kind: str) -> None:
+def test_absorbing_medium_attenuates_light_paths_and_camera_paths(kind: str) -> None:
     """A floor, a light one unit above it and the camera's path are in a body that absorbs half per unit."""
     water = ls.MaterialPbr(
         base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0, attenuation_color=(0.5,) * 3

@@ -73,28 +73,28 @@ def assert_agrees(name: str, ours: TileMeans, systematic: float = SAME_PLACES) -
 
 
 @pytest.mark.parametrize("name", ROOMS)
-def test_rooms_equal_mitsuba(name: str) -> None:
+def test_path_traced_rooms_equal_mitsuba_up_to_noise(name: str) -> None:
     """Only noise differs."""
     assert_agrees(name, blocks_of(ROOMS[name], 32 if name in NOISY else 16, 2))
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", ROOMS)
-def test_blocks_of_rooms_are_within_one_per_cent_of_mitsuba(name: str) -> None:
+def test_32_pixel_blocks_of_path_traced_rooms_are_within_1_percent_of_mitsuba(name: str) -> None:
     """Compares blocks of 32 x 32 pixels."""
     error, chance = errors_of(name, blocks_of(ROOMS[name], 256 if name in NOISY else 64, 1))
     assert chance.max() < 0.006
     assert np.abs(error).max() < 0.01
 
 
-def test_gaussian_ball_and_wall_equal_mitsubas_meshes() -> None:
+def test_path_traced_gaussian_ball_and_wall_equal_meshes_in_mitsuba() -> None:
     """Holds at silhouettes, and where the wall touches others."""
     ours = blocks_of(with_gaussians(ROOMS["diffuse_area"], 20_000), 16, 2)
     assert_agrees("diffuse_area", ours, systematic=0.02)
 
 
 @pytest.mark.parametrize("change", ["a darker wall", "a brighter light"])
-def test_comparison_fails_for_a_changed_room(change: str) -> None:
+def test_mitsuba_room_comparison_fails_for_a_changed_albedo_or_light(change: str) -> None:
     """A wall that reflects 5 % less, and a light 2 % brighter, fail the comparison."""
     room = ROOMS["diffuse_area"]
     meshes = [instance.mesh for instance in room.scene.meshes]

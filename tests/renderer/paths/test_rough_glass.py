@@ -15,7 +15,7 @@ FROSTED = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.3, transmission
 VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=48, height=32, fov_y=0.3)
 
 
-def test_frosted_ball_nearly_disappears_in_a_furnace() -> None:
+def test_frosted_glass_ball_nearly_disappears_in_a_white_furnace() -> None:
     """Single scattering loses little energy at this roughness."""
     scene = ls.Scene(meshes=[ball(0.3, FROSTED, rows=24)], lights=[ls.LightEnvironment(color=(0.7, 0.7, 0.7))])
     values = paths(scene, VIEW, 64, 32).color[8:24, 12:36, 1].astype(np.float64) / 0.7
@@ -42,7 +42,7 @@ LIGHTS: dict[str, tuple[Light | ls.Mesh, Light]] = {
 @pytest.mark.parametrize(
     "source", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LIGHTS if name != "sky")]
 )
-def test_frosted_panes_agree_for_sampled_and_hit_lights(source: str, thin: bool) -> None:
+def test_light_through_frosted_panes_is_equal_for_sampled_and_hit_lights(source: str, thin: bool) -> None:
     """Multiple importance sampling of light samples and hits equals light sampling alone."""
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), diffuse(0.0)) if thin else ls.box(np.array([8.0, 8.0, 0.1]))
     glass = replace(pane, material=replace(FROSTED, roughness=0.5, thin_walled=thin))
@@ -62,7 +62,7 @@ def test_frosted_panes_agree_for_sampled_and_hit_lights(source: str, thin: bool)
         assert 0.93 < furnace.mean() / 0.3 <= 1.003
 
 
-def test_other_pipelines_render_rough_glass_as_diffuse() -> None:
+def test_rough_glass_is_rendered_as_diffuse_without_path_tracing() -> None:
     """Without path tracing, transmitted light becomes diffuse reflection."""
     wall = quad((-4, -4, 1.0), (8, 0, 0), (0, 8, 0), diffuse(0.0, 1.0))
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), replace(FROSTED, thin_walled=True))

@@ -47,7 +47,7 @@ def factor(scene: ls.Scene, samples: int = 64, bounces: int = 1, **changes: obje
 
 
 @pytest.mark.parametrize("source", ["sky", "ceiling"])
-def test_black_disc_blocks_its_form_factor(source: str) -> None:
+def test_black_disc_blocks_its_form_factor_on_a_path_traced_shadow_catcher(source: str) -> None:
     """It blocks light of the environment and of the captured ceiling, without any light source."""
     black = diffuse(0.0)
     if source == "sky":
@@ -62,7 +62,7 @@ def test_black_disc_blocks_its_form_factor(source: str) -> None:
     assert_is(factor(scene), 1.0 - SHARE)
 
 
-def test_emissive_disc_adds_its_light() -> None:
+def test_emissive_disc_adds_its_light_to_a_path_traced_shadow_catcher() -> None:
     """Twice as bright as the environment, it adds as much as it blocks."""
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5)],
@@ -72,7 +72,7 @@ def test_emissive_disc_adds_its_light() -> None:
     assert_is(factor(scene), 1.0 + SHARE)
 
 
-def test_disc_reflects_the_floors_light() -> None:
+def test_white_disc_reflects_light_of_the_floor_to_a_path_traced_catcher() -> None:
     """Colour bleeding: a white disc is lit by the captured floor, and lights it in turn."""
     shines = 0.99 * ((0.5 + 0.055) / 1.055) ** 2.4 + 0.01
     scene = ls.Scene(
@@ -84,7 +84,7 @@ def test_disc_reflects_the_floors_light() -> None:
     assert_is(factor(scene, 128), 1.0 - SHARE + SHARE * 0.8 * shines, share=0.02)
 
 
-def test_shadow_ratio_equals_other_pipelines() -> None:
+def test_path_traced_shadow_ratio_of_a_catcher_equals_other_pipelines() -> None:
     """With a sun only, unblocked ambient light remains; with a sun and an environment, the rest of the latter."""
     sun = ls.LightDirectional((0, -1, 0), intensity=2.0)
     scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(diffuse(0.0))], lights=[sun])
@@ -93,7 +93,7 @@ def test_shadow_ratio_equals_other_pipelines() -> None:
     assert_is(factor(both, 128), np.pi * (1.0 - SHARE) / (np.pi + 2.0), share=0.02)
 
 
-def test_scene_without_visible_additions_is_unchanged() -> None:
+def test_invisible_added_object_does_not_change_a_path_traced_capture() -> None:
     """Bit-equal: the captured floor and ceiling, with a disc below the floor that is not visible."""
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5, size=0.5), captured_sheet(3.0, 0.8)],
@@ -105,7 +105,7 @@ def test_scene_without_visible_additions_is_unchanged() -> None:
     np.testing.assert_array_equal(frames[0].color, frames[1].color)
 
 
-def test_added_captures_block_light() -> None:
+def test_added_black_capture_blocks_light_on_a_path_traced_shadow_catcher() -> None:
     """An emissive black capture that is no catcher blocks all light from above."""
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5, size=0.5), captured_sheet(3.0, 0.8), captured_sheet(2.5, 0.0, shadow_catcher=False)]
@@ -114,7 +114,7 @@ def test_added_captures_block_light() -> None:
     assert left.max() < 0.02
 
 
-def test_emissive_disc_adds_light_without_environment() -> None:
+def test_emissive_disc_adds_light_to_a_path_traced_catcher_without_environment() -> None:
     """Its light is relative to the least irradiance of the floor: pi times its radiance."""
     scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(diffuse(0.0, 2.0))])
     least = np.pi * paths(ls.Scene(scene.splats), below(), 1, 0).color.mean()
@@ -122,7 +122,7 @@ def test_emissive_disc_adds_light_without_environment() -> None:
 
 
 @pytest.mark.parametrize("visible", [True, False])
-def test_clear_glass_counts_light_once(visible: bool) -> None:
+def test_clear_pane_does_not_change_the_light_on_a_path_traced_catcher(visible: bool) -> None:
     """A pane of index 1 between a light and the floor, whether or not rays can hit the light."""
     clear = ls.MaterialPbr(base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0)
     light = ls.LightRect((0, 2, 0), (1, 0, 0), (0, 0, 1), intensity=20.0, visible=visible)
@@ -130,7 +130,7 @@ def test_clear_glass_counts_light_once(visible: bool) -> None:
     assert_is(factor(scene, 128), 1.0, share=0.02)
 
 
-def test_silhouette_pixels_composite_object_and_floor() -> None:
+def test_path_traced_edge_pixels_composite_object_and_catcher_by_coverage() -> None:
     """A partly covered pixel shows that part of the object, and no more of the floor than its neighbours do."""
     black = diffuse(0.0)
     lid = replace(disc(black), positions=disc(black).positions * np.array([200.0, 1.0, 200.0]))

@@ -33,7 +33,7 @@ def blob(kind: str) -> ls.SplatInstance:
     [(ls.Pipeline.PATH, "kept"), (ls.Pipeline.PATH, "relit"), (ls.Pipeline.TRACE, "kept")],
     ids=["path-kept", "path-relit", "trace-kept"],
 )
-def test_brightness_does_not_depend_on_viewing_distance(pipeline: ls.Pipeline, kind: str) -> None:
+def test_path_traced_brightness_does_not_depend_on_viewing_distance(pipeline: ls.Pipeline, kind: str) -> None:
     """One point in one direction from two distances, on a diffuse floor and in a highlight."""
     material = diffuse(0.5) if pipeline is ls.Pipeline.PATH else ROUGH
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), material)

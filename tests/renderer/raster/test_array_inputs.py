@@ -40,7 +40,7 @@ class TensorOfNumPy(Tensor):
         ([[1.0], [1.0, 2.0]], "setting an array element with a sequence.*"),
     ],
 )
-def test_unreadable_arrays_raise_one_line(given: Any, problem: str) -> None:
+def test_arrays_that_cannot_be_read_raise_a_one_line_error(given: Any, problem: str) -> None:
     """The error contains the package's own message, and what to do."""
     remedy = "; expected an array of numbers; detach tensors with gradients"
     with pytest.raises(ls.SceneError, match=f"^dL_dcolor cannot be read as an array: {problem}{remedy}$") as found:

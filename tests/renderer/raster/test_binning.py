@@ -40,7 +40,7 @@ def random_keys(count: int, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize("count", [1, 2, 100, 5000])
-def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> None:
+def test_depth_order_is_a_stable_front_to_back_sort_of_the_visible_splats(parallel: bool, count: int) -> None:
     """Visible items are sorted front to back, ties keep their order, and culled ones are dropped or last."""
     keys = random_keys(count, count)
     order = make_order(parallel)
@@ -53,7 +53,7 @@ def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> No
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_all_visible_and_none_visible(parallel: bool) -> None:
+def test_depth_order_contains_all_splats_if_all_are_visible_and_none_if_culled(parallel: bool) -> None:
     """The last of all visible items is kept, and no item appears if none is visible."""
     for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
         order = make_order(parallel)
@@ -63,7 +63,7 @@ def test_all_visible_and_none_visible(parallel: bool) -> None:
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_keys_over_the_whole_range_sort(parallel: bool) -> None:
+def test_depth_sort_orders_keys_from_the_smallest_denormal_to_the_largest_float(parallel: bool) -> None:
     """Three-digit keys, from the smallest denormal to the largest float, are sorted."""
     depths = np.array([3.4e38, 1e-45, 1.0, 2.0, 1e-20, 1e20, 0.5], np.float32)
     result = make_order(parallel).sort(DeviceArray(depths.view(np.uint32), dtype=wp.uint32, device="cpu"))
@@ -82,7 +82,7 @@ def brute_force_lists(rects: np.ndarray, order: np.ndarray, tiles_x: int, tile_c
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_tile_lists_contain_touching_items_in_depth_order(parallel: bool) -> None:
+def test_tile_lists_contain_all_touching_splats_in_depth_order(parallel: bool) -> None:
     """Holds in the parallel schedule also after lists were truncated."""
     random = np.random.default_rng(5)
     tiles_x, tiles_y, count = 7, 5, 400
@@ -109,7 +109,7 @@ def test_tile_lists_contain_touching_items_in_depth_order(parallel: bool) -> Non
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_too_many_pairs_raise_an_error(parallel: bool) -> None:
+def test_more_tile_splat_pairs_than_32_bit_indices_raise_an_error(parallel: bool) -> None:
     """Pairs beyond 32-bit indices raise an error instead of an overflow, a truncated list or a write out of bounds."""
     tiles_x, tiles_y, count = 4096, 3, 180_000
     table = np.zeros(count, dtype=table_dtype(TileRect))
@@ -121,13 +121,13 @@ def test_too_many_pairs_raise_an_error(parallel: bool) -> None:
         order.finish()
 
 
-def test_grown_capacity_wastes_at_most_a_quarter() -> None:
+def test_capacity_of_grown_tile_lists_exceeds_the_count_by_at_most_a_quarter() -> None:
     """A capacity holds the count and wastes at most a quarter of it, or 1024 elements."""
     for count in [0, 1, 1000, 1024, 1025, 5000, 123_456, 10_000_000]:
         assert count <= grown_capacity(count) <= max(1.25 * count + 1, count + 1024)
 
 
-def test_truncated_lists_are_enlarged_and_redrawn() -> None:
+def test_frame_with_truncated_tile_lists_is_drawn_again_with_longer_lists() -> None:
     """A camera moves so close that splats exceed the captured graph's list; no truncated frame is returned."""
     scene = ls.Scene([scenes.random_gaussians(4, count=200)])
     launcher = GraphLauncher()

@@ -29,7 +29,7 @@ class ByPixels(Launcher):
 
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])
 @pytest.mark.parametrize("with_mesh", [False, True])
-def test_thread_blocks_equal_pixels_over_several_batches(opacity: float, with_mesh: bool) -> None:
+def test_thread_blocks_that_share_splats_give_the_bits_of_single_pixels(opacity: float, with_mesh: bool) -> None:
     """Tiles have more splats than a block has threads; pixels end by opacity, at a mesh, or at the list's end."""
     gaussians = random_gaussians(
         8, 2200, extent=(1.0, 0.6, 1.5), scale_range=(0.1, 0.5), opacities=np.full(2200, opacity)
@@ -46,7 +46,7 @@ def test_thread_blocks_equal_pixels_over_several_batches(opacity: float, with_me
         np.testing.assert_array_equal(getattr(frames[0], name), getattr(frames[1], name), name)
 
 
-def test_splats_are_read_from_shared_memory() -> None:
+def test_cuda_compositing_kernel_reads_splats_from_shared_memory() -> None:
     """Splats are read by wide loads, and launch bounds allow four blocks per multiprocessor."""
     code = compile_for_cuda(splat_kernels.BLOCKS).read_text()
     assert re.search(r"\.maxntid 256", code) and re.search(r"\.minnctapersm 4", code)

@@ -82,7 +82,7 @@ def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
 
 
 @pytest.mark.parametrize("dilation", [0.3, 3.0])
-def test_mean_surface_equals_the_twin(backend: str, dilation: float) -> None:
+def test_mean_surface_of_gaussians_equals_the_float64_twin(backend: str, dilation: float) -> None:
     """Compares depth, weight and roughness in each pixel, for relit sets among others and in front of a mesh."""
     scene, rough = of_many_kinds()
     camera, raster = front_camera(), replace(MEAN, dilation=dilation)
@@ -99,7 +99,7 @@ def test_mean_surface_equals_the_twin(backend: str, dilation: float) -> None:
     assert_close_outside_band(roughness, twin.values[..., 0], band, atol=1e-4, band_share=0.4, name="roughness")
 
 
-def test_two_layers_give_their_weighted_mean(backend: str) -> None:
+def test_mean_surface_of_two_layers_averages_depth_and_material_by_blend_weight(backend: str) -> None:
     """Weights are 0.5 and 0.5 x 0.6: depth, roughness, metallic and albedo are means with these weights."""
     near = veil(3.0, 0.5, roughness=[0.2], metallic=[0.0])
     far = veil(5.0, 0.6, roughness=[0.8], metallic=[1.0])
@@ -115,7 +115,7 @@ def test_two_layers_give_their_weighted_mean(backend: str) -> None:
     np.testing.assert_allclose(found["albedo"][CENTRE], (1.0 - 0.3 / 0.8) * plain["albedo"][CENTRE], rtol=1e-3)
 
 
-def test_thin_gaussians_have_a_mean_surface() -> None:
+def test_gaussians_too_thin_for_an_iso_surface_have_a_mean_surface() -> None:
     """Gaussians too thin for an iso-opacity surface still have a mean one; positions are on the rays."""
     camera = front_camera()
     found = surfaces(relit(veil(3.0, 0.1), veil(5.0, 0.1)), camera)
@@ -125,7 +125,7 @@ def test_thin_gaussians_have_a_mean_surface() -> None:
 
 
 @pytest.mark.parametrize("tilt", [0.3, 1.0])
-def test_mean_depth_slope_follows_the_peak_response(tilt: float) -> None:
+def test_mean_surface_depth_near_a_mean_follows_the_peak_response_on_the_ray(tilt: float) -> None:
     """Undilated, the depth of a splat near its mean is that of the Gaussian's peak response on the ray."""
     half = 0.5 * tilt
     gaussian = one_gaussian(
@@ -153,7 +153,7 @@ def tilted_wall(angle: float) -> ls.Gaussians:
     )
 
 
-def test_mean_surface_of_a_tilted_wall_is_planar() -> None:
+def test_mean_surface_of_a_tilted_wall_of_gaussians_is_planar() -> None:
     """Linear depths reproduce the wall; depths of means alone would lie far in front of it."""
     angle, camera = 0.9, front_camera(focal=120.0)
     scene = relit(tilted_wall(angle))
@@ -166,7 +166,7 @@ def test_mean_surface_of_a_tilted_wall_is_planar() -> None:
     assert error.mean() < 0.1 * of_means.mean()
 
 
-def test_mean_surface_is_not_behind_the_mesh() -> None:
+def test_mean_surface_is_not_behind_the_mesh_that_the_splat_covers() -> None:
     """Where a splat is deeper than the mesh that it covers, its surface depth is the mesh's."""
     half = 0.6
     tilted = one_gaussian((0.0, 0.0, 4.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(half), np.sin(half), 0.0, 0.0))
@@ -189,7 +189,7 @@ UNCHANGED = {
 
 
 @pytest.mark.parametrize("kind", UNCHANGED)
-def test_frames_without_mean_surface_are_unchanged(kind: str) -> None:
+def test_mean_surface_setting_does_not_change_frames_without_relit_splats(kind: str) -> None:
     """Bit-equal: unlit frames, emissive captures, traced frames and stochastic samples."""
     scene, config = UNCHANGED[kind]
     mean = replace(config, raster=replace(config.raster, surface=ls.config.GaussianSurface.MEAN))
@@ -199,7 +199,7 @@ def test_frames_without_mean_surface_are_unchanged(kind: str) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
-def test_mean_surface_is_lit_at_its_depth(pipeline: ls.Pipeline) -> None:
+def test_lights_illuminate_the_mean_surface_at_its_depth(pipeline: ls.Pipeline) -> None:
     """Light from the eye falls off with the square of the mean distance, not of the nearer layer's."""
     light = ls.LightPoint((0.0, 0.0, 0.0), intensity=30.0, casts_shadow=False)
     veils = joined(veil(3.0, 0.5), veil(5.0, 0.6))
@@ -210,7 +210,7 @@ def test_mean_surface_is_lit_at_its_depth(pipeline: ls.Pipeline) -> None:
     np.testing.assert_allclose(ratio, (4.0 / 3.75) ** 2, rtol=2e-3)
 
 
-def test_mean_and_iso_surfaces_agree_on_opaque_rooms() -> None:
+def test_realtime_frames_of_opaque_rooms_agree_for_mean_and_iso_surfaces() -> None:
     """Real-time frames with either surface agree within a few per cent."""
     view = room_camera(96, 72)
     scene = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, view), 4000).scene

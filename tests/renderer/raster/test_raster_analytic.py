@@ -39,7 +39,7 @@ def centred_camera() -> ls.Camera:
 
 
 @pytest.mark.parametrize("opacity", [0.004, 0.1, 0.5, 0.98])
-def test_alpha_at_the_mean_is_the_opacity(draw: Draw, opacity: float) -> None:
+def test_rasterised_alpha_at_the_mean_of_a_gaussian_is_its_opacity(draw: Draw, opacity: float) -> None:
     """At a pixel centre, alpha is the opacity, and the colour is the Gaussian's times alpha."""
     frame = draw(one_gaussian(opacity=opacity, color=(0.9, 0.5, 0.1)), centred_camera())
     assert frame.alpha[CENTRE] == pytest.approx(opacity, rel=1e-4)
@@ -47,14 +47,14 @@ def test_alpha_at_the_mean_is_the_opacity(draw: Draw, opacity: float) -> None:
 
 
 @pytest.mark.parametrize(("opacity", "alpha"), [(1.0, 0.99), (0.995, 0.99), (1.0 / 256.0, 0.0)])
-def test_alpha_is_bounded(draw: Draw, opacity: float, alpha: float) -> None:
+def test_rasterised_alpha_is_at_most_0_99_and_0_below_1_255(draw: Draw, opacity: float, alpha: float) -> None:
     """Alpha is at most 0.99, and 0 below 1/255."""
     frame = draw(one_gaussian(opacity=opacity), centred_camera())
     assert frame.alpha[CENTRE] == pytest.approx(alpha, abs=1e-6)
     assert frame.alpha.max() == pytest.approx(alpha, abs=1e-6)
 
 
-def test_two_gaussians_blend_front_to_back(draw: Draw) -> None:
+def test_nearer_gaussian_is_blended_over_the_farther_one_in_any_set_order(draw: Draw) -> None:
     """The nearer Gaussian covers the farther one, in any order of the set, over the background."""
     near = one_gaussian((0.0, 0.0, 3.0), opacity=0.6, color=(1.0, 0.0, 0.2))
     far = one_gaussian((0.0, 0.0, 5.0), opacity=0.5, color=(0.0, 1.0, 0.4))
@@ -67,7 +67,7 @@ def test_two_gaussians_blend_front_to_back(draw: Draw) -> None:
         assert frame.alpha[CENTRE] == pytest.approx(0.8, abs=1e-5)
 
 
-def test_projected_variance_includes_dilation(draw: Draw) -> None:
+def test_projected_variance_of_a_gaussian_includes_the_dilation(draw: Draw) -> None:
     """One pixel from the mean, the response is exp(-1 / (2 variance)) with variance (f s / z)^2 + 0.3."""
     frame = draw(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.8), centred_camera())
     variance = (60.0 * 0.1 / 4.0) ** 2 + 0.3
@@ -76,7 +76,7 @@ def test_projected_variance_includes_dilation(draw: Draw) -> None:
         assert frame.alpha[24 + dy, 32 + dx] == pytest.approx(expected, rel=2e-4)
 
 
-def test_footprint_ends_where_alpha_is_one_step(draw: Draw) -> None:
+def test_footprint_of_a_splat_ends_where_its_alpha_is_1_255(draw: Draw) -> None:
     """The ellipse extends exactly to alpha 1/255, without a cut at 3 sigma."""
     gaussians = one_gaussian((0.0, 0.0, 4.0), 0.25, 0.9)
     frame = draw(gaussians, centred_camera())
@@ -89,7 +89,7 @@ def test_footprint_ends_where_alpha_is_one_step(draw: Draw) -> None:
     np.testing.assert_allclose(frame.alpha[sure], np.where(inside, alpha, 0.0)[sure], atol=1e-5)
 
 
-def test_blending_stops_before_minimum_transmittance(draw: Draw) -> None:
+def test_blending_stops_before_transmittance_falls_below_its_minimum(draw: Draw) -> None:
     """The Gaussian that would reduce the transmittance to 1e-4 is dropped, and so are all behind it."""
     colors = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)]
     opacities = [0.9, 0.95, 0.985, 0.5]  # T: 0.1, 0.005, 0.000075 (dropped), then 0.0025 would have been fine.
@@ -101,7 +101,7 @@ def test_blending_stops_before_minimum_transmittance(draw: Draw) -> None:
     assert frame.color[CENTRE] == pytest.approx([0.9, 0.095, 0.0], abs=1e-5)
 
 
-def test_negative_sh_colour_is_black(draw: Draw) -> None:
+def test_negative_sh_colour_is_drawn_as_black(draw: Draw) -> None:
     """A negative SH sum gives black, and does not darken the colours behind."""
     dark = one_gaussian((0.0, 0.0, 3.0), opacity=0.5, color=(-4.0, 0.2, 0.2))
     frame = draw(joined(dark, one_gaussian((0.0, 0.0, 5.0), opacity=0.5, color=(0.8, 0.0, 0.0))), centred_camera())
@@ -112,7 +112,9 @@ def test_negative_sh_colour_is_black(draw: Draw) -> None:
     ("coefficient", "direction", "factor"),
     [(1, (0, 1, 0), -1), (2, (0, 0, 1), 1), (3, (1, 0, 0), -1), (1, (0, -1, 0), 1), (3, (0, 0, 1), 0)],
 )
-def test_sh_degree_one_signs(draw: Draw, coefficient: int, direction: tuple[float, ...], factor: float) -> None:
+def test_sh_coefficients_of_degree_1_have_the_signs_of_kerbl_et_al(
+    draw: Draw, coefficient: int, direction: tuple[float, ...], factor: float
+) -> None:
     """Seen along an axis, a degree-1 coefficient adds sqrt(3 / 4 pi) with the signs of Kerbl et al."""
     sh = np.zeros((1, 4, 3))
     sh[0, coefficient] = 0.3
@@ -123,14 +125,14 @@ def test_sh_degree_one_signs(draw: Draw, coefficient: int, direction: tuple[floa
     assert color == pytest.approx(0.5 + factor * 0.3 * np.sqrt(3.0 / (4.0 * np.pi)), abs=2e-5)
 
 
-def test_dc_coefficient_gives_the_base_colour(draw: Draw) -> None:
+def test_sh_coefficient_of_degree_0_gives_the_base_colour_of_a_gaussian(draw: Draw) -> None:
     """The colour is the first coefficient times Y_00, plus one half."""
     gaussians = ls.Gaussians([[0, 0, 4]], [[1, 0, 0, 0]], [[0.2] * 3], [0.5], [[[1.0, 0.0, -1.0]]])
     expected = 0.5 * np.maximum(0.5 + SH_C0 * np.array([1.0, 0.0, -1.0]), 0.0)
     assert draw(gaussians, centred_camera()).color[CENTRE] == pytest.approx(expected, abs=1e-5)
 
 
-def test_antialiasing_preserves_summed_alpha(draw: Draw) -> None:
+def test_antialiasing_preserves_the_summed_alpha_of_a_sub_pixel_gaussian(draw: Draw) -> None:
     """For a Gaussian far below a pixel, the summed alpha is its own area, not that of the dilation."""
     scale, depth, opacity = 0.02, 4.0, 0.9
     frame = draw(one_gaussian((0.0, 0.0, depth), scale, opacity, antialiased=True), front_camera(focal=120.0))
@@ -142,7 +144,7 @@ def test_antialiasing_preserves_summed_alpha(draw: Draw) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_anisotropic_alpha_equals_line_integrals(draw: Draw, seed: int) -> None:
+def test_alpha_of_a_distant_anisotropic_gaussian_equals_its_line_integral(draw: Draw, seed: int) -> None:
     """From far away, alpha is the opacity times the Gaussian's line integral along the pixel's ray, normalised to 1."""
     source = random_gaussians(seed, 1, scale_range=(0.1, 1.0))
     gaussians = ls.Gaussians([[0, 0, 0]], source.rotations_wxyz, source.scales, [0.9], source.sh)
@@ -166,7 +168,7 @@ def test_anisotropic_alpha_equals_line_integrals(draw: Draw, seed: int) -> None:
     assert (expected > 0.1).sum() > 20
 
 
-def test_front_to_back_equals_back_to_front(draw: Draw) -> None:
+def test_front_to_back_blending_equals_back_to_front_blending(draw: Draw) -> None:
     """Blending the same splats from the back with the over operator gives equal colours to float precision."""
     gaussians = random_gaussians(60, 80, degree=1)
     camera = front_camera()

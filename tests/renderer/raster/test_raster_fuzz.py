@@ -48,14 +48,14 @@ def assert_sane(frame: ls.Frame) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_extreme_gaussians_give_finite_frames(renderer: ls.Renderer, seed: int) -> None:
+def test_extreme_but_valid_gaussians_give_finite_frames(renderer: ls.Renderer, seed: int) -> None:
     """Extreme but valid Gaussians are drawn, culled or counted; no pixel is NaN or infinite."""
     frame = renderer.render(ls.Scene([poisoned(seed)]), front_camera(37, 29, 30.0))
     assert_sane(frame)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_extreme_gaussians_do_not_affect_others(renderer: ls.Renderer, seed: int) -> None:
+def test_extreme_gaussians_outside_the_view_do_not_change_the_frame(renderer: ls.Renderer, seed: int) -> None:
     """A capture looks the same with extreme neighbours outside of the view."""
     healthy = random_gaussians(100 + seed, 100, degree=1)
     behind = poisoned(seed)
@@ -67,7 +67,7 @@ def test_extreme_gaussians_do_not_affect_others(renderer: ls.Renderer, seed: int
 
 
 @pytest.mark.parametrize("color", [1e30, LARGEST])
-def test_overflowing_colour_is_counted(renderer: ls.Renderer, color: float) -> None:
+def test_gaussian_whose_colour_overflows_is_counted_or_drawn_finite(renderer: ls.Renderer, color: float) -> None:
     """A Gaussian whose colour overflows is dropped and counted, or drawn finite."""
     sh = np.full((1, 4, 3), color)
     scene = ls.Scene([ls.Gaussians([[0, 0, 4]], [[1, 0, 0, 0]], [[0.3] * 3], [0.9], sh)])
@@ -77,7 +77,7 @@ def test_overflowing_colour_is_counted(renderer: ls.Renderer, color: float) -> N
 
 
 @pytest.mark.parametrize("scale", [1e12, 1e20, 1e30, LARGEST])
-def test_enormous_gaussians_are_not_lost_silently(renderer: ls.Renderer, scale: float) -> None:
+def test_enormous_gaussian_covers_the_image_or_is_counted_as_not_finite(renderer: ls.Renderer, scale: float) -> None:
     """A Gaussian around everything covers the image, or is counted as not finite."""
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0), scale, 0.8)]), front_camera())
     assert_sane(frame)
@@ -86,7 +86,7 @@ def test_enormous_gaussians_are_not_lost_silently(renderer: ls.Renderer, scale: 
 
 
 @pytest.mark.parametrize("distance", [0.0100001, 0.011, 0.05])
-def test_gaussians_across_the_near_plane_are_finite(renderer: ls.Renderer, distance: float) -> None:
+def test_gaussians_across_the_near_plane_give_finite_frames(renderer: ls.Renderer, distance: float) -> None:
     """Gaussians that reach past the near plane and the camera give finite values."""
     rng = np.random.default_rng(0)
     means = np.concatenate([rng.normal(0.0, 0.01, (50, 2)), np.full((50, 1), distance)], axis=1)
@@ -96,7 +96,7 @@ def test_gaussians_across_the_near_plane_are_finite(renderer: ls.Renderer, dista
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 15), (15, 33), (2, 300), (300, 2)])
-def test_alpha_is_continuous_across_tile_edges(backend: str, size: tuple[int, int]) -> None:
+def test_alpha_of_a_splat_is_continuous_across_tile_edges(backend: str, size: tuple[int, int]) -> None:
     """Gaussians centred on tile edges and corners, of any size, have equal alpha on every side."""
     width, height = size
     camera = front_camera(width, height, 1000.0, cx=0.0, cy=0.0)
@@ -113,7 +113,7 @@ def test_alpha_is_continuous_across_tile_edges(backend: str, size: tuple[int, in
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-3, 1e3, 1e6])
-def test_frames_do_not_depend_on_the_unit(renderer: ls.Renderer, factor: float) -> None:
+def test_rasterised_frames_do_not_depend_on_the_unit_of_length(renderer: ls.Renderer, factor: float) -> None:
     """A scene in micrometres or megametres looks like that in metres, if the near plane is scaled as well."""
     gaussians = random_gaussians(102, 150)
     expected = renderer.render(ls.Scene([gaussians]), front_camera())
@@ -124,7 +124,7 @@ def test_frames_do_not_depend_on_the_unit(renderer: ls.Renderer, factor: float) 
     assert (frame.gaussian_index == expected.gaussian_index)[found].mean() > 0.99
 
 
-def test_thousand_faint_layers_blend_exactly(renderer: ls.Renderer) -> None:
+def test_thousand_faint_layers_blend_to_the_closed_form(renderer: ls.Renderer) -> None:
     """A thousand layers of alpha a on one pixel blend to 1 - (1 - a)^n."""
     layers = joined(*(one_gaussian((0.0, 0.0, 2.0 + 0.001 * i), 40.0, 0.005) for i in range(1000)))
     frame = renderer.render(ls.Scene([layers]), front_camera(20, 20))
@@ -132,7 +132,7 @@ def test_thousand_faint_layers_blend_exactly(renderer: ls.Renderer) -> None:
     assert frame.alpha[10, 10] == pytest.approx(expected, abs=2e-4)
 
 
-def test_absurd_transforms_are_refused_or_finite(renderer: ls.Renderer) -> None:
+def test_instance_transforms_at_the_limits_of_float32_give_no_nan(renderer: ls.Renderer) -> None:
     """An instance moved or scaled to the limits of float32 gives no NaN."""
     for scale, offset in itertools.product((1e-12, 1.0, 1e12), (0.0, 1e12, -1e20)):
         try:
@@ -143,7 +143,7 @@ def test_absurd_transforms_are_refused_or_finite(renderer: ls.Renderer) -> None:
         assert_sane(renderer.render(ls.Scene([placed], [mesh]), front_camera(20, 20)))
 
 
-def test_failed_upload_leaves_the_renderer_usable(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renderer_still_draws_correctly_after_an_upload_runs_out_of_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """After an out-of-memory error, the old and the new scene are drawn as by a new renderer."""
     from lumisplat.renderer.scene import assets
 

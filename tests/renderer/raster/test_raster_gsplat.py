@@ -36,7 +36,7 @@ def assert_like_gsplat(frame: ls.Frame, image: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("name", gsplat_frames())
-def test_synthetic_captures_equal_gsplat(renderer: ls.Renderer, name: str) -> None:
+def test_rasterised_synthetic_captures_equal_gsplat(renderer: ls.Renderer, name: str) -> None:
     """Covers SH degree 3, opacity compensation, and a wide lens that needs the Jacobian clamp."""
     gaussians, camera = gsplat_frames()[name]
     image, stored_camera = reference(name)
@@ -46,7 +46,7 @@ def test_synthetic_captures_equal_gsplat(renderer: ls.Renderer, name: str) -> No
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["biker_front", "biker_close"])
-def test_real_capture_equals_gsplat(renderer: ls.Renderer, data_dir: Path, name: str) -> None:
+def test_rasterised_real_capture_equals_gsplat(renderer: ls.Renderer, data_dir: Path, name: str) -> None:
     """Renders the biker as a whole and from close up."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     image, camera = reference(name)

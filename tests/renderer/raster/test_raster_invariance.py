@@ -45,7 +45,7 @@ def full_scene() -> ls.Scene:
     return ls.Scene(placed, [octahedron((0.1, 0.1, 4.0), 0.6), quad(5.5, tilt=0.3)])
 
 
-def test_order_in_the_set_does_not_matter(renderer: ls.Renderer) -> None:
+def test_rasterised_frame_does_not_depend_on_the_order_of_gaussians_in_their_set(renderer: ls.Renderer) -> None:
     """Shuffled Gaussians give the same frame to the bit, except for their indices."""
     gaussians = random_gaussians(71, 300, degree=1)
     order = np.random.default_rng(0).permutation(300)
@@ -57,7 +57,7 @@ def test_order_in_the_set_does_not_matter(renderer: ls.Renderer) -> None:
     np.testing.assert_array_equal(order[shuffled.gaussian_index[found]], frame.gaussian_index[found])
 
 
-def test_equal_depths_keep_the_order_of_the_scene(renderer: ls.Renderer) -> None:
+def test_splats_at_equal_depth_are_drawn_in_the_order_of_the_scene(renderer: ls.Renderer) -> None:
     """Among splats at one depth, the first of the set, and the first instance, is in front."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
@@ -68,7 +68,9 @@ def test_equal_depths_keep_the_order_of_the_scene(renderer: ls.Renderer) -> None
         assert renderer.render(scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
 
 
-def test_other_kernel_degrees_are_logged_once(backend: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_rasteriser_logs_each_unsupported_kernel_degree_of_a_capture_once(
+    backend: str, caplog: pytest.LogCaptureFixture
+) -> None:
     """A capture of another kernel degree is drawn as Gaussian; a renderer logs each degree once."""
     gaussian = random_gaussians(21, 30)
     quartic, linear = (replace(gaussian, kernel_degree=degree) for degree in (4, 0))
@@ -82,7 +84,7 @@ def test_other_kernel_degrees_are_logged_once(backend: str, caplog: pytest.LogCa
     assert [line.partition(",")[0] for line in said] == [f"a capture has kernel degree {degree}" for degree in (4, 0)]
 
 
-def test_instances_sort_together(renderer: ls.Renderer) -> None:
+def test_set_split_into_instances_is_rasterised_like_the_whole_set(renderer: ls.Renderer) -> None:
     """A set split into several instances gives the same frame as the whole."""
     gaussians = random_gaussians(72, 200, degree=1)
     parts = [gaussians.subset(np.arange(start, 200, 3)) for start in range(3)]
@@ -106,7 +108,7 @@ def test_instances_sort_together(renderer: ls.Renderer) -> None:
     ],
     ids=["behind", "occluded", "outside", "faint", "nothing", "too near"],
 )
-def test_hidden_splats_change_nothing(renderer: ls.Renderer, hidden: ls.Gaussians) -> None:
+def test_invisible_splats_do_not_change_a_rasterised_frame(renderer: ls.Renderer, hidden: ls.Gaussians) -> None:
     """Splats that are not visible leave every image unchanged to the bit."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
@@ -114,7 +116,7 @@ def test_hidden_splats_change_nothing(renderer: ls.Renderer, hidden: ls.Gaussian
     assert_equal(renderer.render(ls.Scene([joined(visible, hidden)]), front_camera()), frame)
 
 
-def test_frames_repeat(renderer: ls.Renderer, backend: str) -> None:
+def test_rasterised_frame_is_bit_equal_when_rendered_again(renderer: ls.Renderer, backend: str) -> None:
     """A frame is bit-equal after another frame, and from another renderer."""
     scene, camera = full_scene(), front_camera()
     first = renderer.render(scene, camera)
@@ -125,7 +127,7 @@ def test_frames_repeat(renderer: ls.Renderer, backend: str) -> None:
     assert other.color.shape == (70, 90, 3)
 
 
-def test_returned_frames_do_not_change(renderer: ls.Renderer) -> None:
+def test_rasterised_frame_does_not_change_when_the_next_frame_is_rendered(renderer: ls.Renderer) -> None:
     """A returned frame does not change when the next one is drawn."""
     frame = renderer.render(full_scene(), front_camera())
     before = {name: image.copy() for name, image in images(frame).items()}
@@ -134,7 +136,7 @@ def test_returned_frames_do_not_change(renderer: ls.Renderer) -> None:
         np.testing.assert_array_equal(image, before[name])
 
 
-def test_threads_do_not_matter() -> None:
+def test_rasterised_frames_do_not_depend_on_thread_count() -> None:
     """One, two and five CPU threads give the same frame to the bit."""
     scene, camera = full_scene(), front_camera(150, 90, 140.0)
     single = ls.create_renderer(device="cpu", threads=1).render(scene, camera)
@@ -142,7 +144,7 @@ def test_threads_do_not_matter() -> None:
         assert_equal(ls.create_renderer(device="cpu", threads=threads).render(scene, camera), single)
 
 
-def test_cropped_cameras_equal_crops(renderer: ls.Renderer) -> None:
+def test_cropped_camera_rasterises_a_crop_of_the_image(renderer: ls.Renderer) -> None:
     """A camera cropped anywhere shows exactly that part of the image."""
     scene = full_scene()
     whole = renderer.render(scene, front_camera(64, 48))
@@ -152,7 +154,7 @@ def test_cropped_cameras_equal_crops(renderer: ls.Renderer) -> None:
         assert_close(getattr(part, name), getattr(whole, name)[top:, left:], atol=1e-4, name=name)
 
 
-def test_frames_do_not_depend_on_the_world_frame(renderer: ls.Renderer) -> None:
+def test_rasterised_frame_is_unchanged_if_scene_and_camera_move_together(renderer: ls.Renderer) -> None:
     """Transforming scene and camera together gives the same image; depths scale."""
     move = similarity((0.2, 1.0, -0.4), 2.2, 1.7, (3.0, -5.0, 11.0))
     scene, camera = full_scene(), front_camera()
@@ -180,7 +182,7 @@ def test_frames_do_not_depend_on_the_world_frame(renderer: ls.Renderer) -> None:
         assert_close_outside_band(undone, getattr(expected, name), twin["band"], atol=1e-3, name=name)
 
 
-def test_renderer_follows_every_rearrangement(backend: str) -> None:
+def test_reused_renderer_equals_a_new_one_after_assets_are_rearranged(backend: str) -> None:
     """A renderer equals a new one after the same assets change transforms, count, order or neighbours."""
     first, second = (random_gaussians(seed, 60 + seed, center=(0.0, 0.0, 0.0)) for seed in (80, 81))
     ball, wall = octahedron((0.1, 0.1, 0.0), 0.6), quad(1.5, tilt=0.3)
@@ -201,7 +203,7 @@ def test_renderer_follows_every_rearrangement(backend: str) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_sh_colours_rotate_with_the_object(renderer: ls.Renderer, degree: int) -> None:
+def test_sh_colours_of_gaussians_rotate_with_their_instance(renderer: ls.Renderer, degree: int) -> None:
     """An instance rotated by R equals the unrotated one seen from a camera rotated by R^-1."""
     asset = random_gaussians(79, 120, degree, center=(0.0, 0.0, 0.0), extent=(1.2, 1.0, 1.0))
     turn = similarity((0.5, 1.0, 0.3), 1.3)
@@ -216,7 +218,9 @@ def test_sh_colours_rotate_with_the_object(renderer: ls.Renderer, degree: int) -
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.2, 0.5, 1.0), None])
-def test_empty_view_shows_only_background(backend: str, background: tuple[float, float, float] | None) -> None:
+def test_rasterised_view_without_visible_objects_shows_only_the_background(
+    backend: str, background: tuple[float, float, float] | None
+) -> None:
     """Without visible objects there is no alpha, surface or normal."""
     renderer = renderer_of(backend, ls.RenderConfig(lighting=False, background=background))
     behind = random_gaussians(80, 20, center=(0.0, 0.0, -5.0))
@@ -229,7 +233,7 @@ def test_empty_view_shows_only_background(backend: str, background: tuple[float,
 
 
 @pytest.mark.parametrize("name", ["instances", "meshes and splats", "many small"])
-def test_background_is_composited_under_the_frame(backend: str, name: str) -> None:
+def test_background_is_composited_under_the_transparent_frame(backend: str, name: str) -> None:
     """Over any background, a frame is the transparent one plus (1 - alpha) times the background."""
     case = next(case for case in cases() if case.name == name)
     bare, over = (
@@ -240,7 +244,7 @@ def test_background_is_composited_under_the_frame(backend: str, name: str) -> No
     assert_close(over.color, expected, atol=1e-6)
 
 
-def test_new_asset_at_a_reused_address_is_uploaded(renderer: ls.Renderer) -> None:
+def test_new_asset_at_the_memory_address_of_a_freed_one_is_uploaded(renderer: ls.Renderer) -> None:
     """A new object at the address of a freed one is uploaded, so that frames never show the old one."""
 
     def mean_color(make: Callable[[float], ls.Scene], value: float) -> np.ndarray:
@@ -251,7 +255,7 @@ def test_new_asset_at_a_reused_address_is_uploaded(renderer: ls.Renderer) -> Non
         assert shown == pytest.approx(0.99 * value, abs=1e-2)
 
 
-def test_renderer_allocates_nothing_after_the_first_frame(renderer: ls.Renderer) -> None:
+def test_rasteriser_allocates_nothing_after_the_first_frame(renderer: ls.Renderer) -> None:
     """Later frames of that size, or smaller, allocate nothing."""
     scene = full_scene()
     renderer.render(scene, front_camera(90, 70))
@@ -261,7 +265,7 @@ def test_renderer_allocates_nothing_after_the_first_frame(renderer: ls.Renderer)
     assert renderer._buffers.allocations == settled
 
 
-def test_memory_is_reported(renderer: ls.Renderer) -> None:
+def test_reported_memory_of_a_renderer_covers_its_assets_and_images(renderer: ls.Renderer) -> None:
     """The reported memory covers at least assets and images, and little more than the allocations."""
     gaussians = random_gaussians(82, 5000, degree=3)
     frame = renderer.render(ls.Scene([gaussians]), front_camera(300, 200))
@@ -272,7 +276,7 @@ def test_memory_is_reported(renderer: ls.Renderer) -> None:
     assert assets + images + splats <= frame.stats.memory_bytes <= 4 * (assets + images + splats)
 
 
-def test_lists_grow_as_needed(renderer: ls.Renderer) -> None:
+def test_tile_lists_grow_until_no_splat_is_lost(renderer: ls.Renderer) -> None:
     """Splats that cover every tile exceed the first capacity of the lists; none is lost, now or later."""
     layers = random_gaussians(81, 600, scale_range=(20.0, 30.0))
     means = np.column_stack([layers.means[:, :2], np.random.default_rng(0).permutation(np.linspace(2.5, 5.5, 600))])

@@ -34,21 +34,21 @@ def plane_depth(camera: ls.Camera, point: np.ndarray, normal: np.ndarray) -> np.
     return (point @ normal) / (oracles.pixel_rays(camera) @ normal)
 
 
-def test_base_colour_is_encoded(renderer: ls.Renderer) -> None:
+def test_unlit_mesh_shows_its_srgb_encoded_base_colour(renderer: ls.Renderer) -> None:
     """An unlit mesh shows its linear base colour, encoded for display, and is opaque."""
     frame = renderer.render(ls.Scene([], [quad(3.0, 9.0, material=GREY)]), front_camera())
     assert_close(frame.color, np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 64, 3)), atol=1e-5)
     assert (frame.alpha == 1.0).all() and (frame.instance_index == 0).all() and (frame.gaussian_index == -1).all()
 
 
-def test_texture_without_uvs_is_ignored(renderer: ls.Renderer) -> None:
+def test_texture_of_a_mesh_without_uv_coordinates_is_ignored(renderer: ls.Renderer) -> None:
     """A texture changes nothing on a mesh without texture coordinates."""
     material = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), base_color_texture=np.zeros((2, 2, 3), np.uint8))
     frame = renderer.render(ls.Scene([], [quad(3.0, 9.0, material=material)]), front_camera())
     assert_close(frame.color, np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 64, 3)), atol=1e-5)
 
 
-def test_depth_of_a_tilted_plane(renderer: ls.Renderer) -> None:
+def test_rasterised_depth_and_normal_of_a_tilted_plane_are_exact(renderer: ls.Renderer) -> None:
     """Depth is exact at every pixel centre of a steep plane, and the normal is the plane's."""
     frame = renderer.render(ls.Scene([], [quad(9.0, 6.0, tilt=1.3)]), front_camera())
     normal = np.array([1.3, 0.0, -1.0])
@@ -71,7 +71,7 @@ def crumpled_plane(count: int, half: float, normal: np.ndarray) -> ls.Mesh:
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(1200, marks=pytest.mark.deep)])
-def test_depth_of_small_far_triangles(renderer: ls.Renderer, count: int) -> None:
+def test_pixel_sized_far_triangles_have_exact_depth_and_leave_no_gaps(renderer: ls.Renderer, count: int) -> None:
     """Triangles of a pixel and less, far from the eye, have their plane's depth and leave no pixel out."""
     normal = np.array([0.5, -0.3, -1.0])
     frame = renderer.render(ls.Scene([], [crumpled_plane(count, 30.0, normal)]), front_camera(200, 150, 140.0))
@@ -81,7 +81,7 @@ def test_depth_of_small_far_triangles(renderer: ls.Renderer, count: int) -> None
 
 
 @pytest.mark.parametrize("near", [0.01, 0.5, 2.0])
-def test_triangles_are_clipped_at_the_near_plane(renderer: ls.Renderer, near: float) -> None:
+def test_rasterised_triangles_are_clipped_at_the_near_plane(renderer: ls.Renderer, near: float) -> None:
     """A floor from behind the camera to the horizon is visible exactly from the near plane on."""
     floor = ls.Mesh([[-500, 1, -500], [500, 1, -500], [500, 1, 900], [-500, 1, 900]], np.array([[0, 1, 2], [0, 2, 3]]))
     camera = front_camera(focal=20.0, near=near)
@@ -94,7 +94,7 @@ def test_triangles_are_clipped_at_the_near_plane(renderer: ls.Renderer, near: fl
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_cracks_between_triangles(renderer: ls.Renderer, seed: int) -> None:
+def test_rasterised_grid_of_triangles_has_no_cracks(renderer: ls.Renderer, seed: int) -> None:
     """A crumpled grid of triangles over the image leaves no pixel out, on either side of its edges."""
     rng = np.random.default_rng(seed)
     count = 24
@@ -109,7 +109,7 @@ def test_no_cracks_between_triangles(renderer: ls.Renderer, seed: int) -> None:
     assert np.count_nonzero(frame.alpha < 1.0) == 0
 
 
-def test_edges_on_pixel_centres_leave_no_holes(renderer: ls.Renderer) -> None:
+def test_triangle_edges_at_pixel_centres_leave_no_holes(renderer: ls.Renderer) -> None:
     """Edges and vertices exactly at pixel centres belong to some triangle."""
     ticks = (np.arange(0, 65, 8) - 32 + 0.5) / 60.0 * 4.0
     x, y = np.meshgrid(ticks, ticks)
@@ -120,7 +120,7 @@ def test_edges_on_pixel_centres_leave_no_holes(renderer: ls.Renderer) -> None:
     assert (frame.alpha[1:, 1:] == 1.0).all()
 
 
-def test_nearest_triangle_wins_in_any_order(renderer: ls.Renderer) -> None:
+def test_nearest_of_intersecting_meshes_is_visible_in_any_list_order(renderer: ls.Renderer) -> None:
     """Intersecting meshes show the nearer one at each pixel, in any order of the list."""
     tilted, flat = quad(4.0, tilt=0.8), quad(4.1, 0.9)
     one = renderer.render(ls.Scene([], [tilted, flat]), front_camera())
@@ -132,7 +132,7 @@ def test_nearest_triangle_wins_in_any_order(renderer: ls.Renderer) -> None:
     assert set(np.unique(one.instance_index)) == {-1, 0, 1}
 
 
-def test_both_sides_are_drawn(renderer: ls.Renderer) -> None:
+def test_both_sides_of_a_triangle_are_drawn_with_the_normal_towards_the_viewer(renderer: ls.Renderer) -> None:
     """Winding and mirroring do not matter; the normal faces the viewer."""
     mesh = quad(4.0, tilt=0.5)
     turned = ls.Mesh(mesh.positions, mesh.indices[:, ::-1])
@@ -146,7 +146,7 @@ def test_both_sides_are_drawn(renderer: ls.Renderer) -> None:
     assert (np.einsum("hwc,hwc->hw", expected.normal, oracles.pixel_rays(front_camera()))[seen] < 0.0).all()
 
 
-def test_normals_use_the_inverse_transpose(renderer: ls.Renderer) -> None:
+def test_shading_normals_of_a_stretched_mesh_use_the_inverse_transpose(renderer: ls.Renderer) -> None:
     """Shading normals of a stretched ball are those of the ellipsoid."""
     stretch = np.diag([2.0, 1.0, 0.5, 1.0])
     placed = np.eye(4)
@@ -161,7 +161,7 @@ def test_normals_use_the_inverse_transpose(renderer: ls.Renderer) -> None:
     assert frame.normal[y, x] == pytest.approx(expected / np.linalg.norm(expected), abs=1e-3)
 
 
-def test_texture_coordinates_follow_gltf(renderer: ls.Renderer) -> None:
+def test_texture_coordinates_start_at_the_top_left_as_in_gltf(renderer: ls.Renderer) -> None:
     """(0, 0) is the texture's top left corner, u runs right and v down; texel centres show the texels."""
     texture = np.arange(4 * 4 * 3, dtype=np.uint8).reshape(4, 4, 3) * 5
     material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture)
@@ -170,7 +170,7 @@ def test_texture_coordinates_follow_gltf(renderer: ls.Renderer) -> None:
     np.testing.assert_array_equal(np.round(frame.color * 255.0).astype(int), texture)
 
 
-def test_texture_repeats_and_multiplies(renderer: ls.Renderer) -> None:
+def test_texture_repeats_outside_0_to_1_and_multiplies_linear_colours(renderer: ls.Renderer) -> None:
     """Coordinates outside 0..1 wrap; base colour and vertex colours multiply in linear light."""
     texture = np.random.default_rng(1).integers(0, 256, (4, 4, 4), dtype=np.uint8)
     material = ls.MaterialPbr(base_color=(0.8, 0.5, 0.3), base_color_texture=texture)
@@ -181,7 +181,7 @@ def test_texture_repeats_and_multiplies(renderer: ls.Renderer) -> None:
     assert_close(frame.color, expected, atol=1e-4)
 
 
-def test_texture_is_perspective_correct(renderer: ls.Renderer) -> None:
+def test_texture_of_a_receding_floor_is_perspective_correct(renderer: ls.Renderer) -> None:
     """On a receding floor, the texture's midline is at half the distance along the floor, not in the image."""
     texture = np.zeros((64, 1, 3), np.uint8)
     texture[32:] = 255
@@ -199,7 +199,7 @@ def test_texture_is_perspective_correct(renderer: ls.Renderer) -> None:
     assert (column[(depth > 1.2) & (depth < 4.8)] < 0.001).all()
 
 
-def test_mesh_in_front_hides_splats(renderer: ls.Renderer) -> None:
+def test_splats_behind_a_mesh_do_not_change_the_frame(renderer: ls.Renderer) -> None:
     """Splats behind a mesh change no bit."""
     wall = quad(2.0, 3.0, material=GREY)
     alone = renderer.render(ls.Scene([], [wall]), front_camera())
@@ -208,7 +208,7 @@ def test_mesh_in_front_hides_splats(renderer: ls.Renderer) -> None:
         np.testing.assert_array_equal(getattr(frame, name), getattr(alone, name))
 
 
-def test_mesh_behind_splats_is_their_background(renderer: ls.Renderer) -> None:
+def test_mesh_behind_splats_is_composited_with_their_transmittance(renderer: ls.Renderer) -> None:
     """The mesh behind splats is composited with their transmittance."""
     gaussians = random_gaussians(96)
     splats = renderer.render(ls.Scene([gaussians]), front_camera())
@@ -221,7 +221,7 @@ def test_mesh_behind_splats_is_their_background(renderer: ls.Renderer) -> None:
     assert_close(frame.depth_z[~reached], np.full((~reached).sum(), 9.0), atol=1e-4)
 
 
-def test_mesh_can_cross_a_splat(renderer: ls.Renderer) -> None:
+def test_mesh_through_a_splat_covers_one_side_and_is_covered_on_the_other(renderer: ls.Renderer) -> None:
     """A mesh through a splat's depth covers it on one side and is covered on the other."""
     splat = one_gaussian((0.0, 0.0, 4.0), 0.5, 0.5, color=(1.0, 1.0, 1.0))
     frame = renderer.render(ls.Scene([splat], [quad(4.0, 3.0, tilt=0.5, material=GREY)]), front_camera())
@@ -233,7 +233,9 @@ def test_mesh_can_cross_a_splat(renderer: ls.Renderer) -> None:
 
 
 @pytest.mark.parametrize(("offset", "is_seen"), [(-1e-3, True), (1e-3, False)])
-def test_splats_and_meshes_are_depth_tested_finely(renderer: ls.Renderer, offset: float, is_seen: bool) -> None:
+def test_splat_a_thousandth_of_a_unit_in_front_of_a_mesh_is_visible(
+    renderer: ls.Renderer, offset: float, is_seen: bool
+) -> None:
     """A splat a thousandth of a unit in front of a mesh is visible, and one as far behind it is not."""
     wall = quad(4.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0 + offset), opacity=0.9)], [wall]), front_camera())
@@ -253,7 +255,9 @@ def test_splats_and_meshes_are_depth_tested_finely(renderer: ls.Renderer, offset
     ],
     ids=["point", "line", "through the eye", "at the eye", "tiny", "huge", "overflowing"],
 )
-def test_degenerate_triangles_are_harmless(renderer: ls.Renderer, points: list[list[float]]) -> None:
+def test_degenerate_and_huge_triangles_do_not_change_other_objects(
+    renderer: ls.Renderer, points: list[list[float]]
+) -> None:
     """Near-degenerate triangles, and sizes that overflow, keep everything finite and the other objects unchanged."""
     wall = quad(5.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([], [ls.Mesh(points, np.array([[0, 1, 2]])), wall]), front_camera())
@@ -262,7 +266,7 @@ def test_degenerate_triangles_are_harmless(renderer: ls.Renderer, points: list[l
     assert (frame.instance_index == 1).mean() > 0.95
 
 
-def test_instances_share_a_mesh(renderer: ls.Renderer) -> None:
+def test_two_instances_of_one_textured_mesh_look_as_each_does_alone(renderer: ls.Renderer) -> None:
     """One textured mesh in two instances looks in each position as it does alone."""
     mesh = checker_quad(0.0)
     left, right = np.eye(4), np.eye(4)
@@ -275,7 +279,7 @@ def test_instances_share_a_mesh(renderer: ls.Renderer) -> None:
         np.testing.assert_array_equal(both.color[here], alone.color[here])
 
 
-def test_hidden_splats_cost_no_blending(renderer: ls.Renderer) -> None:
+def test_wall_hides_the_splats_behind_it_and_does_not_change_those_beside_it(renderer: ls.Renderer) -> None:
     """A wall over half the image hides thousands of splats, and splats beside it are unchanged."""
     splats = random_gaussians(95, 3000, scale_range=(0.02, 0.1))
     camera = front_camera()

@@ -28,7 +28,9 @@ def camera() -> ls.Camera:
 
 
 @pytest.mark.parametrize(("opacity", "is_surface"), [(0.29, False), (0.31, True), (1.0, True)])
-def test_surface_needs_transmittance_below_threshold(renderer: ls.Renderer, opacity: float, is_surface: bool) -> None:
+def test_gaussian_is_a_surface_if_its_transmittance_is_below_0_7(
+    renderer: ls.Renderer, opacity: float, is_surface: bool
+) -> None:
     """One Gaussian is a surface if its transmittance is below 0.7."""
     frame = renderer.render(ls.Scene([one_gaussian(opacity=opacity)]), camera())
     assert frame.gaussian_index[CENTRE] == (0 if is_surface else -1)
@@ -37,7 +39,7 @@ def test_surface_needs_transmittance_below_threshold(renderer: ls.Renderer, opac
     assert np.linalg.norm(frame.normal[CENTRE]) == pytest.approx(1.0)
 
 
-def test_surface_is_where_transmittance_crosses_the_threshold(renderer: ls.Renderer) -> None:
+def test_surface_is_the_layer_after_which_transmittance_is_below_the_threshold(renderer: ls.Renderer) -> None:
     """0.8 x 0.8 < 0.7: the second of several faint layers is the surface."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     frame = renderer.render(ls.Scene([joined(*reversed(layers))]), camera())
@@ -46,7 +48,7 @@ def test_surface_is_where_transmittance_crosses_the_threshold(renderer: ls.Rende
 
 
 @pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
-def test_threshold_is_a_setting(backend: str, threshold: float, index: int) -> None:
+def test_iso_opacity_threshold_selects_the_layer_of_the_surface(backend: str, threshold: float, index: int) -> None:
     """The iso-opacity threshold selects the layer."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     config = ls.RenderConfig(raster=ls.RasterConfig(depth_iso_transmittance=threshold))
@@ -55,7 +57,7 @@ def test_threshold_is_a_setting(backend: str, threshold: float, index: int) -> N
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
-def test_depth_is_along_the_ray(renderer: ls.Renderer, tilt: float) -> None:
+def test_depth_is_along_the_ray_and_depth_z_along_the_camera_axis(renderer: ls.Renderer, tilt: float) -> None:
     """For a flat Gaussian, depth_z is that of its plane in every pixel, and depth is the distance along the ray."""
     wall = one_gaussian((0.0, 0.0, 5.0), (50.0, 50.0, 0.01), 0.9, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0, 0))
     frame = renderer.render(ls.Scene([wall]), front_camera(cx=20.0))
@@ -66,7 +68,7 @@ def test_depth_is_along_the_ray(renderer: ls.Renderer, tilt: float) -> None:
     assert_close(frame.depth, expected * np.linalg.norm(ray, axis=-1), atol=3e-4)
 
 
-def test_round_gaussian_depth_is_at_the_peak(renderer: ls.Renderer) -> None:
+def test_depth_of_a_round_gaussian_is_where_the_ray_is_nearest_to_its_mean(renderer: ls.Renderer) -> None:
     """The depth is where the ray is nearest to the mean."""
     frame = renderer.render(ls.Scene([one_gaussian((0.3, 0.2, 5.0), 2.0, 0.9)]), camera())
     ray = oracles.pixel_rays(camera())
@@ -76,7 +78,7 @@ def test_round_gaussian_depth_is_at_the_peak(renderer: ls.Renderer) -> None:
     assert_close(frame.depth_z[seen], expected[seen], atol=1e-4)
 
 
-def test_surface_is_not_behind_the_mesh(renderer: ls.Renderer) -> None:
+def test_surface_of_a_gaussian_is_not_behind_the_mesh_that_it_covers(renderer: ls.Renderer) -> None:
     """If a Gaussian's mean is in front of a mesh but its peak on the ray is not, the depth is the mesh's."""
     tilted = one_gaussian((0.0, 0.0, 5.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(0.25), np.sin(0.25), 0.0, 0.0))
     frame = renderer.render(ls.Scene([tilted], [quad(5.1, 9.0)]), camera())
@@ -85,7 +87,7 @@ def test_surface_is_not_behind_the_mesh(renderer: ls.Renderer) -> None:
     assert 0.1 < (frame.depth_z[splat] > 5.0999).mean() < 0.6
 
 
-def test_indices_count_within_their_instance(renderer: ls.Renderer) -> None:
+def test_index_layers_count_gaussians_within_their_instance_and_meshes_last(renderer: ls.Renderer) -> None:
     """Splat instances are numbered first, then meshes; a mesh has no Gaussian index."""
     far, near = random_gaussians(90, 5, center=(0.0, 50.0, 4.0)), one_gaussian((0.5, 0.0, 3.0), 0.1, 0.9)
     target = one_gaussian((-0.5, 0.0, 3.0), 0.1, 0.9)
@@ -97,7 +99,7 @@ def test_indices_count_within_their_instance(renderer: ls.Renderer) -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.8])
-def test_flat_gaussian_normal_is_its_thin_axis(renderer: ls.Renderer, angle: float) -> None:
+def test_normal_of_a_flat_gaussian_is_its_thin_axis_towards_the_viewer(renderer: ls.Renderer, angle: float) -> None:
     """The normal faces the viewer."""
     half = 0.5 * angle
     disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.9, rotation=(np.cos(half), np.sin(half), 0.0, 0.0))
@@ -106,7 +108,7 @@ def test_flat_gaussian_normal_is_its_thin_axis(renderer: ls.Renderer, angle: flo
     assert normal == pytest.approx(-np.sign(axis[2]) * axis, abs=1e-3)
 
 
-def test_round_gaussian_normal_faces_the_eye(renderer: ls.Renderer) -> None:
+def test_normal_of_a_round_gaussian_points_towards_the_camera(renderer: ls.Renderer) -> None:
     """Holds at every position and over the whole footprint."""
     mean = np.array([0.8, -0.5, 3.0])
     frame = renderer.render(ls.Scene([one_gaussian(tuple(mean), 0.2, 0.9)]), camera())
@@ -115,7 +117,7 @@ def test_round_gaussian_normal_faces_the_eye(renderer: ls.Renderer) -> None:
     assert (frame.normal[~seen] == 0.0).all()
 
 
-def test_normals_mix_by_weight(renderer: ls.Renderer) -> None:
+def test_normal_layer_is_the_mean_of_splat_and_mesh_normals_by_blend_weight(renderer: ls.Renderer) -> None:
     """The frame's normal is the mean over splats and mesh, with the weights of their colours."""
     tilt = 0.4
     disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.6, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0))
@@ -126,7 +128,7 @@ def test_normals_mix_by_weight(renderer: ls.Renderer) -> None:
     assert frame.normal[CENTRE] == pytest.approx(mixed / np.linalg.norm(mixed), abs=1e-3)
 
 
-def test_cancelling_normals_face_the_camera(renderer: ls.Renderer) -> None:
+def test_normals_that_cancel_are_replaced_by_the_direction_to_the_camera(renderer: ls.Renderer) -> None:
     """Where normals cancel, the direction towards the camera replaces them; with either sheet alone it does not."""
     sheets = opposed_sheets()
     frame = renderer.render(ls.Scene([sheets]), camera())

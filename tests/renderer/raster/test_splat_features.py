@@ -43,7 +43,7 @@ def with_features(
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_gradients_equal_central_differences_of_the_twin(antialiased: bool) -> None:
+def test_feature_gradients_equal_central_differences_of_the_float64_twin(antialiased: bool) -> None:
     """Covers every parameter, also through depth and normal, and the features themselves."""
     gaussians, camera = cloud(4, 10, antialiased=antialiased), view()
     shown, found = with_features(ls.Scene([gaussians]), camera)
@@ -63,7 +63,7 @@ def test_gradients_equal_central_differences_of_the_twin(antialiased: bool) -> N
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (name, np.median(error), error.max())
 
 
-def test_features_equal_to_colours_render_as_colours() -> None:
+def test_features_equal_to_the_colours_are_rendered_as_those_colours() -> None:
     """Over black they equal the frame, and have the gradients of view-independent colours."""
     gaussians, camera = cloud(degree=0, count=60), view()
     scene, (by_color, _) = ls.Scene([gaussians]), by_pixels(camera)
@@ -88,7 +88,7 @@ def test_features_equal_to_colours_render_as_colours() -> None:
     assert not by_features.centers_absolute.any(), "what densifies goes by colours"
 
 
-def test_bits_do_not_depend_on_threads() -> None:
+def test_features_and_feature_gradients_do_not_depend_on_thread_count() -> None:
     """Holds for features and for gradients."""
     scene, camera = ls.Scene([cloud(count=400)]), view(150, 100)
     one, two, five = (with_features(scene, camera, threads) for threads in (1, 2, 5))
@@ -99,7 +99,7 @@ def test_bits_do_not_depend_on_threads() -> None:
             np.testing.assert_array_equal(vars_of(found)[name], value, err_msg=name)
 
 
-def test_gpu_schedule_gives_equal_features(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_schedule_gives_equal_features_and_feature_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
     """Thread blocks on a CPU give equal results, up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     shown, tiles = with_features(scene, camera)
@@ -115,7 +115,7 @@ def test_gpu_schedule_gives_equal_features(monkeypatch: pytest.MonkeyPatch) -> N
         assert np.abs(vars_of(blocks)[name] - value).max() < 1e-4 * np.abs(value).mean(), name
 
 
-def test_instance_features_equal_those_of_transformed_sets() -> None:
+def test_features_of_an_instance_equal_those_of_a_set_stored_transformed() -> None:
     """Depths and normals of a transformed instance equal those of a set stored with that transform."""
     gaussians, camera = cloud(9, degree=0), view()
     place = np.eye(4)
@@ -136,7 +136,7 @@ def test_instance_features_equal_those_of_transformed_sets() -> None:
     assert twice.features is not None and not twice.features[gaussians.count :].any()
 
 
-def test_meshes_end_feature_sums() -> None:
+def test_splats_behind_a_mesh_add_no_features_and_have_zero_gradients() -> None:
     """Splats in front of the mesh are summed over nothing; those behind it have no gradients."""
     camera, base, corners = (
         view(),
@@ -157,7 +157,7 @@ def test_meshes_end_feature_sums() -> None:
     np.testing.assert_allclose(shown[..., 0], alpha, atol=1e-6)
 
 
-def test_scene_without_gaussians_has_zero_features() -> None:
+def test_rendered_features_of_a_scene_without_gaussians_are_zero() -> None:
     """Features have no rows, and the channels are 0."""
     renderer = differentiable()
     renderer.render(ls.Scene(), view())
@@ -166,7 +166,7 @@ def test_scene_without_gaussians_has_zero_features() -> None:
     assert found.features is not None and found.features.shape == (0, 2)
 
 
-def test_features_of_wrong_shape_are_refused() -> None:
+def test_rendering_features_of_wrong_shape_is_refused() -> None:
     """The message names the array and what to do."""
     scene, camera, renderer = ls.Scene([cloud()]), view(), differentiable()
     with pytest.raises(ls.ConfigError, match=r"^render_features: render a frame first$"):
@@ -185,7 +185,7 @@ def test_features_of_wrong_shape_are_refused() -> None:
         renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 2)))
 
 
-def test_features_exchange_dlpack_arrays() -> None:
+def test_features_and_feature_gradients_are_exchanged_by_dlpack() -> None:
     """Arrays are exchanged by DLPack, without a copy on output."""
 
     class Foreign:
@@ -209,7 +209,7 @@ def test_features_exchange_dlpack_arrays() -> None:
         assert np.shares_memory(np.from_dlpack(value), value)
 
 
-def test_distorted_lenses_are_refused() -> None:
+def test_rendering_features_through_distorted_lenses_is_refused() -> None:
     """Their frames are resampled, so that gradients would not be those of the frame."""
     bent = replace(view(), distortion=(0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(ls.ConfigError, match="resampled"):

@@ -22,7 +22,7 @@ def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None)
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_gradients_equal_central_differences_of_the_twin(antialiased: bool) -> None:
+def test_raster_gradients_equal_central_differences_of_the_float64_twin(antialiased: bool) -> None:
     """For every parameter, where two step sizes agree: median error below 1e-5 of the mean magnitude, worst 1e-3."""
     gaussians, camera = cloud(antialiased=antialiased), view()
     found = gradients_of(ls.Scene([gaussians]), camera)
@@ -40,7 +40,7 @@ def test_gradients_equal_central_differences_of_the_twin(antialiased: bool) -> N
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_gradients_are_the_adjoint_of_the_jacobian(antialiased: bool) -> None:
+def test_raster_gradients_are_the_adjoint_of_the_jacobian(antialiased: bool) -> None:
     """``<J v, w> = <v, J^T w>`` for random directions v of all parameters at once and random w over the pixels."""
     gaussians, camera = cloud(5, antialiased=antialiased), view()
     loss = Loss(camera, *by_pixels(camera), antialiased)
@@ -66,7 +66,7 @@ def along(start: Parameters, direction: dict[str, np.ndarray], step: float) -> P
     return replace(start, **{name: getattr(start, name) + step * value for name, value in direction.items()})
 
 
-def test_culled_gaussians_have_zero_gradients() -> None:
+def test_culled_gaussians_have_zero_raster_gradients() -> None:
     """Covers Gaussians behind the eye, beside the image, too transparent, and behind an opaque wall."""
     base = cloud(count=8)
     means = base.means.copy()
@@ -80,7 +80,7 @@ def test_culled_gaussians_have_zero_gradients() -> None:
     assert not found.centers[:3].any() and not found.weights[:3].any() and (found.weights[3:] > 0.0).all()
 
 
-def test_bits_do_not_depend_on_threads() -> None:
+def test_raster_gradients_do_not_depend_on_thread_count() -> None:
     """Each record has one writer, and sums have one order."""
     scene, camera = ls.Scene([cloud(count=400)]), view(150, 100)
     one, two, five = (gradients_of(scene, camera, threads) for threads in (1, 2, 5))
@@ -92,7 +92,7 @@ def test_bits_do_not_depend_on_threads() -> None:
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_gpu_schedule_gives_equal_gradients(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_schedule_gives_equal_raster_gradients(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Thread blocks on a CPU give the gradients of tiles, up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60, antialiased=antialiased)]), view(50, 40)
     tiles = gradients_of(scene, camera)
@@ -108,7 +108,7 @@ def test_gpu_schedule_gives_equal_gradients(antialiased: bool, monkeypatch: pyte
     np.testing.assert_allclose(blocks.centers_absolute, tiles.centers_absolute, rtol=1e-4, atol=1e-5)
 
 
-def test_gpu_schedule_zeroes_records_behind_opaque_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_schedule_zeroes_raster_gradients_of_splats_behind_opaque_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where all pixels of a tile end long before its list, no record keeps old memory."""
     scene, camera = ls.Scene([opaque()]), view()
     tiles = gradients_of(scene, camera)
@@ -124,14 +124,14 @@ def test_gpu_schedule_zeroes_records_behind_opaque_tiles(monkeypatch: pytest.Mon
     np.testing.assert_allclose(blocks.weights, tiles.weights, rtol=1e-3, atol=1e-4)
 
 
-def test_differentiable_frames_equal_rendered_frames() -> None:
+def test_differentiable_raster_frames_equal_ordinary_raster_frames() -> None:
     """Bit-equal to the frames of a plain renderer."""
     scene, camera, config = ls.Scene([cloud(count=200)]), view(150, 100), ls.RenderConfig(background=BACKGROUND)
     shown = ls.DifferentiableRenderer(config, "cpu").render(scene, camera)
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config, device="cpu").color)
 
 
-def test_instance_gradients_are_transformed_and_summed() -> None:
+def test_raster_gradients_of_instances_are_transformed_and_summed() -> None:
     """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), view()
     place = np.eye(4)
@@ -156,7 +156,7 @@ def close(value: np.ndarray, expected: np.ndarray) -> None:
     assert np.abs(value - expected).max() < 2e-4 * np.abs(expected).mean()
 
 
-def test_splats_behind_a_mesh_have_zero_gradients() -> None:
+def test_splats_behind_a_mesh_have_zero_raster_gradients() -> None:
     """Splats in front of it have gradients over its colour."""
     gaussians, camera = cloud(count=12), view()
     wall = ls.MeshInstance(
@@ -184,13 +184,15 @@ def test_splats_behind_a_mesh_have_zero_gradients() -> None:
         ((np.full((30, 36, 3), np.nan), None), r"^dL_dcolor: 3,240 of 3,240 values are not finite$"),
     ],
 )
-def test_images_of_wrong_shape_are_refused(images: tuple[np.ndarray, np.ndarray | None], problem: str) -> None:
+def test_splat_gradients_refuse_image_gradients_of_wrong_shape_or_not_finite(
+    images: tuple[np.ndarray, np.ndarray | None], problem: str
+) -> None:
     """The message names the image."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.splat_gradients(ls.Scene([cloud()]), view(), *images, device="cpu")
 
 
-def test_only_unlit_sorted_frames_are_differentiable() -> None:
+def test_raster_gradients_of_lit_hybrid_or_stochastic_frames_are_refused() -> None:
     """Other frames, and none at all, are refused."""
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         ls.DifferentiableRenderer(device="cpu").gradients(np.zeros((30, 36, 3)))

@@ -21,7 +21,7 @@ def stored() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["classic", "antialiased"])
-def test_gradients_equal_gsplat(stored: dict[str, np.ndarray], name: str) -> None:
+def test_raster_gradients_equal_gsplat(stored: dict[str, np.ndarray], name: str) -> None:
     """Covers every parameter, background and pose: median error below 5e-6 of the mean magnitude, largest 1e-4."""
     sets = ("means", "rotations_wxyz", "scales", "opacities", "sh")
     gaussians = ls.Gaussians(*(stored[key] for key in sets), antialiased=name == "antialiased")

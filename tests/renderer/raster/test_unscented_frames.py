@@ -30,7 +30,7 @@ def traced(dilation: float = 0.3) -> ls.RenderConfig:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_unscented_frame_equals_the_traced_frame(name: str) -> None:
+def test_unscented_frame_equals_the_ray_traced_frame_for_every_lens(name: str) -> None:
     """Where no two Gaussians have another order: colour, alpha, depth, normal and index, for every lens."""
     camera = LENSES[name]
     scene = ls.Scene([layers(camera)])
@@ -50,7 +50,7 @@ def test_unscented_frame_equals_the_traced_frame(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_unscented_frame_with_footprints_is_close_to_traced(name: str) -> None:
+def test_unscented_frame_of_pixel_sized_gaussians_is_close_to_the_traced_one(name: str) -> None:
     """Pixel-sized Gaussians, which footprints widen most: ours are evaluated at means, the tracer's at each ray."""
     camera = LENSES[name]
     camera = camera.scaled(4 * camera.width)
@@ -65,7 +65,7 @@ def test_unscented_frame_with_footprints_is_close_to_traced(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_unscented_frame_equals_the_twin(name: str) -> None:
+def test_unscented_frame_equals_the_float64_twin(name: str) -> None:
     """The twin uses double precision and no tiles; rounding may cross alpha thresholds in a few pixels."""
     camera, gaussians = LENSES[name], random_gaussians(3, count=40, degree=2, center=(0.0, 0.0, 2.0))
     config = replace(unscented(), background=(0.2, 0.4, 0.6))
@@ -78,14 +78,14 @@ def test_unscented_frame_equals_the_twin(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_tiles_contain_large_gaussians(name: str) -> None:
+def test_unscented_tiles_contain_large_gaussians_near_the_limit_of_the_lens(name: str) -> None:
     """Large Gaussians near the lens's limit, behind it or around the eye have the alpha of a frame without tiles."""
     assert cut_off(LENSES[name], range(30)) > 1000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", NAMES)
-def test_tiles_contain_thousands_of_large_gaussians(name: str) -> None:
+def test_unscented_tiles_contain_thousands_of_large_gaussians(name: str) -> None:
     """Tests 4,000 Gaussians per lens."""
     assert cut_off(LENSES[name], range(30, 1030)) > 30000
 
@@ -97,19 +97,19 @@ BACKWARD = {
 
 
 @pytest.mark.parametrize("name", BACKWARD)
-def test_tiles_contain_gaussians_opposite_the_axis(name: str) -> None:
+def test_unscented_tiles_contain_gaussians_opposite_the_optical_axis(name: str) -> None:
     """Gaussians of any size and shape, one at a time, cover a ring around the image or an arc in it."""
     assert cut_off(BACKWARD[name], range(40), lambda seed: needle(seed, BACKWARD[name])) > 10000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", BACKWARD)
-def test_tiles_contain_hundreds_of_gaussians_opposite_the_axis(name: str) -> None:
+def test_unscented_tiles_contain_hundreds_of_gaussians_opposite_the_axis(name: str) -> None:
     """Tests 600 Gaussians."""
     assert cut_off(BACKWARD[name], range(40, 640), lambda seed: needle(seed, BACKWARD[name])) > 150000
 
 
-def test_tiles_contain_gaussians_at_the_edge_of_a_wide_pinhole() -> None:
+def test_unscented_tiles_contain_gaussians_at_the_edge_of_a_wide_pinhole() -> None:
     """At 176 degrees, tangents vary strongly over a small Gaussian."""
     camera = lens(256.0 / np.tan(np.radians(88.0)), (512, 64))
     assert cut_off(camera, range(3), lambda seed: rim(seed, camera, 88.0)) > 1000
@@ -146,7 +146,7 @@ def cut_off(camera: ls.Camera, seeds: range, scene_of: Callable[[int], ls.Gaussi
     return seen
 
 
-def test_small_gaussians_converge_to_ewa_ellipses() -> None:
+def test_unscented_projections_of_small_gaussians_converge_to_ewa_ellipses() -> None:
     """The difference is the second-order error of the linear projection: half as large for half the angle."""
     errors = []
     for factor in (1.0, 2.0, 4.0):
@@ -161,7 +161,7 @@ def test_small_gaussians_converge_to_ewa_ellipses() -> None:
     assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1], errors
 
 
-def test_footprint_equals_the_dilation_on_the_axis() -> None:
+def test_unscented_footprint_on_the_axis_equals_the_dilation_of_a_splat() -> None:
     """A point-like Gaussian has the profile of its dilated splat."""
     camera = replace(lens(60.0), camera_from_world=np.eye(4), cx=32.0, cy=24.0, fy=60.0)
     point = ls.Gaussians([(0.0, 0.0, 4.0)], [(1.0, 0.0, 0.0, 0.0)], [(1e-4,) * 3], [0.9], np.zeros((1, 1, 3)))
@@ -174,7 +174,7 @@ def test_footprint_equals_the_dilation_on_the_axis() -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
-def test_all_schedules_agree(backend: str, name: str) -> None:
+def test_cpu_and_cuda_schedules_give_equal_unscented_frames(backend: str, name: str) -> None:
     """Compares tiles on CPUs, pixels on CUDA, and graphs."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(11, count=120, degree=1, center=(0.0, 0.0, 2.5))])
     frame = renderer_of(backend, unscented()).render(scene, camera)
@@ -183,7 +183,7 @@ def test_all_schedules_agree(backend: str, name: str) -> None:
     assert (frame.gaussian_index == expected.gaussian_index).mean() > 0.999
 
 
-def test_bits_do_not_depend_on_threads() -> None:
+def test_unscented_frames_do_not_depend_on_thread_count() -> None:
     """Bands write separate elements."""
     camera, scene = LENSES["rolling fisheye"], ls.Scene([random_gaussians(12, count=300, center=(0.0, 0.0, 2.5))])
     one, two, five = (ls.Renderer(unscented(), Launcher("cpu", threads)).render(scene, camera) for threads in (1, 2, 5))
@@ -192,7 +192,7 @@ def test_bits_do_not_depend_on_threads() -> None:
         np.testing.assert_array_equal(one.depth, other.depth)
 
 
-def test_antialiased_samples_follow_their_rays() -> None:
+def test_antialiasing_samples_of_unscented_frames_equal_the_ray_tracers() -> None:
     """Several samples per pixel equal the tracer's samples."""
     camera, gaussians = LENSES["fisheye"], layers(LENSES["fisheye"])
     scene, samples = ls.Scene([gaussians]), 4
@@ -201,7 +201,7 @@ def test_antialiased_samples_follow_their_rays() -> None:
     np.testing.assert_allclose(frame.color, expected.color, atol=2e-4)
 
 
-def test_meshes_are_traced_through_the_same_lens() -> None:
+def test_meshes_in_unscented_frames_equal_meshes_traced_through_the_lens() -> None:
     """A textured, lit wall between Gaussians equals the traced one through a distorting lens."""
     camera = LENSES["fisheye of 220 degrees"]
     gaussians = layers(camera)
@@ -211,7 +211,7 @@ def test_meshes_are_traced_through_the_same_lens() -> None:
     np.testing.assert_allclose(frames[0].color, frames[1].color, atol=3e-4)
 
 
-def test_mixed_sets_are_lit_as_by_the_tracer() -> None:
+def test_unscented_frames_light_relit_and_emissive_sets_like_the_ray_tracer() -> None:
     """The contribution of relit sets is accumulated separately."""
     camera = LENSES["phone"]
     gaussians = layers(camera, count=24)
@@ -225,7 +225,7 @@ def test_mixed_sets_are_lit_as_by_the_tracer() -> None:
     np.testing.assert_allclose(frames[0].color, frames[1].color, atol=2e-3)
 
 
-def test_hit_counts_equal_the_tracers() -> None:
+def test_hit_counts_of_unscented_frames_equal_the_ray_tracers() -> None:
     """The image ``hits`` has as many blended Gaussians as the tracer's."""
     camera = LENSES["fisheye"]
     scene = ls.Scene([layers(camera)])
@@ -237,7 +237,7 @@ def test_hit_counts_equal_the_tracers() -> None:
     assert (frames[0].hits == frames[1].hits).mean() > 0.99 and frames[0].hits.max() > 2
 
 
-def test_unsupported_settings_are_refused() -> None:
+def test_settings_unsupported_by_the_unscented_projection_are_refused() -> None:
     """The message names the supported settings."""
     scene = ls.Scene([random_gaussians(1, count=3)])
     orthographic = lens(8.0, model=ls.CameraModel.ORTHOGRAPHIC)
@@ -252,13 +252,13 @@ def test_unsupported_settings_are_refused() -> None:
         ls.render(scene, lens(40.0), replace(unscented(), pipeline=ls.Pipeline.REALTIME), device="cpu")
 
 
-def test_ewa_error_suggests_unscented_projection() -> None:
+def test_error_for_a_fisheye_with_ewa_suggests_the_unscented_projection() -> None:
     """The message for a fisheye names this projection."""
     with pytest.raises(ls.SceneError, match=r"use Projection\.UNSCENTED or Pipeline\.TRACE$"):
         ls.render(ls.Scene([random_gaussians(1, count=3)]), LENSES["fisheye"], device="cpu")
 
 
-def test_nonfinite_gaussians_are_dropped_and_counted() -> None:
+def test_unscented_projection_drops_and_counts_non_finite_gaussians() -> None:
     """An overflowing Gaussian hides no other one."""
     gaussians = random_gaussians(2, count=5)
     means = gaussians.means.copy()

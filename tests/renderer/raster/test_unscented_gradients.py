@@ -42,7 +42,7 @@ def gradients_of(
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
 @pytest.mark.parametrize("name", VIEWS)
-def test_gradients_equal_central_differences_of_the_twin(name: str, antialiased: bool) -> None:
+def test_unscented_gradients_equal_central_differences_of_the_float64_twin(name: str, antialiased: bool) -> None:
     """For every parameter, where two step sizes agree: median error below 1e-5 of the mean magnitude, worst 1e-3."""
     gaussians, camera = cloud(count=9, antialiased=antialiased), VIEWS[name]
     found = gradients_of(ls.Scene([gaussians]), camera)
@@ -55,7 +55,7 @@ def test_gradients_equal_central_differences_of_the_twin(name: str, antialiased:
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (key, np.median(error), error.max())
 
 
-def test_rolling_shutter_gradients_hold_the_time_fixed() -> None:
+def test_rolling_shutter_gradients_hold_the_time_of_each_gaussian_fixed() -> None:
     """The time at which a mean is seen, which affects colour and footprint, is held fixed: a relative error of 1e-3."""
     end = np.array(view().camera_from_world)
     end[:3, 3] += (0.05, -0.03, 0.02)
@@ -70,7 +70,7 @@ def test_rolling_shutter_gradients_hold_the_time_fixed() -> None:
         assert agree.mean() > 0.8 and np.median(error) < 5e-4 and error.max() < 1e-2, (key, error.max())
 
 
-def test_invisible_gaussians_have_zero_gradients() -> None:
+def test_invisible_gaussians_have_zero_unscented_gradients() -> None:
     """Covers Gaussians behind a pinhole, beside the image and too transparent."""
     base = cloud(count=8)
     means = base.means.copy()
@@ -84,7 +84,7 @@ def test_invisible_gaussians_have_zero_gradients() -> None:
     assert not found.weights[:3].any() and (found.weights[3:] > 0.0).all()
 
 
-def test_bits_do_not_depend_on_threads() -> None:
+def test_unscented_gradients_do_not_depend_on_thread_count() -> None:
     """Each record has one writer, and sums have one order."""
     camera = LENSES["rolling fisheye"]
     scene = ls.Scene([random_gaussians(12, count=300, degree=1, center=(0.0, 0.0, 2.5))])
@@ -95,7 +95,7 @@ def test_bits_do_not_depend_on_threads() -> None:
 
 
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
-def test_gpu_schedule_gives_equal_gradients(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_schedule_gives_equal_unscented_gradients(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Warps of pixels on a CPU give the gradients of tiles, up to the order of sums."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
     tiles = gradients_of(scene, camera)
@@ -110,7 +110,9 @@ def test_gpu_schedule_gives_equal_gradients(name: str, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("name", ["pinhole", "fisheye"])
-def test_gpu_schedule_zeroes_records_behind_opaque_tiles(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_schedule_zeroes_unscented_gradients_behind_opaque_tiles(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where all pixels of a tile end long before its list, no record keeps old memory."""
     camera, scene = VIEWS[name], ls.Scene([opaque()])
     tiles = gradients_of(scene, camera)
@@ -126,7 +128,7 @@ def test_gpu_schedule_zeroes_records_behind_opaque_tiles(name: str, monkeypatch:
     np.testing.assert_allclose(warps.weights, tiles.weights, rtol=1e-3, atol=1e-4)
 
 
-def test_instance_gradients_are_transformed_and_summed() -> None:
+def test_unscented_gradients_of_instances_are_transformed_and_summed() -> None:
     """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), VIEWS["fisheye"]
     angle, scale, place = 0.7, 1.3, np.eye(4)
@@ -141,7 +143,7 @@ def test_instance_gradients_are_transformed_and_summed() -> None:
 
 
 @pytest.mark.parametrize("name", ["barrel", "fisheye"])
-def test_pose_gradients_are_in_camera_axes(name: str) -> None:
+def test_unscented_gradients_of_the_pose_are_in_camera_axes(name: str) -> None:
     """Gradients of rotations and translations of the camera, whose rays move with it, for a transformed set."""
     camera, gaussians, place = VIEWS[name], cloud(8, count=9, degree=2), np.eye(4)
     place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -172,7 +174,7 @@ def close(value: np.ndarray, expected: np.ndarray) -> None:
     assert np.abs(value - expected).max() < 3e-4 * np.abs(expected).mean()
 
 
-def test_gaussians_behind_a_mesh_have_zero_gradients() -> None:
+def test_gaussians_behind_a_mesh_have_zero_unscented_gradients() -> None:
     """The background has zero gradients there, too."""
     gaussians, camera = cloud(count=12), VIEWS["fisheye"]
     gaussians = replace(gaussians, scales=0.3 * gaussians.scales)
@@ -188,7 +190,7 @@ def test_gaussians_behind_a_mesh_have_zero_gradients() -> None:
     assert not found.background.any(), "it is hidden, too"
 
 
-def test_differentiable_frames_equal_rendered_frames() -> None:
+def test_differentiable_unscented_frames_equal_ordinary_unscented_frames() -> None:
     """Bit-equal to frames of a plain renderer; the one-call function has the same gradients."""
     camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=30)])
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")
@@ -198,7 +200,7 @@ def test_differentiable_frames_equal_rendered_frames() -> None:
     np.testing.assert_array_equal(once.sets[0].means, renderer.gradients(*by_pixels(camera)).sets[0].means)
 
 
-def test_frames_without_gradients_are_refused() -> None:
+def test_unscented_gradients_of_features_or_several_samples_are_refused() -> None:
     """Features, several samples and resumed frames are refused."""
     camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=3)])
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")

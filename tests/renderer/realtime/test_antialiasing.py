@@ -48,7 +48,7 @@ def error(frame: ls.Frame, of: ls.Frame) -> float:
     return float(np.sqrt(np.mean((frame.color - of.color) ** 2)))
 
 
-def test_static_edges_become_antialiased() -> None:
+def test_temporal_antialiasing_of_static_edges_converges_to_the_reference() -> None:
     """The first frame has one sample at each pixel centre; the mean over frames converges to the reference."""
     scene = scene_of(
         replace(
@@ -70,7 +70,7 @@ def test_static_edges_become_antialiased() -> None:
     np.testing.assert_allclose(total, frames[47].color, atol=1e-5, rtol=1e-5)
 
 
-def test_captures_and_environment_are_antialiased() -> None:
+def test_temporal_antialiasing_of_captures_and_environment_converges() -> None:
     """Unlit captures, the environment and a mesh all converge to the reference."""
     rng = np.random.default_rng(2)
     environment = ls.LightEnvironment(rng.uniform(0.0, 1.0, (16, 32, 3)).astype(np.float32))
@@ -81,7 +81,7 @@ def test_captures_and_environment_are_antialiased() -> None:
     assert error(frames[-1], good) < 0.25 * error(frames[0], good)
 
 
-def test_subpixel_wires_do_not_flicker() -> None:
+def test_sub_pixel_wires_do_not_flicker_with_temporal_antialiasing() -> None:
     """A wire a quarter of a pixel wide is hit in one frame of four, yet each frame shows it at its brightness."""
     wire = replace(
         emissive_square(1.0, 1.0, 1.0),
@@ -95,7 +95,7 @@ def test_subpixel_wires_do_not_flicker() -> None:
     assert frames.std(axis=0).max() < 0.05
 
 
-def test_moved_objects_leave_no_trail() -> None:
+def test_moved_objects_leave_no_trail_with_temporal_antialiasing() -> None:
     """Pixels that an object has left show the background at once, its former edges after a frame."""
     mesh = emissive_square(1.0, 1.0, 1.0, half=0.5)
     away = similarity(offset=(1.2, 0.0, 0.0))
@@ -109,7 +109,7 @@ def test_moved_objects_leave_no_trail() -> None:
 
 
 @pytest.mark.parametrize("goes", [True, False])
-def test_objects_that_start_to_move_or_vanish_leave_no_outline(goes: bool) -> None:
+def test_temporal_antialiasing_leaves_no_outline_where_objects_start_to_move(goes: bool) -> None:
     """Edge pixels averaged object and background; once the object moves or goes, they show the background at once."""
     mesh, wall = emissive_square(0.3, 0.3, 0.3, half=0.5, tilt=0.4), emissive_square(0.8, 0.8, 0.8, half=6.0)
     behind = ls.MeshInstance(wall, similarity(offset=(0.0, 0.0, 2.0)))
@@ -127,7 +127,7 @@ def test_objects_that_start_to_move_or_vanish_leave_no_outline(goes: bool) -> No
 
 
 @pytest.mark.parametrize("step", [0.03, 0.2])
-def test_moving_objects_have_smooth_edges_and_no_trail(step: float) -> None:
+def test_temporal_antialiasing_smooths_edges_of_moving_objects(step: float) -> None:
     """At half a pixel or three pixels a frame, the error is below that of single samples and zero away from edges."""
     mesh, smooth, sharp = emissive_square(0.9, 0.6, 0.3, half=0.5, tilt=0.4), renderer(), renderer(antialiasing=False)
     turned = [similarity((0.0, 0.0, 1.0), 0.3, offset=(1.2 - step * left, -1.0, 0.4)) for left in range(11, -1, -1)]
@@ -141,7 +141,7 @@ def test_moving_objects_have_smooth_edges_and_no_trail(step: float) -> None:
 
 
 @pytest.mark.parametrize(("fine", "most"), [(1.0, 0.7), (2.5, 1.1)])
-def test_textures_stay_sharp_while_the_camera_moves(fine: float, most: float) -> None:
+def test_temporal_antialiasing_keeps_textures_sharp_while_the_camera_moves(fine: float, most: float) -> None:
     """Texels of 3 to 8 pixels have a lower error than single samples, texels of 1 to 3 pixels about the same."""
     texture = checker_quad(4.0)
     texture = replace(texture, uvs=fine * np.asarray(texture.uvs))
@@ -157,7 +157,7 @@ def test_textures_stay_sharp_while_the_camera_moves(fine: float, most: float) ->
     assert error(shown[0], good) < most * error(shown[1], good)
 
 
-def test_fading_light_is_followed() -> None:
+def test_temporal_antialiasing_follows_a_fading_light() -> None:
     """The light fades by a tenth a frame; the image lags behind by less than that."""
     smooth = renderer()
     for number in range(30):
@@ -166,7 +166,7 @@ def test_fading_light_is_followed() -> None:
         assert frame.color[24, 32, 0] == pytest.approx(left, rel=0.1)
 
 
-def test_a_small_change_of_light_shows_in_the_next_frame() -> None:
+def test_temporal_antialiasing_shows_a_light_change_of_2_percent_at_once() -> None:
     """A change of 2 %, as small as noise could be, is visible in the next frame."""
     before, after = scene_of(emissive_square(0.8, 0.8, 0.8)), scene_of(emissive_square(0.784, 0.784, 0.784))
     smooth = renderer()
@@ -175,7 +175,7 @@ def test_a_small_change_of_light_shows_in_the_next_frame() -> None:
     assert smooth.render(after, CAMERA).color[CAMERA.height // 2, CAMERA.width // 2] == pytest.approx(0.784, abs=1e-4)
 
 
-def test_results_do_not_depend_on_thread_count() -> None:
+def test_temporal_antialiasing_does_not_depend_on_thread_count() -> None:
     """Results have the same bits with 1, 2 and 5 threads, also after a reset."""
     mesh = emissive_square(0.9, 0.6, 0.3, half=0.5, tilt=0.4)
     scenes = [

@@ -75,7 +75,7 @@ def sampled(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return directions.numpy().astype(np.float64), pdfs.numpy().astype(np.float64)[:, 0]
 
 
-def test_direction_pdf_is_that_of_uniform_points_in_boxes() -> None:
+def test_pdf_of_captured_lights_is_that_of_uniform_points_in_their_boxes() -> None:
     """Points inside a box and a flat box are included."""
     points = np.concatenate([RNG.uniform(-3.0, 3.0, (3000, 3)), RNG.uniform(-0.2, 0.2, (1000, 3))])
     directions, pdfs = sampled(points)
@@ -85,7 +85,7 @@ def test_direction_pdf_is_that_of_uniform_points_in_boxes() -> None:
     np.testing.assert_allclose(pdfs[good], reference[good], rtol=0.02)
 
 
-def test_mean_inverse_pdf_is_the_solid_angle() -> None:
+def test_mean_inverse_pdf_of_captured_lights_is_their_solid_angle() -> None:
     """The mean of 1 / pdf over a cone that boxes cover is the cone's solid angle, also from inside a box."""
     points = np.zeros((200_000, 3))
     directions, pdfs = sampled(points)
@@ -94,7 +94,7 @@ def test_mean_inverse_pdf_is_the_solid_angle() -> None:
         assert (inside / pdfs).mean() == pytest.approx(2.0 * np.pi * (1.0 - np.cos(0.5)), rel=0.02)
 
 
-def test_boxes_contain_all_gaussians() -> None:
+def test_sampling_boxes_of_a_captured_light_contain_all_its_gaussians() -> None:
     """Each mean is in a box of a part, and each Gaussian, to three standard deviations, in the box around all."""
     rotated = ls.gaussians_from_mesh(ls.sphere(1.0), 3000)
     boxes = boxes_of(rotated)
@@ -106,7 +106,7 @@ def test_boxes_contain_all_gaussians() -> None:
     assert len(boxes.powers) == 17
 
 
-def test_a_single_gaussian_has_boxes() -> None:
+def test_capture_of_a_single_gaussian_has_boxes_for_light_sampling() -> None:
     """A single Gaussian cannot be split into parts."""
     one = ls.Gaussians(
         np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.full((1, 3), 0.1), np.ones(1), np.zeros((1, 1, 3))
@@ -117,7 +117,7 @@ def test_a_single_gaussian_has_boxes() -> None:
 # --- Which captures are lights ---
 
 
-def test_captures_around_receivers_are_not_lights() -> None:
+def test_captures_around_receivers_are_not_sampled_as_lights() -> None:
     """A capture above a floor is a light; a captured room around a mesh is not."""
     corners = np.column_stack([RNG.uniform(-4.0, 4.0, (100, 3)), np.ones(100)])
     flat, around = np.array(((-0.5, -0.1, -0.5), (0.5, 0.1, 0.5))), np.array(((-5.0,) * 3, (5.0,) * 3))
@@ -126,7 +126,7 @@ def test_captures_around_receivers_are_not_lights() -> None:
     assert not is_separate_emitter(placed(1.0), flat, np.zeros((0, 4)))
 
 
-def test_a_captured_room_lights_a_mesh_in_it_only_by_probes() -> None:
+def test_captured_room_gives_no_direct_light_to_a_mesh_inside_it() -> None:
     """A mesh in a captured room gets no direct light, unless another capture beside it is a light."""
     room = ls.SplatInstance(ls.gaussians_from_mesh(ls.box(10.0, material=diffuse(0.3)), 3000))
     ball = ls.MeshInstance(ls.sphere(0.5, material=diffuse(0.5)))
@@ -178,7 +178,7 @@ def blob_irradiance(points: np.ndarray, center: np.ndarray, sigma: float, opacit
     return irradiance
 
 
-def test_irradiance_from_a_gaussian_is_the_integral_of_its_alpha() -> None:
+def test_realtime_irradiance_of_a_captured_gaussian_integrates_its_alpha() -> None:
     """The frame has no bounces and is within 2 % in the mean, and 8 % RMS over blocks of pixels."""
     center, sigma, opacity = np.array((0.0, 1.0, 0.5)), 0.2, 0.9
     white = np.full((1, 1, 3), 0.5 / SH_C0)
@@ -204,7 +204,7 @@ def upright(back: float = 0.35) -> ls.Scene:
     return ls.Scene([captured_light], [FLOOR, ls.MeshInstance(plate, position=(0.0, 0.3, back))])
 
 
-def test_contact_shadows_of_captured_lights_match_the_path_tracer() -> None:
+def test_realtime_contact_shadows_of_captured_lights_match_the_path_tracer() -> None:
     """Blocks of floor and plate are within 13 % RMS of the path tracer, the noise of both included."""
     camera = ls.Camera.look_at((2.2, 1.2, 2.0), (0.0, 0.2, 0.2), width=64, height=48, fov_y=0.8)
     truth, frame = paths(upright(), 400, camera), after(upright(), 32, camera)
@@ -215,7 +215,7 @@ def test_contact_shadows_of_captured_lights_match_the_path_tracer() -> None:
     assert found.mean() == pytest.approx(expected.mean(), rel=0.03)
 
 
-def test_captured_light_through_glass_matches_the_path_tracer() -> None:
+def test_realtime_captured_light_through_glass_matches_the_path_tracer() -> None:
     """Glass tints the light of captures as that of lights, and the light counts once."""
     tinted = ls.MaterialPbr(base_color=(0.9, 0.5, 0.2), roughness=0.0, transmission=1.0, thin_walled=True)
     pane = ls.MeshInstance(ls.plane(3.0, 3.0, material=tinted), position=(0.0, 0.7, 0.0))
@@ -226,7 +226,7 @@ def test_captured_light_through_glass_matches_the_path_tracer() -> None:
     np.testing.assert_allclose(frame.color[floor].mean(axis=0), truth.color[floor].mean(axis=0), rtol=0.05)
 
 
-def test_relit_gaussians_receive_and_block_the_light_of_captures() -> None:
+def test_relit_gaussians_receive_and_block_captured_light_in_real_time() -> None:
     """A relit floor below a relit plate is as bright as by the path tracer, to 6 %."""
     material = diffuse(0.5)
     floor = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=material), 6000), material=material)
@@ -242,7 +242,7 @@ def test_relit_gaussians_receive_and_block_the_light_of_captures() -> None:
     assert frame.color[lit].mean() == pytest.approx(truth.color[lit].mean(), rel=0.06)
 
 
-def test_capture_gain_scales_captured_light() -> None:
+def test_capture_gain_of_two_stops_quadruples_captured_light_in_real_time() -> None:
     """A gain of two stops makes four times the light."""
     plain, bright = (
         after(ls.Scene([placed(1.0)], [FLOOR]), 4, view(32, 24), max_bounces=0, capture_gain=stops)
@@ -254,7 +254,7 @@ def test_capture_gain_scales_captured_light() -> None:
     assert bright.direct_diffuse.sum() == pytest.approx(4.0 * plain.direct_diffuse.sum(), rel=1e-3)
 
 
-def test_results_do_not_depend_on_thread_count() -> None:
+def test_realtime_frames_with_captured_lights_do_not_depend_on_thread_count() -> None:
     """Frames have the same bits with 1 and 3 threads."""
     frames = []
     for threads in (1, 3):
@@ -264,7 +264,7 @@ def test_results_do_not_depend_on_thread_count() -> None:
     np.testing.assert_array_equal(*frames)
 
 
-def test_light_of_a_moved_capture_moves_along() -> None:
+def test_realtime_light_of_a_moved_capture_moves_along() -> None:
     """After 12 frames, blocks are within 10 % RMS of a sequence in which the captured light has always been there."""
     camera, scenes = view(48, 32), []
     for x in (-0.8, 0.8):

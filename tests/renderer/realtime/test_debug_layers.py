@@ -31,7 +31,7 @@ def frame() -> ls.Frame:
 
 
 @pytest.mark.parametrize(("interval", "expected"), [(1, 3), (2, 2)])
-def test_history_counts_frames(interval: int, expected: int) -> None:
+def test_realtime_history_layer_counts_the_frames_with_light_samples(interval: int, expected: int) -> None:
     """After three frames, the history is 3; with samples every second frame, it is 2."""
     settings = ls.RealtimeConfig(light_interval=interval, antialiasing=False)  # exact reprojection without jitter
     history = last_frame(3, max_bounces=0, realtime=settings).history
@@ -39,7 +39,7 @@ def test_history_counts_frames(interval: int, expected: int) -> None:
     np.testing.assert_allclose(history, expected, atol=1e-4)
 
 
-def test_each_tile_has_a_probe(frame: ls.Frame) -> None:
+def test_realtime_probes_layer_shows_a_probe_in_each_8_pixel_tile(frame: ls.Frame) -> None:
     """Each tile of 8 x 8 pixels shows a surface and hence has a probe, and all probes have been refreshed."""
     assert frame.probes is not None
     tiles = frame.probes.reshape(9, 8, 12, 8).max(axis=(1, 3))
@@ -48,7 +48,7 @@ def test_each_tile_has_a_probe(frame: ls.Frame) -> None:
     assert frame.probes.max() <= 24
 
 
-def test_cached_radiance_has_the_mean_of_the_frame(frame: ls.Frame) -> None:
+def test_realtime_cache_layer_has_the_mean_diffuse_light_of_the_frame(frame: ls.Frame) -> None:
     """The cached diffuse light of all bounces has the mean of the frame, and cell sizes follow the distance."""
     assert frame.cache is not None
     assert frame.cache_cells is not None
@@ -63,7 +63,7 @@ def test_cached_radiance_has_the_mean_of_the_frame(frame: ls.Frame) -> None:
         assert extent.max() <= frame.depth[inside].max() / 8.0 * 1.01
 
 
-def test_debug_layers_are_views_and_can_be_saved(frame: ls.Frame, tmp_path) -> None:
+def test_realtime_debug_layers_can_be_viewed_and_saved(frame: ls.Frame, tmp_path) -> None:
     """Each debug layer has an image of its own and can be saved; light layers are views, too."""
     pictures = {name: frame.view(name) for name in (*DEBUG, *LIGHT)}
     assert all(picture.shape == (72, 96, 3) and np.ptp(picture) > 0.2 for picture in pictures.values())
@@ -81,7 +81,7 @@ def test_debug_layers_are_views_and_can_be_saved(frame: ls.Frame, tmp_path) -> N
         frame.save_view(tmp_path / f"{name}.png", name)
 
 
-def test_direct_light_alone_has_neither_probes_nor_cache() -> None:
+def test_realtime_probes_and_cache_layers_are_empty_without_bounces() -> None:
     """The layers are empty without bounces, and for an empty scene."""
     for scene in (ROOM, ls.Scene(lights=ROOM.lights)):
         frame = last_frame(1, scene, max_bounces=0, lighting=True)
@@ -93,7 +93,7 @@ def test_direct_light_alone_has_neither_probes_nor_cache() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "trace", "hybrid", "path"])
-def test_other_pipelines_refuse_debug_layers(pipeline: str) -> None:
+def test_realtime_debug_layers_are_refused_in_other_pipelines(pipeline: str) -> None:
     """The error names the pipeline that has these layers."""
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline), lighting=True, aovs=("history", "cache"))
     with pytest.raises(ls.ConfigError, match=r"has no cache, history among its aovs: Pipeline\.REALTIME does"):

@@ -54,7 +54,7 @@ def constant_light(count: int = COUNT) -> Doubles:
 @EXTENTS
 @pytest.mark.parametrize("radius", [1, 2])
 @pytest.mark.parametrize("passes", range(7))
-def test_constant_light_is_preserved(extent: float, radius: int, passes: int) -> None:
+def test_light_denoiser_preserves_constant_light(extent: float, radius: int, passes: int) -> None:
     """The result is exact while nothing moves, and within rounding of the weights with a moving camera."""
     sequence = FilterSequence(radius=radius, passes=passes)
     for step in (0, 0, 0, 0, 0, 0, 0, 1, 2, 3):
@@ -66,7 +66,7 @@ def test_constant_light_is_preserved(extent: float, radius: int, passes: int) ->
             np.testing.assert_allclose(light, truth, rtol=2e-6)
 
 
-def test_frames_are_averaged_with_equal_weights() -> None:
+def test_light_denoiser_averages_the_frames_of_a_history_with_equal_weights() -> None:
     """All frames have the same weight: for any samples in short histories, and in long ones if light is constant."""
     sequence, surfaces = FilterSequence(frames=64, passes=0), plane()
     samples = [noise(frame) for frame in range(4)]
@@ -87,7 +87,7 @@ def test_frames_are_averaged_with_equal_weights() -> None:
     assert (sequence.ages() == 40.0).all()
 
 
-def test_frames_beyond_the_maximum_history_fade() -> None:
+def test_light_denoiser_fades_frames_older_than_the_maximum_history() -> None:
     """Beyond the maximum history, the newest frame has the weight 1 / frames."""
     sequence, surfaces = FilterSequence(frames=4, passes=0), plane()
     x = np.arange(COUNT) % SIZE["width"] + np.arange(COUNT) // SIZE["width"]
@@ -116,7 +116,7 @@ def assert_apart(light: Doubles, side: Mask) -> None:
 
 
 @EXTENTS
-def test_no_light_leaks_between_perpendicular_planes(extent: float) -> None:
+def test_light_denoiser_leaks_no_light_between_perpendicular_planes(extent: float) -> None:
     """No light leaks over frames or pixels while a rotating camera moves pixels from one plane to the other."""
     sequence = FilterSequence(radius=2)
     surfaces = visible_box(box_camera(), extent)
@@ -128,7 +128,7 @@ def test_no_light_leaks_between_perpendicular_planes(extent: float) -> None:
 
 
 @EXTENTS
-def test_no_light_leaks_between_distant_parallel_planes(extent: float) -> None:
+def test_light_denoiser_leaks_no_light_between_distant_parallel_planes(extent: float) -> None:
     """A panel slides before a parallel wall; the pixels of each keep their own light."""
     sequence = FilterSequence(radius=2)
     for step in range(5):
@@ -149,7 +149,7 @@ def with_panel(columns: float, extent: float = 0.0, distance: float = 1.5) -> tu
     return replace(surfaces, position=position, distance=length, previous=previous), is_panel
 
 
-def test_light_fades_within_frames_when_a_light_goes_out() -> None:
+def test_denoised_light_fades_within_8_frames_when_a_light_goes_out() -> None:
     """Nine tenths of the light are gone after 8 frames, and it never gets brighter again."""
     sequence, surfaces = FilterSequence(), plane()
     lit = [sequence.render(surfaces, 0.75 + 0.25 * noise(frame)).mean() for frame in range(40)][-1]
@@ -159,7 +159,7 @@ def test_light_fades_within_frames_when_a_light_goes_out() -> None:
     assert left[31] < 0.02
 
 
-def test_light_arrives_within_frames_when_a_light_goes_on() -> None:
+def test_denoised_light_arrives_within_8_frames_when_a_light_goes_on() -> None:
     """Nine tenths of the light have arrived after 8 frames, and it never overshoots."""
     sequence, surfaces = FilterSequence(), plane()
     for _ in range(40):
@@ -169,7 +169,7 @@ def test_light_arrives_within_frames_when_a_light_goes_on() -> None:
     assert max(there) < 1.1
 
 
-def test_shared_noise_is_not_taken_for_a_change_of_light() -> None:
+def test_light_denoiser_does_not_take_noise_shared_by_pixels_for_a_light_change() -> None:
     """Blocks of 2 x 2 pixels share samples. Without knowing that, the filter takes noise for a change of light."""
     ages: list[float] = []
     for shared in (1, 4):
@@ -181,7 +181,7 @@ def test_shared_noise_is_not_taken_for_a_change_of_light() -> None:
     assert ages[0] < 0.8 and ages[1] > 0.97
 
 
-def test_rare_bright_samples_spread_to_neighbours_without_loss() -> None:
+def test_light_denoiser_spreads_rare_bright_samples_without_losing_their_light() -> None:
     """One sample in a hundred has all the light. Four frames lose less than a fifth of it."""
     sequence, plain, surfaces = FilterSequence(), FilterSequence(passes=0), plane()
     light = mean = np.zeros(0)
@@ -192,7 +192,7 @@ def test_rare_bright_samples_spread_to_neighbours_without_loss() -> None:
     assert light.std() < 0.2 * mean.std()
 
 
-def test_short_histories_are_shortened_when_light_has_changed() -> None:
+def test_light_denoiser_shortens_short_histories_when_light_has_changed() -> None:
     """Short histories cannot detect a change themselves; long ones can and are not shortened."""
     for frames, expected in ((2, 1.2), (6, 7.0)):
         sequence = FilterSequence()
@@ -203,7 +203,7 @@ def test_short_histories_are_shortened_when_light_has_changed() -> None:
         np.testing.assert_allclose(sequence.ages(), expected, rtol=1e-6)
 
 
-def test_a_moving_shadow_leaves_no_trail() -> None:
+def test_light_denoiser_leaves_no_trail_behind_a_moving_shadow() -> None:
     """A dark column moves by two pixels a frame; pixels that it leaves are bright in the next frame."""
     sequence, surfaces = FilterSequence(passes=0), plane()
     column = np.arange(COUNT) % SIZE["width"]
@@ -217,7 +217,7 @@ def test_a_moving_shadow_leaves_no_trail() -> None:
         np.testing.assert_allclose(found[far], constant_light()[far], rtol=0.03)
 
 
-def test_pixels_without_samples_keep_their_history() -> None:
+def test_light_denoiser_keeps_the_history_of_pixels_without_samples() -> None:
     """Sample values are ignored where ``sampled`` is False."""
     sequence, surfaces = FilterSequence(passes=0), plane()
     sampled = noise(3)[:, 0] > 0.0
@@ -230,7 +230,7 @@ def test_pixels_without_samples_keep_their_history() -> None:
     np.testing.assert_array_equal(sequence.ages(), 1.0 + sampled)
 
 
-def test_pixels_without_history_take_the_light_of_neighbours() -> None:
+def test_light_denoiser_fills_pixels_without_history_from_their_neighbours() -> None:
     """The light comes from neighbours on the same surface with samples, and only with at least one spatial pass."""
     surfaces = plane()
     sampled = np.arange(COUNT) % 2 == 0
@@ -249,7 +249,7 @@ def texture(surfaces: VisibleSurfaces, period: float) -> Doubles:
 
 @pytest.mark.parametrize("pixels", [1.0, -3.0, 0.5])
 @EXTENTS
-def test_histories_follow_a_moving_camera(pixels: float, extent: float) -> None:
+def test_light_denoiser_reprojects_histories_under_a_moving_camera(pixels: float, extent: float) -> None:
     """Reprojection by whole pixels is exact; by half pixels, each step lowers the stripes' contrast by a cosine."""
     period, steps = 16.0, 6
     sequence = FilterSequence(passes=0)
@@ -267,7 +267,7 @@ def test_histories_follow_a_moving_camera(pixels: float, extent: float) -> None:
     np.testing.assert_allclose(found[inner, 0], truth[inner], atol=1e-4)
 
 
-def test_disoccluded_pixels_have_no_history() -> None:
+def test_light_denoiser_starts_disoccluded_pixels_without_history() -> None:
     """Disoccluded pixels start with one frame and no light of other surfaces, behind a panel and at the image edge."""
     sequence = FilterSequence(passes=0)
     surfaces, side = with_panel(20.0)
@@ -291,7 +291,7 @@ def test_disoccluded_pixels_have_no_history() -> None:
 @pytest.mark.parametrize(
     ("extent", "degrees", "keeps"), [(0.0, 20, True), (0.0, 32, False), (0.01, 50, True), (0.01, 70, False)]
 )
-def test_fast_rotating_surfaces_lose_their_history(extent: float, degrees: float, keeps: bool) -> None:
+def test_light_denoiser_drops_the_history_of_fast_rotating_surfaces(extent: float, degrees: float, keeps: bool) -> None:
     """Meshes lose it from 26 degrees a frame on, Gaussians, whose normals are noisy, from 60."""
     sequence, surfaces = FilterSequence(passes=0), plane(extent=extent)
     for _ in range(4):
@@ -302,7 +302,7 @@ def test_fast_rotating_surfaces_lose_their_history(extent: float, degrees: float
     np.testing.assert_array_equal(sequence.ages(), 5.0 if keeps else 1.0)
 
 
-def test_surfaces_without_valid_reprojection_have_no_history() -> None:
+def test_light_denoiser_drops_histories_without_a_valid_reprojection() -> None:
     """Previous positions are unknown, behind the eye, outside the image, or at another depth."""
     surfaces = plane()
     for previous in (np.nan, (0.0, 0.0, 5.0), (100.0, 0.0, 0.0), (0.0, 0.0, -2.0)):
@@ -312,7 +312,7 @@ def test_surfaces_without_valid_reprojection_have_no_history() -> None:
         np.testing.assert_array_equal(sequence.ages(), 1.0)
 
 
-def test_pixels_without_a_surface_have_no_light() -> None:
+def test_light_denoiser_gives_pixels_without_a_surface_no_light() -> None:
     """Such pixels give no light to others, either."""
     surfaces = plane()
     visible = np.arange(COUNT) % SIZE["width"] < 24
@@ -323,7 +323,7 @@ def test_pixels_without_a_surface_have_no_light() -> None:
     np.testing.assert_array_equal(light[visible, 0], constant_light()[visible])
 
 
-def test_noise_is_reduced_without_bias() -> None:
+def test_light_denoiser_reduces_noise_without_bias() -> None:
     """After 32 frames and all passes, noise as large as the mean is reduced to 6 %, without bias."""
     sequence, surfaces = FilterSequence(), plane()
     light = [sequence.render(surfaces, noise(frame))[:, 0] for frame in range(32)][-1]
@@ -331,7 +331,7 @@ def test_noise_is_reduced_without_bias() -> None:
     assert light.std() < 0.06
 
 
-def test_reset_equals_a_new_filter() -> None:
+def test_reset_light_denoiser_equals_a_new_one() -> None:
     """After a reset, the next frame is that of a new filter."""
     surfaces = plane()
     used, fresh = FilterSequence(), FilterSequence()
@@ -351,7 +351,7 @@ def moving(step: int) -> tuple[VisibleSurfaces, Doubles, Doubles, Mask]:
 
 
 @pytest.mark.parametrize(("threads", "parallel"), [(2, False), (5, False), (1, True)], ids=["2", "5", "as CUDA"])
-def test_threads_and_schedules_give_the_same_bits(threads: int, parallel: bool) -> None:
+def test_light_denoiser_has_equal_bits_for_all_threads_and_schedules(threads: int, parallel: bool) -> None:
     """The sequence is noisy and moves."""
     one, other = FilterSequence(radius=2), FilterSequence(threads, parallel, radius=2)
     for step in range(12):
@@ -360,7 +360,7 @@ def test_threads_and_schedules_give_the_same_bits(threads: int, parallel: bool) 
 
 @pytest.mark.parametrize(("radius", "passes"), [(1, 4), (2, 3), (1, 0)])
 @pytest.mark.parametrize("moves", ["", "camera", "samples", "objects"])
-def test_filter_matches_the_float64_reference(radius: int, passes: int, moves: str) -> None:
+def test_light_denoiser_matches_the_float64_reference(radius: int, passes: int, moves: str) -> None:
     """Light and history lengths of a noisy sequence agree with float64 to 1e-5.
 
     With a moving camera, to 2e-5 of the brightest sample: in float32, positions are accurate to 4e-6 pixels in x and y,

@@ -42,7 +42,7 @@ def positions_and_intensities(lights: list[ls.LightPoint]) -> tuple[np.ndarray, 
     )
 
 
-def test_surfaces_are_near_the_centre_of_their_cell() -> None:
+def test_surfaces_are_within_one_cell_width_of_their_light_grid_cells_centre() -> None:
     """A surface is within one cell width of the centre of its cell along each axis; invalid positions have no cell."""
     assert CELL.half == pytest.approx(0.5 * np.sqrt(3.0))
     np.testing.assert_array_equal(CELL.center, (0.5, 0.5, 0.5))
@@ -52,7 +52,7 @@ def test_surfaces_are_near_the_centre_of_their_cell() -> None:
 
 
 @pytest.mark.parametrize("count", [17, 300])
-def test_chosen_lights_match_the_reference(count: int) -> None:
+def test_light_grid_chooses_the_lights_of_the_reference(count: int) -> None:
     """Lights and probabilities agree frame by frame and for several seeds."""
     lights = point_lights(count)
     positions, powers = positions_and_intensities(lights)
@@ -67,7 +67,7 @@ def test_chosen_lights_match_the_reference(count: int) -> None:
 
 
 @pytest.mark.parametrize(("count", "frames"), [(3, 2), (20, 700), (10_000, 700)])
-def test_sums_over_chosen_lights_are_unbiased(count: int, frames: int) -> None:
+def test_sums_over_lights_chosen_by_the_light_grid_are_unbiased(count: int, frames: int) -> None:
     """The mean of each channel is within 4 standard errors, which are below 0.7 %, over the four choices of a cell."""
     lights = [light for light in point_lights(count) if np.linalg.norm(np.subtract(light.position, SURFACE)) > 0.9]
     contribution = irradiance(lights)
@@ -82,7 +82,7 @@ def test_sums_over_chosen_lights_are_unbiased(count: int, frames: int) -> None:
     assert (np.abs(np.mean(sums, axis=0) - truth) <= 4.0 * error + 1e-5 * truth).all()
 
 
-def test_reference_noise_falls_with_the_number_of_chosen_lights() -> None:
+def test_light_grid_reference_is_less_noisy_the_more_lights_it_chooses() -> None:
     """The reference chooses 4, 16 or 64 of 300 lights."""
     lights = point_lights(300)
     positions, powers = positions_and_intensities(lights)
@@ -97,7 +97,7 @@ def test_reference_noise_falls_with_the_number_of_chosen_lights() -> None:
     assert spread[0] > 1.5 * spread[1] > 2.0 * spread[2]
 
 
-def test_picks_are_proportional_to_contribution_over_probability() -> None:
+def test_light_grid_picks_lights_by_contribution_over_choice_probability() -> None:
     """A chi-square test of 20,000 picks in a cell; samples are divided by the same probabilities."""
     lights = point_lights(200)
     rig = LightGridRig(lights, [CELL])
@@ -116,7 +116,7 @@ def test_picks_are_proportional_to_contribution_over_probability() -> None:
     np.testing.assert_allclose(probability, (contribution / over.sum())[picked], rtol=1e-4)
 
 
-def test_few_lights_are_all_chosen() -> None:
+def test_light_grid_chooses_all_lights_of_a_scene_with_few_lights() -> None:
     """Choices in the cell then equal those of the loop over all lights, to the bit."""
     rig = LightGridRig(point_lights(GRID_LIGHTS), [CELL])
     numbers, chances = (row[0] for row in rig.choose(0))
@@ -129,7 +129,7 @@ def test_few_lights_are_all_chosen() -> None:
         np.testing.assert_array_equal(chosen, all_lights)
 
 
-def test_a_distant_strong_light_is_always_chosen() -> None:
+def test_light_grid_always_chooses_a_distant_strong_light() -> None:
     """A light 1,000 units away that contributes as much as a thousand near ones is always chosen."""
     strong = ls.LightPoint((800.0, 600.0, 0.0), intensity=1e9)
     rig = LightGridRig([*point_lights(1000), strong], [CELL])
@@ -138,7 +138,7 @@ def test_a_distant_strong_light_is_always_chosen() -> None:
         assert chances[numbers == 1000] > 0.999
 
 
-def test_lights_have_a_positive_weight_where_they_contribute() -> None:
+def test_light_grid_gives_positive_weight_to_lights_that_reach_the_cell() -> None:
     """Random spots, rectangles, disks and ranged points have a weight in each cell where they light a surface."""
     rng = np.random.default_rng(0)
     lights: list[Any] = []
@@ -171,7 +171,7 @@ def test_lights_have_a_positive_weight_where_they_contribute() -> None:
     assert (weights[importances > 0.0] > 0.0).all()
 
 
-def test_weights_of_all_light_types_equal_their_irradiance() -> None:
+def test_light_grid_weight_of_a_distant_light_equals_its_irradiance() -> None:
     """Far from a cell, the weight of each kind of light is its irradiance there."""
     environment = ls.LightEnvironment(np.ones((4, 8, 3), np.float32), intensity=0.5)
     lights: list[Any] = [

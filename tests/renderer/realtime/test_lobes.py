@@ -28,7 +28,7 @@ def corner(roughness: float) -> ls.Scene:
     )
 
 
-def test_probes_replace_highlight_rays_with_more_blur() -> None:
+def test_screen_probes_blur_rough_reflections_more_than_highlight_rays() -> None:
     """Without highlight rays, probes blur the reflection: blue shows on the red side, and the sum stays within 20 %."""
     scene = corner(0.2)
     sharp = halves(glossy(scene, ls.Pipeline.REALTIME, 8))
@@ -55,7 +55,7 @@ def halves(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("roughness", [0.2, pytest.param(0.45, marks=pytest.mark.deep), 0.6])
-def test_highlights_match_the_path_tracer(roughness: float) -> None:
+def test_realtime_highlights_match_the_path_tracer_at_each_roughness(roughness: float) -> None:
     """By roughness, highlights use rays, both, or probes: all within 10 %. Only rays reproduce the colours."""
     scene = corner(roughness)
     truth = halves(glossy(scene, ls.Pipeline.PATH, samples=64))

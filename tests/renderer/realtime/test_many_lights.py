@@ -61,7 +61,7 @@ def frame_after(renderer: ls.Renderer, scene: ls.Scene, frames: int, view: ls.Ca
 
 
 @pytest.mark.parametrize("count", [6, 40])
-def test_results_do_not_depend_on_the_order_of_lights(count: int) -> None:
+def test_realtime_frames_do_not_depend_on_the_order_of_lights(count: int) -> None:
     """The bits are equal with and without the light grid, also with equal and with disabled lights."""
     lights = mixed(count)
     lights += [lights[0], ls.LightPoint((1.0, 1.0, 1.0), enabled=False)]
@@ -69,7 +69,7 @@ def test_results_do_not_depend_on_the_order_of_lights(count: int) -> None:
     np.testing.assert_array_equal(sequence([lights[i] for i in order]), sequence(lights))
 
 
-def test_results_do_not_depend_on_thread_count() -> None:
+def test_realtime_frames_with_many_lights_do_not_depend_on_thread_count() -> None:
     """Results have the same bits with 1, 2 and 5 threads."""
     one, two, five = (sequence(mixed(40), threads=threads) for threads in (1, 2, 5))
     np.testing.assert_array_equal(one, two)
@@ -77,7 +77,7 @@ def test_results_do_not_depend_on_thread_count() -> None:
 
 
 @pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
-def test_cuda_schedules_agree_with_the_cpu(launcher: Any) -> None:
+def test_cpu_and_cuda_schedules_give_equal_realtime_frames_with_many_lights(launcher: Any) -> None:
     """The schedules of CUDA differ by rounding only."""
     room = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, VIEW), 500).scene
     settings, scene = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), replace(room, lights=mixed(40))
@@ -112,7 +112,7 @@ def blocks_of(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("interval", [1, pytest.param(2, marks=pytest.mark.deep)])
-def test_a_floor_under_a_thousand_lights_matches_the_closed_form(interval: int) -> None:
+def test_realtime_floor_under_1000_lights_matches_the_closed_form(interval: int) -> None:
     """After 32 samples a pixel, the mean is within 1 %, and blocks of 8 x 8 pixels are within noise."""
     found, truth = lit_floor(1000, 32 * interval, realtime=ls.RealtimeConfig(light_interval=interval))
     errors = found / truth - 1.0
@@ -121,7 +121,7 @@ def test_a_floor_under_a_thousand_lights_matches_the_closed_form(interval: int) 
     assert np.percentile(np.abs(errors), 90) < 0.10
 
 
-def test_surfaces_beyond_the_cell_limit_choose_among_all_lights(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_surfaces_beyond_the_cell_limit_of_the_light_grid_are_as_bright(monkeypatch: pytest.MonkeyPatch) -> None:
     """If there are too many cells, only the first ones get lights; the floor is as bright as before."""
     for cells_max in (0, 20):
         monkeypatch.setattr(light_grid, "GRID_CELLS_MAX", cells_max)
@@ -130,7 +130,9 @@ def test_surfaces_beyond_the_cell_limit_choose_among_all_lights(monkeypatch: pyt
         assert np.percentile(np.abs(found / truth - 1.0), 90) < 0.10
 
 
-def test_mirrors_show_surfaces_beyond_the_cell_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mirrored_surfaces_beyond_the_cell_limit_of_the_light_grid_are_as_bright(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """These surfaces use one light a frame instead of all lights of a cell; the mean brightness is the same."""
     mirror = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     ceiling = ls.MeshInstance(floor(mirror), position=(0.0, 4.0, 0.0))
@@ -148,7 +150,7 @@ def test_mirrors_show_surfaces_beyond_the_cell_limit(monkeypatch: pytest.MonkeyP
     assert shown() == pytest.approx(expected, rel=0.02)
 
 
-def test_light_recovers_after_all_lights_were_removed() -> None:
+def test_realtime_light_recovers_after_200_lights_were_removed() -> None:
     """From 200 lights to none, with the default headlight, and back: the frame recovers once light has bounced."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, lighting=True), "cpu")
     scene = ls.Scene(ROOM.splats, [i for i in ROOM.meshes if not i.mesh.material.is_emissive], point_lights(200))
@@ -159,6 +161,6 @@ def test_light_recovers_after_all_lights_were_removed() -> None:
     assert means[2] == pytest.approx(means[0], rel=0.1)
 
 
-def test_many_lights_in_an_empty_scene_are_black() -> None:
+def test_realtime_frame_of_many_lights_without_objects_is_black() -> None:
     """The frame of an empty scene is black."""
     assert not sequence(point_lights(100), scene=ls.Scene()).any()

@@ -31,7 +31,7 @@ def sample_weights(count: int, history: float) -> Doubles:
 
 
 @pytest.mark.parametrize("history", [1.0, 4.0, 32.0])
-def test_weights_match_the_reference(history: float) -> None:
+def test_sample_weights_of_temporal_means_match_the_reference(history: float) -> None:
     """Sample counts are whole numbers, and fractions as outdated means have."""
     counts = np.arange(81) / 2.0
     for offset in (0.0, 4e-4):
@@ -39,7 +39,7 @@ def test_weights_match_the_reference(history: float) -> None:
         np.testing.assert_allclose(device_weights(counts + offset, history), expected, rtol=1e-5)
 
 
-def test_a_young_mean_weights_samples_by_their_number() -> None:
+def test_young_temporal_mean_weights_its_nth_sample_by_n() -> None:
     """Weights are 1, 2, 3 and so on. The variance is a third higher than that of a plain mean."""
     for count in (1, 2, 5, 100):
         weights = sample_weights(count, 1e4)
@@ -48,7 +48,7 @@ def test_a_young_mean_weights_samples_by_their_number() -> None:
 
 
 @pytest.mark.parametrize("history", [1, 4, 8])
-def test_an_old_mean_fades_by_its_history(history: int) -> None:
+def test_old_temporal_mean_weights_a_new_sample_by_1_over_history(history: int) -> None:
     """Each further sample has the weight 1 / history, and older samples fade accordingly."""
     before, after = (sample_weights(count, history) for count in (3 * history, 3 * history + 1))
     assert after[-1] == pytest.approx(1.0 / history, rel=1e-6)

@@ -82,19 +82,19 @@ def instance_at(request: pytest.FixtureRequest) -> Callable[[Doubles], ls.SplatI
     return lambda at: ls.MeshInstance(mesh, at) if request.param == "mesh" else relit(ball, at)
 
 
-def test_motion_of_a_moving_camera(instance_at) -> None:
+def test_motion_layer_of_static_objects_is_opposite_to_the_camera_motion(instance_at) -> None:
     """Static objects move in the image and in distance, opposite to the camera."""
     scene = scene_of(instance_at(HERE))
     check(motion((scene, STEPPED), (scene, CAMERA)), lambda points: points, STEPPED)
 
 
-def test_motion_of_a_moving_instance(instance_at) -> None:
+def test_motion_layer_of_a_moving_instance_follows_its_transforms(instance_at) -> None:
     """Motion follows the instance's transforms; the background has none."""
     frame = motion((scene_of(instance_at(HERE)), CAMERA), (scene_of(instance_at(MOVED)), CAMERA))
     check(frame, by(HERE @ np.linalg.inv(MOVED)))
 
 
-def test_motion_of_deforming_assets() -> None:
+def test_motion_layer_of_deforming_meshes_and_gaussians_follows_their_points() -> None:
     """Vertices and Gaussians move on their own, by a known transform."""
     bend = similarity((0.0, 0.0, 1.0), 0.3, offset=(0.2, 0.1, 0.1))
     mesh = octahedron((0.0, 0.0, 0.0), 1.2)
@@ -108,7 +108,7 @@ def test_motion_of_deforming_assets() -> None:
     check(frame, by(HERE @ np.linalg.inv(shift) @ np.linalg.inv(HERE)))
 
 
-def test_motion_of_static_surfaces_is_exactly_zero() -> None:
+def test_motion_layer_of_static_surfaces_is_exactly_zero() -> None:
     """The motion is exactly 0 and marked as known."""
     scene = scene_of(relit(random_gaussians(3), np.eye(4)), quad(5.0, 1.0, 0.3))
     frame = motion((scene, STEPPED), (scene, STEPPED))
@@ -118,7 +118,7 @@ def test_motion_of_static_surfaces_is_exactly_zero() -> None:
     assert frame.motion_known[np.isfinite(frame.depth)].all()
 
 
-def test_motion_of_new_surfaces_is_unknown() -> None:
+def test_motion_layer_marks_the_motion_of_new_surfaces_as_unknown() -> None:
     """Motion is unknown in the first frame, on new meshes, and on surfaces that were behind the camera."""
     wall, ball = quad(5.0, 4.0), octahedron((0.0, 0.0, 3.0), 0.4)
     first = motion((scene_of(wall), CAMERA))
@@ -137,7 +137,7 @@ def test_motion_of_new_surfaces_is_unknown() -> None:
 CAMERA_SHAPE = (CAMERA.height, CAMERA.width)
 
 
-def test_motion_is_that_of_the_surface_with_the_larger_coverage() -> None:
+def test_motion_layer_shows_the_surface_that_covers_most_of_the_pixel() -> None:
     """With a thin veil of Gaussians before a wall, the wall's motion counts; with a thick one, the veil's."""
     wall = quad(5.0, 4.0)
     for opacity, depth in ((0.3, 5.0), (0.9, 3.0)):
@@ -149,7 +149,7 @@ def test_motion_is_that_of_the_surface_with_the_larger_coverage() -> None:
         assert frame.motion[24, 32, 0] == pytest.approx(truth, rel=0.02, abs=1e-6)
 
 
-def test_motion_includes_lens_distortion() -> None:
+def test_motion_layer_includes_lens_distortion() -> None:
     """All images of the frame have the camera's size, and motion is between distorted positions."""
     coefficients = (-0.2, 0.05, 0.0, 0.0, 0.002, 0.001)
     camera = front_camera(focal=45.0, distortion=coefficients)
@@ -167,7 +167,7 @@ def test_motion_includes_lens_distortion() -> None:
     np.testing.assert_allclose(frame.motion[visible][:, :2], now - before, rtol=0.0, atol=0.05)
 
 
-def test_motion_can_be_viewed_and_saved(tmp_path: Path) -> None:
+def test_motion_layer_can_be_viewed_and_saved(tmp_path: Path) -> None:
     """The view is red to the right, cyan to the left and white without motion; the EXR stores where motion is known."""
     wall, ball = quad(5.0, 0.9), octahedron((0.0, 0.0, 3.0), 0.4)
     colours = []

@@ -27,14 +27,14 @@ def mapped(directions: np.ndarray, cells: int = 8) -> tuple[np.ndarray, np.ndarr
     return device_array(points).numpy(), device_array(back).numpy(), device_array(numbers).numpy()
 
 
-def test_cells_have_equal_solid_angles() -> None:
+def test_cells_of_an_octahedral_map_have_equal_solid_angles() -> None:
     """Each of 64 cells gets 1/64 of uniformly spread directions."""
     _, _, cells = mapped(spiral(400_000))
     shares = np.bincount(cells, minlength=64) / 400_000
     np.testing.assert_allclose(shares, 1.0 / 64.0, rtol=5e-3)
 
 
-def test_device_and_host_match_the_reference() -> None:
+def test_octahedral_maps_of_device_and_host_match_the_reference() -> None:
     """Points, cells and the inverse mapping agree."""
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     directions = np.concatenate([spiral(1_000), axes])
@@ -46,7 +46,7 @@ def test_device_and_host_match_the_reference() -> None:
     assert np.mean(cells[:1_000] == [cell_of(direction, 8) for direction in directions[:1_000]]) > 0.999
 
 
-def test_wrapped_cells_are_adjacent_on_the_sphere() -> None:
+def test_wrapped_border_cells_of_an_octahedral_map_are_adjacent_on_the_sphere() -> None:
     """A border cell and the wrapped cell one step beyond the square are adjacent on the sphere."""
     side = 8
     along = np.arange(side, dtype=np.int32)
@@ -66,7 +66,7 @@ def test_wrapped_cells_are_adjacent_on_the_sphere() -> None:
         assert len({*device_array(found).numpy()}) == side
 
 
-def test_sh_projection_is_exact_up_to_its_degree() -> None:
+def test_sh_projection_of_octahedral_cells_is_exact_for_light_of_degree_2() -> None:
     """Cells of degree-2 light give back its coefficients; constant light gives no others, to 1e-12."""
     fit = sh_fit_of_cells(8, 2)
     np.testing.assert_allclose(fit.sum(axis=0), np.eye(9)[0] * np.sqrt(4.0 * np.pi), atol=1e-12)
@@ -75,7 +75,7 @@ def test_sh_projection_is_exact_up_to_its_degree() -> None:
 
 
 @pytest.mark.parametrize("power", [1, 3])
-def test_irradiance_beyond_the_sh_degree_is_added(power: int) -> None:
+def test_octahedral_irradiance_is_corrected_for_light_beyond_sh_degree_2(power: int) -> None:
     """The correction is 0 for degree-2 light and halves errors for light above a horizon.
 
     The light is a power of the cosine above the surface: pi times 2 / (2 + power) is the irradiance.
@@ -96,7 +96,7 @@ def test_irradiance_beyond_the_sh_degree_is_added(power: int) -> None:
     assert both < 0.6 * sh_only
 
 
-def test_cell_means_of_the_sh_basis_match_the_sphere() -> None:
+def test_mean_sh_basis_of_each_octahedral_cell_matches_the_sphere() -> None:
     """Quadrature over cells equals means over uniformly spread directions in these cells."""
     directions = spiral(400_000)
     _, _, cells = mapped(directions)
@@ -114,7 +114,9 @@ def test_cell_means_of_the_sh_basis_match_the_sphere() -> None:
         (ls.CameraModel.ORTHOGRAPHIC, (0.0,) * 6),
     ],
 )
-def test_points_on_a_pixel_ray_project_to_its_centre(model: ls.CameraModel, distortion: tuple[float, ...]) -> None:
+def test_points_on_a_pixel_ray_project_to_that_pixel_for_all_camera_models(
+    model: ls.CameraModel, distortion: tuple[float, ...]
+) -> None:
     """For all camera models, a point on a pixel's ray projects to the centre of that pixel."""
     eye, target = (1.0, 2.0, 0.5), (0.2, -1.0, 0.0)
     camera = ls.Camera.look_at(eye, target, (0.0, 0.0, 1.0), width=24, height=16, fov_y=0.9, model=model)

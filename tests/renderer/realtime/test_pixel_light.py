@@ -58,7 +58,7 @@ IRRADIANCES: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
 
 
 @pytest.mark.parametrize("name", IRRADIANCES)
-def test_mean_irradiance_matches_the_closed_form(name: str) -> None:
+def test_realtime_mean_irradiance_of_a_floor_matches_the_closed_form(name: str) -> None:
     """The irradiance of a floor over 256 frames, without spatial filter, differs from the closed form by noise only."""
     meshes, lights, truth = IRRADIANCES[name]
     settings = ls.RealtimeConfig(filter=ls.config.FilterConfig(frames=256, passes=0))
@@ -66,7 +66,7 @@ def test_mean_irradiance_matches_the_closed_form(name: str) -> None:
     assert_is(irradiance(sequence(lit_scene, DOWN, 256, 0, realtime=settings), 0.5), truth)
 
 
-def test_a_dim_environment_beside_a_bright_light_makes_no_fireflies() -> None:
+def test_dim_environment_beside_a_bright_light_makes_no_realtime_fireflies() -> None:
     """The bright light gets most samples; the environment's, in a grazing highlight, must not be rare and bright."""
     environment = ls.LightEnvironment(color=(1.0, 1.0, 1.0), intensity=0.1, visible=False)
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), replace(diffuse(0.5), roughness=0.5, specular=1.0))
@@ -82,7 +82,7 @@ def test_a_dim_environment_beside_a_bright_light_makes_no_fireflies() -> None:
     assert samples.max() < 80.0 * truth.mean()  # 450 by samples of the environment alone
 
 
-def test_layers_sum_to_the_frame() -> None:
+def test_five_light_layers_sum_to_a_realtime_frame_with_captured_colours() -> None:
     """The five layers, one of them with captured colours, sum to the frame, and requesting them does not change it."""
     light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
     lit = scene(*LIGHTS, ENVIRONMENT, light)
@@ -95,7 +95,7 @@ def test_layers_sum_to_the_frame() -> None:
 
 
 @pytest.mark.parametrize("name", ["point", "rect"])
-def test_two_surfaces_in_a_pixel_match_the_path_tracer(name: str) -> None:
+def test_relit_sheet_before_a_mesh_matches_the_path_tracer_in_real_time(name: str) -> None:
     """A relit sheet of opacity 0.6 before a coloured mesh is within 1 % of the path tracer in each channel."""
     lights: dict[str, Light] = {
         "point": ls.LightPoint((0.5, 0.0, -2.0), intensity=4.0),
@@ -113,7 +113,7 @@ def test_two_surfaces_in_a_pixel_match_the_path_tracer(name: str) -> None:
 
 
 @pytest.mark.parametrize("light", ["point", "rect"])
-def test_light_fades_when_a_light_goes_out(light: str) -> None:
+def test_light_in_a_realtime_box_fades_within_frames_when_a_light_goes_out(light: str) -> None:
     """In a box of albedo 0.5, nine tenths of direct light are gone after 8 frames, of indirect light after 24."""
     lights: dict[str, Any] = {
         "point": ls.LightPoint((0.5, 0.8, 0.5), intensity=0.5),

@@ -37,7 +37,7 @@ def state(rig: CacheRig) -> dict[str, np.ndarray]:
     return {name: getattr(tiles, name).numpy().copy() for name in CacheTiles.vars}  # pyright: ignore
 
 
-def test_constant_radiance_is_reproduced_exactly() -> None:
+def test_radiance_cache_reproduces_constant_radiance_exactly() -> None:
     """The bits are preserved across cells, mips, levels and frames."""
     rng = np.random.default_rng(0)
     rig = CacheRig(history=5)
@@ -48,7 +48,7 @@ def test_constant_radiance_is_reproduced_exactly() -> None:
         assert (found == color).all()
 
 
-def test_a_cell_is_the_mean_of_its_samples() -> None:
+def test_cell_of_the_radiance_cache_is_the_mean_of_its_samples() -> None:
     """Samples of all frames up to the history have equal weights."""
     rng = np.random.default_rng(1)
     rig = CacheRig()
@@ -63,7 +63,7 @@ def test_a_cell_is_the_mean_of_its_samples() -> None:
     assert np.abs(found - truth).max() < 1e-6
 
 
-def test_results_do_not_depend_on_the_order_of_samples() -> None:
+def test_radiance_cache_does_not_depend_on_the_order_of_samples() -> None:
     """Cells agree to 1e-6, and tiles to the bit."""
     rng = np.random.default_rng(2)
     rigs = CacheRig(), CacheRig()
@@ -90,7 +90,7 @@ def run_frames(rig: CacheRig, *, frames: int = 8) -> dict[str, np.ndarray]:
     return state(rig) | {"seen": rig.look_up(anywhere(rng, 500))} | rig.points(frames)[1]
 
 
-def test_every_schedule_has_the_same_bits() -> None:
+def test_radiance_cache_has_equal_bits_in_every_launch_schedule() -> None:
     """Schedules are one thread, several bands, and that of CUDA, in which the host reads no count."""
     settings = {"tiles": 700, "unused_frames": 4, "bounces": 512}
     truth = run_frames(CacheRig(Launcher("cpu", threads=1), **settings))
@@ -112,7 +112,7 @@ def per_slot_equal(one: dict[str, np.ndarray], other: dict[str, np.ndarray], nam
     return bool((a.view(np.uint32) == b.view(np.uint32)).all())
 
 
-def test_reset_equals_a_new_cache() -> None:
+def test_reset_radiance_cache_equals_a_new_one() -> None:
     """After a reset, the same frames give the same bits."""
     rig = CacheRig(tiles=700, unused_frames=4)
     run_frames(rig)
@@ -127,7 +127,7 @@ def test_reset_equals_a_new_cache() -> None:
 
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(4, 4), (32, 32), (16, 4)])
-def test_cache_matches_the_float64_reference(history: int, bounce_history: int) -> None:
+def test_radiance_cache_matches_the_float64_reference(history: int, bounce_history: int) -> None:
     """Random surfaces, frames and bounces, with few and many samples a cell, are compared with float64 dictionaries."""
     rng = np.random.default_rng(4)
     rig = CacheRig(history=history, bounce_history=bounce_history, tiles=4096, bounces=128)
@@ -152,7 +152,7 @@ def test_cache_matches_the_float64_reference(history: int, bounce_history: int) 
 
 
 @pytest.mark.parametrize("share", [OUTDATED_HISTORY_WEIGHT, 0.7])
-def test_outdated_means_match_the_reference(share: float) -> None:
+def test_radiance_cache_matches_the_reference_after_a_light_change(share: float) -> None:
     """Light changes after three frames. Means agree right after that, and while cells of few samples refill."""
     rng = np.random.default_rng(10)
     rig = CacheRig(history=16, bounce_history=4, bounces=128)
@@ -188,7 +188,7 @@ def add_reference_bounces(
     reference.add_bounces(rays, hits)
 
 
-def test_a_gradient_has_an_error_of_half_a_cell() -> None:
+def test_radiance_cache_shows_a_linear_gradient_with_an_error_of_half_a_cell() -> None:
     """A cell's mean is the value at its centre, so the error is half a cell's gradient."""
     x, y = np.meshgrid(np.arange(-8, 8, 1 / 8) + 1 / 16, np.arange(-8, 8, 1 / 8) + 1 / 16)
     positions = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)])
@@ -200,7 +200,7 @@ def test_a_gradient_has_an_error_of_half_a_cell() -> None:
         assert 0.4 * width * 0.3 < error <= 0.5 * width * 0.3
 
 
-def test_cells_with_few_samples_use_coarser_mips() -> None:
+def test_radiance_cache_cells_with_few_samples_use_coarser_mips() -> None:
     """A cell with fewer than 8 samples uses the smallest mip level that has 8."""
     rng = np.random.default_rng(5)
     positions = np.column_stack([rng.uniform(0, 8, (64 * 3, 2)), np.full(64 * 3, 0.5)])
@@ -216,7 +216,7 @@ def test_cells_with_few_samples_use_coarser_mips() -> None:
         assert found[i] == pytest.approx(positions[inside, 0].mean(), abs=2e-6)
 
 
-def test_keys_identify_cells_at_all_scales() -> None:
+def test_radiance_cache_keys_distinguish_cells_at_all_scales() -> None:
     """Cells are distinguished exactly far from the origin, on both sides of it, and at all levels."""
     rng = np.random.default_rng(6)
     count = 4000
@@ -239,7 +239,7 @@ def test_keys_identify_cells_at_all_scales() -> None:
     assert cell_at(samples, 0, 0, is_near=False).level == 0
 
 
-def test_non_finite_samples_are_dropped() -> None:
+def test_radiance_cache_drops_non_finite_samples() -> None:
     """A single NaN would stay in its cell, and bounces would spread it to all others."""
     rng = np.random.default_rng(7)
     samples = made_samples(on_floor(rng, 640))
@@ -255,7 +255,7 @@ def test_non_finite_samples_are_dropped() -> None:
     assert (found == 1.0).all()
 
 
-def test_inactive_samples_are_ignored() -> None:
+def test_radiance_cache_ignores_rays_without_a_hit() -> None:
     """Rays without a hit neither create tiles nor find any."""
     rng = np.random.default_rng(8)
     samples = made_samples(on_floor(rng, 1000))

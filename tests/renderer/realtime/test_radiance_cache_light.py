@@ -48,7 +48,7 @@ def on_plates(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("frames", "albedo"), [(60, 0.5), (160, 0.8), (300, 0.9)])
-def test_radiosity_of_two_plates_matches_the_closed_form(frames: int, albedo: float) -> None:
+def test_radiance_cache_bounces_between_two_plates_match_the_closed_form(frames: int, albedo: float) -> None:
     """J1 = M1 / (1 - a1 a2) and J2 = a2 J1 for each channel's albedos: all bounces, without drift."""
     rng = np.random.default_rng(0)
     lower, upper = np.array([albedo, 0.5, 0.2]), np.array([albedo, 0.3, 0.9])
@@ -69,7 +69,7 @@ def test_radiosity_of_two_plates_matches_the_closed_form(frames: int, albedo: fl
     assert found[is_upper].mean(0) == pytest.approx(truth * upper, rel=0.01)
 
 
-def test_light_bounces_four_times_a_frame() -> None:
+def test_radiance_cache_bounces_light_four_times_a_frame() -> None:
     """Plates reflect radiance 1 of lights, with albedo 0.5: the sum is 1 + 1/2 + ... + 1/16 after one frame."""
     rng = np.random.default_rng(6)
     rig = CacheRig(bounces=8192)
@@ -104,7 +104,7 @@ def on_walls(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarr
     return position, normal
 
 
-def test_surfaces_in_one_cell_use_their_own_albedo() -> None:
+def test_albedos_of_surfaces_in_one_radiance_cache_cell_do_not_mix() -> None:
     """A floor has stripes of two colours narrower than its cells, under a ceiling of radiance 1."""
     rng = np.random.default_rng(5)
     rig = CacheRig()
@@ -124,7 +124,7 @@ def test_surfaces_in_one_cell_use_their_own_albedo() -> None:
 
 
 @pytest.mark.parametrize("albedo", [0.5, 0.8])
-def test_a_closed_room_converges_to_all_bounces(albedo: float) -> None:
+def test_radiance_cache_of_a_closed_room_converges_to_all_bounces(albedo: float) -> None:
     """Every wall reflects 1 of the lights, so the sum is 1 / (1 - albedo), also in corners and for short rays."""
     rng = np.random.default_rng(1)
     rig = CacheRig(history=4, bounces=8192)
@@ -145,7 +145,7 @@ def test_a_closed_room_converges_to_all_bounces(albedo: float) -> None:
         assert found.mean() == pytest.approx(1 / (1 - albedo), rel=0.01)
 
 
-def test_white_walls_stay_bounded() -> None:
+def test_radiance_cache_between_white_walls_stays_bounded() -> None:
     """Two plates of albedo 1 would accumulate light for ever; the cache loses 1 % a bounce."""
     rng = np.random.default_rng(2)
     rig = CacheRig(history=4)
@@ -165,7 +165,7 @@ def floor_of_two_rooms(rng: np.random.Generator, count: int, x0: float, x1: floa
 
 
 @pytest.mark.parametrize("distance", [0.5, 5.0])
-def test_short_rays_take_no_light_through_walls(distance: float) -> None:
+def test_radiance_cache_leaks_no_light_through_walls_to_short_rays(distance: float) -> None:
     """Rays leave the dark side of a wall thinner than a cell, and hit the floor beside it.
 
     Rays shorter than a cell do not use means that reach into the bright room. Longer rays do, and a third of the light
@@ -195,7 +195,7 @@ def test_short_rays_take_no_light_through_walls(distance: float) -> None:
         assert found.mean() > 0.2 * bright.mean()
 
 
-def test_sides_of_a_wall_share_no_cell() -> None:
+def test_two_sides_of_a_thin_wall_share_no_radiance_cache_cell() -> None:
     """Surfaces face in opposite directions, 1/100 of a cell apart."""
     rng = np.random.default_rng(4)
     position = on_floor(rng, 4000)
@@ -210,7 +210,7 @@ def test_sides_of_a_wall_share_no_cell() -> None:
 
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(8, 8), (16, 16), (16, 4)])
-def test_light_fades_by_the_history_when_lights_go_out(history: int, bounce_history: int) -> None:
+def test_radiance_cache_fades_by_its_history_when_lights_go_out(history: int, bounce_history: int) -> None:
     """Direct light fades as (1 - 1/N)^n after n frames, and so does indirect light once its sources are dark."""
     rng = np.random.default_rng(5)
     rig = CacheRig(history=history, bounce_history=bounce_history, bounces=256)  # one ray a cell
@@ -248,7 +248,7 @@ def lit_floor(rig: CacheRig, position: np.ndarray, frames: range, light: float) 
         rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
 
 
-def test_outdated_light_stays_until_it_is_replaced() -> None:
+def test_outdated_radiance_cache_light_stays_until_samples_replace_it() -> None:
     """When lights go out, samples and rays of the next frame replace the old means; without them, nothing fades."""
     rng = np.random.default_rng(8)
     rig = CacheRig()
@@ -266,7 +266,7 @@ def test_outdated_light_stays_until_it_is_replaced() -> None:
     assert rig.look_up(made_samples(position)).max() < 0.01
 
 
-def test_indirect_look_up_excludes_direct_light() -> None:
+def test_indirect_look_up_of_the_radiance_cache_excludes_direct_light() -> None:
     """The samples' own radiance and ray lengths have no effect; the result is 0 in empty cells."""
     rng = np.random.default_rng(9)
     rig = CacheRig()
@@ -280,7 +280,7 @@ def test_indirect_look_up_excludes_direct_light() -> None:
     assert (rig.look_up_indirect(made_samples(position + 100.0)) == 0).all()
 
 
-def test_insertions_with_one_frame_number_count_once() -> None:
+def test_radiance_cache_counts_two_insertions_in_one_frame_as_one_frame() -> None:
     """Hits of bounce rays are inserted after those of pixels, and must not make old means fade twice as fast."""
     rng = np.random.default_rng(6)
     position = on_floor(rng, 3000, 8.0)
@@ -315,7 +315,7 @@ def flown(frames: int, *, bounces: int) -> np.ndarray:
     return np.array(means)
 
 
-def test_radiance_is_continuous_across_levels() -> None:
+def test_radiance_cache_is_continuous_when_cell_levels_change_with_distance() -> None:
     """Cells of a new level start from those of the old one; otherwise frames would lose indirect light."""
     means = flown(60, bounces=128)[8:]
     steps = np.abs(np.diff(means)) / means[:-1]

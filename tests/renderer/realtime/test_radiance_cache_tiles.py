@@ -21,7 +21,7 @@ def tile_row(first: int, count: int) -> np.ndarray:
     return np.column_stack([x, np.full(count, 4.5), np.full(count, 0.5)])
 
 
-def test_unused_tiles_are_evicted() -> None:
+def test_radiance_cache_evicts_tiles_after_unused_frames() -> None:
     """Tiles are evicted after exactly ``unused_frames`` frames; tiles in use stay."""
     rig = CacheRig(unused_frames=10)
     rig.insert(made_samples(tile_row(0, 20), radiance=2.0), 0)
@@ -34,7 +34,7 @@ def test_unused_tiles_are_evicted() -> None:
     assert rig.statistics.evicted == 0, "none may be evicted early"
 
 
-def test_reused_slots_are_empty() -> None:
+def test_reused_radiance_cache_slot_retains_nothing_of_the_evicted_tile() -> None:
     """A slot retains nothing of the tile that used it before."""
     rig = CacheRig(unused_frames=2)
     rng = np.random.default_rng(0)
@@ -49,7 +49,7 @@ def test_reused_slots_are_empty() -> None:
         assert found == pytest.approx(frame + 0.5 * (frame < 6), rel=1e-6)
 
 
-def test_a_full_cache_evicts_the_oldest_tiles(caplog: pytest.LogCaptureFixture) -> None:
+def test_full_radiance_cache_evicts_the_tiles_unused_for_longest(caplog: pytest.LogCaptureFixture) -> None:
     """Of 64 tiles, those unused for longest are evicted; evictions are counted and logged once."""
     rig = CacheRig(tiles=64)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -70,7 +70,7 @@ def test_a_full_cache_evicts_the_oldest_tiles(caplog: pytest.LogCaptureFixture) 
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_dropped_tiles_of_a_large_frame_are_counted(parallel: bool) -> None:
+def test_radiance_cache_counts_the_tiles_that_do_not_fit_in_a_large_frame(parallel: bool) -> None:
     """Samples without a tile return their own radiance; no tile of the frame is evicted for another one."""
     rig = CacheRig(Launcher("cpu", threads=2, parallel=parallel), tiles=64)
     rig.insert(made_samples(tile_row(-50, 50)), 0)
@@ -83,7 +83,7 @@ def test_dropped_tiles_of_a_large_frame_are_counted(parallel: bool) -> None:
     assert (stored == 3.0).sum() == 64
 
 
-def test_memory_is_constant_over_a_long_walk() -> None:
+def test_radiance_cache_memory_is_constant_over_1000_frames() -> None:
     """After 1,000 frames at different positions, there are as many arrays and bytes as after the first ones."""
     rng = np.random.default_rng(1)
     rig = CacheRig(tiles=256, bounces=128, unused_frames=20)
@@ -104,7 +104,7 @@ def test_memory_is_constant_over_a_long_walk() -> None:
     assert rig.statistics.bytes < 2**21
 
 
-def test_all_cells_bounce_in_turn() -> None:
+def test_all_radiance_cache_cells_send_bounce_rays_in_turn() -> None:
     """A fraction of the cells bounces in each frame, new tiles first, then those that have waited longest."""
     rng = np.random.default_rng(2)
     rig = CacheRig(bounces=256)
@@ -128,7 +128,7 @@ def test_all_cells_bounce_in_turn() -> None:
     assert (host["position"][:3, 0] > 8000).all()
 
 
-def test_bounce_points_are_uniform_samples_of_their_cells() -> None:
+def test_bounce_points_are_uniform_samples_of_their_radiance_cache_cells() -> None:
     """Points carry normal and extent of their samples and are uniform over them; keys differ by cell and frame."""
     rng = np.random.default_rng(3)
     rig = CacheRig()
@@ -150,7 +150,7 @@ def test_bounce_points_are_uniform_samples_of_their_cells() -> None:
     assert np.var(drawn) == pytest.approx(1 / 12, rel=0.1)
 
 
-def test_points_of_evicted_tiles_are_ignored() -> None:
+def test_radiance_cache_ignores_bounce_rays_of_evicted_tiles() -> None:
     """Radiance of their rays does not reach the tiles that take their slots."""
     rig = CacheRig(tiles=64)
     rig.insert(made_samples(tile_row(0, 64)), 0)
@@ -173,14 +173,14 @@ def test_points_of_evicted_tiles_are_ignored() -> None:
         ({"unused_frames": 0}, "unused_frames is 0, expected a whole number from 1 to 10000"),
     ],
 )
-def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
+def test_invalid_radiance_cache_settings_are_refused_with_their_range(settings: dict[str, Any], message: str) -> None:
     """The error states the setting, its value and the range in one line."""
     with pytest.raises(ConfigError, match=re.escape(message)):
         RadianceCacheConfig(**settings)
 
 
 @pytest.mark.parametrize(("budget", "rays"), [(128, 1), (129, 1), (130, 2), (500, 7), (4096, 16)])
-def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
+def test_few_radiance_cache_cells_send_up_to_16_bounce_rays_each(budget: int, rays: int) -> None:
     """A cell sends as many rays as fit, at most 16; cells of short rays send one. A cell's rays are consecutive."""
     rng = np.random.default_rng(4)
     rig = CacheRig(bounces=budget)
@@ -203,7 +203,7 @@ def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
 
 
 @pytest.mark.parametrize(("far_width", "rays"), [(8.0, 4), (24.0, 1)])
-def test_cells_of_short_rays_take_at_most_half_of_the_rays(far_width: float, rays: int) -> None:
+def test_radiance_cache_cells_of_short_rays_get_at_most_half_of_the_rays(far_width: float, rays: int) -> None:
     """Half of the rays go to cells of long rays, and after some frames no cell of either kind is left out."""
     rng = np.random.default_rng(5)
     rig = CacheRig(bounces=512)

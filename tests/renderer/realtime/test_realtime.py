@@ -55,7 +55,7 @@ def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: A
 @pytest.mark.parametrize(
     "of_gaussians", [pytest.param(False, id="meshes"), pytest.param(True, id="gaussians", marks=pytest.mark.deep)]
 )
-def test_a_room_matches_the_path_tracer(of_gaussians: bool) -> None:
+def test_realtime_room_matches_the_path_tracer(of_gaussians: bool) -> None:
     """After 64 frames, mean direct light is within 3 % and indirect light within 5 %; with Gaussians, twice that."""
     scene = with_gaussians(PathRoom(ROOM, VIEW), 4000).scene if of_gaussians else ROOM
     truth = paths(scene, 48)
@@ -71,7 +71,7 @@ def test_a_room_matches_the_path_tracer(of_gaussians: bool) -> None:
     assert np.percentile(np.abs(errors), 90) < 0.10
 
 
-def test_a_white_box_vanishes_in_a_white_furnace() -> None:
+def test_white_box_is_invisible_in_a_white_furnace_in_real_time() -> None:
     """With direct light only, every pixel of the white furnace is 1 up to the noise of samples."""
     environment = ls.LightEnvironment(np.ones((16, 32, 3), np.float32))
     view = ls.Camera.look_at((2.0, 1.5, -2.5), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=96, height=72, fov_y=0.7)
@@ -80,14 +80,14 @@ def test_a_white_box_vanishes_in_a_white_furnace() -> None:
     assert np.abs(frame.color - 1.0).max() < 0.03
 
 
-def test_layers_sum_to_the_frame() -> None:
+def test_direct_indirect_and_emission_layers_sum_to_the_realtime_frame() -> None:
     """Direct and indirect, diffuse and glossy light and emission sum to the frame."""
     _, frame = sequence(ROOM, 3, aovs=PARTS)
     total = sum(np.asarray(getattr(frame, part), np.float64) for part in PARTS)
     np.testing.assert_allclose(total, frame.color, atol=1e-5, rtol=1e-5)
 
 
-def test_results_do_not_depend_on_thread_count() -> None:
+def test_realtime_frames_do_not_depend_on_thread_count() -> None:
     """Results have the same bits with 1, 2 and 5 threads."""
     scene = with_gaussians(PathRoom(ROOM, VIEW), 2000).scene
     one, two, five = (sequence(scene, 3, threads=threads)[1].color for threads in (1, 2, 5))
@@ -96,7 +96,7 @@ def test_results_do_not_depend_on_thread_count() -> None:
 
 
 @pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
-def test_cuda_schedules_agree_with_the_cpu(launcher: Callable[[], Launcher]) -> None:
+def test_cpu_and_cuda_schedules_give_equal_realtime_frames(launcher: Callable[[], Launcher]) -> None:
     """Each frame agrees with CUDA's schedule, with and without graphs, up to rounding."""
     scene, settings = with_gaussians(PathRoom(ROOM, VIEW), 2000).scene, ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     direct, other = ls.create_renderer(settings, "cpu"), ls.Renderer(settings, launcher())
@@ -106,7 +106,7 @@ def test_cuda_schedules_agree_with_the_cpu(launcher: Callable[[], Launcher]) -> 
         assert (error > 1e-3).mean() < 0.01
 
 
-def test_reset_equals_a_new_renderer() -> None:
+def test_reset_realtime_renderer_equals_a_new_renderer() -> None:
     """The bits are equal, whatever was rendered before."""
     renderer, first = sequence(ROOM, 3)
     frame_after(renderer, ls.Scene((), ROOM.meshes[:4]), 2)
@@ -114,7 +114,7 @@ def test_reset_equals_a_new_renderer() -> None:
     np.testing.assert_array_equal(frame_after(renderer, ROOM, 3).color, first.color)
 
 
-def test_a_new_image_size_begins_a_new_sequence(caplog: pytest.LogCaptureFixture) -> None:
+def test_new_image_size_begins_a_new_realtime_sequence(caplog: pytest.LogCaptureFixture) -> None:
     """The new sequence equals that of a new renderer. The change is logged once, unless the renderer was reset."""
     small = room_camera(64, 48)
     renderer, _ = sequence(ROOM, 2)
@@ -130,7 +130,7 @@ def test_a_new_image_size_begins_a_new_sequence(caplog: pytest.LogCaptureFixture
     assert again.color.mean() == pytest.approx(sequence(ROOM, 12, small)[1].color.mean(), rel=0.02)
 
 
-def test_captured_light_includes_all_bounces() -> None:
+def test_realtime_light_of_an_unlit_capture_includes_all_bounces() -> None:
     """An unlit captured ball lights a dark room within 1.5 % of the path tracer; its bounces are 3 % of the light."""
     dark = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive]
     *walls, ball, tall = (replace(each, mesh=replace(each.mesh, material=matte(0.5))) for each in dark)
@@ -143,7 +143,7 @@ def test_captured_light_includes_all_bounces() -> None:
     assert frame.color[lit].mean() == pytest.approx(truth.color[lit].mean(), rel=0.015)
 
 
-def test_light_fades_when_a_light_goes_out() -> None:
+def test_realtime_direct_and_indirect_light_fade_when_a_light_goes_out() -> None:
     """Nine tenths of the direct light are gone in 8 frames, of the indirect light in 24."""
     dark = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive]
     lit, out = (ls.Scene((), dark, [ls.LightPoint((2.0, 2.5, 2.5), intensity=power)]) for power in (10.0, 0.0))
@@ -158,7 +158,7 @@ def test_light_fades_when_a_light_goes_out() -> None:
     assert late.indirect_diffuse.mean() < 0.1 * before.indirect_diffuse.mean()
 
 
-def test_the_shadow_of_a_moved_object_moves_along() -> None:
+def test_realtime_shadow_of_a_moved_object_moves_along() -> None:
     """After 24 frames, the former shadow is within 5 % of a sequence without it, and no pixel was ever black."""
     light = ls.LightPoint((2.0, 2.8, 2.5), intensity=20.0)
     floor = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive][:4]
@@ -182,7 +182,7 @@ def moved(x: float) -> np.ndarray:
     return matrix
 
 
-def test_a_mirror_shows_indirect_light() -> None:
+def test_realtime_mirror_shows_surfaces_without_direct_light() -> None:
     """Surfaces without direct light are not black in the mirror."""
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     shade = box((0.8, 0.8, 0.8), silver)
@@ -195,7 +195,7 @@ def test_a_mirror_shows_indirect_light() -> None:
     assert frame.color[on_mirror].mean() == pytest.approx(truth.color[on_mirror].mean(), rel=0.15)
 
 
-def test_shadow_catchers_are_darkened_as_in_hybrid_frames() -> None:
+def test_realtime_shadow_catchers_are_darkened_as_in_hybrid_frames() -> None:
     """Shadow catchers receive shadows only, as in hybrid frames."""
     floor = with_gaussians(PathRoom(ROOM, VIEW), 3000).scene.splats[0]
     receiver = replace(floor, shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
@@ -217,20 +217,20 @@ def frame_without(scene: ls.Scene) -> ls.Frame:
     ("settings", "message"),
     [({"samples": 4}, "one sample"), ({"noise": 0.1}, "one sample"), ({"aovs": "bounces"}, "no bounces")],
 )
-def test_unsupported_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+def test_settings_unsupported_by_the_realtime_pipeline_are_refused(settings: dict[str, Any], message: str) -> None:
     """The error states in one line what real time does not support."""
     with pytest.raises(ls.ConfigError, match=message):
         sequence(ROOM, 1, **settings)
 
 
-def test_frames_of_a_sequence_cannot_be_resumed() -> None:
+def test_realtime_frames_cannot_be_resumed() -> None:
     """The error refers to the next frame, which continues the sequence."""
     renderer, frame = sequence(ROOM, 1)
     with pytest.raises(ls.ConfigError, match="next frame"):
         renderer.render(ROOM, VIEW, resume=frame)
 
 
-def test_memory_is_constant_over_a_long_walk() -> None:
+def test_realtime_memory_is_constant_over_a_long_walk() -> None:
     """Memory does not grow from frame to frame."""
     renderer, _ = sequence(ROOM, 1)
     sizes: list[int] = []
@@ -242,7 +242,7 @@ def test_memory_is_constant_over_a_long_walk() -> None:
     assert sizes[-1] == sizes[10]
 
 
-def test_sampling_every_second_frame_has_the_same_mean() -> None:
+def test_realtime_light_sampled_every_second_frame_has_the_same_mean() -> None:
     """With half of the samples a frame, the mean after 64 frames is the same, and disoccluded pixels are not black."""
     settings = ls.RealtimeConfig(light_interval=2)
     truth = sequence(ROOM, 64, max_bounces=0)[1].color
@@ -255,7 +255,7 @@ def test_sampling_every_second_frame_has_the_same_mean() -> None:
     assert uncovered[lit > 0.1 * lit.mean()].min() > 0.0
 
 
-def test_light_recovers_after_all_lights_were_removed() -> None:
+def test_realtime_light_recovers_after_all_lights_were_removed() -> None:
     """Disabled lights light nothing; without any lights, meshes get the default headlight, as in other pipelines."""
     plain = ls.Scene((), [box((1.0, 1.0, 1.0), matte(0.7))])
     light = ls.LightPoint((1.0, 2.0, -2.0), intensity=8.0)
@@ -272,7 +272,7 @@ def test_light_recovers_after_all_lights_were_removed() -> None:
             assert frame_after(renderer, scene, frames, view).color.mean() == pytest.approx(expected, rel=0.05)
 
 
-def test_transforms_of_nan_are_refused() -> None:
+def test_realtime_renderer_refuses_transforms_with_nan() -> None:
     """The error is raised before rendering, in one line."""
     bad = np.eye(4)
     bad[0, 3] = np.nan

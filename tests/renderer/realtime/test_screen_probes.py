@@ -37,7 +37,7 @@ def bright_wall(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles
 
 @pytest.mark.parametrize("extent", [0.0, 0.01])
 @pytest.mark.parametrize("noise", [0.0, 20.0])
-def test_a_white_furnace_is_exact(extent: float, noise: float) -> None:
+def test_screen_probes_are_exact_in_a_white_furnace(extent: float, noise: float) -> None:
     """In constant radiance, each pixel is exact from the first frame on, at any tilt and with noisy normals."""
     surfaces = visible_box(box_camera(), extent)
     surfaces.normal = tilted(surfaces.normal, noise, seed=1)
@@ -48,7 +48,7 @@ def test_a_white_furnace_is_exact(extent: float, noise: float) -> None:
         )
 
 
-def test_a_white_furnace_is_exact_with_a_moving_camera() -> None:
+def test_screen_probes_are_exact_in_a_white_furnace_with_a_moving_camera() -> None:
     """Reprojection, new probes and the filter neither gain nor lose light."""
     sequence = ProbeSequence(constant(GREY))
     for step in range(12):
@@ -59,7 +59,7 @@ def test_a_white_furnace_is_exact_with_a_moving_camera() -> None:
 
 @pytest.mark.parametrize("degrees", [0, 20, 45, 70, 90, 120])
 @pytest.mark.parametrize("extent", [0.0, 0.02])
-def test_irradiance_of_a_tilted_surface_under_a_half_space_environment(degrees: float, extent: float) -> None:
+def test_screen_probe_irradiance_below_half_an_environment_is_accurate(degrees: float, extent: float) -> None:
     """E = pi L (1 + cos d) / 2; the SH degree, the cells and the horizon of meshes cause errors of 3 % at most."""
     angle = np.radians(degrees)
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
@@ -80,7 +80,7 @@ def test_irradiance_of_a_tilted_surface_under_a_half_space_environment(degrees: 
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
-def test_irradiance_from_a_bright_wall_matches_the_closed_form(extent: float) -> None:
+def test_screen_probe_irradiance_of_a_bright_wall_matches_lamberts_formula(extent: float) -> None:
     """Irradiance of the other walls follows Lambert's polygon formula: mean within 2 %, each wall within 10 %."""
     surfaces = visible_box(box_camera(width=320, height=192), extent)
     sequence = ProbeSequence(bright_wall)
@@ -104,7 +104,7 @@ def wall_irradiance(surfaces: VisibleSurfaces) -> Doubles:
     return np.array(values)
 
 
-def test_noisy_normals_lose_no_light() -> None:
+def test_screen_probes_lose_no_light_on_noisy_normals() -> None:
     """Gaussians whose normals scatter by 20 degrees get within 1 % of the light that their cosines imply."""
     camera = ls.Camera.look_at((0.1, 0.8, 3.0), (0, 0, 0), (0.0, 1.0, 0.1), width=160, height=96, fov_y=0.6)
     smooth = visible_plane(camera, (0.0, 0.0, 1.0), 0.02)
@@ -121,7 +121,7 @@ def test_noisy_normals_lose_no_light() -> None:
     assert smooth.share.all()
 
 
-def test_disoccluded_pixels_are_never_black() -> None:
+def test_screen_probes_light_disoccluded_pixels_at_once() -> None:
     """A panel before most of the image vanishes; all disoccluded pixels have light at once."""
     sequence = ProbeSequence(constant(GREY))
     surfaces = visible_box(box_camera())
@@ -145,7 +145,7 @@ def behind_panel(surfaces: VisibleSurfaces) -> VisibleSurfaces:
     )
 
 
-def test_no_light_leaks_around_a_post() -> None:
+def test_screen_probes_leak_no_light_around_a_post() -> None:
     """Walls are bright left of a post and dark right of it; each pixel is either, also beside the post."""
     camera = box_camera()
     plane, columns = visible_box(camera), np.tile(np.arange(camera.width), camera.height)
@@ -171,7 +171,7 @@ def test_no_light_leaks_around_a_post() -> None:
     assert off.max() < 0.05
 
 
-def test_isolated_pixels_are_lit() -> None:
+def test_screen_probes_light_isolated_pixels() -> None:
     """A single pixel, one of small coverage, and one far from probes with light are neither black nor NaN."""
     surfaces = visible_box(box_camera())
     surfaces.share[:] = 0.0
@@ -184,7 +184,7 @@ def test_isolated_pixels_are_lit() -> None:
     assert np.abs(np.delete(light, pixels, axis=0)).max() == 0.0
 
 
-def test_a_frame_without_surfaces_has_no_light() -> None:
+def test_screen_probes_of_a_frame_without_surfaces_send_no_rays() -> None:
     """A frame without surfaces has no probes, no rays and no light."""
     surfaces = visible_box(box_camera())
     surfaces.share[:] = 0.0
@@ -193,7 +193,7 @@ def test_a_frame_without_surfaces_has_no_light() -> None:
     assert len(sequence.rays[0]) == 0
 
 
-def test_results_do_not_depend_on_thread_count() -> None:
+def test_screen_probes_do_not_depend_on_thread_count() -> None:
     """A moving sequence with varying light has the same bits on one, two and five threads."""
     frames = []
     for threads in (1, 2, 5):
@@ -203,7 +203,7 @@ def test_results_do_not_depend_on_thread_count() -> None:
     np.testing.assert_array_equal(frames[0], frames[2])
 
 
-def test_reset_equals_new_probes() -> None:
+def test_reset_screen_probes_equal_new_screen_probes() -> None:
     """After a reset, and at another size, frames equal those of new probes."""
     used = ProbeSequence(constant(GREY))
     for step in range(3):
@@ -218,7 +218,7 @@ def test_reset_equals_new_probes() -> None:
     np.testing.assert_array_equal(used.render(other), fresh.render(other))
 
 
-def test_irradiance_is_never_negative() -> None:
+def test_screen_probe_irradiance_is_never_negative() -> None:
     """SH ringing does not make irradiance negative on the side away from a small bright light."""
     camera = ls.Camera.look_at((0.1, 0.8, 3.0), (0, 0, 0), (0.0, 1.0, 0.1), width=160, height=96, fov_y=0.6)
     surfaces = visible_plane(camera, (0.0, 0.0, 1.0), 0.02)
@@ -249,7 +249,7 @@ def seen_floor(camera: ls.Camera, end: float, offset: tuple[float, float]) -> Vi
 
 
 @pytest.mark.parametrize("slope", [1.0, -1.0])
-def test_a_floor_at_a_grazing_angle_keeps_its_light(slope: float) -> None:
+def test_screen_probes_light_a_floor_at_a_grazing_angle_without_loss(slope: float) -> None:
     """Light that changes with distance is right within 2 % far away, after any number of frames.
 
     A tile covers metres of the floor there, which a probe at its near end does not represent.

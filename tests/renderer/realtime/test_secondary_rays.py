@@ -34,7 +34,7 @@ def paths(scene: ls.Scene, camera: ls.Camera, samples: int) -> ls.Frame:
 
 
 @pytest.mark.parametrize("material", [MIRROR, clear_glass(), replace(clear_glass(), metallic=0.5)])
-def test_smooth_walls_are_exact_in_a_white_furnace(material: ls.MaterialPbr) -> None:
+def test_mirrors_and_glass_are_exact_in_a_white_furnace_in_real_time(material: ls.MaterialPbr) -> None:
     """In a white furnace of 1, white surfaces, mirrors and clear glass are 1.
 
     The tolerance of 2 % is the SH error of a step in radiance.
@@ -72,7 +72,7 @@ GREEN = replace(clear_glass(), base_color=(0.5, 0.9, 0.6))
     ],
     ids=["a pane before a wall", "two panes", "a coloured table", "a mirror on a wall"],
 )
-def test_a_room_with_glass_matches_the_path_tracer(objects: list[ls.MeshInstance]) -> None:
+def test_realtime_room_with_glass_matches_the_path_tracer(objects: list[ls.MeshInstance]) -> None:
     """The mean and each channel are within 4 %; black objects would cost 10 to 50 %."""
     scene = room_with(*objects)
     found, truth = last_frames(scene, INSIDE, 60), paths(scene, INSIDE, 96).color
@@ -80,7 +80,7 @@ def test_a_room_with_glass_matches_the_path_tracer(objects: list[ls.MeshInstance
     np.testing.assert_allclose(ratio, 1.0, atol=0.04)
 
 
-def test_light_reflected_by_a_mirror_matches_the_path_tracer() -> None:
+def test_realtime_light_reflected_by_a_mirror_matches_the_path_tracer() -> None:
     """A floor behind a screen is lit by the mirror alone, within 10 % of the path tracer."""
     emissive = replace(matte(0.0), emissive=(6.0, 6.0, 6.0))
     light = ls.MeshInstance(box((1.6, 0.6, 1.8), emissive), position=(1.3, 0.9, 0.0))

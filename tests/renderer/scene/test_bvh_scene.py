@@ -51,7 +51,7 @@ def bvh_ids(renderer: ls.Renderer) -> list[int]:
 # --- Assets ---
 
 
-def test_instances_share_the_tree_of_their_asset(backend: str) -> None:
+def test_instances_of_one_gaussian_set_share_its_bvh(backend: str) -> None:
     """Three instances of two sets have two BVHs, built once."""
     first, second = random_gaussians(1, 50), random_gaussians(2, 30)
     positions = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
@@ -72,7 +72,7 @@ def test_instances_share_the_tree_of_their_asset(backend: str) -> None:
     assert bvh_ids(renderer) == trees, "poses are no reason to build"
 
 
-def test_replaced_asset_with_equal_count_is_refitted(backend: str) -> None:
+def test_replacing_a_gaussian_set_by_one_of_equal_count_refits_its_bvh(backend: str) -> None:
     """The BVH of the replaced asset is refitted, and other BVHs are unchanged."""
     first, second = random_gaussians(3, 60), random_gaussians(4, 60)
     warm = renderer_of(backend, TRACE)
@@ -88,7 +88,7 @@ def test_replaced_asset_with_equal_count_is_refitted(backend: str) -> None:
 @pytest.mark.parametrize(
     "change", ["count", "degree", "other still there", "other index", "order", "one more", "one less", "none", "back"]
 )
-def test_rearranged_assets_keep_their_bvhs(backend: str, change: str) -> None:
+def test_rearranged_gaussian_sets_keep_their_bvhs(backend: str, change: str) -> None:
     """BVHs stay with their assets, and an asset that replaces none gets a new one."""
     first, second = random_gaussians(5, 60), random_gaussians(6, 60)
     warm = renderer_of(backend, TRACE)
@@ -115,7 +115,7 @@ def test_rearranged_assets_keep_their_bvhs(backend: str, change: str) -> None:
     assert [one.gaussians for one in kept] == [first, second]
 
 
-def test_captures_have_their_own_kernel_degree(backend: str) -> None:
+def test_each_capture_is_traced_with_the_kernel_degree_it_stores(backend: str) -> None:
     """Each capture uses its own degree unless the settings replace it."""
     left, right = one_gaussian((-0.9, 0.0, 4.0), 0.2, 0.9), one_gaussian((0.9, 0.0, 4.0), 0.2, 0.9)
     sharp = replace(right, kernel_degree=5)
@@ -129,7 +129,7 @@ def test_captures_have_their_own_kernel_degree(backend: str) -> None:
     )
 
 
-def test_reported_memory_includes_bvhs() -> None:
+def test_reported_memory_of_a_renderer_includes_its_bvhs() -> None:
     """It covers particles and nodes."""
     gaussians = random_gaussians(8, 3000)
     renderer = renderer_of("cpu", TRACE)
@@ -148,7 +148,7 @@ def test_reported_memory_includes_bvhs() -> None:
     ],
     ids=["vast", "endless", "lost", "vast and lost"],
 )
-def test_gaussians_with_overflowing_bounds_hide_no_others(backend: str, stray: ls.Gaussians) -> None:
+def test_gaussian_whose_bounds_overflow_does_not_change_other_gaussians(backend: str, stray: ls.Gaussians) -> None:
     """A Gaussian whose bounds overflow may be drawn or not, but changes no other one."""
     gaussians = random_gaussians(13, 100)
     renderer = renderer_of(backend, TRACE)
@@ -163,7 +163,7 @@ def test_gaussians_with_overflowing_bounds_hide_no_others(backend: str, stray: l
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
-def test_deep_trees_get_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_deep_bvhs_are_traversed_with_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels with the largest stack give equal frames, also from graphs."""
     ball = ls.gaussians_from_mesh(ls.sphere(), 900, seed=3)
     positions = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
@@ -179,7 +179,7 @@ def test_deep_trees_get_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytes
     np.testing.assert_array_equal(*frames)
 
 
-def test_stack_size_covers_the_deepest_path() -> None:
+def test_traversal_stack_covers_the_deepest_path_of_both_bvh_levels() -> None:
     """The deepest path goes through the top-level tree and the deepest asset tree."""
     renderer = renderer_of("cpu", TRACE)
     small, large = random_gaussians(1, 5), random_gaussians(2, 3000)
@@ -199,7 +199,7 @@ def test_stack_size_covers_the_deepest_path() -> None:
 # --- Failures half-way ---
 
 
-def test_failed_upload_leaves_no_stale_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_upload_leaves_no_stale_addresses_in_the_bvh_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assets that were freed for a scene that did not fit have new addresses when they return."""
     first, second = random_gaussians(9, 60), random_gaussians(10, 70)
     renderer = renderer_of("cpu", TRACE)
@@ -218,7 +218,7 @@ def test_failed_upload_leaves_no_stale_rows(monkeypatch: pytest.MonkeyPatch) -> 
     assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
 
 
-def test_failed_build_leaves_no_stale_bvh(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_bvh_build_leaves_no_stale_bvh(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A BVH that was refitted before the next build failed is not reused."""
     first, second = random_gaussians(11, 60), random_gaussians(12, 70)
     renderer = renderer_of(backend, TRACE)
@@ -270,7 +270,7 @@ def leaves(nodes: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 8, 9, 17, 64, 65, 300])
-def test_tree_of_boxes_holds_each_once(count: int) -> None:
+def test_top_level_tree_contains_each_instance_box_once(count: int) -> None:
     """The tree contains all boxes unchanged, in as few nodes as possible."""
     low, high = boxes(count)
     nodes = tree_of_boxes(low, high)
@@ -282,7 +282,7 @@ def test_tree_of_boxes_holds_each_once(count: int) -> None:
     assert len(nodes) <= 1 + count // 2
 
 
-def test_tree_of_boxes_leaves_out_inverted_boxes() -> None:
+def test_top_level_tree_leaves_out_inverted_instance_boxes() -> None:
     """Empty instances have no leaf, and coinciding boxes have one leaf each."""
     low, high = boxes(40)
     low[::3], high[::3] = np.float32(FAR), -np.float32(FAR)
@@ -291,7 +291,7 @@ def test_tree_of_boxes_leaves_out_inverted_boxes() -> None:
     assert leaves(tree_of_boxes(high[::3], low[::3])) != {} and leaves(tree_of_boxes(low[::3], high[::3])) == {}
 
 
-def test_tree_of_boxes_groups_near_boxes() -> None:
+def test_top_level_tree_groups_near_instance_boxes() -> None:
     """Of eight clusters of eight boxes, the root's children are the clusters."""
     corners = np.array([[x, y, z] for x in (0, 10) for y in (0, 20) for z in (0, 40)], float)
     low = (corners[None] + np.random.default_rng(0).uniform(0.0, 1.0, (8, 8, 3))).reshape(-1, 3)
@@ -317,7 +317,7 @@ def baked(instance: ls.SplatInstance) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize(("count", "size"), [(9, 0.1), (200, 0.02)])
-def test_many_instances_equal_one_merged_set(backend: str, count: int, size: float) -> None:
+def test_many_instances_are_traced_like_one_merged_set(backend: str, count: int, size: float) -> None:
     """Holds for instances of any size and position."""
     random = np.random.default_rng(count)
     assets = [random_gaussians(seed, 20, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0)) for seed in (20, 21, 22)]

@@ -53,7 +53,7 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_release_frees_the_scene(pipeline: ls.Pipeline) -> None:
+def test_releasing_a_renderer_frees_the_scene(pipeline: ls.Pipeline) -> None:
     """The next frame equals that of a new renderer."""
     settings = ls.RenderConfig(pipeline=pipeline, samples=1)
     camera = front_camera(24, 16)
@@ -70,7 +70,9 @@ def test_release_frees_the_scene(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_copies_live_while_kernels_read_them(pipeline: ls.Pipeline, copies: list[np.ndarray]) -> None:
+def test_copied_capture_arrays_are_not_freed_while_kernels_read_them(
+    pipeline: ls.Pipeline, copies: list[np.ndarray]
+) -> None:
     """A lit capture looks the same with shared and with copied arrays."""
     scene, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     renderer = ls.create_renderer(config(pipeline), "cpu", threads=1)
@@ -115,7 +117,7 @@ def copied(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("lighting", [False, True], ids=["unlit", "lit"])
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_animated_sets_reuse_their_memory(pipeline: ls.Pipeline, lighting: bool) -> None:
+def test_animated_gaussian_sets_reuse_their_device_memory(pipeline: ls.Pipeline, lighting: bool) -> None:
     """New values overwrite the last ones: graphs stay valid, and only BVHs are refitted."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     settings, launcher = config(pipeline, lighting=lighting, samples=1), GraphLauncher()
@@ -134,7 +136,7 @@ def test_animated_sets_reuse_their_memory(pipeline: ls.Pipeline, lighting: bool)
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("change", ["albedo", "roughness", "degree", "count"])
-def test_sets_of_other_sizes_get_new_memory(change: str) -> None:
+def test_gaussian_set_that_changes_its_size_is_uploaded_to_new_memory(change: str) -> None:
     """A set with other arrays or sizes is uploaded anew, and no frame shows the old one."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     capture = shown.splats[0].gaussians
@@ -155,7 +157,7 @@ def test_sets_of_other_sizes_get_new_memory(change: str) -> None:
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_overwritten_set_is_uploaded_again(pipeline: ls.Pipeline) -> None:
+def test_gaussian_set_whose_memory_was_overwritten_is_uploaded_again(pipeline: ls.Pipeline) -> None:
     """Its memory has another set's values; sets that are still used keep theirs."""
     a, b, c = (
         dataclasses.replace(random_gaussians(7, 40), opacities=np.full(40, o, np.float32)) for o in (0.3, 0.6, 0.9)
@@ -171,7 +173,7 @@ def test_overwritten_set_is_uploaded_again(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.usefixtures("copied")
-def test_rebuilt_bvhs_are_shrunk_again() -> None:
+def test_rebuilt_bvhs_are_shrunk_again_for_shared_random_numbers() -> None:
     """Shared draws shrink BVH nodes level by level, and a rebuilt BVH has other levels."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=144, height=96)
     shown = dataclasses.replace(shown, meshes=[sphere(0.1, rows=6, columns=8)])
@@ -194,7 +196,7 @@ def test_rebuilt_bvhs_are_shrunk_again() -> None:
     assert len(builds) > 1, "no hierarchy was rebuilt"
 
 
-def test_renderers_do_not_write_to_captures() -> None:
+def test_renderers_do_not_write_to_the_arrays_of_captures() -> None:
     """On the CPU, renderers share the captures' arrays and never write to them."""
     first, second = random_gaussians(7, 40), random_gaussians(8, 40)
     before = first.means.copy()
@@ -204,7 +206,7 @@ def test_renderers_do_not_write_to_captures() -> None:
     np.testing.assert_array_equal(first.means, before)
 
 
-def test_array_views_keep_their_block_alive() -> None:
+def test_view_of_a_buffer_keeps_its_memory_block_alive() -> None:
     """A view of a block is valid as long as the view exists."""
     buffers = Buffers("cpu")
     block, parts = buffers.split("pixels", [("alpha", wp.float32, 1), ("color", wp.vec3, 3)], 8)
@@ -218,7 +220,7 @@ def test_array_views_keep_their_block_alive() -> None:
     assert watched() is None
 
 
-def test_coefficients_beyond_32_bit_indices_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_sh_coefficients_than_32_bit_indices_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """SH coefficients have 32-bit indices: 134 million Gaussians of degree 3 are too many."""
     gaussians = random_gaussians(1, 9, degree=3)
     scene = ls.Scene(splats=[gaussians])

@@ -120,7 +120,7 @@ INPUTS = inputs()
 
 
 @pytest.mark.parametrize("name", INPUTS)
-def test_bvh_contains_every_gaussian_once(launcher: Launcher, name: str) -> None:
+def test_bvh_contains_every_gaussian_once_in_tight_boxes(launcher: Launcher, name: str) -> None:
     """For every input: one leaf each, boxes around subtrees, bounded depth, tight leaves."""
     gaussians = INPUTS[name]
     count = gaussians.count
@@ -144,7 +144,7 @@ def test_bvh_contains_every_gaussian_once(launcher: Launcher, name: str) -> None
     np.testing.assert_array_equal(high, found.high.max(axis=0))
 
 
-def test_bvh_depth_fits_the_stack() -> None:
+def test_deepest_possible_bvh_fits_the_traversal_stack() -> None:
     """The deepest BVH under the deepest top-level tree needs at most the stack's entries."""
     most = math.ceil(math.log(2.0**31, NODE_WIDTH))
     asset = max(TREE_SURFACE_LEVELS, MORTON_LEVELS) + most
@@ -169,7 +169,7 @@ def waiting_of(links: np.ndarray) -> list[int]:
     return most
 
 
-def test_stack_size_is_a_tight_bound(launcher: Launcher) -> None:
+def test_traversal_stack_size_of_a_bvh_is_a_tight_bound(launcher: Launcher) -> None:
     """No order of visits exceeds it, and the worst path reaches it."""
     rng = np.random.default_rng(8)
     clumps = (rng.normal(size=(3000, 3)) * np.exp(-rng.uniform(0.0, 12.0, (3000, 1)))).astype(np.float32)
@@ -188,7 +188,7 @@ def worst(links: np.ndarray, node: int) -> int:
     return max([1, len(children), *(len(children) - 1 + worst(links, child) for child in children)])
 
 
-def test_bvh_rays_visit_few_nodes(launcher: Launcher) -> None:
+def test_random_rays_visit_few_nodes_of_a_bvh(launcher: Launcher) -> None:
     """A random ray visits a small fraction of the nodes; in a BVH over random groups it would visit most."""
     gaussians = random_gaussians(7, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))
     tree = tree_of(launcher, gaussians)
@@ -198,7 +198,7 @@ def test_bvh_rays_visit_few_nodes(launcher: Launcher) -> None:
     assert tree.cost > 0.3 * tree.nodes.shape[0]
 
 
-def test_outlier_does_not_degrade_the_bvh(launcher: Launcher) -> None:
+def test_distant_outlier_does_not_degrade_the_bvh_of_other_gaussians(launcher: Launcher) -> None:
     """A Gaussian a thousand extents away costs the others almost nothing."""
     gaussians = random_gaussians(8, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))
     alone = tree_of(launcher, gaussians)
@@ -209,7 +209,7 @@ def test_outlier_does_not_degrade_the_bvh(launcher: Launcher) -> None:
     assert inner_strayed < 1.1 * inner
 
 
-def test_morton_bvh_of_many_gaussians() -> None:
+def test_morton_bvh_of_70000_gaussians_is_complete_and_has_low_cost() -> None:
     """More Gaussians than the samples that define the Morton grid; cells are as fine as for few."""
     gaussians = random_gaussians(9, 70_000, extent=(4.0, 4.0, 4.0), scale_range=(0.001, 0.003))
     tree = tree_of(Launcher("cpu", threads=2, parallel=True), gaussians)
@@ -219,7 +219,7 @@ def test_morton_bvh_of_many_gaussians() -> None:
     assert tree.cost < 0.02 * tree.nodes.shape[0]
 
 
-def test_builds_are_deterministic(launcher: Launcher) -> None:
+def test_bvh_builds_are_deterministic_on_any_number_of_threads(launcher: Launcher) -> None:
     """The same input gives the same BVH, on any number of threads."""
     gaussians = random_gaussians(10, 3000)
     first = tree_of(launcher, gaussians)
@@ -257,7 +257,7 @@ def shuffled(gaussians: ls.Gaussians) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize("count", [1, 2, 9, 800])
-def test_refitted_boxes_equal_those_of_a_build(launcher: Launcher, count: int) -> None:
+def test_leaf_boxes_of_a_refitted_bvh_equal_those_of_a_new_bvh(launcher: Launcher, count: int) -> None:
     """After a smooth deformation, leaf boxes equal a new BVH's, inner boxes contain them, and no link changes."""
     gaussians = random_gaussians(11, count)
     tree = tree_of(launcher, gaussians)
@@ -273,7 +273,7 @@ def test_refitted_boxes_equal_those_of_a_build(launcher: Launcher, count: int) -
     np.testing.assert_array_equal(found.high, fresh.high)
 
 
-def test_large_moves_rebuild_the_bvh(launcher: Launcher) -> None:
+def test_large_moves_of_gaussians_rebuild_the_bvh(launcher: Launcher) -> None:
     """When all Gaussians swap positions, the result is that of a new BVH."""
     gaussians = random_gaussians(12, 2000, scale_range=(0.01, 0.05))
     tree = tree_of(launcher, gaussians)
@@ -286,7 +286,7 @@ def test_large_moves_rebuild_the_bvh(launcher: Launcher) -> None:
     assert walked(tree, 2000).items.tolist() == walked(fresh, 2000).items.tolist()
 
 
-def test_appearing_gaussians_rebuild_the_bvh(launcher: Launcher) -> None:
+def test_bvh_of_invisible_gaussians_is_rebuilt_once_they_become_visible(launcher: Launcher) -> None:
     """A BVH over invisible Gaussians is rebuilt once they become visible."""
     gaussians = random_gaussians(13, 1000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.05))
     tree = tree_of(launcher, replace(gaussians, opacities=np.zeros(1000)))
@@ -295,7 +295,7 @@ def test_appearing_gaussians_rebuild_the_bvh(launcher: Launcher) -> None:
     assert tree.cost <= 1.5 * tree_of(launcher, gaussians).cost
 
 
-def test_refits_allocate_nothing(launcher: Launcher) -> None:
+def test_refitting_a_bvh_allocates_no_memory(launcher: Launcher) -> None:
     """Neither memory nor the number of allocations changes, however often Gaussians move."""
     gaussians = random_gaussians(14, 1000)
     tree = tree_of(launcher, gaussians)
@@ -306,7 +306,7 @@ def test_refits_allocate_nothing(launcher: Launcher) -> None:
 
 
 @pytest.mark.parametrize("backend", ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())])
-def test_refitted_images_equal_those_of_a_new_bvh(backend: str) -> None:
+def test_images_traced_with_refitted_bvhs_equal_those_with_new_bvhs(backend: str) -> None:
     """Deformed step by step and then shuffled, each image equals a new renderer's to the bit."""
     gaussians = random_gaussians(15, 600, degree=1)
     warm, trees = renderer_of(backend, TRACE), []

@@ -74,7 +74,7 @@ OTHER = {
 
 
 @pytest.mark.parametrize("change", SAME | CHANGED | OTHER)
-def test_history_weight_falls_when_lights_change(change: str) -> None:
+def test_weight_of_cached_lighting_falls_when_lights_change(change: str) -> None:
     """For several frames after a small change, and to almost 0 in the frame of an abrupt one."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False) for _ in range(3)] == [1.0] * 3
@@ -87,7 +87,7 @@ def test_history_weight_falls_when_lights_change(change: str) -> None:
 
 
 @pytest.mark.parametrize("move", MOVED)
-def test_history_fades_slowly_while_objects_move(move: str) -> None:
+def test_weight_of_cached_lighting_falls_less_and_longer_while_objects_move(move: str) -> None:
     """It fades more slowly, and for longer, than after a change of lights."""
     changes = LightChanges()
     changes.history_weight(LIT, False)
@@ -95,7 +95,7 @@ def test_history_fades_slowly_while_objects_move(move: str) -> None:
     assert after == [MOVED_HISTORY_WEIGHT] * MOVED_FRAMES + [1.0]
 
 
-def test_emitting_captures_count_as_lights() -> None:
+def test_emissive_captures_count_as_lights_when_lighting_changes_are_detected() -> None:
     """A moving one changes the lighting, and one that becomes a light is a new light."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False, (0,)) for _ in range(2)] == [1.0] * 2
@@ -103,7 +103,7 @@ def test_emitting_captures_count_as_lights() -> None:
     assert changes.history_weight(MOVED["a capture that moves"], False) == OUTDATED_HISTORY_WEIGHT
 
 
-def test_first_frame_has_full_history_weight() -> None:
+def test_first_frame_of_a_sequence_gives_cached_lighting_its_full_weight() -> None:
     """Holds for the first frame of every sequence."""
     changes = LightChanges()
     assert changes.history_weight(LIT, False) == 1.0
@@ -111,14 +111,14 @@ def test_first_frame_has_full_history_weight() -> None:
     assert changes.history_weight(ls.Scene(), False) == 1.0
 
 
-def test_headlight_counts_as_a_light() -> None:
+def test_headlight_of_a_scene_that_lost_its_lights_counts_as_a_lighting_change() -> None:
     """A scene that loses its last light gets the headlight as a new light."""
     changes, dark = LightChanges(), replace(LIT, lights=())
     assert [changes.history_weight(dark, False) for _ in range(2)] == [1.0] * 2
     assert changes.history_weight(dark, True) == OUTDATED_HISTORY_WEIGHT
 
 
-def test_lights_are_sorted_independently_of_the_list() -> None:
+def test_lights_are_sorted_independently_of_their_order_in_the_scene() -> None:
     """Disabled lights are left out."""
     lights = [*LIT.lights, ls.LightPoint((1.0, 0.0, 0.0)), ls.LightPoint((0.0, 0.0, 0.0), enabled=False)]
     assert in_order(lights) == in_order(lights[::-1])

@@ -56,7 +56,7 @@ def rig() -> Rig:
     return Rig()
 
 
-def test_light_table_units(rig: Rig) -> None:
+def test_light_table_stores_candela_lux_and_radiance_times_colour(rig: Rig) -> None:
     """Candela, lux and radiance times colour; spheres in candela; angles as versines; normals of rectangles."""
     rows = rig.sync(
         LightPoint((1, 2, 3), (1.0, 0.5, 0.0), 8.0, range=7.0, radius=0.25),
@@ -84,7 +84,7 @@ def test_light_table_units(rig: Rig) -> None:
     assert rows["casts_shadow"].tolist() == [1, 1, 1, 1, 0, 1, 1]
 
 
-def test_light_order_and_names(rig: Rig) -> None:
+def test_light_table_lists_enabled_lights_in_scene_order_with_unique_names(rig: Rig) -> None:
     """Enabled lights in scene order; unnamed ones are named by their index, and names are unique."""
     point = LightPoint((0, 0, 0), intensity=1.0)
     rows = rig.sync(
@@ -103,7 +103,7 @@ def test_light_order_and_names(rig: Rig) -> None:
     assert len(set(names)) == 6
 
 
-def test_scene_without_lights_has_a_headlight(rig: Rig) -> None:
+def test_light_table_of_a_scene_without_lights_has_a_headlight(rig: Rig) -> None:
     """It is at the eye, with irradiance pi and no shadow. A scene with only disabled lights has none."""
     rows = rig.sync()
     assert (rig.table.count, rig.table.names) == (1, ("headlight",))
@@ -115,7 +115,7 @@ def test_scene_without_lights_has_a_headlight(rig: Rig) -> None:
     assert (rig.table.count, rig.table.names) == (0, ())
 
 
-def test_missing_environment_has_placeholder_arrays(rig: Rig) -> None:
+def test_light_table_without_environment_has_arrays_of_one_element(rig: Rig) -> None:
     """Kernels get arrays of one element and a flag."""
     rig.sync(LightPoint((0, 0, 0)))
     data = rig.table.environment
@@ -123,7 +123,7 @@ def test_missing_environment_has_placeholder_arrays(rig: Rig) -> None:
     assert [data.texels.size, data.row_ends.size, data.column_ends.size, data.width, data.height] == [1] * 5
 
 
-def test_environment_table_values(rig: Rig) -> None:
+def test_light_table_stores_image_factor_rotation_and_visibility_of_the_environment(rig: Rig) -> None:
     """Image, factor, rotation and visibility."""
     rig.sync(LightEnvironment(IMAGE, (1.0, 0.5, 0.25), 2.0, (0.0, 1.0, 0.0, 0.0), visible=False))
     data = rig.table.environment
@@ -139,7 +139,7 @@ def test_environment_table_values(rig: Rig) -> None:
     np.testing.assert_array_equal(data.texels.numpy(), [(1.0, 1.0, 1.0)])
 
 
-def test_environment_images_are_uploaded_once(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_image_is_uploaded_to_the_light_table_once(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same object is not uploaded again, whatever else changes, also after it was disabled."""
     uploads = []
     monkeypatch.setattr(render_lights, "environment_cdfs", lambda i: uploads.append(i) or environment_cdfs(i))
@@ -160,7 +160,7 @@ def test_environment_images_are_uploaded_once(rig: Rig, monkeypatch: pytest.Monk
     np.testing.assert_array_equal(rig.table.environment.texels.numpy().reshape(IMAGE.shape), IMAGE + 1.0)
 
 
-def test_large_values_are_clamped_to_float32(rig: Rig) -> None:
+def test_light_table_clamps_large_values_to_finite_float32(rig: Rig) -> None:
     """Values beyond float32 become the largest finite ones."""
     rows = rig.sync(
         LightPoint((1e30, 0, 0), intensity=3e38, range=1e300, radius=3e38),
@@ -175,7 +175,7 @@ def test_large_values_are_clamped_to_float32(rig: Rig) -> None:
     assert max(rig.table.environment.power) * 1e30 <= 1.01e30
 
 
-def test_row_probabilities_follow_solid_angle() -> None:
+def test_environment_row_sampling_probabilities_follow_the_solid_angle() -> None:
     """Of two equally bright rows, the one with the larger solid angle has the higher probability."""
     image = np.ones((3, 2, 3), dtype=np.float32)
     rows, columns = environment_cdfs(image)

@@ -100,7 +100,7 @@ def points_near(transform: Doubles, count: int = 16) -> Doubles:
 
 
 @pytest.mark.parametrize("move", MOVES)
-def test_moving_instances_have_previous_positions(move: str) -> None:
+def test_points_of_moving_instances_have_their_previous_positions(move: str) -> None:
     """The previous transform gives a point's previous position; one frame later, it has not moved."""
     gaussians, mesh, now = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES[move]
     sequence = Sequence()
@@ -115,7 +115,7 @@ def test_moving_instances_have_previous_positions(move: str) -> None:
     close(sequence.splats_before(0, points), points)
 
 
-def test_still_instances_have_bit_equal_previous_positions() -> None:
+def test_previous_positions_of_still_instances_are_equal_to_the_bit() -> None:
     """Holds for every transform, so that history is not resampled."""
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     sequence = Sequence()
@@ -128,7 +128,7 @@ def test_still_instances_have_bit_equal_previous_positions() -> None:
     np.testing.assert_array_equal(sequence.mesh_before(0, 2), shown)
 
 
-def test_deforming_gaussians_have_previous_positions() -> None:
+def test_previous_positions_on_deforming_gaussians_rotate_and_move_with_them() -> None:
     """A point keeps its position in the Gaussian's frame while Gaussian and instance move and rotate."""
     before, now = capture(1), MOVES["all three"]
     rng = np.random.default_rng(3)
@@ -156,7 +156,7 @@ def bent(mesh: ls.Mesh, seed: int = 4) -> ls.Mesh:
     return replace(mesh, positions=mesh.positions + rng.normal(0.0, 0.1, mesh.positions.shape))
 
 
-def test_deforming_meshes_have_previous_positions() -> None:
+def test_previous_positions_on_deforming_meshes_keep_barycentric_weights() -> None:
     """Points keep their barycentric weights; other meshes of the scene are unchanged."""
     still, mesh = octahedron((0.0, 0.3, 0.0), 0.4), octahedron((0.1, 0.0, 0.0), 0.5)
     now = MOVES["all three"]
@@ -168,7 +168,7 @@ def test_deforming_meshes_have_previous_positions() -> None:
         close(sequence.mesh_before(0, face), points_of(ls.MeshInstance(still), face))
 
 
-def test_previous_vertices_belong_to_the_previous_mesh() -> None:
+def test_mesh_without_a_matching_previous_mesh_has_no_previous_positions() -> None:
     """A mesh without a matching predecessor has no previous position, even if all meshes have equal counts."""
     mesh, other, last = (octahedron((x, 0.0, 0.0), 0.4) for x in (0.0, 0.5, 1.0))
     both = bent(other)
@@ -181,7 +181,7 @@ def test_previous_vertices_belong_to_the_previous_mesh() -> None:
     assert not np.isnan(sequence.mesh_before(0, 1)).any()
 
 
-def test_new_instances_have_no_previous_position() -> None:
+def test_new_and_replaced_instances_have_no_previous_positions() -> None:
     """Holds for all of the first frame, and later for new instances and for replacements."""
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     old = ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE)
@@ -201,7 +201,7 @@ def test_new_instances_have_no_previous_position() -> None:
     assert np.isnan(sequence.splats_before(0, points)).all()
 
 
-def test_instances_of_one_asset_match_in_order() -> None:
+def test_instances_of_one_asset_are_matched_in_order_between_frames() -> None:
     """Two that swap positions count as moved; removing an earlier instance changes nothing."""
     gaussians, mesh, there = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES["all three"]
     sequence = Sequence()
@@ -217,7 +217,7 @@ def test_instances_of_one_asset_match_in_order() -> None:
     close(sequence.mesh_before(0, 3), points_of(ls.MeshInstance(mesh, HERE), 3))
 
 
-def test_previous_pixels_use_the_previous_camera() -> None:
+def test_previous_pixels_are_projected_by_the_previous_camera() -> None:
     """Pixel and distance equal the previous camera's projection; points behind it have none."""
     before = ls.Camera.look_at(
         (0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9, near=0.02

@@ -47,7 +47,9 @@ def gaussians_near_rays(count: int, *, has_normals: bool) -> tuple[ls.Gaussians,
     "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
 )
 @pytest.mark.parametrize("has_normals", [False, True], ids=["planes", "own normals"])
-def test_near_gaussians_of_other_layers_block(schedule: str, method: ls.config.ShadowMethod, has_normals: bool) -> None:
+def test_shadow_rays_are_blocked_by_near_gaussians_of_other_layers(
+    schedule: str, method: ls.config.ShadowMethod, has_normals: bool
+) -> None:
     """Results match the float64 reference, also for a transformed instance; without normals, nothing near blocks."""
     gaussians, points, normals, directions = gaussians_near_rays(1200, has_normals=has_normals)
     near = np.full(len(points), 4.0 * 0.1)
@@ -105,7 +107,9 @@ CORNER = ls.Camera.look_at((0.6, 0.3, 0.7), (-1.0, -0.6, -1.0), width=64, height
     ("count", "direct", "all_bounces"),
     [(20_000, 0.004, 0.01), pytest.param(60_000, 0.002, 0.008, marks=pytest.mark.deep)],
 )
-def test_a_closed_room_is_dark(count: int, direct: float, all_bounces: float) -> None:
+def test_path_traced_closed_room_of_gaussians_leaks_less_than_1_percent(
+    count: int, direct: float, all_bounces: float
+) -> None:
     """Less than 1 % of the environment leaks inside; it was 1.5 and 10 % with 20,000 Gaussians before."""
     scene = room(count)
     assert paths(scene, CORNER, 16, 0).color.mean() < direct
@@ -118,7 +122,7 @@ def frames_in_real_time(scene: ls.Scene) -> np.ndarray:
     return np.mean([renderer.render(scene, CORNER).color[..., 1] for _ in range(16)][8:], axis=0)
 
 
-def test_a_closed_room_is_dark_in_real_time() -> None:
+def test_realtime_closed_room_of_gaussians_leaks_less_than_1_percent() -> None:
     """Less than 1 % of the environment leaks after all bounces; rays starting within their own layer leaked 1.4 %."""
     assert frames_in_real_time(room(20_000)).mean() < 0.01
 
@@ -142,7 +146,7 @@ def test_no_light_leaks_at_the_seam_between_splats_and_meshes(pipeline: ls.Pipel
 
 
 @PIPELINES
-def test_a_closed_room_gets_no_direct_light(pipeline: ls.Pipeline) -> None:
+def test_closed_room_of_gaussians_gets_no_direct_environment_light(pipeline: ls.Pipeline) -> None:
     """Blocks of pixels at its edges are dark, too; before, 1.3 % leaked in the mean and 8 % at edges."""
     frame = lit(room(20_000), CORNER, pipeline, samples=8, shadows=ls.Shadows.SOFT)
     light = frame.color[..., 1]
@@ -180,7 +184,9 @@ def sheet(shape: str) -> ls.Gaussians:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("has_normals", [False, True], ids=["planes", "own normals"])
 @pytest.mark.parametrize(("shape", "lost"), [("flat", 0.002), ("hill", 0.002), ("bowl", 0.002), ("noisy", 0.035)])
-def test_layers_do_not_shadow_themselves(shape: str, lost: float, has_normals: bool, pipeline: ls.Pipeline) -> None:
+def test_layers_of_gaussians_do_not_shadow_themselves(
+    shape: str, lost: float, has_normals: bool, pipeline: ls.Pipeline
+) -> None:
     """Light arrives from 20 degrees and from overhead; noisy layers lose no more than without the layer test."""
     layer = sheet(shape)
     layer = layer if has_normals else replace(layer, normals=None)
@@ -196,7 +202,7 @@ def test_layers_do_not_shadow_themselves(shape: str, lost: float, has_normals: b
 
 
 @PIPELINES
-def test_a_shadow_reaches_the_foot_of_a_wall(pipeline: ls.Pipeline) -> None:
+def test_shadow_of_a_wall_of_gaussians_reaches_its_foot(pipeline: ls.Pipeline) -> None:
     """A wall and a floor of discs have one scale; the floor is dark right up to the wall, not from four scales on."""
     x, y = (0.03 * axis.ravel() for axis in np.mgrid[-25:26, -25:26])
     ground = discs(np.stack([x, y, 0.0 * x], axis=1), np.tile(Z, (len(x), 1)), 0.04)

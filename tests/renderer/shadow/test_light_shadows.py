@@ -24,7 +24,7 @@ from support.scenes.raster_scenes import flat_sh, joined, one_gaussian, rotation
 @PIPELINES
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("shape", ["square", "sliver", "tilted"])
-def test_a_plane_does_not_shadow_itself(shape: str, axis: int, pipeline: ls.Pipeline) -> None:
+def test_plane_does_not_shadow_itself_for_any_light_angle(shape: str, axis: int, pipeline: ls.Pipeline) -> None:
     """Light from any angle arrives everywhere, for all orientations and triangle shapes of the plane."""
     long, wide = (9.0, 0.02) if shape == "sliver" else (5.5, 4.5)
     transform = rotation((1.0, 1.0, 1.0), axis * 2.0 * np.pi / 3.0)
@@ -106,7 +106,7 @@ def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray
         pytest.param(ls.Pipeline.HYBRID, id="hybrid", marks=pytest.mark.deep),
     ],
 )
-def test_penumbra_of_a_sphere_light_matches_the_integral(pipeline: ls.Pipeline) -> None:
+def test_penumbra_of_a_sphere_light_matches_the_float64_integral(pipeline: ls.Pipeline) -> None:
     """The umbra has no light, the outside has all of it, and the penumbra follows the integral."""
     radius, center, light_radius, height = 0.3, 0.5, 0.15, 2.0
     light = ls.LightSphere((0.0, height, 0.0), light_radius, intensity=50.0)
@@ -136,7 +136,7 @@ def test_penumbra_of_a_sphere_light_matches_the_integral(pipeline: ls.Pipeline) 
 
 
 @PIPELINES
-def test_penumbra_of_a_sun_matches_the_closed_form(pipeline: ls.Pipeline) -> None:
+def test_penumbra_of_a_sun_behind_a_straight_edge_matches_the_closed_form(pipeline: ls.Pipeline) -> None:
     """Behind a straight edge, the visible fraction of the sun's disc follows the distance from the edge."""
     angle, height = 0.1, 0.8
     light = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, angle=angle)
@@ -165,7 +165,7 @@ def test_penumbra_of_a_sun_matches_the_closed_form(pipeline: ls.Pipeline) -> Non
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.SOFT], ids=lambda shadows: shadows.value)
-def test_only_objects_before_a_light_block_it(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+def test_object_blocks_a_light_only_if_it_is_before_the_light(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
     """A lid right below a light darkens the floor; one right above it changes nothing."""
     lights = [
         ls.LightSphere((0.0, 2.0, 0.0), 0.3, intensity=5.0),
@@ -184,7 +184,7 @@ def test_only_objects_before_a_light_block_it(shadows: ls.Shadows, pipeline: ls.
 
 
 @PIPELINES
-def test_glass_transmits_shadow_rays_by_fresnel(pipeline: ls.Pipeline) -> None:
+def test_glass_slab_transmits_shadow_rays_by_fresnels_equations(pipeline: ls.Pipeline) -> None:
     """Both faces of a slab transmit the fraction of Fresnel's equations at that angle."""
     slab = box((8.0, 0.1, 8.0), replace(clear_glass(1.5), base_color=(0.9, 0.8, 0.5)))
     slab = replace(slab, positions=slab.positions + np.array([0.0, 1.2, 0.0], np.float32))
@@ -216,7 +216,7 @@ def stack() -> ls.Gaussians:
 
 @PIPELINES
 @pytest.mark.parametrize("kind", ["sun", "environment"])
-def test_shadow_distance_limits_shadows(pipeline: ls.Pipeline, kind: str) -> None:
+def test_shadow_distance_limits_which_objects_cast_shadows(pipeline: ls.Pipeline, kind: str) -> None:
     """A captured sky 5 above a floor does not block light with a shorter ``shadow_distance``; nearer objects do."""
     captured_sky = ls.gaussians_from_mesh(
         parallelogram((-9.0, 5.0, 9.0), (18.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5)), 4000
@@ -268,7 +268,7 @@ STACK_LIGHT = ls.LightPoint((0.1, 2.2, -0.1), color=(1.0, 0.9, 0.8), intensity=5
 
 @PIPELINES
 @pytest.mark.parametrize("method", ls.config.ShadowMethod, ids=lambda method: method.value)
-def test_shadow_of_gaussians_is_the_product_of_transmittances(
+def test_shadow_of_gaussians_is_the_product_of_their_transmittances(
     pipeline: ls.Pipeline, method: ls.config.ShadowMethod
 ) -> None:
     """The product of 1 - alpha is exact, also for up to eight nearest hits, and stochastic shadows average to it."""
@@ -294,7 +294,7 @@ def test_shadow_of_gaussians_is_the_product_of_transmittances(
 
 
 @PIPELINES
-def test_stochastic_shadow_noise_is_uncorrelated_between_pixels(pipeline: ls.Pipeline) -> None:
+def test_noise_of_stochastic_shadows_is_uncorrelated_between_pixels(pipeline: ls.Pipeline) -> None:
     """A box filter removes far more noise of independent draws than of draws shared between rays."""
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frames = [
@@ -334,7 +334,7 @@ def test_transmittance_threshold_darkens_and_rescales_shadows(pipeline: ls.Pipel
     assert np.percentile(off, 98) < 2e-4
 
 
-def test_shadows_are_tinted_by_the_occluding_gaussians() -> None:
+def test_shadows_are_tinted_by_the_colours_of_the_blocking_gaussians() -> None:
     """The tint is the mean colour of the Gaussians, brightest channel 1, weighted by strength times darkness."""
     shadow = ls.ShadowConfig(color_strength=1.5)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
@@ -364,7 +364,7 @@ def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
 
 
 @PIPELINES
-def test_shadow_catchers_are_darkened_by_the_blocked_fraction_of_light(pipeline: ls.Pipeline) -> None:
+def test_shadow_catcher_is_darkened_by_the_blocked_fraction_of_its_light(pipeline: ls.Pipeline) -> None:
     """Without ambient light, a shadow of the only light is black, and of one of two leaves the other's fraction."""
     capture = sheet(shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
     lid = parallelogram((-0.4, 0.7, 0.4), (0.8, 0.0, 0.0), (0.0, 0.0, -0.8), matte(0.5))
@@ -423,7 +423,7 @@ def test_shadow_catchers_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: 
 
 
 @PIPELINES
-def test_other_gaussians_cast_shadows_on_shadow_catchers(pipeline: ls.Pipeline) -> None:
+def test_gaussians_cast_shadows_on_shadow_catchers_by_their_transmittance(pipeline: ls.Pipeline) -> None:
     """Behind Gaussians alone, the light is multiplied by their exact transmittance."""
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
     shares = []
@@ -443,7 +443,7 @@ def test_other_gaussians_cast_shadows_on_shadow_catchers(pipeline: ls.Pipeline) 
 
 
 @PIPELINES
-def test_captured_colour_is_the_default_albedo(pipeline: ls.Pipeline) -> None:
+def test_albedo_of_a_relit_capture_defaults_to_its_captured_colour(pipeline: ls.Pipeline) -> None:
     """A matte sheet under a sun reflects decoded colour over pi times lux times cosine."""
     capture = sheet(material=matte(1.0))
     bare = replace(

@@ -19,7 +19,9 @@ OVERHEAD = ls.LightDirectional((0.1, -1.0, 0.05), intensity=3.0)
 @pytest.mark.parametrize(
     "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
 )
-def test_the_smaller_gaussian_sets_the_offset(schedule: str, method: ls.config.ShadowMethod) -> None:
+def test_smaller_of_two_gaussians_determines_the_shadow_offset_between_them(
+    schedule: str, method: ls.config.ShadowMethod
+) -> None:
     """A Gaussian blocks beyond the smaller of its own and the surface's offset, in scales and in world units."""
     rig = ShadowRig(schedule)
     for scale, placed, t_min, absolute, arrives in (
@@ -36,7 +38,7 @@ def test_the_smaller_gaussian_sets_the_offset(schedule: str, method: ls.config.S
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_lights_nearer_than_the_offset_are_shadowed(schedule: str) -> None:
+def test_gaussian_between_a_wide_gaussian_and_a_near_light_casts_a_shadow(schedule: str) -> None:
     """A small Gaussian between a wide one and a light blocks the light."""
     scene = ls.Scene([one_gaussian((0.0, 0.0, 0.5), 0.05, 0.5)])
     light = ShadowRig(schedule).light(scene, np.zeros((2, 3)), AHEAD, t_min=3.0, t_max=[1.0, 0.4])
@@ -84,7 +86,7 @@ def floor_light(splats: list[ls.Gaussians], pipeline: ls.Pipeline) -> tuple[np.n
 
 
 @PIPELINES
-def test_objects_on_wide_splats_shadow_them(pipeline: ls.Pipeline) -> None:
+def test_objects_close_above_wide_splats_cast_shadows_on_them(pipeline: ls.Pipeline) -> None:
     """A ball 0.05 to 0.45 above discs of scale 0.2 is within four of their scales, and shadows them."""
     ball = ball_of_discs((0.0, 0.25, -0.1), 0.2)
     share, points = floor_light([floor_of_discs(0.2, 0.01, 0.005, 0.02), ball], pipeline)
@@ -96,7 +98,7 @@ def test_objects_on_wide_splats_shadow_them(pipeline: ls.Pipeline) -> None:
 
 
 @PIPELINES
-def test_a_rough_layer_of_splats_does_not_shadow_itself(pipeline: ls.Pipeline) -> None:
+def test_rough_layer_of_splats_does_not_shadow_itself(pipeline: ls.Pipeline) -> None:
     """Disc heights scatter by 0.6 of their scale, and tilts by 20 degrees, as in captures."""
     share, _ = floor_light([floor_of_discs(0.05, 0.01, 0.03, 0.35)], pipeline)
     assert len(share) > 1000

@@ -82,14 +82,14 @@ def assert_matches_reference(
 # --- The product over all Gaussians ---
 
 
-def test_transmittance_is_the_product_over_gaussians(rig: ShadowRig) -> None:
+def test_transmittance_of_a_shadow_ray_is_the_product_over_its_gaussians(rig: ShadowRig) -> None:
     """The light is the product over Gaussians before it; none before the first, none behind the light."""
     t_max = np.array([2.9, 3.1, 4.1, 5.1, 1e9, np.inf])
     light = rig.light(ls.Scene([stack(0.5, 0.8, 0.3)]), np.zeros((6, 3)), AHEAD, t_max=t_max)
     np.testing.assert_allclose(light, np.outer([1.0, 0.5, 0.1, 0.07, 0.07, 0.07], np.ones(3)), rtol=1e-5)
 
 
-def test_offset_skips_nearer_gaussians(rig: ShadowRig) -> None:
+def test_shadow_ray_skips_gaussians_whose_peak_is_before_t_min(rig: ShadowRig) -> None:
     """Gaussians that peak before ``t_min`` do not block; a ray that ends there hits none."""
     t_min = np.array([0.0, 3.1, 4.1, 9.0, 3.1])
     t_max = np.array([np.inf, np.inf, np.inf, np.inf, 2.0])
@@ -99,7 +99,7 @@ def test_offset_skips_nearer_gaussians(rig: ShadowRig) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2, 4])
-def test_transmittance_matches_the_reference(rig: ShadowRig, degree: int) -> None:
+def test_transmittance_of_shadow_rays_matches_the_float64_reference(rig: ShadowRig, degree: int) -> None:
     """Anisotropic Gaussians of several degrees and placements, for coherent and single rays."""
     placed = placed_scene()
     scene = ls.Scene([*placed.splats, replace(random_gaussians(7, 60), kernel_degree=degree)])
@@ -107,19 +107,21 @@ def test_transmittance_matches_the_reference(rig: ShadowRig, degree: int) -> Non
 
 
 @pytest.mark.parametrize("response", [{"min_response": 0.2}, {"kernel_degree": 5}])
-def test_transmittance_follows_the_response_settings(rig: ShadowRig, response: dict[str, Any]) -> None:
+def test_shadow_rays_use_the_extent_and_response_settings_of_camera_rays(
+    rig: ShadowRig, response: dict[str, Any]
+) -> None:
     """The extent and response of Gaussians are the same as for camera rays."""
     assert_matches_reference(
         rig, placed_scene(), ls.RenderConfig(response=ls.config.ResponseConfig(**response)), seed=20
     )
 
 
-def test_transmittance_does_not_depend_on_the_hit_distance(rig: ShadowRig) -> None:
+def test_transmittance_of_shadow_rays_does_not_depend_on_hit_distance(rig: ShadowRig) -> None:
     """All Gaussians that peak before the light count, whatever ``hit_distance`` is."""
     assert_matches_reference(rig, placed_scene(), seed=20, hit_distance=ls.config.HitDistance.HULL)
 
 
-def test_tracer_settings_do_not_affect_shadows(rig: ShadowRig) -> None:
+def test_tracer_and_rasteriser_settings_do_not_affect_shadow_rays(rig: ShadowRig) -> None:
     """Neither do those of the rasteriser: bits are equal, for all Gaussians and for the first hits."""
     trace = ls.TraceConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
     others = ls.RenderConfig(trace=trace, raster=ls.RasterConfig(transmittance_min=0.5))
@@ -129,7 +131,7 @@ def test_tracer_settings_do_not_affect_shadows(rig: ShadowRig) -> None:
         np.testing.assert_array_equal(plain, same)
 
 
-def test_transmittance_does_not_depend_on_the_order_of_gaussians(rig: ShadowRig) -> None:
+def test_transmittance_of_shadow_rays_does_not_depend_on_gaussian_order(rig: ShadowRig) -> None:
     """Light and tint do not depend on the order of Gaussians or on their split into instances."""
     whole = random_gaussians(30, 300)
     shuffled = whole.subset(np.random.default_rng(1).permutation(300))
@@ -143,7 +145,7 @@ def test_transmittance_does_not_depend_on_the_order_of_gaussians(rig: ShadowRig)
         np.testing.assert_allclose(other, first, atol=5e-6)
 
 
-def test_light_below_the_minimum_transmittance_is_black(rig: ShadowRig) -> None:
+def test_shadow_rays_below_the_minimum_transmittance_are_black(rig: ShadowRig) -> None:
     """Above ``transmittance_min``, the product is exact; at it and below, it is 0. With 0, there is no limit."""
     scene = ls.Scene([stack(0.95, 0.95, 0.95)])
     for least, expected in ((1e-4, 0.05**3), (1.2e-4, 0.05**3), (1.3e-4, 0.0), (0.0, 0.05**3)):
@@ -151,7 +153,7 @@ def test_light_below_the_minimum_transmittance_is_black(rig: ShadowRig) -> None:
         assert light == pytest.approx(np.full(3, expected), rel=1e-4)
 
 
-def test_results_do_not_depend_on_thread_count() -> None:
+def test_shadow_rays_do_not_depend_on_thread_count() -> None:
     """Results have the same bits with 1 and 3 threads."""
     origins, along = rays_around(40)
     scene = placed_scene()
@@ -164,7 +166,7 @@ def test_results_do_not_depend_on_thread_count() -> None:
 # --- Threshold and tint ---
 
 
-def test_threshold_rescales_the_light_above_it(rig: ShadowRig) -> None:
+def test_transmittance_threshold_rescales_the_light_of_shadow_rays_above_it(rig: ShadowRig) -> None:
     """Light is black up to the threshold, unchanged where nothing blocks the ray, and linear between."""
     light = rig.light(
         ls.Scene([stack(0.2, 0.5, 0.5)]),
@@ -177,7 +179,7 @@ def test_threshold_rescales_the_light_above_it(rig: ShadowRig) -> None:
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.5, 1.0, 5.0])
-def test_tint_of_one_gaussian_matches_the_closed_form(rig: ShadowRig, strength: float) -> None:
+def test_tint_of_a_shadow_ray_by_one_gaussian_matches_the_closed_form(rig: ShadowRig, strength: float) -> None:
     """The tint is the Gaussian's linear colour over its largest channel, as far as the shadow is dark."""
     color = (0.8, 0.4, 0.2)
     light = rig.light(ls.Scene([stack(0.6, color=color)]), ORIGIN, AHEAD, color_strength=strength)[0]
@@ -185,7 +187,7 @@ def test_tint_of_one_gaussian_matches_the_closed_form(rig: ShadowRig, strength: 
     np.testing.assert_allclose(light, 0.4 * (1.0 + min(0.6 * strength, 1.0) * (tint - 1.0)), rtol=1e-5)
 
 
-def test_tint_is_the_mean_colour_weighted_by_alpha(rig: ShadowRig) -> None:
+def test_tint_of_a_shadow_ray_is_the_mean_gaussian_colour_weighted_by_alpha(rig: ShadowRig) -> None:
     """Two Gaussians of different colours and opacities, in either order; black ones do not tint."""
     red, green = (stack(opacity, color=c) for opacity, c in ((0.6, (1.0, 0.0, 0.0)), (0.3, (0.0, 1.0, 0.0))))
     away = similarity(offset=(0.0, 0.0, 1.0))
@@ -197,7 +199,7 @@ def test_tint_is_the_mean_colour_weighted_by_alpha(rig: ShadowRig) -> None:
     np.testing.assert_allclose(black, 0.5, rtol=1e-5)
 
 
-def test_tint_and_threshold_match_the_reference(rig: ShadowRig) -> None:
+def test_tint_and_threshold_of_shadow_rays_match_the_float64_reference(rig: ShadowRig) -> None:
     """Tint and threshold are combined, on random scenes."""
     found = assert_matches_reference(rig, placed_scene(), seed=50, color_strength=1.5, transmittance_threshold=0.3)
     assert (np.ptp(found, axis=1) > 0.05).mean() > 0.1
@@ -207,7 +209,7 @@ def test_tint_and_threshold_match_the_reference(rig: ShadowRig) -> None:
 
 
 @pytest.mark.parametrize("reverse", [False, True])
-def test_first_hits_are_the_nearest(rig: ShadowRig, reverse: bool) -> None:
+def test_first_hits_shadow_rays_are_blocked_by_the_nearest_four_gaussians(rig: ShadowRig, reverse: bool) -> None:
     """Product and tint are those of the nearest four, in any storage order; further Gaussians do not block."""
     six = stack(0.1, 0.2, 0.3, 0.4, 0.9, 0.9)
     scene = ls.Scene([six.subset(np.arange(5, -1, -1)) if reverse else six])
@@ -219,7 +221,7 @@ def test_first_hits_are_the_nearest(rig: ShadowRig, reverse: bool) -> None:
     np.testing.assert_allclose(blue, 0.0625 * np.array([1.0 - 0.9375 * (1.0 - tint)] * 2 + [1.0]), rtol=1e-4)
 
 
-def test_first_hits_at_equal_distance_are_ordered_by_index(rig: ShadowRig) -> None:
+def test_first_hits_at_equal_distance_are_ordered_by_gaussian_index(rig: ShadowRig) -> None:
     """Coincident copies are ordered by their index in the scene."""
     same = copies(12, 60)
     aim = normalized(np.array([0.1, -0.2, 4.0]))
@@ -227,7 +229,7 @@ def test_first_hits_at_equal_distance_are_ordered_by_index(rig: ShadowRig) -> No
     np.testing.assert_allclose(light, np.prod(1.0 - same.opacities[:8].astype(float)), rtol=1e-4)
 
 
-def test_first_hits_are_never_darker_than_exact(rig: ShadowRig) -> None:
+def test_first_hits_shadows_are_never_darker_than_exact_shadows(rig: ShadowRig) -> None:
     """Gaussians beyond the limit do not darken; rays that cross few Gaussians count all of them."""
     origins, along = rays_around(61)
     scene = ls.Scene([random_gaussians(62, 400)])
@@ -246,7 +248,7 @@ def test_first_hits_are_never_darker_than_exact(rig: ShadowRig) -> None:
 # --- Meshes ---
 
 
-def test_meshes_block_shadow_rays(rig: ShadowRig) -> None:
+def test_triangle_between_point_and_light_blocks_shadow_rays_from_both_sides(rig: ShadowRig) -> None:
     """A triangle between point and light blocks from either side; behind the light, it does not."""
     scene = ls.Scene([stack(0.5)], [quad(4.0)])
     t_max = [2.0, 3.5, 4.5, np.inf]
@@ -257,14 +259,14 @@ def test_meshes_block_shadow_rays(rig: ShadowRig) -> None:
     assert rig.light(scene, 8.0 * AHEAD, -AHEAD, t_max=4.1)[0, 0] == 0.0
 
 
-def test_offset_does_not_apply_to_meshes(rig: ShadowRig) -> None:
+def test_shadow_offset_of_gaussians_does_not_apply_to_meshes(rig: ShadowRig) -> None:
     """The offset applies to Gaussians only: a wall nearer than the offset blocks, even if the light is nearer, too."""
     scene = ls.Scene([stack(0.5)], [quad(1.0)])
     light = rig.light(scene, np.zeros((3, 3)), AHEAD, t_min=[2.0, 2.0, 0.0], t_max=[np.inf, 1.5, 0.9])
     np.testing.assert_array_equal(light[:, 0], [0.0, 0.0, 1.0])
 
 
-def test_smooth_glass_transmits_light(rig: ShadowRig) -> None:
+def test_smooth_glass_transmits_and_tints_shadow_rays(rig: ShadowRig) -> None:
     """Transmission, tint, Fresnel's 4 % times specular, and 1 - metallic are applied; rough glass transmits nothing."""
     for changes, expected in (
         ({}, (1.0, 1.0, 1.0)),
@@ -281,7 +283,7 @@ def test_smooth_glass_transmits_light(rig: ShadowRig) -> None:
         np.testing.assert_allclose(rig.light(scene, [0.3, 0.1, 0.0], AHEAD)[0], expected, atol=1e-6)
 
 
-def test_both_faces_of_a_pane_reflect_equally(rig: ShadowRig) -> None:
+def test_both_faces_of_a_pane_reflect_equally_for_shadow_rays(rig: ShadowRig) -> None:
     """Light passes straight, so both faces use the Fresnel term of air to glass; a slab transmits its square."""
     material = glass(specular=1.0)
     slanted = normalized(np.array([0.9, 0.1, 0.3]))
@@ -296,7 +298,7 @@ def test_both_faces_of_a_pane_reflect_equally(rig: ShadowRig) -> None:
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 2, 0]])
-def test_panes_multiply_in_any_order(rig: ShadowRig, order: list[int]) -> None:
+def test_transmittances_of_coloured_panes_multiply_in_any_order(rig: ShadowRig, order: list[int]) -> None:
     """Coloured panes are separate instances or one mesh; a wall among them blocks all light."""
     colors = ((0.5, 1.0, 0.8), (0.9, 0.2, 0.5), (0.7, 0.6, 0.5))
     panes = [quad(2.0 + i, material=glass(base_color=colors[i])) for i in order]
@@ -314,7 +316,7 @@ def test_panes_multiply_in_any_order(rig: ShadowRig, order: list[int]) -> None:
         assert (rig.light(ls.Scene([], meshes), [0.3, 0.1, 0.0], AHEAD) == 0.0).all()
 
 
-def test_edges_and_corners_count_once(rig: ShadowRig) -> None:
+def test_shadow_rays_through_edges_and_corners_of_a_pane_hit_one_triangle(rig: ShadowRig) -> None:
     """Rays exactly through edges and vertices of a pane hit one triangle, for any winding."""
     x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
     points = np.stack([x.ravel(), y.ravel(), np.full(25, 3.0)], axis=-1)
@@ -329,7 +331,7 @@ def test_edges_and_corners_count_once(rig: ShadowRig) -> None:
             np.testing.assert_allclose(rig.light(ls.Scene([], [pane]), start, along), 0.5, rtol=1e-6)
 
 
-def test_closed_glass_is_crossed_an_even_number_of_times(rig: ShadowRig) -> None:
+def test_shadow_rays_cross_a_closed_glass_sphere_an_even_number_of_times(rig: ShadowRig) -> None:
     """Rays are aimed at vertices, edges and faces of a sphere: each enters and leaves."""
     sphere = icosphere(1.0, subdivisions=2)
     ball = ls.Mesh(sphere.positions, sphere.indices, material=glass(base_color=(0.5, 0.5, 0.5)))
@@ -347,7 +349,7 @@ def test_closed_glass_is_crossed_an_even_number_of_times(rig: ShadowRig) -> None
     assert (np.round(crossings) == 2).mean() > 0.99 and (np.round(crossings) % 2 == 0).all()
 
 
-def test_glass_and_gaussians_match_the_reference(rig: ShadowRig) -> None:
+def test_shadow_rays_through_glass_and_gaussians_match_the_reference(rig: ShadowRig) -> None:
     """Panes are textured, tilted, sheared and mirrored, among Gaussians."""
     tilted = quad(4.5, 1.4, tilt=0.8, material=glass(base_color=(0.9, 0.6, 0.4), specular=0.8, ior=1.8))
     board = checker_quad(0.0)
@@ -357,7 +359,7 @@ def test_glass_and_gaussians_match_the_reference(rig: ShadowRig) -> None:
     assert_matches_reference(rig, ls.Scene([random_gaussians(71, 60)], meshes), seed=72, color_strength=1.0)
 
 
-def test_opaque_rays_are_blocked_by_glass(rig: ShadowRig) -> None:
+def test_shadow_rays_marked_as_opaque_are_blocked_by_glass(rig: ShadowRig) -> None:
     """With ``opaque``, every mesh blocks."""
     scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass())])
     assert rig.light(scene, ORIGIN, AHEAD)[0, 0] == pytest.approx(0.5, rel=1e-5)
@@ -367,7 +369,7 @@ def test_opaque_rays_are_blocked_by_glass(rig: ShadowRig) -> None:
 # --- Rays that do not see everything, and those that are none ---
 
 
-def test_rays_skip_shadow_catchers(rig: ShadowRig) -> None:
+def test_shadow_rays_that_skip_shadow_catchers_hit_all_other_objects(rig: ShadowRig) -> None:
     """Only marked rays skip them, not the others of the packet; all rays intersect the rest of the scene."""
     scene = ls.Scene(
         [
@@ -385,7 +387,7 @@ def test_rays_skip_shadow_catchers(rig: ShadowRig) -> None:
     assert (rig.light(alone, np.zeros((16, 3)), AHEAD, skips=1) == 1.0).all()
 
 
-def test_degenerate_rays_give_no_nan(rig: ShadowRig) -> None:
+def test_degenerate_shadow_rays_give_no_nan_and_do_not_affect_other_rays(rig: ShadowRig) -> None:
     """Inactive rays, lights at the point itself and NaN rays give no NaN and do not affect other rays."""
     scene = ls.Scene([stack(0.5)], [quad(5.0, material=glass())])
     t_max = np.tile([4.0, -np.inf, 0.0, -1.0, np.inf, np.nan, 4.0, np.inf], 4)
@@ -423,7 +425,7 @@ SHARED = pytest.mark.parametrize("shared", [False, True], ids=["per ray", "share
 
 @SHARED
 @pytest.mark.parametrize("degree", [0, 2, pytest.param(3, marks=pytest.mark.deep)])
-def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int, shared: bool) -> None:
+def test_stochastic_shadow_rays_have_the_mean_of_exact_ones(rig: ShadowRig, degree: int, shared: bool) -> None:
     """Each ray is within four standard deviations, the mean over rays within less; instances share BVHs."""
     asset = replace(random_gaussians(80, 80, center=(0.0, 0.0, 0.0)), kernel_degree=degree)
     scene = ls.Scene([asset, ls.SplatInstance(asset, similarity((1, 2, 0.5), 1.1, 1.2, (0.3, 0.1, 4.0))), stack(0.5)])
@@ -442,7 +444,7 @@ def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int, shared: bool) -> 
         assert abs(float(np.mean(mean - exact))) < 4.0 / samples / math.sqrt(len(exact))
 
 
-def test_neighbouring_rays_draw_independently(rig: ShadowRig) -> None:
+def test_neighbouring_stochastic_shadow_rays_draw_independent_numbers(rig: ShadowRig) -> None:
     """Of many equal rays, half pass in each sample, uncorrelated with their neighbours.
 
     With shared numbers, all of them pass, or none.
@@ -463,7 +465,7 @@ def test_neighbouring_rays_draw_independently(rig: ShadowRig) -> None:
 
 
 @SHARED
-def test_acceptance_scale_darkens_by_a_known_amount(rig: ShadowRig, shared: bool) -> None:
+def test_acceptance_scale_raises_the_blocking_probability_of_each_gaussian(rig: ShadowRig, shared: bool) -> None:
     """Each Gaussian blocks with the probability min(1, alpha / scale), so the mean is darker by a known amount."""
     pane = stack(0.3, 0.2)
     scene, rays = ls.Scene([pane]), (np.zeros((16, 3)), AHEAD)
@@ -484,7 +486,9 @@ def test_acceptance_scale_darkens_by_a_known_amount(rig: ShadowRig, shared: bool
 @pytest.mark.parametrize("samples", [256, pytest.param(1024, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("other", ["same set twice", "two sets"])
 @SHARED
-def test_draws_are_independent(rig: ShadowRig, shared: bool, other: str, samples: int) -> None:
+def test_stochastic_shadow_draws_of_coincident_gaussians_are_independent(
+    rig: ShadowRig, shared: bool, other: str, samples: int
+) -> None:
     """Two coincident Gaussians of alpha 0.5 together transmit a quarter of the light, not half."""
     pane = stack(0.5)
     scene = ls.Scene([pane, pane if other == "same set twice" else stack(0.5)])
@@ -494,14 +498,14 @@ def test_draws_are_independent(rig: ShadowRig, shared: bool, other: str, samples
 
 
 @SHARED
-def test_samples_are_stratified(rig: ShadowRig, shared: bool) -> None:
+def test_stochastic_shadow_samples_of_a_gaussian_are_stratified(rig: ShadowRig, shared: bool) -> None:
     """Sixteen samples of one Gaussian estimate its alpha with an error below one sample."""
     for opacity in (0.1, 0.5, 0.77):
         through = chances(rig, ls.Scene([stack(opacity)]), (np.zeros((1, 3)), AHEAD), 16, shared_draws=shared)[0]
         assert abs(16.0 * through - 16.0 * (1.0 - opacity)) < 1.0
 
 
-def test_shadows_differ_by_seed_and_sample(rig: ShadowRig) -> None:
+def test_stochastic_shadows_differ_by_seed_and_by_sample(rig: ShadowRig) -> None:
     """Equal seeds and samples give equal shadows; others differ."""
     scene, rays = ls.Scene([random_gaussians(82, 200)]), rays_around(83)
 
@@ -514,7 +518,7 @@ def test_shadows_differ_by_seed_and_sample(rig: ShadowRig) -> None:
         assert 0.1 < (first != shadows(seed, sample)).mean() < 0.6
 
 
-def test_schedules_draw_the_same_numbers() -> None:
+def test_cpu_and_cuda_schedules_draw_the_same_stochastic_shadows() -> None:
     """Packets with SAH BVHs and single rays with Morton BVHs agree up to rounding."""
     scene, rays = placed_scene(), rays_around(84, 2000)
     packets, alone = (ShadowRig(schedule).light(scene, *rays, method=STOCHASTIC) for schedule in SCHEDULES[:2])
@@ -524,7 +528,7 @@ def test_schedules_draw_the_same_numbers() -> None:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("response", [{}, {"min_response": 0.2}, {"min_response": 0.3, "adaptive_clamping": False}])
-def test_shrunk_bvhs_give_the_same_hits(
+def test_shrunk_bvhs_give_shadow_rays_the_same_hits_as_full_bvhs(
     rig: ShadowRig, degree: int, response: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every ray has the same hits as with the full BVHs, for any kernel and number of instances."""
@@ -543,7 +547,7 @@ def test_shrunk_bvhs_give_the_same_hits(
     assert 0.02 < np.mean(found[0.0]) < 0.98
 
 
-def test_shrunk_bvhs_follow_scene_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shrunk_bvhs_are_updated_when_instances_are_added_moved_or_removed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Instances are added, beyond the shrinking limit, too, removed and moved, and sets are replaced."""
     one, other = (random_gaussians(seed, 100, center=(0.0, 0.0, 0.0)) for seed in (91, 92))
     poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.3, (0.2 * i - 1.0, 0.1 * i, 4.0)) for i in range(12)]
@@ -566,7 +570,7 @@ def test_shrunk_bvhs_follow_scene_changes(monkeypatch: pytest.MonkeyPatch) -> No
         assert 0.1 < shrunk.mean() < 0.999
 
 
-def test_threshold_and_tint_do_not_affect_stochastic_shadows(rig: ShadowRig) -> None:
+def test_shadow_threshold_and_tint_do_not_change_stochastic_shadows(rig: ShadowRig) -> None:
     """Both formulas leave 0 and 1 unchanged."""
     scene, rays = ls.Scene([random_gaussians(88, 200)]), rays_around(89)
     plain = rig.light(scene, *rays, method=STOCHASTIC)
@@ -575,7 +579,7 @@ def test_threshold_and_tint_do_not_affect_stochastic_shadows(rig: ShadowRig) -> 
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_resumed_frames_draw_new_shadows(pipeline: ls.Pipeline) -> None:
+def test_resumed_frames_draw_new_stochastic_shadows_for_each_sample(pipeline: ls.Pipeline) -> None:
     """Two samples plus two more equal four, as each sample draws its own shadows."""
     floor = ls.SplatInstance(
         joined(*(one_gaussian((x, 0.6, z), (0.3, 0.05, 0.3), 0.95) for x in (-0.4, 0.0, 0.4) for z in (3.6, 4.0, 4.4))),
@@ -592,7 +596,7 @@ def test_resumed_frames_draw_new_shadows(pipeline: ls.Pipeline) -> None:
     assert np.abs(half.color - whole.color).max() > 0.01
 
 
-def test_stochastic_shadows_of_a_capture_converge_to_exact_ones(data_dir: Path) -> None:
+def test_stochastic_shadows_of_a_capture_converge_to_exact_shadows(data_dir: Path) -> None:
     """64 samples of the biker's shadows on itself and around reach 35 dB over the image."""
     scene = ls.Scene([load_gaussians(data_dir / "splats" / "biker.compressed.ply")])
     camera = ls.Camera.look_at((0.9, -2.2, -3.6), (-0.1, -1.6, 0.0), (0, -1, 0), width=96, height=56, fov_y=0.85)

@@ -37,7 +37,7 @@ def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.n
 
 @pytest.mark.parametrize("dilation", [0.3, 2.0])
 @pytest.mark.parametrize("placed", [False, True])
-def test_pinhole_footprint_is_the_pixel_solid_angle(dilation: float, placed: bool) -> None:
+def test_pinhole_footprint_of_a_gaussian_is_the_solid_angle_of_a_pixel(dilation: float, placed: bool) -> None:
     """The width follows the solid angle at the mean's distance, whatever the instance's scale."""
     camera = front_camera(96, 64, 100.0)
     instance = ls.SplatInstance(one_gaussian(MEAN, SMALL, 0.8))
@@ -50,7 +50,7 @@ def test_pinhole_footprint_is_the_pixel_solid_angle(dilation: float, placed: boo
     np.testing.assert_allclose(frame.alpha, expected, atol=2e-4)
 
 
-def test_fisheye_footprint_is_the_pixel_solid_angle() -> None:
+def test_fisheye_footprint_of_a_gaussian_is_the_solid_angle_of_a_pixel() -> None:
     """The solid angle shrinks off the axis."""
     camera = front_camera(96, 64, 30.0, model=FISHEYE)
     angle = np.arccos(camera.ray_directions()[..., 2])
@@ -58,7 +58,7 @@ def test_fisheye_footprint_is_the_pixel_solid_angle() -> None:
     np.testing.assert_allclose(frame.alpha, expected_alpha(camera, np.sinc(angle / np.pi), 0.3), atol=2e-4)
 
 
-def test_footprint_grows_along_the_unfolded_path() -> None:
+def test_footprint_behind_a_mirror_grows_with_the_length_of_the_whole_path() -> None:
     """The reflection in a mirror equals the flipped image of a mirrored camera."""
     splats = random_gaussians(61, 200, center=(0.0, 0.0, -2.0), extent=(1.5, 1.0, 0.5), scale_range=(0.002, 0.02))
     mirror = quad(1.0, 3.0, material=MIRROR)
@@ -73,7 +73,7 @@ def test_footprint_grows_along_the_unfolded_path() -> None:
 
 
 @pytest.mark.parametrize("why", ["antialiased", "antialiasing on", "orthographic"])
-def test_frames_without_footprint_ignore_dilation(why: str) -> None:
+def test_frames_without_footprint_ignore_the_dilation_setting(why: str) -> None:
     """The frame equals that without dilation to the bit."""
     gaussians = random_gaussians(62, 200, scale_range=(0.005, 0.05))
     camera, changes = front_camera(48, 32, 40.0), {}
@@ -90,7 +90,7 @@ def test_frames_without_footprint_ignore_dilation(why: str) -> None:
         np.testing.assert_array_equal(getattr(frame, image), getattr(thin, image))
 
 
-def test_antialiasing_off_dilates_every_capture() -> None:
+def test_antialiasing_setting_off_dilates_captures_marked_as_antialiased() -> None:
     """Captures that are marked as antialiased are dilated, too."""
     plain = random_gaussians(63, 200, scale_range=(0.005, 0.05))
     camera = front_camera(48, 32, 40.0)
@@ -98,7 +98,7 @@ def test_antialiasing_off_dilates_every_capture() -> None:
     np.testing.assert_array_equal(off.color, traced(ls.Scene([plain]), camera).color)
 
 
-def test_ray_queries_have_no_footprint() -> None:
+def test_ray_queries_do_not_widen_gaussians_by_a_footprint() -> None:
     """Results of `trace_rays` and `transmittance` do not depend on the dilation."""
     scene = ls.Scene([random_gaussians(64, 200, scale_range=(0.005, 0.05))])
     directions = front_camera(48, 32, 40.0).ray_directions().reshape(-1, 3)
@@ -110,7 +110,7 @@ def test_ray_queries_have_no_footprint() -> None:
     np.testing.assert_array_equal(wide.radiance, thin.radiance)
 
 
-def test_shadow_rays_have_no_footprint() -> None:
+def test_shadow_rays_do_not_widen_gaussians_by_a_footprint() -> None:
     """A Gaussian a tenth of a pixel wide darkens an equal area of the floor with wide dilation and with none."""
     lights = [ls.LightDirectional(direction=(0.0, 0.0, 1.0), intensity=3.0)]
     above = random_gaussians(65, 300, center=(0.0, 0.0, 2.0), extent=(1.0, 1.0, 0.5), scale_range=(0.002, 0.01))
@@ -132,7 +132,7 @@ def test_shadow_rays_have_no_footprint() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_depth_ignores_the_footprint(pipeline: ls.Pipeline) -> None:
+def test_traced_depth_of_a_disc_does_not_depend_on_the_footprint(pipeline: ls.Pipeline) -> None:
     """A thin tilted disc has its plane's depth, however far pixels widen it."""
     tilt = 0.6
     disc = one_gaussian(

@@ -73,7 +73,7 @@ class Rig:
 
 @pytest.mark.parametrize("spread", [0.0, 0.05])
 @pytest.mark.parametrize("distance", list(HitDistance))
-def test_single_rays_and_packets_have_equal_hits(distance: HitDistance, spread: float) -> None:
+def test_stochastic_hits_of_single_rays_equal_those_of_ray_packets(distance: HitDistance, spread: float) -> None:
     """Holds for every hit distance, offset, kernel degree and footprint."""
     rig = Rig(spread=spread, hit_distance=distance, dilation=0.3 if spread else 0.0)
     alone, packets = rig.hits(alone=True), rig.hits(alone=False)
@@ -85,7 +85,7 @@ def test_single_rays_and_packets_have_equal_hits(distance: HitDistance, spread: 
         np.testing.assert_allclose(values[same], packets[name][same], rtol=2e-4, atol=2e-4, err_msg=name)
 
 
-def test_threads_change_no_bit() -> None:
+def test_stochastic_hits_of_single_rays_do_not_depend_on_thread_count() -> None:
     """The order in which rays are processed does not depend on threads, either."""
     (one, other), rig = ((Rig(threads=threads).hits(alone=True)) for threads in (1, 3)), Rig()
     for name in one:

@@ -57,7 +57,7 @@ def nearest_one_by_one(scene: ls.Scene, origins: np.ndarray, along: np.ndarray) 
 
 
 @pytest.mark.parametrize("parallel", SCHEDULES)
-def test_hits_equal_a_loop_over_all_instances(parallel: bool) -> None:
+def test_hits_on_thousands_of_mesh_instances_equal_a_loop_over_instances(parallel: bool) -> None:
     """Compares thousands of instances."""
     scene = ls.Scene([], crowd(2000, 1, shapes()))
     origins, along = rays(400, 2)
@@ -69,7 +69,7 @@ def test_hits_equal_a_loop_over_all_instances(parallel: bool) -> None:
 
 
 @pytest.mark.parametrize("parallel", SCHEDULES)
-def test_refitted_top_level_equals_a_new_one(parallel: bool) -> None:
+def test_refitted_top_level_tree_gives_the_hits_of_a_new_tree(parallel: bool) -> None:
     """A refitted tree gives a new tree's bits, and is rebuilt once it has become too loose."""
     launcher, meshes = Launcher("cpu", 1, parallel=parallel), shapes()
     kept = MeshBvhScene(launcher)
@@ -88,7 +88,7 @@ def test_refitted_top_level_equals_a_new_one(parallel: bool) -> None:
     assert builds[0] == builds[1] != builds[2] != builds[3], "nudged instances are refitted, others built anew"
 
 
-def test_new_meshes_do_not_rebuild_other_trees() -> None:
+def test_adding_a_mesh_does_not_rebuild_the_trees_of_other_meshes() -> None:
     """Trees of meshes are built when they appear, and freed with the last mesh built together with them."""
     launcher, (one, two, three) = Launcher("cpu", 1), shapes()
     kept = MeshBvhScene(launcher)

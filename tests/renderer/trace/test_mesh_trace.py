@@ -71,7 +71,7 @@ def assert_as_brute_force(scene: ls.Scene, hits: Hits, origins: np.ndarray, alon
 
 
 @pytest.mark.parametrize("t_min", [0.0, 1.5])
-def test_hits_equal_brute_force(rig: RayRig, t_min: float) -> None:
+def test_nearest_triangle_hits_equal_brute_force(rig: RayRig, t_min: float) -> None:
     """A set of random triangles in several instances, sheared and mirrored ones among them."""
     rng = np.random.default_rng(1)
     mesh, other = soup(2, 60), soup(3, 30)
@@ -85,7 +85,7 @@ def test_hits_equal_brute_force(rig: RayRig, t_min: float) -> None:
     assert_as_brute_force(scene, hits, origins.astype(float), along.astype(float), t_min)
 
 
-def test_hit_distance_is_in_world_units(rig: RayRig) -> None:
+def test_hit_distance_on_a_scaled_mesh_instance_is_in_world_units(rig: RayRig) -> None:
     """However an instance is scaled, the distance is measured along the unscaled ray."""
     for scale in (1e-3, 1.0, 1e3):
         scene = ls.Scene([], [ls.MeshInstance(quad(5.0, 50.0), similarity(scale=scale))])
@@ -93,7 +93,7 @@ def test_hit_distance_is_in_world_units(rig: RayRig) -> None:
         assert hits.t[0] == pytest.approx(5.0 * scale / 0.8, rel=1e-6)
 
 
-def test_hits_must_exceed_t_min(rig: RayRig) -> None:
+def test_triangle_hits_at_t_min_are_skipped(rig: RayRig) -> None:
     """Triangles exactly at ``t_min``, or through the origin, are skipped; the next one is hit."""
     scene = ls.Scene([], [quad(z) for z in (0.0, 2.0, 3.0)])
     t_min = np.array([0.0, 1.999, 2.0, 2.001, 3.0])
@@ -103,7 +103,7 @@ def test_hits_must_exceed_t_min(rig: RayRig) -> None:
     np.testing.assert_array_equal(hits.instance, [1, 1, 2, 2, -1])
 
 
-def test_hits_must_not_exceed_t_max(rig: RayRig) -> None:
+def test_triangle_hits_beyond_t_max_are_skipped(rig: RayRig) -> None:
     """``t_max`` is returned without a nearer hit, and a ray whose ``t_max`` is not above ``t_min`` is inactive."""
     scene = ls.Scene([], [quad(2.0)])
     t_max = np.array([1.9, 2.1, np.inf, 0.0, -np.inf])
@@ -112,7 +112,7 @@ def test_hits_must_not_exceed_t_max(rig: RayRig) -> None:
     np.testing.assert_array_equal(hits.face >= 0, [False, True, True, False, False])
 
 
-def test_first_of_coinciding_triangles_wins(rig: RayRig) -> None:
+def test_lowest_instance_and_face_of_coinciding_triangles_is_hit(rig: RayRig) -> None:
     """Coinciding triangles and instances: the lowest instance wins, then the lowest face."""
     one = quad(2.0)
     twice = ls.Mesh(one.positions, np.concatenate([one.indices, one.indices]))
@@ -122,7 +122,7 @@ def test_first_of_coinciding_triangles_wins(rig: RayRig) -> None:
     assert (hits.instance == 0).all() and (hits.face < 2).all()
 
 
-def test_scene_without_meshes_has_no_hits(rig: RayRig) -> None:
+def test_rays_in_a_scene_without_meshes_hit_nothing(rig: RayRig) -> None:
     """No tree is needed."""
     hits = rig.hits(ls.Scene(), np.zeros((3, 3)), np.eye(3))
     assert np.isinf(hits.t).all() and (hits.face == -1).all()
@@ -131,7 +131,9 @@ def test_scene_without_meshes_has_no_hits(rig: RayRig) -> None:
 @pytest.mark.parametrize("pose", ["turned", "sheared"])
 @pytest.mark.parametrize(("scale", "offset"), [(1e-3, 0.0), (1.0, 0.0), (1e3, 0.0), (1.0, 1e3)])
 @pytest.mark.parametrize("shape", ["cube", "sphere", "icosphere"])
-def test_closed_meshes_do_not_leak(rig: RayRig, shape: str, scale: float, offset: float, pose: str) -> None:
+def test_rays_aimed_at_closed_meshes_do_not_leak_through_edges_or_corners(
+    rig: RayRig, shape: str, scale: float, offset: float, pose: str
+) -> None:
     """Rays from inside and from afar, aimed at faces, edges and corners, end at the mesh."""
     mesh = {"cube": cube(), "sphere": shapes.sphere(), "icosphere": shapes.icosphere(subdivisions=4)}[shape]
     rng = np.random.default_rng(5)
@@ -158,7 +160,7 @@ def normalized_sum(weights: np.ndarray) -> np.ndarray:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def test_axis_aligned_rays_hit_boxes(rig: RayRig) -> None:
+def test_axis_aligned_rays_hit_axis_aligned_boxes(rig: RayRig) -> None:
     """Directions with zeros, from and to all positions of a cube with axis-aligned faces, edges included."""
     steps = np.linspace(-1.0, 1.0, 9)
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -170,7 +172,7 @@ def test_axis_aligned_rays_hit_boxes(rig: RayRig) -> None:
             np.testing.assert_array_equal(rig.hits(ls.Scene([], [cube()]), origins, along).t, np.full(len(grid), 2.0))
 
 
-def test_small_far_triangles_have_exact_distances(rig: RayRig) -> None:
+def test_hits_on_small_far_triangles_have_exact_distances(rig: RayRig) -> None:
     """Irregular triangles of a hundredth of their distance and less have the plane's depth to float32 precision."""
     rng = np.random.default_rng(6)
     count = 200
@@ -187,7 +189,7 @@ def test_small_far_triangles_have_exact_distances(rig: RayRig) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-30, 1e19, 1e30])
-def test_extreme_triangles_are_harmless(rig: RayRig, size: float) -> None:
+def test_triangles_of_extreme_size_do_not_change_hits_on_other_objects(rig: RayRig, size: float) -> None:
     """Sizes that overflow or underflow leave the other objects unchanged."""
     extreme = ls.Mesh(size * np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [-1.0, 0.0, 1.0]]), np.array([[0, 1, 2]]))
     along = directions(np.random.default_rng(7), 1000)
@@ -197,7 +199,7 @@ def test_extreme_triangles_are_harmless(rig: RayRig, size: float) -> None:
     assert not np.isnan(hits.t).any()
 
 
-def test_threads_do_not_change_a_bit() -> None:
+def test_triangle_hits_do_not_depend_on_thread_count() -> None:
     """Hits are equal for any number of threads."""
     rng = np.random.default_rng(8)
     scene = ls.Scene([], [soup(9, 500)])
@@ -207,7 +209,7 @@ def test_threads_do_not_change_a_bit() -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(three, name))
 
 
-def test_trees_are_built_once_and_follow_the_scene(rig: RayRig) -> None:
+def test_mesh_bvh_is_built_once_and_freed_with_its_mesh(rig: RayRig) -> None:
     """Moving an instance builds nothing; a mesh that leaves the scene is freed, and a new one is hit."""
     mesh = quad(2.0)
     ray = ([[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
@@ -221,7 +223,7 @@ def test_trees_are_built_once_and_follow_the_scene(rig: RayRig) -> None:
     assert rig.scene.bytes == held
 
 
-def test_rays_hit_the_instance_they_are_aimed_at(rig: RayRig) -> None:
+def test_rays_hit_the_rotated_mesh_instance_they_are_aimed_at(rig: RayRig) -> None:
     """Hundreds of instances of one mesh, each with its own rotation."""
     rng = np.random.default_rng(10)
     mesh = shapes.icosphere(0.4, subdivisions=1)

@@ -72,32 +72,32 @@ def check_frame(gaussians: ls.Gaussians, camera: ls.Camera, settings: ls.RenderC
 
 
 @pytest.mark.parametrize("degree", range(6))
-def test_gradients_equal_central_differences_of_the_twin(degree: int) -> None:
+def test_ray_gradients_equal_central_differences_of_the_float64_twin(degree: int) -> None:
     """Covers every parameter, for each kernel degree."""
     gaussians = replace(cloud(count=COUNT), kernel_degree=degree)
     check_frame(gaussians, view(*SIZE), config(), degree=degree)
 
 
-def test_peak_order_gradients_equal_central_differences() -> None:
+def test_gradients_of_peak_ordered_rays_equal_central_differences() -> None:
     """Large interpenetrating Gaussians, without footprint, whose order by means would differ."""
     settings = config(dilation=0.0, hit_distance=ls.config.HitDistance.PEAK)
     check_frame(cloud(4, COUNT), view(*SIZE), settings, dilation=0.0, by_peak=True)
 
 
-def test_subpixel_gradients_equal_central_differences() -> None:
+def test_gradients_of_sub_pixel_gaussians_equal_central_differences() -> None:
     """The footprint dominates, and depends on the distance of the means."""
     base = cloud(6, COUNT)
     small = replace(base, scales=0.15 * base.scales)
     check_frame(small, view(*SIZE), config(dilation=2.0), dilation=2.0)
 
 
-def test_fisheye_gradients_equal_central_differences() -> None:
+def test_gradients_through_a_fisheye_equal_central_differences() -> None:
     """The fisheye sees Gaussians on all sides, near ones too."""
     eye = ls.Camera.look_at((0.1, 0.2, -0.2), (0.0, 0.0, 1.0), width=16, height=16, fov_y=3.0, model="fisheye")
     check_frame(replace(cloud(8, COUNT), kernel_degree=4), eye, config(), degree=4)
 
 
-def test_ray_query_gradients_equal_central_differences() -> None:
+def test_gradients_of_ray_queries_equal_central_differences() -> None:
     """Each ray sees colours from its own origin."""
     rng = np.random.default_rng(5)
     gaussians, count = replace(cloud(3, COUNT), kernel_degree=3), 200
@@ -123,7 +123,7 @@ POSED = {
 
 
 @pytest.mark.parametrize("kind", POSED)
-def test_pose_gradients_are_in_camera_axes(kind: str) -> None:
+def test_ray_gradients_of_the_pose_are_in_camera_axes(kind: str) -> None:
     """Gradients of rotations and translations of the camera, whose rays move with it, for a transformed set."""
     camera, gaussians, place = POSED[kind], replace(cloud(8, COUNT, degree=2), kernel_degree=3), np.eye(4)
     place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -150,7 +150,7 @@ def loss_at(camera: ls.Camera, pose: np.ndarray, parameters: Parameters) -> floa
 
 
 @pytest.mark.parametrize("degree", [2, 4])
-def test_gradients_are_the_adjoint_of_the_jacobian(degree: int) -> None:
+def test_ray_gradients_are_the_adjoint_of_the_jacobian(degree: int) -> None:
     """``<J v, w> = <v, J^T w>`` for random directions v of all parameters at once and random w over the pixels."""
     gaussians, camera = replace(cloud(5), kernel_degree=degree), view()
     loss, start = loss_of(camera, degree=degree), Parameters.of(gaussians, BACKGROUND, camera)
@@ -176,7 +176,7 @@ def along(start: Parameters, direction: dict[str, np.ndarray], step: float) -> P
     return replace(start, **{name: getattr(start, name) + step * value for name, value in direction.items()})
 
 
-def test_gaussians_off_all_rays_have_zero_gradients() -> None:
+def test_gaussians_that_no_ray_hits_have_zero_ray_gradients() -> None:
     """Covers Gaussians behind the eye, beside the image, too transparent, and behind an opaque wall."""
     base = replace(cloud(count=8), kernel_degree=4)
     means, opacities = base.means.copy(), base.opacities.copy()
@@ -189,7 +189,7 @@ def test_gaussians_off_all_rays_have_zero_gradients() -> None:
     assert not found.weights[:3].any() and (found.weights[3:] > 0.0).all()
 
 
-def test_gaussians_behind_a_mesh_have_zero_gradients() -> None:
+def test_gaussians_behind_a_mesh_have_zero_ray_gradients() -> None:
     """Gaussians in front of it have gradients over its colour."""
     base, camera = cloud(count=12), view()
     gaussians = replace(base, scales=0.3 * base.scales)
@@ -215,7 +215,7 @@ def lone(mean: tuple[float, float, float]) -> ls.Gaussians:
     return replace(cloud(count=1, degree=0), means=np.array([mean]))
 
 
-def test_bits_do_not_depend_on_threads() -> None:
+def test_ray_gradients_do_not_depend_on_thread_count() -> None:
     """Each hit has one writer, and sums have one order."""
     scene, camera = ls.Scene([replace(cloud(count=400), kernel_degree=4)]), view(75, 50)
     one, two, five = (gradients_of(scene, camera, threads=threads) for threads in (1, 2, 5))
@@ -225,7 +225,7 @@ def test_bits_do_not_depend_on_threads() -> None:
         np.testing.assert_array_equal(one.weights, other.weights)
 
 
-def test_backward_pass_in_ranges_gives_equal_sums(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_gradients_computed_in_ranges_of_rays_have_equal_sums(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ranges of rays, where the device cannot hold all hits, give the same sums in another order."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     whole = gradients_of(scene, camera)
@@ -236,7 +236,7 @@ def test_backward_pass_in_ranges_gives_equal_sums(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(parts.weights, whole.weights, rtol=1e-5)
 
 
-def test_ranges_are_whole_warps_that_fit() -> None:
+def test_ray_ranges_of_the_backward_pass_are_whole_warps_within_the_hit_limit() -> None:
     """Ranges contain all hits; a warp that is too large is a range of its own, and the last one may be half a warp."""
     counts = np.zeros(176, np.int32)
     counts[[3, 20, 40, 41, 100, 170]] = 4, 5, 20, 30, 7, 2
@@ -245,7 +245,7 @@ def test_ranges_are_whole_warps_that_fit() -> None:
 
 
 @pytest.mark.parametrize("degree", [2, 3])
-def test_gpu_schedule_gives_equal_gradients(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_schedule_gives_equal_ray_gradients(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One ray per item on a CPU gives the gradients of packets, up to the rounding of hits."""
     scene, camera = ls.Scene([replace(cloud(count=60), kernel_degree=degree)]), view(50, 40)
     packets = gradients_of(scene, camera)
@@ -259,14 +259,14 @@ def test_gpu_schedule_gives_equal_gradients(degree: int, monkeypatch: pytest.Mon
     np.testing.assert_allclose(rays.weights, packets.weights, rtol=1e-5)
 
 
-def test_differentiable_frames_equal_rendered_frames() -> None:
+def test_differentiable_traced_frames_equal_ordinary_traced_frames() -> None:
     """Bit-equal to the frames of a plain renderer."""
     scene, camera = ls.Scene([cloud(count=200)]), view(75, 50)
     shown = ls.DifferentiableRenderer(config(), "cpu").render(scene, camera)
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config(), device="cpu").color)
 
 
-def test_instance_gradients_are_transformed_and_summed() -> None:
+def test_ray_gradients_of_instances_are_transformed_and_summed() -> None:
     """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
     gaussians, camera = replace(cloud(9, degree=0), kernel_degree=4), view()
     angle, scale, place = 0.7, 1.3, np.eye(4)
@@ -287,7 +287,7 @@ def close(value: np.ndarray, expected: np.ndarray) -> None:
     assert np.abs(value - expected).max() < 2e-4 * np.abs(expected).mean()
 
 
-def test_distant_gradients_equal_the_rasterisers() -> None:
+def test_ray_gradients_of_distant_gaussians_equal_raster_gradients() -> None:
     """Without footprint, a splat is the Gaussian along parallel rays: its error falls with the camera's distance."""
     rng = np.random.default_rng(2)
     gaussians = replace(cloud(12, 12, 0), opacities=rng.uniform(0.2, 0.8, 12))
@@ -312,7 +312,7 @@ def differing(gaussians: ls.Gaussians, distance: float) -> dict[str, float]:
     }
 
 
-def test_only_unlit_sorted_single_sample_frames_are_differentiable() -> None:
+def test_ray_gradients_are_refused_for_lit_stochastic_or_multi_sample_frames() -> None:
     """Other frames and rays, and none at all, are refused."""
     scene, camera = ls.Scene([cloud()]), view()
     with pytest.raises(ls.ConfigError, match="render a frame first"):
@@ -343,7 +343,7 @@ def test_only_unlit_sorted_single_sample_frames_are_differentiable() -> None:
         renderer.ray_gradients(scene, np.zeros(3), np.eye(3), np.eye(3)[:2])
 
 
-def test_gradients_belong_to_the_last_traced_rays() -> None:
+def test_ray_query_after_a_frame_requires_a_new_frame_before_gradients() -> None:
     """A ray query between a frame and its gradients replaces the frame."""
     scene, camera = ls.Scene([cloud()]), view()
     renderer = ls.DifferentiableRenderer(config(), "cpu")
@@ -353,7 +353,7 @@ def test_gradients_belong_to_the_last_traced_rays() -> None:
         renderer.gradients(*by_pixels(camera))
 
 
-def test_scene_without_gaussians_has_no_gradients() -> None:
+def test_ray_gradients_of_a_scene_without_gaussians_are_empty() -> None:
     """Gaussians that no ray hits have zero gradients."""
     camera = view()
     found = gradients_of(ls.Scene(), camera)

@@ -30,7 +30,7 @@ def view_of(data_dir: Path, name: str, width: int) -> tuple[ls.Scene, ls.Camera]
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", EYES)
-def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
+def test_rays_through_real_captures_equal_the_float64_twin(data_dir: Path, name: str) -> None:
     """Mean errors of radiance and transmittance below 1e-3, and 99 % of the iso depths within a relative 1e-3."""
     scene, camera = view_of(data_dir, name, 320)
     frame = ls.render(scene, camera, device="cpu")
@@ -51,7 +51,7 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", EYES)
-def test_traced_captures_are_close_to_rasterised_ones(data_dir: Path, name: str) -> None:
+def test_traced_frames_of_real_captures_are_close_to_rasterised_ones(data_dir: Path, name: str) -> None:
     """Covered pixels have 30 dB and more, traced directly and in a mirror; without footprints far less.
 
     The order by peaks costs the biker 5 dB.
@@ -94,7 +94,9 @@ def in_mirror(scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Scene, ls.Camera]:
         pytest.param(ls.config.TraceStrategy.STOCHASTIC_PASS, 160, marks=pytest.mark.deep),
     ],
 )
-def test_stochastic_frames_converge(data_dir: Path, strategy: ls.config.TraceStrategy, width: int) -> None:
+def test_stochastic_frames_of_real_captures_converge_to_sorted_ones(
+    data_dir: Path, strategy: ls.config.TraceStrategy, width: int
+) -> None:
     """The mean of 256 samples is 40 dB from the sorted frame, that of 64 is 6 dB worse: error 1 / sqrt(samples)."""
     scene, camera = view_of(data_dir, "biker.compressed.ply", width)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)

@@ -103,7 +103,9 @@ def faint_gaussians(count: int = 400, seed: int = 61) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_order_in_the_set_does_not_matter(backend: str, hit_distance: ls.config.HitDistance) -> None:
+def test_traced_frame_does_not_depend_on_the_order_of_gaussians_in_their_set(
+    backend: str, hit_distance: ls.config.HitDistance
+) -> None:
     """Shuffled Gaussians give the same image to the bit, except for their indices, in one pass and in many.
 
     On a GPU, peaks of two faint Gaussians can round to one distance: the set's order then decides.
@@ -122,7 +124,7 @@ def test_order_in_the_set_does_not_matter(backend: str, hit_distance: ls.config.
         np.testing.assert_array_equal(order[shuffled.gaussian_index[found]], frame.gaussian_index[found])
 
 
-def test_equal_distances_keep_the_order_of_the_scene(backend: str) -> None:
+def test_gaussians_at_equal_distance_are_traced_in_the_order_of_the_scene(backend: str) -> None:
     """Among Gaussians at one distance, the first of the set, and the first instance, is in front."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
@@ -134,7 +136,9 @@ def test_equal_distances_keep_the_order_of_the_scene(backend: str) -> None:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_instances_sort_together(backend: str, hit_distance: ls.config.HitDistance) -> None:
+def test_set_split_into_instances_is_traced_like_the_whole_set(
+    backend: str, hit_distance: ls.config.HitDistance
+) -> None:
     """A set split into several instances gives the same image as the whole."""
     gaussians = joined(random_gaussians(72, 200, degree=1), faint_gaussians(300))
     firsts = np.array([0, 170, 330, 500])
@@ -159,7 +163,7 @@ HIDDEN = {
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_hidden_gaussians_change_nothing(backend: str, strategy: ls.config.TraceStrategy) -> None:
+def test_invisible_gaussians_do_not_change_a_traced_frame(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """Invisible Gaussians leave every image unchanged to the bit, although every tree differs."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
@@ -173,7 +177,9 @@ def test_hidden_gaussians_change_nothing(backend: str, strategy: ls.config.Trace
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_empty_view_shows_only_background(backend: str, strategy: ls.config.TraceStrategy) -> None:
+def test_traced_view_without_visible_objects_shows_only_the_background(
+    backend: str, strategy: ls.config.TraceStrategy
+) -> None:
     """Without visible objects there is no alpha, surface or normal."""
     for background in ((0.2, 0.5, 1.0), None):
         config = replace(settings(strategy), background=background, lighting=False)
@@ -201,7 +207,7 @@ def discs() -> ls.Scene:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_passes_blend_every_layer_once(backend: str, hit_distance: ls.config.HitDistance) -> None:
+def test_tracing_passes_blend_each_of_150_near_layers_once(backend: str, hit_distance: ls.config.HitDistance) -> None:
     """Of 150 discs at nearly one distance, none is lost or blended twice, with lists of any length."""
     camera = view(3, 3, 100.0)
     for k in (4, 16):
@@ -210,7 +216,7 @@ def test_passes_blend_every_layer_once(backend: str, hit_distance: ls.config.Hit
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_list_length_does_not_change_the_image(hit_distance: ls.config.HitDistance) -> None:
+def test_length_of_the_hit_list_does_not_change_the_traced_frame(hit_distance: ls.config.HitDistance) -> None:
     """Lists of 4, 16 and 64 hits, for single rays and packets, give equal images of hundreds of Gaussians."""
     scene = ls.Scene([faint_gaussians()], [quad(3.5, tilt=0.3)])
     few, some = (settings(hits_per_pass=k, hit_distance=hit_distance) for k in (4, 16))
@@ -258,7 +264,7 @@ SCENES = many_scenes()
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_packets_equal_single_rays(
+def test_ray_packets_have_the_hits_of_single_rays(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, name: str
 ) -> None:
     """Sixteen rays that traverse together have the hits of each ray on its own, up to rounding."""
@@ -280,7 +286,7 @@ def test_packets_equal_single_rays(
     "hit_distance", [ls.config.HitDistance.PEAK, pytest.param(ls.config.HitDistance.HULL, marks=pytest.mark.deep)]
 )
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_packets_equal_single_rays_bitwise_without_fusing(
+def test_ray_packets_equal_single_rays_to_the_bit_without_fused_operations(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, normal_method: ls.config.NormalMethod
 ) -> None:
     """Packets apply the operations of a single ray to each lane.
@@ -298,12 +304,12 @@ def test_packets_equal_single_rays_bitwise_without_fusing(
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_ellipsoid_normals_of_packets_equal_single_rays(strategy: ls.config.TraceStrategy) -> None:
+def test_ellipsoid_normals_of_ray_packets_equal_those_of_single_rays(strategy: ls.config.TraceStrategy) -> None:
     """Normals agree, and differ from those of the other method, except at some pixels.
 
     A small alpha amplifies the rounding of weights that are divided by it, and where a ray grazes an ellipsoid, the
     normal depends on the root of a small difference. Fusing changes both, and
-    ``test_packets_equal_single_rays_bitwise_without_fusing`` compares without it.
+    ``test_ray_packets_equal_single_rays_to_the_bit_without_fused_operations`` compares without it.
     """
     config = settings(strategy, normal_method=ls.config.NormalMethod.ELLIPSOID)
     together, alone = (render(backend, full_scene(), view(), config) for backend in ("cpu", "cpu as cuda"))
@@ -314,7 +320,7 @@ def test_ellipsoid_normals_of_packets_equal_single_rays(strategy: ls.config.Trac
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_cropped_cameras_equal_crops(backend: str, hit_distance: ls.config.HitDistance) -> None:
+def test_cropped_camera_traces_a_crop_of_the_image(backend: str, hit_distance: ls.config.HitDistance) -> None:
     """A camera cropped anywhere shows that part of the image: other packets, the same rays."""
     config = settings(hit_distance=hit_distance)
     for scene in (full_scene(), ls.Scene([faint_gaussians()]), inside()):
@@ -329,7 +335,7 @@ def test_cropped_cameras_equal_crops(backend: str, hit_distance: ls.config.HitDi
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_images_repeat(backend: str, strategy: ls.config.TraceStrategy) -> None:
+def test_traced_frame_is_bit_equal_when_rendered_again(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """An image is bit-equal after another image, from another renderer and on any number of threads."""
     scene, config = full_scene(), replace(settings(strategy), samples=2)
     warm = renderer_of(backend, config)
@@ -342,7 +348,7 @@ def test_images_repeat(backend: str, strategy: ls.config.TraceStrategy) -> None:
             assert_equal(other.render(scene, view()), first)
 
 
-def test_seed_changes_only_stochastic_images(backend: str) -> None:
+def test_seed_changes_only_stochastic_frames(backend: str) -> None:
     """Stochastic images change with the seed, and between pixels and samples; sorted ones do not."""
     scene = ls.Scene([random_gaussians(78, 200)])
     for strategy in STRATEGIES:
@@ -357,7 +363,7 @@ def test_seed_changes_only_stochastic_images(backend: str) -> None:
         assert 0.25 < (accepted[lag:] != accepted[:-lag]).mean() < 0.75, f"pixels {lag} apart are alike"
 
 
-def test_returned_frames_do_not_change(backend: str) -> None:
+def test_traced_frame_does_not_change_when_the_next_frame_is_rendered(backend: str) -> None:
     """A returned frame does not change when the next one is drawn."""
     frame = render(backend, full_scene(), view())
     before = {name: getattr(frame, name).copy() for name in IMAGES}
@@ -366,7 +372,7 @@ def test_returned_frames_do_not_change(backend: str) -> None:
         np.testing.assert_array_equal(getattr(frame, name), image)
 
 
-def test_renderer_allocates_nothing_after_the_first_frame(backend: str) -> None:
+def test_ray_tracer_allocates_nothing_after_the_first_frame(backend: str) -> None:
     """Later frames of that size, or smaller, allocate nothing."""
     warm, scene = renderer_of(backend, settings()), full_scene()
     warm.render(scene, view(33, 27))
@@ -383,7 +389,7 @@ def test_renderer_allocates_nothing_after_the_first_frame(backend: str) -> None:
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1.7, (3.0, -5.0, 11.0)), (1e-3, (0.0, 0.0, 0.0)), (1e3, (1e4, 0.0, 0.0))]
 )
-def test_images_do_not_depend_on_the_world_frame(
+def test_traced_frame_is_unchanged_if_scene_and_camera_move_together(
     backend: str, hit_distance: ls.config.HitDistance, scale: float, offset: tuple[float, float, float]
 ) -> None:
     """Transforming scene and camera together gives the same image; depths scale."""
@@ -408,7 +414,7 @@ def test_images_do_not_depend_on_the_world_frame(
     np.testing.assert_allclose(frame.depth[same] / scale, expected.depth[same], rtol=1e-4)
 
 
-def test_near_plane_hides_peaks_in_front_of_it(backend: str) -> None:
+def test_near_plane_hides_gaussians_and_meshes_in_front_of_it(backend: str) -> None:
     """A disc in front of the near plane changes no bit, and one right behind it is visible; a mesh likewise."""
     disc = one_gaussian((0.0, 0.0, 3.0), (0.5, 0.5, 1e-3), 0.8)
     rest = random_gaussians(79, 100, center=(0.0, 0.0, 6.0))
@@ -430,7 +436,7 @@ def test_near_plane_hides_peaks_in_front_of_it(backend: str) -> None:
 
 
 @pytest.mark.parametrize("dilation", [0.0, 0.3])
-def test_raster_and_trace_agree_on_small_gaussians(backend: str, dilation: float) -> None:
+def test_raster_and_trace_pipelines_agree_on_small_gaussians(backend: str, dilation: float) -> None:
     """Near the optical axis, for Gaussians side by side, both pipelines give equal images."""
     random = np.random.default_rng(4)
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 6), np.linspace(-0.25, 0.25, 5))
@@ -455,7 +461,7 @@ def test_raster_and_trace_agree_on_small_gaussians(backend: str, dilation: float
     assert_close(trace.normal[both], raster.normal[both], atol=1e-5, name="normal")
 
 
-def test_hybrid_frames_log_unused_ellipsoid_normals(caplog: pytest.LogCaptureFixture) -> None:
+def test_hybrid_pipeline_logs_that_it_does_not_use_ellipsoid_normals(caplog: pytest.LogCaptureFixture) -> None:
     """A warning, once, names the pipeline that supports them."""
     scene, camera = ls.Scene([random_gaussians(1, count=5)]), front_camera(8, 8)
     for pipeline, lines in ((ls.Pipeline.HYBRID, 1), (ls.Pipeline.TRACE, 0), (ls.Pipeline.RASTER, 0)):

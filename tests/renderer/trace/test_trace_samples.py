@@ -74,7 +74,7 @@ def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = 
 # --- The mean ---
 
 
-def test_frames_are_means_of_samples_across_the_pixel(backend: str) -> None:
+def test_traced_frame_is_the_mean_of_samples_at_their_sub_pixel_positions(backend: str) -> None:
     """A sample is the image of a camera shifted to its sub-pixel position, and the frame is their mean."""
     camera = view()
     singles = []
@@ -91,7 +91,7 @@ def test_frames_are_means_of_samples_across_the_pixel(backend: str) -> None:
     assert np.abs(frame.color - singles[0].color).max() > 0.05
 
 
-def test_unlit_samples_average_display_values(backend: str) -> None:
+def test_samples_of_unlit_frames_are_averaged_in_display_values(backend: str) -> None:
     """Half white and half black is 0.5 in the captures' display space, not the 0.73 of a mean in linear light."""
     camera = view(8, 8, 8.0)
     meshes = [quad(4.0, 4.0, material=BLACK), quad(3.9, 1.95, material=WHITE)]  # white ends in the middle of a pixel
@@ -108,7 +108,9 @@ def test_unlit_samples_average_display_values(backend: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", [HIT, PASS])
-def test_samples_of_a_pixel_differ(backend: str, strategy: ls.config.TraceStrategy) -> None:
+def test_samples_of_a_stochastic_pixel_use_different_random_numbers(
+    backend: str, strategy: ls.config.TraceStrategy
+) -> None:
     """Each sample uses new random numbers: every pixel approaches its expectation, even without sub-pixel offsets."""
     faint = ls.Scene([one_gaussian(scale=50.0, opacity=0.3)])
     frame = renderer(backend, 64, strategy, jitter=False).render(faint, view(12, 9))
@@ -117,7 +119,7 @@ def test_samples_of_a_pixel_differ(backend: str, strategy: ls.config.TraceStrate
     assert len(np.unique(frame.alpha)) > 10
 
 
-def test_jitter_antialiases_edges(backend: str) -> None:
+def test_jitter_antialiases_the_alpha_at_mesh_edges(backend: str) -> None:
     """With jitter, alpha at a mesh's edge is the covered area; without, it is 0 or 1 for any number of samples."""
     square = ls.Scene([], [quad(4.0, 1.0)])
     camera = view(16, 16, 22.3, cx=8.21, cy=8.37)  # edges at 2.635, 13.785 and 2.795, 13.945
@@ -135,7 +137,7 @@ def test_jitter_antialiases_edges(backend: str) -> None:
     np.testing.assert_array_equal(hard, renderer(backend).render(square, camera).alpha)
 
 
-def test_surface_is_that_of_the_first_sample(backend: str) -> None:
+def test_depth_normal_and_index_layers_are_those_of_the_first_sample(backend: str) -> None:
     """Depth, normal and indices are those at the pixels' centres, however many samples follow."""
     for strategy in STRATEGIES:
         one, many = (renderer(backend, samples, strategy).render(scene(), view()) for samples in (1, 8))
@@ -147,7 +149,7 @@ def test_surface_is_that_of_the_first_sample(backend: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_resumed_frames_equal_uninterrupted_ones(backend: str, strategy: ls.config.TraceStrategy) -> None:
+def test_resumed_traced_frames_equal_uninterrupted_ones(backend: str, strategy: ls.config.TraceStrategy) -> None:
     """Eight samples, three and then five, and one by one are bit-equal, with the same count."""
     whole = renderer(backend, 8, strategy).render(scene(), view())
     assert whole.samples == 8
@@ -168,7 +170,7 @@ def test_resumed_frames_equal_uninterrupted_ones(backend: str, strategy: ls.conf
     assert_equal(frame, whole)
 
 
-def test_frames_resume_in_another_schedule() -> None:
+def test_frame_begun_by_the_cpu_schedule_can_be_resumed_by_the_cuda_schedule() -> None:
     """A frame that one schedule began is finished by the other one."""
     whole = renderer("cpu", 8).render(scene(), view())
     mixed = renderer("cpu as cuda", 5).render(scene(), view(), resume=renderer("cpu", 3).render(scene(), view()))
@@ -176,7 +178,7 @@ def test_frames_resume_in_another_schedule() -> None:
     assert_equal(mixed, whole, ("gaussian_index", "instance_index"))
 
 
-def test_resume_refuses_mismatched_frames() -> None:
+def test_resuming_a_frame_of_another_size_background_or_scene_is_refused() -> None:
     """Another size, another background, rasterised frames, and too many samples are refused."""
     frame = renderer("cpu").render(scene(), view())
     for camera in (view(18, 24), view(24, 17), view(25, 18)):
@@ -221,7 +223,7 @@ POSE = ls.Camera.look_at((0.1, 0.0, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0)).cam
     ],
     ids=", ".join,
 )
-def test_resume_refuses_other_cameras(changes: dict[str, Any]) -> None:
+def test_resuming_a_frame_with_another_camera_is_refused(changes: dict[str, Any]) -> None:
     """The message names the differing camera fields; another name is allowed."""
     frame = renderer("cpu").render(scene(), view())
     with pytest.raises(ls.ConfigError, match=rf"they differ in {', '.join(changes)}$"):
@@ -237,7 +239,7 @@ def test_resume_refuses_other_cameras(changes: dict[str, Any]) -> None:
         ({"strategy": HIT, "kernel_degree": 4}, "trace.strategy, response.kernel_degree"),
     ],
 )
-def test_resume_refuses_other_settings(changes: dict[str, Any], names: str) -> None:
+def test_resuming_a_frame_with_other_settings_is_refused(changes: dict[str, Any], names: str) -> None:
     """All settings but the number of samples must be equal; a frame without stored settings is accepted."""
     first = renderer("cpu")
     frame = first.render(scene(), view())
@@ -248,13 +250,13 @@ def test_resume_refuses_other_settings(changes: dict[str, Any], names: str) -> N
     assert second.render(scene(), view(), resume=replace(frame, config=None)).samples == 3
 
 
-def test_resume_refuses_other_types() -> None:
+def test_resuming_an_object_that_is_not_a_frame_is_refused() -> None:
     """The message names the type."""
     with pytest.raises(ls.ConfigError, match=r"^resume is 'a\.png', expected a Frame$"):
         renderer("cpu").render(scene(), view(), resume="a.png")  # pyright: ignore[reportArgumentType]
 
 
-def test_transparent_frames_resume(backend: str) -> None:
+def test_frames_without_a_background_can_be_resumed(backend: str) -> None:
     """Frames without a background are resumed likewise."""
     whole = renderer(backend, 4, background=None).render(scene(), view())
     half = renderer(backend, 2, background=None).render(scene(), view())
@@ -264,7 +266,7 @@ def test_transparent_frames_resume(backend: str) -> None:
 # --- Progress and counts ---
 
 
-def test_progress_counts_the_samples() -> None:
+def test_progress_is_reported_once_per_new_sample() -> None:
     """Progress is called once per new sample with the total count; the last call has fraction 1."""
     calls: list[tuple[str, float]] = []
     first, second = renderer("cpu", 4), renderer("cpu", 2)
@@ -278,7 +280,7 @@ def test_progress_counts_the_samples() -> None:
     assert calls == [("tracing, 5 samples", 0.5), ("tracing, 6 samples", 1.0)]
 
 
-def test_sample_counts_do_not_overflow_on_a_gpu() -> None:
+def test_sums_of_sample_counts_beyond_32_bits_are_exact_on_a_gpu() -> None:
     """Sums beyond 32 bits are exact."""
     for size in (1, 4096, 4097, 10_000):
         counts = np.random.default_rng(size).integers(0, 2**31, size, dtype=np.int32)
@@ -289,7 +291,7 @@ def test_sample_counts_do_not_overflow_on_a_gpu() -> None:
         assert total.numpy()[0] == counts.sum(dtype=np.int64)
 
 
-def test_nonfinite_samples_are_black_and_counted(backend: str) -> None:
+def test_non_finite_samples_are_black_and_counted_once(backend: str) -> None:
     """Each is counted once per sample and pixel; other frames do not affect the count, also when resumed."""
     broken = replace(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.9), sh=np.full((1, 16, 3), 3e38, np.float32))
     both = ls.Scene([broken], [quad(6.0, 10.0)])

@@ -21,7 +21,7 @@ from support.twins import TWINS
 HIT, PASS = ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS
 CASES = {case.name: case for case in stochastic_cases()}
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
-"""Devices of the statistics: ``test_backends_draw_the_same_random_numbers`` covers all other backends."""
+"""Devices whose statistics are tested; one test compares the random numbers of all other backends with the CPU's."""
 SEEDS = range(4)
 """Fixed seeds, so that a test always fails or always passes."""
 FAMILY_ERROR = 1e-3
@@ -91,7 +91,9 @@ def brightest(case: Case) -> float:
 @devices
 @strategies
 @pytest.mark.parametrize("name", CASES)
-def test_stochastic_mean_is_the_expectation(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
+def test_mean_of_stochastic_frames_is_the_expectation(
+    name: str, strategy: ls.config.TraceStrategy, device: str
+) -> None:
     """Colour and alpha over samples and seeds, per pixel and pooled, also in mirrors and glass."""
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     count = len(frames) * samples_of(CASES[name])
@@ -114,7 +116,9 @@ def test_stochastic_mean_is_the_expectation(name: str, strategy: ls.config.Trace
 @devices
 @strategies
 @pytest.mark.parametrize("name", CASES)
-def test_noise_equals_the_predicted_variance(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
+def test_noise_of_stochastic_frames_equals_the_predicted_variance(
+    name: str, strategy: ls.config.TraceStrategy, device: str
+) -> None:
     """Frames of different seeds scatter around the expectation like independent samples."""
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     samples = samples_of(CASES[name])
@@ -134,7 +138,9 @@ def test_noise_equals_the_predicted_variance(name: str, strategy: ls.config.Trac
 @devices
 @strategies
 @pytest.mark.parametrize("name", ["instances", "mesh", "linear, hull"])
-def test_every_sample_is_a_possible_outcome(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
+def test_every_stochastic_sample_is_one_gaussian_or_pass_or_the_background(
+    name: str, strategy: ls.config.TraceStrategy, device: str
+) -> None:
     """A sample has one Gaussian, one pass, or the background; all images agree, at the expected frequency."""
     case = random_case(name, strategy)
     world = world_of(case.scene, case.config)
@@ -176,7 +182,7 @@ def test_every_sample_is_a_possible_outcome(name: str, strategy: ls.config.Trace
 
 
 @devices
-def test_acceptance_scale_raises_opacity(device: str) -> None:
+def test_acceptance_scale_makes_stochastic_frames_more_opaque_by_a_known_amount(device: str) -> None:
     """Scaled random numbers accept with alpha over the scale, which is exactly that much more opaque than sorting."""
     case = random_case("overlapping", HIT, acceptance_scale=0.5)
     twin = TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
@@ -188,7 +194,7 @@ def test_acceptance_scale_raises_opacity(device: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", [HIT, PASS], ids=lambda strategy: strategy.value)
-def test_wrong_expectations_are_rejected(strategy: ls.config.TraceStrategy) -> None:
+def test_statistics_of_stochastic_frames_reject_wrong_expectations(strategy: ls.config.TraceStrategy) -> None:
     """The statistics have power: Gaussians 5 % fainter, earlier acceptance, or shortened blending would fail."""
     frames, twin = frames_of("passes of 4", strategy, "cpu"), twin_of("passes of 4", strategy)
     case = random_case("passes of 4", strategy)
@@ -213,7 +219,9 @@ def test_wrong_expectations_are_rejected(strategy: ls.config.TraceStrategy) -> N
 
 
 @strategies
-def test_backends_draw_the_same_random_numbers(strategy: ls.config.TraceStrategy, backend: str) -> None:
+def test_all_backends_draw_the_same_random_numbers_for_stochastic_frames(
+    strategy: ls.config.TraceStrategy, backend: str
+) -> None:
     """A seed gives the same image on every backend up to rounding; another seed does not."""
     case = random_case("instances", strategy)
     config = replace(case.config, samples=8, seed=5)
@@ -226,7 +234,7 @@ def test_backends_draw_the_same_random_numbers(strategy: ls.config.TraceStrategy
 
 
 @strategies
-def test_complete_first_pass_equals_sorting(strategy: ls.config.TraceStrategy) -> None:
+def test_accepted_first_stochastic_pass_has_the_colour_of_the_sorted_frame(strategy: ls.config.TraceStrategy) -> None:
     """If nothing is behind the first pass, an accepted stochastic pass has sorting's colour, unpremultiplied."""
     scene, camera = ls.Scene([copies(12, 173)]), small_camera(8, 6, 8.0)
     config = trace_config(None, strategy=strategy, jitter=False)
