@@ -44,8 +44,8 @@ def test_render_writes_an_image_for_each_camera(work):
     assert np.array_equal(read_image(work.path("out/left.png"))["srgb"], expected)
 
 
-def test_render_selects_frames_by_name_and_scales_them(work):
-    """--frames selects by name, and one given side keeps the aspect ratio."""
+def test_render_selects_cameras_by_name_and_scales_images(work):
+    """``--frames`` selects by name, and one given side keeps the aspect ratio."""
     work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--frames", "right", "--width", "32")
     assert {path.name for path in work.path("out").iterdir()} == {"right.png"}
     assert read_image(work.path("out/right.png"))["srgb"].shape == (24, 32, 3)
@@ -53,22 +53,22 @@ def test_render_selects_frames_by_name_and_scales_them(work):
 
 @pytest.mark.parametrize("frame", ["right", "1", "1:"])
 def test_render_writes_one_of_several_cameras_to_a_file(work, frame):
-    """--frames selects it by name or number."""
+    """``--frames`` selects the camera by name or number."""
     options = ("--cameras", "@cameras.json", "--frames", frame, "--width", "32", "--device", "cpu")
     assert work.run("render", "@capture.ply", "-o", "@one.png", *options).status == 0
     assert work.run("render", "@capture.ply", "-o", "@all", *options).status == 0
     assert work.path("one.png").read_bytes() == work.path("all/right.png").read_bytes()
 
 
-def test_a_camera_number_out_of_range_is_an_error(work):
+def test_render_refuses_a_camera_number_out_of_range(work):
     """The message counts cameras, not frames of an animation."""
     outcome = work.run("render", "@capture.ply", "--cameras", "@cameras.json", "--frames", "2", "-o", "@one.png")
     assert outcome.status == 2
     assert outcome.err == "error: --frames is '2', and '2' is out of range: there are 2 cameras, 0-1\n"
 
 
-def test_render_says_that_cameras_of_several_files_are_not_used(work, caplog):
-    """A glTF alone brings its cameras; beside another file, a line names the option that uses them."""
+def test_render_logs_that_cameras_of_several_files_are_not_used(work, caplog):
+    """Cameras of a single glTF are used; beside another file, a line names the option that uses them."""
     camera = front_camera(width=16, height=12, name="inside")
     scene = ls.Scene(meshes=[ls.MeshInstance(ls.box())])
     ls.save(work.path("a.glb"), scene, cameras=[camera])
@@ -83,7 +83,7 @@ def test_render_says_that_cameras_of_several_files_are_not_used(work, caplog):
     assert "are not used" not in caplog.text
 
 
-def test_mistakes_of_a_scene_file_are_found_before_captures_are_loaded(work, monkeypatch):
+def test_render_reports_mistakes_of_a_scene_file_before_loading_captures(work, monkeypatch):
     """The scene file is read first, wherever it stands among the files."""
     work.path("lit.toml").write_text('[[lights]]\ntype = "pointt"\n')
     load = ls.load
@@ -94,8 +94,8 @@ def test_mistakes_of_a_scene_file_are_found_before_captures_are_loaded(work, mon
     assert loaded == ["lit.toml"]
 
 
-def test_width_and_height_size_cameras_without_a_size(work):
-    """--width and --height are the image size where a camera file gives only an angle."""
+def test_render_width_and_height_apply_to_cameras_without_a_size(work):
+    """The camera file gives only an angle of view."""
     pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     frame = {"file_path": "0001", "transform_matrix": pose}
     work.path("angle.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": [frame]}))
@@ -105,8 +105,8 @@ def test_width_and_height_size_cameras_without_a_size(work):
     assert read_image(work.path("a.png"))["srgb"].shape == (24, 32, 3)
 
 
-def test_settings_reach_the_renderer(work):
-    """Settings by --set give the image that the library renders with equal settings."""
+def test_render_set_options_equal_the_settings_of_the_library(work):
+    """The image equals the one that the library renders with equal settings."""
     ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
     scene = ls.Scene([work.capture("bands.ply")])
     camera = ls.load_cameras(work.path("cameras.json"))[0]
@@ -168,8 +168,8 @@ def configured(work: Workspace, monkeypatch: pytest.MonkeyPatch, *args: str) -> 
     return asked[0]
 
 
-def test_settings_of_the_ray_tracer_reach_the_renderer(work, monkeypatch, caplog):
-    """Each option changes its setting, in all groups that have it."""
+def test_render_options_of_the_ray_tracer_reach_its_settings(work, monkeypatch, caplog):
+    """Each option changes its setting, in all groups of settings that have it."""
     config = configured(work, monkeypatch, "render", "@mesh.obj", "--pipeline", "trace", *TRACE_OPTIONS)
     assert config == ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
@@ -192,21 +192,21 @@ def test_settings_of_the_ray_tracer_reach_the_renderer(work, monkeypatch, caplog
     assert not caplog.records
 
 
-def test_defaults_of_options_equal_those_of_settings(work, monkeypatch):
+def test_default_options_of_render_and_bench_are_the_library_defaults(work, monkeypatch):
     """Defaults in --help are those of the library."""
     assert configured(work, monkeypatch, "render", "@mesh.obj") == ls.RenderConfig()
     assert configured(work, monkeypatch, "bench", "@mesh.obj") == ls.RenderConfig()
 
 
-def test_settings_reach_the_renderer_of_bench(work, monkeypatch):
-    """Bench times the pipeline and the strategy of its options."""
+def test_bench_options_set_pipeline_and_ray_tracing_strategy(work, monkeypatch):
+    """The settings of the renderer equal those of the options."""
     args = ("bench", "@mesh.obj", "--pipeline", "trace", "--set=trace.strategy=stochastic-hit")
     trace = ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
     assert configured(work, monkeypatch, *args) == ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
 
 
-def test_options_without_effect_are_logged(work, monkeypatch, caplog):
-    """Each reason is one line, once the scene is known."""
+def test_render_logs_options_without_effect(work, monkeypatch, caplog):
+    """Each reason is one line, once the scene is loaded."""
     args = ("render", "@mesh.obj", "--lighting", "off", "--width", "16", "-o", "@a.png", "--device", "cpu")
     assert work.run(*args, *TRACE_OPTIONS).status == 0
     assert [line for line in caplog.messages if line.startswith("not used")] == [
@@ -240,14 +240,14 @@ def test_render_without_cameras_frames_the_scene(work):
 @pytest.mark.parametrize(
     ("text", "corner"), [("white", (255, 255, 255)), ("#ff8000", (255, 128, 0)), ("0,0.2,1", (0, 51, 255))]
 )
-def test_background_fills_empty_pixels(work, text, corner):
+def test_render_background_fills_empty_pixels(work, text, corner):
     """The colour may be given in every notation."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.png")
     assert work.run(*args, "--background", text).status == 0
     assert tuple(read_image(work.path("a.png"))["srgb"][0, 0]) == corner
 
 
-def test_transparent_background_writes_alpha(work):
+def test_render_with_transparent_background_writes_alpha(work):
     """Alpha is 0 beside the mesh, and 1 on it."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.png")
     work.run(*args, "--background", "transparent")
@@ -256,8 +256,8 @@ def test_transparent_background_writes_alpha(work):
     assert alpha[24, 32] == 255
 
 
-def test_layers_are_files_beside_a_png(work):
-    """--aov writes an image for each layer beside the PNG."""
+def test_render_writes_layers_as_files_beside_a_png(work):
+    """``--aov`` writes an image for each layer."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.png")
     assert work.run(*args, "--aov", "depth,normal,instance_index,gaussian_index").status == 0
     # The triangle faces the camera at z = 4: its normal is (0, 0, -1), and it holds no Gaussian.
@@ -268,8 +268,8 @@ def test_layers_are_files_beside_a_png(work):
     assert not read_image(work.path("a.depth.png"))["srgb"][0, 0].any()
 
 
-def test_layers_are_channels_of_an_exr(work):
-    """--aov writes exactly the given layers into the EXR."""
+def test_render_writes_layers_as_channels_of_an_exr(work):
+    """``--aov`` writes exactly the given layers."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@out", "--format", "exr")
     assert work.run(*args, "--aov", "depth,instance_index").status == 0
     channels = read_image(work.path("out/left.exr"))
@@ -278,8 +278,8 @@ def test_layers_are_channels_of_an_exr(work):
     assert np.isinf(channels["depth.Z"][0, 0])
 
 
-def test_a_background_for_an_exr_is_logged_as_unused(work, caplog):
-    """Without --background, nothing is logged."""
+def test_render_logs_that_an_exr_ignores_the_background(work, caplog):
+    """Without ``--background``, nothing is logged."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.exr")
     assert work.run(*args).status == 0
     assert caplog.text == ""
@@ -287,8 +287,8 @@ def test_a_background_for_an_exr_is_logged_as_unused(work, caplog):
     assert [record.getMessage().partition(":")[0] for record in caplog.records] == ["--background is not used"]
 
 
-def test_stats_prints_times_and_counts(work):
-    """--stats names each stage and counts the Gaussians."""
+def test_render_stats_prints_times_of_stages_and_counts(work):
+    """The stages are those of the rasteriser."""
     outcome = work.run("render", "@capture.ply", "-o", "@a.npz", "--width", "32", "--stats", "--device", "cpu")
     for word in ("project", "sort", "bin", "composite", "60", "tile pairs", "memory"):
         assert word in outcome.out
@@ -296,7 +296,7 @@ def test_stats_prints_times_and_counts(work):
 
 
 def test_stats_of_traced_frames_have_no_tile_counts(work):
-    """Rays have neither tiles nor a list of visible splats."""
+    """Ray tracing has neither tiles nor a list of visible Gaussians."""
     args = ("@capture.ply", "--pipeline", "trace", "--device", "cpu", "--width", "32")
     for outcome in (
         work.run("render", *args, "-o", "@a.png", "--stats"),
@@ -307,8 +307,8 @@ def test_stats_of_traced_frames_have_no_tile_counts(work):
         assert "tile pairs" not in outcome.out and "visible" not in outcome.out
 
 
-def test_render_traces_frames(work, monkeypatch):
-    """--pipeline trace gives the library's traced image of glass before a capture, and reports each sample."""
+def test_render_with_the_trace_pipeline_equals_the_library(work, monkeypatch):
+    """The image shows glass before a capture; progress reports each sample."""
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
         '[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, -2]\n'
@@ -347,7 +347,7 @@ def test_render_traces_frames(work, monkeypatch):
     assert traced == pytest.approx([1 / 3, 2 / 3, 1.0])
 
 
-def test_a_progress_bar_can_be_shown_again(monkeypatch):
+def test_progress_bar_can_be_shown_again(monkeypatch):
     """Finished bars disappear; a bar whose label is reported again starts at zero."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     shown = []
@@ -359,23 +359,23 @@ def test_a_progress_bar_can_be_shown_again(monkeypatch):
     assert shown == [[("a", 0.0)], [("a", 0.0), ("b", 0.5)], [("b", 0.5)], [], [("b", 0.25)], [("b", 0.25)]]
 
 
-def test_several_files_make_one_scene(work):
-    """The mesh hides nothing of the capture in front of it, and both are visible."""
+def test_render_joins_several_files_to_one_scene(work):
+    """The image shows both the capture and the mesh."""
     args = ("--cameras", "@cameras.json", "--frames", "left", "-o", "@a.npz", "--device", "cpu")
     assert work.run("render", "@capture.ply", "@mesh.obj", *args).status == 0
     assert set(np.unique(read_image(work.path("a.npz"))["instance_index"])) >= {0, 1}
 
 
-def test_a_scene_file_is_rendered(work):
-    """Its paths are relative to its folder."""
+def test_render_finds_the_files_of_a_scene_file_in_its_folder(work):
+    """Paths in the scene file are relative to the folder of the file."""
     work.path("scene.toml").write_text('[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, 4]\n')
     args = ("--cameras", "@cameras.json", "--frames", "left", "-o", "@a.npz")
     assert work.run("render", "@scene.toml", *args).status == 0
     assert read_image(work.path("a.npz"))["depth"][24, 32] == pytest.approx(8.0, abs=1e-3)
 
 
-def test_info_prints_the_content_of_files(work):
-    """Captures, meshes and camera files have their own tables."""
+def test_info_prints_tables_of_captures_meshes_and_cameras(work):
+    """Captures, meshes and camera files have different tables."""
     outcome = work.run("info", "@capture.ply", "@mesh.obj", "@cameras.json")
     assert outcome.status == 0
     scales = work.capture("capture.ply").scales
@@ -385,7 +385,7 @@ def test_info_prints_the_content_of_files(work):
 
 
 def test_info_continues_after_unreadable_files(work):
-    """All other files are printed as tables or JSON, then a line for each unreadable one, with status 2."""
+    """All other files are printed as tables or JSON, then a line for each unreadable file, with status 2."""
     work.path("short.ply").write_text("ply\n")
     for how in ((), ("--json",)):
         outcome = work.run("info", "@none.ply", "@short.ply", "@capture.ply", *how)
@@ -396,7 +396,7 @@ def test_info_continues_after_unreadable_files(work):
 
 
 def test_info_prints_unusual_properties_only_if_present(work):
-    """The kernel degree is printed only if it is not 2; a mesh shows its surface."""
+    """The kernel degree is printed only if it is not 2; a mesh shows its material."""
     assert "kernel degree" not in work.run("info", "@capture.ply").out
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
@@ -407,7 +407,7 @@ def test_info_prints_unusual_properties_only_if_present(work):
     assert "metallic 0 roughness 0 specular 1 ior 1.33 transmission 1" in shown
 
 
-def test_info_numbers_and_names_entries(work):
+def test_info_numbers_and_names_meshes_and_cameras(work):
     """Meshes of one entry are numbered and named, and frames are listed by their file names."""
     work.path("two.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wood\nf 1 2 3\nusemtl brass\nf 3 2 1\n")
     work.path("scene.toml").write_text('[[meshes]]\npath = "two.obj"\nname = "lamp"\n')
@@ -418,7 +418,7 @@ def test_info_numbers_and_names_entries(work):
 
 
 def test_info_prints_text_without_markup_or_control_characters(work):
-    """Neither a file's text nor its name can change the terminal."""
+    """Neither the text in a file nor its name can change the terminal."""
     gaussians = ls.load(work.path("capture.ply"))
     assert isinstance(gaussians, ls.Gaussians)
     ls.save(work.path("[bold].ply"), replace(gaussians, comments=("[/red] :cat: \x1b[2J",)))
@@ -428,8 +428,8 @@ def test_info_prints_text_without_markup_or_control_characters(work):
     assert "[/red] :cat: ?[2J" in outcome.out
 
 
-def test_convert_keeps_the_kernel_degree(work, caplog):
-    """If the other format cannot store it, one line reports it."""
+def test_convert_keeps_the_kernel_degree_or_logs_its_loss(work, caplog):
+    """SPZ cannot store the degree, and one line reports it."""
     ls.save(work.path("quartic.ply"), replace(work.capture("capture.ply"), kernel_degree=4))
     assert work.run("convert", "@quartic.ply", "@copy.compressed.ply").status == 0
     assert work.capture("copy.compressed.ply").kernel_degree == 4
@@ -439,7 +439,7 @@ def test_convert_keeps_the_kernel_degree(work, caplog):
 
 
 @pytest.mark.parametrize("target", ["copy.compressed.ply", "copy.spz", "copy.ply"])
-def test_convert_writes_the_same_gaussians(work, target):
+def test_convert_writes_the_same_gaussians_in_every_format(work, target):
     """Only the rounding of the format differs."""
     outcome = work.run("convert", "@capture.ply", f"@{target}")
     assert outcome.status == 0
@@ -449,8 +449,8 @@ def test_convert_writes_the_same_gaussians(work, target):
     assert np.allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
 
 
-def test_drop_invalid_renders_the_valid_gaussians(work):
-    """Without --drop-invalid, a capture with NaN is refused."""
+def test_render_drop_invalid_renders_the_valid_gaussians(work):
+    """Without ``--drop-invalid``, a capture with NaN is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -458,16 +458,16 @@ def test_drop_invalid_renders_the_valid_gaussians(work):
     assert work.run("render", "@nan.ply", "-o", "@a.png", "--width", "32", "--drop-invalid").status == 0
 
 
-def test_bench_prints_loading_frame_and_stage_times(work):
-    """Bench prints a row for loading, the first frame, steady frames and each stage."""
+def test_bench_prints_times_of_loading_frames_and_stages(work):
+    """There is a row for loading, the first frame, steady frames and each stage."""
     outcome = work.run("bench", "@capture.ply", "--width", "64", "--repeats", "2", "--device", "cpu")
     assert outcome.status == 0
     for word in ("load", "first frame", "median of 2", "composite", "peak"):
         assert word in outcome.out
 
 
-def test_help_lists_commands_and_options(capsys):
-    """No arguments print the list of commands, and each command's help its options."""
+def test_help_lists_commands_and_their_options(capsys):
+    """Without arguments the list of commands is printed, and each command's help has its options."""
     assert main([]) == 0
     listed = capsys.readouterr().out
     for command in ("render", "info", "convert", "demo", "bench", "metrics", "relight"):
@@ -480,8 +480,8 @@ def test_help_lists_commands_and_options(capsys):
     assert capsys.readouterr().out == f"lumisplat {ls.__version__}\n"
 
 
-def test_help_is_wrapped_once(capsys, monkeypatch):
-    """Lines end at the terminal's width, wherever the docstring's lines end."""
+def test_help_lines_end_at_the_width_of_the_terminal(capsys, monkeypatch):
+    """Line ends of docstrings do not break lines of the help."""
     monkeypatch.setenv("COLUMNS", "80")
     for command in (["render"], ["farm", "animate"], ["train"]):
         assert main([*command, "--help"]) == 0
@@ -495,8 +495,8 @@ def test_help_is_wrapped_once(capsys, monkeypatch):
                 assert len(row.rstrip()) + 1 + len(below.split()[0]) > len(row) - 1, (command, row, below)
 
 
-def test_help_imports_nothing_heavy():
-    """Help imports neither Warp, NumPy nor a file library, so that it appears at once."""
+def test_help_imports_neither_warp_nor_numpy():
+    """Help imports no file library either, so that it appears at once."""
     program = (
         "import sys, lumisplat.cli; lumisplat.cli.main(['--help']);"
         "print(sorted({'warp', 'numpy', 'zstandard', 'OpenEXR', 'PIL', 'rich.progress'} & set(sys.modules)))"
@@ -505,8 +505,8 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_console_script_is_silent_on_success(work):
-    """A process prints one line and nothing on standard error, whatever Warp logs."""
+def test_lumisplat_process_prints_one_line_on_success(work):
+    """Nothing is on standard error, whatever Warp logs."""
     command = [sys.executable, "-m", "lumisplat", "render", "capture.ply", "-o", "a.png", "--width", "32"]
     command += ["--up", "y-down"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=True)
@@ -514,7 +514,7 @@ def test_console_script_is_silent_on_success(work):
 
 
 @pytest.mark.parametrize("debug", [False, True])
-def test_warnings_of_libraries_are_for_debugging(debug: bool) -> None:
+def test_warnings_of_python_and_numpy_appear_only_with_debug(debug: bool) -> None:
     """Warnings of Python and NumPy appear with --debug only."""
     program = (
         "import warnings, lumisplat.cli as cli, lumisplat.__main__ as process\n"

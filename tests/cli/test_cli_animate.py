@@ -123,7 +123,7 @@ def names(*indices: int) -> list[str]:
     return [f"frame_{index:04d}.png" for index in indices]
 
 
-def test_frames_equal_those_of_the_library(work):
+def test_animate_frames_equal_those_of_the_library(work):
     """Each frame equals the scene of `AvatarLighter` at its time, in which the ball and its shadow move."""
     work.path("scene.toml").write_text(RELIT)
     done = animate(work, "frames")
@@ -142,8 +142,8 @@ def test_frames_equal_those_of_the_library(work):
     assert {path.name for path in work.path("frames").iterdir()} == {*made, STAMP}
 
 
-def test_the_same_command_continues_an_interrupted_animation(work, monkeypatch):
-    """Ctrl-C leaves finished frames; the same command makes only the others, and all equal an uninterrupted run."""
+def test_animate_continues_an_interrupted_animation(work, monkeypatch):
+    """Ctrl-C leaves finished frames; the same command makes only missing frames, and all equal an uninterrupted run."""
     assert animate(work, "whole").status == 0
     render, seen = Renderer.render, []
 
@@ -171,7 +171,7 @@ def test_the_same_command_continues_an_interrupted_animation(work, monkeypatch):
     assert len(seen) == 3 + 2  # the two that were missing
 
 
-def test_a_range_of_frames_equals_those_of_the_whole(work, monkeypatch):
+def test_animate_frames_of_a_range_equal_those_of_the_whole(work, monkeypatch):
     """Lights are estimated around the actors of frame 0, whichever frames are rendered."""
     text = RELIT[: RELIT.index("[[lights]]")] + RELIT[RELIT.index("[[actors]]") :]
     work.path("scene.toml").write_text(text)
@@ -197,7 +197,7 @@ def test_a_range_of_frames_equals_those_of_the_whole(work, monkeypatch):
     assert list(frames(work, "part")) == names(0, 2, 3)
 
 
-def test_a_still_scene_has_equal_frames(work):
+def test_animate_of_a_still_scene_writes_equal_frames(work):
     """Frames are equal bit by bit, including shadows and sampled light."""
     work.path("scene.toml").write_text(SCENE.replace("position = [0.5, 0.0, 0.0]", "position = [-0.5, 0.0, 0.0]"))
     for options in ((), ("--pipeline", "trace", "--samples", "2", "--frames", "0:2")):
@@ -206,8 +206,8 @@ def test_a_still_scene_has_equal_frames(work):
 
 
 @pytest.mark.parametrize("option", OTHER)
-def test_frames_of_other_settings_are_refused(work, option):
-    """The error names the changes, and the frames stay; --overwrite renders all of them anew."""
+def test_animate_refuses_a_folder_with_frames_of_other_settings(work, option):
+    """The error names the changes, and the frames stay; ``--overwrite`` renders all frames anew."""
     work.path("scene.toml").write_text(SCENE_FOR.get(option, SCENE))
     assert animate(work, "frames", "--frames", "0:2").status == 0
     before = frames(work, "frames")
@@ -224,7 +224,7 @@ def test_frames_of_other_settings_are_refused(work, option):
     assert animate(work, "frames", option, "--frames", "1:2").status == 0
 
 
-def test_frames_of_changed_files_are_refused(work):
+def test_animate_refuses_a_folder_with_frames_of_changed_files(work):
     """Size and time of the scene file and of the files that it names are compared."""
     assert animate(work, "frames", "--frames", "0:1").status == 0
     status = work.path("ball.ply").stat()
@@ -234,8 +234,8 @@ def test_frames_of_changed_files_are_refused(work):
     assert "settings or files (ball.ply, scene.toml): give" in animate(work, "frames").err
 
 
-def test_frames_without_a_stamp_are_refused(work):
-    """Other files in the folder are ignored."""
+def test_animate_refuses_a_folder_with_frames_but_no_settings(work):
+    """Frames are refused without a valid animate.json; other files in the folder are ignored."""
     work.path("frames").mkdir()
     work.path("frames/notes.txt").write_text("mine")
     assert animate(work, "frames", "--frames", "0:1").status == 0
@@ -248,8 +248,8 @@ def test_frames_without_a_stamp_are_refused(work):
     assert "fps" in json.loads((work.path("frames") / STAMP).read_text())
 
 
-def test_videos_are_written_from_frames(work):
-    """A video has the frames in order at their rate, also if they existed before."""
+def test_animate_writes_a_video_of_its_frames(work):
+    """The video has the frames in order at their rate, also if they existed before."""
     assert animate(work, "frames").status == 0
     done = animate(work, "frames", "--video", "@out.mp4")
     assert done.out.splitlines()[1] == f"{work.path('out.mp4')} (10 frames a second, 0.40 s)"
@@ -265,8 +265,8 @@ def test_videos_are_written_from_frames(work):
 
 
 @pytest.mark.parametrize("kept", [0, 200])
-def test_a_damaged_frame_ends_the_video_with_advice(work, kept):
-    """The advice for a truncated frame works."""
+def test_animate_reports_a_damaged_frame_that_stops_its_video(work, kept):
+    """Deleting the truncated frame and running the command again, as the message says, works."""
     assert animate(work, "frames").status == 0
     made, frame = frames(work, "frames"), work.path("frames") / names(1)[0]
     frame.write_bytes(frame.read_bytes()[:kept])
@@ -281,8 +281,8 @@ def test_a_damaged_frame_ends_the_video_with_advice(work, kept):
     assert frames(work, "frames") == made
 
 
-def test_an_interrupted_overwrite_continues_without_overwrite(work, monkeypatch):
-    """With --overwrite, the same command would remove the frames again."""
+def test_animate_advises_to_continue_an_overwrite_without_overwrite(work, monkeypatch):
+    """With ``--overwrite``, the same command would remove the finished frames."""
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -294,7 +294,7 @@ def test_an_interrupted_overwrite_continues_without_overwrite(work, monkeypatch)
     assert done.err == f"interrupted: {told}\n"
 
 
-def test_another_frame_rate_keeps_the_duration(work):
+def test_animate_at_another_frame_rate_keeps_the_duration(work):
     """Half the rate gives every second frame."""
     assert animate(work, "whole").status == 0
     assert animate(work, "half", "--fps", "5").status == 0
@@ -303,7 +303,7 @@ def test_another_frame_rate_keeps_the_duration(work):
     assert half[names(1)[0]] == whole[names(2)[0]]
 
 
-def test_cameras_are_one_or_one_for_each_frame(work):
+def test_animate_needs_one_camera_or_one_for_each_frame(work):
     """A camera may also be chosen by name; other numbers of cameras are refused."""
     animation = ls.load_animation(work.path("scene.toml"))
     views = [
@@ -325,23 +325,23 @@ def test_cameras_are_one_or_one_for_each_frame(work):
     assert len(animation.cameras) == 1
 
 
-def test_without_cameras_scene_and_actors_are_framed(work):
-    """The framing camera has the requested size."""
+def test_animate_without_cameras_frames_scene_and_actors(work):
+    """The camera has the requested image size."""
     work.path("scene.toml").write_text(SCENE[: SCENE.index("[[cameras]]")])
     assert animate(work, "frames", "--frames", "0:1", "--width", "40", "--height", "30", "--up", "y-up").status == 0
     assert ls.load_image(work.path("frames") / names(0)[0]).shape == (30, 40, 3)
 
 
-def test_actors_without_captures_are_rendered(work):
-    """Nothing receives shadows there, and actors are rendered as they are."""
+def test_animate_renders_actors_in_a_scene_without_captures(work):
+    """Actors are not relit, and cast no shadows onto captures."""
     work.path("tile.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nf 1 4 3\nf 1 3 2\n")
     work.path("scene.toml").write_text(SCENE.replace("[[splats]]", "[[meshes]]").replace("floor.ply", "tile.obj"))
     assert animate(work, "frames").status == 0
     assert len(set(frames(work, "frames").values())) == 4
 
 
-def test_options_without_effect_are_logged_once(work, caplog):
-    """The remark is about the lit scene, whose light only casts shadows, as there are no meshes."""
+def test_animate_logs_options_without_effect_once(work, caplog):
+    """The line belongs to the lit scene, whose light only casts shadows, as there are no meshes."""
     assert animate(work, "frames", "--frames", "0:2", "--set=response.kernel_degree=2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
     assert lines == [
@@ -351,7 +351,7 @@ def test_options_without_effect_are_logged_once(work, caplog):
     ]
 
 
-def test_black_sides_of_actors_are_logged_with_a_remedy(work, caplog):
+def test_animate_logs_black_sides_of_actors_with_a_remedy(work, caplog):
     """The line names the option and a valid key of the scene file."""
     work.path("dark.toml").write_text(RELIT)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -364,8 +364,8 @@ def test_black_sides_of_actors_are_logged_with_a_remedy(work, caplog):
     assert ls.load_animation(work.path("bright.toml")).lighting.transfer.gamma == 12.5
 
 
-def test_a_capture_without_lights_around_the_actors_is_animated(work, caplog) -> None:
-    """Actors cast no shadow and are brightened as if surrounded; log lines say both."""
+def test_animate_accepts_a_capture_without_lights_around_the_actors(work, caplog) -> None:
+    """Actors cast no shadow and are brightened as if the capture surrounded them; log lines report both."""
     lamp = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
     work.path("scene.toml").write_text(RELIT.replace(lamp, ""))
     outcome = work.run("animate", "@scene.toml", "-o", "@out", "--device", "cpu")
@@ -383,8 +383,8 @@ def test_a_capture_without_lights_around_the_actors_is_animated(work, caplog) ->
     assert np.abs(np.asarray(one, float) - np.asarray(other, float)).max() <= 2.0 / 255.0 * np.max(one)
 
 
-def test_formats_and_statistics_of_frames(work):
-    """Frames may be written as floats, and --stats prints their times."""
+def test_animate_writes_float_frames_and_prints_statistics(work):
+    """The options are ``--format npz`` and ``--stats``."""
     done = animate(work, "frames", "--format", "npz", "--frames", "0:2", "--stats")
     assert done.status == 0
     assert "mean of 2 frames" in done.out and "lighting" in done.out and "last frame" in done.out
@@ -412,8 +412,8 @@ def test_formats_and_statistics_of_frames(work):
         (("--samples", "0"), "samples is 0"),
     ],
 )
-def test_mistakes_come_before_any_frame(work, options, named):
-    """Each ends with status 2 and one line, and leaves no folder or file."""
+def test_animate_reports_mistakes_in_options_before_any_frame(work, options, named):
+    """Each mistake ends with status 2 and one line, and leaves no folder or file."""
     before = work.files()
     options = tuple(str(work.path(option[1:])) if option.startswith("@") else option for option in options)
     done = animate(work, "frames", *options)
@@ -423,7 +423,7 @@ def test_mistakes_come_before_any_frame(work, options, named):
     assert work.files() == before
 
 
-def test_a_missing_video_package_is_reported_before_any_frame(work, monkeypatch):
+def test_animate_reports_a_missing_video_package_before_any_frame(work, monkeypatch):
     """Frames without a video do not need PyAV."""
     monkeypatch.setitem(sys.modules, "av", None)
     done = animate(work, "frames", "--video", "@out.mp4")
@@ -440,7 +440,7 @@ def test_a_missing_video_package_is_reported_before_any_frame(work, monkeypatch)
         (SCENE + "\nbroken", "scene.toml: "),
     ],
 )
-def test_scenes_that_cannot_be_animated_are_refused(work, text, named):
+def test_animate_refuses_scenes_that_cannot_be_animated(work, text, named):
     """The error names the scene file."""
     work.path("scene.toml").write_text(text)
     done = animate(work, "frames")
@@ -448,7 +448,7 @@ def test_scenes_that_cannot_be_animated_are_refused(work, text, named):
     assert "is no animated scene" in work.run("animate", "@ball.ply").err
 
 
-def test_fingerprints_cover_all_files_of_a_scene(tmp_path):
+def test_fingerprints_of_frames_cover_all_files_of_a_scene(tmp_path):
     """Files named by scene files, glTF and OBJ count, and folders by their files; the folder of the frames does not."""
     for name in ("walk/0001.ply", "walk/0002.ply", "body.bin", "statue.mtl", "bark.png", "lone.ply", "frames/f.png"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -468,8 +468,8 @@ def test_fingerprints_cover_all_files_of_a_scene(tmp_path):
     assert marks["body.bin"].startswith("4 bytes, ")
 
 
-def test_temporary_files_of_a_killed_run_are_removed(work, monkeypatch) -> None:
-    """The temporary file of animate.json has the name pattern of others, and is removed with them."""
+def test_animate_removes_temporary_files_of_a_killed_run(work, monkeypatch) -> None:
+    """The temporary file of animate.json has the name pattern of all temporary files, and is removed with them."""
     names: list[str] = []
     link_file = os.link
 
@@ -487,7 +487,7 @@ def test_temporary_files_of_a_killed_run_are_removed(work, monkeypatch) -> None:
     assert not any(".lumisplat" in name for name in work.files())
 
 
-def test_checking_a_video_leaves_no_file(work, monkeypatch) -> None:
+def test_check_of_a_video_path_leaves_no_file(work, monkeypatch) -> None:
     """The check writes elsewhere, so that a killed check leaves nothing in the folder of the video."""
     tried: list[str] = []
 

@@ -31,8 +31,11 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 
 
 @pytest.mark.parametrize("name", ["baked.ply", "baked.compressed.ply", "baked.spz"])
-def test_all_captures_of_a_scene_are_baked_into_one(work, name):
-    """The result is lit from above and joined with unlit captures; the output says that meshes are missing."""
+def test_bake_joins_all_captures_of_a_scene_into_one(work, name):
+    """The capture with albedo is lit from above and joined with unlit captures.
+
+    The output reports that meshes are missing.
+    """
     done = work.run("bake", "@both.toml", "-o", f"@{name}", "--direct", "--samples", "2", "--device", "cpu")
     assert (done.status, done.err) == (0, "")
     assert "151 Gaussians" in done.out and "mesh" in done.out
@@ -48,8 +51,8 @@ def test_all_captures_of_a_scene_are_baked_into_one(work, name):
     np.testing.assert_allclose(colors[~of_ball][0], (0.9, 0.5, 0.1), atol=0.02)
 
 
-def test_albedo_of_a_capture_is_lit_by_an_environment(work):
-    """A single capture with albedo needs no scene file; its radiance is at least albedo times the environment's."""
+def test_bake_lights_a_capture_with_albedo_by_an_environment(work):
+    """A single capture needs no scene file; its radiance is at least albedo times the environment's."""
     from lumisplat.io.images.exr import write_exr
 
     write_exr(work.path("sky.exr"), dict.fromkeys("RGB", np.full((2, 4), 0.5, np.float32)))
@@ -82,8 +85,8 @@ def test_albedo_of_a_capture_is_lit_by_an_environment(work):
         (("@both.toml", "-o", "@b.ply", "--exposure", "nan"), "exposure is nan"),
     ],
 )
-def test_mistakes_are_one_line(work, arguments, message):
-    """Each ends with status 2, and writes nothing."""
+def test_bake_reports_mistakes_in_one_line(work, arguments, message):
+    """Each mistake ends with status 2, and writes nothing."""
     done = work.run("bake", *arguments, "--device", "cpu")
     assert done.status == 2
     assert message in done.err and done.err.count("\n") == 1 and "Traceback" not in done.err

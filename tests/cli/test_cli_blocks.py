@@ -43,7 +43,7 @@ def pixels(path: Path) -> np.ndarray:
     return ls.load_image(path)
 
 
-def test_blocks_are_written_and_described_by_info(work: Workspace) -> None:
+def test_blocks_command_writes_blocks_and_info_describes_them(work: Workspace) -> None:
     """A line describes the written folder; info reads the index, and convert all blocks."""
     line = made(work, "--coarser", "1")
     index = ls.io.open_blocks(work.path("town"))
@@ -58,7 +58,7 @@ def test_blocks_are_written_and_described_by_info(work: Workspace) -> None:
     assert work.capture("again.ply").count == 3000
 
 
-def test_several_files_of_any_kind_become_one_folder(work: Workspace) -> None:
+def test_blocks_command_joins_several_files_of_any_format(work: Workspace) -> None:
     """Streamed and loaded files become one capture."""
     ls.save(work.path("more.spz"), random_gaussians(6, count=70))
     outcome = work.run("blocks", "@town.ply", "@more.spz", "-o", "@both")
@@ -66,8 +66,11 @@ def test_several_files_of_any_kind_become_one_folder(work: Workspace) -> None:
     assert ls.io.open_blocks(work.path("both")).count == 3070
 
 
-def test_images_from_blocks_equal_those_of_the_capture(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Images of camera files, tiles and the front are equal bit by bit; each view loads only what it sees."""
+def test_render_of_blocks_equals_render_of_the_whole_capture(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images of camera files, tiles and the default view are equal bit by bit.
+
+    Each view loads only the blocks that it sees.
+    """
     made(work)
     loaded: list[int] = []
     load = ls.io.load_blocks
@@ -96,8 +99,8 @@ def test_images_from_blocks_equal_those_of_the_capture(work: Workspace, monkeypa
     np.testing.assert_array_equal(pixels(work.path("tiles/inside.png")), pixels(work.path("whole/inside.png")))
 
 
-def test_blocks_of_one_view_are_in_memory_at_a_time(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of the last view are released, also by the renderer, before those of the next are read."""
+def test_render_holds_the_blocks_of_one_view_in_memory(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of the last view are released, also by the renderer, before those of the next view are read."""
     made(work)
     held: list[Callable[[], object]] = []
     load = ls.io.load_blocks
@@ -114,8 +117,8 @@ def test_blocks_of_one_view_are_in_memory_at_a_time(work: Workspace, monkeypatch
     assert len(held) == 4
 
 
-def test_far_blocks_load_coarser_levels(work: Workspace) -> None:
-    """--lod pixels=PX loads coarser levels, and an orbit shows the same capture."""
+def test_render_lod_pixels_loads_coarser_levels_of_far_blocks(work: Workspace) -> None:
+    """An orbit with the same option shows the same capture."""
     made(work, "--coarser", "2")
     for tolerance, out in (("0", "fine"), ("12", "coarse")):
         outcome = work.run(
@@ -133,8 +136,8 @@ def test_far_blocks_load_coarser_levels(work: Workspace) -> None:
     np.testing.assert_array_equal(pixels(work.path("a/frame_0001.png")), pixels(work.path("b/frame_0001.png")))
 
 
-def test_lit_frames_load_the_whole_capture(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
-    """Other pipelines and scenes of several files do so, too, with a log line."""
+def test_lit_frames_of_blocks_load_the_whole_capture(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
+    """Pipelines other than raster and scenes of several files load it, too; a log line reports it."""
     made(work)
     outcome = work.run(
         "render", "@town", "--pipeline", "trace", "--cameras", "@views.json", "--frames", "far", "-o", "@a.png",
@@ -146,7 +149,7 @@ def test_lit_frames_load_the_whole_capture(work: Workspace, caplog: pytest.LogCa
     assert "the whole capture is loaded for other files of the scene" in caplog.text
 
 
-def test_plan_prints_the_memory_and_loads_of_workers(work: Workspace) -> None:
+def test_blocks_plan_prints_the_memory_and_loads_of_workers(work: Workspace) -> None:
     """The table has a row for each worker and their sum, equal to the library's plan."""
     made(work)
     outcome = work.run("blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "2", "--memory", "0.00006")
@@ -185,8 +188,8 @@ def test_plan_prints_the_memory_and_loads_of_workers(work: Workspace) -> None:
         (["render", "@town", "--lod", "pixels=1", "--aov", "deep", "-o", "@a.exr"], "--lod pixels= and --aov deep"),
     ],
 )  # fmt: skip
-def test_mistakes_are_one_line(work: Workspace, arguments: list[str], message: str) -> None:
-    """Each ends with status 2, and leaves no file."""
+def test_blocks_command_reports_mistakes_in_one_line(work: Workspace, arguments: list[str], message: str) -> None:
+    """Each mistake ends with status 2, and leaves no file."""
     made(work)
     ls.save(work.path("flat.ply"), random_gaussians(1, count=20, degree=2))
     before = work.files()
@@ -196,7 +199,7 @@ def test_mistakes_are_one_line(work: Workspace, arguments: list[str], message: s
     assert work.files() == before
 
 
-def test_a_disk_without_room_is_refused_before_writing(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_command_refuses_a_full_disk_before_writing(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The line names needed and free bytes."""
     from collections import namedtuple
 

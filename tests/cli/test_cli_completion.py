@@ -63,15 +63,17 @@ def completed_by_fish(words: tuple[str, ...], script: Path) -> list[str]:
 
 
 @pytest.mark.parametrize(("shell", "completed"), [("bash", completed_by_bash), ("fish", completed_by_fish)])
-def test_shells_complete_commands_options_and_values(scripts: dict[str, Path], shell: str, completed) -> None:
-    """Each command completes its own options."""
+def test_shells_complete_commands_options_and_values_of_lumisplat(
+    scripts: dict[str, Path], shell: str, completed
+) -> None:
+    """The shells are bash and fish."""
     needs(shell)
     for words, expected in _CASES:
         assert sorted(completed(words, scripts[shell])) == expected
 
 
 @pytest.mark.parametrize("before", [("render",), ("render", "--cameras"), ("info", "a.ply"), ("animate",)])
-def test_shells_complete_file_names(scripts: dict[str, Path], before: tuple[str, ...]) -> None:
+def test_bash_completes_file_names_of_lumisplat_commands(scripts: dict[str, Path], before: tuple[str, ...]) -> None:
     """An empty word completes file names, too."""
     needs("bash")
     start = str(scripts["bash"])[:-2]
@@ -79,15 +81,15 @@ def test_shells_complete_file_names(scripts: dict[str, Path], before: tuple[str,
     assert not [one for one in completed_by_bash((*before, ""), scripts["bash"]) if one.startswith("-")]
 
 
-def test_zsh_accepts_its_script(scripts: dict[str, Path]) -> None:
-    """Zsh reports no syntax error."""
+def test_zsh_completion_script_has_no_syntax_error(scripts: dict[str, Path]) -> None:
+    """Zsh reads the script with its option -n."""
     needs("zsh")
     done = subprocess.run(["zsh", "-n", scripts["zsh"]], capture_output=True, text=True, check=True)
     assert not done.stderr
 
 
-def test_scripts_contain_all_commands(scripts: dict[str, Path]) -> None:
-    """The script of each shell has every command."""
+def test_completion_script_of_each_shell_has_every_command(scripts: dict[str, Path]) -> None:
+    """The shells are bash, fish and zsh."""
     for script in scripts.values():
         text = script.read_text()
         assert all(name in text for name in ("render", "doctor", "camera-path", "hybrid"))
@@ -101,7 +103,7 @@ def options_with_values(command: dict[str, Any], name: str) -> Iterator[tuple[st
         yield from options_with_values(found, f"{name} {inner}".strip())
 
 
-def test_files_may_stand_between_options(scripts: dict[str, Path]) -> None:
+def test_completion_knows_which_options_take_a_value(scripts: dict[str, Path]) -> None:
     """In each command, the word behind a flag is a file, and the word behind another option its value."""
     kinds = cli._commands(cli._Command)
     farmed = cli._commands(get_args(get_type_hints(kinds.pop("farm"), include_extras=True)["what"])[0])

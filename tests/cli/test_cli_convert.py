@@ -53,7 +53,7 @@ def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
         ),
     ],
 )
-def test_each_option_equals_its_function_of_the_library(
+def test_each_convert_option_equals_its_function_of_the_library(
     work: Workspace, options: str, expected: Callable[[ls.Gaussians], ls.Gaussians]
 ) -> None:
     """The written capture equals the function's result."""
@@ -62,8 +62,8 @@ def test_each_option_equals_its_function_of_the_library(
     same(work.capture("out.ply"), expected(work.capture("capture.ply")))
 
 
-def test_several_captures_are_joined(work: Workspace) -> None:
-    """All files before -o are joined in their order."""
+def test_convert_joins_several_captures_in_order(work: Workspace) -> None:
+    """All files before ``-o`` are joined."""
     capture = work.capture("capture.ply")
     ls.save(work.path("other.ply"), ls.transform(capture, translation=(5, 0, 0)))
     outcome = work.run("convert", "@capture.ply", "@other.ply", "@capture.ply", "-o", "@all.ply")
@@ -83,7 +83,7 @@ def test_convert_prints_the_effect_of_each_edit(work: Workspace) -> None:
     assert last.startswith(str(work.path("a.ply"))) and "10 Gaussians, SH degree 0, " in last
 
 
-def test_sh_degree_removes_higher_coefficients(work: Workspace) -> None:
+def test_convert_sh_degree_removes_or_pads_coefficients(work: Workspace) -> None:
     """Missing degrees are padded with zeros to 62 columns, as some importers require."""
     capture = work.capture("capture.ply")
     ls.save(work.path("sh2.ply"), replace(capture, sh=np.ones((60, 9, 3))))
@@ -92,8 +92,8 @@ def test_sh_degree_removes_higher_coefficients(work: Workspace) -> None:
     assert (work.folder / "out.ply").read_bytes().partition(b"end_header")[0].count(b"property float") == 62
 
 
-def test_dropped_invalid_gaussians_are_counted(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
-    """Without --drop-invalid, the file is refused."""
+def test_convert_drop_invalid_counts_the_dropped_gaussians(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
+    """Without ``--drop-invalid``, the file is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -107,12 +107,12 @@ def test_dropped_invalid_gaussians_are_counted(work: Workspace, caplog: pytest.L
 @pytest.mark.parametrize(
     ("text", "count"), [("10", 10), ("25%", 250), ("0.01%", 1), ("12.5%", 125), ("200%", 2000), ("5000", 5000)]
 )
-def test_decimate_parses_counts_and_percentages(text: str, count: int) -> None:
+def test_convert_decimate_accepts_counts_and_percentages(text: str, count: int) -> None:
     """At least one Gaussian remains."""
     assert _count_of(text, 1000) == count
 
 
-def test_keep_parses_ranges() -> None:
+def test_convert_keep_accepts_open_and_closed_value_ranges() -> None:
     """Either limit may be missing, and numbers may have any notation."""
     assert _value_ranges(["x=-1..2", "opacity=.5..", "scale_max=..1e-3"]) == {
         "x": (-1.0, 2.0),
@@ -121,8 +121,10 @@ def test_keep_parses_ranges() -> None:
     }
 
 
-def test_columns_of_relightable_3d_gaussians_are_written(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
-    """Materials are written in R3DG's columns and read back, with the incident light if asked."""
+def test_convert_columns_r3dg_writes_materials_in_columns_of_r3dg(
+    work: Workspace, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Materials are read back, and the incident light with ``--incident``."""
     plain = work.capture("capture.ply")
     light = np.full((plain.count, 16, 3), 0.25)
     normals, albedo = np.tile([0.0, 0.0, 1.0], (plain.count, 1)), np.full((plain.count, 3), 0.5)

@@ -57,7 +57,7 @@ def make(work: Workspace, folder: str, *options: str, farm: bool = False):
     return work.run(*command, "@scene.toml", "--settings", "@set.toml", "-o", f"@{folder}", *SIZE, *options)
 
 
-def test_views_rendered_in_parts_equal_the_whole(work, caplog) -> None:
+def test_dataset_views_rendered_in_parts_equal_the_whole(work, caplog) -> None:
     """Files are equal bit by bit once all views exist; more views leave existing ones unchanged."""
     whole = make(work, "whole", "--views", "5", "--seed", "7", "--shards", "2")
     assert whole.status == 0, whole.err
@@ -78,7 +78,7 @@ def test_views_rendered_in_parts_equal_the_whole(work, caplog) -> None:
 
 @pytest.mark.deep
 @pytest.mark.filterwarnings("ignore")
-def test_views_of_a_farm_equal_those_of_one_process(work) -> None:
+def test_dataset_views_of_a_farm_equal_those_of_one_process(work) -> None:
     """Files of two workers are equal bit by bit, with light and objects; the same command continues."""
     if importlib.util.find_spec("ray") is None:
         pytest.skip("Ray is not installed: pip install 'lumisplat[farm]'")
@@ -90,8 +90,8 @@ def test_views_of_a_farm_equal_those_of_one_process(work) -> None:
     assert contents(work, "farm") == contents(work, "whole")
 
 
-def test_options_set_cameras_and_environment(work) -> None:
-    """--cameras places views near them, --environment is rotated, and --exposure is added."""
+def test_dataset_options_set_cameras_environment_and_exposure(work) -> None:
+    """``--cameras`` puts views near its cameras, ``--environment`` is rotated, and ``--exposure`` is added."""
     write_exr(work.path("sky.exr"), dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
     options = ("--cameras", str(work.path("cameras.json")), "--environment", str(work.path("sky.exr")))
     options = (*options, "--exposure", "1.5", "--samples", "1", "--settings", str(work.path("set.toml")))
@@ -120,8 +120,8 @@ def test_options_set_cameras_and_environment(work) -> None:
         (("--objects", "@cameras.json"), "cameras.json: "),
     ],
 )
-def test_mistakes_are_one_line(work, options: tuple[str, ...], message: str) -> None:
-    """Each ends with status 2, and writes no view."""
+def test_dataset_command_reports_mistakes_in_one_line(work, options: tuple[str, ...], message: str) -> None:
+    """Each mistake ends with status 2, and writes no view."""
     options = tuple(str(work.path(option[1:])) if option.startswith("@") else option for option in options)
     done = work.run("dataset", "@scene.toml", "-o", "@out", *SIZE, *options)
     assert (done.status, done.out) == (2, ""), done.err
@@ -129,8 +129,8 @@ def test_mistakes_are_one_line(work, options: tuple[str, ...], message: str) -> 
     assert not work.path("out").exists()
 
 
-def test_views_near_cameras_need_cameras(work) -> None:
-    """Settings ask for them, but no file has any."""
+def test_dataset_views_near_cameras_need_cameras(work) -> None:
+    """The settings place views near cameras, but no file has any."""
     work.path("set.toml").write_text('[poses]\nwhere = "cameras"\n')
     done = make(work, "out")
     assert done.status == 2 and "need cameras: give --cameras FILE" in done.err

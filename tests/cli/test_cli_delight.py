@@ -34,7 +34,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return place
 
 
-def test_a_capture_gets_albedo_roughness_and_normals(work):
+def test_delight_gives_a_capture_albedo_roughness_and_normals(work):
     """The Gaussians stay the same; remarks name guesses, and the environment is written as an image."""
     done = work.run(
         "delight",
@@ -64,7 +64,7 @@ def test_a_capture_gets_albedo_roughness_and_normals(work):
     assert sky.shape[1] == 2 * sky.shape[0] and sky.min() > 0.0
 
 
-def test_materials_are_written_to_gltf_and_usd(work):
+def test_delight_writes_materials_to_gltf_as_to_ply(work):
     """A .glb has the albedo, roughness and normals that a .ply has."""
     for name in ("found.glb", "found.ply"):
         done = work.run("delight", "@ball.ply", "-o", f"@{name}", "--cells", "4", "--device", "cpu")
@@ -75,8 +75,8 @@ def test_materials_are_written_to_gltf_and_usd(work):
         np.testing.assert_array_equal(getattr(scene, name), getattr(capture, name))
 
 
-def test_a_room_has_no_environment_image(work, monkeypatch):
-    """A line says so, in place of a black image."""
+def test_delight_writes_no_environment_image_for_a_room(work, monkeypatch):
+    """A line reports it, in place of a black image."""
     capture = ls.load(work.path("ball.ply"))
     assert isinstance(capture, ls.Gaussians)
     found = ls.inverse.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")
@@ -86,7 +86,7 @@ def test_a_room_has_no_environment_image(work, monkeypatch):
     assert work.path("out.ply").exists() and not work.path("sky.exr").exists()
 
 
-def test_a_full_disk_for_the_environment_is_one_line(work):
+def test_delight_reports_a_full_disk_for_the_environment_in_one_line(work):
     """The line has the system's reason; no partial image is left, and the capture is written."""
     with small_disk(work.path("disk"), "4k") as disk:
         done = work.run(
@@ -143,8 +143,8 @@ def test_a_full_disk_for_the_environment_is_one_line(work):
         (("@few.ply", "-o", "@out.ply"), "few.ply: no surface to estimate materials of: 9 of 9 Gaussians"),
     ],
 )
-def test_mistakes_end_in_one_line(work, arguments, said):
-    """Each names what was expected, and writes nothing."""
+def test_delight_reports_mistakes_in_one_line(work, arguments, said):
+    """Each line states what was expected, and nothing is written."""
     done = work.run("delight", *arguments, "--device", "cpu")
     assert done.status == 2
     assert said in done.err

@@ -23,8 +23,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return Workspace(tmp_path, capsys)
 
 
-def test_demo_writes_its_images(work, monkeypatch):
-    """Demo writes an image for each camera, lit images, and on request a capture and cameras that can be rendered."""
+def test_demo_writes_an_image_for_each_camera_and_lit_images(work, monkeypatch):
+    """On request, demo writes a capture and cameras that can be rendered."""
     capture = ls.SplatInstance(work.capture("capture.ply"), material=ls.MaterialPbr())
     lights = (
         ls.LightSpot((2.0, -3.0, 1.0), (-1.0, 3.0, 2.0), intensity=300.0, name="spot"),

@@ -23,21 +23,21 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
     return Workspace(tmp_path, capsys)
 
 
-def test_doctor_prints_the_whole_diagnosis(work: Workspace) -> None:
-    """Tables list versions, working devices, the cache and extras."""
+def test_doctor_prints_versions_devices_cache_and_extras(work: Workspace) -> None:
+    """The tables are of this machine."""
     shown = " ".join(work.run("doctor").out.split())
     assert f"Lumisplat {ls.__version__}" in shown and "warp-lang 1." in shown
     assert " works" in shown and "compiled kernels folder" in shown and "view" in shown
 
 
-def test_json_equals_the_tables(work: Workspace) -> None:
-    """Keys are the fields of `lumisplat.diagnostics.Diagnosis`."""
+def test_doctor_json_has_the_fields_of_a_diagnosis(work: Workspace) -> None:
+    """The class is `lumisplat.diagnostics.Diagnosis`."""
     facts = json.loads(work.run("doctor", "--json").out)
     assert facts["version"] == ls.__version__ and facts["problems"] == []
     assert facts["devices"][0]["name"] == "cpu" and facts["devices"][0]["problem"] is None
 
 
-def test_problems_end_with_one_line_and_status_2(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_reports_problems_in_one_line_with_status_2(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The line comes after the tables."""
 
     def broken(*_: object) -> None:
@@ -49,7 +49,7 @@ def test_problems_end_with_one_line_and_status_2(work: Workspace, monkeypatch: p
     assert outcome.err == "error: cpu: a kernel cannot be compiled or run (no compiler)\n"
 
 
-def test_an_unwritable_cache_ends_with_one_line(tmp_path: Path) -> None:
+def test_doctor_reports_an_unwritable_kernel_cache_in_one_line(tmp_path: Path) -> None:
     """The line names the folder and a remedy after the tables; devices are tested anyway."""
     (tmp_path / "file").write_text("")
     env = dict(os.environ, WARP_CACHE_PATH=str(tmp_path / "file" / "kernels"))

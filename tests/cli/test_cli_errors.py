@@ -149,8 +149,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
         (("demo", "--device", "cuda:7"), "cuda:7"),
     ],
 )
-def test_mistake_is_one_line(work, monkeypatch, args, named):
-    """Each ends with status 2 and one line on standard error that names it, and writes no file."""
+def test_every_mistake_on_the_command_line_is_one_line(work, monkeypatch, args, named):
+    """Each mistake ends with status 2 and one line on standard error that names it, and writes no file."""
     monkeypatch.chdir(work.folder)
     before = work.files()
     outcome = work.run(*args)
@@ -173,7 +173,7 @@ def test_mistake_is_one_line(work, monkeypatch, args, named):
         (("-o", "/proc/lumisplat.png", "--frames", "left"), "/proc/lumisplat.png"),
     ],
 )
-def test_an_output_that_cannot_be_written_is_named(work, output, named):
+def test_render_names_an_output_that_cannot_be_written(work, output, named):
     """Nothing is written."""
     before = work.files()
     outcome = work.run("render", "@capture.ply", *CAMERAS, *output)
@@ -222,7 +222,7 @@ def test_an_output_that_cannot_be_written_is_named(work, output, named):
         (("convert", "x.ply", "y.ply", "--box"), "--box"),
     ],
 )
-def test_arguments_that_do_not_parse_are_one_line(work, args, named):
+def test_arguments_that_do_not_parse_are_reported_in_one_line(work, args, named):
     """The process ends with status 2."""
     outcome = work.run(*args)
     assert (outcome.status, outcome.out) == (2, "")
@@ -242,7 +242,7 @@ def test_arguments_that_do_not_parse_are_one_line(work, args, named):
     ],
     ids=["framed", "coloured", "ascii", "no panel"],
 )
-def test_panels_become_one_line(panel):
+def test_error_panels_of_the_argument_parser_become_one_line(panel):
     """The first paragraph remains, whatever frame a terminal gives the panel."""
     assert one_line(panel, "lumisplat render") == "It is wrong here. (see lumisplat render --help)"
 
@@ -251,8 +251,8 @@ def test_panels_become_one_line(panel):
 @pytest.mark.parametrize(
     "data", [b"\xff\xfe\x80garbage", b"[" * 100_000, b"3", b'{"frames": [1], "asset": 2}', b"x = " + b"[" * 5000]
 )
-def test_errors_of_broken_files_name_the_file_only(work, name, data):
-    """The message shows no Python exception or object."""
+def test_errors_of_broken_files_show_no_python_exception(work, name, data):
+    """The message names the file and no Python object."""
     work.path(name).write_bytes(data)
     outcome = work.run("info", f"@{name}")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
@@ -262,13 +262,13 @@ def test_errors_of_broken_files_name_the_file_only(work, name, data):
         assert internal not in said
 
 
-def test_the_output_is_checked_before_files_are_loaded(work):
+def test_render_checks_the_output_before_loading_files(work):
     """A folder that cannot be written is reported before a missing input."""
     outcome = work.run("render", "@missing.ply", "-o", "/proc/lumisplat")
     assert outcome.err.startswith("error: /proc/lumisplat: cannot be written")
 
 
-def test_demo_checks_its_width_before_it_builds_the_scene(work, monkeypatch):
+def test_demo_checks_its_width_before_building_the_scene(work, monkeypatch):
     """No folder is left behind."""
     monkeypatch.setattr(ls, "demo_scene", lambda report: pytest.fail("the scene was built"))
     outcome = work.run("demo", "-o", "@demo", "--width", "0")
@@ -277,8 +277,8 @@ def test_demo_checks_its_width_before_it_builds_the_scene(work, monkeypatch):
     assert not work.path("demo").exists()
 
 
-def test_an_unwritable_kernel_cache_is_one_line(work):
-    """The line says what the cache is for and how to move it."""
+def test_unwritable_kernel_cache_is_reported_in_one_line(work):
+    """The line explains the cache and how to move it."""
     environment = {name: value for name, value in os.environ.items() if name != "WARP_CACHE_PATH"}
     command = [sys.executable, "-m", "lumisplat", "render", "mesh.obj", "-o", "a.png", "--device", "cpu"]
     done = subprocess.run(
@@ -293,8 +293,8 @@ def test_an_unwritable_kernel_cache_is_one_line(work):
     assert "compiled kernels cannot be stored here" in done.stderr and "WARP_CACHE_PATH" in done.stderr
 
 
-def test_a_too_long_file_name_is_one_line(work):
-    """The line says what could not be done."""
+def test_too_long_file_name_is_reported_in_one_line(work):
+    """The line names the failed action, reading or writing."""
     outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frames", "left", "-o", "@" + "x" * 300 + ".png")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert "cannot be written: File name too long" in outcome.err
@@ -302,14 +302,14 @@ def test_a_too_long_file_name_is_one_line(work):
     assert "cannot be read: File name too long" in said or "no such file" in said  # the latter from Python 3.14 on
 
 
-def test_debug_shows_the_traceback(work):
+def test_debug_option_shows_the_traceback_of_an_error(work):
     """The status stays 2."""
     outcome = work.run("render", "@missing.ply", "--debug")
     assert outcome.status == 2
     assert "Traceback" in outcome.err
 
 
-def test_an_interrupt_ends_with_status_130(work, monkeypatch):
+def test_interrupted_command_ends_with_status_130(work, monkeypatch):
     """Ctrl-C prints one word without a traceback."""
 
     def interrupt(*_args, **_options):
@@ -320,7 +320,7 @@ def test_an_interrupt_ends_with_status_130(work, monkeypatch):
     assert (outcome.status, outcome.err) == (130, "interrupted\n")
 
 
-def test_a_closed_pipe_ends_without_a_message(work):
+def test_commands_end_silently_if_their_output_pipe_closes(work):
     """Printing into ``| head -1`` closes the pipe."""
     for arguments in ("--help", "info capture.ply", "convert capture.ply copy.ply"):
         command = [sys.executable, "-m", "lumisplat", *arguments.split()]
@@ -333,7 +333,7 @@ def test_a_closed_pipe_ends_without_a_message(work):
             assert process.wait() != 0
 
 
-def test_an_interrupt_while_importing_ends_without_a_traceback():
+def test_interrupt_while_importing_ends_without_a_traceback():
     """The status is 130."""
     program = (
         "import sys\n"
@@ -348,7 +348,7 @@ def test_an_interrupt_while_importing_ends_without_a_traceback():
     assert (done.returncode, done.stderr) == (130, "")
 
 
-def test_a_process_prints_one_line_and_ends_with_status_2(work):
+def test_lumisplat_process_prints_one_error_line_with_status_2(work):
     """Native libraries add no line."""
     command = [sys.executable, "-m", "lumisplat", "render", "short.ply", "-o", "out"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=False)

@@ -42,8 +42,8 @@ def evaluate(work: Workspace, *options: str, folder: str = "@photos") -> dict[st
     return {line[:16].strip(): line[16:].split() for line in done.out.splitlines() if line[16:].split()}
 
 
-def test_the_table_has_means_and_the_worst_views(work):
-    """Three views are held out, the worst is first, and values equal those of the library."""
+def test_evaluate_table_has_means_and_the_worst_views_first(work):
+    """Three views are held out, and values equal those of the library."""
     table = evaluate(work, "--hold-out", "2")
     assert list(table) == ["", "mean of 3 views", "v4", "v2", "v0"]
     assert table[""] == ["psnr", "ssim", "ms-ssim", "flip"]
@@ -60,13 +60,13 @@ def test_the_table_has_means_and_the_worst_views(work):
     assert table["v4"][1:] == [f"{value:.4f}" for value in (*expected, ls.metrics.flip(truth, photographs[2].pixels()))]
 
 
-def test_fewer_scales_of_ms_ssim_are_logged(work, caplog):
+def test_evaluate_logs_fewer_scales_of_ms_ssim_for_small_images(work, caplog):
     """36 rows are enough for two scales."""
     evaluate(work)
     assert "ms-ssim has 2 scales: images of 48 x 36 pixels are too small for 5" in caplog.messages
 
 
-def test_metrics_and_worst_views_are_written(work):
+def test_evaluate_output_has_metrics_and_images_of_the_worst_views(work):
     """The report has all metrics, and image, render and difference side by side for the worst views."""
     done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "2", "-o", "@report")
     assert done.status == 0 and "metrics.json, and the worst 3 views beside the images" in done.out
@@ -85,7 +85,7 @@ def test_metrics_and_worst_views_are_written(work):
     np.testing.assert_allclose(difference, np.minimum(4 * np.abs(photograph - picture), 255), atol=4)
 
 
-def test_masked_pixels_are_not_compared(work):
+def test_evaluate_does_not_compare_masked_pixels(work):
     """Damage outside the mask does not change the metrics."""
     before = evaluate(work, "--hold-out", "3")["v3"]
     image = np.array(Image.open(work.path("photos/images/v3.png")))
@@ -107,7 +107,7 @@ def test_masked_pixels_are_not_compared(work):
     assert not difference[mask == 0].any() and difference[mask > 0].any()
 
 
-def test_transparent_images_are_composited_over_the_background(work):
+def test_evaluate_composites_transparent_images_over_the_background(work):
     """RGBA renders agree if both are composited over the same colour, and not over another."""
     frame = ls.render(
         ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], ls.RenderConfig(background=None), device="cpu"
@@ -124,7 +124,7 @@ def test_transparent_images_are_composited_over_the_background(work):
     assert ls.metrics.psnr(ls.load_image(work.path("white.png")), shown(work)) < 20.0
 
 
-def test_scale_reduces_the_compared_images(work):
+def test_evaluate_scale_reduces_the_compared_images(work):
     """The capture is rendered at the size of the images."""
     done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--scale", "0.5", "-o", "@half")
     assert done.status == 0
@@ -132,8 +132,8 @@ def test_scale_reduces_the_compared_images(work):
     assert json.loads(work.path("half/metrics.json").read_text())["scale"] == 0.5
 
 
-def test_rays_compare_distorted_images_without_undistortion(work):
-    """All pixels of fisheye images are compared with fisheye renders."""
+def test_evaluate_compares_fisheye_images_without_undistortion(work):
+    """With rays or unscented projection, all pixels of fisheye images are compared with fisheye renders."""
     lens = [replace(camera, model=ls.CameraModel.FISHEYE, distortion=(0.1, 0, 0, 0, 0, 0)) for camera in CAMERAS]
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     truth = ls.render(ls.Scene([work.capture("capture.ply")]), lens[0], config, device="cpu").pixels_srgb()
@@ -144,8 +144,8 @@ def test_rays_compare_distorted_images_without_undistortion(work):
     assert float(traced["mean of 3 views"][0]) > 40.0
 
 
-def test_metrics_of_missing_packages_are_left_out(work, monkeypatch):
-    """The table has a dash, and a line says how to install the package."""
+def test_evaluate_shows_a_dash_for_metrics_of_missing_packages(work, monkeypatch):
+    """The metric is null in the written report."""
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     table = evaluate(work)
     assert table["v0"][3] == "-" and table["v0"][0] != "-"
@@ -172,8 +172,8 @@ def test_metrics_of_missing_packages_are_left_out(work, monkeypatch):
         (("@capture.ply", "@photos", "-o", "@photos/images/v0.png"), "v0.png: is a file, expected a folder"),
     ],
 )
-def test_mistakes_are_one_line(work, args, problem, caplog):
-    """Each ends with status 2, writes nothing, and logs nothing about work that is not done."""
+def test_evaluate_reports_mistakes_in_one_line(work, args, problem, caplog):
+    """Each mistake ends with status 2, writes nothing, and logs nothing about work that is not done."""
     before = work.files()
     done = work.run("evaluate", *args, "--device", "cpu") if args else work.run("evaluate")
     assert done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1

@@ -32,7 +32,7 @@ def table(out: str) -> dict[str, str]:
     return {row[0].strip(): next(cell for cell in row[1:] if cell.strip()).strip() for row in rows}
 
 
-def test_the_table_equals_the_values_of_the_library(work):
+def test_evaluate_materials_table_equals_the_values_of_the_library(work):
     """Values are those of `evaluate_materials`, with units."""
     done = work.run(*COMMAND)
     assert done.status == 0, done.err
@@ -47,7 +47,7 @@ def test_the_table_equals_the_values_of_the_library(work):
     assert "dB" in done.out and "degrees" in done.out
 
 
-def test_metrics_and_images_are_written(work):
+def test_evaluate_materials_writes_metrics_and_comparison_images(work):
     """The report has metrics of all views, and rows of estimate, truth and difference for the worst ones."""
     done = work.run(*COMMAND, "-o", "@report")
     assert done.status == 0 and "metrics.json, and the worst views: found, true" in done.out
@@ -65,8 +65,8 @@ def test_metrics_and_images_are_written(work):
     assert truth.max() == 128 and difference.any() and not beside[:32, 64:].any()
 
 
-def test_the_environment_beside_the_capture_is_compared(work):
-    """The file is found by its name, or given."""
+def test_evaluate_materials_compares_the_environment_of_the_capture(work):
+    """The file is found beside the capture by its name, or given."""
     write_radiance(work.path("ball.environment.exr"), 2.0 * panorama())
     beside = table(work.run(*COMMAND).out)["environment, one scale a channel"]
     assert float(beside) > 100.0
@@ -75,8 +75,8 @@ def test_the_environment_beside_the_capture_is_compared(work):
     assert float(given) < 40.0
 
 
-def test_missing_inputs_are_logged_in_a_line(work, caplog):
-    """The table has a dash."""
+def test_evaluate_materials_logs_missing_ground_truth(work, caplog):
+    """The table has a dash for the metric."""
     for path in work.path("set/truth/normal").iterdir():
         path.unlink()
     work.path("set/truth/normal").rmdir()
@@ -109,8 +109,8 @@ def test_missing_inputs_are_logged_in_a_line(work, caplog):
         ((*COMMAND, "-o", "@set/test"), "set/test has the images, which the report's images would replace"),
     ],
 )
-def test_mistakes_are_one_line(work, args, problem):
-    """Each ends with status 2, and writes nothing."""
+def test_evaluate_materials_reports_mistakes_in_one_line(work, args, problem):
+    """Each mistake ends with status 2, and writes nothing."""
     before = work.files()
     done = work.run(*args)
     assert done.status == 2 and done.err.startswith("error: ") and done.err.count("\n") == 1

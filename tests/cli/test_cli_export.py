@@ -48,8 +48,10 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     return place
 
 
-def test_an_exported_scene_has_all_of_its_parts(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
-    """The file has capture, mesh, light and camera; a log line names the light that the format lacks."""
+def test_export_writes_capture_mesh_light_and_camera_of_a_scene(
+    work: Workspace, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A log line names the light that glTF lacks."""
     outcome = work.run("export", "@scene.toml", "-o", "@scene.glb")
     assert outcome.status == 0
     assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
@@ -67,8 +69,8 @@ def test_an_exported_scene_has_all_of_its_parts(work: Workspace, caplog: pytest.
 
 
 @pytest.mark.parametrize(("name", "lights", "cameras"), [("a.glb", 1, 0), ("a.gltf", 1, 0), ("a.usda", 3, 0)])
-def test_the_summary_counts_what_the_file_holds(work: Workspace, name: str, lights: int, cameras: int) -> None:
-    """Environment, area light and fisheye are not counted, as the format lacks them."""
+def test_export_summary_counts_only_what_the_file_stores(work: Workspace, name: str, lights: int, cameras: int) -> None:
+    """Environment, area light and fisheye are not counted if the format lacks them."""
     text = SCENE.replace("height = 48\n", 'height = 48\nmodel = "fisheye"\n') + "[environment]\nintensity = 0.5\n"
     work.path("scene.toml").write_text(text)
     if name == "a.usda":
@@ -81,7 +83,7 @@ def test_the_summary_counts_what_the_file_holds(work: Workspace, name: str, ligh
     assert len(scene.lights) == lights and len(ls.load_cameras(work.path(name))) == cameras
 
 
-def test_captures_rotated_for_blender_match_the_exported_glb(work: Workspace) -> None:
+def test_capture_converted_for_blender_matches_the_exported_glb(work: Workspace) -> None:
     """Blender's glTF importer rotates y up to z up, its PLY importer does not (docs/guide/gltf.md#blender)."""
     assert work.run("export", "@capture.ply", "@mesh.obj", "-o", "@all.glb").status == 0
     assert work.run("convert", "@capture.ply", "--rotate", "-90", "0", "0", "-o", "@turned.ply").status == 0
@@ -91,14 +93,14 @@ def test_captures_rotated_for_blender_match_the_exported_glb(work: Workspace) ->
     np.testing.assert_allclose(turned.means, np.stack([x, -z, y], axis=1), atol=1e-5)
 
 
-def test_files_and_cameras_become_a_scene(work: Workspace) -> None:
-    """Files of any kind make one scene; --cameras adds cameras of another file."""
+def test_export_joins_files_and_cameras_to_a_scene(work: Workspace) -> None:
+    """Files of any kind make one scene; ``--cameras`` adds cameras of another file."""
     outcome = work.run("export", "@capture.ply", "@mesh.obj", "--cameras", "@cameras.json", "-o", "@all.gltf")
     assert (outcome.status, outcome.err) == (0, "")
     assert [camera.name for camera in ls.load_cameras(work.path("all.gltf"))] == ["left", "right"]
 
 
-def test_an_exported_scene_renders_the_same_image(work: Workspace) -> None:
+def test_exported_scene_renders_the_same_image(work: Workspace) -> None:
     """The images of scene and file are equal through the same camera."""
     work.run("export", "@scene.toml", "-o", "@scene.glb")
     for name in ("scene.toml", "scene.glb"):
@@ -109,8 +111,8 @@ def test_an_exported_scene_renders_the_same_image(work: Workspace) -> None:
     np.testing.assert_allclose(pictures[1], pictures[0], atol=1.001 / 255)
 
 
-def test_captures_are_converted_both_ways(work: Workspace) -> None:
-    """Convert writes and reads GLB without changes; captures of a scene are joined, with y down again."""
+def test_convert_writes_and_reads_glb_captures_without_changes(work: Workspace) -> None:
+    """Captures of a scene are joined, with y down again."""
     assert work.run("convert", "@capture.ply", "-o", "@a.glb").status == 0
     before = work.capture("capture.ply")
     for name, values in work.capture("a.glb").arrays().items():
@@ -132,7 +134,7 @@ def test_captures_are_converted_both_ways(work: Workspace) -> None:
         (("@scene.toml", "--up", "sideways", "-o", "@a.glb"), "--up is 'sideways'"),
     ],
 )
-def test_mistakes_are_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
+def test_export_reports_mistakes_in_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
     """Each line names the mistake; no file is written."""
     before = work.files()
     outcome = work.run("export", *args)

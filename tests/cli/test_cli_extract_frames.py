@@ -11,8 +11,10 @@ import lumisplat as ls
 from lumisplat.cli import main
 
 
-def test_writes_images_and_prints_the_next_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The next command names the folder, and a scale that makes a first training quick."""
+def test_extract_frames_writes_images_and_prints_the_next_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The printed train command names the folder, and a scale that makes a first training quick."""
     video, folder = tmp_path / "walk.mp4", tmp_path / "walk"
     ls.save_animation(video, np.random.default_rng(0).uniform(size=(6, 48, 64, 3)), fps=4)
     assert main(["extract-frames", str(video), "-o", str(folder)]) == 0
@@ -25,8 +27,8 @@ def test_writes_images_and_prints_the_next_command(tmp_path: Path, capsys: pytes
     assert "--poses colmap-film --scale 0.5 --stop-after 5m" in capsys.readouterr().out
 
 
-def test_one_image_is_too_few_for_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command prints what to change in place of a next command, which would fail."""
+def test_extract_frames_reports_a_single_image_as_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In place of a train command, which would fail, the command prints what to change."""
     video = tmp_path / "walk.mp4"
     ls.save_animation(video, np.random.default_rng(0).uniform(size=(2, 48, 64, 3)), fps=4)
     assert main(["extract-frames", str(video), "-o", str(tmp_path / "walk")]) == 0
@@ -45,7 +47,7 @@ def test_one_image_is_too_few_for_training(tmp_path: Path, capsys: pytest.Captur
         (("text.mp4", "-o", "out", "--size", "1"), "--size is 1"),
     ],
 )
-def test_mistakes_are_reported_in_one_line(
+def test_extract_frames_reports_mistakes_in_one_line(
     options: tuple[str, ...],
     problem: str,
     tmp_path: Path,
@@ -61,8 +63,8 @@ def test_mistakes_are_reported_in_one_line(
     assert problem in printed and len(printed.strip().splitlines()) == 1
 
 
-def test_the_former_name_of_the_command_is_answered_with_the_new_one(capsys: pytest.CaptureFixture[str]) -> None:
-    """The line is the command as it is typed today."""
+def test_former_command_frames_is_answered_with_extract_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    """The line is the whole command as it is typed today."""
     assert main(["frames", "my walk.mp4", "-o", "walk"]) == 2
     problem = "error: frames is now extract-frames: lumisplat extract-frames 'my walk.mp4' -o walk\n"
     assert capsys.readouterr().err == problem

@@ -34,7 +34,7 @@ def noise(work: Workspace, name: str) -> float:
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
-def test_denoised_images_have_less_noise(work: Workspace, pipeline: str) -> None:
+def test_render_denoise_reduces_the_noise_of_each_pipeline(work: Workspace, pipeline: str) -> None:
     """The layer that the denoiser needs is rendered, but not written into the EXR."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     options = (*RENDER, "--pipeline", pipeline, "--samples", "1")
@@ -47,8 +47,8 @@ def test_denoised_images_have_less_noise(work: Workspace, pipeline: str) -> None
     )
 
 
-def test_orbits_are_denoised(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every frame is denoised, and the stamp stores it."""
+def test_orbit_denoise_denoises_every_frame(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stored settings of the frames include the option."""
     denoised: list[ls.Frame] = []
     monkeypatch.setattr(ls.Frame, "check_denoiser", lambda: None)
     monkeypatch.setattr(ls.Frame, "denoised", lambda frame: denoised.append(frame) or frame)
@@ -58,15 +58,15 @@ def test_orbits_are_denoised(work: Workspace, monkeypatch: pytest.MonkeyPatch) -
     assert "denoise" in work.run("orbit", "@scene.toml", *options).err
 
 
-def test_unlit_frames_are_not_denoised(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
-    """A log line says so."""
+def test_unlit_frames_are_not_denoised_but_logged(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
+    """The line names the option and how to light the frame."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     assert work.run(*RENDER, "--lighting", "off", "--denoise", "-o", "@flat.png").status == 0
     assert "not used: --denoise (used in lit frames: add a light, or switch lighting on)" in caplog.text
 
 
-def test_a_missing_denoiser_is_reported_before_rendering(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The line says how to install it."""
+def test_missing_denoiser_is_reported_before_rendering(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line names the package extra to install."""
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     done = work.run(*RENDER, "--denoise", "-o", "@none.png")
     assert done.status == 2 and "pip install 'lumisplat[denoise]'" in done.err
@@ -86,7 +86,7 @@ def cameras_of(monkeypatch: pytest.MonkeyPatch) -> list[ls.Camera]:
     return cameras
 
 
-def test_focus_is_on_the_surface_in_the_pixel(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_render_focus_is_on_the_surface_in_the_given_pixel(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The centre pixel shows the ball's near side, 3 units away; the camera has the aperture."""
     cameras = cameras_of(monkeypatch)
     options = ("--pipeline", "trace", "--samples", "1", "--aperture", "0.1", "-o", "@view.png")
@@ -111,7 +111,9 @@ def test_focus_is_on_the_surface_in_the_pixel(work: Workspace, monkeypatch: pyte
         ),
     ],
 )
-def test_focus_without_aperture_or_surface_is_refused(work: Workspace, options: tuple[str, ...], message: str) -> None:
-    """Each prints one line, with status 2."""
+def test_render_focus_without_aperture_or_surface_is_refused(
+    work: Workspace, options: tuple[str, ...], message: str
+) -> None:
+    """Each refusal prints one line with status 2."""
     done = work.run(*RENDER, "--pipeline", "trace", *options, "-o", "@view.png")
     assert done.status == 2 and message in done.err and len(done.err.strip().splitlines()) == 1

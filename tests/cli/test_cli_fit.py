@@ -95,8 +95,8 @@ def lights_of(place: Workspace, name: str) -> dict[str, np.ndarray]:
     return {light.name: np.array(light.color) * light.intensity for light in scene.lights}
 
 
-def test_fitted_lights_are_written_to_a_scene_file(work):
-    """Everything else stays the same, and the old file is unchanged."""
+def test_fit_writes_fitted_lights_to_a_new_scene_file(work):
+    """All other entries stay the same, and the old file is unchanged."""
     before = work.path("room.toml").read_text()
     done = work.run("fit", "@room.toml", "@door.png", "-o", "@fitted.toml", *FIT)
     assert (done.status, done.err) == (0, "")
@@ -114,7 +114,7 @@ def test_fitted_lights_are_written_to_a_scene_file(work):
     assert ls.metrics.psnr(picture, ls.load_image(work.path("door.png"))) > 40.0
 
 
-def test_a_fitted_environment_is_written_beside_the_scene_file(work):
+def test_fit_writes_a_fitted_environment_beside_the_scene_file(work):
     """SH become an image that the file names by a relative path and that can be read again."""
     sunlit = work.path("truth.toml").read_text() + "[environment]\ncolor = [0.5, 0.6, 0.8]\nvisible = false\n"
     work.path("sunlit.toml").write_text(sunlit)
@@ -144,8 +144,8 @@ def test_a_fitted_environment_is_written_beside_the_scene_file(work):
     assert "environment" in lights_of(work, "f.toml")
 
 
-def test_no_file_is_written_for_an_environment_that_was_not_found(work, caplog):
-    """Only point lights shone: one line says so, and the scene names no black environment."""
+def test_fit_writes_no_environment_if_the_images_show_none(work, caplog):
+    """Only point lights shone: one line reports it, and the scene has no black environment."""
     options = ("--environment-degree", "1", "--size", "32", "--pipeline", "raster", "--samples", "2", "--device", "cpu")
     done = work.run("fit", "@room.toml", "@door.png", *options, "-o", "@f.toml")
     assert done.status == 0, done.err
@@ -154,7 +154,7 @@ def test_no_file_is_written_for_an_environment_that_was_not_found(work, caplog):
     assert not work.path("f.assets").exists()
 
 
-def test_several_images_are_fitted_with_a_report(work):
+def test_fit_of_several_images_writes_a_report(work):
     """Cameras are found by name or by image name; the report has images side by side and metrics."""
     done = work.run("fit", "@room.toml", "@door.png", "@window.png", "-o", "@a.toml", "--report", "@report", *FIT)
     assert done.status == 0, done.err
@@ -171,8 +171,8 @@ def test_several_images_are_fitted_with_a_report(work):
     np.testing.assert_allclose(lights_of(work, "b.toml")["right"], (4.0, 4.0, 4.0), rtol=0.03)
 
 
-def test_fitted_base_colors_are_written_to_the_scene_file(work):
-    """The box's base colour is found while the lights are known."""
+def test_fit_base_colors_writes_colours_of_a_mesh_to_the_scene_file(work):
+    """The box's base colour is estimated while the lights stay as given."""
     done = work.run("fit", "@grey.toml", "@door.png", "-o", "@a.toml", "--base-colors", "box", "--no-intensities", *FIT)
     assert done.status == 0, done.err
     scene = ls.load(work.path("a.toml"))
@@ -180,8 +180,8 @@ def test_fitted_base_colors_are_written_to_the_scene_file(work):
     np.testing.assert_allclose(scene.meshes[1].mesh.material.base_color, (0.2, 0.4, 0.7), atol=0.01)
 
 
-def test_existing_files_are_overwritten_only_with_overwrite(work):
-    """Neither the scene itself nor another file is overwritten."""
+def test_fit_overwrites_a_scene_file_only_with_overwrite(work):
+    """The output file is here the scene itself."""
     refused = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", *FIT)
     assert refused.status == 2 and "is there already" in refused.err and "--overwrite" in refused.err
     allowed = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", "--overwrite", *FIT)
@@ -225,8 +225,8 @@ def test_existing_files_are_overwritten_only_with_overwrite(work):
         (("@room.toml", "@wide.png", "-o", "@a.toml", "--camera", "door"), "another aspect ratio"),
     ],
 )
-def test_mistakes_are_one_line(work, arguments, message):
-    """Each ends with status 2, and writes no file."""
+def test_fit_reports_mistakes_in_one_line(work, arguments, message):
+    """Each mistake ends with status 2, and writes no file."""
     Image.new("RGB", (80, 40), (90, 90, 90)).save(work.path("wide.png"))
     work.path("folder.toml").mkdir()
     work.path("b.assets").write_text("in the way")
@@ -237,14 +237,14 @@ def test_mistakes_are_one_line(work, arguments, message):
     assert not work.path("a.toml").exists() and work.path("door.png").read_bytes() == before
 
 
-def test_help_states_the_time_of_a_fit(work):
-    """It also states the time with --positions."""
+def test_fit_help_states_the_time_of_a_fit(work):
+    """The help also states the time with ``--positions``."""
     told = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
     assert "half a minute on a CPU core, and with --positions four" in told
     assert "directions of spots and suns; takes minutes" in told
 
 
-def test_fitted_colors_of_a_capture_are_written_to_a_new_file(work):
+def test_fit_writes_fitted_colours_of_a_capture_to_a_new_file(work):
     """The capture is darker than in the image; the written scene names a corrected file."""
     mesh = ls.load(work.path("box.obj"))
     assert isinstance(mesh, ls.Mesh)

@@ -23,7 +23,7 @@ def pixels(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("up", ["y-down", "y-up", "z-up"])
 @pytest.mark.parametrize("size", [(1280, 720), (100, 400)])
-def test_the_whole_bounding_box_is_in_the_image(up, size):
+def test_frame_camera_shows_the_whole_bounding_box(up, size):
     """All corners are visible, and the box fills the image in one direction."""
     scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3, center=(5.0, -2.0, 9.0))),), up=up)
     low, high = scene.bulk_bounds()
@@ -35,7 +35,7 @@ def test_the_whole_bounding_box_is_in_the_image(up, size):
 
 
 @pytest.mark.parametrize(("up", "above"), [("y-down", (0, -1, 0)), ("y-up", (0, 1, 0)), ("z-up", (0, 0, 1))])
-def test_the_up_direction_is_up_in_the_image(up, above):
+def test_frame_camera_shows_the_up_direction_upwards(up, above):
     """Points above the centre appear above it, and the camera looks down a little."""
     scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3)),), up=up)
     camera = ls.frame_camera(scene)
@@ -46,7 +46,7 @@ def test_the_up_direction_is_up_in_the_image(up, above):
     assert (camera.eye - center) @ above > 0.0
 
 
-def test_the_default_up_depends_on_the_files_of_the_scene() -> None:
+def test_default_up_of_frame_camera_depends_on_captures_and_meshes() -> None:
     """Without a stated direction, captures are y down, also beside meshes, and meshes alone are y up."""
     capture, mesh = random_gaussians(3), quad(1.0)
     for scene in (ls.Scene([capture]), ls.Scene([capture], [mesh])):
@@ -55,7 +55,7 @@ def test_the_default_up_depends_on_the_files_of_the_scene() -> None:
     np.testing.assert_array_equal(ls.frame_camera(alone).eye, ls.frame_camera(replace(alone, up="y-up")).eye)
 
 
-def test_stray_gaussians_do_not_affect_framing():
+def test_frame_camera_ignores_stray_gaussians():
     """A faint Gaussian far away leaves the camera unchanged."""
     bulk = random_gaussians(3, count=500)
     stray = joined(bulk, one_gaussian(mean=(1e4, 0.0, 0.0), opacity=0.1))
@@ -63,14 +63,14 @@ def test_stray_gaussians_do_not_affect_framing():
     assert np.allclose(near.eye, far.eye, atol=0.1)
 
 
-def test_an_empty_scene_is_refused():
-    """There is nothing to frame."""
+def test_frame_camera_refuses_an_empty_scene():
+    """An empty scene has no bounds."""
     with pytest.raises(ls.SceneError, match="empty"):
         ls.frame_camera(ls.Scene())
 
 
 @pytest.mark.parametrize("far", ["1e18", "1e38", "3.4e38"])
-def test_too_large_scenes_are_refused(tmp_path, capsys, far):
+def test_render_refuses_scenes_too_large_for_a_camera(tmp_path, capsys, far):
     """The line names the file, not the camera's matrix."""
     (tmp_path / "huge.obj").write_text(f"v 0 0 0\nv {far} 0 0\nv 0 {far} 0\nf 1 2 3\n")
     assert main(["render", str(tmp_path / "huge.obj"), "-o", str(tmp_path / "out.png"), "--device", "cpu"]) == 2
@@ -80,7 +80,7 @@ def test_too_large_scenes_are_refused(tmp_path, capsys, far):
     assert not (tmp_path / "out.png").exists()
 
 
-def test_file_stems_are_safe_and_unique():
+def test_output_file_stems_are_safe_and_unique():
     """No stem leaves its folder, is hidden, empty or too long, and no two are equal ignoring case."""
     names = ["a", "A", "a", "../../etc/passwd", "", "..", "über/öl 1", "x" * 400, "a_2", "."]
     names += ["\N{CJK UNIFIED IDEOGRAPH-68EE}" * 84 + end for end in ("", "b")]  # 252 bytes
@@ -91,21 +91,21 @@ def test_file_stems_are_safe_and_unique():
         assert stem and not stem.startswith(".") and "/" not in stem and len(stem.encode()) < 200
 
 
-def test_shots_follow_the_file_order():
+def test_selected_cameras_are_rendered_in_the_order_of_the_file():
     """The order of the names on the command line does not matter."""
     cameras = [front_camera(name=name) for name in ("a", "b", "c")]
     shots = plan_shots(cameras, ("c", "a"), Path("out"), "auto")
     assert [shot.path for shot in shots] == [Path("out/a.png"), Path("out/c.png")]
 
 
-def test_frames_are_selected_by_camera_name_or_file_stem():
+def test_cameras_are_selected_by_name_or_by_file_stem():
     """A name that is no safe file name may be given in either form."""
     cameras = [front_camera(name="left eye"), front_camera(name="right eye")]
     for name in ("left eye", "left_eye"):
         assert [shot.path for shot in plan_shots(cameras, (name,), Path("out"), "auto")] == [Path("out/left_eye.png")]
 
 
-def test_depth_views_are_red_near_and_blue_far():
+def test_depth_layer_images_are_red_near_and_blue_far():
     """The guide states these colours."""
     frame = ls.render(ls.Scene([], [quad(2.0, 0.2), quad(4.0, 4.0)]), front_camera(33, 33), device="cpu")
     picture = layer_pictures(frame, "depth")["depth"]

@@ -48,15 +48,15 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return place
 
 
-def test_info_prints_the_actors_of_a_scene(work):
-    """Tables have kind, keyframes, animation length and world bounds."""
+def test_info_prints_actors_animation_and_world_bounds_of_a_scene(work):
+    """An actor has its kind, clip and keyframes."""
     shown = " ".join(work.run("info", "@scene.toml").out.split())
     assert "animation 20 frames at 10 a second, 2 s" in shown
     assert "actor 0 walker" in shown and "clip walk 0.5 s" in shown and "keyframes 2, the last at 2 s" in shown
     assert "bounds (-1, -1, 4) to (1, 1, 4) placed (-2, -2, 8) to (2, 2, 8)" in shown
 
 
-def test_json_has_the_values_of_the_tables(work):
+def test_info_json_has_the_values_of_the_tables(work):
     """Every kind of file uses the documented keys."""
     outcome = work.run("info", "@scene.toml", "@capture.ply", "@mesh.obj", "@cameras.json", "--json")
     scene, capture, mesh, cameras = json.loads(outcome.out)
@@ -76,7 +76,7 @@ def test_json_has_the_values_of_the_tables(work):
     assert cameras["count"] == 2 and cameras["names"] == ["left", "right"] and cameras["sizes"] == [[64, 48]]
 
 
-def test_info_prints_interior_media(work):
+def test_info_prints_interior_media_of_transmissive_meshes(work):
     """Transmissive meshes have a row and a JSON value, opaque ones none."""
     text = '[[meshes]]\npath = "mesh.obj"\n'
     glass = "transmission = 1, attenuation_color = [0.2, 0.5, 1], attenuation_distance = 0.7, ior = 1.33, priority = 2"
@@ -93,8 +93,8 @@ def test_info_prints_interior_media(work):
     assert thin["thin_walled"] and thin["attenuation_distance"] is None and opaque is None
 
 
-def test_info_reports_black_vertex_colors(work):
-    """Such a mesh stays black under any light; render reports it, too."""
+def test_info_reports_meshes_with_black_vertex_colours(work):
+    """Such a mesh stays black under any light."""
     rig = TubeRig()
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     rig.write(work.path("black.glb"))
@@ -104,7 +104,7 @@ def test_info_reports_black_vertex_colors(work):
 
 
 @pytest.mark.parametrize("command", ["render", "info"])
-def test_info_reports_mistakes_in_the_animation(work, command):
+def test_render_and_info_report_mistakes_in_the_animation_table(work, command):
     """A scene file is checked whole, also by commands that show one moment of it."""
     work.path("scene.toml").write_text(SCENE + "durations = 3.0\n")
     outcome = work.run(command, "@scene.toml", *(("-o", "@a.png") if command == "render" else ()))
@@ -112,7 +112,7 @@ def test_info_reports_mistakes_in_the_animation(work, command):
     assert isinstance(ls.load(work.path("mesh.obj")), ls.Mesh)
 
 
-def test_info_prints_cameras_and_lenses_of_colmap(work):
+def test_info_prints_cameras_and_lenses_of_a_colmap_model(work):
     """The folder of a sparse model or a file in it gives lens models and distortion."""
     folder = work.path("sparse")
     folder.mkdir()
@@ -130,7 +130,7 @@ def test_info_prints_cameras_and_lenses_of_colmap(work):
     assert "distortion" not in work.run("info", "@cameras.json").out
 
 
-def test_bounds_have_no_negative_zero(work) -> None:
+def test_info_prints_no_negative_zero_in_bounds(work) -> None:
     """Tables and JSON show 0 for -0."""
     work.path("flat.obj").write_text("v -0.0 1 -0.0\nv -1 0 -0.0\nv -0.0 0 -0.0\nf 1 2 3\n")
     assert "(-1, 0, 0) to (0, 1, 0)" in work.run("info", "@flat.obj").out
@@ -139,8 +139,8 @@ def test_bounds_have_no_negative_zero(work) -> None:
     assert isinstance(mesh, ls.Mesh) and "bounds=(-1, 0, 0)..(0, 1, 0)" in repr(mesh)
 
 
-def test_info_prints_the_rig_of_a_gltf(work) -> None:
-    """Joints that move vertices and clips with durations are printed; a file without any prints none."""
+def test_info_prints_joints_and_clips_of_a_gltf_rig(work) -> None:
+    """The durations of clips are printed; a file without a rig prints none."""
     TubeRig(clips={"bend": BEND}).write(work.path("tube.glb"))
     shown = " ".join(work.run("info", "@tube.glb").out.split())
     assert "joints 3 clips bend 1 s" in shown

@@ -40,7 +40,7 @@ def test_trained_captures_store_up_and_first_view(tmp_path: Path) -> None:
     np.testing.assert_allclose(ls.frame_camera(ls.Scene([found])).eye, view.eye, atol=1e-6)
 
 
-def test_a_guessed_up_is_logged_and_a_stated_one_is_not(
+def test_render_logs_a_guessed_up_direction_but_not_a_stated_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The line has a remedy."""
@@ -56,10 +56,10 @@ def test_a_guessed_up_is_logged_and_a_stated_one_is_not(
     assert "y-down" in line and "--up" in line
 
 
-def test_convert_levels_a_capture_and_prints_the_rotation(
+def test_convert_level_rotates_the_ground_to_horizontal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The ground becomes horizontal, and up an axis."""
+    """The rotation is printed, and up becomes an axis."""
     monkeypatch.chdir(tmp_path)
     ls.save("tilted.ply", ls.transform(garden(), rotation_degrees=(15.0, 0.0, 10.0)))
     assert main(["convert", "tilted.ply", "level.ply", "--level"]) == 0
@@ -72,7 +72,7 @@ def test_convert_levels_a_capture_and_prints_the_rotation(
     assert "y-down" in capsys.readouterr().out
 
 
-def test_convert_carries_up_and_first_view_through_edits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_convert_edits_preserve_up_and_first_view_of_a_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The capture is cropped, thinned and rotated in one command, to another format."""
     monkeypatch.chdir(tmp_path)
     view = ls.Camera.look_at((0.0, -1.0, -5.0), (0.0, -0.5, 0.0), (0.0, -1.0, 0.0))
@@ -84,10 +84,10 @@ def test_convert_carries_up_and_first_view_through_edits(tmp_path: Path, monkeyp
     np.testing.assert_allclose(present(turned.first_view).eye, (0.0, 5.0, -1.0), atol=1e-6)
 
 
-def test_a_capture_that_cannot_be_levelled_is_refused(
+def test_convert_level_refuses_a_capture_without_a_ground(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A ball has no up direction: one line, and no file."""
+    """A ball has no up direction: the command prints one line, and writes no file."""
     monkeypatch.chdir(tmp_path)
     ball = np.random.default_rng(2).normal(size=(3000, 3))
     means = ball / np.linalg.norm(ball, axis=1)[:, None]

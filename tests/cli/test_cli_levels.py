@@ -24,7 +24,7 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
 @pytest.mark.parametrize(
     ("options", "count"), [([], 50), (["--lod", "1"], 23), (["--lod", "budget=30"], 23), (["--lod", "budget=8"], 8)]
 )
-def test_a_level_of_detail_is_converted_and_printed(work: Workspace, options: list[str], count: int) -> None:
+def test_convert_and_info_lod_select_a_level_of_a_streamed_sog(work: Workspace, options: list[str], count: int) -> None:
     """The SOG may be given by its folder or its file."""
     assert work.run("convert", "@city", "@out.ply", *options).status == 0
     assert work.capture("out.ply").count == count
@@ -32,7 +32,7 @@ def test_a_level_of_detail_is_converted_and_printed(work: Workspace, options: li
     assert shown[0]["gaussians"] == count
 
 
-def test_a_level_of_detail_is_rendered(work: Workspace) -> None:
+def test_render_lod_selects_a_level_of_a_streamed_sog(work: Workspace) -> None:
     """The option applies to a file, and to entries of a scene file without a level."""
     for scene in ("@city", "@scene.toml"):
         work.path("scene.toml").write_text('[[splats]]\npath = "city"\n')
@@ -45,7 +45,7 @@ def test_a_level_of_detail_is_rendered(work: Workspace) -> None:
 
 
 @pytest.mark.parametrize(("keys", "count"), [("lod = 2", 8), ("lod_budget = 30", 23), ("", 23)])
-def test_entries_of_scene_files_choose_levels_of_detail(work: Workspace, keys: str, count: int) -> None:
+def test_scene_file_entries_select_levels_of_a_streamed_sog(work: Workspace, keys: str, count: int) -> None:
     """An entry overrides the option; a file is loaded once for each level."""
     work.path("scene.toml").write_text(f'[[splats]]\npath = "city"\n{keys}\n[[splats]]\npath = "city"\nlod = 0\n')
     scene = expect_kind(ls.Scene, ls.load(work.path("scene.toml"), lod=1))
@@ -72,8 +72,10 @@ def test_entries_of_scene_files_choose_levels_of_detail(work: Workspace, keys: s
         (["info", "@city", "--lod", "3"], "has no level 3: its levels are 0 (finest) to 2"),
     ],
 )
-def test_mistakes_of_lod_are_one_line(work: Workspace, arguments: list[str], message: str) -> None:
-    """Each ends with status 2."""
+def test_mistakes_of_the_lod_option_are_reported_in_one_line(
+    work: Workspace, arguments: list[str], message: str
+) -> None:
+    """Each mistake ends with status 2."""
     outcome = work.run(*arguments)
     assert outcome.status == 2 and message in outcome.err and outcome.err.count("\n") == 1
 
@@ -88,15 +90,15 @@ def test_mistakes_of_lod_are_one_line(work: Workspace, arguments: list[str], mes
         ('path = "city"\nlod = 7', r"has no level 7"),
     ],
 )
-def test_mistakes_in_entries_name_file_and_line(work: Workspace, entry: str, message: str) -> None:
-    """Each ends with status 2."""
+def test_mistakes_in_lod_keys_of_scene_files_name_file_and_line(work: Workspace, entry: str, message: str) -> None:
+    """The file is a streamed SOG or another capture."""
     work.path("scene.toml").write_text(f"[[splats]]\n{entry}\n")
     with pytest.raises(ls.FormatError, match=message):
         ls.load(work.path("scene.toml"))
 
 
-def test_frames_depend_on_the_captures_of_all_levels(work: Workspace) -> None:
-    """Textures that a text layer names count as well."""
+def test_fingerprints_include_the_captures_of_all_sog_levels(work: Workspace) -> None:
+    """Files that a USD text layer names count as well."""
     work.path("stage.usda").write_text("#usda 1.0\n(\n    subLayers = [@./city/notes.usda@]\n)\n")
     work.path("city/notes.usda").write_text("#usda 1.0\n")
     work.path("scene.toml").write_text('[[splats]]\npath = "city"\n[[meshes]]\npath = "stage.usda"\n')

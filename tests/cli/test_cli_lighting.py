@@ -83,7 +83,7 @@ class Stage:
         return self
 
     def render(self, scene: ls.Scene, camera: ls.Camera, **_: object) -> ls.Frame:
-        """A black frame."""
+        """Records the scene and camera, and returns a black frame."""
         self.scenes.append(scene)
         self.cameras.append(camera)
         plane = np.zeros((camera.height, camera.width), np.float32)
@@ -104,7 +104,7 @@ FILE_CONFIG = ls.RenderConfig(
 )
 
 
-def test_a_scene_file_brings_its_cameras_and_settings(work, monkeypatch):
+def test_render_uses_cameras_and_settings_of_a_scene_file(work, monkeypatch):
     """Without options, everything is that of the file."""
     stage = Stage(monkeypatch)
     assert work.run("render", "@scene.toml", "-o", "@out").status == 0
@@ -114,8 +114,8 @@ def test_a_scene_file_brings_its_cameras_and_settings(work, monkeypatch):
     assert isinstance(stage.scenes[0].lights[0], ls.LightPoint)
 
 
-def test_options_override_the_scene_file(work, monkeypatch):
-    """Each option changes its own setting, also back to the library's default, and no other."""
+def test_render_options_override_settings_of_a_scene_file(work, monkeypatch):
+    """Each option changes only its setting, also back to the library's default."""
     stage = Stage(monkeypatch)
     options = ("--pipeline", "raster", "--samples", "auto", "--shadows", "hard", "--tone-map", "none")
     options += (
@@ -159,7 +159,7 @@ LIGHT_OPTIONS = (
 )
 
 
-def test_every_light_option_reaches_the_renderer(work, monkeypatch):
+def test_every_light_option_of_render_reaches_the_renderer(work, monkeypatch):
     """Each option changes the setting of its name."""
     stage = Stage(monkeypatch)
     assert work.run("render", "@mesh.obj", "-o", "@a.png", "--exposure", "0.5", *LIGHT_OPTIONS).status == 0
@@ -184,8 +184,8 @@ def test_every_light_option_reaches_the_renderer(work, monkeypatch):
         assert stage.config.lighting is lighting
 
 
-def test_cameras_of_an_option_replace_those_of_the_file(work, monkeypatch):
-    """--cameras may also name another scene file; settings stay."""
+def test_render_cameras_replace_those_of_the_scene_file(work, monkeypatch):
+    """``--cameras`` may also name another scene file; settings stay."""
     stage = Stage(monkeypatch)
     work.path("views.toml").write_text("[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\nname = 'third'\n")
     assert work.run("render", "@scene.toml", "--cameras", "@views.toml", "-o", "@out", "--width", "32").status == 0
@@ -193,8 +193,8 @@ def test_cameras_of_an_option_replace_those_of_the_file(work, monkeypatch):
     assert stage.config == FILE_CONFIG
 
 
-def test_a_scene_file_without_cameras_is_framed(work, monkeypatch):
-    """The framing camera has the requested size and exposure."""
+def test_render_frames_a_scene_file_without_cameras(work, monkeypatch):
+    """The camera has the requested size and exposure."""
     stage = Stage(monkeypatch)
     work.path("plain.toml").write_text(SCENE.partition("[[cameras]]")[0])
     args = ("render", "@plain.toml", "-o", "@a.png", "--width", "30", "--height", "20", "--exposure", "2")
@@ -202,8 +202,8 @@ def test_a_scene_file_without_cameras_is_framed(work, monkeypatch):
     assert [(camera.name, camera.width, camera.exposure) for camera in stage.cameras] == [("front", 30, 2.0)]
 
 
-def test_bench_uses_cameras_and_settings_of_a_scene_file(work, monkeypatch):
-    """Bench renders the first camera."""
+def test_bench_uses_the_first_camera_and_settings_of_a_scene_file(work, monkeypatch):
+    """An option changes one of the settings."""
     stage = Stage(monkeypatch)
     assert work.run("bench", "@scene.toml", "--repeats", "1", "--set=trace.strategy=stochastic-hit").status == 0
     strategy = ls.config.TraceStrategy.STOCHASTIC_HIT
@@ -230,8 +230,8 @@ def turned(wxyz: Any, vector: tuple[float, float, float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("up", UP)
-def test_an_environment_is_rotated_to_the_up_direction(work, monkeypatch, sky, up):
-    """Its zenith is up, its centre ahead of the framing camera; --environment-rotation is about the vertical."""
+def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sky, up):
+    """Its zenith is up, its centre ahead of the default camera; ``--environment-rotation`` is about the vertical."""
     stage = Stage(monkeypatch)
     args = ("render", "@mesh.obj", "-o", "@a.png", "--up", up, "--environment", "@sky.exr")
     assert work.run(*args).status == 0
@@ -247,7 +247,7 @@ def test_an_environment_is_rotated_to_the_up_direction(work, monkeypatch, sky, u
     np.testing.assert_allclose(turned(quarter.rotation_wxyz, (0, 0, -1)), left, atol=1e-12)
 
 
-def test_an_environment_option_replaces_that_of_the_scene(work, monkeypatch, sky):
+def test_render_environment_replaces_that_of_the_scene(work, monkeypatch, sky):
     """Other lights stay; up is that of the scene, y down with a capture."""
     stage = Stage(monkeypatch)
     text = SCENE + '[environment]\ncolor = [1, 0, 0]\n[[splats]]\npath = "capture.ply"\n'
@@ -259,7 +259,7 @@ def test_an_environment_option_replaces_that_of_the_scene(work, monkeypatch, sky
     np.testing.assert_allclose(turned(environment.rotation_wxyz, (0, 1, 0)), UP["y-down"], atol=1e-12)
 
 
-def test_environments_of_two_files_are_refused(work):
+def test_render_refuses_two_scene_files(work):
     """Each file is correct alone."""
     work.path("red.toml").write_text("[environment]\ncolor = [1, 0, 0]\n")
     outcome = work.run("render", "@scene.toml", "@red.toml", "-o", "@a.png")
@@ -367,15 +367,15 @@ def test_light_options_without_effect_are_logged(settings: dict[str, Any], scene
         ),
     ],
 )
-def test_settings_unused_by_the_path_pipeline_are_logged(pipeline: str, lines: list[str]) -> None:
-    """Each option is listed if the pipeline does not read it; adaptive is refused instead."""
+def test_settings_that_a_pipeline_ignores_are_logged(pipeline: str, lines: list[str]) -> None:
+    """The pipelines are raster, path and others; adaptive is refused instead."""
     names = ("trace.strategy", "glossy_reflections", "path.primary", "adaptive")
     given = {name: f"--set {name}" for name in names}
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
     assert list(unused_options(config, LAMP, given, EnvironmentOptions())) == lines
 
 
-def test_lit_images_are_rendered_by_each_pipeline(work):
+def test_render_lights_a_scene_in_each_pipeline(work):
     """The mesh of a scene file with a light is lit, and brighter with more exposure."""
     args = ("render", "@scene.toml", "-o", "@a.png", "--frames", "far", "--device", "cpu", "--background", "black")
     for pipeline in ("raster", "trace", "hybrid"):
@@ -410,15 +410,15 @@ DEFAULTS: dict[str, Any] = {
 }
 
 
-def test_defaults_in_help_equal_those_of_the_library() -> None:
+def test_defaults_in_the_help_of_light_options_are_the_library_defaults() -> None:
     """The default of an option is that of the setting with its name."""
     told = hints(Render) | hints(EnvironmentOptions)
     for name, value in DEFAULTS.items():
         assert told[name] == getattr(value, "value", value)
 
 
-def test_info_lists_lights_cameras_and_settings(work, sky):
-    """Info prints each light of a scene file, the cameras, and settings that are not defaults."""
+def test_info_lists_lights_cameras_and_settings_of_a_scene_file(work, sky):
+    """Settings are listed only if they are not defaults."""
     text = SCENE + '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\nouter_angle_degrees = 30\n'
     text += 'enabled = false\ncolor = [1, 0.5, 0]\n[[lights]]\ntype = "directional"\ndirection = [0, 1, 0]\n'
     text += '[environment]\npath = "sky.exr"\n'
@@ -436,8 +436,8 @@ def test_info_lists_lights_cameras_and_settings(work, sky):
     assert "kind radiance size 4 x 2 mean 10.5 11.5 12.5 largest 23" in shown
 
 
-def test_info_prints_a_scene_of_lights_alone(work):
-    """A file without objects has no bounds and no traceback; materials print emission."""
+def test_info_prints_a_scene_of_lights_without_bounds(work):
+    """A scene without objects gives no error; materials print emission."""
     work.path("lamp.toml").write_text('[[lights]]\ntype = "sphere"\nposition = [0, 0, 1]\nradius = 0.5\n')
     shown = " ".join(work.run("info", "@lamp.toml").out.split())
     assert "sphere 1 cd/m2 at (0, 0, 1) radius 0.5" in shown and "bounds" not in shown

@@ -30,7 +30,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 
 
 @pytest.mark.parametrize("command", [kind.__metadata__[0].name for kind in get_args(_Command)])
-def test_help_does_not_show_none(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_of_commands_does_not_show_none(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     """An optional option lists the values that it accepts."""
     assert main([command, "--help"]) == 0
     told = capsys.readouterr().out
@@ -51,8 +51,8 @@ def messages() -> list[str]:
     return found
 
 
-def test_every_setting_and_choice_in_messages_becomes_an_option() -> None:
-    """No message of the library shows a Python name on the command line."""
+def test_library_messages_name_options_on_the_command_line() -> None:
+    """Every setting and every enum value in the library's messages becomes an option."""
     texts = messages()
     assert len(texts) >= 3
     for text in texts:
@@ -75,7 +75,7 @@ def test_every_setting_and_choice_in_messages_becomes_an_option() -> None:
         ("garden.ply: samples is 3", "garden.ply: samples is 3"),
     ],
 )
-def test_names_of_python_become_options(message: str, expected: str) -> None:
+def test_python_names_in_messages_become_options(message: str, expected: str) -> None:
     """The name of a setting whose option was not given stays."""
     setting = message.split(maxsplit=1)[0] if " is " in message else None
     assert shell_words(message, Render(samples=0), setting) == expected
@@ -104,12 +104,12 @@ def test_names_of_python_become_options(message: str, expected: str) -> None:
     ],
 )
 def test_errors_name_the_option_that_was_typed(work, options, error):
-    """Options with a setting's name and --set are both named."""
+    """Options with a setting's name and ``--set`` are both named."""
     outcome = work.run("render", "@mesh.obj", *options, "--width", "16", "-o", "@a.png", "--device", "cpu")
     assert outcome.status == 2 and error in outcome.err and outcome.err.count("\n") == 1
 
 
-def test_settings_of_rays_reach_the_frame(work):
+def test_set_options_of_ray_tracing_reach_the_frame(work):
     """Acceptance, clamping and the depth threshold are stored in the settings."""
     options = (
         "--set=trace.acceptance_scale=0.5",
@@ -137,12 +137,12 @@ def test_settings_of_rays_reach_the_frame(work):
         (["--json", "a.ply"], ["--json", "a.ply"]),
     ],
 )
-def test_numbers_behind_an_option_are_joined(typed: list[str], joined: list[str]) -> None:
+def test_numbers_with_spaces_behind_an_option_are_joined(typed: list[str], joined: list[str]) -> None:
     """Other arguments stay unchanged."""
     assert joined_numbers(typed) == joined
 
 
-def test_vectors_accept_commas_and_spaces() -> None:
+def test_vector_options_accept_commas_and_spaces() -> None:
     """Both may be mixed."""
     for text in ("1,-2,3", "1 -2 3", " 1, -2,  3 "):
         assert vector("--eye", text) == (1.0, -2.0, 3.0)
@@ -165,25 +165,25 @@ def test_vectors_accept_commas_and_spaces() -> None:
         ("9", [9]),
     ],
 )
-def test_frame_ranges_are_sorted_and_unique(text: str, frames: list[int]) -> None:
+def test_frame_ranges_are_sorted_and_without_duplicates(text: str, frames: list[int]) -> None:
     """Inclusive ranges with steps, lists, and half-open ranges may be mixed."""
     assert frame_numbers("--frames", text, 10) == frames
 
 
 @pytest.mark.parametrize("text", ["10", "3-12", "5-3", "4:4", "2:11"])
-def test_frames_out_of_range_are_refused(text: str) -> None:
-    """The message names the part, and the frames that exist."""
+def test_frame_numbers_out_of_range_are_refused(text: str) -> None:
+    """The message names the wrong range, and the frames that exist."""
     with pytest.raises(ls.ConfigError, match=r"and '.*' is out of range: there are 10 frames, 0-9"):
         frame_numbers("--frames", text, 10)
 
 
-def test_a_frame_step_of_0_is_refused() -> None:
+def test_frame_range_with_a_step_of_0_is_refused() -> None:
     """A step of 0 is not taken for 1."""
     with pytest.raises(ls.ConfigError, match=r"^--frames is '1-8x0', expected frames such as 1-100, 1-100x2"):
         frame_numbers("--frames", "1-8x0", 10)
 
 
-def test_a_folder_of_several_captures_is_refused_with_their_names(work):
+def test_info_refuses_a_folder_of_several_captures_with_their_names(work):
     """A streamed SOG without its lod-meta.json is such a folder."""
     for name in ("1_0", "0_0"):
         (work.path("streamed") / name).mkdir(parents=True)

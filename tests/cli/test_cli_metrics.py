@@ -48,8 +48,8 @@ def rows(text: str) -> dict[str, list[str]]:
     return {line.split()[0]: line.split()[1:] for line in text.splitlines() if line.split()}
 
 
-def test_two_images_are_compared(work):
-    """Values equal those of the library; an error of 51 of 255 is 20 log10(5) = 13.98 dB."""
+def test_metrics_of_two_images_equal_those_of_the_library(work):
+    """An error of 51 of 255 is 20 log10(5) = 13.98 dB."""
     done = work.run("metrics", "@a.png", "@b.png")
     assert (done.status, done.err) == (0, "")
     table = rows(done.out)
@@ -58,7 +58,7 @@ def test_two_images_are_compared(work):
     assert table["a"] == ["13.98", f"{ls.metrics.ssim(*pair):.4f}", f"{ls.metrics.flip(*pair):.4f}"]
 
 
-def test_folders_are_paired_by_name(work):
+def test_metrics_pairs_images_of_two_folders_by_name(work):
     """Each pair has a row, followed by the means; equal images have an infinite PSNR."""
     done = work.run("metrics", "@ours", "@theirs", "--metrics", "psnr,ssim")
     assert done.status == 0
@@ -69,8 +69,8 @@ def test_folders_are_paired_by_name(work):
     assert float(table["mean"][1]) == pytest.approx((1.0 + sum(middle)) / 3.0, abs=1e-4)
 
 
-def test_json_has_all_metrics(work):
-    """Values have full precision, and infinity is "inf"."""
+def test_metrics_json_has_all_metrics_in_full_precision(work):
+    """Infinity is "inf"."""
     done = work.run("metrics", "@ours", "@theirs", "--metrics", "psnr,flip", "--json")
     told = json.loads(done.out)
     assert [image["name"] for image in told["images"]] == ["frame_0", "frame_1", "frame_2"]
@@ -81,7 +81,7 @@ def test_json_has_all_metrics(work):
     assert told["mean"]["flip"] == pytest.approx(sum(flips) / 3.0)
 
 
-def test_shadow_metrics_compare_shadow_strengths(work):
+def test_metrics_compares_shadow_strengths_of_images(work):
     """Means are over existing values; images without shadow have a dash."""
     for folder, strengths in (("mine", (0.6, 0.5)), ("truth", (0.4, 0.0))):
         work.path(folder).mkdir()
@@ -98,7 +98,7 @@ def test_shadow_metrics_compare_shadow_strengths(work):
     assert told["images"][1] == {"name": "y", "sae": None}
 
 
-def test_an_exr_is_compared_in_display_colors(work):
+def test_metrics_compares_an_exr_in_display_colours(work):
     """An EXR equals the PNG of the same light."""
     linear = ((51 / 255 + 0.055) / 1.055) ** 2.4
     write_exr(work.path("b.exr"), dict.fromkeys("RGB", np.full((16, 20), linear)))
@@ -106,8 +106,8 @@ def test_an_exr_is_compared_in_display_colors(work):
     assert done["mean"]["psnr"] > 120.0
 
 
-def test_transparent_images_are_composited_over_black(work):
-    """White with half alpha is grey."""
+def test_metrics_composites_transparent_images_over_black(work):
+    """White with an alpha of 0.2 equals the grey of 0.2."""
     pixels = np.full((16, 20, 4), 1.0)
     pixels[..., 3] = 51 / 255
     write_png(work.path("veil.png"), pixels)
@@ -115,8 +115,8 @@ def test_transparent_images_are_composited_over_black(work):
     assert done["mean"]["psnr"] == "inf" or done["mean"]["psnr"] > 120.0
 
 
-def test_light_metrics_compare_an_avatar_with_a_scene(work):
-    """Values equal those of the library; with --before, the table has the gain."""
+def test_metrics_compares_the_light_of_an_avatar_and_a_scene(work):
+    """Values equal those of the library; with ``--before``, the table has the gain."""
     avatar, relit, room = (work.capture(name) for name in ("avatar.ply", "relit.ply", "room.ply"))
     told = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)
     assert told == {name: getattr(ls.metrics, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
@@ -130,8 +130,8 @@ def test_light_metrics_compare_an_avatar_with_a_scene(work):
     assert all(math.isfinite(float(cell)) for cell in table["APF-Y"])
 
 
-def test_invalid_gaussians_are_left_out(work):
-    """The advice for a refused capture works, and the metrics are those of its valid Gaussians."""
+def test_metrics_drop_invalid_leaves_out_invalid_gaussians(work):
+    """The option is the advice in the refusal, and the metrics are those of the valid Gaussians."""
     data = bytearray(work.path("avatar.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -143,8 +143,8 @@ def test_invalid_gaussians_are_left_out(work):
     assert told["ncm_ab"] == ls.metrics.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
 
 
-def test_one_avatar_prints_one_column(work):
-    """The gain needs --before."""
+def test_metrics_of_one_avatar_print_one_column(work):
+    """The gain needs ``--before``."""
     table = rows(work.run("metrics", "@avatar.ply", "--scene", "@room.ply").out)
     assert table["avatar.ply"] == []
     assert [len(table[name]) for name in ("PAA-Y", "APF-Y", "NCM-ab")] == [1, 1, 1]
@@ -174,16 +174,16 @@ def test_one_avatar_prints_one_column(work):
         (("@avatar.ply", "--scene", "@room.ply", "--radius", "-1"), "--radius is -1"),
     ],
 )
-def test_mistakes_are_one_line(work, args, named):
-    """Each ends with status 2 and names the mistake."""
+def test_metrics_reports_mistakes_in_one_line(work, args, named):
+    """Each mistake ends with status 2."""
     done = work.run("metrics", *args)
     assert (done.status, done.out) == (2, "")
     assert done.err.startswith("error: ") and done.err.count("\n") == 1
     assert named in done.err
 
 
-def test_missing_packages_are_logged(work, monkeypatch, caplog):
-    """The line says what to install; other metrics are computed."""
+def test_metrics_logs_missing_packages_and_computes_the_rest(work, monkeypatch, caplog):
+    """The line names the package to install."""
     monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
     caplog.clear()
     done = work.run("metrics", "@a.png", "@b.png")
@@ -195,7 +195,7 @@ def test_missing_packages_are_logged(work, monkeypatch, caplog):
     assert work.run("metrics", "@a.png", "@b.png", "--metrics", "psnr").status == 0
 
 
-def test_remaining_metrics_are_computed_if_some_fail(work, caplog):
+def test_metrics_computes_remaining_images_if_some_fail(work, caplog):
     """A log line names an image without a partner or of another size."""
     done = work.run("metrics", "@ours", "@fewer", "--metrics", "psnr")
     assert done.status == 0 and list(rows(done.out)) == ["psnr", "frame_0", "frame_2", "mean"]

@@ -48,16 +48,16 @@ def noise_of(line: str, samples: str) -> float:
     return float(found[1])
 
 
-def test_noise_of_few_samples_is_logged_with_a_remedy(lines) -> None:
-    """The line appears once for all frames; its noise falls with the square root of the samples."""
+def test_render_logs_the_noise_of_few_samples_with_a_remedy(lines) -> None:
+    """The line appears once for all frames; the noise falls with the square root of the samples."""
     other = "[[cameras]]\neye = [0, 2, -3]\ntarget = [0, 0, 0]\nwidth = 24\nheight = 16\n"
     (two,) = lines(FLOOR + BOX + LAMP + other, "--samples", "2")
     (eight,) = lines(FLOOR + BOX + LAMP + other, "--samples", "8")
     assert 0.2 < noise_of(eight, "8 samples") < 0.8 * noise_of(two, "2 samples")
 
 
-def test_one_sample_gives_no_noise_estimate(lines) -> None:
-    """The line appears without a number, if the frame has light."""
+def test_render_with_one_sample_logs_no_noise_estimate(lines) -> None:
+    """The line has no number, and appears only if the frame has light."""
     (line,) = lines(FLOOR + BOX + LAMP, "--samples", "1")
     assert line.startswith("indirect light is noisy with 1 sample a pixel: more --samples")
     assert lines('[[splats]]\npath = "capture.ply"\n', "--samples", "1") == []
@@ -73,20 +73,20 @@ def test_one_sample_gives_no_noise_estimate(lines) -> None:
     ],
     ids=["smooth", "kept capture", "noise given", "unlit"],
 )
-def test_frames_with_little_noise_log_nothing(lines, scene: str, options: tuple[str, ...]) -> None:
+def test_render_logs_nothing_about_frames_with_little_noise(lines, scene: str, options: tuple[str, ...]) -> None:
     """The setting noise hides the line, too."""
     assert lines(scene, *options) == []
 
 
-def test_denoised_and_other_frames_than_paths_log_nothing(lines) -> None:
-    """Other pipelines have their own line about random lights."""
+def test_render_logs_no_path_noise_if_denoised_or_of_other_pipelines(lines) -> None:
+    """Pipelines that sample lights at random have a different line."""
     assert lines(FLOOR + BOX + LAMP, "--samples", "2", pipeline="trace") == []
     pytest.importorskip("mitsuba_oidn")
     assert lines(FLOOR + BOX + LAMP, "--samples", "2", "--denoise") == []
 
 
-def test_the_logged_noise_equals_that_of_the_variance_layer() -> None:
-    """95 % of the pixels have a smaller relative error."""
+def test_logged_noise_covers_95_percent_of_the_pixels() -> None:
+    """The variance layer gives a smaller relative error in 95 % of the pixels."""
     floor, lamp = ls.plane(6.0, 6.0), ls.LightSphere((0.0, 2.0, 0.0), 0.4, intensity=9.0)
     camera = ls.Camera.look_at((0, 2, 3), (0, 0, 0), (0, 1, 0), width=24, height=16)
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4, aovs=("variance",))

@@ -52,13 +52,15 @@ def option_helps(command: str, capsys: pytest.CaptureFixture[str]) -> dict[str, 
 
 
 def test_render_has_at_most_40_options() -> None:
-    """Everything else of a frame is a setting."""
+    """All other properties of a frame are settings."""
     assert len(options_of(Render)) <= 40
 
 
 @pytest.mark.parametrize("command", sorted(COMMANDS.keys() - {"farm"} | {f"farm {name}" for name in FARMED}))
-def test_help_of_an_option_is_short(command: str, capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
-    """Help has at most 15 words besides the default; the guide has more."""
+def test_help_of_each_option_has_at_most_15_words(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch
+) -> None:
+    """The default does not count; the guide explains more."""
     monkeypatch.setenv("COLUMNS", "100")
     helps = option_helps(command, capsys)
     kind = FARMED[command.removeprefix("farm ")] if command.startswith("farm ") else COMMANDS[command]
@@ -71,7 +73,7 @@ def test_help_of_an_option_is_short(command: str, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("name", "value"), settings(ls.RenderConfig()), ids=lambda one: one if isinstance(one, str) else ""
 )
-def test_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
+def test_set_option_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
     """Each setting is named by its key in a scene file, and gets the given value."""
     text = {"samples": "3", "time_limit": "2.5", "noise": "0.5", "background": "white", "aovs": "albedo"}.get(name)
     text = text or ("auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower())
@@ -86,7 +88,7 @@ def test_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "value"), settings(ls.config.AvatarLightingConfig()), ids=lambda one: one if isinstance(one, str) else ""
 )
-def test_set_reaches_every_setting_of_avatar_lighting(name: str, value: Any) -> None:
+def test_set_option_reaches_every_setting_of_avatar_lighting(name: str, value: Any) -> None:
     """Each setting is named by its key in the scene file, with its tables before it."""
     text = "auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower()
     command = Animate(scene="a.toml", changes=(f"{LIGHTING}{name}={text}",))  # pyright: ignore[reportArgumentType]
@@ -94,7 +96,7 @@ def test_set_reaches_every_setting_of_avatar_lighting(name: str, value: Any) -> 
     assert not command.set_values()
 
 
-def test_set_changes_one_setting_and_no_other() -> None:
+def test_set_option_changes_one_setting_and_no_other() -> None:
     """Other settings of the group keep the scene file's values."""
     base = ls.RenderConfig(trace=ls.TraceConfig(sh_degree=1))
     config = Render(changes=("trace.hits_per_pass=8", "render.seed=3")).pipeline_config(base)
@@ -115,15 +117,17 @@ def test_set_changes_one_setting_and_no_other() -> None:
         ("jitter=maybe", "jitter is 'maybe', expected true or false"),
     ],
 )
-def test_mistakes_of_set_are_one_line(text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """The line has the typed text, and what it may mean."""
+def test_mistakes_of_the_set_option_are_reported_in_one_line(
+    text: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line has the typed text, and a similar valid one."""
     assert main(["render", "a.ply", "--set", text]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"error: --set {text}: ") and message in error and error.count("\n") == 1
 
 
 @pytest.mark.parametrize("option", [*FORMER_SETTINGS, *FORMER_OPTIONS])
-def test_a_former_option_is_answered_with_its_present_form(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_former_options_are_answered_with_their_present_form(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The line has arguments that render or animate accept."""
     command = {"--direct": "animate", "--gamma": "animate", "--sky": "delight"}.get(option, "render")
     assert main([command, "a.toml", option, "8"]) == 2
@@ -137,8 +141,8 @@ def test_a_former_option_is_answered_with_its_present_form(option: str, capsys: 
         assert typed in options_of(Delight if command == "delight" else Render)
 
 
-def test_existing_options_are_not_taken_for_former_ones(capsys: pytest.CaptureFixture[str]) -> None:
-    """Convert has an option with the name of a former one of render."""
+def test_option_that_render_had_formerly_still_works_for_convert(capsys: pytest.CaptureFixture[str]) -> None:
+    """`convert` has an option ``--sh-degree``, which `render` had formerly."""
     assert main(["convert", "missing.ply", "out.ply", "--sh-degree", "2"]) == 2
     assert "is a setting" not in capsys.readouterr().err
 
@@ -163,8 +167,8 @@ def test_help_lists_all_commands_on_one_screen(capsys: pytest.CaptureFixture[str
         ("shadowmap", ls.config.DeepShadowConfig()),
     ],
 )
-def test_defaults_and_ranges_in_help_equal_the_declarations(command: str, config: Any) -> None:
-    """Options of settings have no default of their own."""
+def test_defaults_and_ranges_in_help_equal_those_of_settings(command: str, config: Any) -> None:
+    """The default of an option is declared only in the settings."""
     hints = get_type_hints(COMMANDS[command], include_extras=True)
     declared = {one.name: one for one in settings_of(type(config))}
     of_words = {"inside"}  # auto, yes and no stand for None, True and False

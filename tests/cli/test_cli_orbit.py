@@ -27,8 +27,8 @@ def orbit(work: Workspace, *options: str) -> Outcome:
     return work.run("orbit", "@capture.ply", "-o", "@round", "--seconds", "0.2", "--fps", "20", *SIZE, *options)
 
 
-def test_frames_equal_renders_of_orbit_cameras(work) -> None:
-    """Each camera has a frame, and a stamp stores the settings."""
+def test_orbit_frames_equal_renders_of_orbit_cameras(work) -> None:
+    """Each camera has a frame, and a file stores the settings."""
     outcome = orbit(work)
     assert outcome.status == 0 and "4 frames in" in outcome.out
     scene = ls.Scene([work.capture("capture.ply")])
@@ -40,8 +40,8 @@ def test_frames_equal_renders_of_orbit_cameras(work) -> None:
     assert json.loads(work.path("round/orbit.json").read_text())["fps"] == "20.0"
 
 
-def test_the_same_command_continues_an_interrupted_orbit(work) -> None:
-    """Frames of other options are refused without --overwrite."""
+def test_orbit_continues_after_an_interruption(work) -> None:
+    """Frames of other options are refused without ``--overwrite``."""
     orbit(work)
     work.path("round/frame_0002.png").unlink()
     before = work.path("round/frame_0001.png").stat().st_mtime_ns
@@ -53,7 +53,7 @@ def test_the_same_command_continues_an_interrupted_orbit(work) -> None:
     assert orbit(work, "--turns", "0.5", "--overwrite").status == 0
 
 
-def test_a_video_is_written_from_the_frames(work) -> None:
+def test_orbit_writes_a_video_of_its_frames(work) -> None:
     """The video has all frames at their rate."""
     outcome = orbit(work, "--video", str(work.path("round.gif")))
     assert outcome.status == 0, outcome.err
@@ -64,8 +64,8 @@ def test_a_video_is_written_from_the_frames(work) -> None:
         assert video.n_frames == 4 and video.size == (32, 24)  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_the_default_folder_has_the_video_name_and_replaces_frames_of_other_settings(work, caplog) -> None:
-    """The second of two orbits replaces the frames of the first, with a log line."""
+def test_orbit_replaces_frames_of_other_settings_in_its_default_folder(work, caplog) -> None:
+    """The folder has the video's name; the second of two orbits replaces the frames of the first, with a log line."""
     video = ("--video", str(work.path("turn.gif")), "--fps", "10", *SIZE)
     assert work.run("orbit", "@capture.ply", "--seconds", "0.3", *video).status == 0
     assert work.path("turn/frame_0002.png").is_file()
@@ -84,7 +84,7 @@ def test_the_default_folder_has_the_video_name_and_replaces_frames_of_other_sett
     assert "--overwrite" in other.err and work.path("turn/frame_0001.png").is_file()
 
 
-def test_frames_without_an_orbit_stamp_are_never_replaced(work) -> None:
+def test_orbit_never_replaces_frames_without_its_settings_file(work) -> None:
     """The images are in a folder with the default name."""
     work.path("turn").mkdir()
     work.path("turn/frame_0000.png").write_bytes(b"mine")
@@ -93,8 +93,8 @@ def test_frames_without_an_orbit_stamp_are_never_replaced(work) -> None:
     assert work.path("turn/frame_0000.png").read_bytes() == b"mine"
 
 
-def test_an_orbit_starts_at_the_eye(work) -> None:
-    """--eye sets the start, and --target the centre."""
+def test_orbit_eye_sets_the_first_camera_position(work) -> None:
+    """``--target`` sets the centre."""
     assert orbit(work, "--eye", "0,-1,1", "--target", "0,0,4").status == 0
     scene = ls.Scene([work.capture("capture.ply")])
     side = ls.Camera.look_at((3.0, -1.0, 4.0), (0, 0, 4), (0, -1, 0), width=32, height=24)
@@ -113,8 +113,8 @@ def test_an_orbit_starts_at_the_eye(work) -> None:
         (("--video", "a.png"), "a.png: is an image name"),
     ],
 )
-def test_mistakes_end_before_anything_is_rendered(work, options, message) -> None:
-    """Each prints one line."""
+def test_orbit_reports_mistakes_before_rendering(work, options, message) -> None:
+    """Each mistake prints one line."""
     outcome = orbit(work, *options)
     assert outcome.status == 2 and message in outcome.err
     assert not work.path("round").exists()

@@ -34,8 +34,8 @@ def same(work: Workspace, name: str, camera: ls.Camera) -> bool:
     return np.array_equal(read_image(work.path(name))["srgb"], expected)
 
 
-def test_render_follows_a_camera_path(work) -> None:
-    """Each second at --fps moves from one camera to the next."""
+def test_render_camera_path_moves_between_cameras_of_a_file(work) -> None:
+    """Each second at ``--fps`` moves from one camera to the next."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
     assert outcome.status == 0 and "5 images" in outcome.out
     way = ls.io.load_camera_path(work.path("way.json"))
@@ -43,8 +43,8 @@ def test_render_follows_a_camera_path(work) -> None:
         assert same(work, f"out/frame_{k:05d}.png", way.at(k / 2))
 
 
-def test_orbit_follows_a_camera_path(work) -> None:
-    """The path is stretched to the video; frames of another path are refused."""
+def test_orbit_camera_path_is_stretched_to_the_video(work) -> None:
+    """Frames of another path are refused."""
     args = ("orbit", "@capture.ply", "-o", "@out", "--seconds", "0.2", "--fps", "20", *SIZE)
     assert work.run(*args, "--camera-path", "@way.json").status == 0
     way = ls.io.load_camera_path(work.path("way.json"))
@@ -54,8 +54,8 @@ def test_orbit_follows_a_camera_path(work) -> None:
     assert refused.status == 2 and "holds frames of other settings or files (" in refused.err
 
 
-def test_animate_moves_the_camera_of_a_scene_file(work) -> None:
-    """Keyframes move it without actors; --width and --height apply."""
+def test_animate_moves_the_camera_by_keyframes_of_a_scene_file(work) -> None:
+    """The scene has no actors; ``--width`` and ``--height`` apply."""
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\n[[cameras]]\ntarget = [0, 0, 5]\n[[cameras.keyframes]]\ntime = 0\n'
         "eye = [0, 0, 0]\n[[cameras.keyframes]]\ntime = 1\neye = [2, -1, 1]\n[animation]\nfps = 3\n"
@@ -67,8 +67,8 @@ def test_animate_moves_the_camera_of_a_scene_file(work) -> None:
         assert same(work, f"out/frame_{k:04d}.png", way.at(k / 3))
 
 
-def test_camera_paths_of_nerfstudio_and_colmap_are_read(work) -> None:
-    """--cameras reads both, too."""
+def test_render_cameras_accepts_a_camera_path_of_nerfstudio(work) -> None:
+    """The file is a camera_path.json with one camera."""
     frame = {"camera_to_world": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1], "fov": 60.0}
     content = {"camera_path": [frame], "render_width": 32, "render_height": 24, "fps": 24}
     work.path("camera_path.json").write_text(json.dumps(content))
@@ -85,7 +85,7 @@ def test_camera_paths_of_nerfstudio_and_colmap_are_read(work) -> None:
         (("--fps", "0"), "fps is 0"),
     ],
 )
-def test_camera_path_excludes_other_cameras(work, options, message) -> None:
+def test_render_camera_path_excludes_other_camera_options(work, options, message) -> None:
     """The error is one line."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "-o", "@out", *options)
     assert outcome.status == 2 and message in outcome.err

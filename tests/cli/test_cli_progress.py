@@ -25,7 +25,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return Workspace(tmp_path, capsys)
 
 
-def test_a_bar_shows_the_remaining_time(monkeypatch) -> None:
+def test_progress_bar_shows_the_remaining_time(monkeypatch) -> None:
     """A quarter in 10 s leaves 30 s."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     clock = iter([100.0, 100.0, 110.0])
@@ -42,12 +42,12 @@ def test_a_bar_shows_the_remaining_time(monkeypatch) -> None:
     ("seconds", "spoken"),
     [(0.4, "0 s"), (99.4, "99 s"), (99.6, "2 min"), (853.0, "14 min"), (3590.0, "1 h 0 min"), (7500.0, "2 h 5 min")],
 )
-def test_durations_are_rounded_to_seconds_or_minutes(seconds: float, spoken: str) -> None:
+def test_durations_are_printed_in_seconds_minutes_or_hours(seconds: float, spoken: str) -> None:
     """Rounded minutes carry to hours."""
     assert duration_text(seconds) == spoken
 
 
-def test_text_behind_a_comma_updates_the_same_bar(monkeypatch) -> None:
+def test_text_behind_a_comma_updates_the_same_progress_bar(monkeypatch) -> None:
     """Samples and noise change the text of one bar, which disappears at the end."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     with progress_bars() as report:
@@ -60,7 +60,7 @@ def test_text_behind_a_comma_updates_the_same_bar(monkeypatch) -> None:
 
 
 def test_frames_limited_by_time_or_noise_print_their_samples(work, caplog) -> None:
-    """The summary has them; a log line reports noise above the wanted one."""
+    """The summary line has the samples; a log line reports noise above the requested one."""
     path = ("render", "@mesh.obj", *SIZE, "--pipeline", "path", "--set=max_bounces=1", "-o", "@a.png")
     timed = work.run(*path, "--set=time_limit=0.001")
     assert timed.status == 0 and timed.out.endswith("), 1 sample\n"), timed.err
@@ -88,7 +88,7 @@ def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
         ((), "fewer frames (--frames, --seconds, --fps) or a smaller --width"),
     ],
 )
-def test_slow_frames_are_announced_once(work, monkeypatch, caplog, options, ways) -> None:
+def test_remaining_time_of_slow_frames_is_announced_once(work, monkeypatch, caplog, options, ways) -> None:
     """The line comes after the second frame, as the first may compile kernels, and names faster options."""
     monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", 0.0)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -97,15 +97,15 @@ def test_slow_frames_are_announced_once(work, monkeypatch, caplog, options, ways
     assert line.startswith("3 frames to go, about 0 s: quicker with ") and line.endswith(ways)
 
 
-def test_quick_frames_are_not_announced(work, caplog) -> None:
-    """Frames that take less than a minute in all log nothing."""
+def test_remaining_time_of_quick_frames_is_not_announced(work, caplog) -> None:
+    """Frames that take less than a minute in total log nothing."""
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES).status == 0
     assert announced(caplog) == []
 
 
 def test_slow_renders_of_cameras_and_animations_are_announced(work, monkeypatch, caplog) -> None:
-    """The line names options of these commands."""
+    """The line names options of ``render`` or ``animate``."""
     monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", -1.0)
     work.path("move.toml").write_text('[[actors]]\npath = "mesh.obj"\n[animation]\nframes = 3\nfps = 10\n')
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -117,10 +117,10 @@ def test_slow_renders_of_cameras_and_animations_are_announced(work, monkeypatch,
     assert "1 frame to go" in animated and "(--frames)" in animated
 
 
-def test_without_a_terminal_a_line_is_printed_each_minute(
+def test_progress_without_a_terminal_prints_a_line_each_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A log file thus shows progress; shorter work prints none."""
+    """A log file thus shows progress; shorter work prints no line."""
     clock = [0.0]
     monkeypatch.setattr("lumisplat.cli.output.console.time.monotonic", lambda: clock[0])
     with progress_bars() as report:
@@ -131,7 +131,7 @@ def test_without_a_terminal_a_line_is_printed_each_minute(
     assert lines == ["training, 61 dB: 30%, 2 min left", "training, 122 dB: 61%, 78 s left"]
 
 
-def test_percentage_and_times_stay_whole_in_80_columns(monkeypatch) -> None:
+def test_progress_bar_keeps_percentage_and_times_in_80_columns(monkeypatch) -> None:
     """Only a long description is shortened."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "80")

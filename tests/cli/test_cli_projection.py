@@ -25,7 +25,7 @@ def work(tmp_path, capsys) -> Workspace:
     return Workspace(tmp_path, capsys)
 
 
-def test_fisheyes_are_rasterised_along_rays(work):
+def test_unscented_projection_renders_fisheyes_by_the_raster_pipeline(work):
     """The image equals the library's; without the setting, the error names it."""
     ls.save(work.folder / "a.ply", random_gaussians(3, count=30))
     (work.folder / "fisheye.json").write_text(json.dumps(FISHEYE))
@@ -46,8 +46,8 @@ def test_fisheyes_are_rasterised_along_rays(work):
     assert frame.alpha.max() > 0.3
 
 
-def test_projection_is_refused_for_other_pipelines_than_raster(work, caplog):
-    """Traced frames log it as unused; excluded combinations are refused."""
+def test_unscented_projection_is_logged_as_unused_by_other_pipelines(work, caplog):
+    """The stochastic raster strategy excludes this projection and is refused."""
     ls.save(work.folder / "a.ply", random_gaussians(3, count=3))
     small = ("--width", "8", "--height", "6", "--device", "cpu")
     work.run("render", "@a.ply", "-o", "@a.png", *small, "--pipeline", "trace", "--set=raster.projection=unscented")

@@ -64,8 +64,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return place
 
 
-def test_an_image_is_the_last_frame_of_its_warm_up(work, monkeypatch):
-    """--samples sets the number of frames, 32 by default; the mesh is lit."""
+def test_realtime_image_is_the_last_frame_of_its_warm_up(work, monkeypatch):
+    """``--samples`` sets the number of frames, 32 by default; the mesh is lit."""
     counts: list[int] = []
     render = ls.Renderer.render
 
@@ -92,8 +92,8 @@ def test_an_image_is_the_last_frame_of_its_warm_up(work, monkeypatch):
         (("--aov", "bounces,variance"), "--pipeline realtime has no bounces, variance among its aovs"),
     ],
 )
-def test_options_unused_by_real_time_are_logged(work, options, message):
-    """Each prints one line, and writes no image."""
+def test_realtime_pipeline_refuses_options_that_it_cannot_apply(work, options, message):
+    """Each refusal prints one line, and writes no image."""
     outcome = work.run("render", "@scene.toml", "-o", "@out/a.exr", "--device", "cpu", *options)
     assert outcome.status == 2
     assert message in outcome.err
@@ -101,8 +101,8 @@ def test_options_unused_by_real_time_are_logged(work, options, message):
     assert "out/a.exr" not in work.files()
 
 
-def test_qualities_change_real_time_frames_only(work, caplog):
-    """Preview gives another image; other pipelines log the quality as unused."""
+def test_realtime_quality_changes_the_image_of_the_realtime_pipeline(work, caplog):
+    """Preview gives another image than high; other pipelines log the quality as unused."""
     for name in ("preview", "high"):
         options = ("--samples", "2", f"--set=realtime.quality={name}", "--device", "cpu")
         outcome = work.run("render", "@scene.toml", "-o", f"@{name}.png", *options)
@@ -117,7 +117,7 @@ def test_qualities_change_real_time_frames_only(work, caplog):
 
 
 @pytest.mark.parametrize("command", ["animate", "orbit"])
-def test_qualities_apply_to_sequences(work, command):
+def test_realtime_quality_applies_to_animate_and_orbit(work, command):
     """Each quality gives another image, and repeated runs equal ones."""
     options = (
         "--device",
@@ -134,7 +134,7 @@ def test_qualities_apply_to_sequences(work, command):
     assert made["preview"] != made["high"] == made["again"]
 
 
-def test_stats_list_the_passes_of_real_time_frames(work):
+def test_stats_list_the_passes_of_realtime_frames(work):
     """Passes are in the order of the method, each followed by its stages."""
     work.path("scene.toml").write_text(SCENE.replace("max_bounces = 0", ""))
     out = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--stats", "--device", "cpu").out
@@ -146,8 +146,8 @@ def test_stats_list_the_passes_of_real_time_frames(work):
 
 
 @pytest.mark.parametrize("view", ["motion", "history", "probes", "cache", "cache_cells", "direct_diffuse", "emission"])
-def test_views_of_real_time_layers_are_written(work, view):
-    """Each is an image; the meaning of a colour scale is printed."""
+def test_views_of_realtime_layers_are_written_as_images(work, view):
+    """The meaning of a colour scale is printed."""
     outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--view", view, "--device", "cpu")
     assert (outcome.status, outcome.err) == (0, "")
     assert read_image(work.path("a.png"))["srgb"].shape == (16, 24, 3)
@@ -155,8 +155,8 @@ def test_views_of_real_time_layers_are_written(work, view):
     assert ("pixels a frame from 0 (white) to 16 (full)" in outcome.out) == (view == "motion")
 
 
-def test_a_view_of_another_pipeline_is_refused(work):
-    """One line names the pipeline that has it."""
+def test_view_of_a_realtime_layer_is_refused_by_other_pipelines(work):
+    """One line names the pipeline that has the layer."""
     options = ("--pipeline", "hybrid", "--view", "probes", "--device", "cpu")
     outcome = work.run("render", "@scene.toml", "-o", "@out/a.png", *options)
     assert outcome.status == 2
@@ -164,8 +164,8 @@ def test_a_view_of_another_pipeline_is_refused(work):
     assert outcome.err.strip().count("\n") == 0
 
 
-def test_frames_in_real_time_are_not_resumed():
-    """Their renderer keeps its own history."""
+def test_realtime_frames_cannot_be_resumed():
+    """A real-time renderer reuses its own earlier frames."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0), "cpu")
     mesh = ls.Mesh([[-1.0, -1.0, 4.0], [1.0, -1.0, 4.0], [0.0, 1.0, 4.0]], [[0, 1, 2]])
     scene = ls.Scene(meshes=[mesh], lights=[ls.LightPoint((0.0, 0.0, 2.0))])
@@ -175,8 +175,8 @@ def test_frames_in_real_time_are_not_resumed():
         renderer.render(scene, camera, resume=frame)
 
 
-def test_one_call_renders_a_sequence(monkeypatch):
-    """``frames`` sets its length, by default that of the command line; other pipelines render one frame."""
+def test_render_with_realtime_pipeline_renders_a_sequence_of_frames(monkeypatch):
+    """The argument ``frames`` sets its length, by default that of the command line; other pipelines accept one frame."""
     counts: list[int] = []
     render = ls.Renderer.render
 
@@ -202,8 +202,8 @@ def test_one_call_renders_a_sequence(monkeypatch):
         ls.render(scene, camera, frames=2, device="cpu")
 
 
-def test_real_time_settings_in_other_pipelines_are_logged(work, caplog):
-    """One line is printed, and the image written; hard shadows are reported where they are soft."""
+def test_realtime_pipeline_logs_that_its_shadows_are_soft(work, caplog):
+    """With ``--shadows hard`` one line is logged, and the image is written."""
     outcome = work.run(
         "render", "@scene.toml", "-o", "@a.png", "--samples", "1", "--shadows", "hard", "--device", "cpu"
     )

@@ -41,7 +41,7 @@ def lit_sides(place: Workspace, name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["relit.ply", "relit.compressed.ply", "relit.spz"])
-def test_an_avatar_is_brighter_on_the_side_of_the_light(work, name):
+def test_relit_avatar_is_brighter_on_the_side_of_the_light(work, name):
     """Each format works; the output has the position and brightness of the light."""
     done = work.run("relight", "@ball.ply", "@room.ply", "-o", f"@{name}", "--gamma", "4", "--device", "cpu")
     assert (done.status, done.err) == (0, "")
@@ -50,8 +50,8 @@ def test_an_avatar_is_brighter_on_the_side_of_the_light(work, name):
     assert front[0] > back[0] + 0.3 and front[0] > front[1] + 0.2
 
 
-def test_the_avatar_s_transform_affects_its_light(work):
-    """Rotated by a scene.toml, the avatar is lit from the other side; its file is unchanged."""
+def test_relit_avatar_rotated_by_a_scene_file_is_lit_from_the_other_side(work):
+    """The file of the avatar is unchanged."""
     assert (
         work.run("relight", "@turned.toml", "@room.ply", "-o", "@a.ply", "--gamma", "4", "--device", "cpu").status == 0
     )
@@ -62,8 +62,8 @@ def test_the_avatar_s_transform_affects_its_light(work):
     np.testing.assert_array_equal(loaded.means, ball.means)
 
 
-def test_a_constant_white_environment_leaves_colors_unchanged(work):
-    """Settings of a scene.toml apply, and --background overrides them."""
+def test_relight_in_a_constant_white_environment_changes_no_colours(work):
+    """Settings of a scene.toml apply, and ``--background`` overrides them."""
     assert work.run("relight", "@ball.ply", "@white.toml", "-o", "@same.ply", "--device", "cpu").status == 0
     assert work.path("same.ply").read_bytes() == work.path("ball.ply").read_bytes()
     dark = work.run("relight", "@ball.ply", "@white.toml", "--background", "black", "-o", "@b.ply", "--device", "cpu")
@@ -71,7 +71,7 @@ def test_a_constant_white_environment_leaves_colors_unchanged(work):
     np.testing.assert_allclose(lit_sides(work, "b.ply"), 0.0, atol=1e-5)
 
 
-def test_options_equal_arguments_of_the_library(work):
+def test_relight_options_equal_arguments_of_the_library(work):
     """The library gives the same capture and the same image."""
     options = ("--at", "1", "-0.5", "0.25", "--degree", "2", "--exponent", "3", "--scale-max", "0.5", "--gamma", "2")
     done = work.run(
@@ -92,14 +92,14 @@ def test_options_equal_arguments_of_the_library(work):
     )
 
 
-def test_a_dim_position_prints_a_gamma(work):
+def test_relight_at_a_dim_position_prints_a_suitable_gamma(work):
     """The gamma preserves the avatar's brightness."""
     told = work.run("relight", "@ball.ply", "@room.ply", "-o", "@a.ply", "--device", "cpu").out
     assert "to keep the avatar about as bright as it was: --gamma" in told
 
 
-def test_darkness_prints_advice(work):
-    """No gamma is suggested, as none would help."""
+def test_relight_in_darkness_prints_advice_without_a_gamma(work):
+    """No gamma would help."""
     told = work.run("relight", "@ball.ply", "@dust.ply", "-o", "@a.ply", "--device", "cpu").out
     assert "there is almost no light" in told and "--gamma" not in told
 
@@ -124,8 +124,8 @@ def test_darkness_prints_advice(work):
         (("@ball.ply", "@room.ply", "--device", "cuda:7"), "cuda:7"),
     ],
 )
-def test_mistakes_are_one_line(work, monkeypatch, args, named):
-    """Each ends with status 2 and one line on standard error that names it, and writes no file."""
+def test_relight_reports_mistakes_in_one_line(work, monkeypatch, args, named):
+    """Each mistake ends with status 2 and one line on standard error that names it, and writes no file."""
     monkeypatch.chdir(work.folder)
     before = work.files()
     done = work.run("relight", *args)

@@ -18,7 +18,9 @@ from support.scenes.training_scenes import write_training_folder
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "cpu", "--material-steps", "3")
 
 
-def test_a_capture_gets_materials_and_its_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_relightable_writes_materials_and_an_environment(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """All are files, and the environment lights other scenes."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "out" / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT, "--relightable"]
@@ -44,7 +46,7 @@ def test_a_capture_gets_materials_and_its_environment(tmp_path: Path, capsys: py
     assert "flatness = 0.3" in (output.with_suffix(".training") / "settings.toml").read_text()
 
 
-def test_materials_use_the_refined_poses(
+def test_train_relightable_estimates_materials_from_refined_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The images have the refined cameras; missing values are null."""
@@ -87,16 +89,16 @@ def test_materials_use_the_refined_poses(
         (("-o", "a.ply", "--material-steps", "-1"), "--material-steps is -1, expected 0 or more"),
     ],
 )
-def test_options_that_exclude_relightable_are_refused(
+def test_train_relightable_refuses_options_that_exclude_it(
     options: tuple[str, ...], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The error comes before anything is read."""
+    """The error comes before any file is read."""
     assert main(["train", str(tmp_path), *options, "--relightable"]) == 2
     assert problem in capsys.readouterr().err
 
 
-def test_a_weight_of_zero_overrides_the_relightable_default(tmp_path: Path) -> None:
-    """The other weights are then 0, too, as without --relightable."""
+def test_train_relightable_with_flatness_0_keeps_surface_weights_at_0(tmp_path: Path) -> None:
+    """All weights of surfaces are then 0, as without ``--relightable``."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--relightable", "--flatness", "0"]) == 0
     settings = (output.with_suffix(".training") / "settings.toml").read_text()

@@ -35,7 +35,7 @@ def remarks(scene: ls.Scene, **changes: object) -> list[str]:
         (ls.Scene([RELIT], [MIRROR, WALL], [LAMP, ls.LightEnvironment(enabled=False)]), "meshes and relit captures"),
     ],
 )
-def test_black_sides_beside_captures_are_logged(scene: ls.Scene, things: str) -> None:
+def test_render_logs_unlit_sides_of_meshes_beside_captures(scene: ls.Scene, things: str) -> None:
     """One line names the black objects and a remedy."""
     (line,) = remarks(scene)
     assert line.startswith(f"sides of {things} that no light reaches are black: [environment]")
@@ -54,13 +54,13 @@ def test_black_sides_beside_captures_are_logged(scene: ls.Scene, things: str) ->
         ls.Scene([KEPT], [MIRROR, LAMPLIT], [LAMP]),
     ],
 )
-def test_scenes_without_black_sides_log_nothing(scene: ls.Scene) -> None:
+def test_render_logs_no_black_sides_if_light_reaches_all_sides(scene: ls.Scene) -> None:
     """An environment lights all sides; several lights, or meshes alone, are taken as intended."""
     assert remarks(scene) == []
 
 
-def test_an_albedo_without_a_material_is_logged() -> None:
-    """Users who delight a capture and add lights expect it to be lit."""
+def test_render_logs_a_capture_with_albedo_but_without_a_material() -> None:
+    """Users who run ``delight`` and add lights expect the capture to be lit."""
     found = replace(one_gaussian(), albedo=np.full((1, 3), 0.5, np.float32))
     kept = ls.SplatInstance(found)
     for lights in ([LAMP, SECOND], [SKY]):
@@ -77,8 +77,8 @@ def test_an_albedo_without_a_material_is_logged() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ["path", "realtime"])
-def test_objects_lit_by_captures_alone_are_logged(pipeline: str) -> None:
-    """The line names --capture-gain, and disappears with a gain or with lights."""
+def test_render_logs_objects_lit_by_captures_alone(pipeline: str) -> None:
+    """The line names ``--capture-gain``, and is absent with a gain or with lights."""
     scene = ls.Scene([KEPT], [WALL])
     (line,) = remarks(scene, pipeline=pipeline)
     assert line.startswith("captures alone light added objects") and "--capture-gain auto" in line
@@ -90,8 +90,8 @@ def test_objects_lit_by_captures_alone_are_logged(pipeline: str) -> None:
     assert not any("tone-map" in one for one in frame_remarks(config, scene, {}, given))
 
 
-def test_capture_gain_auto_estimates_the_gain(tmp_path, capsys, monkeypatch, caplog) -> None:
-    """The gain is logged, and the frame is brighter by it."""
+def test_capture_gain_auto_estimates_and_logs_the_gain(tmp_path, capsys, monkeypatch, caplog) -> None:
+    """The gain brightens the light of the capture on meshes."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     work = Workspace(tmp_path, capsys)
     work.path("a.toml").write_text('[[splats]]\npath = "capture.ply"\n[[meshes]]\npath = "mesh.obj"\n')

@@ -19,7 +19,7 @@ NOISE = np.random.default_rng(0).random((60, 40, 3))
 SMALL = np.zeros((4, 4, 3))
 
 
-def test_a_full_disk_keeps_the_former_report(tmp_path: Path) -> None:
+def test_full_disk_keeps_the_former_report_files(tmp_path: Path) -> None:
     """No partial or temporary file is left."""
     with small_disk(tmp_path / "disk", "16k") as disk:
         write_json(disk / "report.json", {"psnr": 31.0})
@@ -34,7 +34,7 @@ def test_a_full_disk_keeps_the_former_report(tmp_path: Path) -> None:
             assert picture.size == (12, 4)
 
 
-def test_temporary_files_of_other_runs_are_not_removed(tmp_path: Path) -> None:
+def test_temporary_file_of_a_report_survives_other_writers(tmp_path: Path) -> None:
     """Other processes remove temporary files of killed runs in the same folder."""
     with comparisons._replaced(tmp_path / "report.json") as temporary:
         temporary.write_text("{}")
@@ -42,8 +42,8 @@ def test_temporary_files_of_other_runs_are_not_removed(tmp_path: Path) -> None:
     assert sorted(os.listdir(tmp_path)) == ["other.ply", "report.json"]
 
 
-def test_reports_are_replaced(tmp_path: Path) -> None:
-    """Later reports replace earlier ones; a path that is no folder is reported."""
+def test_written_reports_replace_earlier_ones(tmp_path: Path) -> None:
+    """A path that is no folder is reported."""
     for psnr in (31.0, 32.0):
         write_json(tmp_path / "report.json", {"psnr": psnr})
     assert json.loads((tmp_path / "report.json").read_text()) == {"psnr": 32.0}

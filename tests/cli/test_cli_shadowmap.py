@@ -31,7 +31,7 @@ def run(work: Workspace, *args: str) -> tuple[int, str, str]:
     return outcome.status, outcome.out, outcome.err
 
 
-def test_a_capture_is_saved_with_shadows(work: Workspace) -> None:
+def test_shadowmap_saves_a_capture_with_shadows(work: Workspace) -> None:
     """Gaussians behind the mesh are darker, others unchanged; the casters are not part of the result."""
     status, out, err = run(work, "--light", LIGHT, "--direct", "1", "-o", "@dark.ply")
     assert (status, err) == (0, "")
@@ -46,8 +46,8 @@ def test_a_capture_is_saved_with_shadows(work: Workspace) -> None:
     assert f"{(light < 1.0).sum()} of {before.count} Gaussians are in shadow" in out
 
 
-def test_a_shadow_map_is_saved(work: Workspace) -> None:
-    """The .npz is the library's map with the given settings."""
+def test_shadowmap_saves_a_shadow_map_as_npz(work: Workspace) -> None:
+    """The file is the library's map with the given settings."""
     status, out, err = run(work, "--sun", "0,0,1", "--resolution", "128", "--strength", "2", "-o", "@sun.npz")
     assert (status, err) == (0, "")
     assert "bins of" in out
@@ -58,8 +58,8 @@ def test_a_shadow_map_is_saved(work: Workspace) -> None:
     assert shadow.transmittance_of(capture).min() < 0.5
 
 
-def test_invalid_gaussians_are_left_out(work: Workspace) -> None:
-    """The advice for a refused file works for the capture and for casters."""
+def test_shadowmap_drop_invalid_leaves_out_invalid_gaussians(work: Workspace) -> None:
+    """The option, which the refusal names, works for the capture and for casters."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     work.path("nan.ply").write_bytes(data)
@@ -86,8 +86,8 @@ def test_invalid_gaussians_are_left_out(work: Workspace) -> None:
         (("--light", LIGHT, "--onto", "@mesh.obj", "-o", "@a.ply"), "mesh.obj: is not a capture"),
     ],
 )
-def test_mistakes_are_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
-    """Each ends with status 2, and leaves no file."""
+def test_shadowmap_reports_mistakes_in_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
+    """Each mistake ends with status 2, and leaves no file."""
     before = work.files()
     status, out, err = run(work, *args)
     assert (status, out) == (2, "")
@@ -96,7 +96,7 @@ def test_mistakes_are_one_line(work: Workspace, args: tuple[str, ...], problem: 
 
 
 def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workspace) -> None:
-    """A stated up direction of the file has precedence; a line reports which is used."""
+    """An up direction stated in the scene file has precedence; a line reports which is used."""
     (work.folder / "up.obj").write_text("v -0.3 0 1\nv 0.3 0 1\nv 0 2 1\nf 1 2 3\n")
     entry = '[[meshes]]\npath = "up.obj"\nupright = true\n'
     shadows: dict[str, np.ndarray] = {}
@@ -116,8 +116,10 @@ def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workspace) -> N
     assert (shadows["own"] != shadows["up"]).any()
 
 
-def test_casting_meshes_are_inserted_onto_the_capture(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
-    """Their position is that of `render`; --keep-coordinates leaves them at their coordinates."""
+def test_shadowmap_places_casting_meshes_on_the_ground_of_the_capture(
+    work: Workspace, caplog: pytest.LogCaptureFixture
+) -> None:
+    """`render` places them alike; ``--keep-coordinates`` leaves them at their coordinates."""
     args = ("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
     put = work.run(*args, "-o", "@put.ply")
     assert put.status == 0 and "mesh.obj has no position: it stands upright on the ground" in caplog.text

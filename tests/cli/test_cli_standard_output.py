@@ -29,7 +29,7 @@ def run(tmp_path: Path):
     return of
 
 
-def test_an_image_is_written_to_standard_output(run, tmp_path: Path) -> None:
+def test_render_writes_an_image_to_standard_output(run, tmp_path: Path) -> None:
     """The PNG equals that in a file; messages go to standard error, and no file is left."""
     piped = run("render", "mesh.obj", "--width", "32", "--device", "cpu", "-o", "-", "--stats")
     assert piped.returncode == 0
@@ -44,8 +44,8 @@ def test_an_image_is_written_to_standard_output(run, tmp_path: Path) -> None:
     np.testing.assert_array_equal(pixels[0], pixels[1])
 
 
-def test_a_capture_is_written_to_standard_output(run, tmp_path: Path) -> None:
-    """Convert writes a PLY."""
+def test_convert_writes_a_ply_to_standard_output(run, tmp_path: Path) -> None:
+    """The summary goes to standard error."""
     piped = run("convert", "capture.ply", "-")
     assert piped.returncode == 0
     assert piped.stderr.startswith(b"standard output: 5 Gaussians")
@@ -55,8 +55,8 @@ def test_a_capture_is_written_to_standard_output(run, tmp_path: Path) -> None:
     assert again.count == 5
 
 
-def test_mistakes_write_nothing(run) -> None:
-    """Each prints one line on standard error."""
+def test_mistakes_write_nothing_to_standard_output(run) -> None:
+    """Each mistake prints one line on standard error."""
     for args, named in ((("missing.ply",), b"missing.ply"), (("mesh.obj", "--aov", "depth"), b"-o - is one file")):
         done = run("render", *args, "-o", "-")
         assert (done.returncode, done.stdout) == (2, b"")
@@ -64,8 +64,8 @@ def test_mistakes_write_nothing(run) -> None:
         assert done.stderr.count(b"\n") == 1
 
 
-def test_info_prints_repeated_instances_once(tmp_path: Path, capsys) -> None:
-    """3,000 instances of a mesh have one table, and need no memory for their bounds."""
+def test_info_prints_repeated_mesh_instances_once(tmp_path: Path, capsys) -> None:
+    """500 instances of a mesh have one table."""
     (tmp_path / "mesh.obj").write_text("v -1 -1 4\nv 1 -1 4\nv 0 1 4\nf 1 2 3\n")
     entry = '[[meshes]]\npath = "mesh.obj"\nposition = [{}, 0, 0]\n'
     (tmp_path / "many.toml").write_text("".join(entry.format(k) for k in range(500)))
@@ -85,7 +85,7 @@ def test_info_prints_repeated_instances_once(tmp_path: Path, capsys) -> None:
     ],
     ids=["relight", "shadowmap"],
 )
-def test_other_commands_write_captures_to_standard_output(
+def test_relight_and_shadowmap_write_captures_to_standard_output(
     run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
     """The PLY equals that in a file; messages go to standard error, and no file is left."""

@@ -28,7 +28,7 @@ def shell(tmp_path: Path):
     ("command", "closed"),
     [*((INFO, closed) for closed in (">&-", "2>&-", "<&-", "<&- >&- 2>&-")), (HELP, ">&-"), (HELP, "2>&-")],
 )
-def test_commands_run_with_closed_streams(shell, command: str, closed: str) -> None:
+def test_commands_run_with_closed_standard_streams(shell, command: str, closed: str) -> None:
     """Only the output to closed streams is lost."""
     done = shell(f"{command} {closed}")
     assert (done.returncode, done.stderr) == (0, "")
@@ -36,7 +36,7 @@ def test_commands_run_with_closed_streams(shell, command: str, closed: str) -> N
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-"])
-def test_closed_streams_do_not_change_the_status(shell, closed: str) -> None:
+def test_closed_standard_streams_do_not_change_the_exit_status(shell, closed: str) -> None:
     """A mistake ends with status 2."""
     done = shell(f"{WRONG} {closed}")
     assert done.returncode == 2
@@ -45,8 +45,8 @@ def test_closed_streams_do_not_change_the_status(shell, closed: str) -> None:
 
 @pytest.mark.parametrize("command", [INFO, HELP])
 @pytest.mark.parametrize("pipe", ["| head -0", "2>&1 | head -0"])
-def test_unread_pipes_end_the_command(shell, command: str, pipe: str) -> None:
-    """The command ends silently with the status of a broken pipe."""
+def test_commands_end_silently_if_no_process_reads_their_output(shell, command: str, pipe: str) -> None:
+    """The status is that of a broken pipe."""
     done = shell(f"{command} {pipe}")
     assert (done.returncode, done.stdout, done.stderr) == (141, "", "")
 
@@ -54,8 +54,10 @@ def test_unread_pipes_end_the_command(shell, command: str, pipe: str) -> None:
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("command", [INFO, HELP])
-def test_a_full_disk_is_named(shell, monkeypatch, command: str, unbuffered: str) -> None:
-    """One line says that standard output is full."""
+def test_full_disk_for_standard_output_is_reported_in_one_line(
+    shell, monkeypatch, command: str, unbuffered: str
+) -> None:
+    """The command ends with status 2."""
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     done = shell(f"{command} > /dev/full")
     assert done.returncode == 2
@@ -65,7 +67,7 @@ def test_a_full_disk_is_named(shell, monkeypatch, command: str, unbuffered: str)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
-def test_a_full_disk_for_standard_error_keeps_the_status(shell) -> None:
+def test_full_disk_for_standard_error_keeps_the_exit_status(shell) -> None:
     """The message is lost."""
     assert shell(f"{WRONG} 2> /dev/full").returncode == 2
 

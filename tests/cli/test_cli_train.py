@@ -15,7 +15,7 @@ from support.scenes.training_scenes import write_training_folder
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--prune-below", "0", "--device", "cpu")
 
 
-def test_a_folder_is_trained_and_the_same_command_continues(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_continues_with_the_same_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The output has scores and the file; a finished training has nothing left to do."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "out" / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
@@ -32,8 +32,8 @@ def test_a_folder_is_trained_and_the_same_command_continues(tmp_path: Path, caps
     assert isinstance(asset, ls.Gaussians) and asset.count == 120
 
 
-def test_rays_train_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The file stores the degree, and evaluation uses rays."""
+def test_train_by_ray_tracing_stores_the_kernel_degree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Evaluation of the file also uses rays."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     rays = ("--pipeline", "trace", "--kernel-degree", "4", "--iterations", "3", "--cap", "60", "--sh-degree", "1")
     assert main(["train", str(folder), "-o", str(output), *rays, "--device", "cpu"]) == 0
@@ -62,7 +62,7 @@ def test_rays_train_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.Capt
         ),
     ],
 )
-def test_mistakes_are_one_line(
+def test_train_reports_mistakes_in_one_line(
     options: tuple[str, ...],
     problem: str,
     tmp_path: Path,
@@ -79,13 +79,13 @@ def test_mistakes_are_one_line(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_folder_without_poses_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The message says what the folder should have."""
+def test_train_refuses_a_folder_without_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The message lists what the folder should have."""
     assert main(["train", str(tmp_path), "-o", str(tmp_path / "a.ply"), "--device", "cpu"]) == 2
     assert "transforms.json" in capsys.readouterr().err
 
 
-def test_missing_poses_need_an_extra(
+def test_train_poses_colmap_names_the_package_extra_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The message has the pip command."""
@@ -97,6 +97,6 @@ def test_missing_poses_need_an_extra(
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90", 90.0), ("90s", 90.0), ("10m", 600.0), ("1.5 h", 5400.0)])
-def test_stop_after_parses_durations(text: str, seconds: float) -> None:
+def test_train_stop_after_accepts_seconds_minutes_and_hours(text: str, seconds: float) -> None:
     """A number without unit is in seconds."""
     assert seconds_of("--stop-after", text) == seconds

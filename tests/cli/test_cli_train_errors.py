@@ -35,7 +35,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         yield folder
 
 
-def test_a_single_image_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_refuses_a_single_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Depth needs several images."""
     folder = write_training_folder(tmp_path / "set", 1)
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
@@ -43,7 +43,7 @@ def test_a_single_image_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
     assert not (tmp_path / "a.training").exists()
 
 
-def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_refuses_a_mask_that_is_black_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The message names the mask."""
     folder = write_training_folder(tmp_path / "set", 3)
     (folder / "masks").mkdir()
@@ -53,7 +53,7 @@ def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert not (tmp_path / "a.training").exists()
 
 
-def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_refuses_a_checkpoint_of_other_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The message names the first different setting, and all files stay unchanged."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT]
@@ -84,7 +84,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("file", "writes"), [("checkpoint.npz", 20), ("curve.json", 20), ("a.ply", 1), ("metrics.json", 1), ("08.png", 1)]
 )
-def test_a_disk_that_fills_up_loses_nothing(
+def test_train_on_a_disk_that_fills_up_loses_no_file(
     file: str,
     writes: int,
     whole: Path,
@@ -92,7 +92,7 @@ def test_a_disk_that_fills_up_loses_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """One line names the file that finds it full; existing files stay, and the same command continues."""
+    """One line names the file that cannot be written; existing files stay, and the same command continues."""
     folder, output, written = whole / "set", tmp_path / "a.ply", 0
     capsys.readouterr()
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
@@ -118,10 +118,10 @@ def test_a_disk_that_fills_up_loses_nothing(
         assert (tmp_path / name).read_bytes() == (whole / name).read_bytes()
 
 
-def test_a_full_disk_is_one_line(
+def test_train_reports_a_full_disk_in_one_line(
     disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The file system is really full; with room, the same command continues."""
+    """The file system is really full; with free space, the same command continues."""
     folder, output = write_training_folder(tmp_path / "set"), disk / "a.ply"
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
     command = ["train", str(folder), "-o", str(output), *SHORT]

@@ -8,7 +8,7 @@ from lumisplat.cli import main
 
 
 def problem(capsys: pytest.CaptureFixture[str], line: str) -> str:
-    """The one line that a command prints on standard error before it ends with status 2."""
+    """Returns the one line that a command prints on standard error before it ends with status 2."""
     assert main(line.split()) == 2
     text = capsys.readouterr().err
     assert text.startswith("error: ") and text.count("\n") == 1
@@ -27,10 +27,10 @@ def problem(capsys: pytest.CaptureFixture[str], line: str) -> str:
     ],
 )
 @pytest.mark.parametrize("command", ["render", "view", "orbit", "bench"])
-def test_an_option_named_like_a_setting_is_answered_with_set(
+def test_unknown_option_named_like_a_setting_is_answered_with_set(
     command: str, typed: str, answer: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The line is what to type: the setting by its path, with the value that was given."""
+    """The line is what to type: the setting by its path, with the given value."""
     assert problem(capsys, f"{command} a.ply {typed}") == answer
 
 
@@ -53,10 +53,10 @@ def test_an_option_named_like_a_setting_is_answered_with_set(
         ("farm render a.ply --cap 4", "--capture-gain"),
     ],
 )
-def test_an_unknown_option_is_answered_with_one_that_the_command_has(
+def test_unknown_option_is_answered_with_a_similar_valid_option(
     line: str, meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Synonyms, beginnings, values and misspellings; the help is that of the command."""
+    """Synonyms, beginnings, values and misspellings are recognised; the named help is that of the command."""
     text = problem(capsys, line)
     program = "lumisplat farm render" if line.startswith("farm") else f"lumisplat {line.split(maxsplit=1)[0]}"
     assert text.endswith(f" is no option of {program}; perhaps you meant {meant} (see {program} --help)")
@@ -71,10 +71,10 @@ def test_an_unknown_option_is_answered_with_one_that_the_command_has(
         ("render a.ply -x", "-x is no option of lumisplat render (see lumisplat render --help)"),
     ],
 )
-def test_an_option_of_other_commands_alone_names_these(
+def test_option_of_other_commands_is_answered_with_these_commands(
     line: str, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without any, the line names the help alone."""
+    """If no command has the option, the line names only the help."""
     assert problem(capsys, line).startswith(text)
 
 
@@ -91,12 +91,16 @@ def test_an_option_of_other_commands_alone_names_these(
         ("farm", "lumisplat farm needs one of animate, orbit, render, dataset, train (see lumisplat farm --help)"),
     ],
 )
-def test_a_wrong_value_names_the_help_of_its_command(line: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A missing value, argument or command does so, too."""
+def test_wrong_option_value_names_the_help_of_its_command(
+    line: str, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A missing value, argument or command names the help, too."""
     assert problem(capsys, line) == text
 
 
-def test_view_checks_settings_before_the_page_opens(tmp_path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_checks_settings_before_opening_the_page(
+    tmp_path, monkeypatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Nothing is printed on standard output, where the address would be."""
     monkeypatch.setattr("lumisplat.view", lambda *_args, **_options: pytest.fail("the page was opened"))
     assert main(["view", str(tmp_path / "a.ply"), "--set", "seed=-1", "--no-browser"]) == 2

@@ -51,7 +51,7 @@ duration = 1.0
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
-    """A folder with a scene."""
+    """Returns a folder with a scene; the package usd-core is needed."""
     usd_core()
     place = Workspace(tmp_path, capsys)
     place.path("scene.toml").write_text(SCENE)
@@ -59,8 +59,8 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
 
 
 @pytest.mark.parametrize("name", ["scene.usda", "scene.usdc", "scene.usdz", "scene.usd"])
-def test_a_scene_in_usd_renders_the_same_image(work: Workspace, name: str) -> None:
-    """A lit scene and its file show the same picture, each through its own camera; validators are content."""
+def test_scene_exported_to_usd_renders_the_same_image(work: Workspace, name: str) -> None:
+    """A lit scene and its file are rendered through their own cameras; validators find no error."""
     outcome = work.run("export", "@scene.toml", "-o", f"@{name}")
     assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
     assert not validation_messages(work.path(name))
@@ -71,8 +71,8 @@ def test_a_scene_in_usd_renders_the_same_image(work: Workspace, name: str) -> No
     np.testing.assert_allclose(after, before, atol=1.001 / 255)
 
 
-def test_captures_are_converted_both_ways(work: Workspace) -> None:
-    """Convert writes and reads .usdz without a change; several fields are joined, with y down again."""
+def test_convert_writes_and_reads_usd_captures_without_changes(work: Workspace) -> None:
+    """Several particle fields are joined, with y down again."""
     assert work.run("convert", "@capture.ply", "-o", "@a.usdz").status == 0
     before = work.capture("capture.ply")
     for name, values in work.capture("a.usdz").arrays().items():
@@ -83,8 +83,8 @@ def test_captures_are_converted_both_ways(work: Workspace) -> None:
     np.testing.assert_allclose(work.capture("two.ply").means, expected, rtol=0, atol=1e-5)
 
 
-def test_animation_is_written_to_usd(work: Workspace) -> None:
-    """An actor of a scene file has a sample a frame, upright; glTF has it where it is at time 0."""
+def test_export_writes_an_animation_to_usd(work: Workspace) -> None:
+    """An actor of a scene file has a time sample per frame, upright."""
     work.path("scene.toml").write_text(SCENE + ACTOR)
     outcome = work.run("export", "@scene.toml", "-o", "@walk.usdz")
     assert "1 camera, 4 frames" in outcome.out
@@ -96,8 +96,8 @@ def test_animation_is_written_to_usd(work: Workspace) -> None:
 
 
 @pytest.mark.parametrize("name", ["found.usd", "found.usdz"])
-def test_estimated_materials_are_written_to_usd(work: Workspace, name: str) -> None:
-    """Whichever extension of OpenUSD it has."""
+def test_delight_writes_materials_to_usd(work: Workspace, name: str) -> None:
+    """The file is a .usd or a .usdz."""
     ls.save(
         work.path("ball.ply"),
         replace(ls.gaussians_from_mesh(ls.sphere(0.5), 700), albedo=None, roughness=None, normals=None),
@@ -107,8 +107,8 @@ def test_estimated_materials_are_written_to_usd(work: Workspace, name: str) -> N
     assert work.capture(name).albedo is not None
 
 
-def test_info_prints_the_content_of_usd(work: Workspace) -> None:
-    """Info counts a scene's parts and its cameras; the viewer lists it under meshes, and a capture under splats."""
+def test_info_counts_captures_meshes_lights_and_cameras_of_usd(work: Workspace) -> None:
+    """The viewer lists a scene under meshes, and a capture under splats."""
     work.run("export", "@scene.toml", "-o", "@scene.usdz")
     assert "1 capture, 1 mesh, 1 light, 1 camera" in work.run("info", "@scene.usdz").out
     work.run("convert", "@capture.ply", "@a.usdc")
@@ -116,16 +116,16 @@ def test_info_prints_the_content_of_usd(work: Workspace) -> None:
     assert ls.io.SceneDocument.kind_of(work.path("a.usdc")) == "splats"
 
 
-def test_animation_is_refused_by_formats_that_cannot_hold_it(work: Workspace) -> None:
-    """An animation cannot be saved as anything else."""
+def test_animations_are_refused_by_formats_that_cannot_store_them(work: Workspace) -> None:
+    """A .glb names the USD extensions to use."""
     work.path("scene.toml").write_text(SCENE + ACTOR)
     animation = ls.load_animation(work.path("scene.toml"))
     with pytest.raises(ls.FormatError, match=r"a\.glb: cannot store animations: save them as \.usd, \.usda"):
         ls.save(work.path("a.glb"), animation)
 
 
-def test_animated_usd_is_rendered(work: Workspace) -> None:
-    """Each frame is the picture of its time: of the actor where it is then, by the camera that moves."""
+def test_animate_renders_an_animated_usd(work: Workspace) -> None:
+    """Each frame shows actor and camera at its time."""
     usd_core()
     ball = ls.Actor(ls.sphere(0.5), ls.Keyframes([0.0, 1.0], [(-1.0, 0.0, 4.0), (1.0, 0.0, 4.0)]), name="ball")
     views = [ls.Camera.look_at((x, 0, 0), (0, 0, 4), up=(0, 1, 0), width=32, height=24, name="eye") for x in (0, 1)]

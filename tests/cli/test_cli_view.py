@@ -23,21 +23,21 @@ ARGS = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--device", "cpu")
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workspace(tmp_path, capsys)
 
 
 def mesh_scene(work: Workspace) -> ls.Scene:
-    """What the commands render."""
+    """Returns the scene that the commands render."""
     mesh = ls.load(work.path("mesh.obj"))
     assert isinstance(mesh, ls.Mesh)
     return ls.Scene(meshes=[mesh])
 
 
 @pytest.mark.parametrize("view", ["normal", "depth", "index", "transmittance"])
-def test_a_view_replaces_the_image(work, view):
-    """--view writes what the library's view of the same frame is, under the picture's name, and nothing else."""
+def test_render_view_replaces_the_image(work, view):
+    """``--view`` writes the library's view of the same frame under the image's name, and no other file."""
     assert work.run(*ARGS, "--frames", "left", "--view", view, "-o", "@out").status == 0
     scene, camera = mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0]
     expected = ls.render(scene, camera, device="cpu").view(view)
@@ -47,8 +47,8 @@ def test_a_view_replaces_the_image(work, view):
     )
 
 
-def test_views_of_one_run_share_their_color_scale(work):
-    """The range of depth of the first frame is that of all, and is printed: the same colour is the same distance."""
+def test_views_of_one_render_share_their_colour_scale(work):
+    """The depth range of the first frame is used for all and printed, so that a colour is the same distance."""
     back = np.eye(4)
     back[2, 3] = 2.0
     ls.save_cameras(
@@ -65,8 +65,8 @@ def test_views_of_one_run_share_their_color_scale(work):
     np.testing.assert_array_equal(read_image(work.path("out/right.png"))["srgb"], expected)
 
 
-def test_the_shadow_view_shows_a_lit_scene(work):
-    """The renderer is asked for lights: the lit side of the triangle is white, what no light can reach is blue."""
+def test_render_view_shadow_shows_a_lit_scene(work):
+    """The lit side of the triangle is white, and pixels that no light reaches are blue."""
     work.path("scene.toml").write_text(
         '[[meshes]]\npath = "mesh.obj"\n'
         '[[lights]]\nname = "lamp"\ntype = "point"\nposition = [0, 0, 1]\nintensity = 9\n'
@@ -98,23 +98,23 @@ def test_the_shadow_view_shows_a_lit_scene(work):
     ],
 )
 def test_views_that_cannot_be_written_are_refused(work, options, error):
-    """One line says why, nothing is written, and the status is 2."""
+    """One line gives the reason, nothing is written, and the status is 2."""
     outcome = work.run(*ARGS, "--frames", "left", *options, "-o", "@out")
     assert outcome.status == 2 and error in outcome.err
     assert outcome.err.count("\n") == 1
     assert not list(work.path("out").glob("*"))
 
 
-def test_views_request_the_layers_that_they_need():
-    """Views and layers name the images that they are made of, each once."""
+def test_views_and_layers_request_the_layers_that_they_need():
+    """Each layer is requested once."""
     assert FrameWriter(Layers.of("depth, albedo,lights").names, None).aovs == ("albedo", "lights")
     assert FrameWriter((), "shadow").aovs == ("lights",)
     assert FrameWriter((), "hits").aovs == ("hits",)
     assert FrameWriter((), "depth").aovs == () and FrameWriter((), None).aovs == ()
 
 
-def test_16_bit_depth_stores_its_range(work):
-    """--aov depth also writes 16-bit grey; the range in its text, which is printed too, gives the depths back."""
+def test_sixteen_bit_depth_image_stores_its_range(work):
+    """``--aov depth`` also writes 16-bit grey; the range in its text, which is also printed, restores the depths."""
     outcome = work.run(*ARGS, "--frames", "left", "--aov", "depth", "-o", "@a.png")
     assert outcome.status == 0 and work.path("a.depth.png").exists()
     frame = ls.render(mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0], device="cpu")
@@ -131,8 +131,8 @@ def test_16_bit_depth_stores_its_range(work):
     np.testing.assert_allclose(depth[hit], frame.depth[hit], atol=0.51 / 65534 * (far - near) + 1e-6)
 
 
-def test_16_bit_depth_of_no_surface_and_of_one_plane(work):
-    """No surface is 0 everywhere; a range of no length divides by nothing."""
+def test_sixteen_bit_depth_works_without_surfaces_and_of_one_plane(work):
+    """Without a surface all pixels are 0; a range of zero length divides nothing by zero."""
     frame = ls.render(ls.Scene(), front_camera(8, 6), device="cpu")
     assert frame.depth_range is None
     frame.save(work.path("none.png"), layers="depth")
@@ -142,8 +142,8 @@ def test_16_bit_depth_of_no_surface_and_of_one_plane(work):
     assert (np.asarray(Image.open(work.path("flat.depth16.png"))) == 1).all()
 
 
-def test_set_crease_angle_changes_normals(work) -> None:
-    """Of OBJs without normals: a wide one shades a folded sheet smoothly, 0 leaves it flat; in degrees."""
+def test_set_crease_angle_of_meshes_changes_normals(work) -> None:
+    """An OBJ without normals is smooth with a wide angle and flat with 0; the angle is in degrees."""
     sheet = "v -1 -1 5\nv 0 -1 4\nv 0 1 4\nv -1 1 5\nv 1 -1 5\nv 1 1 5\nf 1 2 3 4\nf 2 5 6 3\n"
     work.path("sheet.obj").write_text(sheet)
     shades = {}
@@ -158,8 +158,8 @@ def test_set_crease_angle_changes_normals(work) -> None:
     assert outcome.status == 2 and "--set meshes.crease_angle_degrees=200: expected 0 to 180 degrees" in outcome.err
 
 
-def test_mattes_are_written_into_the_exr(work: Workspace) -> None:
-    """As parts of their own, with the names of files; the picture stays the first part."""
+def test_cryptomattes_are_written_into_the_exr(work: Workspace) -> None:
+    """They are additional parts with the names of files; the image stays the first part."""
     outcome = work.run("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "cryptomatte", "-o", "@out.exr")
     assert outcome.status == 0
     file: Any
@@ -170,7 +170,7 @@ def test_mattes_are_written_into_the_exr(work: Workspace) -> None:
 
 
 def test_deep_samples_are_written_beside_the_image(work: Workspace) -> None:
-    """As NAME.deep.exr; standard output has room for one file only."""
+    """The file is NAME.deep.exr; on standard output, which takes one file, ``--aov deep`` is refused."""
     args = ("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "deep")
     assert work.run(*args, "-o", "@out.png").status == 0
     file: Any

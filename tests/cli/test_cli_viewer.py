@@ -26,14 +26,14 @@ PATIENCE_S = 300.0
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
-    """A small capture."""
+    """Returns the path of a small capture."""
     ls.save(tmp_path / "ball.ply", random_gaussians(1, count=50))
     return tmp_path / "ball.ply"
 
 
 @contextmanager
 def serving(*args: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The command in a process of its own, and the address that it has printed."""
+    """Runs ``view`` in a child process, and yields the process and the address that it has printed."""
     command = [sys.executable, "-m", "lumisplat", "view", *args, "--port", "0", "--no-browser", "--device", "cpu"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True) as process:
@@ -45,7 +45,7 @@ def serving(*args: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 def status(address: str) -> int:
-    """Status of the answer to a request."""
+    """Returns the HTTP status of a request."""
     try:
         with urllib.request.urlopen(address, timeout=PATIENCE_S) as answer:
             return answer.status
@@ -55,7 +55,7 @@ def status(address: str) -> int:
 
 
 def test_view_prints_its_address_and_serves_until_interrupted(capture: Path) -> None:
-    """One line on standard output and no more; the address opens the page, and without its token nothing does."""
+    """Standard output has one line with the address; without its token the page is refused."""
     with serving(str(capture)) as (process, address):
         assert address.startswith("http://127.0.0.1:") and "/?token=" in address
         assert status(address) == 200 and status(address.partition("?")[0]) == 401
@@ -64,24 +64,24 @@ def test_view_prints_its_address_and_serves_until_interrupted(capture: Path) -> 
         assert not rest and "Traceback" not in errors and process.returncode in (0, 130)
 
 
-def test_unreadable_files_are_left_out(capture: Path) -> None:
-    """Of several; the page is served with the others, and standard error names the one."""
+def test_view_leaves_out_unreadable_files(capture: Path) -> None:
+    """The page is served with the other files, and standard error names the unreadable one."""
     with serving(str(capture), str(capture.with_name("gone.obj"))) as (process, address):
         assert status(address) == 200
         process.send_signal(signal.SIGINT)
         assert "gone.obj" in process.communicate(timeout=PATIENCE_S)[1]
 
 
-def test_other_machines_are_admitted_only_by_host(capture: Path) -> None:
-    """Then standard error says so, and the token is still needed."""
+def test_view_admits_other_machines_only_with_the_host_option(capture: Path) -> None:
+    """Standard error warns of it, and the token is still needed."""
     with serving(str(capture), "--host", "0.0.0.0") as (process, address):
         assert status(address) == 200 and status(address.partition("?")[0]) == 401
         process.send_signal(signal.SIGINT)
         assert "open to all machines that reach 0.0.0.0" in process.communicate(timeout=PATIENCE_S)[1]
 
 
-def test_mistakes_are_one_line(tmp_path: Path, capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No scene, no such file, a port in use, two scene files."""
+def test_view_reports_mistakes_in_one_line(tmp_path: Path, capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Mistakes are no scene, a missing file, a port in use, and two scene files."""
     work = Workspace(tmp_path, capsys)
     for name in ("a.toml", "b.toml"):
         (tmp_path / name).write_text("")

@@ -16,20 +16,20 @@ from support.files.image_files import read_image
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
-    """A folder to run commands in; what they do to Warp's log level is undone."""
+    """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     return Workspace(tmp_path, capsys)
 
 
 def shown(work: Workspace, *options: str, scene: str = "@capture.ply") -> np.ndarray:
-    """The picture that the options give."""
+    """Returns the image that ``render`` writes with these options."""
     outcome = work.run("render", scene, "-o", "@a.png", "--width", "48", "--height", "32", "--device", "cpu", *options)
     assert outcome.status == 0, outcome.err
     return read_image(work.path("a.png"))["srgb"]
 
 
 def expected(work: Workspace, camera: ls.Camera) -> np.ndarray:
-    """The picture of a camera of the library."""
+    """Returns the image that the library renders with a camera."""
     frame = ls.render(ls.Scene([work.capture("capture.ply")]), camera, device="cpu")
     return (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
@@ -37,8 +37,8 @@ def expected(work: Workspace, camera: ls.Camera) -> np.ndarray:
 SIZE: Any = {"width": 48, "height": 32}
 
 
-def test_sides_equal_those_of_frame_camera(work) -> None:
-    """Degrees on the command line, radians in Python."""
+def test_viewpoint_angles_equal_those_of_frame_camera(work) -> None:
+    """Angles are in degrees on the command line, in radians in Python."""
     scene = ls.Scene([work.capture("capture.ply")])
     camera = ls.frame_camera(scene, azimuth=math.radians(30), elevation=math.radians(-10), distance=6.0, **SIZE)
     picture = shown(work, "--azimuth", "30", "--elevation", "-10", "--distance", "6")
@@ -47,8 +47,8 @@ def test_sides_equal_those_of_frame_camera(work) -> None:
     np.testing.assert_array_equal(shown(work, "--fov", "20", "--target", "0.2 0.1 4"), expected(work, lens))
 
 
-def test_eye_and_target_equal_those_of_look_at(work) -> None:
-    """Up is the scene's own, y down of a capture; a number may be negative and come first."""
+def test_eye_and_target_options_equal_look_at(work) -> None:
+    """Up is that of the capture, y down; a number may be negative and come first."""
     camera = ls.Camera.look_at((-1, -0.5, 0), (0, 0, 4), (0, -1, 0), fov_y=math.radians(50), **SIZE)
     near = min(camera.near, 1e-3 * math.dist((-1, -0.5, 0), (0, 0, 4)))
     assert near == pytest.approx(math.sqrt(17.25) / 1000)
@@ -57,21 +57,21 @@ def test_eye_and_target_equal_those_of_look_at(work) -> None:
 
 
 @pytest.mark.parametrize("up", ["y-up", "z-up", "0.3,-1,0"])
-def test_up_rotates_the_image(work, up) -> None:
-    """--up is that of the scene, an axis or any direction."""
+def test_up_option_rotates_the_image(work, up) -> None:
+    """``--up`` is an axis or any direction, as ``up`` of a scene."""
     direction = up if up[0] in "yz" else (0.3, -1, 0)
     scene = ls.Scene([work.capture("capture.ply")], up=direction)
     np.testing.assert_array_equal(shown(work, "--up", up), expected(work, ls.frame_camera(scene, **SIZE)))
 
 
-def test_a_view_straight_from_above_is_oriented(work) -> None:
-    """An eye above the target has an up in its image too: where the front camera looks."""
+def test_view_straight_from_above_has_a_defined_orientation(work) -> None:
+    """The direction in which the default camera looks is up in the image."""
     camera = ls.Camera.look_at((0, -5, 4), (0, 0, 4), (0, 0, 1), **SIZE)
     np.testing.assert_array_equal(shown(work, "--eye", "0,-5,4", "--target", "0,0,4"), expected(work, camera))
 
 
-def test_a_viewpoint_replaces_the_cameras_of_a_scene_file(work) -> None:
-    """Options replace what a file says, here its cameras; its up holds."""
+def test_viewpoint_options_replace_the_cameras_of_a_scene_file(work) -> None:
+    """The up direction of the scene file stays."""
     work.path("scene.toml").write_text(
         'up = "y-up"\n[[splats]]\npath = "capture.ply"\n[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\n'
     )
@@ -96,20 +96,23 @@ def test_a_viewpoint_replaces_the_cameras_of_a_scene_file(work) -> None:
     ],
 )
 def test_contradicting_viewpoint_options_are_refused(work, options, message) -> None:
-    """In one line, in the words of the shell."""
+    """The one-line message names the options."""
     outcome = work.run("render", "@capture.ply", "-o", "@a.png", "--device", "cpu", *options)
     assert outcome.status == 2
     assert message in outcome.err and len(outcome.err.splitlines()) == 1
 
 
-def test_bench_uses_the_viewpoint_options(work) -> None:
+def test_bench_accepts_viewpoint_options(work) -> None:
     """Every command that renders has these options."""
     outcome = work.run("bench", "@capture.ply", "--azimuth", "45", "--width", "32", "--repeats", "1", "--device", "cpu")
     assert outcome.status == 0 and "32 x 18" in outcome.out
 
 
-def test_a_single_gltf_or_usd_file_is_rendered_by_its_own_cameras(work) -> None:
-    """One image a camera, named after it; a viewpoint replaces them, and beside a capture they are not its cameras."""
+def test_single_gltf_or_usd_file_is_rendered_by_its_own_cameras(work) -> None:
+    """Each camera gives an image with its name.
+
+    A viewpoint option replaces the cameras, and beside a capture they are not used.
+    """
     mesh = ls.MeshInstance(ls.box(1.0), name="box")
     cameras = [ls.Camera.look_at(eye, (0, 0, 0), **SIZE, name=name) for name, eye in SIDES.items()]
     ls.save(work.folder / "box.glb", ls.Scene(meshes=[mesh], up="y-up"), cameras=cameras)

@@ -66,8 +66,8 @@ def write_gltf(path: Path, uri: str) -> None:
 
 @pytest.mark.parametrize("name", ["body.gltf", "body.glb"])
 @pytest.mark.parametrize("uri", ["tex/bark.png", "tex/old%20bark.png"])
-def test_a_changed_gltf_texture_changes_the_fingerprint(work, name: str, uri: str) -> None:
-    """Percent-encoded names and binary files count, too; the error names the texture."""
+def test_frames_are_refused_after_a_gltf_texture_changed(work, name: str, uri: str) -> None:
+    """Percent-encoded texture names and binary glTF files count, too; the error names the texture."""
     texture = work.path(uri.replace("%20", " "))
     write_texture(texture, 200)
     write_gltf(work.path(name), uri)
@@ -80,7 +80,7 @@ def test_a_changed_gltf_texture_changes_the_fingerprint(work, name: str, uri: st
     assert f"holds frames of other settings or files ({uri.replace('%20', ' ')}): " in refused.err
 
 
-def test_a_changed_texture_of_binary_usd_changes_the_fingerprint(work) -> None:
+def test_fingerprint_of_a_binary_usd_includes_its_textures(work) -> None:
     """Layers and textures of a .usdc count at all times, and those of referenced layers."""
     sdf = pytest.importorskip("pxr.Sdf")
     usd = pytest.importorskip("pxr.Usd")
@@ -103,8 +103,8 @@ def test_a_changed_texture_of_binary_usd_changes_the_fingerprint(work) -> None:
     }  # fmt: skip
 
 
-def test_frames_of_a_changed_usd_texture_are_refused(work) -> None:
-    """The command refuses frames of a mesh whose texture lies beside its .usdc."""
+def test_frames_are_refused_after_a_usd_texture_changed(work) -> None:
+    """The mesh has a texture beside its .usdc, and the error names the texture."""
     pytest.importorskip("pxr")
     write_texture(work.path("tex/bark.png"), 200)
     write_gltf(work.path("body.gltf"), "tex/bark.png")

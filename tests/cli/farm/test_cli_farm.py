@@ -31,8 +31,10 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
         (("dance",), "'dance' is no command (see lumisplat farm --help)"),
     ],
 )
-def test_mistakes_are_reported_before_workers_start(work, monkeypatch, options: tuple[str, ...], message: str) -> None:
-    """Each prints one line with status 2, and writes no frame."""
+def test_farm_reports_mistakes_in_options_before_workers_start(
+    work, monkeypatch, options: tuple[str, ...], message: str
+) -> None:
+    """Each mistake prints one line with status 2, and no frame is written."""
     monkeypatch.chdir(work.folder)
     done = work.run("farm", *options, *(("--device", "cpu") if len(options) > 1 else ()))
     assert (done.status, done.out) == (2, ""), done.err
@@ -40,16 +42,16 @@ def test_mistakes_are_reported_before_workers_start(work, monkeypatch, options: 
     assert not [name for name in work.files() if name.endswith(".png")]
 
 
-def test_without_ray_the_error_names_the_extra(work, monkeypatch) -> None:
-    """The error also names what works without Ray."""
+def test_farm_without_ray_names_the_package_extra_to_install(work, monkeypatch) -> None:
+    """The error also names the option ``--frames``, which works without Ray."""
     monkeypatch.setitem(sys.modules, "ray", None)
     for address in ("local", "auto", "ray://farm:10001"):
         done = work.run("farm", "orbit", "@capture.ply", "-o", "@out", *SIZE, "--address", address)
         assert done.status == 2 and "pip install 'lumisplat[farm]'" in done.err and "--frames" in done.err
 
 
-def test_help_has_an_example_and_the_exit_statuses(capsys) -> None:
-    """The help names commands, an example and how to continue."""
+def test_farm_help_has_an_example_and_the_exit_statuses(capsys) -> None:
+    """The help also names the commands and how to continue."""
     assert main(["farm", "--help"]) == 0
     out = capsys.readouterr().out
     for words in ("animate", "orbit", "render", "Exit status", "--workers 2", "The same command continues"):

@@ -34,8 +34,8 @@ def assert_same(one: Path, other: Path) -> None:
         np.testing.assert_array_equal(image, others[name], name)
 
 
-def test_an_image_merged_from_sample_blocks_equals_a_whole_render(work) -> None:
-    """Only rounding differs, as sums are added in another order; the parts are removed."""
+def test_image_merged_from_sample_blocks_equals_a_whole_render(work) -> None:
+    """Only rounding differs, as sums are added in another order; the files of sample blocks are removed."""
     options = ("@capture.ply", *OPTIONS, "--samples", "70", "--aov", "albedo,depth")
     assert work.run("render", *options, "-o", "@plain.exr").status == 0
     assert work.run("render", *options, "-o", "@shared.exr", "--tiles", "samples", "--resume").status == 0
@@ -48,7 +48,10 @@ def test_an_image_merged_from_sample_blocks_equals_a_whole_render(work) -> None:
 
 
 def test_tiles_merged_from_sample_blocks_equal_a_whole_render(work) -> None:
-    """Blocks of tiles equal blocks of the whole image bit by bit; no part is left."""
+    """Tiles rendered in blocks of samples equal an image rendered in such blocks bit by bit.
+
+    No intermediate file is left.
+    """
     options = ("@capture.ply", *OPTIONS, "--samples", "40", "--aov", "albedo,depth")
     assert work.run("render", *options, "-o", "@alone.exr", "--tiles", "samples").status == 0
     done = work.run("render", *options, "-o", "@shared.exr", "--tiles", "2x1,samples")
@@ -59,8 +62,8 @@ def test_tiles_merged_from_sample_blocks_equal_a_whole_render(work) -> None:
     assert not work.path("shared.tiles").exists()
 
 
-def test_sample_blocks_are_removed_once_their_tile_exists(work, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After an interruption in the second tile, the first exists without its blocks, and only the rest is rendered."""
+def test_sample_blocks_are_removed_once_their_tile_is_written(work, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupted in the second tile, the first tile exists without its blocks, and the next run renders the rest."""
     options = ("@capture.ply", *OPTIONS, "--samples", "40", "-o", "@out.exr", "--tiles", "2x1,samples")
     made: list[range] = []
     render = ls.farm.render_samples
@@ -84,8 +87,8 @@ def test_sample_blocks_are_removed_once_their_tile_exists(work, monkeypatch: pyt
 
 
 @pytest.mark.deep
-def test_sample_blocks_survive_a_killed_process(work, tmp_path: Path) -> None:
-    """Existing blocks stay, and the image equals that of one process."""
+def test_render_by_sample_blocks_continues_after_a_killed_process(work, tmp_path: Path) -> None:
+    """Finished blocks stay, and the image equals that of one process."""
     options = ["capture.ply", *OPTIONS, "--width", "96", "--height", "64", "--samples", "320"]
     assert work.run("render", "@capture.ply", *options[1:], "-o", "@alone.exr", "--tiles", "samples").status == 0
     command = [
@@ -120,8 +123,8 @@ def test_sample_blocks_survive_a_killed_process(work, tmp_path: Path) -> None:
         (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
     ],
 )
-def test_options_that_need_whole_images_are_refused(work, options: tuple[str, ...], message: str) -> None:
-    """Each prints one line with status 2, and writes no image."""
+def test_tiles_samples_refuses_options_that_need_whole_images(work, options: tuple[str, ...], message: str) -> None:
+    """Each refusal prints one line with status 2, and no image is written."""
     done = work.run("render", "@capture.ply", "-o", "@out", *OPTIONS, "--tiles", "samples", *options)
     assert done.status == 2 and message in done.err, done.err
     assert done.err.strip().count("\n") == 0 and not list(work.folder.rglob("*.png"))

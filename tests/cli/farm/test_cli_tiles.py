@@ -34,8 +34,8 @@ def pixels(path: Path) -> np.ndarray:
         return np.asarray(image)
 
 
-def test_joined_tiles_equal_a_whole_render(work) -> None:
-    """All images are joined, as PNG and with layers as EXR; tiles are removed, and nothing is rendered twice."""
+def test_image_joined_from_tiles_equals_a_whole_render(work) -> None:
+    """PNGs and EXRs with layers are joined, tiles are removed, and nothing is rendered twice."""
     for options in (("--format", "png"), ("--format", "exr", "--aov", "depth,gaussian_index", "--overwrite")):
         again = [option for option in options if option != "--overwrite"]
         assert work.run("render", "@capture.ply", *CAMERAS, "-o", "@whole", *SIZE, *again).status == 0
@@ -60,8 +60,8 @@ def test_joined_tiles_equal_a_whole_render(work) -> None:
     assert work.path("tiled/left.exr").stat().st_mtime_ns == before
 
 
-def test_tiles_of_a_single_image_file_are_joined(work) -> None:
-    """The same command continues, and other settings are refused."""
+def test_tiles_of_a_single_output_file_are_joined_and_continued(work) -> None:
+    """The same command continues an interrupted render; other settings are refused."""
     options = ("@capture.ply", "-o", "@huge.png", *SIZE)
     assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
     done = work.run("render", *options, "--tiles", "2x2", "--resume")
@@ -74,15 +74,15 @@ def test_tiles_of_a_single_image_file_are_joined(work) -> None:
     assert refused.status == 2 and "other settings or files (background" in refused.err
 
 
-def test_random_numbers_of_tiles_equal_those_of_the_whole_image(work) -> None:
-    """Tiles of path-traced images show it."""
+def test_path_traced_tiles_have_the_noise_of_the_whole_image(work) -> None:
+    """The random numbers of a pixel do not depend on its tile."""
     options = ("@capture.ply", "--pipeline", "path", "--samples", "2", "--lighting", "on", *SIZE)
     assert work.run("render", *options, "-o", "@whole.png").status == 0
     assert work.run("render", *options, "-o", "@tiled.png", "--tiles", "2x2").status == 0
     np.testing.assert_array_equal(pixels(work.path("tiled.png")), pixels(work.path("whole.png")))
 
 
-def test_the_same_command_continues_tiles_after_a_kill(work, tmp_path: Path) -> None:
+def test_render_in_tiles_continues_after_a_killed_process(work, tmp_path: Path) -> None:
     """Existing tiles stay, missing ones are rendered, and the image is the same."""
     command = ["render", str(work.path("capture.ply")), "-o", str(work.path("huge.png")), *SIZE, "--tiles", "1x4"]
     assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
@@ -122,8 +122,8 @@ def test_the_same_command_continues_tiles_after_a_kill(work, tmp_path: Path) -> 
         (("--tiles", "2x2", "--pipeline", "path", "--set=noise=0.1"), "choose samples by the whole image"),
     ],
 )
-def test_options_that_exclude_tiles_are_refused(work, options: tuple[str, ...], message: str) -> None:
-    """Each prints one line with status 2, and writes no image."""
+def test_render_refuses_options_that_exclude_tiles(work, options: tuple[str, ...], message: str) -> None:
+    """Each refusal prints one line with status 2, and no image is written."""
     done = work.run("render", "@capture.ply", "-o", "@out", *SIZE, *options)
     assert done.status == 2 and message in done.err, done.err
     assert done.err.strip().count("\n") == 0

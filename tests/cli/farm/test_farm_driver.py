@@ -53,12 +53,12 @@ class Farm:
 
     @property
     def tries(self) -> dict[int, int]:
-        """How often each frame was given out."""
+        """Counts how often each frame was given to a worker."""
         return dict(Counter(frame for _, frame in self.ray.given))
 
     @property
     def finished(self) -> list[int]:
-        """Frames that are there."""
+        """Lists the frames whose files exist."""
         return [index for index in self.frames.wanted if self.frames.folder.is_finished(index)]
 
     def _does(self, trouble: Trouble) -> Does:
@@ -97,7 +97,7 @@ def failed(error: BaseException, *, is_mistake: bool = False) -> Answer:
     return answer(error=error, is_mistake=is_mistake)
 
 
-def test_each_frame_is_assigned_once(tmp_path: Path) -> None:
+def test_farm_gives_each_frame_to_a_worker_once(tmp_path: Path) -> None:
     """A worker has one frame at a time; the summary has the time, and no worker remains."""
     farm = Farm(tmp_path, 9)
     assert farm.run().startswith(f"9 frames in {tmp_path / 'out'}\n9 frames by 2 workers in ")
@@ -106,8 +106,8 @@ def test_each_frame_is_assigned_once(tmp_path: Path) -> None:
     assert {worker for worker, _ in farm.ray.given} == {0, 1}
 
 
-def test_existing_frames_are_not_assigned(tmp_path: Path) -> None:
-    """Only missing frames are made; without any, nothing is done."""
+def test_farm_does_not_make_existing_frames_again(tmp_path: Path) -> None:
+    """Only missing frames are given to workers; if none is missing, no worker starts."""
     Farm(tmp_path, 5).run()
     for index in (1, 3):
         (tmp_path / "out" / f"frame_{index:04d}.png").unlink()
@@ -118,16 +118,16 @@ def test_existing_frames_are_not_assigned(tmp_path: Path) -> None:
     assert again.run() == f"5 frames in {tmp_path / 'out'}, 5 of them were there" and not again.ray.given
 
 
-def test_a_lost_worker_is_replaced_and_its_frame_retried(tmp_path: Path, caplog: Any) -> None:
-    """All frames exist, and only that frame was started twice."""
+def test_farm_replaces_a_lost_worker_and_retries_its_frame(tmp_path: Path, caplog: Any) -> None:
+    """All frames exist, and only the frame of the lost worker was started twice."""
     farm = Farm(tmp_path, 9, once(4, died("killed\nby somebody")))
     assert farm.run().endswith("1 worker lost and replaced")
     assert farm.tries == dict.fromkeys(range(9), 1) | {4: 2} and farm.ray.started == 3
     assert "a worker was lost (killed by somebody), at frame 4" in caplog.messages
 
 
-def test_a_frame_that_kills_two_workers_is_given_up_and_named(tmp_path: Path) -> None:
-    """The other frames exist; the exit status tells schedulers that another try may help."""
+def test_farm_gives_up_a_frame_that_kills_two_workers(tmp_path: Path) -> None:
+    """The error names the frame; all other frames exist, and the exit status tells schedulers to try again."""
     farm = Farm(tmp_path, 6, always(3, died()))
     with pytest.raises(FramesMissingError) as error:
         farm.run()
@@ -138,8 +138,8 @@ def test_a_frame_that_kills_two_workers_is_given_up_and_named(tmp_path: Path) ->
     assert FramesMissingError.status == 3 and farm.tries[3] == 2 and farm.finished == [0, 1, 2, 4, 5]
 
 
-def test_failures_in_a_row_end_the_job(tmp_path: Path) -> None:
-    """A full disk does not fail a hundred frames; a success in between lets the job continue."""
+def test_farm_stops_after_four_failures_in_a_row(tmp_path: Path) -> None:
+    """A full disk does not fail a hundred frames; a success between two failures lets the job continue."""
     farm = Farm(tmp_path, 100, lambda _, index: failed(FULL) if index else None, workers=1)
     with pytest.raises(FramesMissingError, match=r"4 failures in a row, the last: .* holds 1 of 100 frames"):
         farm.run()
@@ -150,16 +150,16 @@ def test_failures_in_a_row_end_the_job(tmp_path: Path) -> None:
     assert set(range(0, 20, 2)) <= set(other.finished)
 
 
-def test_a_mistake_in_the_first_frame_ends_the_job(tmp_path: Path) -> None:
-    """The mistake would be repeated in all frames."""
+def test_farm_stops_at_a_mistake_in_the_first_frame(tmp_path: Path) -> None:
+    """A wrong setting would be repeated in all frames."""
     farm = Farm(tmp_path, 9, always(0, failed(ls.ConfigError("samples is 0"), is_mistake=True)))
     with pytest.raises(ls.ConfigError, match="samples is 0"):
         farm.run()
     assert len(farm.ray.given) <= 2 and not farm.ray.living
 
 
-def test_the_job_continues_without_workers_that_cannot_start(tmp_path: Path, caplog: Any) -> None:
-    """If no worker can start, the last error is the job's, and the others are logged once."""
+def test_farm_continues_without_workers_that_cannot_start(tmp_path: Path, caplog: Any) -> None:
+    """If no worker can start, the last error is that of the job, and the errors before are logged once."""
     lost, full = ls.errors.MissingFileError("lost.ply", "no such file"), ls.DeviceError("no GPU")
     refused: list[BaseException] = [full, lost, full, lost]
     with pytest.raises(ls.errors.MissingFileError, match="no such file"):
@@ -170,16 +170,16 @@ def test_the_job_continues_without_workers_that_cannot_start(tmp_path: Path, cap
     assert len(farm.finished) == 9 and "one worker fewer: lost.ply: no such file" in caplog.messages
 
 
-def test_workers_that_die_while_starting_are_replaced_a_limited_number_of_times(tmp_path: Path) -> None:
-    """Two failed starts in a row end the replacements."""
+def test_farm_replaces_workers_that_die_while_starting_only_once(tmp_path: Path) -> None:
+    """Two failed starts in a row end the job."""
     farm = Farm(tmp_path, 9, lambda *_: died("it could not start"), workers=1)
     with pytest.raises(ls.DeviceError, match="a worker ended before it was ready: it could not start"):
         farm.run()
     assert farm.ray.started == 2
 
 
-def test_running_workers_continue_if_a_file_vanishes(tmp_path: Path, caplog: Any) -> None:
-    """A replacement that cannot load the scene is not used; without workers, the other frames fail with its error."""
+def test_farm_workers_continue_if_a_scene_file_is_deleted(tmp_path: Path, caplog: Any) -> None:
+    """A replacement that cannot load the scene is not used; without any worker, the other frames fail with its error."""
     gone = ls.errors.MissingFileError("garden.ply", "no such file")
 
     def trouble(worker: int, index: int | None) -> Answer | Exception | None:
@@ -193,8 +193,8 @@ def test_running_workers_continue_if_a_file_vanishes(tmp_path: Path, caplog: Any
     assert len(farm.finished) >= 5
 
 
-def test_a_worker_with_different_files_is_not_used(tmp_path: Path, caplog: Any) -> None:
-    """The log line names the difference, as mixed frames would be worse than fewer workers."""
+def test_farm_does_not_use_a_worker_with_different_scene_files(tmp_path: Path, caplog: Any) -> None:
+    """The log line names the difference: mixed frames would be worse than fewer workers."""
     farm = Farm(tmp_path, 9)
     other = replace(farm.frames, provenance=farm.frames.provenance | {"needs": "older.ply"})
     farm.ray.does = farm._does(lambda worker, index: answer(frames=other) if index is None and worker == 1 else None)
@@ -203,8 +203,8 @@ def test_a_worker_with_different_files_is_not_used(tmp_path: Path, caplog: Any) 
     assert "a worker has other needs than the first one" in caplog.text
 
 
-def test_realtime_sequences_are_refused_for_several_workers(tmp_path: Path) -> None:
-    """Real-time frames depend on each other, so that one worker makes them."""
+def test_farm_refuses_several_workers_for_a_realtime_sequence(tmp_path: Path) -> None:
+    """A real-time frame depends on the frames before it, so one worker makes all."""
     with pytest.raises(ls.ConfigError, match="workers cannot share them"):
         Farm(tmp_path, 9, in_sequence=True).run()
     farm = Farm(tmp_path, 9, in_sequence=True, workers=1)
@@ -212,8 +212,8 @@ def test_realtime_sequences_are_refused_for_several_workers(tmp_path: Path) -> N
     assert [index for _, index in farm.ray.given] == list(range(9))
 
 
-def test_log_lines_of_workers_are_logged_once(tmp_path: Path, caplog: Any) -> None:
-    """An error names its machine if that is another one."""
+def test_farm_logs_a_log_line_of_its_workers_once(tmp_path: Path, caplog: Any) -> None:
+    """An error of a worker on another machine names the machine."""
     farm = Farm(tmp_path, 2)
     farm.ray.does = farm._does(
         lambda worker, index: answer(frames=farm.frames, lines=["grainy"]) if index is None else None
@@ -226,8 +226,8 @@ def test_log_lines_of_workers_are_logged_once(tmp_path: Path, caplog: Any) -> No
     assert raised.value.__notes__ == ["on node-3"]
 
 
-def test_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None:
-    """The label also has the time of a worker for a frame."""
+def test_farm_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None:
+    """The label also has the time that a worker needs for a frame."""
     farm = Farm(tmp_path, 4)
     farm.run()
     of_frames = [told for told in farm.shown if told[0].startswith("frames, ")]
@@ -235,7 +235,7 @@ def test_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None:
     assert of_frames[0][0] == "frames, 0 of 4" and of_frames[-1][0] == "frames, 4 of 4, 2 s of a worker each"
 
 
-def test_frames_wait_for_the_frames_that_they_need(tmp_path: Path) -> None:
+def test_farm_makes_a_frame_after_the_frames_that_it_needs(tmp_path: Path) -> None:
     """A frame fails if a frame that it needs has failed."""
     needs = {2: (0, 1), 4: (3,)}
     farm = Farm(tmp_path, 5, needs=needs)
@@ -248,8 +248,8 @@ def test_frames_wait_for_the_frames_that_they_need(tmp_path: Path) -> None:
     assert farm.finished == [1, 3, 4] and 2 not in farm.tries
 
 
-def test_a_hanging_worker_is_ended_after_the_frame_timeout(tmp_path: Path, caplog: Any) -> None:
-    """Its frame is tried once more, then reported; loading and waiting have no limit."""
+def test_farm_ends_a_hanging_worker_after_the_frame_timeout(tmp_path: Path, caplog: Any) -> None:
+    """The worker's frame is tried once more, then reported; loading and waiting have no limit."""
 
     def first(_: int, index: int | None) -> str | None:
         return "hangs" if index == 1 and farm.tries[1] == 1 else None
@@ -287,10 +287,10 @@ def test_a_hanging_worker_is_ended_after_the_frame_timeout(tmp_path: Path, caplo
         ({"cpus": 16, "workers": 2, "address": LOCAL}, {"num_cpus": 8}, 2),
     ],
 )
-def test_workers_get_gpus_or_cores_by_what_the_cluster_has(
+def test_farm_workers_get_gpus_or_cores_of_the_cluster(
     tmp_path: Path, changes: dict[str, Any], needs: dict[str, float], count: int
 ) -> None:
-    """Each worker has a GPU if there are any, shared on one machine if there are fewer; otherwise it has cores."""
+    """Each worker has a GPU if there are any, shared if there are fewer GPUs than workers; otherwise it has cores."""
     farm = Farm(tmp_path, 9, **changes)
     farm.run()
     assert farm.ray.needs == {"max_restarts": 0, "max_task_retries": 0} | needs and farm.ray.started == count
@@ -303,8 +303,8 @@ def test_workers_get_gpus_or_cores_by_what_the_cluster_has(
     workers=st.integers(1, 4),
     trouble=st.floats(0.0, 0.3),
 )
-def test_no_frame_is_lost_in_random_failures(tmp_path_factory: Any, seed, count: int, workers: int, trouble) -> None:
-    """Each frame exists or is reported; none is assigned once it exists, or more than twice."""
+def test_farm_loses_no_frame_in_random_failures(tmp_path_factory: Any, seed, count: int, workers: int, trouble) -> None:
+    """Each frame exists or is reported; no frame is given to a worker once it exists, or more than twice."""
 
     def happens(worker: int, index: int | None) -> Answer | Exception | None:
         if index is None or seed.random() >= trouble:
@@ -322,10 +322,10 @@ def test_no_frame_is_lost_in_random_failures(tmp_path_factory: Any, seed, count:
 
 
 @pytest.mark.parametrize("text", ["soon", "0s", "-3"])
-def test_a_frame_timeout_that_is_no_duration_is_refused(
+def test_farm_refuses_a_frame_timeout_that_is_no_duration(
     tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One line is printed before anything is started."""
+    """One line is printed before any worker starts."""
     command = ["farm", "orbit", str(tmp_path / "garden.ply"), "-o", str(tmp_path / "out"), f"--frame-timeout={text}"]
     assert main(command) == 2
     assert f"--frame-timeout is '{text}', expected a time such as 90s, 10m or 1.5h" in capsys.readouterr().err

@@ -92,10 +92,13 @@ def expected(count: int) -> dict[str, str]:
     return {f"frame_{index:04d}.png": f"{index}" for index in range(count)}
 
 
-def test_frames_of_killed_workers_are_made_by_others(
+def test_frames_of_killed_ray_workers_are_made_by_others(
     ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One worker is killed and one exits during a frame; all frames exist, and only these two were started twice."""
+    """One worker is killed and one exits during a frame.
+
+    All frames exist, and only these two frames were started twice.
+    """
     maker = FakeMaker(tmp_path / "out", count=12, wrong={2: "kill", 7: "exit"})
     lines = farm(ray, maker)
     assert maker.contents == expected(12) and maker.begun == sorted([*range(12), 2, 7])
@@ -104,8 +107,8 @@ def test_frames_of_killed_workers_are_made_by_others(
     assert len({path.name.split("_")[1] for path in (tmp_path / "made").iterdir()}) <= 4
 
 
-def test_errors_of_workers_reach_the_driver(ray: Any, tmp_path: Path) -> None:
-    """A missing package and a mistake are reported once; unexpected errors with their type, message and line."""
+def test_errors_of_ray_workers_reach_the_farm_command(ray: Any, tmp_path: Path) -> None:
+    """A missing package and a mistake are reported once; unexpected errors have their type, message and line."""
     with pytest.raises(
         ls.errors.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"
     ):
@@ -143,7 +146,9 @@ PATH = ("--pipeline", "path", "--lighting", "on", "--samples", "40")
         pytest.param("dataset", ("@mesh.obj", "-o", "@OUT/set", "--views", "6", *SIZE), marks=pytest.mark.deep),
     ],
 )
-def test_files_of_workers_equal_those_of_one_process(work: Workspace, name: str, options: tuple[str, ...]) -> None:
+def test_files_made_by_farm_workers_equal_those_of_one_process(
+    work: Workspace, name: str, options: tuple[str, ...]
+) -> None:
     """Frames, tiles, samples, samples of tiles and data sets are equal bit by bit."""
     alone, farmed = ([option.replace("OUT", folder) for option in options] for folder in ("alone", "farm"))
     resume = ["--resume"] if name == "render" and "--tiles" not in options else []
@@ -165,10 +170,10 @@ def test_files_of_workers_equal_those_of_one_process(work: Workspace, name: str,
         ),
     ],
 )
-def test_mistakes_found_by_workers_end_in_one_line(
+def test_mistakes_found_by_farm_workers_end_in_one_line(
     work: Workspace, monkeypatch, options: tuple[str, ...], message: str
 ) -> None:
-    """Each ends with status 2, and writes no frame."""
+    """Each mistake ends with status 2, and no frame is written."""
     monkeypatch.chdir(work.folder)
     done = work.run("farm", *options, "--device", "cpu", "--workers", "1")
     assert (done.status, done.out) == (2, ""), done.err
@@ -196,10 +201,11 @@ except KeyboardInterrupt as stop:
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.deep)])
-def test_an_interrupted_driver_ends_its_workers(ray: Any, tmp_path: Path, sent: signal.Signals) -> None:
-    """Ctrl-C says how far it is; killed, too, its workers end, and the next run completes the frames.
+def test_interrupted_farm_ends_its_workers_and_can_continue(ray: Any, tmp_path: Path, sent: signal.Signals) -> None:
+    """Ctrl-C prints the number of finished frames.
 
-    Modules in the folder in which all this happens are not run.
+    A driver that is interrupted or killed leaves no half-made frame, and the next run continues. Modules in the working
+    folder are not run.
     """
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
     strangers_modules(tmp_path)
@@ -231,8 +237,8 @@ def is_running(process: int) -> bool:
 
 
 @pytest.mark.deep
-def test_frames_are_finished_while_nodes_join_and_die(tmp_path: Path) -> None:
-    """Two workers at a time use three nodes; all frames exist, and only unfinished ones were started twice."""
+def test_farm_finishes_its_frames_while_nodes_join_and_die(tmp_path: Path) -> None:
+    """Two workers at a time use three nodes; all frames exist, and only unfinished frames were started twice."""
     environment = os.environ | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     command = [sys.executable, "-c", NODES]
@@ -283,7 +289,7 @@ def strangers_modules(folder: Path) -> None:
 
 
 @pytest.mark.deep
-def test_modules_in_the_working_folder_are_not_imported(work: Workspace) -> None:
+def test_farm_workers_do_not_import_modules_of_the_working_folder(work: Workspace) -> None:
     """The installed command does not import them either, and its ports are open to this machine only."""
     strangers_modules(work.folder)
     ls.save(work.path("one.ply"), one_gaussian())
@@ -296,8 +302,10 @@ def test_modules_in_the_working_folder_are_not_imported(work: Workspace) -> None
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "auto"])
-def test_a_missing_cluster_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, address: str) -> None:
-    """The error comes within seconds, where Ray would try for minutes, also for a remembered cluster that has died."""
+def test_farm_reports_a_missing_ray_cluster_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, address: str
+) -> None:
+    """The error comes within seconds, even for a remembered cluster that has died; Ray would try for minutes."""
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     (tmp_path / "current").write_text("127.0.0.1:1")
     monkeypatch.setattr(cluster, "_CURRENT", tmp_path / "current")
@@ -310,8 +318,8 @@ def test_a_missing_cluster_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path
 
 
 @pytest.mark.parametrize("where", ["", " on Ray Client", " on node 127.0.0.1"])
-def test_a_version_mismatch_with_the_cluster_is_one_line(monkeypatch: pytest.MonkeyPatch, where: str) -> None:
-    """The line has both versions; the message is that of Ray 2.60 about a head of 2.40."""
+def test_farm_reports_a_ray_version_mismatch_in_one_line(monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    """The line has both versions; the test raises the message of Ray 2.60 about a head of 2.40."""
     module = importlib.import_module("ray")
 
     def refused(**_: object) -> None:

@@ -44,6 +44,6 @@ HEAD = "The actor died unexpectedly before finishing this task.\n\tclass_name: R
         (Exception("something\nelse"), "something else"),
     ],
 )
-def test_errors_of_ray_become_short_descriptions(error: Exception, words: str) -> None:
-    """Ray 2.60 prints pages for each."""
+def test_long_errors_of_ray_become_short_descriptions(error: Exception, words: str) -> None:
+    """Ray 2.60 prints pages for each error."""
     assert actor_failure(error) == words

@@ -29,7 +29,7 @@ def _log_level(monkeypatch) -> None:
 
 
 @pytest.mark.deep
-def test_captures_equal_those_of_separate_trainings(
+def test_farm_trained_captures_equal_those_of_separate_trainings(
     ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two workers give equal bits and print the reports; the same command finds all captures."""
@@ -47,10 +47,10 @@ def test_captures_equal_those_of_separate_trainings(
     assert "holds frames of other settings or files (seed" in capsys.readouterr().err
 
 
-def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys, caplog) -> None:
-    """As those of train alone, to the bit. Folders may come later; what has changed for one is said.
+def test_farm_train_settings_file_sets_options_per_image_folder(ray: Any, tmp_path: Path, capsys, caplog) -> None:
+    """Captures equal those of ``train`` with these options bit by bit.
 
-    Overwriting removes what was there, with its checkpoint, and nothing else; other settings are no mistake then.
+    Folders may be added later, and a changed setting is named. Overwriting removes only the capture and its checkpoint.
     """
     one, two = (str(write_training_folder(tmp_path / name)) for name in ("one", "two"))
     own = tmp_path / "own.toml"
@@ -74,10 +74,8 @@ def test_each_folder_may_have_its_own_settings(ray: Any, tmp_path: Path, capsys,
     assert [path.read_text() for path in others] == ["mine", "mine"]
 
 
-def test_the_same_command_continues_stopped_trainings(
-    ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """--stop-after leaves an unfinished capture and says so; the same command continues to equal bits."""
+def test_farm_train_continues_after_stop_after(ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """``--stop-after`` leaves an unfinished capture and reports it; the same command continues to equal bits."""
     folder, long = str(write_training_folder(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0
     command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *long, "--workers", "1"]
@@ -105,8 +103,10 @@ def test_the_same_command_continues_stopped_trainings(
         ("[a\n", "own.toml: cannot be read as TOML"),
     ],
 )
-def test_mistakes_in_the_settings_file_are_one_line(tmp_path, monkeypatch, capsys, content: str, message: str) -> None:
-    """Each ends with status 2, before anything is written."""
+def test_farm_train_reports_mistakes_in_the_settings_file_in_one_line(
+    tmp_path, monkeypatch, capsys, content: str, message: str
+) -> None:
+    """Each mistake ends with status 2, before any file is written."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a").mkdir()
     (tmp_path / "own.toml").write_text(content)
@@ -128,10 +128,10 @@ def test_mistakes_in_the_settings_file_are_one_line(tmp_path, monkeypatch, capsy
         (("a", "--workers", "0"), "--workers is 0, expected 1 or more"),
     ],
 )
-def test_mistakes_in_options_are_one_line(
+def test_farm_train_reports_mistakes_in_options_in_one_line(
     tmp_path, monkeypatch, capsys, options: tuple[str, ...], message: str
 ) -> None:
-    """Each ends with status 2."""
+    """Each mistake ends with status 2."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a").mkdir()
     assert main(["farm", "train", *options, "--device", "cpu"]) == 2
@@ -141,7 +141,7 @@ def test_mistakes_in_options_are_one_line(
 
 
 @pytest.mark.deep
-def test_a_training_survives_a_killed_worker(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_farm_train_continues_after_a_killed_worker(ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """After SIGKILL another worker continues from the checkpoint to equal bits."""
     folder, long = str(write_training_folder(tmp_path / "one")), ("--iterations", "600", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0

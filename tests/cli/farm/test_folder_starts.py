@@ -42,8 +42,11 @@ def starts(folder: FrameFolder, seeds: list[int], *, overwrite: bool = False) ->
     return [lambda seed=seed: folder.prepare({"seed": f"{seed}"}, overwrite) for seed in seeds]
 
 
-def test_one_of_several_simultaneous_runs_with_different_settings_starts(tmp_path: Path) -> None:
-    """Seven of eight are refused with a line that names the differences; the stamp is whole."""
+def test_one_of_several_runs_with_different_settings_uses_a_folder(tmp_path: Path) -> None:
+    """Seven of eight simultaneous runs are refused with a line that names the differences.
+
+    The stored settings are whole.
+    """
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
         errors = at_once(starts(folder, list(range(8))))
@@ -54,7 +57,7 @@ def test_one_of_several_simultaneous_runs_with_different_settings_starts(tmp_pat
         assert [path.name for path in folder.folder.iterdir()] == ["animate.json"]
 
 
-def test_runs_with_equal_settings_share_the_folder(tmp_path: Path) -> None:
+def test_simultaneous_runs_with_equal_settings_share_a_frame_folder(tmp_path: Path) -> None:
     """Tasks of a job array start like this."""
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
@@ -62,8 +65,8 @@ def test_runs_with_equal_settings_share_the_folder(tmp_path: Path) -> None:
         folder.check_current({"seed": "3"})
 
 
-def test_one_of_several_overwriting_runs_remains(tmp_path: Path) -> None:
-    """The others notice at their next frame that another run uses the folder."""
+def test_one_of_several_overwriting_runs_keeps_the_frame_folder(tmp_path: Path) -> None:
+    """The other runs stop at their next frame, because another run uses the folder."""
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
         folder.prepare({"seed": "0"}, False)
@@ -79,8 +82,8 @@ def test_one_of_several_overwriting_runs_remains(tmp_path: Path) -> None:
         assert current == 1 and not (folder.folder / "frame_0000.png").exists()
 
 
-def test_a_run_without_frames_yet_is_not_overwritten(tmp_path: Path) -> None:
-    """Its first frame may take hours; the message offers --overwrite if the run has ended."""
+def test_frame_folder_of_a_run_without_frames_yet_is_not_overwritten(tmp_path: Path) -> None:
+    """The first frame of the other run may take hours; the message offers --overwrite if that run has ended."""
     folder = FrameFolder(tmp_path, "png")
     folder.prepare({"seed": "1", "samples": "8"}, False)
     with pytest.raises(ls.ConfigError) as raised:
@@ -94,7 +97,9 @@ def test_a_run_without_frames_yet_is_not_overwritten(tmp_path: Path) -> None:
     folder.check_current({"seed": "2", "samples": "8"})
 
 
-def test_without_hard_links_the_last_run_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_last_run_gets_the_frame_folder_if_hard_links_are_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Some file systems have no hard links."""
     monkeypatch.setattr("os.link", lambda *_: (_ for _ in ()).throw(OSError(1, "Operation not permitted")))
     folder = FrameFolder(tmp_path, "png")
@@ -106,8 +111,8 @@ def test_without_hard_links_the_last_run_starts(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.deep
-def test_one_of_two_simultaneous_processes_starts(tmp_path: Path) -> None:
-    """With different settings, all frames are of one process; the other ends with one line and status 2."""
+def test_one_of_two_processes_with_different_settings_gets_the_folder(tmp_path: Path) -> None:
+    """All frames are of one process; the other process ends with one line and status 2."""
     for number in range(3):
         folder = tmp_path / f"{number}" / "out"
         folder.parent.mkdir()

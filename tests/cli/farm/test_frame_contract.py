@@ -39,8 +39,8 @@ def images(work: Workspace, folder: str) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("*.png"))}
 
 
-def test_frame_ranges_of_an_orbit_make_the_whole(work) -> None:
-    """Numbers, ranges and steps may come in any order; a part counts its own frames."""
+def test_frame_ranges_of_an_orbit_equal_the_whole_orbit(work) -> None:
+    """Numbers, ranges and steps may come in any order; the output counts only the requested frames."""
     assert orbit(work, "whole").status == 0
     for part, count in (("1-5x2", 3), ("0,4", 2), ("2", 1)):
         assert f"{count} frame{'s' * (count > 1)} in" in orbit(work, "parts", "--frames", part).out
@@ -55,7 +55,7 @@ def render(work: Workspace, folder: str, *options: str):
     return work.run("render", "@capture.ply", "-o", f"@{folder}", *options)
 
 
-def test_resume_keeps_images_of_the_same_settings_only(work) -> None:
+def test_render_resume_keeps_images_of_the_same_settings_only(work) -> None:
     """Without --resume, all images are rendered anew."""
     assert render(work, "whole").status == 0
     assert render(work, "out", "--resume", "--frames", "1").status == 0
@@ -71,8 +71,8 @@ def test_resume_keeps_images_of_the_same_settings_only(work) -> None:
     assert "holds frames, but no render.json" in render(work, "out", "--resume").err
 
 
-def test_layers_are_written_before_the_image_that_marks_completion(work, monkeypatch) -> None:
-    """A run that ends in between leaves no finished frame."""
+def test_layers_of_a_frame_are_written_before_its_image(work, monkeypatch) -> None:
+    """The image marks a finished frame, so a run that ends in between leaves no frame without layers."""
     module = sys.modules[ls.Frame.__module__]
     written: list[str] = []
     write = module.write_png
@@ -97,16 +97,16 @@ def test_layers_are_written_before_the_image_that_marks_completion(work, monkeyp
         (("--frames", "2"), "there are 2 cameras, 0-1"),
     ],
 )
-def test_outputs_that_cannot_be_resumed_are_refused(work, options: tuple[str, ...], message: str) -> None:
-    """Each prints one line with status 2, and writes nothing."""
+def test_render_refuses_to_resume_unsuitable_outputs(work, options: tuple[str, ...], message: str) -> None:
+    """Each refusal prints one line with status 2, and writes nothing."""
     before = work.files()
     refused = render(work, "out", *options)
     assert refused.status == 2 and message in refused.err and refused.err.count("\n") == 1
     assert work.files() == before
 
 
-def test_a_run_stops_if_another_starts_in_its_folder(tmp_path: Path) -> None:
-    """The check comes before and after writing a frame, so that no frames mix."""
+def test_run_stops_if_another_run_starts_in_its_frame_folder(tmp_path: Path) -> None:
+    """The check comes before and after a frame is rendered, so that frames of two runs do not mix."""
     job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
     other = replace(job.frames, provenance={"kind": "other"})
 
@@ -125,8 +125,8 @@ def test_a_run_stops_if_another_starts_in_its_folder(tmp_path: Path) -> None:
         assert not list((tmp_path / "out").glob("*.png"))
 
 
-def test_a_stopped_run_leaves_the_frames_of_the_other(tmp_path: Path) -> None:
-    """It does not overwrite a frame that the other run has written."""
+def test_stopped_run_leaves_the_frames_of_the_run_that_replaced_it(tmp_path: Path) -> None:
+    """A frame that the other run has written is not overwritten."""
     job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
     theirs = replace(job.frames, provenance={"kind": "other"})
 
@@ -141,8 +141,8 @@ def test_a_stopped_run_leaves_the_frames_of_the_other(tmp_path: Path) -> None:
     assert theirs.folder.path(3).read_text() == "theirs"
 
 
-def test_a_kill_while_frames_are_removed_leaves_no_stamp(tmp_path: Path, monkeypatch) -> None:
-    """The stamp is removed first, so that old frames are not taken for new ones."""
+def test_kill_while_old_frames_are_removed_leaves_no_stored_settings(tmp_path: Path, monkeypatch) -> None:
+    """The file of settings is removed first, so that old frames are not taken for new ones."""
     maker = FakeMaker(tmp_path / "out")
     make_frames(maker.open_frames(lambda *_: None), lambda *_: None, overwrite=False, video=None, fewer="")
     frames = replace(maker.open_frames(lambda *_: None).frames, provenance={"kind": "other"})
@@ -191,7 +191,7 @@ def test_failed_frames_have_another_exit_status_than_mistakes(
         assert f"holds {index} of 8 frames; the same command continues" in str(raised.value)
 
 
-def test_a_full_disk_ends_with_status_3(work) -> None:
+def test_orbit_on_a_full_disk_ends_with_status_3(work) -> None:
     """A process limit of 8,000 bytes a file stands for the disk; no partial file is left."""
     program = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000)); "
@@ -206,7 +206,7 @@ def test_a_full_disk_ends_with_status_3(work) -> None:
     assert not list(work.path("out").glob("*.png")) and not list(work.path("out").glob(".*"))
 
 
-def test_the_stamp_stores_every_option_that_images_depend_on(work) -> None:
+def test_stored_settings_have_every_option_that_images_depend_on(work) -> None:
     """The test fails for a new option that is in neither list."""
     assert render(work, "out", "--resume", "--format", "exr").status == 0
     stamp = json.loads(work.path("out/render.json").read_text())

@@ -108,8 +108,8 @@ class Farmyard:
 
 
 @pytest.mark.parametrize("scheduler", ["slurm", "deadline", "opencue"])
-def test_array_tasks_render_each_frame_once(tmp_path: Path, scheduler: str) -> None:
-    """Each task gets a valid range, and the arguments unchanged, including spaces."""
+def test_scheduler_scripts_render_each_frame_once(tmp_path: Path, scheduler: str) -> None:
+    """Each task gets a valid range of frames, and the arguments unchanged, including spaces."""
     yard = Farmyard(tmp_path, is_real=False)
     yard.submit(scheduler, "animate", "my scene.toml", "-o", "frames")
     commands = [re.findall(r'"([^"]*)"', line) for line in yard.log.read_text().splitlines()]
@@ -121,8 +121,8 @@ def test_array_tasks_render_each_frame_once(tmp_path: Path, scheduler: str) -> N
     assert sorted(made) == list(range(COUNT))
 
 
-def test_array_tasks_beyond_the_last_frame_do_nothing(tmp_path: Path) -> None:
-    """The array is larger than the animation."""
+def test_scheduler_tasks_beyond_the_last_frame_do_nothing(tmp_path: Path) -> None:
+    """The job array is larger than the animation."""
     yard = Farmyard(tmp_path, is_real=False)
     variables = {"COUNT": "9", "MIN": "0", "MAX": "8", "STEP": "1", "ID": "8"}
     array = {f"SLURM_ARRAY_TASK_{name}": value for name, value in variables.items()}
@@ -131,8 +131,8 @@ def test_array_tasks_beyond_the_last_frame_do_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.deep
-def test_frames_of_schedulers_equal_those_of_one_process(tmp_path: Path) -> None:
-    """Frames are equal bit by bit with one stamp, so that the whole command finds all of them."""
+def test_frames_rendered_by_scheduler_scripts_equal_those_of_one_process(tmp_path: Path) -> None:
+    """Frames and stored settings are equal bit by bit."""
     yard = Farmyard(tmp_path, is_real=True)
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=60))
     orbit = "orbit", "capture.ply", "--seconds", "0.35", "--fps", "20", "--width", "16", "--height", "12", "-o"
