@@ -31,14 +31,14 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.placing import Vector
 
 LOGIT_MAX = 20.0
-"""Largest magnitude of written opacity logits: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""
+"""Largest magnitude of a written opacity logit: in float32 the sigmoid of 20 is 1, and that of -20 is 2e-9."""
 
 _log = logging.getLogger("lumisplat")
 
 Floats = npt.NDArray[np.floating]
 
 FIELDS = ("normals", "albedo", "roughness", "metallic")
-"""Optional fields of a capture: normals and materials."""
+"""Fields of a capture that trainers store in columns of their own: normals and materials."""
 
 LINEAR_COMMENT = "lumisplat materials linear"
 """Lumisplat's PLY header comment: albedo is linear Rec.709, and all materials are within 0..1."""
@@ -59,13 +59,13 @@ class MaterialColumns:
     """Names and encodings of the columns in which one trainer stores normals and materials."""
 
     properties: Mapping[str, tuple[str, ...]]
-    """PLY properties of each field, in order."""
+    """PLY properties that store each field, in order."""
     sigmoids: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Factor and offset of each sigmoid-encoded field: value = factor * sigmoid(stored) + offset. Other fields are
     stored directly."""
 
     def activated(self, name: str, stored: Floats) -> Floats:
-        """Decodes stored values of a field. Values that are not finite give values that are not finite."""
+        """Decodes the stored values of a field. A value that is not finite stays not finite."""
         if name not in self.sigmoids:
             return stored
         factor, offset = self.sigmoids[name]
@@ -74,7 +74,7 @@ class MaterialColumns:
         return np.where(np.isfinite(stored), values, np.nan).astype(np.float32)
 
     def stored(self, name: str, values: Floats) -> Floats:
-        """Encodes values of a field, clamped to what the encoding can represent; float32 for sigmoid fields."""
+        """Encodes the values of a field, clamped to what the encoding can store; float32 for sigmoid-encoded fields."""
         if name not in self.sigmoids:
             return values
         factor, offset = self.sigmoids[name]
@@ -97,7 +97,7 @@ LINEAR = MaterialColumns(
         "metallic": ("metallic",),
     }
 )
-"""Columns of Lumisplat: all fields stored directly."""
+"""Columns of Lumisplat, which store all fields directly."""
 
 R3DG = MaterialColumns(
     {
@@ -120,7 +120,7 @@ _GS_IR = MaterialColumns(
 
 
 def has_linear_comment(comments: tuple[str, ...]) -> bool:
-    """Returns whether a header comment marks the materials as Lumisplat's linear ones."""
+    """Returns whether a header comment says that the materials are linear values, as Lumisplat writes them."""
     return any(map(_LINEAR.fullmatch, comments))
 
 
@@ -157,13 +157,13 @@ class SplatColumns:
     opacities: Floats
     """Logits if ``opacities_are_logits``, else opacities in 0..1, shape (N,)."""
     sh: Floats
-    """SH coefficients, DC first, shape (N, K, 3)."""
+    """K SH coefficients per Gaussian, DC first, shape (N, K, 3)."""
     normals: Floats | None = None
     albedo: Floats | None = None
     roughness: Floats | None = None
     metallic: Floats | None = None
     incident: Floats | None = None
-    """SH coefficients of incident light, DC first, shape (N, J, 3)."""
+    """J SH coefficients of incident light per Gaussian, DC first, shape (N, J, 3)."""
     material_columns: MaterialColumns = LINEAR
     """Encoding of normals and materials."""
     scales_are_logarithms: bool = True
@@ -172,9 +172,10 @@ class SplatColumns:
     kernel_degree: int = KERNEL_DEGREE
     comments: tuple[str, ...] = ()
     orientation: Orientation = UNSTATED
-    """Up and first view, in the axes of the means."""
+    """Up direction and first view, in the axes of the means."""
     origin: Vector = (0.0, 0.0, 0.0)
-    """Origin of the means, as in `Gaussians`, added to the origin that a header comment states."""
+    """Origin of the means, as in `Gaussians`, without the origin that ``comments`` states; `gaussians_from_columns`
+    sums both."""
 
     @property
     def count(self) -> int:
@@ -202,24 +203,25 @@ REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
 """Fields that every capture has."""
 
 OPTIONAL = (*FIELDS, "incident")
-"""Fields that only some captures have."""
+"""Fields that only some captures have: `FIELDS` and incident light."""
 
 _STEPS = 4
-"""Neighbouring float32 values tried on each side of a logarithm or logit, to read back the exact value."""
+"""Number of float32 neighbours on each side of a logarithm or logit that are tried, to find one that decodes exactly.
+"""
 
 _ACTIVATED_MIN = 32
-"""Fewest Gaussians from whose values the encoding of scales and opacities is inferred."""
+"""Smallest number of Gaussians from which the encoding of scales and opacities is inferred."""
 
 LOGITS_COMMENT = "lumisplat logits"
 """Lumisplat's PLY header comment: scales are logarithms and opacities logits, even if their values suggest otherwise.
 """
 
 _PROBLEMS_LISTED = 6
-"""Largest number of properties that an error about invalid values lists, before "and more"."""
+"""Largest number of properties with invalid values that an error lists, before "and more"."""
 
 
 def sh_names(prefix: str, coefficients: int) -> list[str]:
-    """Returns PLY properties of SH in the order of ``sh.reshape(N, -1)``.
+    """Returns the PLY properties of the SH of N Gaussians, in the order of ``sh.reshape(N, -1)``.
 
     Files order the ``rest`` coefficients by channel, unlike ``sh``.
 
@@ -233,7 +235,7 @@ def sh_names(prefix: str, coefficients: int) -> list[str]:
 
 
 def joined_columns(parts: Sequence[SplatColumns]) -> SplatColumns:
-    """Concatenates captures of the same encoding, without materials. SH of lower degree are padded with zeros.
+    """Concatenates captures of one encoding, without materials. SH of lower degree are padded with zeros.
 
     Args:
         parts: The captures, at least one.
@@ -248,10 +250,10 @@ def joined_columns(parts: Sequence[SplatColumns]) -> SplatColumns:
 def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[bool, bool]:
     """Infers whether scales, and whether opacities, are stored directly instead of as logarithms and logits.
 
-    In a trained capture some logits lie outside 0..1, and some logarithms are negative. So opacities within 0..1 are
-    stored directly if the scales are all positive, or if they span nearly all of 0..1: as logits they would all give
-    opacities of 0.5 to 0.73. Scales beside logits are stored directly if they are positive and, read as logarithms,
-    would be of nearly one size or far larger than the capture.
+    In a trained capture some logits lie outside 0..1, and some logarithms are negative. Stored opacities that all lie
+    within 0..1 are therefore opacities if all scales are positive, or if the opacities span nearly all of 0..1: as
+    logits they would all mean 0.5 to 0.73. Scales beside logits are stored directly if they are positive and, taken as
+    logarithms, would be of nearly one size or far larger than the capture.
 
     Args:
         columns: Scales and opacities as the file has them; invalid Gaussians are ignored.
@@ -293,7 +295,7 @@ def look_like_logits(opacities: Floats, *, with_logarithms: bool) -> bool:
 
 
 def recognise_activated(path: PathLike, columns: SplatColumns, scale_columns: int = 3) -> None:
-    """Sets the encoding of scales and opacities to what `stored_activated` infers, and logs unusual results."""
+    """Sets the encoding of scales and opacities that `stored_activated` infers, and logs an unusual encoding."""
     scales, opacities = stored_activated(columns, scale_columns)
     columns.scales_are_logarithms, columns.opacities_are_logits = not scales, not opacities
     found = ["opacities of 0..1, not logits"] * opacities + ["positive scales, not logarithms"] * scales
@@ -314,7 +316,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
         path: File to name in errors.
         columns: Columns as read from the file.
         drop_invalid: Drop Gaussians with NaN or infinite values, or a rotation or normal of zero length, and log their
-            number. Infinite logits are valid (opacities 0 and 1), as are logarithms of -inf (the smallest scale).
+            number. Infinite logits are valid (opacities 0 and 1), and so are logarithms of -inf (the smallest scale).
 
     Raises:
         FormatError: There are invalid values and ``drop_invalid`` is False, no Gaussian is left, or a value is out of
@@ -356,7 +358,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
 def _rows_to_keep(
     path: PathLike, columns: SplatColumns, scales: Floats, drop_invalid: bool
 ) -> slice | npt.NDArray[np.bool_]:
-    """Selects all Gaussians, or only the valid ones if invalid ones may be dropped; raises `FormatError` otherwise."""
+    """Selects all Gaussians if all are valid, else the valid ones if ``drop_invalid``, else raises `FormatError`."""
     invalid, problems = _invalid_rows(columns, scales)
     if not problems:
         return slice(None)
@@ -372,7 +374,7 @@ def _rows_to_keep(
 
 @np.errstate(all="ignore")  # as in `gaussians_from_columns`
 def invalid_rows(columns: SplatColumns) -> tuple[npt.NDArray[np.bool_], str]:
-    """Returns a mask of the invalid Gaussians, shape (N,), and a description of their problems."""
+    """Returns a mask that is True for each invalid Gaussian, shape (N,), and a text that describes their problems."""
     invalid, problems = _invalid_rows(columns, _linear_scales(columns))
     return invalid, _listed(problems)
 
@@ -382,7 +384,7 @@ def _listed(problems: list[str]) -> str:
 
 
 def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np.bool_], list[str]]:
-    """Returns a mask of the invalid Gaussians, shape (N,), and one phrase per invalid property."""
+    """Returns a mask that is True for each invalid Gaussian, shape (N,), and one phrase for each invalid property."""
     invalid = np.zeros(columns.count, dtype=bool)
     problems: list[str] = []
     for attribute in (*REQUIRED, *OPTIONAL):
@@ -454,7 +456,7 @@ def _logits(opacities: Floats) -> Floats:
 
 @np.errstate(divide="ignore")  # logits of 0 and 1
 def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Callable[[Floats], Floats]) -> FloatArray:
-    """Finds float32 numbers that decode to these values bit for bit, or to the nearest possible values.
+    """Finds float32 numbers that decode to ``values`` bit for bit, or as closely as possible.
 
     Args:
         values: Scales or opacities.
@@ -472,7 +474,7 @@ def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Calla
 
 
 def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs which of a capture's materials, normals and origin the format cannot store."""
+    """Logs which of the capture's normals, materials and incident light are lost in this format, and a lost origin."""
     lost = [name for name in OPTIONAL if getattr(gaussians, name) is not None]
     if lost:
         _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))
@@ -487,7 +489,7 @@ def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None
 
 
 def warn_losses(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs what a format without comments cannot store: materials, normals, origin and kernel degree."""
+    """Logs what a format without header comments loses: materials, normals, origin and kernel degree of the capture."""
     warn_lost_materials(path, kind, gaussians)
     if gaussians.kernel_degree != KERNEL_DEGREE:
         _log.warning(
@@ -523,11 +525,11 @@ def mirror_axes(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColu
 
 
 def unpack_smallest_three(largest: npt.NDArray[np.integer], smallest: Floats) -> FloatArray:
-    """Restores unit quaternions from their three smallest components; the largest one is positive.
+    """Restores N unit quaternions from their three smallest components; the largest component is positive.
 
     Args:
         largest: Index of the component that is not stored, 0..3, shape (N,).
-        smallest: The other three components, in order, shape (N, 3).
+        smallest: The other three components, in ascending order of their index, shape (N, 3).
 
     Returns:
         Quaternions in the component order of the file, shape (N, 4), float32.
@@ -541,14 +543,15 @@ def unpack_smallest_three(largest: npt.NDArray[np.integer], smallest: Floats) ->
 
 
 def pack_smallest_three(quaternions: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Packs unit quaternions as their three smallest components, the inverse of `unpack_smallest_three`.
+    """Packs N unit quaternions as their three smallest components, the inverse of `unpack_smallest_three`.
+
+    A quaternion with a negative largest component is negated first, which does not change its rotation.
 
     Args:
         quaternions: Unit quaternions, shape (N, 4).
 
     Returns:
-        Index of the largest component, shape (N,), and the other three components of the quaternion with a positive
-        largest component, shape (N, 3), each within +-sqrt(1/2).
+        Index of the largest component, shape (N,), and the other three components, within +-sqrt(1/2), shape (N, 3).
     """
     largest = np.abs(quaternions).argmax(axis=1)
     rows = np.arange(len(quaternions))

@@ -2,8 +2,8 @@
 
 Layout: https://github.com/playcanvas/engine/issues/6204 and PlayCanvas's splat-transform. A chunk stores minimum and
 maximum of position, log scale and, in newer files, colour. A Gaussian stores position and scale as 11+10+11 bits each,
-its rotation as its smallest three components (2+10+10+10, wxyz), and colour and opacity as 8 bits each. SH from degree
-1 are 8 bits over -4..4 in an element of its own. Axes are those of the original PLY.
+its rotation as the three smallest components of the quaternion (2+10+10+10 bits, wxyz), and colour and opacity as 8
+bits each. SH from degree 1 are stored in a separate element, as 8 bits over -4..4. Axes are those of the original PLY.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ _log = logging.getLogger("lumisplat")
 
 _CHUNK = 256
 _LOG_SCALE_MAX = 20.0
-"""Written log scales are clamped to this magnitude, as in PlayCanvas: an outlier would coarsen its whole chunk."""
+"""Largest magnitude of written log scales, as in PlayCanvas; larger ones are clamped, as one would coarsen its whole
+chunk."""
 
 _POSITION_RANGE = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
 _SCALE_RANGE = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
@@ -95,7 +96,7 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
 
 
 def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str]) -> None:
-    """Raises `FormatError` unless an element has all of the properties with the given type."""
+    """Raises `FormatError` unless the element ``name`` has all of ``properties`` with the type ``code``."""
     types = {prop.name: prop.code for prop in header.required(name).properties}
     wrong = [prop for prop in properties if types.get(prop) != code]
     if wrong:
@@ -103,7 +104,7 @@ def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str])
 
 
 def _unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
-    """Splits 32-bit words into bit fields, highest bits first, each scaled to 0..1, shape (N, fields)."""
+    """Splits N 32-bit words into bit fields, highest bits first, each scaled to 0..1, shape (N, fields)."""
     values = np.empty((len(packed), len(bits)), dtype=np.float32)
     shift = 32
     for i, width in enumerate(bits):
@@ -115,7 +116,7 @@ def _unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
 
 
 def _pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
-    """Packs fields into 32-bit words, the inverse of `_unpack_bits`; fields are clamped to 0..1 and rounded."""
+    """Packs bit fields into 32-bit words, the inverse of `_unpack_bits`. Values are clamped to 0..1 and rounded."""
     packed = np.zeros(len(values), dtype=np.uint32)
     for i, width in enumerate(bits):
         limit = (1 << width) - 1
@@ -125,7 +126,13 @@ def _pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
 
 
 def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Floats:
-    """Scales values from 0..1 to the ranges of their chunks, shape (N, 3)."""
+    """Scales the values of Gaussians from 0..1 to the range of the chunk that each Gaussian belongs to, shape (N, 3).
+
+    Args:
+        unit: Values of N Gaussians, 0..1, shape (N, 3).
+        chunk: Rows of the chunks.
+        names: Properties of ``chunk`` with the three minima, then the three maxima.
+    """
     low, high = (np.stack([chunk[name] for name in part], axis=1) for part in (names[:3], names[3:]))
     with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges give non-finite values, refused later
         low, size = (np.repeat(values, _CHUNK, axis=0)[: len(unit)] for values in (low, high - low))
@@ -133,7 +140,10 @@ def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Fl
 
 
 def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
-    """Returns SH coefficients, shape (N, K, 3): the DC term and, if the file has an ``sh`` element, higher degrees."""
+    """Returns K SH coefficients of each of N Gaussians, shape (N, K, 3).
+
+    The coefficients are the DC term ``dc`` and, if the file has an ``sh`` element, those of higher degrees.
+    """
     element = header.element("sh")
     if element is None:
         return dc[:, None, :]
@@ -192,9 +202,9 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
-    """Logs how many Gaussians are in chunks whose positions are coarse because of a distant outlier.
+    """Logs how many Gaussians are in chunks whose quantised positions are coarse because of a distant outlier.
 
-    A chunk is coarse if its position step is larger than the median over its Gaussians of their largest scale.
+    The positions of a chunk are coarse if their step is larger than the median of its Gaussians' largest scales.
     """
     starts = np.arange(0, ordered.count, _CHUNK)
     means = ordered.means
@@ -212,7 +222,14 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
 
 
 def _chunk_ranges(values: Floats) -> tuple[Floats, Floats]:
-    """Returns minimum and maximum of each chunk, shape (C, 6), and the values scaled to them, 0..1, shape (N, 3)."""
+    """Returns the value range of each chunk, and the values scaled to 0..1 of their chunk's range.
+
+    Args:
+        values: Three values of each of N Gaussians, in chunks of 256 rows, shape (N, 3).
+
+    Returns:
+        The three minima and three maxima of each chunk, shape (chunks, 6), and the scaled values, shape (N, 3).
+    """
     starts = np.arange(0, len(values), _CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     size = np.where(high > low, high - low, 1.0)

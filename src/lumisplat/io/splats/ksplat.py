@@ -4,12 +4,12 @@
 three float32, scales (standard deviations) as three float32, red, green, blue and opacity as four bytes, and rotation
 wxyz as four bytes, 128 q + 128. Axes are those of the original PLY. Layout: https://github.com/antimatter15/splat.
 
-``.ksplat`` of mkkellogg's GaussianSplats3D, version 0.1, is uncompressed or has one of two compression levels. A header
-of 4,096 bytes is followed by a header of 1,024 bytes for each section, then by the sections. A section has the lengths
-of its partially filled buckets, the centres of all buckets, and a row for each Gaussian: position, scales, rotation
-wxyz, red, green, blue and opacity as bytes, and SH of degree 0 to 2, ordered by channel within a degree. Level 0 uses
-float32. Level 1 uses float16, and positions as 16-bit offsets from the bucket centre; full buckets come first. Level 2
-also stores SH as bytes, between two limits in the header. Axes are those of the original PLY.
+``.ksplat`` of mkkellogg's GaussianSplats3D, version 0.1, is uncompressed (compression level 0) or has compression level
+1 or 2. A header of 4,096 bytes is followed by a header of 1,024 bytes for each section, then by the sections. A section
+has the lengths of its partially filled buckets, the centres of all buckets, and a row for each Gaussian: position,
+scales, rotation wxyz, red, green, blue and opacity as bytes, and SH of degree 0 to 2, ordered by channel within a
+degree. Level 0 uses float32. Level 1 uses float16, and positions as 16-bit offsets from the bucket centre; full buckets
+come first. Level 2 also stores SH as bytes, between two limits in the header. Axes are those of the original PLY.
 Layout: https://github.com/mkkellogg/GaussianSplats3D, src/loaders/SplatBuffer.js.
 """
 
@@ -53,7 +53,8 @@ def read_splat(path: PathLike) -> SplatColumns:
 
 
 _HEADER = struct.Struct("<BB2xI4xI4xH14x2f")
-"""Version, number of sections, number of Gaussians, compression level, smallest and largest SH coefficient of level 2.
+"""Header of a file: version, number of sections, number of Gaussians, compression level, and the smallest and largest
+SH coefficient, which only compression level 2 uses.
 """
 _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
 _SECTION = struct.Struct("<4x3If4xI4x2IH")
@@ -61,32 +62,32 @@ _SECTION = struct.Struct("<4x3If4xI4x2IH")
 _BUCKET_BYTES = 12
 
 _COMPONENTS = (0, 9, 24)
-"""Number of SH coefficients above DC over all channels, by degree."""
+"""Number of SH values above DC, over all three channels, by SH degree."""
 _SCALE_RANGE = (1, 32767, 32767)
-"""Default number of quantisation steps from the centre of a bucket to its side, by level."""
+"""Default number of quantisation steps from the centre of a bucket to its side, by compression level."""
 _HALF_RANGE = 1.5
-"""Default magnitude of the SH limits of level 2."""
+"""Magnitude of the smallest and largest SH coefficient if the header states 0; for compression level 2."""
 
 
 class _File(NamedTuple):
-    """A file and the values of its header that apply to all sections."""
+    """A file, and the values of its header that apply to all sections."""
 
     path: PathLike
     data: bytes
     level: int
     limits: tuple[float, float]
-    """Smallest and largest SH coefficient of level 2."""
+    """Smallest and largest SH coefficient, to which compression level 2 maps bytes."""
 
 
 class _Section(NamedTuple):
-    """Header of a section."""
+    """Header of one section."""
 
     gaussians: int
     bucket_size: int
     """Number of Gaussians in a full bucket."""
     bucket_count: int
     block_size: float
-    """Edge length of a bucket's cube, scene units."""
+    """Edge length of a bucket, a cube, in scene units."""
     scale_range: int
     full_count: int
     """Number of full buckets."""
@@ -95,7 +96,7 @@ class _Section(NamedTuple):
 
 
 def read_ksplat(path: PathLike) -> SplatColumns:
-    """Reads a ``.ksplat``. Sections with SH of lower degree than others are padded with zeros.
+    """Reads a ``.ksplat``. If sections differ in SH degree, the SH of lower degrees are padded with zeros.
 
     Raises:
         FormatError: The file cannot be read, has an unknown version or level, or is truncated or damaged.
@@ -160,7 +161,7 @@ def _read_section(file: _File, start: int, head: _Section) -> tuple[SplatColumns
 
 
 def _row(level: int, degree: int) -> np.dtype[np.void]:
-    """Returns the data type of a stored Gaussian."""
+    """Returns the data type of the row that stores a Gaussian at a compression level and an SH degree."""
     number, position, sh = (("<f4", "<f4", "<f4"), ("<f2", "<u2", "<f2"), ("<f2", "<u2", "u1"))[level]
     return np.dtype(
         [
@@ -174,7 +175,7 @@ def _row(level: int, degree: int) -> np.dtype[np.void]:
 
 
 def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
-    """Returns the centre of each Gaussian's bucket, shape (N, 3)."""
+    """Returns the centre of the bucket of each of N Gaussians, shape (N, 3)."""
     lengths = np.frombuffer(file.data, "<u4", head.partial_count, start).astype(np.int64)
     full = head.full_count * head.bucket_size
     if head.full_count + head.partial_count != head.bucket_count or full + int(lengths.sum()) != head.gaussians:
@@ -187,6 +188,9 @@ def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
 
 
 def _degrees(stored: Floats) -> list[Floats]:
-    """Splits stored SH by degree, from 1, each with shape (N, 2 degree + 1, 3). The file orders them by channel."""
+    """Splits the stored SH of N Gaussians by degree, from degree 1; shape (N, 2 degree + 1, 3) each.
+
+    The file orders the coefficients of a degree by channel.
+    """
     degrees = np.split(stored, [9], axis=1) if stored.shape[1] else []
     return [one.reshape(len(stored), 3, -1).transpose(0, 2, 1) for one in degrees]

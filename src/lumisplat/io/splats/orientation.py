@@ -1,9 +1,9 @@
 """Reads and writes up direction, first view and origin of a capture, as JSON values or as PLY header comments.
 
 Formats with JSON metadata store ``{"up": [x, y, z], "first_view": {"eye", "target", "up", "fov_y", "width",
-"height"}}``, in the axes of the loaded Gaussians. PLY headers have one comment for each: ``lumisplat up 0 0 1``,
-``lumisplat first_view {...}`` and ``lumisplat origin 500000 4649000 0``, to which positions are relative. nerfstudio's
-comment ``Vertical Axis: z`` is also read.
+"height"}}``, in the axes of the loaded Gaussians. PLY headers have a comment for each value: ``lumisplat up 0 0 1``,
+``lumisplat first_view {...}``, and ``lumisplat origin 500000 4649000 0`` for the origin that positions are relative to.
+nerfstudio's comment ``Vertical Axis: z`` is also read.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ _UP = re.compile(r"\s*lumisplat\s+up\s+(?P<numbers>.*)", re.I)
 _FIRST_VIEW = re.compile(r"\s*lumisplat\s+first_view\s+(?P<values>\{.*)", re.I)
 _ORIGIN = re.compile(r"\s*lumisplat\s+origin\s+(?P<numbers>.*)", re.I)
 _VERTICAL_AXIS = re.compile(r"\s*(?:vertical|up)[ _-]*axis\s*[:=]?\s*(?P<sign>[+-]?)(?P<axis>[xyz])\b.*", re.I)
-"""Matches the comment of nerfstudio's ``ns-export gaussian-splat`` and similar ones."""
+"""Matches the vertical-axis comment that nerfstudio's ``ns-export gaussian-splat`` writes."""
 
 _DIGITS = 9
-"""Significant digits of written numbers: those of float32, in which Gaussians are stored."""
+"""Number of significant digits written: those of float32, the type of Gaussians."""
 
 
 class Orientation(NamedTuple):
-    """Up direction and first view that a file states, or None."""
+    """Up direction and first view of a capture; each is None if the file does not state it."""
 
     up: Vector | None = None
     first_view: Camera | None = None
 
 
 UNSTATED = Orientation()
-"""Orientation of a file that states neither."""
+"""Orientation of a file that states neither up direction nor first view."""
 
 
 def orientation_values(up: Vector | None, view: Camera | None) -> dict[str, Any]:
-    """Converts up direction and first view to JSON values; None is omitted."""
+    """Converts up direction and first view to JSON values; a value of None is omitted."""
     values: dict[str, Any] = {}
     if up is not None:
         values["up"] = _rounded(up)
@@ -66,7 +66,7 @@ def orientation_values(up: Vector | None, view: Camera | None) -> dict[str, Any]
 
 
 def orientation_of(path: PathLike, values: object) -> Orientation:
-    """Parses up direction and first view from JSON values. Invalid ones are ignored, with a log line.
+    """Parses up direction and first view from JSON values. An invalid value is ignored, with a log line.
 
     Args:
         path: File to name in log lines.
@@ -89,7 +89,7 @@ def orientation_of(path: PathLike, values: object) -> Orientation:
 
 
 def orientation_of_text(path: PathLike, text: str | bytes) -> Orientation:
-    """Parses up direction and first view from JSON text, as `orientation_of` does."""
+    """Parses up direction and first view from JSON text; see `orientation_of`."""
     try:
         return orientation_of(path, json.loads(text))
     except (ValueError, TypeError, RecursionError):
@@ -128,7 +128,7 @@ def without_orientation(comments: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def origin_of_comments(path: PathLike, comments: tuple[str, ...]) -> Vector:
-    """Returns the origin that the last such PLY comment states; zero if there is none or it is not three numbers."""
+    """Returns the origin in the last comment ``lumisplat origin``; zero if there is none or it is not three numbers."""
     stated = [match["numbers"] for match in map(_ORIGIN.fullmatch, comments) if match]
     try:
         return vector("origin", [float(number) for number in stated[-1].split()]) if stated else (0.0, 0.0, 0.0)

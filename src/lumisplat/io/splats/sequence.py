@@ -14,7 +14,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
 _EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog")
-"""File extensions of frames. The first one that a file name ends with is its extension."""
+"""File extensions of frames, longer ones first: a file has the first extension that its name ends with."""
 
 
 def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians | Mesh | Scene]) -> GaussianSequence:

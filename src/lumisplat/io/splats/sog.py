@@ -2,8 +2,8 @@
 
 A capture is a folder or a zip bundle. Pixel i of each image, counted row by row, belongs to Gaussian i. Version 2
 stores scales and SH as indices into codebooks of 256 values, fitted for a small squared error (Max 1960, Lloyd 1982).
-Version 1, which has no version number, maps bytes linearly to a range. Axes are those of the original PLY. Version 2 is
-written. Gaussians are sorted along a Morton curve, which compresses better, so their order changes.
+Version 1, whose meta.json has no version number, maps bytes linearly to a range. Axes are those of the original PLY.
+Lumisplat writes version 2, with the Gaussians sorted along a Morton curve, which compresses better.
 Specification: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/
 """
 
@@ -60,10 +60,11 @@ LUMISPLAT_KEY = "lumisplat"
 """Key in meta.json of Lumisplat's own metadata: up direction and first view."""
 
 _PALETTE_COLUMNS = 64
-"""SH palette entries per row of the centroids image; an entry has one pixel per coefficient."""
+"""SH palette entries in a row of the centroids image; an entry has one pixel for each coefficient."""
 
 _QUATERNION_TAG = 252
-"""Alpha of a rotation pixel minus this is the index of the quaternion's largest component."""
+"""Offset of the alpha of a rotation pixel: alpha minus the offset is the index of the quaternion's largest component.
+"""
 
 _DECODER_THREADS = 4
 Contents = dict[str, bytes]
@@ -75,19 +76,19 @@ _COMPRESSION = 1
 """Effort of Pillow's lossless WebP encoder, 0 to 6; see docs/adr/0065-sog-codebooks-by-k-means.md."""
 
 _IMAGE_SIDE_MAX = 16_380
-"""Largest width and height of a WebP image that is a multiple of 4."""
+"""Largest width and height of a written image: the largest multiple of 4 that WebP supports."""
 
 _FILE_TIME = (1980, 1, 1, 0, 0, 0)
-"""Timestamp of all files in a bundle, the earliest that zip supports. Equal captures thus give equal bytes."""
+"""Timestamp of all files in a bundle, the earliest that zip supports: equal captures become equal bytes."""
 
 _THREADS = 4
 
 
 def fit_codebook(values: Floats) -> npt.NDArray[np.float32]:
-    """Fits a codebook of 256 ascending numbers to ``values``. For fewer distinct values, the last entry repeats.
+    """Fits a codebook of 256 ascending numbers to ``values``. If fewer values are distinct, the last entry repeats.
 
-    The range is split 255 times where a split lowers the squared error most, so that outliers get an entry of their
-    own. Then Lloyd's algorithm updates entries and borders in turn.
+    The sorted values are split 255 times where a split lowers the squared error most, so that outliers get entries of
+    their own. Then Lloyd's algorithm updates the entries and the borders between them in turn.
 
     Args:
         values: Finite numbers of any shape, at least one.
@@ -113,7 +114,10 @@ def encode(values: Floats, codebook: npt.NDArray[np.float32]) -> npt.NDArray[np.
 
 
 class _PrefixSums:
-    """Prefix sums of ascending numbers, for means and squared errors of runs in constant time."""
+    """Prefix sums of ascending numbers, which give the mean and the squared error of any run of them in constant time.
+
+    A run is the numbers from one index to another.
+    """
 
     def __init__(self, ordered: Doubles) -> None:
         self._center = ordered.mean()
@@ -122,11 +126,11 @@ class _PrefixSums:
         self._squares = np.concatenate([[0.0], np.cumsum(centered * centered)])
 
     def means(self, borders: npt.NDArray[np.intp]) -> Doubles:
-        """Returns the mean of each run between consecutive borders."""
+        """Returns the mean of each run; runs lie between consecutive indices in ``borders``."""
         return np.diff(self._sum[borders]) / np.diff(borders) + self._center
 
     def best_cut(self, start: int, end: int) -> tuple[float, int]:
-        """Finds the split of a run that lowers its squared error most. Returns that gain and the index of the split."""
+        """Finds where to split a run to lower its squared error most. Returns the reduction and the index."""
         if end - start < 2:
             return 0.0, start
         cuts = np.arange(start + 1, end)
@@ -137,12 +141,12 @@ class _PrefixSums:
         return float(gains[best]), start + 1 + best
 
     def least_gain(self) -> float:
-        """Returns the gain below which a split is only rounding error."""
+        """Returns the reduction of the squared error up to which it may be only a rounding error."""
         return 1e-12 * float(self._squares[-1])
 
 
 def _split_runs(sums: _PrefixSums, count: int) -> npt.NDArray[np.intp]:
-    """Splits ``count`` ascending numbers greedily into at most 256 runs. Returns all borders, including both ends."""
+    """Splits ``count`` ascending numbers greedily into at most 256 runs. Returns the borders, from 0 to ``count``."""
 
     def entry(start: int, end: int) -> tuple[float, int, int, int]:
         gain, cut = sums.best_cut(start, end)
@@ -216,14 +220,14 @@ def _read_member(path: PathLike, bundle: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _plain_name(path: PathLike, name: str) -> str:
-    """Returns the file name, or raises `FormatError` if it contains a folder."""
+    """Returns ``name``, a file name in meta.json; raises `FormatError` if it contains a folder."""
     if Path(name).name != name:
         raise FormatError(path, f"refers to {name!r}, expected the name of a file beside its meta.json")
     return name
 
 
 def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
-    """Decodes images to RGBA pixels, shape (height, width, 4), in several threads."""
+    """Decodes images to RGBA pixels, shape (height, width, 4), by name, in several threads."""
 
     def decoded(name: str) -> Bytes:
         with _decoding(path, name):
@@ -245,7 +249,7 @@ def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]
 
 @contextmanager
 def _decoding(path: PathLike, name: str) -> Generator[None]:
-    """Converts errors of Pillow's decoders to `FormatError` that names the image."""
+    """Converts errors of Pillow's decoders inside the block to a `FormatError` that names the image."""
     try:
         yield
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
@@ -287,7 +291,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
 
 
 def _values(stored: Bytes, field: Meta) -> Floats:
-    """Decodes bytes to numbers with the codebook of a field or, in version 1, with its range."""
+    """Decodes bytes to numbers by the codebook, or in version 1 the range, that a meta.json entry states."""
     if "codebook" not in field:
         return _scale_to_range(stored / np.float32(255.0), field)
     codebook = np.array(field["codebook"], dtype=np.float32)
@@ -297,15 +301,15 @@ def _values(stored: Bytes, field: Meta) -> Floats:
 
 
 def _scale_to_range(unit: Floats, field: Meta) -> Floats:
-    """Scales values from 0..1 to the range of a field."""
+    """Scales values from 0..1 to the range that a meta.json entry states."""
     low, high = (np.asarray(field[name], dtype=np.float32) for name in ("mins", "maxs"))
     return low + unit * (high - low)
 
 
 def _rotations(pixels: Bytes) -> Floats:
-    """Decodes quaternions wxyz, shape (N, 4), from their smallest three components, one byte each.
+    """Decodes N quaternions wxyz, shape (N, 4), from their three smallest components, one byte each.
 
-    A pixel with an invalid tag gives a zero quaternion, which is refused later.
+    A pixel with an invalid tag gives a zero quaternion, which later checks refuse.
     """
     smallest = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     largest = pixels[:, 3].astype(np.int64) - _QUATERNION_TAG
@@ -313,7 +317,14 @@ def _rotations(pixels: Bytes) -> Floats:
 
 
 def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Callable[[str], Bytes]) -> Floats:
-    """Looks up SH coefficients from degree 1 in a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
+    """Looks up the SH coefficients above DC of N Gaussians in a palette, shape (N, coefficients, 3).
+
+    Args:
+        path: File to name in errors.
+        field: Entry of the SH in meta.json.
+        images: Decoded images by name.
+        rows: Returns the pixels of an image for the N Gaussians.
+    """
     # Writers list the centroids first, the specification lists the labels first: only the names are reliable.
     centroids_name, labels_name = sorted(field["files"][:2], key=lambda name: "label" in name)
     centroids = images[centroids_name][..., :3]
@@ -366,7 +377,7 @@ def write_folder(meta: Path, contents: Contents, written: list[Path]) -> None:
     """Writes the files of a capture into a folder.
 
     The old ``meta.json`` is removed first and the new one written last. A folder without it is no capture, so an
-    interrupted write never leaves a mix of old and new files that loads.
+    interrupted write never leaves a mix of old and new files that could be loaded.
 
     Args:
         meta: Path of the ``meta.json``.
@@ -418,10 +429,11 @@ def sog_contents(gaussians: Gaussians) -> Contents:
 
 
 def coarse_steps(gaussians: Gaussians) -> Floats:
-    """Returns the position steps, scene units, of the Gaussians that are smaller than their step.
+    """Returns the position steps of those Gaussians that are smaller than their step, in scene units.
 
-    A step is 1 / 65535 of the range of the log-encoded positions, or their float32 rounding (engines decode in single
-    precision), whichever is larger, times the derivative 1 + abs(x).
+    The step of a coordinate x is the step of its logarithm times the derivative 1 + abs(x). The step of the logarithm
+    is 1 / 65535 of the range of all logarithms, or the spacing of float32 at the logarithm (engines decode in single
+    precision), whichever is larger.
     """
     means = gaussians.means.astype(np.float64)
     logs = np.log1p(np.abs(means))
@@ -436,8 +448,8 @@ def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
 
     Args:
         path: The file.
-        count: Number of such Gaussians.
-        step: Largest step, scene units.
+        count: Number of Gaussians that are smaller than their step.
+        step: Largest of their steps, scene units.
     """
     if count:
         _log.warning(
@@ -450,7 +462,7 @@ def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
 
 
 def _mean_images(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, Any]:
-    """Encodes positions as two images, of low and high bytes. Returns their meta.json entry."""
+    """Encodes positions as two images, of low and high bytes. Returns the entry of the positions in meta.json."""
     logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
     low, high = logs.min(axis=0), logs.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
@@ -460,7 +472,7 @@ def _mean_images(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, A
 
 
 def _rotation_image(wxyz: Floats) -> Bytes:
-    """Encodes quaternions as bytes: the smallest three components and the tag of the largest one."""
+    """Encodes quaternions as pixels: the three smallest components, then the tag of the largest component as alpha."""
     largest, smallest = pack_smallest_three(wxyz)
     unit = np.clip(smallest * np.sqrt(0.5) + 0.5, 0.0, 1.0)
     return np.column_stack([np.floor(255.0 * unit + 0.5), largest + _QUATERNION_TAG]).astype(np.uint8)
@@ -472,7 +484,7 @@ def palette_size(count: int) -> int:
 
 
 def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
-    """Encodes SH above degree 0 as two images, palette and labels. Returns their meta.json entry."""
+    """Encodes SH above degree 0 as two images, palette and labels. Returns the entry of the SH in meta.json."""
     # Imported here because no other file format needs kernels.
     from lumisplat.palette import fit_palette
 
@@ -494,9 +506,9 @@ def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
 
 
 def _image(values: Bytes, width: int) -> Bytes:
-    """Arranges values, shape (N, 1 to 4), in rows of opaque pixels, shape (height, width, 4); unused channels are 0.
+    """Arranges N values of 1 to 4 channels as opaque pixels, row by row, shape (height, width, 4).
 
-    The height is a multiple of 4, like the width.
+    Channels that ``values`` lacks are 0. The height is a multiple of 4, like the width.
     """
     height = 4 * -(-len(values) // (4 * width))
     pixels = np.zeros((height * width, 4), dtype=np.uint8)
@@ -506,7 +518,7 @@ def _image(values: Bytes, width: int) -> Bytes:
 
 
 def _webp(pixels: Bytes) -> bytes:
-    """Encodes pixels as lossless WebP. Without ``exact``, pixels of alpha 0 would lose their colours."""
+    """Encodes pixels as lossless WebP. The option ``exact`` keeps the colours of pixels with alpha 0."""
     buffer = io.BytesIO()
     opaque = bool((pixels[..., 3] == 255).all())
     image = Image.fromarray(np.ascontiguousarray(pixels[..., :3]) if opaque else pixels)

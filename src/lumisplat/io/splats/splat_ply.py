@@ -54,22 +54,22 @@ _log = logging.getLogger("lumisplat")
 _REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
 
 _ANTIALIASED_COMMENT = "SplatRenderMode: mip"
-"""Comment of Brush for antialiased captures, which PlayCanvas's tools also write."""
+"""Header comment that Brush and PlayCanvas's tools write for antialiased captures."""
 
 _KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
-"""Lumisplat's own comment of the kernel degree; no trainer writes the degree to its files."""
+"""Lumisplat's header comment for the kernel degree; no trainer writes the degree to its files."""
 
 _COLOR_OF_DC = {"f_dc_0": "red", "f_dc_1": "green", "f_dc_2": "blue"}
-"""Colour properties that replace missing DC coefficients."""
+"""Colour property that is read in place of each DC coefficient if the file lacks DC coefficients."""
 
 _CACHED_ROWS = 4096
-"""Rows whose columns are separated at once, few enough to stay in the CPU cache."""
+"""Number of rows that are separated into columns at once, few enough to stay in the CPU cache."""
 
 _ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
 _KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
 
 _COEFFICIENTS = (SH_DEGREE_MAX + 1) ** 2
-"""SH coefficients per channel in R3DG files; R3DG's programs refuse any other number."""
+"""Number of SH coefficients per channel in R3DG files; R3DG's programs refuse any other number."""
 
 
 def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
@@ -90,7 +90,7 @@ def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
 def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
     """Returns the capture's comments, updated to state its antialiasing, kernel degree, up direction and first view.
 
-    Comments that state another value are removed. Default values get no comment.
+    Comments that state another value are removed. A default value gets no comment.
     """
     comments = gaussians.comments
     if antialiased_from_comments(comments) != gaussians.antialiased:
@@ -105,7 +105,7 @@ def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
 
 
 def _comments_as_stored(gaussians: Gaussians, columns: SplatColumns) -> tuple[str, ...]:
-    """Returns the comments to write, with `LOGITS_COMMENT` if readers would otherwise misjudge the encoding."""
+    """Returns the comments to write; `LOGITS_COMMENT` is added if readers would otherwise infer the wrong encoding."""
     unsure = any(stored_activated(columns))
     return (*comments_with_settings(gaussians), *([LOGITS_COMMENT] if unsure else []))
 
@@ -170,7 +170,7 @@ def columns_of_rows(
         vertex: Element from `splat_element`.
         coefficients: SH coefficients per channel, from `splat_element`.
         rows: The rows.
-        activated: Whether scales and opacities are stored directly, from `stored_activated`.
+        activated: Whether scales, and whether opacities, are stored directly, from `stored_activated`.
     """
     columns = _allocate(replace(header, comments=()), replace(vertex, count=len(rows), properties=()), coefficients)
     columns.antialiased = antialiased_from_comments(header.comments)
@@ -185,7 +185,7 @@ def columns_of_rows(
 
 
 def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
-    """Copies PLY rows into the columns, beginning at row ``start``."""
+    """Copies PLY rows into ``columns``, beginning at row ``start`` of the columns."""
     assert rows.dtype.names is not None
     with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become infinite and are refused later
         for name, target in _column_views(columns):
@@ -196,13 +196,13 @@ def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
 
 
 def _unit(color: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """Converts a display-referred colour channel to 0..1, from integers of any width or from floats in 0..1."""
+    """Converts a display-referred colour channel to 0..1; integers are divided by the largest value of their type."""
     largest = np.iinfo(color.dtype).max if color.dtype.kind in "iu" else 1
     return color.astype(np.float32) / np.float32(largest)
 
 
 def _about_origin(path: PathLike, columns: SplatColumns) -> None:
-    """Makes means relative to a nearby origin if float32 cannot hold them, and logs it."""
+    """Makes means relative to an origin near them if float32 is too coarse for the means, and logs the origin."""
     if columns.means.dtype == np.float32:
         return
     with np.errstate(all="ignore"):
@@ -286,7 +286,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
 
 
 def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
-    """Returns the name and a view of shape (N,) of every property in ``columns``."""
+    """Returns the name of every PLY property in ``columns`` with a view of its N values, shape (N,)."""
     targets: list[tuple[str, Floats]] = []
     for field in (*_REQUIRED, "sh", *OPTIONAL):
         values = getattr(columns, field)
@@ -296,7 +296,7 @@ def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
 
 
 def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
-    """Logs which materials are not read because one of their columns is missing."""
+    """Logs which materials are not read because the file lacks one of their columns."""
     for field, names in columns.material_columns.properties.items():
         missing = [name for name in names if name not in vertex.names]
         if 0 < len(missing) < len(names):
@@ -304,11 +304,11 @@ def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: S
 
 
 def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
-    """Drops materials of unknown encoding, and logs why.
+    """Drops materials whose encoding is unknown, and logs the reason.
 
-    Several trainers use Lumisplat's property names for values before their activation. Without `LINEAR_COMMENT`,
-    columns are accepted only if the file has no property that Lumisplat does not write, and all material values are
-    within 0..1.
+    Several trainers use Lumisplat's property names for values before their activation. In a file without
+    `LINEAR_COMMENT`, materials are accepted only if all properties are ones that Lumisplat writes, and all material
+    values are within 0..1.
     """
     fields = [field for field in FIELDS[1:] if getattr(columns, field) is not None]
     if columns.material_columns is not LINEAR or not fields or has_linear_comment(header.comments):
@@ -360,7 +360,7 @@ def _inria_names(coefficients: int) -> list[str]:
 
 
 def _sh_names_in_file_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
-    """Returns the property names of `sh_names` in the order of files."""
+    """Returns the property names of `sh_names` in the order in which files have them."""
     rest = [f"{prefix}_rest_{i}" for i in range(channels * (coefficients - 1))]
     return [*(f"{prefix}_dc_{channel}" for channel in range(channels)), *rest]
 
@@ -368,7 +368,15 @@ def _sh_names_in_file_order(prefix: str, coefficients: int, channels: int = 3) -
 def _write_columns(
     path: PathLike, comments: tuple[str, ...], names: list[str], values: Mapping[str, Floats], count: int
 ) -> None:
-    """Writes a PLY with these properties; properties without values are zero."""
+    """Writes a PLY file.
+
+    Args:
+        path: The file.
+        comments: Header comments.
+        names: Property names, in order.
+        values: Values of properties, shape (count,) each; properties without values are 0.
+        count: Number of Gaussians.
+    """
     header = ply_header_bytes(comments, [("vertex", count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -385,7 +393,8 @@ def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Writes a capture with materials in the columns of R3DG's second training stage.
 
     Base colours outside 0.03..0.8 and roughness outside 0.09..0.99 are clamped, and metallic has no column; log lines
-    report both. Missing incident light is written as 0. Visibility is always 0, as R3DG's programs trace it.
+    report both losses. Missing incident light is written as 0. Visibility is always written as 0, because R3DG's
+    programs compute it by ray tracing.
 
     Raises:
         FormatError: The capture lacks albedo, roughness or normals, or the file cannot be written.

@@ -45,12 +45,13 @@ _FRACTIONAL_BITS_MAX = 24
 _HEADER = struct.Struct("<IIIBBBB")
 
 _COLOR_SCALE = 0.15
-"""Scale of colour bytes, 255 (0.5 + 0.15 DC): a range wider than 0..1, so that hardly any coefficient is clipped."""
+"""Factor of the DC coefficient in a colour byte, 255 (0.5 + 0.15 DC). It covers more than colours of 0..1, so that
+hardly any coefficient is clipped."""
 _DC_MAX = 0.5 / _COLOR_SCALE
-"""Largest magnitude of DC that SPZ can store."""
+"""Largest magnitude of a DC coefficient that SPZ can store."""
 
 _LOG_SCALE_MIN = -10.0
-"""Smallest log scale that SPZ can store; a byte is 16 (log scale - this)."""
+"""Smallest log scale that SPZ can store, as byte 0; the bytes above are 1/16 apart."""
 _LOG_SCALE_MAX = _LOG_SCALE_MIN + 255.0 / 16.0
 """Largest log scale that SPZ can store."""
 
@@ -62,26 +63,26 @@ _EXTENSION_BYTES_MAX = 2**16
 _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 
 _HEADER_V4 = struct.Struct("<IIIBBBBI12x")
-"""Header of version 4: the fields of all versions, number of streams, and offset of the table of contents."""
+"""Header of version 4: the fields that all versions have, number of streams, and offset of the table of contents."""
 
 _ZSTD_LEVEL = 12
 """Compression level of the zstd streams; see docs/adr/0064-spz-4-by-numpy-and-zstandard.md."""
 
 _SIZE_UNKNOWN = -1
-"""Size that zstandard reports for streams written without a stated size."""
+"""Size that the zstandard library reports for a stream whose header states no decompressed size."""
 
 _EXTENSION_COORDINATES = 0xADBE0003
-"""Extension SPZ_ADOBE_coordinate_system: one u32 that names the axes."""
+"""Number of the extension SPZ_ADOBE_coordinate_system, whose record is one u32 that names the axes."""
 
 _EXTENSION_ORIENTATION = 0x4C530001
-"""Lumisplat's extension: up and first view as JSON (`lumisplat.io.splats.orientation`), in Lumisplat's axes.
+"""Number of Lumisplat's extension, whose record is up direction and first view as JSON, in Lumisplat's axes.
 
-Other readers skip unknown extensions."""
+See `lumisplat.io.splats.orientation`. Other readers skip unknown extensions."""
 
 _COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
-"""Axes by the number in the extension: right or left, up or down, back or front; 0 is unspecified.
+"""Directions of the x, y and z axes by the number in SPZ_ADOBE_coordinate_system; 0 is unspecified.
 
-Numbers 9 to 16 exchange y and z and are not supported."""
+Letters mean right or left, up or down, back or front. Numbers 9 to 16 exchange y and z and are not supported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +115,7 @@ def _parse_spz_header(path: PathLike, data: bytes, versions: range, stored_bytes
     Args:
         path: File to name in errors.
         data: Bytes that begin with the header.
-        versions: Versions that this container may have.
+        versions: Versions that may use this container (gzip or version 4).
         stored_bytes: Size of the file.
     """
     if len(data) < _HEADER.size:
@@ -161,7 +162,7 @@ def _half_positions(section: Bytes) -> Floats:
 
 
 def _fixed_positions(section: Bytes, fractional_bits: int) -> Floats:
-    """Decodes 24-bit two's complement positions, shape (N, 3)."""
+    """Decodes the positions of N Gaussians from 24-bit fixed-point numbers in two's complement, shape (N, 3)."""
     parts = section.reshape(-1, 3, 3).astype(np.int32)
     # Shifted to the high bytes of an int32 first, so that shifting back down extends the sign.
     fixed = (parts[..., 0] << 8 | parts[..., 1] << 16 | parts[..., 2] << 24) >> 8
@@ -169,13 +170,13 @@ def _fixed_positions(section: Bytes, fractional_bits: int) -> Floats:
 
 
 def _byte_rotations(section: Bytes) -> Floats:
-    """Decodes quaternions wxyz, shape (N, 4), from x, y and z as bytes; w >= 0 follows from the unit length."""
+    """Decodes N quaternions wxyz, shape (N, 4), from x, y and z as bytes; w >= 0 follows from the unit length."""
     xyz = section.reshape(-1, 3) / np.float32(127.5) - np.float32(1.0)
     return unpack_smallest_three(np.zeros(len(xyz), dtype=np.int64), xyz)
 
 
 def _packed_rotations(section: Bytes) -> Floats:
-    """Decodes quaternions wxyz, shape (N, 4), from their smallest three components in the order xyzw.
+    """Decodes N quaternions wxyz, shape (N, 4), from their three smallest components, stored in the order xyzw.
 
     A 32-bit word has a 2-bit index of the largest component, then three times a sign bit and a 9-bit magnitude.
     """
@@ -187,14 +188,14 @@ def _packed_rotations(section: Bytes) -> Floats:
 
 
 def _encode_sections(columns: SplatColumns, fractional_bits: int) -> list[bytes]:
-    """Encodes the sections of versions 3 and 4, each value rounded to the nearest one that can be stored.
+    """Encodes the sections of versions 3 and 4; each value is rounded to the nearest one that SPZ can store.
 
     Args:
         columns: Gaussians in the axes of the file, with unit rotations and opacities in 0..1.
         fractional_bits: Fractional bits of the positions, few enough that all positions fit into 24 bits.
 
     Returns:
-        Bytes of each section in `_SECTIONS`; SH is empty at degree 0.
+        Bytes of each section in `_SECTIONS`; the SH section is empty if the Gaussians have only degree 0.
     """
     # Clamped because the largest coordinate that fits may round up to one that does not.
     fixed = np.clip(np.floor(columns.means * np.float64(2.0**fractional_bits) + 0.5), -(2**23), 2**23 - 1).astype("<i4")
@@ -248,7 +249,7 @@ def _read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, 
 
 
 def _inflate(path: PathLike, data: bytes, size: int) -> bytes:
-    """Decompresses the first ``size`` bytes of a gzip stream, or all of it if it is shorter."""
+    """Decompresses the first ``size`` bytes of a gzip stream, or the whole stream if it is shorter."""
     try:
         return zlib.decompressobj(_GZIP_WINDOW).decompress(data, size)
     except zlib.error as error:
@@ -277,7 +278,9 @@ def read_spz(path: PathLike) -> SplatColumns:
 
 
 def read_spz_orientation(path: PathLike) -> Orientation:
-    """Reads only up direction and first view. Versions before 4, which Lumisplat never writes, have none.
+    """Reads the up direction and the first view without the Gaussians.
+
+    Files before version 4, which Lumisplat never writes, state neither.
 
     Raises:
         FormatError: The file is damaged.
@@ -291,7 +294,7 @@ def read_spz_orientation(path: PathLike) -> Orientation:
 
 
 def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
-    """Decodes version 4: header, Gaussians in the axes of the file, and the bytes of extension records."""
+    """Decodes version 4. Returns header, Gaussians in the axes of the file, and extension records as bytes."""
     header = _parse_spz_header(path, data, range(4, 5), len(data))
     if len(data) < _HEADER_V4.size:
         raise FormatError(path, "truncated: the SPZ header is incomplete")
@@ -315,7 +318,7 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
 
 
 def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArray[np.uint8]:
-    """Decompresses a zstd stream that must hold exactly ``size`` bytes; never decompresses more."""
+    """Decompresses a zstd stream that must hold exactly ``size`` bytes, and never decompresses more bytes than that."""
     try:
         stated = zstandard.frame_content_size(stream)
         if stated not in (size, _SIZE_UNKNOWN):
@@ -329,7 +332,7 @@ def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArra
 
 
 def _rdf_signs(axes: str) -> tuple[int, int, int]:
-    """Returns signs of x, y and z that convert axes such as ``"RUB"`` (right, up, back) to right, down, front."""
+    """Returns the signs of x, y and z that convert axes such as ``"RUB"`` (right, up, back) to right, down, front."""
     x, y, z = axes
     return (1 if x == "R" else -1, 1 if y == "D" else -1, 1 if z == "F" else -1)
 
@@ -344,7 +347,7 @@ def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
-    """Returns the axes that an extension record states, or RUB without such a record."""
+    """Returns the axes that an extension record states; without such a record, ``"RUB"`` (right, up, back)."""
     stored = records.get(_EXTENSION_COORDINATES, b"")
     if len(stored) != 4:
         return "RUB"
@@ -360,11 +363,11 @@ def _stored_orientation(path: PathLike, records: dict[int, bytes]) -> Orientatio
 
 
 def write_spz(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes SPZ version 4 in RUB axes.
+    """Writes SPZ version 4, with x to the right, y up and z to the back (RUB).
 
-    Values are quantised: positions as `position_bits` says, log scales to 1/16 within -10..5.94, opacities to 8 bits,
-    DC to 8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Values outside
-    these ranges are clamped, and a warning counts their Gaussians.
+    Values are quantised: positions in steps of `position_bits`, log scales to 1/16 within -10..5.94, opacities to 8
+    bits, DC to 8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Values
+    outside these ranges are clamped, and a warning counts the Gaussians with such values.
 
     Raises:
         FormatError: A position does not fit into 24-bit fixed point, or the file cannot be written.
@@ -410,8 +413,12 @@ def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
 def position_bits(path: PathLike, largest: float) -> int:
     """Returns the fractional bits of the 24-bit positions: usually 12, more for small scenes, fewer for large ones.
 
-    A step is 2^-bits scene units. 12 bits reach 2048 units but are too coarse for small objects, so a scene below 32
-    units gets steps of at most 2^-17 of its largest coordinate.
+    Positions have steps of 2^-bits scene units. 12 bits reach 2048 units but are too coarse for small objects, so a
+    scene below 32 units gets steps of at most 2^-17 of its largest coordinate.
+
+    Args:
+        path: File to name in the error.
+        largest: Largest magnitude of a coordinate, scene units.
 
     Raises:
         FormatError: The largest coordinate does not fit with any number of bits.

@@ -1,6 +1,7 @@
 """Reads and writes streamed SOG: a ``lod-meta.json`` with a tree whose leaves have several levels of detail.
 
-Each level of a leaf is a range of rows in a SOG capture. The writer halves the Gaussians of a leaf from level to level.
+A leaf stores each level as a range of rows in a SOG capture. The writer halves the Gaussians of a leaf from level to
+level.
 """
 
 from __future__ import annotations
@@ -38,26 +39,26 @@ from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.ops.neighbours import sort_morton
 
 SOG_CHUNK_COUNT = 512 * 1024
-"""Approximate number of Gaussians per SOG capture, and largest number per leaf; as in splat-transform, 7 MB."""
+"""Approximate number of Gaussians per SOG capture, 7 MB, and largest number per leaf, as in splat-transform."""
 
 SOG_CHUNK_EXTENT = 16.0
-"""Largest extent of a leaf, scene units, as in splat-transform. Viewers choose one level for a whole leaf."""
+"""Largest extent of a leaf in scene units, as in splat-transform. Viewers choose one level for a whole leaf."""
 
 SOG_LEAF_MIN = 8192
-"""Leaves of at most this many Gaussians are not divided, however large they are, as scene units may not be metres."""
+"""Number of Gaussians up to which a leaf may exceed `SOG_CHUNK_EXTENT`, because scene units may not be metres."""
 
 SOG_LEVEL_MIN = 20_000
-"""Smallest number of Gaussians in the coarsest level, if the capture has as many: few enough to load at once."""
+"""Smallest number of Gaussians in the coarsest level, unless the capture has fewer: few enough to load at once."""
 
 _log = logging.getLogger("lumisplat")
 
 _LEVELS_MAX = 64
-"""Largest number of levels in a file; writers halve the Gaussians from level to level."""
+"""Largest number of levels of a file that is accepted; writers halve the Gaussians from level to level."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """A range of rows in a capture."""
+    """A range of rows in a SOG capture."""
 
     file: int
     offset: int
@@ -65,11 +66,11 @@ class _Rows:
 
 
 Leaf = dict[int, _Rows]
-"""Rows of a leaf by level."""
+"""A leaf of the tree: its range of rows at each level of detail."""
 
 
 def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None = None) -> SplatColumns:
-    """Reads one level of detail of a streamed SOG, the same level for all leaves.
+    """Reads all leaves of a streamed SOG at one level of detail.
 
     Args:
         path: A ``lod-meta.json``, or the folder that holds it.
@@ -119,7 +120,14 @@ def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _leaf(path: Path, lods: dict[str, Any], files: int, levels: int) -> Leaf:
-    """Parses and checks the rows of a leaf."""
+    """Parses and checks the rows of a leaf.
+
+    Args:
+        path: File to name in errors.
+        lods: The leaf's levels in ``lod-meta.json``.
+        files: Number of SOG captures.
+        levels: Number of levels of detail.
+    """
     leaf: Leaf = {}
     for name, entry in lods.items():
         rows = _Rows(*(int(entry[key]) for key in ("file", "offset", "count")))
@@ -135,7 +143,7 @@ def _leaf(path: Path, lods: dict[str, Any], files: int, levels: int) -> Leaf:
 
 
 def _level(path: Path, leaves: list[Leaf], levels: int, lod: int | None, budget: int | None) -> int:
-    """Chooses the level to read."""
+    """Returns the level of detail to read, from ``lod`` or ``budget`` as in `read_streamed_sog`."""
     if lod is not None and not 0 <= lod < levels:
         raise FormatError(path, f"has no level {lod}: its levels are 0 (finest) to {levels - 1}")
     if budget is None:
@@ -161,7 +169,7 @@ def _at_level(leaf: Leaf, level: int) -> _Rows:
 
 
 def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumns]:
-    """Yields ranges of rows of a capture; overlapping ranges are an error."""
+    """Yields the Gaussians of the given row ranges of a SOG capture; raises `FormatError` if ranges overlap."""
     columns = read_sog(capture)
     end = 0
     for row in sorted(rows, key=lambda row: row.offset):
@@ -177,7 +185,7 @@ def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumn
 
 @dataclass(slots=True)
 class _OpenCapture:
-    """A SOG capture that is being filled with rows of leaves."""
+    """A SOG capture in memory to which the rows of leaves are appended."""
 
     name: str
     parts: list[Gaussians] = field(default_factory=list[Gaussians])
@@ -185,7 +193,10 @@ class _OpenCapture:
 
 
 class _OpenCaptures:
-    """One open capture per level. A full capture is written, and its files are appended to ``written``."""
+    """The SOG captures that are being filled, one for each level of detail.
+
+    A full capture is written to disk, and its files are appended to ``written``.
+    """
 
     def __init__(self, folder: Path, levels: int, written: list[Path]) -> None:
         self._folder, self._written = folder, written
@@ -196,10 +207,10 @@ class _OpenCaptures:
         self.counts = [0] * levels
         """Number of Gaussians of each level."""
         self.coarse: tuple[int, float] = (0, 0.0)
-        """Count and step for `warn_coarse_positions`, of the finest level."""
+        """Arguments ``count`` and ``step`` of `warn_coarse_positions` for the finest level so far."""
 
     def add(self, level: int, part: Gaussians) -> dict[str, int]:
-        """Adds a leaf's Gaussians at a level. Returns their file, offset and count for the tree."""
+        """Appends the Gaussians of a leaf at a level. Returns file, offset and count of their rows, for the tree."""
         capture = self._open[level]
         name = f"{capture.name}/meta.json"
         if not capture.parts:
@@ -213,7 +224,7 @@ class _OpenCaptures:
         return location
 
     def close(self) -> None:
-        """Writes the captures that are not full."""
+        """Writes the captures that are not full yet."""
         for level, capture in enumerate(self._open):
             if capture.parts:
                 self._write(level)
@@ -233,8 +244,8 @@ class _OpenCaptures:
 def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
     """Writes a streamed SOG into the folder of its ``lod-meta.json``, which is removed first and written last.
 
-    Each level has half the Gaussians of the previous one; the coarsest has about `SOG_LEVEL_MIN`. Values are quantised
-    as in `write_sog`.
+    Each level has half the Gaussians of the next finer one; the coarsest has about `SOG_LEVEL_MIN`. Values are
+    quantised as in `write_sog`.
 
     Raises:
         FormatError: A file cannot be written.
@@ -273,7 +284,7 @@ def level_count(count: int) -> int:
 
 
 def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[str, Any]:
-    """Builds a node of the tree recursively, and adds the Gaussians of its leaves to the captures."""
+    """Builds a node of the tree and the nodes below it, and appends the Gaussians of their leaves to the captures."""
     low, high = gaussians.bounds()
     axis = int((high - low).argmax())
     most = SOG_LEAF_MIN if high[axis] - low[axis] > SOG_CHUNK_EXTENT else SOG_CHUNK_COUNT
@@ -292,7 +303,7 @@ def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[st
 
 
 def _lower_half(values: FloatArray) -> Flags:
-    """Returns a mask of the numbers below the median; never none or all of them."""
+    """Returns a mask of the numbers below the median; it selects at least one number, and never all."""
     median = np.median(values)
     below = values < median
     return below if below.any() else values <= median
