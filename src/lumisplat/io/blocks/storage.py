@@ -1,7 +1,8 @@
 """Writes and opens captures larger than memory: an index, and spatial blocks stored as rows of float32.
 
-The index has the bounds, Gaussian count and file of each block. Writing needs memory for one chunk of the input and one
-block.
+Space is divided into cubes of one edge length (``cell``), and a cube with too many Gaussians is split into eight. The
+Gaussians in a cube that is not split are a block. The index has the bounds, Gaussian count and file of each block.
+Writing needs memory for one chunk of the input and one block.
 """
 
 from __future__ import annotations
@@ -30,25 +31,26 @@ from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
 
 BLOCK_DEPTH_MAX = 16
-"""Largest number of times that a cube is split into eight. Coincident Gaussians cannot be separated by more splits."""
+"""Largest number of times that a cube is split. Gaussians at one position cannot be separated by more splits."""
 
 BLOCK_LEVEL_RATIO = 4
-"""Ratio of Gaussian counts between a level of detail and the next coarser one."""
+"""Number of Gaussians of a level of detail divided by that of the next coarser level."""
 
 BLOCK_CELLS_MAX = 2**16
-"""Largest number of cubes of a capture, each of which is a file. More means that the given edge length is wrong."""
+"""Largest number of cubes of a capture before splitting, each of which is a file. More cubes mean that ``cell`` is
+wrong."""
 
 _INDEX = BLOCKS
 """File name of the index. It is written last, so a folder without it is an incomplete capture."""
 _VERSION = 1
 _GAUSSIAN_FLOATS = 11
-"""Numbers per Gaussian besides SH coefficients: mean, quaternion (wxyz), scales, opacity."""
+"""Numbers per Gaussian before its SH coefficients: mean, quaternion (wxyz), scales, opacity."""
 
 _COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(_GAUSSIAN_FLOATS, None))
-"""Columns of a row: mean, quaternion, scales, opacity and SH coefficients."""
+"""Columns of the row of a Gaussian: mean, quaternion, scales, opacity and SH coefficients."""
 
 _CAPTURE_FILES = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
-"""Matches names of files that an unfinished write may leave in the folder."""
+"""Matches names of the files that an interrupted write may leave in the folder."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +61,17 @@ class BlockLevel:
     """Name of a file in the capture's folder, with rows of float32."""
     count: int
     scale_max: float
-    """Largest standard deviation of any Gaussian, scene units."""
+    """Largest standard deviation of any Gaussian of the level along any axis, scene units."""
     scale_mean: float
-    """Mean over Gaussians of their largest standard deviation, scene units."""
+    """Mean, over the Gaussians of the level, of their largest standard deviation, scene units."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A spatial block of a capture."""
+    """A spatial block of a capture: the Gaussians whose means lie in one cube."""
 
     low: tuple[float, float, float]
-    """Smallest coordinates of the means of all levels."""
+    """Smallest x, y and z of the means of all levels."""
     high: tuple[float, float, float]
     levels: tuple[BlockLevel, ...]
     """Levels of detail, from the finest to the coarsest."""
@@ -85,7 +87,7 @@ class BlockIndex:
     antialiased: bool
     blocks: tuple[Block, ...]
     orientation: Orientation = UNSTATED
-    """Up direction and first view."""
+    """Up direction and first view of the capture."""
 
     @property
     def count(self) -> int:
@@ -94,7 +96,7 @@ class BlockIndex:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Gaussians` besides its arrays."""
+        """Keyword arguments of `Gaussians` that are not arrays."""
         return {"antialiased": self.antialiased, **self.orientation._asdict()}
 
     @property
@@ -104,16 +106,16 @@ class BlockIndex:
 
     @cached_property
     def scale_max(self) -> Doubles:
-        """Largest standard deviation of each block's Gaussians, scene units, shape (B,)."""
+        """Largest standard deviation of the Gaussians of each block, scene units, shape (blocks,)."""
         return np.array([max(level.scale_max for level in block.levels) for block in self.blocks])
 
     @cached_property
     def bounds(self) -> tuple[Doubles, Doubles]:
-        """Smallest and largest coordinates of all blocks, shapes (B, 3)."""
+        """Smallest and largest x, y and z of each block, two arrays of shape (blocks, 3)."""
         return np.array([block.low for block in self.blocks]), np.array([block.high for block in self.blocks])
 
     def text(self) -> str:
-        """Returns the index as JSON, as it is stored."""
+        """Returns the index as the JSON text that is stored."""
         blocks = [
             {
                 "low": block.low,
@@ -197,7 +199,7 @@ def _check_file(path: Path, size: int) -> None:
 
 
 def packed(gaussians: Gaussians) -> FloatArray:
-    """Packs mean, quaternion, scales, opacity and SH coefficients of each Gaussian into a row, shape (N, 11 + 3 K)."""
+    """Packs N Gaussians into rows: mean, quaternion, scales, opacity and K SH coefficients, shape (N, 11 + 3 K)."""
     count = gaussians.count
     columns = (
         gaussians.means,
@@ -218,7 +220,7 @@ def joined(pieces: Iterable[FloatArray], count: int, width: int, **settings: Any
     """Unpacks rows that arrive in pieces to Gaussians, holding only one piece besides the result in memory.
 
     Args:
-        pieces: Arrays of rows, shape (n, width) each.
+        pieces: Arrays of rows, shape (rows, width) each.
         count: Total number of rows.
         width: Number of columns.
         **settings: ``antialiased``, ``up`` and ``first_view`` of `Gaussians`.
@@ -257,7 +259,7 @@ def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -
 
 
 def _pieces(path: Path, width: int) -> Iterator[FloatArray]:
-    """Yields the rows of a file in pieces of bounded size."""
+    """Yields the rows of a file in pieces of bounded size, in order."""
     with open(path, "rb") as file:
         while content := file.read(4 * width * BLOCK_PIECE):
             yield np.frombuffer(content, "<f4").reshape(-1, width)
@@ -272,7 +274,9 @@ def write_blocks(
     block_max: int = BLOCK_GAUSSIANS_MAX,
     progress: Callable[[float], None] | None = None,
 ) -> BlockIndex:
-    """Writes a capture as spatial blocks: cubes, of which those with many Gaussians are split into eight, recursively.
+    """Writes a capture as spatial blocks, one for each cube; cubes with many Gaussians are split into eight.
+
+    Cubes are split recursively until none has more than ``block_max`` Gaussians.
 
     Args:
         folder: A new or empty folder. Its index, ``blocks.json``, is written last, so a folder without it is no
@@ -281,8 +285,8 @@ def write_blocks(
             stored; normals and materials are dropped, and a log line says so.
         cell: Edge length of the largest cubes, scene units.
         levels: Number of coarser levels of detail besides the finest. Each has a quarter of the Gaussians of the
-            previous level, see `lumisplat.editing.decimate`.
-        block_max: Largest number of Gaussians in a block. Coincident Gaussians may exceed it.
+            next finer level, see `lumisplat.editing.decimate`.
+        block_max: Largest number of Gaussians in a block. Gaussians at one position may exceed it.
         progress: Called with the fraction of Gaussians whose blocks are written, 0..1, after all chunks were read.
 
     Raises:
@@ -315,7 +319,7 @@ def write_blocks(
 
 
 def _prepare_folder(target: Path) -> bool:
-    """Creates the folder, and removes files of a killed run. Returns whether the folder is new."""
+    """Creates the folder, and removes files that a killed run left in it. Returns whether the folder is new."""
     if (target / _INDEX).exists():
         raise FormatError(target, "holds a complete capture in blocks: give another folder, or delete this one")
     if target.is_dir() and unfinished_writes(target / _INDEX):
@@ -338,7 +342,7 @@ def _remove_leftovers(target: Path) -> None:
 
 
 class _Writer:
-    """Sorts Gaussians into one file per cube, then converts these files to blocks.
+    """Sorts Gaussians into one file for each cube, then converts each file to one or several blocks.
 
     Args:
         folder: Folder of the capture.
@@ -396,7 +400,14 @@ class _Writer:
         return _GAUSSIAN_FLOATS + 3 * self._kind[0]
 
     def _sort(self, rows: FloatArray, edge: float, name: str, cells: dict[tuple[int, ...], Path]) -> None:
-        """Appends each row to the file of the cube that contains its mean."""
+        """Appends the row of each Gaussian to the file of the cube that contains its mean.
+
+        Args:
+            rows: Rows as from `packed`.
+            edge: Edge length of the cubes.
+            name: Beginning of the names of new files.
+            cells: File of each cube by the cube's integer coordinates; new files are added.
+        """
         keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
         low = keys.min(axis=0)
         size = keys.max(axis=0) - low + 1
@@ -423,7 +434,7 @@ class _Writer:
                 file.write(ordered[end - count : end].astype("<f4", copy=False).tobytes())
 
     def _blocks(self, path: Path, depth: int) -> Iterator[Block]:
-        """Splits the file of a cube into blocks, recursively; the file is consumed."""
+        """Yields the blocks of a cube; too many Gaussians are split into several blocks. The cube's file is removed."""
         count = path.stat().st_size // (4 * self._width)
         if count <= self._block_max or depth >= BLOCK_DEPTH_MAX:
             yield self._block(path, count)
@@ -437,7 +448,7 @@ class _Writer:
             yield from self._blocks(parts[part], depth + 1)
 
     def _block(self, path: Path, count: int) -> Block:
-        """Converts a file to a block, and writes its coarser levels."""
+        """Converts the file of a cube to a block with ``count`` Gaussians, and writes the block's coarser levels."""
         name = f"{self._count:06d}"
         self._count += 1
         low, high = np.full(3, np.inf), np.full(3, -np.inf)

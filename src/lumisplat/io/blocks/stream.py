@@ -30,10 +30,10 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import needed_origin
 
 BLOCK_SAMPLE = 2**16
-"""Number of Gaussians sampled from a file to choose the edge length of its cubes."""
+"""Number of Gaussians sampled from a file to choose the edge length of cubes."""
 
 BLOCK_CELLS = 4096
-"""Largest number of cubes that the sample may occupy."""
+"""Largest number of cubes that the sampled Gaussians may occupy."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -55,10 +55,10 @@ class PlyStream:
     _header: PlyHeader
     _vertex: PlyElement
     _activated: tuple[bool, bool]
-    """Whether scales and opacities are stored directly, inferred by `stored_activated` from a sample."""
+    """Whether scales, and whether opacities, are stored directly; `stored_activated` infers both from a sample."""
 
     def __iter__(self) -> Iterator[Gaussians]:
-        """Reads the file in chunks.
+        """Yields the Gaussians of the file in chunks, in file order.
 
         Raises:
             FormatError: The file cannot be read, or has invalid values.
@@ -108,7 +108,9 @@ class PlyStream:
         )
 
     def cell(self, block_max: int = BLOCK_GAUSSIANS_MAX) -> float:
-        """Chooses the edge length of cubes for `lumisplat.io.write_blocks` from a sample, so that there are few cubes.
+        """Chooses the ``cell`` for `lumisplat.io.write_blocks`, an edge length in scene units at which cubes are few.
+
+        The choice is made from a sample of the Gaussians.
 
         Args:
             block_max: Largest number of Gaussians in a block, as for `lumisplat.io.write_blocks`.
@@ -137,7 +139,7 @@ def stream_ply(
     Means, rotations, scales, opacities and SH are read. A log line says if materials or normals are dropped.
 
     Args:
-        path: A binary .ply, not a compressed one.
+        path: A binary .ply, not a compressed PLY.
         drop_invalid: Drop Gaussians with NaN or infinite values or a rotation of zero length, and log their number,
             instead of refusing the file.
         progress: Called with the fraction read, 0..1.
@@ -199,7 +201,7 @@ def _sample(header: PlyHeader, vertex: PlyElement) -> PlyRows:
 
 
 def _materials(header: PlyHeader, vertex: PlyElement) -> list[str]:
-    """Returns the materials and incident light in the file. Normals are ignored, as INRIA's are all zero."""
+    """Returns the names of the materials and incident light in a file. Normals do not count: INRIA's are all zero."""
     stored = material_columns_of(vertex.names, header.comments).properties
     names = [name for name in FIELDS[1:] if name in stored and set(stored[name]) <= set(vertex.names)]
     return names + ["incident light"] * ("incidents_dc_0" in vertex.names)

@@ -19,7 +19,7 @@ from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.camera import Camera, CameraModel
 
 _FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
-"""Files of a model; the path of any of them stands for the model."""
+"""Files of a model, any of which a caller may name instead of the model's folder."""
 
 _NAMES: tuple[str, ...] = (
     *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV"),
@@ -40,19 +40,19 @@ _PARAMETERS = {
     "SIMPLE_FISHEYE": "f cx cy",
     "FISHEYE": "fx fy cx cy",
 }
-"""Parameters of the camera models that `Camera` supports."""
+"""Names of the parameters, in file order, of the COLMAP camera models that `Camera` supports."""
 
 _IMAGE = struct.Struct("<i7di")
-"""Image number, camera_from_world as rotation wxyz and translation, camera number."""
+"""Layout of an image in images.bin: image number, camera_from_world as rotation wxyz and translation, camera number."""
 _CAMERA = struct.Struct("<iiQQ")
-"""Camera number, model number, width, height."""
+"""Layout of a camera in cameras.bin before its parameters: camera number, model number, width, height."""
 _POINT_BYTES = 24
 
 _Lens = tuple[str, int, int, list[float]]
-"""Name of the camera model, width, height and parameters."""
+"""A camera of the model: name of its camera model, width, height and parameters."""
 
 _POINT = np.dtype([("number", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")])
-"""A point of a .bin file, without the track that follows it."""
+"""Layout of a point in points3D.bin, without the track that follows the point."""
 _TRACK_BYTES = 8
 _TRACK_AT = _POINT.itemsize - 8
 
@@ -75,7 +75,7 @@ def read_colmap(path: PathLike) -> list[Camera]:
 
 
 def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
-    """Reads cameras as `read_colmap` does, each with its image name, a path relative to the image folder."""
+    """Reads the cameras as `read_colmap` does, each with the path of its image relative to the image folder."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
     with parsing(path, "a COLMAP sparse model"):
@@ -88,7 +88,7 @@ def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
 
 
 def count_colmap_images(folder: Path) -> int:
-    """Returns the number of images with a pose; 0 if the images file is damaged or missing."""
+    """Returns the number of images in a model, which all have a pose; 0 if the images file is damaged or missing."""
     try:
         path = _file(folder, "images")
         with parsing(path, "a COLMAP sparse model"):
@@ -110,7 +110,13 @@ def _file(folder: Path, stem: str) -> Path:
 
 
 def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float], int, str]) -> Camera:
-    """Creates the camera of an image."""
+    """Creates the camera of an image.
+
+    Args:
+        path: File to name in errors.
+        lenses: Lenses by camera number.
+        entry: An image from `_read_images`.
+    """
     number, pose, lens_number, name = entry
     where = f"image {number} ({name})"
     if lens_number not in lenses:
@@ -148,7 +154,7 @@ def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float],
 
 
 def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
-    """Yields number and lens of each camera."""
+    """Yields camera number and lens of each camera in a cameras file."""
     if path.suffix == ".txt":
         for line in _text_lines(path):
             number, model, width, height, *values = line.split()
@@ -168,7 +174,7 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
 
 
 def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
-    """Yields image number, pose, camera number and name of each image."""
+    """Yields image number, pose, camera number and file name of each image in an images file."""
     if path.suffix == ".txt":
         follows = False  # whether 2D points may follow; some programs omit them
         for line in _text_lines(path):
@@ -196,7 +202,7 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
 
 
 def _is_image(line: str) -> bool:
-    """Returns whether a line of images.txt describes an image, not 2D points, which are triples without a name."""
+    """Returns whether a line of images.txt describes an image. Other lines list 2D points, triples of numbers."""
     words = line.split(maxsplit=9)
     return len(words) == 10 and (not is_number_word(words[9].split()[0]) or len(line.split()) % 3 != 0)
 

@@ -1,4 +1,4 @@
-"""Provides what camera formats share: camera names from image files, node poses, and image sizes from aspect ratios."""
+"""Code that camera formats share: camera names from image files, node poses, image sizes from aspect ratios."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from lumisplat.scene.camera import Camera, camera_pose
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr", ".heic")
 
 DEFAULT_SIZE_MAX = (1280, 720)
-"""Largest width and height, pixels, of a camera without a given size."""
+"""Largest width and height, in pixels, that a camera gets if neither the file nor the caller gives its image size."""
 
 
 def name_from_image(image: object) -> str:
-    """Returns an image's file name without folder and extension: `images/0001.png` gives `0001`. Other dots stay."""
+    """Returns an image's file name without folder and image extension: `images/0001.a.png` gives `0001.a`."""
     name = str(image).replace("\\", "/").rstrip("/").rpartition("/")[2]
     return name[: -len(Path(name).suffix)] if Path(name).suffix.lower() in _IMAGE_SUFFIXES else name
 
@@ -59,7 +59,7 @@ def pose_of_node(world_from_node: Doubles) -> Doubles:
 
 
 def size_of_aspect(aspect: float, width: int | None, height: int | None) -> tuple[int, int]:
-    """Returns width and height of an image, pixels; a missing one follows from the aspect ratio.
+    """Returns the width and height of an image, pixels; a size that is not given follows from the aspect ratio.
 
     Args:
         aspect: Width divided by height.

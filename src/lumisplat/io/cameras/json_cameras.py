@@ -1,8 +1,9 @@
 """Reads camera files in JSON, recognised by their content, and writes ``transforms.json``.
 
-Supported are the ``transforms.json`` of nerfstudio, instant-ngp and NeRF and nerfstudio's ``camera_path.json``, whose
+Supported are the ``transforms.json`` of nerfstudio, instant-ngp and NeRF, and nerfstudio's ``camera_path.json``, whose
 poses are camera-to-world with OpenGL axes. INRIA's ``cameras.json`` has OpenCV axes and the principal point at the
-image centre. Poses must be rigid. Error texts continue "frame 3 ...".
+image centre. Poses must be rigid. Errors about one frame have texts such as "has no focal length", which `decode_frame`
+puts after "frame 3".
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ Matrix = npt.NDArray[np.float64]
 _PATH_MODELS = {"perspective": CameraModel.PINHOLE, "fisheye": CameraModel.FISHEYE}
 
 OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))
-"""Converts OpenCV camera axes to OpenGL ones, with -z forward and y up. The matrix is its own inverse."""
+"""Converts OpenCV camera axes to OpenGL camera axes, which have -z forward and y up. The matrix is its own inverse."""
 
 _IMAGE_EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
-"""Extensions to try for file names without one, as in NeRF's synthetic scenes, in order."""
+"""Extensions that are tried, in order, for a file name without extension, as in NeRF's synthetic scenes."""
 
 _MODELS = {
     "OPENCV": CameraModel.PINHOLE,
@@ -51,7 +52,7 @@ _MODELS = {
     "FISHEYE": CameraModel.FISHEYE,
     "ORTHOPHOTO": CameraModel.ORTHOGRAPHIC,
 }
-"""Camera models by their nerfstudio names. Files are written with the first name of a model."""
+"""Camera models by their nerfstudio names. A model with several names is written by its first name."""
 
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """Keys of the lens distortion, in the order of `Camera.distortion`."""
@@ -168,7 +169,7 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
         path: The file; images are relative to its folder.
         shared: Top-level object of the file, whose values apply to all frames.
         fallback: Width and height of a frame whose size neither the file nor an image gives.
-        frame: The frame, whose values override the shared ones.
+        frame: The frame, whose values override those of ``shared``.
 
     Raises:
         KeyError: A value is missing.
@@ -266,7 +267,7 @@ def _model(values: Entry) -> CameraModel:
 
 
 def _image_size(path: Path, values: Entry, fallback: tuple[int, int] | None) -> tuple[float, float]:
-    """Returns width and height from the file, or else from the header of the frame's image, or else the fallback."""
+    """Returns width and height from the frame's values, else from the header of its image, else ``fallback``."""
     if "w" in values and "h" in values:
         return _number(values, "w"), _number(values, "h")
     image = frame_image(path.parent, values)

@@ -44,7 +44,7 @@ def write_exr(
             arrays are stored as 32-bit float (infinities are preserved), integer arrays as 32-bit unsigned: -1 ("none")
             reads back as 4294967295.
         metadata: Header attributes.
-        further: Further parts. Programs that read only the first part, as most but compositors do, still find
+        further: Parts after the first one. Most programs except compositors read only the first part, which holds
             ``channels``. The first header also gets the attributes of all parts, because some compositors look only
             there.
 
@@ -77,7 +77,10 @@ def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _planes(channels: Mapping[str, Channel]) -> dict[str, Channel]:
-    """Converts channels to the stored types, one array each. OpenEXR would rename the channels of a (H, W, 3) array."""
+    """Converts each channel to the type in which it is stored, shape (H, W).
+
+    Channels are separate arrays, because the OpenEXR library would rename the channels of a (H, W, 3) array.
+    """
     shapes = {np.shape(host_array(pixels)) for pixels in channels.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
         raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")
@@ -91,7 +94,7 @@ def _stored_pixels(pixels: Channel) -> Channel:
 
 
 def read_exr(path: PathLike) -> dict[str, Channel]:
-    """Reads the channels of an EXR's first part by their full names, each (H, W) float16, float32 or uint32.
+    """Reads the channels of an EXR's first part by their full names, each float16, float32 or uint32, shape (H, W).
 
     Raises:
         FormatError: The file is missing, damaged, not an EXR, or claims more pixels than its size can hold.
@@ -121,7 +124,7 @@ def write_deep_exr(path: PathLike, size: tuple[int, int], first: Rows, channels:
 
     Args:
         path: The file to write. It appears complete or not at all.
-        size: Rows and columns, (H, W).
+        size: Rows and columns of the image, (H, W).
         first: Index of the first sample of each pixel, row by row, followed by the total number of samples, shape
             (H W + 1,).
         channels: Values of ``R``, ``G``, ``B``, ``A``, ``Z`` and ``ZBack``, one per sample.
@@ -140,7 +143,7 @@ def write_deep_exr(path: PathLike, size: tuple[int, int], first: Rows, channels:
 
 
 def _lists(values: FloatArray, size: tuple[int, int], first: Rows) -> npt.NDArray[Any]:
-    """Splits values into one array per pixel, the form that OpenEXR expects."""
+    """Splits the values of a channel into one array for each pixel, as the OpenEXR library expects."""
     held = np.ascontiguousarray(values, dtype=np.float32)
     lists = np.empty(size[0] * size[1], dtype=object)
     for pixel, (begin, end) in enumerate(zip(first[:-1].tolist(), first[1:].tolist(), strict=True)):

@@ -1,4 +1,4 @@
-"""Joins the image files of a camera's windows to one PNG or OpenEXR, holding one row of windows in memory.
+"""Joins the image files of a camera's windows to one PNG or OpenEXR file. One row of windows is in memory at a time.
 
 PNG (W3C Recommendation of 2003) has 8-bit pixels; OpenEXR has ZIP-compressed scanlines (openexr.com, File Layout).
 """
@@ -23,26 +23,26 @@ from lumisplat.io.images.exr import read_exr
 _MAGIC = 20000630
 _VERSION, _LONG_NAMES = 2, 0x400
 _SHORT_NAME = 31
-"""Longest channel name without the long-name flag, bytes."""
+"""Longest channel name, in bytes, that OpenEXR allows without the flag for long names."""
 _BLOCK_ROWS = 16
-"""Number of rows that ZIP compresses together."""
+"""Number of image rows that OpenEXR's ZIP method compresses together."""
 _ZIP = 3
 _KINDS = {"u": (0, "<u4"), "f": (2, "<f4")}
-"""OpenEXR pixel type and stored type by NumPy kind: 32-bit unsigned integers and floats."""
+"""OpenEXR pixel type and NumPy type of 32-bit unsigned integers ("u") and floats ("f")."""
 
 Rows = Mapping[str, npt.NDArray[Any]]
-"""Rows of all channels by name, each float32 or uint32, shape (R, W)."""
+"""Consecutive rows of every channel by channel name, each float32 or uint32, shape (rows, width)."""
 
 _Bytes = npt.NDArray[np.uint8]
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOR_TYPES = {3: 2, 4: 6}
-"""PNG colour types of RGB and RGBA, by number of channels."""
+"""PNG colour type by number of channels: 3 for RGB, 4 for RGBA."""
 _FILTERS = (1, 2, 4)
 """PNG filters that are tried for each row: Sub, Up and Paeth."""
 
 Window = tuple[int, int, int, int]
-"""Left, top, width and height, pixels."""
+"""Position and size of a window in the image: left, top, width and height, pixels."""
 
 
 class ExrRows:
@@ -94,7 +94,7 @@ class ExrRows:
 
 
 def _predicted(content: bytes) -> bytes:
-    """Applies OpenEXR's ZIP predictor: bytes at even, then at odd offsets, each minus the previous byte."""
+    """Applies OpenEXR's ZIP predictor: the bytes at even, then at odd offsets, each minus the byte before it."""
     stored = np.frombuffer(content, np.uint8)
     parted = np.concatenate([stored[::2], stored[1::2]])
     parted[1:] = np.diff(parted) + np.uint8(128)
@@ -152,7 +152,7 @@ class PngRows:
             self._chunk(b"IEND", b"")
 
     def write(self, pixels: _Bytes) -> None:
-        """Writes the next rows, shape (R, W, channels)."""
+        """Writes the next rows, shape (rows, width, channels)."""
         rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
         packed = bytearray()
         for row in rows:
@@ -162,7 +162,7 @@ class PngRows:
             self._chunk(b"IDAT", bytes(packed))
 
     def _filtered(self, row: _Bytes) -> bytes:
-        """Filters a row with the filter whose absolute differences have the smallest sum."""
+        """Filters a row by the PNG filter that makes the sum of absolute differences smallest."""
         left, corner = self._left_neighbors(row), self._left_neighbors(self._above)
         candidates = row - left, row - self._above, row - _paeth(left, self._above, corner)
         sizes = [
@@ -172,7 +172,7 @@ class PngRows:
         return bytes([_FILTERS[best]]) + candidates[best].tobytes()
 
     def _left_neighbors(self, row: _Bytes) -> _Bytes:
-        """Returns for each byte the same channel of the pixel to the left; 0 for the first pixel."""
+        """Returns, for each byte of a row, the same channel of the pixel to the left; 0 for the first pixel."""
         return np.concatenate([np.zeros(self._channels, np.uint8), row[: -self._channels]])
 
     def _chunk(self, name: bytes, content: bytes) -> None:
@@ -181,7 +181,7 @@ class PngRows:
 
 
 def _paeth(left: _Bytes, above: _Bytes, corner: _Bytes) -> _Bytes:
-    """Returns the neighbour nearest to ``left + above - corner``, in this order of preference on ties."""
+    """Returns the nearest to ``left + above - corner`` of ``left``, ``above`` and ``corner``; on ties the first."""
     a, b, c = (one.astype(np.int16) for one in (left, above, corner))
     to_a, to_b, to_c = np.abs(b - c), np.abs(a - c), np.abs(a + b - 2 * c)
     return np.where((to_a <= to_b) & (to_a <= to_c), left, np.where(to_b <= to_c, above, corner)).astype(np.uint8)
@@ -193,13 +193,13 @@ def join_windows(path: PathLike, windows: Mapping[Window, PathLike]) -> None:
     Args:
         path: The image to write, ``.png`` (8-bit RGB or RGBA) or ``.exr`` (all channels of the window files). It
             appears complete or not at all.
-        windows: Files of one format by their windows. Windows form rows without gaps, and all windows of a row have the
-            same height.
+        windows: Files by window, all in the format of ``path``. Windows form rows without gaps, and all windows of a
+            row have the same height.
 
     Raises:
         SceneError: The windows do not tile an image.
-        FormatError: A file is missing, damaged, or does not match the others; the image cannot be written, or has
-            another extension.
+        FormatError: A window file is missing, damaged, or has other channels than the first; the image cannot be
+            written, or has another extension.
     """
     rows = _in_rows(windows)
     size = max(left + width for left, _, width, _ in windows), max(top + height for _, top, _, height in windows)

@@ -34,7 +34,7 @@ _ENCODED_WIDTHS = range(8, 2**15)
 """Image widths for which the newer run-length encoding is defined."""
 
 LINEAR = (".exr", ".hdr", ".pic")
-"""Extensions of files with linear radiance."""
+"""Extensions of image files that hold linear radiance."""
 
 
 def read_radiance(path: PathLike) -> FloatArray:
@@ -93,7 +93,7 @@ class _Header(NamedTuple):
     width: int
     height: int
     exposure: npt.NDArray[np.float64]
-    """Factors by which the stored pixels were multiplied, one per channel, shape (3,)."""
+    """Factor of each channel by which the stored pixels were multiplied, shape (3,)."""
     size: int
     """Length of the header, bytes."""
 
@@ -156,7 +156,7 @@ def _read_header(path: PathLike, data: bytes) -> _Header:
 
 
 def _positive_numbers(text: str) -> list[float]:
-    """Parses the numbers of a header line; empty if any is not a positive number."""
+    """Parses the numbers of a header line; an empty list if any of them is not a positive number."""
     try:
         numbers = [float(word) for word in text.split()]
     except ValueError:
@@ -165,11 +165,11 @@ def _positive_numbers(text: str) -> list[float]:
 
 
 class _RunError(Exception):
-    """A run of the run-length encoding crosses the end of its row."""
+    """A run of the run-length encoding is longer than the rest of its row."""
 
 
 def _read_row(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
-    """Decodes the row that begins at byte ``at``. Returns its RGBE bytes and the start of the next row."""
+    """Decodes the row that begins at byte ``at``. Returns the row's RGBE bytes and the start of the next row."""
     encoded = data[at] == 2 == data[at + 1] and (data[at + 2] << 8 | data[at + 3]) == width
     if encoded and width in _ENCODED_WIDTHS:
         return _read_channels(data, at + 4, width)
@@ -197,7 +197,10 @@ def _read_channels(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uin
 
 
 def _read_repeats(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
-    """Decodes the older encoding: (1, 1, 1, n) repeats the last pixel n times; a second such pixel counts 256 n."""
+    """Decodes the older encoding of a row, in which a pixel (1, 1, 1, n) repeats the pixel before it n times.
+
+    A second pixel (1, 1, 1, n) in succession repeats it 256 n times.
+    """
     row, shift = bytearray(), 0
     while len(row) < 4 * width:
         pixel = data[at : at + 4]

@@ -21,7 +21,7 @@ _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TGA", "TIFF")
 
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _SCAN, _END = 0xDA, b"\xff\xd9"
-"""JPEG markers: start of scan, and end of image (ITU-T T.81, table B.1)."""
+"""JPEG markers for the start of a scan and for the end of the image (ITU-T T.81, table B.1)."""
 
 
 def read_texture(path: PathLike, total: TextureBytes | None = None) -> npt.NDArray[np.uint8]:
@@ -61,7 +61,7 @@ def decode_texture(
         data: The encoded image.
         path: File to name in errors.
         label: Name of the image inside of that file, for errors; None if the file is the image.
-        total: Running total of texture sizes of the file that the image belongs to, which bounds their memory.
+        total: Running total of the texture sizes of a file, which limits their memory; None limits only this image.
 
     Returns:
         sRGB-encoded texels, shape (H, W, 3), or (H, W, 4) if the image has transparency; row 0 at the top.
@@ -95,7 +95,7 @@ def decode_texture(
 def check_undamaged(path: PathLike) -> None:
     """Raises an error for a truncated image file, and for a PNG that is damaged anywhere.
 
-    PNG checksums and the JPEG end marker show quickly that a file is complete; other files are decoded.
+    A PNG is checked by its checksums, and a JPEG by its end marker. Images of other formats are decoded.
 
     Raises:
         FormatError: The image cannot be decoded to its end.
@@ -126,7 +126,7 @@ def _is_whole_png(data: bytes) -> bool:
 
 
 def _is_ended_jpeg(data: bytes) -> bool:
-    """Returns whether the main image of a JPEG has an end marker, ignoring an embedded thumbnail and appended data."""
+    """Returns whether the main image of a JPEG has an end marker. Thumbnail and appended data are not considered."""
     if not data.startswith(_JPEG):
         return False
     at = len(_JPEG)
@@ -146,7 +146,7 @@ def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
     Args:
         path: The file to write. It appears complete or not at all.
         srgb: Display-referred values, 0..1, shape (H, W, 3 or 4); clamped, and rounded half up. NaN becomes 0, and a
-            log line counts NaN values. Bytes are written unchanged.
+            log line counts NaN values. An array of bytes (uint8) is written unchanged.
 
     Raises:
         SceneError: The shape is not that of an image.
@@ -185,7 +185,7 @@ def write_gray_png(
 def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
     """Converts display-referred values, 0..1, shape (H, W, 3 or 4), to 8 bits; ``path`` is named in the log.
 
-    Bytes are returned unchanged.
+    An array of bytes (uint8) is returned unchanged.
 
     Raises:
         SceneError: The shape is not that of an image.

@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 _Bytes = npt.NDArray[np.uint8]
 
 _FPS_MAX = 50.0
-"""Largest frames per second of image animations: browsers slow GIF frames shorter than 20 ms down ten times."""
+"""Largest frames per second of image animations: browsers show a GIF frame shorter than 20 ms for 100 ms."""
 _PALETTE_PIXELS = 100_000
-"""Number of pixels, over all frames, from which a GIF palette is chosen. More make no visible difference."""
+"""Number of pixels, sampled from all frames, from which a GIF palette is chosen. More make no visible difference."""
 
 _VIDEO_FPS_MAX = 240.0
-"""Largest frames per second of a video, from H.264 level 5.1 at common sizes."""
+"""Largest frames per second of a video, which H.264 level 5.1 allows at common sizes."""
 _FPS_DENOMINATOR = 1001
 """Largest denominator of frame rates, so that 24, 12.5 and 30000/1001 are exact."""
 _QUALITY = {"crf": "16", "preset": "medium"}
-"""x264 options; its default constant rate factor is 23, and at 16 compression is hardly visible."""
+"""x264 options. At constant rate factor 16, compression is hardly visible; x264's default is 23."""
 _BT709 = 1
-"""Code of BT.709 primaries, transfer function and matrix (ITU-T H.273)."""
+"""Code in ITU-T H.273 of BT.709: the same for primaries, transfer function and matrix."""
 _LIMITED_RANGE = 1
-"""Code of limited range, luma 16..235 (FFmpeg's AVCOL_RANGE_MPEG)."""
+"""FFmpeg's code AVCOL_RANGE_MPEG of limited range, in which luma is 16..235."""
 
 
 def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) -> None:
@@ -69,7 +69,10 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
 
 
 def _durations_ms(count: int, fps: float, unit: int) -> list[int]:
-    """Returns frame durations, milliseconds, rounded to ``unit`` so that every total is right to half a unit."""
+    """Returns the duration of each of ``count`` frames in milliseconds, a multiple of ``unit``.
+
+    The end of every frame differs from its exact time by at most half a unit.
+    """
     ends = np.floor(np.arange(count + 1) * 1000.0 / (fps * unit) + 0.5).astype(int)
     return [int(length) * unit for length in np.diff(ends)]
 
@@ -164,6 +167,6 @@ def _encode(av: Any, path: Path, frames_8bit: Iterable[_Bytes], shape: tuple[int
 
 
 def _even(frame_8bit: _Bytes) -> _Bytes:
-    """Returns the frame with its last row or column repeated if their number is odd."""
+    """Returns the frame with an even number of rows and columns: the last one is repeated if the number is odd."""
     height, width, _ = frame_8bit.shape
     return np.pad(frame_8bit, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -37,7 +37,7 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 """File extensions of images and masks."""
 
 _MASK_ENDINGS = (".mask", "_mask", "-mask")
-"""Endings of a file stem that mark the file as a mask."""
+"""Endings of a file name without extension that mark the file as a mask."""
 
 _NAMES_LISTED = 3
 """Largest number of file names that a message lists."""
@@ -52,7 +52,7 @@ class ListedImage:
     image: Path
     mask: Path | None
     name: str = ""
-    """Normalised ``file_path`` of the frame; empty for COLMAP models."""
+    """``file_path`` of the frame, normalised by `_shortest_name`; empty for COLMAP models."""
 
 
 def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[ListedImage]:
@@ -191,7 +191,7 @@ class Masks:
         return beside if beside.is_file() else None
 
     def report(self, listed: Sequence[ListedImage]) -> None:
-        """Logs a line if the mask folder has masks for only some of the images, or for none."""
+        """Logs a line if the mask folder has masks for only some of the images, or for none of them."""
         masked = sum(one.mask is not None for one in listed)
         if not self._files or masked == len(listed):
             return
@@ -215,7 +215,10 @@ class Masks:
 
 
 def _mask_key(name: Path) -> str:
-    """Returns the lower-case image name that a mask file refers to, with or without the image's extension."""
+    """Returns the file name of the image that a mask file is named after, in lower case.
+
+    The image's extension is included only if the mask's name includes it.
+    """
     stem = name.with_suffix("")
     for ending in _MASK_ENDINGS:
         if stem.name.lower().endswith(ending) and len(stem.name) > len(ending):
@@ -234,7 +237,14 @@ def _files_below(folder: Path) -> list[Path]:
 
 
 def _report_missing(path: Path, missing: Sequence[str], count: int, expected: str) -> None:
-    """Logs the missing images, or raises `FormatError` if all of them are missing."""
+    """Logs the missing images, or raises `FormatError` if all images are missing.
+
+    Args:
+        path: The file that lists the images.
+        missing: Names of the missing images.
+        count: Number of all images.
+        expected: Where the images were searched, for the message.
+    """
     if not missing:
         return
     names = some_names(missing)
@@ -252,17 +262,17 @@ def some_names(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Splits:
-    """Train and evaluation splits of a ``transforms.json``: sets of ``file_path``, or None if the file has no split."""
+    """Train and evaluation splits of a ``transforms.json``: sets of ``file_path``, each None if the file lacks it."""
 
     training: frozenset[str] | None
     held_out: frozenset[str] | None
 
     @classmethod
     def of(cls, path: Path) -> Splits:
-        """Reads ``train_filenames`` and ``test_filenames`` (or ``val_filenames`` if there is no test split) of a file.
+        """Reads ``train_filenames`` and ``test_filenames`` of a file, or ``val_filenames`` if it has no test split.
 
         Raises:
-            FormatError: One of them is not a list of names.
+            FormatError: One of these keys is not a list of names.
         """
         content = _content(path)
         training, test, validation = (_names(path, content, f"{part}_filenames") for part in ("train", "test", "val"))
@@ -298,7 +308,7 @@ class Splits:
 
 
 def nerfstudio_points(path: Path) -> tuple[Doubles, FloatArray] | None:
-    """Reads the point cloud that ``ply_file_path`` names, or returns None if there is none or the file is missing.
+    """Reads the point cloud that ``ply_file_path`` names; returns None if there is no such key or no such file.
 
     A log line reports a missing file.
 

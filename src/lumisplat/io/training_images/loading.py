@@ -41,19 +41,19 @@ from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.local_frame import camera_extent
 
 IMAGE_CACHE_BYTES = 1 << 30
-"""Default memory limit of decoded images, bytes. It holds 520 images of 960 x 720 and fits beside a training run on
-small machines."""
+"""Default memory limit of decoded images, bytes: 520 images of 960 x 720. It fits beside a training run on small
+machines."""
 
 HOLD_OUT = 8
-"""Every 8th image is held out for evaluation by default, as in Mip-NeRF 360 and later work."""
+"""Default of ``hold_out``: every 8th image is held out for evaluation, as in Mip-NeRF 360 and later work."""
 
 SAME_POSITION = 1e-3
-"""Two cameras closer than this fraction of the camera extent count as one position: their parallax is negligible."""
+"""Distance of two cameras, as a fraction of the camera extent, below which their parallax is negligible."""
 
 SAME_ROTATION = 1e-3
-"""Two cameras whose rotations differ by less than this angle, radians, count as equally rotated.
+"""Angle between the rotations of two cameras, radians, below which they count as equally rotated.
 
-Such a rotation moves the image by a pixel or two."""
+A rotation by this angle moves the image by a pixel or two."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -61,9 +61,9 @@ _EXPECTED = "transforms.json (nerfstudio), transforms_train.json (Blender) or a 
 
 
 def camera_target(cameras: Sequence[Camera]) -> Doubles:
-    """Returns the least-squares nearest point to all optical axes, shape (3,).
+    """Returns the point with the least sum of squared distances to all optical axes, shape (3,).
 
-    If the point is not unique, such as for parallel axes, the solution nearest to the mean camera position is returned.
+    If the point is not unique, as for parallel axes, the solution nearest to the mean camera position is returned.
     """
     eyes = np.stack([camera.eye for camera in cameras])
     axes = np.stack([camera.camera_from_world[2, :3] for camera in cameras])
@@ -84,7 +84,7 @@ def count_poses(cameras: Sequence[Camera]) -> int:
 
 
 def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
-    """Returns indices of cameras that differ from all earlier ones in position or, if ``with_rotation``, rotation."""
+    """Returns the indices of cameras that differ from all earlier cameras in position or, if requested, in rotation."""
     eyes = np.stack([camera.eye for camera in cameras])
     rotations = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
     near = SAME_POSITION * max(camera_extent(cameras), COINCIDENT_EXTENT / SAME_POSITION * float(np.abs(eyes).max()))
@@ -101,15 +101,16 @@ def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingImage:
-    """An image with its camera, name and mask. Pixels are decoded on demand and cached for a while.
+    """An image with its camera, name and mask. Pixels are decoded on demand and cached in bounded memory.
 
-    Every method rereads the files if the pixels are no longer cached, and raises `FormatError` if that fails.
+    Methods read the files again if the pixels are no longer cached, and raise `FormatError` if that fails.
     """
 
     name: str
     """File name without its extension, made unique within the image set."""
     camera: Camera
-    """Camera at the size of the pixels: an undistorted pinhole, or the original lens if ``straighten`` was False."""
+    """Camera with the image size of `pixels`: an undistorted pinhole, or the original lens if ``straighten`` was
+    False."""
     path: Path
     """The image file."""
     background: Color | None
@@ -160,7 +161,7 @@ class TrainingImage:
 
 @dataclass(frozen=True, slots=True)
 class ReadFrom:
-    """The arguments of `load_training_images` that load the same images again."""
+    """Arguments with which `load_training_images` loads the same images again."""
 
     folder: Path
     """Absolute path of the folder."""
@@ -188,10 +189,10 @@ class TrainingImages:
     """1.1 times the largest distance of a training camera from the mean camera position, scene units; 0 if all cameras
     are at one position."""
     target: Doubles
-    """Point that the training cameras look at, shape (3,): the least-squares nearest point to their optical axes. For
-    parallel axes it is the mean camera position."""
+    """Point that the training cameras look at, shape (3,): the point with the least sum of squared distances to their
+    optical axes. For parallel axes, the mean camera position."""
     read_from: ReadFrom | None = None
-    """Arguments that loaded these images; None if a program built the object itself."""
+    """Arguments that loaded these images; None if they were not loaded by `load_training_images`."""
 
     @property
     def fingerprint(self) -> str:
@@ -207,7 +208,7 @@ class TrainingImages:
 
 
 def _camera_bytes(camera: Camera) -> bytes:
-    """Serialises all fields of a camera for hashing."""
+    """Returns all fields of a camera as bytes, for hashing."""
     values = (getattr(camera, one.name) for one in fields(camera))
     return b" ".join(value.tobytes() if isinstance(value, np.ndarray) else str(value).encode() for value in values)
 
@@ -218,13 +219,13 @@ def _unit_range(plane: Plane) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _FolderContents:
-    """Image lists and points found in a folder."""
+    """Lists of images, and points, that were found in a folder."""
 
     file: Path
-    """File or model folder that lists the images."""
+    """The file, or the folder of the COLMAP model, that lists the images."""
     images: list[ListedImage]
     held_out: list[ListedImage] | None = None
-    """Held-out images that the folder defines itself; None if it defines no split."""
+    """Images that the folder's files declare as held out; None if the files define no split."""
     points: tuple[Doubles, FloatArray] | None = None
 
 
@@ -320,7 +321,7 @@ def load_training_images(
 
 
 def _find(folder: Path, with_held_out: bool) -> _FolderContents:
-    """Detects the layout of a folder and reads its lists of images."""
+    """Detects the layout of a folder, as listed in `load_training_images`, and reads its lists of images."""
     if not folder.exists():
         raise MissingFileError(folder, "no such folder")
     if not folder.is_dir():
@@ -347,9 +348,9 @@ def _find(folder: Path, with_held_out: bool) -> _FolderContents:
 
 
 def _held_out(folder: Path) -> list[ListedImage] | None:
-    """Lists the images of ``transforms_test.json``, or else ``transforms_val.json``; None if neither has an image.
+    """Lists the images of ``transforms_test.json``, else of ``transforms_val.json``; None if neither has an image.
 
-    Some exporters write a test file without its images. A log line then says which images are held out instead.
+    Some exporters write a test file without its images. In this case a log line says which images are held out instead.
     """
     files = [path for name in ("test", "val") if (path := folder / f"transforms_{name}.json").is_file()]
     lists = [transforms_images(path, may_lack_all=True) for path in files]
@@ -430,14 +431,14 @@ def _check(file: Path, entry: ListedImage) -> None:
 
 
 def _scaled(camera: Camera, scale: float) -> Camera:
-    """Returns the camera at a fraction of its size, rounded to whole pixels."""
+    """Returns the camera with its image size multiplied by ``scale`` and rounded to whole pixels."""
     return camera.scaled(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
 
 
 Plane = npt.NDArray[np.uint8]
 
 _COVERAGE_MIN = 1e-3
-"""Unmasked fraction of a pixel's area below which the pixel counts as fully masked: such fractions are rounding
+"""Unmasked fraction of a pixel's area below which the pixel counts as fully masked: smaller fractions are rounding
 errors."""
 
 
@@ -470,7 +471,7 @@ class _PixelCache:
     _lock: Lock = field(default_factory=Lock, init=False)
 
     def get(self, key: Path, decode: Callable[[], Pixels]) -> Pixels:
-        """Returns the cached image of a key, or stores and returns what ``decode`` returns."""
+        """Returns the cached image of ``key``; if there is none, decodes the image by ``decode`` and caches it."""
         with self._lock:
             if key in self._entries:
                 self._entries.move_to_end(key)
@@ -486,12 +487,12 @@ class _PixelCache:
 
 
 def is_curvilinear(camera: Camera) -> bool:
-    """Returns whether the camera bends straight lines: a distorted or fisheye lens."""
+    """Returns whether the lens of a camera bends straight lines: it is a fisheye, or has distortion."""
     return camera.is_distorted or camera.model is CameraModel.FISHEYE
 
 
 def pinhole_of(camera: Camera) -> Camera:
-    """Returns the undistorted pinhole with the same pose, focal lengths, principal point and size."""
+    """Returns a pinhole without distortion that has the camera's pose, focal lengths, principal point and size."""
     return replace(camera, model=CameraModel.PINHOLE, distortion=(0.0,) * 6)
 
 
@@ -521,12 +522,12 @@ def _straightened(plane: Plane, points: Doubles, covered: Flags) -> Plane:
     """Resamples a plane of the original image to the undistorted pinhole.
 
     Args:
-        plane: Plane of the original image, shape (H, W, C).
+        plane: Plane of the original image, shape (H, W, channels).
         points: Positions in the original image, from `lens_points`.
         covered: Whether each position is inside of the image, from `lens_points`; other pixels become 0.
 
     Returns:
-        Resampled plane, shape (H, W, C).
+        Resampled plane, shape (H, W, channels).
     """
     resampled = cubic_samples(plane.astype(np.float32), np.where(covered[..., None], points, 0.5))
     return np.where(covered[..., None], resampled + 0.5, 0.0).astype(np.uint8)
@@ -534,7 +535,7 @@ def _straightened(plane: Plane, points: Doubles, covered: Flags) -> Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSource:
-    """The files and the lens from which `decode` makes the pixels of a training image."""
+    """Files and lens of a training image, from which `decode` makes its pixels."""
 
     camera: Camera
     """Camera with its original lens, at the scaled size."""
@@ -547,7 +548,7 @@ class ImageSource:
 def decode(source: ImageSource) -> Pixels:
     """Decodes, downscales and undistorts an image.
 
-    Area means are taken of display-referred values, the space in which captures blend.
+    Images are downscaled by area means of display-referred values, the space in which captures blend.
 
     Raises:
         FormatError: A file cannot be read, or the image is transparent everywhere.
@@ -582,9 +583,9 @@ def decode(source: ImageSource) -> Pixels:
 
 
 def _read_mask(path: Path) -> Plane:
-    """Reads a mask, shape (H, W, 1): 255 where pixels are used, 0 where they are black or transparent.
+    """Reads a mask, shape (H, W, 1): 0 where the mask is black or transparent, 255 where the image is used.
 
-    For a JPEG the threshold is half brightness, because compression makes black inexact beside white.
+    Pixels of a JPEG count as black below half brightness, because compression makes black inexact beside white.
     """
     texels = read_texture(path)
     counts = texels[..., 3:] if texels.shape[2] == 4 else texels.max(axis=2, keepdims=True)
@@ -597,11 +598,12 @@ def _read_mask(path: Path) -> Plane:
 
 
 def _masked_means(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[str, Plane]:
-    """Downscales planes by area means over unmasked pixels only, so that masked pixels do not bleed in.
+    """Downscales planes by area means over unmasked pixels only, so that masked pixels do not bleed into others.
 
     Args:
         planes: Planes at the size of the file, among them the mask.
-        smaller: The same planes downscaled without regard to the mask. They fill areas that are masked entirely.
+        smaller: The same planes downscaled without regard to the mask. Their values are used where all pixels are
+            masked.
     """
     height, width = smaller["mask"].shape[:2]
     counts = planes["mask"] > 0

@@ -1,7 +1,7 @@
 """Estimates camera poses of images with COLMAP (Schoenberger and Frahm 2016); needs the extra ``poses``.
 
-Features, matches and models are stored in a work folder, so that an interrupted run continues. A report warns of
-missing images and of signs that poses are wrong.
+Features, matches and models are stored in a work folder, so that an interrupted run continues. Log lines warn of images
+without a pose and of signs that poses are wrong.
 """
 
 from __future__ import annotations
@@ -32,56 +32,58 @@ from lumisplat.progress import Progress
 COMPARED_FEATURES = 2048
 """Largest number of SIFT features per image.
 
-docs/adr/0056-video-poses-with-few-features-and-one-lens.md has the cost of more.
+docs/adr/0056-video-poses-with-few-features-and-one-lens.md states what more features would cost.
 """
 
 COMPARED_PIXELS = 1000
-"""Longer image side at which features are extracted, pixels. Larger images cost time and add nothing."""
+"""Longer side, in pixels, to which images are downscaled for feature extraction. More pixels cost time and add
+nothing."""
 
 DOUBLED_PIXELS = 800
-"""Images up to this longer side, pixels, are upsampled to twice their size for feature extraction.
+"""Longer image side, in pixels, up to which an image is upsampled to twice its size for feature extraction.
 
-Smaller images have too few features otherwise; larger ones would take three times as long for as many features."""
+Without upsampling such images have too few features. Larger images would take three times as long for as many features.
+"""
 
 LENS_MODEL = "RADIAL"
 """COLMAP camera model of the images: one focal length and two radial distortion terms.
 
-Pixels are square. With two focal lengths, scenes of little depth leave the ratio of the two undetermined."""
+Pixels are assumed to be square. With two focal lengths, a scene of little depth would not determine their ratio."""
 
 NEXT_FRAMES = 10
-"""Each video frame is matched with this many following frames."""
+"""Number of following frames that each video frame is matched with."""
 
 ALL_PAIRS_UP_TO = 40
-"""Up to this many unordered images, all pairs are matched."""
+"""Number of unordered images up to which all pairs are matched."""
 
 SIMILAR_IMAGES = 5
-"""Each image is matched with this many images of similar content, besides its neighbours in a video."""
+"""Number of images of similar content that each image is matched with, besides its neighbours in a video."""
 
 SIMILARITY_FEATURES = 128
-"""Similar images are found by matching this many features of each image, the largest ones."""
+"""Number of features of each image, the largest ones, that are matched to find similar images."""
 
 SIMILARITY_MATCHES_MIN = 4
-"""Fewest matches that make two images similar; fewer occur by chance (Wu 2013, section 4)."""
+"""Fewest matching features that make two images similar; fewer occur by chance (Wu 2013, section 4)."""
 
 LOWE_RATIO = 0.8
 """Ratio test: largest quotient of the angles to the nearest and second nearest descriptor (Lowe 2004, section 7.1)."""
 
 MODEL_IMAGES_MIN = 3
-"""Fewest images of a model: with two, nothing distinguishes right poses from wrong ones."""
+"""Fewest images of a model. With two images, nothing distinguishes right poses from wrong ones."""
 
 POINTS_PER_IMAGE_MIN = 50
-"""Mean number of points seen by an image below which poses are likely wrong. COLMAP itself asks for 30."""
+"""Mean number of points per image below which poses are likely wrong. COLMAP itself requires 30 in each image."""
 
 REPROJECTION_ERROR_MAX = 1.5
 """Mean reprojection error, pixels at `COMPARED_PIXELS`, above which poses are likely wrong.
 
-0.4 to 1 is usual, and COLMAP filters points above 4."""
+Errors of 0.4 to 1 are usual, and COLMAP removes points with errors above 4."""
 
 WITHOUT_POSE_MAX = 0.25
-"""Fraction of images without a pose above which the user is told to record the video again."""
+"""Fraction of images without a pose above which a log line advises to record the video again."""
 
 USUAL_FOV_DEGREES = 15.0, 130.0
-"""Usual range of the field of view of phones and cameras along the longer image side, degrees."""
+"""Smallest and largest usual field of view of phones and cameras along the longer image side, degrees."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -89,11 +91,11 @@ Pairs = list[tuple[int, int]]
 """Pairs of image indices, the smaller index first, sorted, without duplicates."""
 
 _BATCH = 4
-"""Images between two progress reports of feature extraction."""
+"""Number of images between two progress reports of feature extraction."""
 _PAIR_BATCH = 32
-"""Image pairs between two progress reports of matching."""
+"""Number of image pairs between two progress reports of matching."""
 _INTERRUPT_POLL_S = 0.2
-"""Interval at which a running COLMAP step is checked for Ctrl C, seconds."""
+"""Seconds between two checks for Ctrl C while a COLMAP step runs."""
 
 _WORK = "poses.unfinished"
 """Name of the work folder, which is removed once poses are found."""
@@ -104,8 +106,9 @@ def compared_pairs(
 ) -> Pairs:
     """Selects the image pairs whose features are matched.
 
-    Few images are matched exhaustively. A video frame is matched with the next frames. In either case each image is
-    also matched with the most similar ones, which closes loops where the camera returns to an earlier position.
+    Up to `ALL_PAIRS_UP_TO` unordered images are matched with each other. More images are matched with the most similar
+    ones. A video frame is matched with the next frames and with the most similar frames, which closes loops where the
+    camera returns to an earlier position.
 
     Args:
         count: Number of images.
@@ -121,13 +124,14 @@ def compared_pairs(
 
 
 def similar_pairs(descriptors: Sequence[FloatArray], neighbors: int, report: Callable[[float], None]) -> Pairs:
-    """Pairs each image with the `SIMILAR_IMAGES` others that match most of its largest features.
+    """Pairs each image with the `SIMILAR_IMAGES` others with which it shares most of its largest features.
 
     Large features are few, and are found again from other viewpoints. Pairs whose largest features do not match seldom
     match at all (Wu 2013, "Towards Linear-Time Incremental Structure from Motion", section 4, preemptive matching).
 
     Args:
-        descriptors: Unit-length descriptors of each image's largest features, shape (at most `SIMILARITY_FEATURES`, D).
+        descriptors: For each image the descriptors of its largest features, unit vectors of length D, shape (at most
+            `SIMILARITY_FEATURES`, D).
         neighbors: Images whose indices differ by at most this are not paired.
         report: Called with the fraction done, 0..1.
     """
@@ -162,9 +166,9 @@ def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) 
     """Returns unit-length descriptors of an image's largest features, shape (at most `SIMILARITY_FEATURES`, D).
 
     Args:
-        keypoints: COLMAP keypoints: x, y and an affine shape whose determinant is the squared size, shape (N, 6); or x,
-            y, size and orientation, shape (N, 4).
-        descriptors: Descriptors of the keypoints, shape (N, D).
+        keypoints: COLMAP keypoints of N features: x, y and an affine shape whose determinant is the squared size, shape
+            (N, 6); or x, y, size and orientation, shape (N, 4).
+        descriptors: Descriptors of the keypoints, D numbers each, shape (N, D).
     """
     if keypoints.shape[1] == 6:
         size = np.abs(keypoints[:, 2] * keypoints[:, 5] - keypoints[:, 3] * keypoints[:, 4])
@@ -176,7 +180,7 @@ def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) 
 
 @dataclass(frozen=True, slots=True)
 class ColmapRun:
-    """A COLMAP reconstruction in progress. Each step reads what earlier steps wrote to the work folder."""
+    """A COLMAP reconstruction in progress. Each step reads the results of earlier steps from the work folder."""
 
     pycolmap: Any
     images: Path
@@ -194,11 +198,11 @@ class ColmapRun:
 
     @property
     def _links(self) -> list[str]:
-        """Names of symbolic links to the images. They have no spaces, which separate names in COLMAP's pair lists."""
+        """Names of symbolic links to the images, without spaces, which separate names in COLMAP's pair lists."""
         return [f"{index:06d}{Path(name).suffix}" for index, name in enumerate(self.names)]
 
     def prepare(self) -> None:
-        """Creates the work folder, or keeps it if an interrupted run of the same images and settings left it."""
+        """Creates the work folder. A work folder of an interrupted run with equal images and settings is used again."""
         stats = [(self.images / name).stat() for name in self.names]
         known = {
             "features": [COMPARED_FEATURES, COMPARED_PIXELS, DOUBLED_PIXELS, LENS_MODEL],
@@ -274,7 +278,7 @@ class ColmapRun:
             ]
 
     def estimate_poses(self) -> list[Any]:
-        """Runs incremental mapping. Returns disjoint COLMAP models, the one with most images first; may be empty."""
+        """Runs incremental mapping. Returns disjoint COLMAP models, the largest first; empty if none was found."""
         finished, with_pose = 0, 0
 
         def first_pair() -> None:
@@ -339,26 +343,33 @@ class ColmapRun:
 
 @dataclass(frozen=True, slots=True)
 class PoseReport:
-    """Quality figures of a COLMAP reconstruction."""
+    """Figures about a COLMAP reconstruction from which wrong poses are recognised."""
 
     names: Sequence[str]
     """Names of all images."""
     with_pose: Sequence[str]
-    """Names of the images with a pose."""
+    """Names of the images with a pose, sorted."""
     model_sizes: Sequence[int]
-    """Number of images of the chosen model; then, for each other model, of images that only it has, if three or more.
+    """Number of images of the chosen model, then of every other model with at least `MODEL_IMAGES_MIN` images that the
+    chosen model lacks; only these images count.
     """
     points: int
     points_per_image: float
-    """Mean number of points that an image observes."""
+    """Mean number of points that an image with a pose observes."""
     error: float
-    """Mean reprojection error, pixels at the size used for matching."""
+    """Mean reprojection error, pixels of the images as downscaled for feature extraction."""
     fov_degrees: float
-    """Field of view along the longer image side, degrees; of several cameras, the least usual one."""
+    """Field of view along the longer image side, degrees; if there are several cameras, the least usual field of view.
+    """
 
     @classmethod
     def of(cls, names: Sequence[str], models: Sequence[Any]) -> PoseReport:
-        """Computes the figures of COLMAP models, of which the first is the chosen one."""
+        """Computes the figures of a reconstruction.
+
+        Args:
+            names: Names of all images.
+            models: Disjoint COLMAP models, the chosen one first.
+        """
         best = models[0]
         names_of = [{model.image(index).name for index in model.reg_image_ids()} for model in models]
         others = [len(other - names_of[0]) for other in names_of[1:]]

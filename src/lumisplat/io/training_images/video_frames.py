@@ -25,19 +25,19 @@ _log = logging.getLogger("lumisplat")
 
 _JPEG_QUALITY = 95
 _COMPARED_SIZE = 480
-"""Longer image side at which sharpness is measured, pixels. At full size, noise of single pixels would count as
+"""Longer image side, in pixels, at which sharpness is measured. At full size, noise of single pixels would count as
 detail."""
 _HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
-"""Names of HDR transfer functions by their code (ITU-T H.273); their values are not display-referred sRGB."""
+"""Names of HDR transfer functions by their code in ITU-T H.273. Frames of such videos are not display-referred sRGB."""
 _ROTATIONS = (None, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180, Image.Transpose.ROTATE_270)
-"""Pillow operations by the number of quarter rotations to the left."""
+"""Pillow operations by the number of 90 degree rotations to the left."""
 
 _STILL_SIZE = 16
-"""Longer image side at which motion is detected, pixels; noise is averaged away."""
+"""Longer image side, in pixels, at which motion is detected; downscaling averages noise away."""
 _STILL_DIFFERENCE = 0.5
-"""Mean difference of grey values, 0..255, below which two frames count as the same view."""
+"""Mean difference of the grey values, 0..255, of two frames below which the camera counts as still."""
 _BLACK_LEVEL = 16
-"""Largest grey value, 0..255, of a black frame: video black, which is 16, and its noise."""
+"""Largest grey value, 0..255, of a black frame: 16, the black of video, plus noise."""
 
 
 def extract_frames(
@@ -97,14 +97,14 @@ def extract_frames(
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """Sharpest frame of the current interval so far."""
+    """Sharpest frame so far of the current time interval."""
 
     sharpness: float
     image: Image.Image
 
 
 def _sharpest_frames(av: Any, video: Path, every: float, progress: Progress | None) -> Generator[Image.Image]:
-    """Yields the sharpest frame of each interval, upright; intervals without frames yield nothing."""
+    """Yields the sharpest frame of each time interval, rotated upright; an interval without frames is skipped."""
     with av.open(str(video)) as container:
         if not container.streams.video:
             raise FormatError(video, "has no video stream")
@@ -143,7 +143,7 @@ class _FrameCheck:
         self._moved = 0.0
 
     def add(self, image: Image.Image) -> None:
-        """Accounts for the next extracted frame."""
+        """Updates the check with the next extracted frame."""
         small = image.convert("L")
         small.thumbnail((_STILL_SIZE, _STILL_SIZE), Image.Resampling.BOX)
         grey = np.asarray(small, np.float32)
