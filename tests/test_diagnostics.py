@@ -17,8 +17,8 @@ from lumisplat import diagnostics
 from lumisplat.runtime.launcher import Launcher
 
 
-def test_diagnosis_of_this_machine_has_no_problems() -> None:
-    """On the machine that runs the tests, the CPU works, all packages are installed, and nothing needs repair."""
+def test_diagnosis_of_the_test_machine_has_no_problems() -> None:
+    """The CPU works, all packages are installed, and nothing needs repair."""
     found = ls.diagnostics.diagnose()
     assert found.problems == () and found.version == ls.__version__
     assert found.devices[0].name == "cpu" and found.devices[0].memory_bytes > 2**29
@@ -28,7 +28,7 @@ def test_diagnosis_of_this_machine_has_no_problems() -> None:
     assert warp.installed == metadata.version("warp-lang") and warp.is_right
 
 
-def test_extras_list_only_their_own_packages() -> None:
+def test_diagnosed_extras_list_only_their_own_packages() -> None:
     """Extras omit the base requirements and developers' extras; each names its pip command."""
     extras = {extra.name: extra for extra in ls.diagnostics.diagnose().extras}
     assert [package.name for package in extras["video"].packages] == ["av"]
@@ -50,7 +50,7 @@ def versions(changed: dict[str, str | None]) -> Callable[[str], str]:
     return version
 
 
-def test_missing_and_old_packages_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_diagnosis_reports_missing_and_old_packages(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each problem names the command that solves it; a missing extra is no problem."""
     monkeypatch.setattr(metadata, "version", versions({"pygltflib": None, "rich": "12.9", "av": "13.1"}))
     found = ls.diagnostics.diagnose()
@@ -60,7 +60,7 @@ def test_missing_and_old_packages_are_reported(monkeypatch: pytest.MonkeyPatch) 
     assert not next(extra for extra in found.extras if extra.name == "video").is_installed
 
 
-def test_failing_kernels_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_diagnosis_reports_kernels_that_fail_to_compile_or_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compilers that raise, and devices with wrong results, are reported with the device's name."""
 
     def broken(*_: object) -> None:
@@ -75,8 +75,8 @@ def test_failing_kernels_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "cpu: a kernel that squares numbers gives wrong results" in ls.diagnostics.diagnose().problems
 
 
-def test_unusable_cache_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
-    """A cache that is a file, or a nearly full disk, is reported with place, reason and advice."""
+def test_diagnosis_reports_an_unusable_kernel_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """A cache that is a file, or a nearly full disk, is reported with path, reason and advice."""
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(diagnostics, "_trial", lambda _: None)
     with monkeypatch.context() as patch:
@@ -90,7 +90,7 @@ def test_unusable_cache_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: A
     assert any("10 MiB are free" in line for line in ls.diagnostics.diagnose().problems)
 
 
-def test_unusable_gpu_is_remarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+def test_diagnosis_remarks_on_a_gpu_without_a_usable_driver(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     """A driver file without a CUDA device gives a remark: the driver is too old, or cannot be reached."""
     (tmp_path / "nvidia0").write_text("")
     monkeypatch.setattr(diagnostics, "_SIGNS_OF_A_GPU", (str(tmp_path / "nvidia0"),))

@@ -22,28 +22,28 @@ PATH, TRACE = ls.RenderConfig(pipeline=ls.Pipeline.PATH), ls.RenderConfig(pipeli
 
 
 def splats_of(mesh: ls.Mesh, count: int) -> ls.SplatInstance:
-    """Gaussians of a mesh with the mesh's material."""
+    """Returns Gaussians of a mesh, with the mesh's material."""
     return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=mesh.material)
 
 
 def baked(scene: ls.Scene, config: ls.RenderConfig = PATH, **options: Any) -> ls.Scene:
-    """Bakes on the CPU."""
+    """Bakes a scene on the CPU."""
     return ls.bake(scene, config, device="cpu", **options)
 
 
 def colors_along_normals(gaussians: ls.Gaussians) -> np.ndarray:
-    """Colours viewed along the normals, shape (N, 3)."""
+    """Returns the colours of N Gaussians viewed along their normals, shape (N, 3)."""
     assert gaussians.normals is not None
     basis = sh_basis(-gaussians.normals.astype(np.float64), gaussians.sh_degree)
     return np.maximum(np.einsum("nk,nkc->nc", basis, gaussians.sh) + 0.5, 0.0)
 
 
 def floor(count: int = 200) -> ls.SplatInstance:
-    """A level square of Gaussians with albedo 0.6 that faces up."""
+    """Returns a level square of Gaussians with albedo 0.6 that faces up."""
     return splats_of(ls.plane(2.0, 2.0, material=diffuse(0.6)), count)
 
 
-def test_white_furnace_gives_the_environments_color() -> None:
+def test_baked_white_body_in_a_white_furnace_has_the_environments_colour() -> None:
     """A white body in a constant environment is as bright as the environment, however often light bounces."""
     scene = ls.Scene([splats_of(ball(1.0, diffuse(1.0), rows=16), 150)], lights=[SKY])
     (shown,) = baked(scene).splats
@@ -58,7 +58,7 @@ def test_white_furnace_gives_the_environments_color() -> None:
         assert np.abs(frame.color / np.maximum(frame.alpha, 0.5)[..., None] - expected)[inside].max() < 0.03
 
 
-def test_plane_in_sunlight_follows_lamberts_law() -> None:
+def test_baked_plane_in_sunlight_follows_lamberts_law() -> None:
     """Radiance is albedo / pi times irradiance times cosine, from all directions above, at any exposure."""
     scene = ls.Scene([floor()], lights=[SUN])
     travel = np.array(SUN.direction) / np.linalg.norm(SUN.direction)
@@ -72,7 +72,7 @@ def test_plane_in_sunlight_follows_lamberts_law() -> None:
             np.testing.assert_allclose(colors, np.broadcast_to(expected, colors.shape), atol=0.01)
 
 
-def test_integrating_sphere_matches_path_tracing() -> None:
+def test_baked_integrating_sphere_matches_path_tracing() -> None:
     """An integrating sphere around a small light is as bright as path tracing shows it from the centre.
 
     The discs are 2 % darker in display values than a sphere, E = E0 / (1 - albedo (1 - r^2 / R^2)): 3 % of each bounce
@@ -95,15 +95,15 @@ def test_integrating_sphere_matches_path_tracing() -> None:
 
 
 def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
-    """Cameras around the origin."""
+    """Returns cameras around the origin."""
     eyes = [(0.0, 0.3, -1.0), (0.9, 0.4, 0.2), (-0.5, -0.2, 0.9), (-0.9, 0.6, -0.4)]
     return [
         ls.Camera.look_at(away * np.array(eye), (0, 0, 0), (0, 1, 0), width=48, height=48, fov_y=0.6) for eye in eyes
     ]
 
 
-def test_baked_sh_do_not_depend_on_the_instance_transform() -> None:
-    """A set rotated, scaled and moved together with its light gets the same SH in object space."""
+def test_baked_sh_do_not_depend_on_the_transform_of_the_instance() -> None:
+    """A capture rotated, scaled and moved together with its light gets the same SH in object space."""
     shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=1.0, roughness=0.5)), 100)
     light = ls.LightPoint((2.0, 2.0, -2.0), intensity=12.0)
     # A rotation by 120 degrees around a diagonal keeps the scene's box, which limits camera distances.
@@ -116,8 +116,8 @@ def test_baked_sh_do_not_depend_on_the_instance_transform() -> None:
     assert np.abs(here.gaussians.sh[:, 1:]).max() > 0.1
 
 
-def test_unlit_sets_and_shapes_are_unchanged() -> None:
-    """A set without a material stays the same object; a lit one keeps shapes and normals, and loses its materials."""
+def test_bake_leaves_unlit_captures_and_all_shapes_unchanged() -> None:
+    """A capture without a material stays the same object; a lit one keeps shapes and normals, but no materials."""
     kept = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
     lit = replace(floor(60), name="lit")
     result = baked(ls.Scene([kept, lit], lights=[SUN], up="y-up"), TRACE, directions=8)
@@ -131,7 +131,7 @@ def test_unlit_sets_and_shapes_are_unchanged() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_shadow_catcher_is_darkened_only_in_the_shadow(pipeline: ls.Pipeline) -> None:
+def test_baked_shadow_catcher_is_darker_only_in_the_shadow(pipeline: ls.Pipeline) -> None:
     """Colours are darker where a mesh blocks the sun, and the same to the bit elsewhere."""
     capture = replace(floor(1200), material=ls.MaterialSimple(ambient=0.0), shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))
@@ -149,8 +149,8 @@ def test_shadow_catcher_is_darkened_only_in_the_shadow(pipeline: ls.Pipeline) ->
         np.testing.assert_array_equal(after[apart], before[apart])
 
 
-def test_shadow_of_a_dim_sun_removes_at_most_its_irradiance() -> None:
-    """A capture holds light of lights that the scene lacks: the shadow of a dim sun removes E / pi.
+def test_baked_shadow_removes_at_most_the_irradiance_of_the_sun() -> None:
+    """A shadow catcher also holds light of lights that the scene lacks, so a dim sun's shadow removes only E / pi.
 
     Gaussians seen from below, where the sun does not shine, lose less.
     """
@@ -164,7 +164,7 @@ def test_shadow_of_a_dim_sun_removes_at_most_its_irradiance() -> None:
     assert np.median(taken) > 0.8
 
 
-def test_equal_seeds_give_equal_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bakes_with_equal_seeds_are_equal_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The result does not depend on the number of views on the device at once; another seed gives another result."""
     scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 60)], lights=[SKY, SUN])
     config = replace(PATH, samples=2)
@@ -178,8 +178,8 @@ def test_equal_seeds_give_equal_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not np.array_equal(found(replace(config, seed=1)), first)
 
 
-def test_hidden_gaussians_are_finite_and_in_range() -> None:
-    """Gaussians inside a closed body have hardly any light, no NaN, and no value out of range."""
+def test_baked_gaussians_inside_a_closed_body_have_finite_colours() -> None:
+    """They have hardly any light, no NaN, and no value out of range."""
     hidden = replace(splats_of(ball(0.4, diffuse(0.5)), 40))
     scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 150), hidden], lights=[SKY])
     for instance in baked(scene, replace(PATH, samples=2), directions=8).splats:
@@ -187,7 +187,7 @@ def test_hidden_gaussians_are_finite_and_in_range() -> None:
         assert np.abs(instance.gaussians.sh).max() < 4.0
 
 
-def test_progress_increases_from_0_to_1() -> None:
+def test_progress_of_a_bake_rises_from_0_to_at_least_half() -> None:
     """Fractions never decrease."""
     reports: list[float] = []
 
@@ -213,10 +213,10 @@ def test_progress_increases_from_0_to_1() -> None:
         (floor(20), {}, ls.SceneError, "expected a Scene"),
     ],
 )
-def test_invalid_arguments_are_refused_with_their_names(
+def test_bake_refuses_invalid_arguments_by_name(
     scene: Any, options: dict[str, Any], error: type[Exception], message: str
 ) -> None:
-    """Messages are one line, and come before anything slow."""
+    """Messages are one line, and come before any slow work."""
     with pytest.raises(error, match=message) as raised:
         ls.bake(scene, device="cpu", **options)
     assert "\n" not in str(raised.value)

@@ -11,7 +11,7 @@ WEIGHTS = np.array([0.5, 0.3, 0.2])
 
 
 def neighbours(rng: np.random.Generator) -> RayWeights:
-    """Weights of rays that each blend three adjacent Gaussians."""
+    """Returns weights of rays that each blend three adjacent Gaussians."""
     first = rng.integers(0, GAUSSIANS - 2, RAYS)
     return RayWeights(
         ray=np.repeat(np.arange(RAYS), 3),
@@ -22,8 +22,8 @@ def neighbours(rng: np.random.Generator) -> RayWeights:
     )
 
 
-def test_ray_weights_match_a_dense_matrix():
-    """Blends are W a, and means W' r over W' 1."""
+def test_ray_weights_of_a_bake_match_a_dense_matrix():
+    """For the weight matrix W, colours a of Gaussians and r of rays, blends are W a, and means W^T r over W^T 1."""
     rng = np.random.default_rng(0)
     seen = neighbours(rng)
     matrix = np.zeros((RAYS, GAUSSIANS))
@@ -35,7 +35,7 @@ def test_ray_weights_match_a_dense_matrix():
 
 
 def base_of(seen: RayWeights, colors: np.ndarray) -> np.ndarray:
-    """Colours of the rays in a constant environment."""
+    """Returns the colours of the rays in a constant environment."""
     return seen.blended(colors) / seen.blended(np.ones((GAUSSIANS, 1)))
 
 
@@ -43,7 +43,7 @@ ALL = np.ones((2, RAYS, 1))
 """Hit fractions of rays all of whose samples hit something."""
 
 
-def test_constant_light_is_denoised_and_colors_stay():
+def test_denoising_a_bake_removes_noise_of_constant_light_but_no_colour():
     """Coloured patches of an evenly lit wall keep their colours, with a tenth of the noise."""
     rng = np.random.default_rng(1)
     seen, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))
@@ -57,7 +57,7 @@ def test_constant_light_is_denoised_and_colors_stay():
     )
 
 
-def test_dark_albedos_lose_no_light():
+def test_denoising_a_bake_keeps_the_light_of_dark_albedos():
     """Albedos far below `SHARED_COLOR_MIN` would lose half of their light and more if it were a divisor."""
     rng = np.random.default_rng(5)
     seen = neighbours(rng)
@@ -70,8 +70,8 @@ def test_dark_albedos_lose_no_light():
         assert np.abs(light - truth).mean() < 0.2 * np.abs(halves - truth).mean()
 
 
-def test_black_surface_beside_white_stays_black():
-    """White stays as bright as alone, because rays that are black in constant light carry no information on it."""
+def test_denoising_a_bake_keeps_black_beside_white():
+    """White stays as bright as without black: rays that are black in constant light carry no information on light."""
     rng = np.random.default_rng(6)
     seen = neighbours(rng)
     white = np.arange(GAUSSIANS)[:, None] % 6 < 3
@@ -84,8 +84,8 @@ def test_black_surface_beside_white_stays_black():
     np.testing.assert_allclose(light[:, bright].mean(), truth[bright].mean(), rtol=0.03)
 
 
-def test_shadow_edges_are_kept():
-    """Half of the rays of each Gaussian are in shadow, more than noise explains, so rays keep their own light."""
+def test_denoising_a_bake_keeps_shadow_edges():
+    """Half of the rays of each Gaussian are in shadow, more than noise explains, so no ray is averaged with others."""
     rng = np.random.default_rng(2)
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.5)
     lit = rng.random((RAYS, 1)) < 0.5
@@ -93,7 +93,7 @@ def test_shadow_edges_are_kept():
     np.testing.assert_allclose(denoised_by_rays(halves, ALL, base_of(seen, colors), seen, 2.0), halves, atol=1e-12)
 
 
-def test_partial_coverage_does_not_bias_brightness():
+def test_partial_coverage_of_rays_does_not_bias_baked_brightness():
     """Radiance at an outline is that of the samples that hit, without the noise of the hit count.
 
     Division by the expected number of hits would be wrong by half and more.
@@ -107,8 +107,8 @@ def test_partial_coverage_does_not_bias_brightness():
     np.testing.assert_allclose(light, np.broadcast_to(0.6 * np.array([0.5, 1.0, 2.0]), light.shape), rtol=1e-9)
 
 
-def test_noise_at_partial_coverage_is_removed():
-    """A half of one path that hits nothing carries no information on the noise."""
+def test_denoising_a_bake_removes_noise_at_partial_coverage():
+    """A half of the samples whose one path hits nothing carries no information on the noise."""
     rng = np.random.default_rng(4)
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
     found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)
@@ -119,7 +119,7 @@ def test_noise_at_partial_coverage_is_removed():
     assert np.sqrt(np.square(light - 0.35).mean()) < 0.2 * np.sqrt(np.square(alone - 0.35).mean())
 
 
-def test_rays_and_gaussians_without_contributions_give_zero():
+def test_rays_and_gaussians_without_contributions_are_denoised_to_zero():
     """Nothing is divided by zero."""
     seen = RayWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
     light = denoised_by_rays(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((2, 3), 0.5), seen, 1.0)

@@ -24,7 +24,7 @@ TRACE = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
 
 
 def glossy_ball(count: int = 300) -> ls.Scene:
-    """A glossy ball between a red and a blue light."""
+    """Returns a glossy ball between a red and a blue light."""
     lights = [
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
@@ -34,12 +34,12 @@ def glossy_ball(count: int = 300) -> ls.Scene:
 
 
 def view_from(side: Any, pixels: int) -> ls.Camera:
-    """A camera that looks at the ball."""
+    """Returns a camera that looks at the ball."""
     return ls.Camera.look_at(3.5 * np.array(side), (0, 0, 0), (0, 1, 0), width=pixels, height=pixels, fov_y=0.6)
 
 
 def views_around(scene: ls.Scene, count: int = 120) -> list[bench.View]:
-    """Frames in direct light, with the pixels that Gaussians cover."""
+    """Renders frames in direct light, with the pixels that Gaussians cover."""
     renderer = ls.create_renderer(TRACE, "cpu")
 
     def light(rays: bench.Rays, _half: int) -> np.ndarray:
@@ -55,7 +55,7 @@ def views_around(scene: ls.Scene, count: int = 120) -> list[bench.View]:
 
 
 def decibels(shown: ls.Scene, scene: ls.Scene) -> float:
-    """PSNR of unlit frames of a capture against lit frames of the scene, display-referred, where both are opaque."""
+    """Returns the PSNR of unlit frames of a capture against lit frames, in display values of opaque pixels."""
     errors: list[np.ndarray] = []
     for side in ((0.0, 0.3, -1.0), (0.9, 0.4, 0.2), (-0.5, -0.2, 0.9), (-0.9, 0.6, -0.4)):
         camera = view_from(side, 48)
@@ -66,7 +66,7 @@ def decibels(shown: ls.Scene, scene: ls.Scene) -> float:
     return float(-10.0 * np.log10(np.square(np.concatenate(errors)).mean()))
 
 
-def test_sh_degree_3_follows_a_highlight_better_than_degree_0() -> None:
+def test_sh_of_degree_3_bake_a_highlight_better_than_degree_0() -> None:
     """The error of degree 3 is 3 dB lower."""
     scene = glossy_ball(150)
     even, following = (decibels(ls.bake(scene, TRACE, degree=degree, device="cpu"), scene) for degree in (0, 3))
@@ -76,7 +76,7 @@ def test_sh_degree_3_follows_a_highlight_better_than_degree_0() -> None:
 
 @pytest.mark.deep
 def test_baked_highlight_is_within_1_db_of_the_best_sh() -> None:
-    """The best SH are fitted to 120 other views without noise; at degree 3 they are 0.6 dB below a fit to 400."""
+    """The best SH are fitted to 120 other views without noise; at degree 3 they are 0.6 dB below a fit to 400 views."""
     scene = glossy_ball()
     learnt = views_around(scene)
     found: dict[int, float] = {}
@@ -91,7 +91,7 @@ def test_baked_highlight_is_within_1_db_of_the_best_sh() -> None:
 
 
 @pytest.mark.deep
-def test_joint_fits_in_parts_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fitting_a_bake_in_parts_of_gaussians_costs_under_1_db(monkeypatch: pytest.MonkeyPatch) -> None:
     """A large capture is fitted in parts: of 300 Gaussians, 100 at a time, most are at a border.
 
     The loss is 0.3 to 1.0 dB with five seeds, 0.8 in the mean of two, and twice as much if later rays override earlier
@@ -119,7 +119,7 @@ def test_joint_fits_in_parts_cost_little(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.deep
-def test_baked_room_is_near_the_best_sh() -> None:
+def test_baked_room_is_within_1_db_of_the_best_sh() -> None:
     """A closed room of 1,300 Gaussians from 16 views, against SH that know the bake and 40 other views.
 
     The target is 1 dB: 29.7 dB against 30.6. Larger scenes miss it (docs/benchmarks.md#bake).

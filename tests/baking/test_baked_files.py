@@ -20,7 +20,7 @@ COLORS = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
 
 @pytest.fixture(scope="module")
 def baked() -> ls.Gaussians:
-    """A bake of a glossy ball in the direct light of two coloured lights."""
+    """Bakes a glossy ball in the direct light of two coloured lights."""
     shiny = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)
     lights = [
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
@@ -40,14 +40,14 @@ def loaded(baked: ls.Gaussians, path: Path) -> ls.Gaussians:
 
 
 def frames(gaussians: ls.Gaussians) -> np.ndarray:
-    """Unlit frames from four sides, stacked vertically."""
+    """Renders unlit frames from four sides, stacked vertically."""
     scene = ls.Scene([ls.SplatInstance(gaussians)])
     eyes = [(0.0, 0.3, -3.5), (3.2, 1.4, 0.7), (-1.8, -0.7, 3.1), (-3.1, 2.1, -1.4)]
     cameras = [ls.Camera.look_at(eye, (0, 0, 0), (0, 1, 0), width=64, height=64, fov_y=0.7) for eye in eyes]
     return np.concatenate([ls.render(scene, camera, COLORS, device="cpu").color for camera in cameras])
 
 
-def test_ply_keeps_baked_sh_to_the_bit(baked, tmp_path):
+def test_ply_stores_baked_sh_to_the_bit(baked, tmp_path):
     """Frames differ by the float32 rounding of scales that are saved as logarithms."""
     again = loaded(baked, tmp_path / "baked.ply")
     np.testing.assert_array_equal(again.sh, baked.sh)
@@ -55,7 +55,7 @@ def test_ply_keeps_baked_sh_to_the_bit(baked, tmp_path):
     np.testing.assert_allclose(frames(again), frames(baked), atol=2e-5)
 
 
-def test_spz_keeps_baked_colors_to_its_quantisation(baked, tmp_path):
+def test_spz_stores_baked_colours_within_its_quantisation(baked, tmp_path):
     """A colour is off by at most half a quantisation step of each coefficient, from every direction.
 
     Coefficients of sharp highlights beyond -1..1, the range of SPZ, are clipped, as saving reports.
@@ -74,6 +74,6 @@ def test_spz_keeps_baked_colors_to_its_quantisation(baked, tmp_path):
     assert np.abs(same_shapes - frames(replace(baked, sh=held))).max() <= bound.max() + 1e-6
 
 
-def test_frames_of_a_baked_spz_have_45_db(baked, tmp_path):
+def test_frames_of_a_bake_saved_as_spz_match_to_45_db(baked, tmp_path):
     """Positions, scales, rotations and opacities are quantised too (docs/guide/bake.md)."""
     assert ls.metrics.psnr(frames(loaded(baked, tmp_path / "baked.spz")), frames(baked)) > 45.0

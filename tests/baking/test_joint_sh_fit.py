@@ -18,7 +18,7 @@ GAUSSIANS, RAYS, CONTRIBUTIONS_PER_RAY = 20, 3000, 3
 
 
 def pixels(rng: np.random.Generator, colors: np.ndarray | None = None) -> Pixels:
-    """Rays from random directions that each blend three Gaussians."""
+    """Returns rays from random directions that each blend three Gaussians."""
     directions = rng.standard_normal((RAYS * CONTRIBUTIONS_PER_RAY, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return Pixels(
@@ -31,8 +31,8 @@ def pixels(rng: np.random.Generator, colors: np.ndarray | None = None) -> Pixels
     )
 
 
-def test_blend_matches_numpy_and_gather_is_its_transpose() -> None:
-    """Rays show the weighted sum of their Gaussians' colours; <blend(a), e> = <a, gather(e)>."""
+def test_blending_sh_along_rays_matches_numpy_and_its_transpose() -> None:
+    """Rays show the weighted sum of their Gaussians' colours. For SH a and errors e, <blend(a), e> = <a, gather(e)>."""
     rng = np.random.default_rng(0)
     some = pixels(rng)
     sh, errors = rng.normal(0.0, 0.3, (GAUSSIANS, 16, 3)), rng.normal(size=(RAYS, 3))
@@ -46,8 +46,8 @@ def test_blend_matches_numpy_and_gather_is_its_transpose() -> None:
     np.testing.assert_allclose(forward, back, rtol=1e-4)
 
 
-def test_known_sh_are_recovered_from_noiseless_rays() -> None:
-    """Pixels are matched from a start that is off by a tenth, and errors fall by half and more."""
+def test_joint_sh_fit_recovers_the_true_sh_from_noiseless_rays() -> None:
+    """The fit starts a tenth off; pixels are matched, and errors at least halve."""
     rng = np.random.default_rng(1)
     some = pixels(rng)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
@@ -63,7 +63,7 @@ def test_known_sh_are_recovered_from_noiseless_rays() -> None:
 
 
 def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend, Pixels]:
-    """Rays that each blend three Gaussians, with unreported noise of 0.1 on their colours."""
+    """Returns rays that each blend three Gaussians, with unreported noise of 0.1 on their colours."""
     some = pixels(rng)
     contributions = CONTRIBUTIONS_PER_RAY * rays
     some = replace(
@@ -75,7 +75,7 @@ def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend
     return blend, replace(some, colors=blend.pixel_colors(truth) + rng.normal(0.0, 0.1, (rays, 3)))
 
 
-def test_few_later_rays_do_not_override_many_earlier_ones() -> None:
+def test_few_later_rays_do_not_override_many_earlier_ones_in_a_fit() -> None:
     """Gaussians at the border of a part are on few rays of the next part, which count by their number."""
     rng = np.random.default_rng(3)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
@@ -98,7 +98,7 @@ LIGHTS = [
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-def test_visible_light_behind_a_gaussian_is_not_baked_into_it(
+def test_light_visible_behind_a_gaussian_is_not_baked_into_it(
     light: ls.LightSphere | ls.LightRect | ls.LightDisk,
 ) -> None:
     """Rays past the edge of a Gaussian hit the light behind it; a black body stays black."""
@@ -109,7 +109,7 @@ def test_visible_light_behind_a_gaussian_is_not_baked_into_it(
 
 
 def veil() -> ls.SplatInstance:
-    """An unlit capture of white glass, above."""
+    """Returns an unlit capture of white glass above the ball."""
     white = ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=diffuse(1.0)), 60)
     return ls.SplatInstance(replace(white, opacities=np.full_like(white.opacities, 0.1)), position=(0.0, 1.6, 0.0))
 
@@ -127,7 +127,7 @@ def test_unbaked_objects_on_a_ray_are_not_baked_into_gaussians(
     np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
 
 
-def test_hits_light_agrees_with_path_traced_frames() -> None:
+def test_rays_hit_lights_exactly_where_path_traced_frames_show_them() -> None:
     """Rays come from above, below and inside of a sphere; disabled or invisible lights are never hit."""
     rng = np.random.default_rng(2)
     origins = (rng.uniform(-1.0, 1.0, (4000, 3)) * (0.6, 2.0, 0.6) + (0.0, 2.0, 0.0)).astype(np.float32)

@@ -22,7 +22,7 @@ SKY = ls.LightEnvironment(color=(0.5, 0.5, 0.5), visible=False)
 
 
 def patched_ball(*, shines: bool) -> ls.SplatInstance:
-    """A small ball, half white and half dark, by albedo, or by captured emission beside a uniform albedo."""
+    """Returns a small ball, half white and half dark, by albedo, or by captured emission beside a uniform albedo."""
     gaussians = ls.gaussians_from_mesh(ball(1.0, diffuse(1.0), rows=16), 100)
     colors = np.where(gaussians.means[:, 1:2] < -0.1, (0.4, 0.02, 0.01), (0.8, 0.8, 0.8)).astype(np.float32)
     if not shines:
@@ -33,7 +33,7 @@ def patched_ball(*, shines: bool) -> ls.SplatInstance:
 
 
 def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.MonkeyPatch) -> Pixels:
-    """Pixels of the sample rays of a bake."""
+    """Returns the pixels of the sample rays of a bake."""
     found: list[Pixels] = []
     pixels = JointShFit.pixels
 
@@ -47,7 +47,7 @@ def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("shines", [False, True])
-def test_rays_across_color_edges_match_frames(shines: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sample_rays_of_a_bake_across_colour_edges_match_frames(shines: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Path tracing hits a white or a dark Gaussian at random; the averaged light is blended over sorted hits of both.
 
     Sorted by means, as by viewers of captures, rays across edges would be some hundredths too bright. With the albedo
@@ -70,7 +70,7 @@ def test_rays_across_color_edges_match_frames(shines: bool, monkeypatch: pytest.
     assert np.sqrt(np.square(errors).mean()) < 0.046
 
 
-def test_clear_spans_end_half_way_to_unwanted_gaussians() -> None:
+def test_clear_span_of_a_ray_ends_half_way_to_unwanted_gaussians() -> None:
     """The segment is around the Gaussian of largest weight, and ends before a mesh just behind the last Gaussian."""
     wanted = np.array([0, 1, 1, 0, 1, 1, 1, 0, 0], np.bool_)
     hits = HitGaussians(
@@ -92,18 +92,18 @@ LIGHT = ls.MeshInstance(ball(0.7, diffuse(0.0, 30.0), rows=8), position=(0.0, -1
 
 
 def veil() -> ls.SplatInstance:
-    """An unlit capture of white glass, above."""
+    """Returns an unlit capture of white glass above the sheet."""
     white = ls.gaussians_from_mesh(ls.plane(0.6, 0.6, material=diffuse(1.0)), 60)
     return ls.SplatInstance(replace(white, opacities=np.full_like(white.opacities, 0.1)), position=(0.0, 1.6, 0.0))
 
 
 @pytest.mark.parametrize("other", [veil(), LIGHT])
-def test_unbaked_sets_and_meshes_do_not_bias_rays(
+def test_unbaked_captures_and_meshes_do_not_bias_sample_rays(
     other: ls.SplatInstance | ls.MeshInstance, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A sheet in the sun follows Lambert's law on all rays, also past a white veil and before an emissive mesh.
 
-    These cover less than a hundredth of a ray, but would add as much light as the sheet and more.
+    Veil and mesh cover less than a hundredth of a ray, but would add as much light as the sheet and more.
     """
     sheet = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 150), material=diffuse(0.8))
     sheet = replace(sheet, gaussians=replace(sheet.gaussians, albedo=np.full((sheet.gaussians.count, 3), 0.8)))
@@ -116,8 +116,8 @@ def test_unbaked_sets_and_meshes_do_not_bias_rays(
     np.testing.assert_allclose(colors, encode_srgb(0.8 / np.pi * 0.5 * np.sqrt(0.5)), atol=2e-3)
 
 
-def test_reflected_colors_are_the_shaded_ones() -> None:
-    """They are the albedo, or captured colours of an emissive set, plus the white specular part of dielectrics."""
+def test_reflected_colours_of_a_bake_equal_the_shaded_ones() -> None:
+    """They are the albedo, or captured colours of an emissive capture, plus the white specular part of dielectrics."""
     captured, albedo = np.array([0.2, 0.4, 0.6]), np.array([0.5, 0.3, 0.0])
     gaussians = ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4)
     sh = np.broadcast_to((captured - 0.5) / SH_C0, (gaussians.count, 1, 3)).astype(np.float32)

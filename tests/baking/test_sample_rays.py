@@ -18,7 +18,7 @@ from support.scenes.path_scenes import ball, diffuse
 
 
 def rays_of(instance: ls.SplatInstance) -> SampleRays:
-    """Distributions of rays to Gaussians that are visible from everywhere up to a distance of 3."""
+    """Returns distributions of rays to Gaussians that are visible from everywhere up to a distance of 3."""
     total = instance.gaussians.count
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
     return SampleRays.of_views(instance, directions, np.ones((total, 8)), np.full((total, 8), 3.0), first=0)
@@ -30,12 +30,12 @@ def drawn_rays(instance: ls.SplatInstance, count: int) -> DrawnRays:
 
 
 def small() -> ls.SplatInstance:
-    """A grey ball."""
+    """Returns a grey ball."""
     return ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.5), rows=16), 60), material=diffuse(0.5))
 
 
-def test_camera_distances_have_linearly_growing_density() -> None:
-    """The squared distance is uniform, and at most that of the view."""
+def test_sample_ray_origins_have_uniform_squared_distances() -> None:
+    """The camera distance is at most that of the view, and its pdf grows linearly."""
     instance = small()
     drawn = drawn_rays(instance, 30)
     away = np.linalg.norm(drawn.origins - instance.gaussians.means[:, None], axis=2)
@@ -43,8 +43,8 @@ def test_camera_distances_have_linearly_growing_density() -> None:
     np.testing.assert_allclose(np.square(away / 3.0).mean(), 0.5, atol=0.02)
 
 
-def test_directions_are_drawn_in_proportion_to_weight_times_distance() -> None:
-    """Shares are right to a ray in 200, because successive rays are stratified."""
+def test_sample_ray_directions_are_drawn_by_weight_times_distance() -> None:
+    """Fractions are right to a ray in 200, because successive rays are stratified."""
     instance = small()
     total = instance.gaussians.count
     rng = np.random.default_rng(5)
@@ -62,7 +62,7 @@ def test_directions_are_drawn_in_proportion_to_weight_times_distance() -> None:
     np.testing.assert_allclose(taken, wanted / wanted.sum(axis=1, keepdims=True), atol=0.005)
 
 
-def test_draws_differ_by_gaussian_seed_and_iteration_only() -> None:
+def test_sample_rays_depend_on_gaussian_seed_and_iteration_only() -> None:
     """A subset of the Gaussians gets the same rays as in a draw for all."""
     rays = rays_of(small())
     rays = replace(rays, means=np.zeros_like(rays.means), axes=np.broadcast_to(np.eye(3, dtype=np.float32), (60, 3, 3)))
@@ -77,7 +77,7 @@ def test_draws_differ_by_gaussian_seed_and_iteration_only() -> None:
     np.testing.assert_array_equal(some.directions, drawn[1].directions[rows])
 
 
-def test_distributions_are_stored_once() -> None:
+def test_distributions_of_sample_rays_are_stored_once() -> None:
     """They are written in parts into allocated arrays, and take less memory than 16 rays to each Gaussian."""
     part = rays_of(small())
     count = len(part.gaussian)
@@ -96,7 +96,7 @@ def test_distributions_are_stored_once() -> None:
         np.testing.assert_array_equal(getattr(rays, name)[3 * count : 4 * count], getattr(part, name))
 
 
-def test_gaussians_in_corners_get_as_many_usable_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gaussians_in_corners_get_as_many_usable_sample_rays(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rays through a wall of a closed box, more than half of those to an edge, are redrawn."""
     walls = ls.gaussians_from_mesh(ls.box(2.0, material=diffuse(0.5)), 300)
     assert walls.normals is not None
@@ -123,8 +123,8 @@ def test_gaussians_in_corners_get_as_many_usable_rays(monkeypatch: pytest.Monkey
     assert len(np.unique(eyes, axis=0)) == len(eyes)  # redrawn rays differ
 
 
-def test_memory_does_not_grow_with_the_number_of_directions(monkeypatch: pytest.MonkeyPatch) -> None:
-    """More rays per Gaussian mean fewer Gaussians in a part; the rays listed at once are bounded, too."""
+def test_memory_of_a_bake_does_not_grow_with_the_number_of_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More rays per Gaussian mean fewer Gaussians in a part; the number of rays at once is bounded, too."""
     counts: list[int] = []
     pixels = JointShFit.pixels
 

@@ -14,12 +14,12 @@ N, D = 50, 32
 
 
 def directions(count: int = D) -> np.ndarray:
-    """View directions of N Gaussians."""
+    """Returns D view directions of each of N Gaussians, shape (N, D, 3)."""
     return rotated_directions(count, random_rotations(N, np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_sh_of_noiseless_colors_are_recovered(degree: int) -> None:
+def test_sh_fit_recovers_sh_from_noiseless_colours(degree: int) -> None:
     """Colours of a degree, viewed from all directions, are fitted except for a small ridge."""
     along = directions(64)
     truth = np.random.default_rng(1).normal(size=(N, (degree + 1) ** 2, 3))
@@ -30,7 +30,7 @@ def test_sh_of_noiseless_colors_are_recovered(degree: int) -> None:
     np.testing.assert_allclose(found[:, 0], truth[:, 0], atol=0.03)
 
 
-def test_unviewed_side_stays_in_range() -> None:
+def test_sh_fit_keeps_colours_of_an_unviewed_side_in_range() -> None:
     """One side is viewed and matched; colours of the other side do not overshoot."""
     along = directions()
     front = along[..., 2] < 0.0
@@ -41,7 +41,7 @@ def test_unviewed_side_stays_in_range() -> None:
     assert 0.0 < shown.min() and shown.max() < 1.0
 
 
-def test_noise_does_not_become_view_dependence() -> None:
+def test_sh_fit_does_not_turn_noise_into_view_dependence() -> None:
     """The fit of one colour with noise is the colour, with the noise of a mean over all directions."""
     rng = np.random.default_rng(2)
     along = directions()
@@ -69,14 +69,14 @@ def test_angular_denoising_is_unbiased_and_keeps_view_dependence() -> None:
     np.testing.assert_allclose(b, bright, atol=1e-12)
 
 
-def test_even_directions_integrate_sh_up_to_degree_3() -> None:
+def test_evenly_spread_directions_integrate_sh_up_to_degree_3() -> None:
     """The directions sum to nearly 0, and SH are orthonormal over them."""
     for count in (32, 64):
         basis = sh_basis(even_directions(count), 3)
         np.testing.assert_allclose(4.0 * np.pi / count * basis.T @ basis, np.eye(16), atol=0.07)
 
 
-def test_view_weights_favor_visible_lit_and_front_sides() -> None:
+def test_view_weights_favour_visible_lit_and_front_sides() -> None:
     """Weights grow with the viewing distance; a dark side has little, unless both are dark; known fronts have more."""
     front = np.tile([True, True, False, False], (3, 1))
     light = np.ones((3, 4, 3))
@@ -94,7 +94,7 @@ def test_view_weights_favor_visible_lit_and_front_sides() -> None:
     assert (dark > 0.0).all()
 
 
-def test_views_of_an_invisible_side_are_mirrored() -> None:
+def test_views_of_an_invisible_side_of_a_gaussian_are_mirrored() -> None:
     """Directions on a side without weight are mirrored at the Gaussian's plane; with weight on both sides they stay."""
     along = directions()
     normals = np.tile([0.0, 0.0, 1.0], (N, 1))

@@ -176,7 +176,7 @@ def test_realtime_frames_cannot_be_resumed():
 
 
 def test_render_with_realtime_pipeline_renders_a_sequence_of_frames(monkeypatch):
-    """The argument ``frames`` sets its length, by default that of the command line; other pipelines accept one frame."""
+    """The argument ``frames`` sets the length, by default as on the command line; other pipelines render one frame."""
     counts: list[int] = []
     render = ls.Renderer.render
 

@@ -137,23 +137,25 @@ WHOLE = "expected a whole number from"
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )
-def test_wrong_settings_are_refused(kind: type, settings: dict[str, object], message: str) -> None:
-    """Where they are made, and in one line that names the setting, its value and what was expected."""
+def test_settings_of_wrong_type_or_range_are_refused_when_created(
+    kind: type, settings: dict[str, object], message: str
+) -> None:
+    """The one-line message names the setting, its value and what was expected."""
     with pytest.raises(ls.ConfigError) as caught:
         kind(**settings)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_equal_layers_in_other_forms_are_equal_settings() -> None:
-    """Layers count once, in any order and from any iterable."""
+def test_layer_settings_in_any_order_or_iterable_are_equal() -> None:
+    """A layer named twice counts once."""
     names: Any = (name for name in ("hits", "albedo", "hits"))
     asked = ls.RenderConfig(aovs=names)
     assert asked == ls.RenderConfig(aovs=("albedo", "hits"))
     assert asked.aovs == ("albedo", "hits")
 
 
-def test_numpy_numbers_are_accepted() -> None:
+def test_settings_accept_numpy_numbers() -> None:
     """They give the frame of Python numbers, and a background becomes a tuple."""
     one, two = np.int64(1), np.int32(2)
     trace: dict[str, Any] = {
@@ -230,8 +232,8 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("settings", "name", "kind"), CHOICES)
-def test_choices_are_accepted_by_value(settings: type[Any], name: str, kind: type[Enum]) -> None:
-    """Each value as text becomes the enum member, so that settings compare equal."""
+def test_choice_settings_accept_the_text_of_an_enum_member(settings: type[Any], name: str, kind: type[Enum]) -> None:
+    """The text becomes the enum member, so that settings compare equal."""
     for member in kind:
         if (settings, member) in REFUSED:
             continue
@@ -239,8 +241,8 @@ def test_choices_are_accepted_by_value(settings: type[Any], name: str, kind: typ
         assert getattr(by_value, name) is member and by_value == settings(**{name: member})
 
 
-def test_every_choice_of_the_settings_is_listed() -> None:
-    """The list above misses none, also not of settings that are added later."""
+def test_list_of_choice_settings_in_this_file_is_complete() -> None:
+    """Choices that are added to settings later must be added to the list, too."""
     every = {
         (kind, field.name)
         for kind in (getattr(ls.config, name) for name in ls.config.__all__)
@@ -265,11 +267,11 @@ def test_every_choice_of_the_settings_is_listed() -> None:
     ],
 )
 def test_backgrounds_are_accepted_as_text(text: str, color: tuple[float, float, float] | None) -> None:
-    """The command line passes them as text."""
+    """The command line passes backgrounds as text."""
     assert ls.RenderConfig(background=cast(Any, text)) == ls.RenderConfig(background=color)
 
 
-def test_a_single_layer_name_is_accepted() -> None:
+def test_single_layer_name_is_accepted_as_text() -> None:
     """One name needs no tuple, and several may be one text."""
     assert ls.RenderConfig(aovs=cast(Any, "hits")).aovs == ("hits",)
     assert ls.RenderConfig(aovs=cast(Any, "hits, albedo")).aovs == ("albedo", "hits")

@@ -22,7 +22,7 @@ def test_each_pipeline_has_a_unique_visibility_and_integrator(pipeline: ls.Pipel
     assert [one for one in ls.Pipeline if (one.visibility, one.integrator) == pair] == [pipeline]
 
 
-def test_raster_and_trace_differ_from_hybrid_in_one_thing_each() -> None:
+def test_hybrid_pipeline_has_the_visibility_of_raster_and_rays_of_trace() -> None:
     """Hybrid frames find primary hits as raster does, and carry light as trace does."""
     assert ls.Pipeline.RASTER.visibility is ls.Pipeline.HYBRID.visibility is Visibility.RASTERISED
     assert ls.Pipeline.TRACE.integrator is ls.Pipeline.HYBRID.integrator is Integrator.WHITTED
@@ -30,7 +30,7 @@ def test_raster_and_trace_differ_from_hybrid_in_one_thing_each() -> None:
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
 def test_pipelines_with_bounces_light_scenes_without_lights(pipeline: ls.Pipeline) -> None:
-    """Other pipelines light a scene by default if it asks for it; the setting lighting has precedence."""
+    """Other pipelines light a scene only if it has lights; the setting lighting has precedence."""
     config = ls.RenderConfig(pipeline=pipeline)
     assert config.is_lit(by_default=True)
     assert config.is_lit(by_default=False) == (pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME))
@@ -39,8 +39,8 @@ def test_pipelines_with_bounces_light_scenes_without_lights(pipeline: ls.Pipelin
         assert given.is_lit(by_default=not lighting) == lighting
 
 
-def test_unused_settings_name_their_readers() -> None:
-    """Those of other pipelines, of lit frames, and of frames with shadows."""
+def test_unused_settings_are_listed_with_the_frames_that_use_them() -> None:
+    """Settings are used by other pipelines, by lit frames, or by frames with shadows."""
     unused = ls.RenderConfig(pipeline=ls.Pipeline.RASTER, shadows=ls.Shadows.OFF).unused_settings(lit=True)
     assert unused["max_bounces"] == "Used by the pipelines trace, hybrid, path, realtime."
     assert unused["realtime"] == "Used by the pipeline realtime."
@@ -49,8 +49,11 @@ def test_unused_settings_name_their_readers() -> None:
     assert "tone_map" in ls.RenderConfig().unused_settings(lit=False)
 
 
-def test_a_frame_that_is_exact_with_one_sample_reads_no_random_numbers() -> None:
-    """Unlit, sorted and rasterised by ellipses; rays read the response of Gaussians, and shadows follow some."""
+def test_frames_that_are_exact_with_one_sample_use_no_random_numbers() -> None:
+    """Such frames are unlit, sorted, and rasterised by projected ellipses.
+
+    Lit, stochastic or unscented frames use seed and samples.
+    """
     exact = ls.RenderConfig()
     assert exact.unused_settings(lit=False).keys() >= {"samples", "seed", "jitter", "noise", "time_limit", "response"}
     stochastic = replace(exact, raster=ls.RasterConfig(strategy="stochastic"))  # pyright: ignore[reportArgumentType]
@@ -62,8 +65,8 @@ def test_a_frame_that_is_exact_with_one_sample_reads_no_random_numbers() -> None
     assert "trace.strategy" in replace(exact, pipeline=ls.Pipeline.PATH).unused_settings(lit=True)
 
 
-def test_no_other_code_compares_pipelines() -> None:
-    """Code asks for the property that it depends on: `rasterises`, `bounces_light` and so on."""
+def test_only_the_module_of_pipelines_compares_pipelines() -> None:
+    """Other code asks for the property that it depends on: `rasterises`, `bounces_light` and so on."""
     asking: list[str] = []
     for path in SOURCES.rglob("*.py"):
         if path == SOURCES / "config" / "pipelines.py":

@@ -9,13 +9,13 @@ import lumisplat as ls
 PREVIEW, HIGH = ls.config.RealtimeQuality.PREVIEW, ls.config.RealtimeQuality.HIGH
 
 
-def test_balanced_equals_the_defaults() -> None:
+def test_balanced_realtime_quality_equals_the_default_settings() -> None:
     """The preset changes no setting."""
     assert ls.RealtimeConfig().of_quality == ls.RealtimeConfig()
 
 
-def test_preview_costs_less_and_high_more() -> None:
-    """Rays, passes and frames differ."""
+def test_realtime_quality_preview_costs_less_and_high_costs_more() -> None:
+    """Rays, filter passes and averaged frames differ."""
     low, middle, high = (ls.RealtimeConfig(quality=quality).of_quality for quality in ls.config.RealtimeQuality)
     assert low.light_interval == 2 > middle.light_interval
     assert middle.highlight_rays and not low.highlight_rays
@@ -29,7 +29,7 @@ def test_preview_costs_less_and_high_more() -> None:
     assert high.antialiasing and middle.antialiasing and not low.antialiasing
 
 
-def test_given_settings_override_the_quality() -> None:
+def test_given_realtime_settings_override_the_quality_preset() -> None:
     """Presets replace default values only, also after a change of quality."""
     given = ls.RealtimeConfig(
         quality=PREVIEW, probes=ls.config.ProbeConfig(refreshed=0.5), filter=ls.config.FilterConfig(frames=9)
@@ -40,7 +40,7 @@ def test_given_settings_override_the_quality() -> None:
     assert (other.probes.refreshed, other.probes.tile, other.filter.frames, other.filter.passes) == (0.5, 8, 9, 4)
 
 
-def test_frames_without_a_filter_sample_light_in_every_frame() -> None:
+def test_unfiltered_realtime_frames_sample_light_in_every_frame() -> None:
     """Otherwise newly visible surfaces would be black in every second frame."""
     for passes, interval in ((0, 1), (1, 1), (3, 2)):
         config = ls.RealtimeConfig(light_interval=2, filter=ls.config.FilterConfig(passes=passes))

@@ -47,7 +47,7 @@ ERRORS = (ls.ConfigError, ls.SceneError)
 
 
 def numeric() -> Iterator[Any]:
-    """Every number that a class declares."""
+    """Yields every number that a class declares."""
     for kind in ALL:
         for one in settings_of(kind):
             if one.kind in ("whole", "number"):
@@ -55,12 +55,12 @@ def numeric() -> Iterator[Any]:
 
 
 def made(kind: Any, one: Setting, value: object) -> Any:
-    """The field of an object that was made with a value."""
+    """Returns the field of an object that was created with a value."""
     return getattr(kind(**{**GIVEN.get(kind, {}), one.name: value}), one.name)
 
 
 def good(one: Setting) -> float:
-    """A number that a setting takes."""
+    """Returns a number that a setting accepts."""
     if one.numbers:
         return one.numbers[0]
     low = one.range.low if math.isfinite(one.range.low) else 1.0
@@ -72,7 +72,7 @@ def good(one: Setting) -> float:
 
 
 @pytest.mark.parametrize(("kind", "one"), list(numeric()))
-def test_numbers_of_every_type_become_python_numbers(kind: Any, one: Setting) -> None:
+def test_settings_convert_numbers_of_every_type_to_python_numbers(kind: Any, one: Setting) -> None:
     """NumPy scalars, zero-dimensional arrays, and integers for floats are accepted; bools are refused."""
     plain_kind = int if one.kind == "whole" else float
     value = float(np.float32(one.default)) if one.name.endswith("_angle") else good(one)
@@ -88,7 +88,7 @@ def test_numbers_of_every_type_become_python_numbers(kind: Any, one: Setting) ->
 
 
 @pytest.mark.parametrize(("kind", "one"), list(numeric()))
-def test_ranges_end_where_they_are_declared(kind: Any, one: Setting) -> None:
+def test_settings_accept_exactly_their_declared_range(kind: Any, one: Setting) -> None:
     """Ends are accepted unless excluded, and the next number outside is refused."""
     limits = one.range
     whole = one.kind == "whole"
@@ -105,8 +105,8 @@ def test_ranges_end_where_they_are_declared(kind: Any, one: Setting) -> None:
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
-def test_every_setting_has_help(kind: Any) -> None:
-    """The docstring does not repeat ranges and units, which are declared."""
+def test_every_setting_has_a_docstring_without_its_range(kind: Any) -> None:
+    """Ranges and units are declared, and added to the help from there."""
     undocumented = {"position", "color", "enabled", "casts_shadow", "name", "wrap_v", "scene", "subject", "gaussians",
                     "actors", "cameras", "alpha", "alpha_mode", "alpha_cutoff"}  # fmt: skip
     for one in settings_of(kind):
@@ -115,8 +115,8 @@ def test_every_setting_has_help(kind: Any) -> None:
 
 
 @pytest.mark.parametrize(("kind", "one"), list(numeric()))
-def test_an_error_names_the_refused_setting(kind: Any, one: Setting) -> None:
-    """``setting`` is the field, also behind a prefix such as camera in the message."""
+def test_error_of_a_refused_setting_has_the_name_of_the_setting(kind: Any, one: Setting) -> None:
+    """The attribute ``setting`` is the field, also behind a prefix such as camera in the message."""
     with pytest.raises(ERRORS) as caught:
         made(kind, one, "many")
     assert caught.value.setting == one.name
@@ -124,7 +124,7 @@ def test_an_error_names_the_refused_setting(kind: Any, one: Setting) -> None:
 
 
 @pytest.mark.parametrize("kind", CONFIGS, ids=lambda kind: kind.__name__)
-def test_help_of_a_class_describes_each_field(kind: Any) -> None:
+def test_help_of_a_settings_class_describes_each_field(kind: Any) -> None:
     """Help has the docstring below the field, and its range."""
     text = " ".join(pydoc.plain(pydoc.render_doc(kind)).replace("|", "").split())
     for one in settings_of(kind):
@@ -133,8 +133,8 @@ def test_help_of_a_class_describes_each_field(kind: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
-def test_defaults_pass_their_checks_unchanged(kind: Any) -> None:
-    """New objects do not check defaults, so that this test does."""
+def test_default_settings_pass_their_checks_unchanged(kind: Any) -> None:
+    """Created objects do not check defaults, so this test does."""
     for one, field in zip(settings_of(kind), fields(kind), strict=True):
         if field.default is MISSING or one.kind == "other":
             continue
@@ -180,7 +180,7 @@ SCALARS = st.one_of(
 
 
 @drawn(SCALARS)
-def test_a_value_is_accepted_if_and_only_if_it_is_in_the_range(value: Any) -> None:
+def test_setting_is_accepted_if_and_only_if_in_its_range(value: Any) -> None:
     """The range is stated here independently; the error is one line with name and value."""
     number = plain(value)
     is_whole, is_number = type(number) is int, type(number) in (int, float)
@@ -201,15 +201,15 @@ def test_a_value_is_accepted_if_and_only_if_it_is_in_the_range(value: Any) -> No
 
 
 @drawn(st.floats(0.0, 1.0, exclude_min=True, exclude_max=True))
-def test_numbers_are_stored_exactly(value: float) -> None:
-    """The type that carries a number does not change it."""
+def test_number_settings_are_stored_exactly(value: float) -> None:
+    """A NumPy float or a zero-dimensional array does not change the value."""
     every: tuple[Any, ...] = (value, np.float64(value), np.array(value))
     for carried in every:
         assert Numbers(share=carried).share == value
 
 
-def test_zero_dimensional_arrays_of_other_packages_are_numbers() -> None:
-    """Such packages support DLPack only."""
+def test_settings_accept_zero_dimensional_dlpack_arrays() -> None:
+    """Arrays of some packages support DLPack only."""
 
     class Alien:
         shape = ()
@@ -229,13 +229,13 @@ def test_zero_dimensional_arrays_of_other_packages_are_numbers() -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in GIVEN if kind.__name__.startswith("Light")])
-def test_intensity_units_depend_on_the_light(kind: Any) -> None:
-    """Tables of lights show them."""
+def test_intensity_settings_have_the_unit_of_their_light_type(kind: Any) -> None:
+    """Tables of lights show the unit."""
     assert next(one for one in settings_of(kind) if one.name == "intensity").range.unit == kind.unit
 
 
-def test_settings_of_groups_have_dotted_names() -> None:
-    """With kind, range, unit and default of each."""
+def test_settings_of_groups_have_dotted_names_with_their_declaration() -> None:
+    """The declaration has kind, range, unit and default."""
     named = all_settings(ls.RenderConfig)
     assert named["trace.hits_per_pass"].expected == "4, 8, 16 or 32"
     assert named["realtime.filter.frames"].range == Range(1, 1024)
@@ -244,7 +244,7 @@ def test_settings_of_groups_have_dotted_names() -> None:
     assert named["capture_gain"].limits == "Takes -16.0 to 16.0, in stops."
 
 
-def test_a_converter_accepts_more_types_than_the_field_stores() -> None:
+def test_converter_of_a_setting_accepts_more_types_than_it_stores() -> None:
     """The converter gets the value and the field's name, and its errors are those of the field."""
 
     def doubled(value: str | float, name: str = "number") -> float:
@@ -264,8 +264,8 @@ def test_a_converter_accepts_more_types_than_the_field_stores() -> None:
 
 
 @pytest.mark.parametrize("stops", [np.float32(0.5), np.array(0.5), [0.5, np.float64(0.5)], np.array([0.5, 0.5])])
-def test_exposures_of_images_are_numbers_of_any_type(stops: Any) -> None:
-    """One number applies to all images, or each has its own."""
+def test_exposures_of_fitted_images_accept_numbers_of_any_type(stops: Any) -> None:
+    """One number applies to all images, or each image has a separate one."""
     from lumisplat.relighting.fitting.parameters import _stops
 
     assert _stops(stops, [1.0, 2.0]).tolist() == [0.5, 0.5]

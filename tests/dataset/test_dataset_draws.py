@@ -12,7 +12,7 @@ from lumisplat.dataset.space import Solids, even_directions, level_axes, winding
 from lumisplat.math.transforms import matrices_from_quaternions
 
 
-def test_random_numbers_depend_only_on_seed_view_and_purpose() -> None:
+def test_random_numbers_of_data_sets_depend_only_on_seed_view_and_purpose() -> None:
     """Values are pinned, because data sets must not change between versions."""
     first = Draws(7, 12, Purpose.POSE).units(3)
     np.testing.assert_array_equal(first, Draws(7, 12, Purpose.POSE).units(3))
@@ -23,7 +23,7 @@ def test_random_numbers_depend_only_on_seed_view_and_purpose() -> None:
     )
 
 
-def test_random_numbers_fill_their_ranges_uniformly() -> None:
+def test_random_numbers_of_data_sets_fill_their_ranges_uniformly() -> None:
     """Integers include both ends, factors have a uniform logarithm, directions have mean 0."""
     draws = Draws(1, 2, Purpose.OBJECTS)
     wholes = np.bincount([draws.whole((2, 4)) for _ in range(3000)])
@@ -37,8 +37,8 @@ def test_random_numbers_fill_their_ranges_uniformly() -> None:
 
 
 @pytest.mark.parametrize("count", [20, 101, 1000])
-def test_splits_have_their_fractions_of_any_number_of_views(count: int) -> None:
-    """Within three views for any seed; the split of a view does not depend on the number of views."""
+def test_data_set_splits_have_their_fractions_of_any_number_of_views(count: int) -> None:
+    """Counts are within three views for any seed; the split of a view does not depend on the number of views."""
     shares = (0.7, 0.2, 0.1)
     for seed in range(20):
         parts = [split_of(seed, view, shares) for view in range(count)]
@@ -47,7 +47,7 @@ def test_splits_have_their_fractions_of_any_number_of_views(count: int) -> None:
     assert {split_of(0, view, (0.0, 0.0, 1.0)) for view in range(50)} == {"test"}
 
 
-def test_rotations_are_uniform() -> None:
+def test_random_rotations_of_data_sets_are_uniform() -> None:
     """Matrix elements have mean 0 and second moment 1/3."""
     quaternions = np.array([uniform_quaternion(*row) for row in Draws(3, 0, Purpose.OBJECTS).units(4000, 3)])
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-12)
@@ -56,8 +56,8 @@ def test_rotations_are_uniform() -> None:
     np.testing.assert_allclose((rotations**2).mean(axis=0), 1.0 / 3.0, atol=0.03)
 
 
-def test_winding_numbers_of_a_box() -> None:
-    """1 inside and 0 outside; -1 inside a box that faces inwards."""
+def test_winding_number_is_1_inside_a_box_and_0_outside() -> None:
+    """It is -1 inside a box that faces inwards."""
     mesh = ls.box((2.0, 1.0, 1.0))
     triangles = mesh.positions[mesh.indices].astype(np.float64)
     for point, expected in (((0.9, 0.4, -0.4), 1.0), ((1.1, 0.0, 0.0), 0.0), ((0.0, 5.0, 0.0), 0.0)):
@@ -75,7 +75,7 @@ def test_solids_contain_the_inside_of_objects_but_not_of_rooms() -> None:
     assert solids.contain(np.array([2.2, 0.1, 0.3])) and not solids.contain(np.array([0.0, 0.1, 0.3]))
 
 
-def test_even_directions_are_even() -> None:
+def test_data_set_directions_are_spread_evenly_over_the_sphere() -> None:
     """Directions have the moments of the sphere; level axes are horizontal."""
     directions = even_directions(32)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)

@@ -61,7 +61,7 @@ def picture(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_layers_match_known_geometry(folder, index: int) -> None:
+def test_data_set_layers_match_the_geometry_of_the_scene(folder, index: int) -> None:
     """Depth and normals of the floor are computed; ids and tight boxes belong to their objects."""
     record = record_of(folder, index)
     camera = camera_of(record)
@@ -137,7 +137,7 @@ def test_data_set_loads_as_training_images(folder) -> None:
     assert sum(len(content[f"{part}_filenames"]) for part in ("train", "val", "test")) == VIEWS
 
 
-def test_shards_hold_the_files(folder) -> None:
+def test_data_set_shards_contain_the_files_of_their_views(folder) -> None:
     """A shard has at most three views of one split; members are adjacent, equal to the files, and without times."""
     shards = sorted((folder / "shards").iterdir())
     seen = {}
@@ -166,7 +166,7 @@ def member_bytes(tar: tarfile.TarFile, name: str) -> bytes:
     return member.read()
 
 
-def test_finishing_again_writes_the_same_bytes(folder, tmp_path) -> None:
+def test_finishing_a_data_set_again_writes_the_same_bytes(folder, tmp_path) -> None:
     """Output depends only on the views; old shards are removed, and missing views are counted."""
     names = ("transforms.json", "layers.json", "contact_sheet.png", "shards/train-000000.tar")
     before = {name: (folder / name).read_bytes() for name in names}
@@ -180,13 +180,13 @@ def test_finishing_again_writes_the_same_bytes(folder, tmp_path) -> None:
     assert picture(folder / "contact_sheet.png").shape == (6 * 150, 200 * 8, 3)
 
 
-def test_existing_views_are_not_rendered_again(folder, monkeypatch) -> None:
-    """A second call renders nothing."""
+def test_existing_data_set_views_are_not_rendered_again(folder, monkeypatch) -> None:
+    """A second call for a finished data set renders nothing."""
     monkeypatch.setattr(ls.Renderer, "render", None)
     assert ls.dataset.render_dataset(block_scene(), folder, config_of(folder.parent), device="cpu").missing == 0
 
 
-def test_ids_of_more_than_255_objects_are_16_bit(tmp_path) -> None:
+def test_data_set_ids_of_more_than_255_objects_are_16_bit(tmp_path) -> None:
     """The largest possible number of objects decides, not the number in a view."""
     scene = ls.Scene(meshes=[*block_scene().meshes, *([ls.MeshInstance(ls.box(0.01), position=(9, 9, 9))] * 300)])
     config = small_config(views=1, layers="instance,category", poses=ls.config.DatasetPoses(seen=0.0))
@@ -194,7 +194,7 @@ def test_ids_of_more_than_255_objects_are_16_bit(tmp_path) -> None:
     assert picture(tmp_path / "instance/view_000000.png").dtype == np.uint16
 
 
-def test_real_time_frames_and_unlit_albedo_are_refused(tmp_path) -> None:
+def test_data_sets_refuse_realtime_frames_and_albedo_of_unlit_views(tmp_path) -> None:
     """The error has one line."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME renders frames that depend on earlier frames"):
         ls.dataset.render_dataset(
@@ -206,8 +206,8 @@ def test_real_time_frames_and_unlit_albedo_are_refused(tmp_path) -> None:
     assert not list(tmp_path.rglob("*.json"))
 
 
-def test_data_set_settings_are_read(tmp_path) -> None:
-    """The file has all groups, words for None, and paths relative to its folder."""
+def test_data_set_settings_file_is_read_with_all_groups(tmp_path) -> None:
+    """The file has words for None, and paths relative to its folder."""
     (tmp_path / "duck.obj").write_text("v 0 0 0\n")
     file = tmp_path / "set.toml"
     file.write_text(
@@ -221,8 +221,8 @@ def test_data_set_settings_are_read(tmp_path) -> None:
     assert config.objects.files == (str(tmp_path / "duck.obj"),)
 
 
-def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
-    """Except file names, the shard size, and the number and seed of views."""
+def test_guide_to_data_sets_shows_every_setting_with_its_default(tmp_path) -> None:
+    """File names, the shard size, and the number and seed of views may differ."""
     guide = Path(__file__).parents[2] / "docs" / "guide" / "dataset.md"
     (text,) = re.findall(r"```toml\n(.*?)```", guide.read_text(), re.DOTALL)
     for name in ("sky.exr", "statue.glb"):
@@ -268,8 +268,8 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
         ("seed = ", "is not valid TOML"),
     ],
 )
-def test_mistakes_in_settings_are_named_in_one_line(tmp_path, text: str, message: str) -> None:
-    """The message says what, where, and what was expected."""
+def test_mistakes_in_data_set_settings_are_named_in_one_line(tmp_path, text: str, message: str) -> None:
+    """The message has the file, the line and what was expected."""
     file = tmp_path / "set.toml"
     file.write_text(text + "\n")
     with pytest.raises(ls.FormatError) as error:

@@ -23,14 +23,14 @@ DIAGONAL = math.sqrt(4.0**2 + 4.0**2 + 1.0)
 def views_of(
     config: ls.config.DatasetConfig, scene: ls.Scene | None = None, **changes: Any
 ) -> list[ls.dataset.DatasetView]:
-    """Returns some views."""
+    """Returns several views of a data set of a scene."""
     views = ls.dataset.DatasetViews(block_scene() if scene is None else scene, config, device="cpu", **changes)
     return [views.view(index) for index in range(COUNT)]
 
 
 @pytest.fixture
 def object_file(tmp_path) -> str:
-    """Path of an object: a box that is off its origin, y up."""
+    """Returns the path of an object: a box that is off its origin, y up."""
     path = tmp_path / "duck.v2.obj"
     corners = ls.box((0.4, 0.2, 0.3)).positions + np.array((5.0, 1.0, 0.0))
     faces = ls.box(1.0).indices + 1
@@ -39,8 +39,8 @@ def object_file(tmp_path) -> str:
     return str(path)
 
 
-def test_dome_cameras_are_within_their_ranges() -> None:
-    """Elevation, distance, field of view and aim; images are upright."""
+def test_dome_cameras_of_a_data_set_are_within_their_ranges() -> None:
+    """Ranges limit elevation, azimuth, distance, field of view and aim; images are upright."""
     poses = ls.config.DatasetPoses(
         elevation=(20.0, 40.0), azimuth=(0.0, 90.0), distance=(0.9, 1.1), aim=0.05, fov=(40.0, 50.0)
     )
@@ -65,7 +65,7 @@ def test_dome_cameras_are_within_their_ranges() -> None:
         assert 0.85 <= share <= 1.15
 
 
-def test_views_of_the_default_dome_contain_the_whole_scene() -> None:
+def test_default_dome_cameras_of_a_data_set_see_the_whole_scene() -> None:
     """The corners of the scene's box lie in every image, whatever the aim."""
     corners = np.array(np.meshgrid(*np.stack(block_scene().bulk_bounds(), axis=1))).reshape(3, -1).T
     for view in views_of(small_config(poses=ls.config.DatasetPoses(aim=0.3))):
@@ -76,8 +76,8 @@ def test_views_of_the_default_dome_contain_the_whole_scene() -> None:
         assert 0.0 <= v.min() and v.max() <= camera.height
 
 
-def test_cameras_in_free_space_keep_their_clearance() -> None:
-    """Cameras are neither inside the block, which has room for the clearance, nor close to the floor."""
+def test_data_set_cameras_in_free_space_keep_their_clearance() -> None:
+    """Cameras are neither inside the block, which is large enough for the clearance, nor close to the floor."""
     space = Space(block_scene(), "cpu")
     inside, beside = np.array([0.1, 0.5, 0.1]), np.array([0.9, 0.5, 0.1])
     assert not space.is_free(inside, 0.05) and space.is_free(beside, 0.35) and not space.is_free(beside, 0.45)
@@ -92,7 +92,7 @@ def test_cameras_in_free_space_keep_their_clearance() -> None:
         assert -60.0 - 1e-9 <= math.degrees(math.asin(forward[1])) <= -10.0 + 1e-9
 
 
-def test_cameras_near_given_ones_move_within_their_limits() -> None:
+def test_data_set_cameras_near_given_ones_move_within_their_limits() -> None:
     """An empty list of cameras is an error of one line."""
     given = [ls.Camera.look_at((x, 2.0, 4.0), (0.0, 0.5, 0.0)) for x in (-1.0, 1.0)]
     poses = ls.config.DatasetPoses(where=ls.config.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
@@ -108,7 +108,7 @@ def test_cameras_near_given_ones_move_within_their_limits() -> None:
         ls.dataset.DatasetViews(block_scene(), small_config(poses=poses), device="cpu")
 
 
-def test_objects_stand_on_the_ground_without_contact(object_file) -> None:
+def test_data_set_objects_stand_on_the_ground_without_contact(object_file) -> None:
     """Objects stand upright on the floor or the block with the right size and free space; cameras look at one."""
     objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 4), size=(0.05, 0.1))
     poses = ls.config.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
@@ -142,7 +142,7 @@ def test_objects_stand_on_the_ground_without_contact(object_file) -> None:
     assert looked_at == COUNT and len(turns) > COUNT
 
 
-def test_objects_stand_upright_for_any_up_direction(object_file, tmp_path) -> None:
+def test_data_set_objects_stand_upright_for_any_up_direction(object_file, tmp_path) -> None:
     """Captures have y down, meshes y up; both stand upright in scenes of either kind."""
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     turned = ls.MeshInstance(ls.plane(4.0, 4.0), rotation_degrees=(180.0, 0.0, 0.0))
@@ -155,7 +155,7 @@ def test_objects_stand_upright_for_any_up_direction(object_file, tmp_path) -> No
             np.testing.assert_allclose(own_up * axis, (0.0, up, 0.0), atol=1e-9)
 
 
-def test_labels_have_their_instance_indices(object_file, tmp_path) -> None:
+def test_data_set_labels_have_the_instance_indices_of_frames(object_file, tmp_path) -> None:
     """Frames number captures before meshes; an object may be either, or contain several of both."""
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     ls.save(tmp_path / "pair.glb", ls.Scene(meshes=[ls.box(0.2), ls.MeshInstance(ls.box(0.1), position=(0.3, 0, 0))]))
@@ -178,15 +178,15 @@ def test_labels_have_their_instance_indices(object_file, tmp_path) -> None:
     assert kinds == {"capture", "mesh", "scene"}
 
 
-def test_objects_without_free_space_are_left_out_and_named(object_file) -> None:
+def test_data_set_objects_without_free_space_are_left_out_and_named(object_file) -> None:
     """The view is made without objects as large as the scene."""
     objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 2), size=(2.0, 2.0))
     view = views_of(small_config(objects=objects))[0]
     assert view.left_out == ("duck", "duck") and len(view.things) == 2
 
 
-def test_view_depends_only_on_its_index(object_file) -> None:
-    """Neither the number of views, nor earlier views, nor other groups of settings change it."""
+def test_data_set_view_depends_only_on_its_index(object_file) -> None:
+    """Neither the number of views, nor earlier views, nor other groups of settings change the view."""
     objects = ls.config.DatasetObjects(files=(object_file,))
     config = small_config(objects=objects, lights=ls.config.DatasetLights(points=(1, 2)))
     views = ls.dataset.DatasetViews(block_scene(), config, device="cpu")
@@ -203,8 +203,11 @@ def test_view_depends_only_on_its_index(object_file) -> None:
     assert not np.array_equal(first[0].camera.camera_from_world, shifted.camera.camera_from_world)
 
 
-def test_lights_are_within_their_ranges() -> None:
-    """Suns by elevation, lux and angle; point lights by illuminance at the middle; a sky if there is no environment."""
+def test_data_set_lights_are_within_their_ranges() -> None:
+    """Ranges limit elevation, lux and angle of suns and the illuminance of point lights.
+
+    Without an environment there is a sky.
+    """
     lights = ls.config.DatasetLights(
         suns=(1, 2), sun_elevation=(30.0, 60.0), sun_lux=(2.0, 3.0), points=(1, 1), tint=0.1
     )
@@ -220,7 +223,7 @@ def test_lights_are_within_their_ranges() -> None:
         assert 1.0 <= point_light.intensity / distance**2 <= 4.0 and point_light.position[1] >= 0.5
 
 
-def test_environments_are_rotated_about_the_vertical() -> None:
+def test_data_set_environments_are_rotated_about_the_vertical() -> None:
     """The scene's own environment is rotated, too; brightness is within its range, and other lights are unchanged."""
     own = (ls.LightEnvironment(intensity=2.0), ls.LightPoint((0.0, 3.0, 0.0)))
     angles = set()
@@ -242,8 +245,8 @@ def test_environments_are_rotated_about_the_vertical() -> None:
     )
 
 
-def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(object_file) -> None:
-    """A scene of captures gets no lights; with inserted objects, a sun, a sky, and captures as shadow catchers."""
+def test_data_set_captures_stay_unlit_and_receive_shadows_of_objects(object_file) -> None:
+    """A scene of captures gets no lights; inserted objects add a sun and a sky, and captures become shadow catchers."""
     capture = ls.Scene([random_gaussians(1, count=300)])
     poses = ls.config.DatasetPoses(seen=0.0)
     assert views_of(small_config(poses=poses), capture)[0].scene.lights == ()
@@ -254,8 +257,8 @@ def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(object_fil
     assert not views_of(small_config(poses=poses, objects=kept), capture)[0].scene.splats[0].shadow_catcher
 
 
-def test_impossible_poses_are_explained_in_one_line() -> None:
-    """The message says what is wrong with the poses and what to change."""
+def test_impossible_data_set_poses_are_explained_in_one_line() -> None:
+    """The message names the setting and how to change it."""
     views = ls.dataset.DatasetViews(block_scene(), small_config(poses=ls.config.DatasetPoses(seen=1.0)), device="cpu")
     with pytest.raises(
         ls.SceneError, match=r"view 5: none of 200 poses is usable: .* poses\.seen requires 1: lower"
@@ -270,13 +273,13 @@ def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
 
 
-def test_known_block_is_where_the_scene_has_it() -> None:
-    """The known free space of the other tests is that of the scene."""
+def test_free_space_assumed_by_these_tests_is_that_of_the_scene() -> None:
+    """The block of the scene has the assumed corners."""
     low, high = block_scene().meshes[1].bounds()
     np.testing.assert_allclose([low, high], [BLOCK_LOW, BLOCK_HIGH], atol=1e-6)
 
 
-def test_box_of_a_capture_ignores_stray_gaussians() -> None:
+def test_data_set_box_of_a_capture_ignores_stray_gaussians() -> None:
     """999 of 1,000 Gaussians are in a cube; the box is within 1 % of the cube at each end."""
     captured = random_gaussians(5, count=1000)
     means = np.random.default_rng(2).uniform(-1.0, 1.0, (1000, 3)).astype(np.float32)

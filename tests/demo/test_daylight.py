@@ -26,7 +26,7 @@ def lit(casters: np.ndarray, points: np.ndarray, normal: tuple[float, float, flo
     return irradiance(casters, points, np.tile(normal, (len(points), 1)), light)
 
 
-def test_sun_follows_the_cosine_and_does_not_shadow_its_own_surface() -> None:
+def test_baked_sunlight_follows_the_cosine_without_self_shadowing() -> None:
     """A free plane gets sun times cosine everywhere, and nothing from behind."""
     plane = grid(0.5, 0.0)
     for tilt in (0.0, 0.5, 1.0):
@@ -41,8 +41,8 @@ def test_sun_follows_the_cosine_and_does_not_shadow_its_own_surface() -> None:
     assert lit(plane, plane, (0, -1, 0), SUN_ONLY).max() == 0.0
 
 
-def test_a_roof_casts_a_shadow_of_its_size() -> None:
-    """Straight below the roof it is dark, beside it bright, and half-way at its edge within 4 cm."""
+def test_baked_roof_casts_a_shadow_of_its_size() -> None:
+    """The floor is dark below the roof and bright beside it; the edge is within 4 cm."""
     floor, roof = grid(0.6, 0.0), grid(0.25, 0.5)
     light = lit(np.concatenate([floor, roof]), floor, (0, 1, 0), SUN_ONLY)[:, 0]
     distance = np.abs(floor).max(axis=1)
@@ -50,7 +50,7 @@ def test_a_roof_casts_a_shadow_of_its_size() -> None:
     assert light[distance > 0.29].min() > 0.49
 
 
-def test_open_sky_is_the_hemisphere_integral() -> None:
+def test_baked_sky_light_is_the_integral_over_the_hemisphere() -> None:
     """A horizontal surface gets all of the sky, a wall half of it; a wide roof hides all but the rim."""
     point = np.zeros((1, 3))
     far = np.array([[5.0, -5.0, 5.0]])
@@ -61,7 +61,7 @@ def test_open_sky_is_the_hemisphere_integral() -> None:
     assert roofed < 0.5 * (1.0 - 1.0 / 1.25) + 0.02
 
 
-def test_bounce_comes_from_below_and_less_into_corners() -> None:
+def test_baked_bounce_light_comes_from_below_and_less_into_corners() -> None:
     """Light from the floor is stronger on surfaces that face down, and weaker where the sky is blocked."""
     light = Daylight(sun_direction=(0.0, 1.0, 0.0), sun_color=(0, 0, 0), sky_color=(0, 0, 0))
     point, far = np.zeros((1, 3)), np.array([[5.0, -5.0, 5.0]])
@@ -70,7 +70,7 @@ def test_bounce_comes_from_below_and_less_into_corners() -> None:
     assert down > 2.0 * up > 3.0 * covered > 0.0
 
 
-def test_strong_light_rolls_off_below_one() -> None:
+def test_strong_baked_daylight_rolls_off_below_one() -> None:
     """However bright, the result stays in 0..1 and keeps its order."""
     plane = grid(0.1, 0.0)
     values = [

@@ -15,7 +15,7 @@ from support.kinds import pbr_of
 
 
 def test_demo_scene_has_its_documented_contents(demo: ls.Scene) -> None:
-    """One set of 150,000 to 300,000 Gaussians with surface data, and some meshes, in a room of a few metres."""
+    """One capture of 150,000 to 300,000 Gaussians with surface data, and four meshes, are in a room of a few metres."""
     assert len(demo.splats) == 1
     assert 150_000 <= demo.gaussian_count <= 300_000
     assert {instance.name for instance in demo.meshes} == {"white paint", "striped glass", "brass", "aquamarine"}
@@ -27,7 +27,7 @@ def test_demo_scene_has_its_documented_contents(demo: ls.Scene) -> None:
     assert (high < [3.0, 4.0, 3.5]).all()
 
 
-def test_surfaces_of_the_room_face_inwards() -> None:
+def test_surfaces_of_the_demo_room_face_inwards() -> None:
     """Otherwise the sun would light the outside of walls that are seen from inside."""
     rng = np.random.default_rng(0)
     room, niche = (-0.05, 1.2, 0.0), (demo_room.NICHE_X, 0.9, demo_room.BACK - 0.1)
@@ -39,15 +39,15 @@ def test_surfaces_of_the_room_face_inwards() -> None:
         assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), middle - a) > 0.0).all()
 
 
-def test_demo_is_made_of_different_materials(demo: ls.Scene) -> None:
-    """Colours, roughness and metalness vary over the scene."""
+def test_demo_scene_has_many_colours_and_materials(demo: ls.Scene) -> None:
+    """Roughness and metalness vary over the scene."""
     gaussians = demo.splats[0].gaussians
     assert gaussians.roughness is not None
     assert np.unique(gaussians.roughness).size >= 5
     assert any(pbr_of(instance.mesh).metallic == 1.0 for instance in demo.meshes)
 
 
-def test_baked_daylight_only_darkens_the_albedo(demo: ls.Scene) -> None:
+def test_baked_daylight_of_the_demo_only_darkens_the_albedo(demo: ls.Scene) -> None:
     """The display colour is albedo times light of 0..1, with both sun and shade."""
     gaussians = demo.splats[0].gaussians
     assert gaussians.albedo is not None
@@ -61,8 +61,8 @@ def test_baked_daylight_only_darkens_the_albedo(demo: ls.Scene) -> None:
         assert 0.0 <= instance.mesh.colors.min() < instance.mesh.colors.max() <= 1.0
 
 
-def test_demo_cameras_are_named_and_start_with_the_hero() -> None:
-    """Names are unique, sizes and count as asked for."""
+def test_demo_cameras_have_unique_names_and_start_with_hero() -> None:
+    """Sizes and count are the requested ones."""
     cameras = ls.demo_cameras(320, 180)
     names = [camera.name for camera in cameras]
     assert names[0] == "hero"
@@ -71,7 +71,7 @@ def test_demo_cameras_are_named_and_start_with_the_hero() -> None:
     assert [camera.name for camera in ls.demo_cameras(count=2)] == names[:2]
 
 
-def test_every_view_of_the_demo_is_filled_without_holes(demo: ls.Scene) -> None:
+def test_demo_frames_have_no_holes_from_any_demo_camera(demo: ls.Scene) -> None:
     """Every pixel of every view is opaque."""
     renderer = ls.create_renderer(device="cpu")
     for camera in ls.demo_cameras(480, 270):
@@ -81,8 +81,8 @@ def test_every_view_of_the_demo_is_filled_without_holes(demo: ls.Scene) -> None:
         assert frame.color.std() > 0.06
 
 
-def test_demo_reports_progress(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
-    """A progress callback gets increasing fractions, from zero to one."""
+def test_building_the_demo_scene_reports_progress_from_0_to_1(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
+    """Reported fractions never decrease."""
     heard = demo_and_progress[1]
     assert heard[0] == 0.0
     assert heard == sorted(heard)
@@ -91,11 +91,11 @@ def test_demo_reports_progress(demo_and_progress: tuple[ls.Scene, list[float]]) 
 
 @pytest.fixture(scope="module")
 def lit(demo: ls.Scene) -> ls.Scene:
-    """Demo scene under evening light."""
+    """Returns the demo scene under evening light."""
     return ls.demo_scene_lit(demo)
 
 
-def test_relit_demo_has_the_same_capture_and_meshes(demo: ls.Scene, lit: ls.Scene) -> None:
+def test_relit_demo_has_the_gaussians_and_meshes_of_the_demo(demo: ls.Scene, lit: ls.Scene) -> None:
     """Meshes are at the same positions; there is a mirror, glass, and three kinds of lights."""
     assert [instance.name for instance in lit.splats] == ["room", "garden"]
     means = np.concatenate([instance.gaussians.means for instance in lit.splats])
@@ -110,7 +110,7 @@ def test_relit_demo_has_the_same_capture_and_meshes(demo: ls.Scene, lit: ls.Scen
     assert [light.name for light in lit.lights] == ["spot", "lamp", "sky"]
 
 
-def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
+def test_relit_demo_contains_no_baked_daylight(lit: ls.Scene) -> None:
     """The room is black with all lights off, and the garden emits its captured radiance."""
     camera = ls.demo_cameras(160, 90, count=1)[0]
     off = replace(lit, lights=(ls.LightPoint((0.0, 1.0, 0.0), intensity=0.0),))
@@ -127,8 +127,8 @@ def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
     np.testing.assert_array_equal(dark.pixels_srgb()[untouched], unlit.pixels_srgb()[untouched])
 
 
-def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
-    """Most pixels are neither black nor white from every camera, and both warm and cool light are visible."""
+def test_relit_demo_is_well_exposed_from_every_camera(lit: ls.Scene) -> None:
+    """Most pixels are neither black nor white, and both warm and cool light are visible."""
     config = ls.RenderConfig(shadows=ls.Shadows.OFF, tone_map=ls.ToneMap.NEUTRAL, samples=2)
     renderer = ls.create_renderer(config, "cpu")
     for camera in ls.demo_cameras(160, 90):
@@ -141,7 +141,7 @@ def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
         assert frame.stats is not None and frame.stats.nonfinite_count == 0
 
 
-def test_y_is_up(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
+def test_demo_scenes_are_y_up(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
     """The capture states its up direction, also outside of the scene."""
     scene = demo_and_progress[0]
     for shown in (scene, ls.demo_scene_lit(), ls.Scene(splats=scene.splats)):

@@ -57,7 +57,7 @@ def volume_and_area(mesh: Mesh) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("name", CLOSED)
-def test_closed_shapes_are_watertight(name: str) -> None:
+def test_closed_demo_shapes_are_watertight(name: str) -> None:
     """Every edge is used once in each direction, and the Euler characteristic is that of the shape."""
     maker, euler, _, _ = CLOSED[name]
     mesh = maker()
@@ -67,7 +67,7 @@ def test_closed_shapes_are_watertight(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CLOSED)
-def test_closed_shapes_face_outwards_and_have_their_size(name: str) -> None:
+def test_closed_demo_shapes_face_outwards_and_have_their_size(name: str) -> None:
     """Signed volume is positive; volume and area are those of the formula."""
     maker, _, volume, area = CLOSED[name]
     measured_volume, measured_area = volume_and_area(maker())
@@ -79,7 +79,7 @@ def test_closed_shapes_face_outwards_and_have_their_size(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CLOSED)
-def test_normals_are_unit_and_on_the_outside(name: str) -> None:
+def test_normals_of_demo_shapes_are_unit_and_face_outwards(name: str) -> None:
     """Vertex normals have length one and agree with the triangles they belong to."""
     mesh = CLOSED[name][0]()
     assert mesh.normals is not None
@@ -99,8 +99,8 @@ def test_normals_are_unit_and_on_the_outside(name: str) -> None:
         (shapes.rounded_box((1.0, 0.8, 1.2), 0.1), lambda p: p - np.clip(p, [-0.4, -0.3, -0.5], [0.4, 0.3, 0.5])),
     ],
 )
-def test_smooth_normals_match_the_gradient(mesh: Mesh, expected: Callable) -> None:
-    """Normals of the smooth shapes, across seams and at poles, are the analytic ones within three degrees."""
+def test_smooth_normals_of_demo_shapes_match_the_analytic_gradient(mesh: Mesh, expected: Callable) -> None:
+    """Normals are within three degrees of the analytic ones, also across seams and at poles."""
     gradient = expected(mesh.positions.astype(np.float64))
     gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
     assert mesh.normals is not None
@@ -113,7 +113,7 @@ def shapes_ring(points: np.ndarray) -> np.ndarray:
     return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
 
-def test_lathe_is_smooth_across_its_seam_with_v_by_arc_length() -> None:
+def test_lathed_shape_is_smooth_across_its_seam_with_v_by_arc_length() -> None:
     """First and last column share their normals; v follows the profile's length, not its rows."""
     mesh = shapes.lathe([(0.2, 1.0), (0.3, 0.9), (0.3, 0.0)], columns=8)
     assert mesh.normals is not None and mesh.uvs is not None
@@ -133,8 +133,8 @@ def test_normals_of_the_spiral_shell_point_outwards() -> None:
     assert (np.einsum("rcj,rcj->rc", outwards, mesh.normals.reshape(rows.shape)) > 0.0).mean() > 0.99
 
 
-def test_plane_faces_up_with_uv_along_x_and_z() -> None:
-    """Four corners of a plane: normal +y, (0, 0) at minus x and minus z."""
+def test_demo_plane_faces_up_with_uv_along_x_and_z() -> None:
+    """The plane has four corners, normal +y, and texture coordinates (0, 0) at minus x and minus z."""
     mesh = shapes.plane(2.0, 4.0)
     assert mesh.normals is not None
     assert mesh.uvs is not None
@@ -145,7 +145,7 @@ def test_plane_faces_up_with_uv_along_x_and_z() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.tuples(*[st.floats(0.5, 3.0)] * 3), st.floats(-3.0, 3.0))
-def test_transformed_scales_volume_and_keeps_normals_on_surface(scales: tuple[float, ...], angle: float) -> None:
+def test_transforming_a_mesh_scales_its_volume_and_keeps_its_normals(scales: tuple[float, ...], angle: float) -> None:
     """An affine map multiplies volume by its determinant, and normals stay perpendicular to their surface."""
     turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
     matrix = np.eye(4)
@@ -159,8 +159,8 @@ def test_transformed_scales_volume_and_keeps_normals_on_surface(scales: tuple[fl
     np.testing.assert_allclose(present(after.normals), gradient, atol=1e-4)
 
 
-def test_profile_helpers_pass_through_their_ends() -> None:
-    """Rounding keeps a profile's ends; a spline passes through its knots; radii never become negative."""
+def test_rounded_and_smooth_profiles_pass_through_their_ends() -> None:
+    """A spline passes through its knots; radii never become negative."""
     knots = [(0.0, 1.0), (0.4, 0.9), (0.05, 0.5), (0.3, 0.0)]
     np.testing.assert_allclose(shapes.rounded_profile(knots, 0.1)[[0, -1]], [knots[0], knots[-1]])
     spline = shapes.smooth_profile(knots, segments=8)
@@ -168,7 +168,7 @@ def test_profile_helpers_pass_through_their_ends() -> None:
     assert spline[:, 0].min() >= 0.0
 
 
-def test_impossible_shapes_are_refused() -> None:
+def test_impossible_demo_shapes_are_refused() -> None:
     """A rounding larger than the box, a negative profile radius and mixed joins raise one clear error."""
     with pytest.raises(SceneError, match="cannot be rounded by"):
         shapes.rounded_box((1.0, 1.0, 0.1), 0.2)

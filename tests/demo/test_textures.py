@@ -18,7 +18,7 @@ SEAMLESS: dict[str, Callable[[np.random.Generator], textures.Texture]] = {
 
 
 @pytest.mark.parametrize("name", SEAMLESS)
-def test_textures_repeat_without_a_seam(name: str) -> None:
+def test_demo_textures_repeat_without_a_seam(name: str) -> None:
     """Across the border, neighbouring texels differ no more than inside."""
     linear = decode_srgb(SEAMLESS[name](np.random.default_rng(1)) / 255.0)
     for axis in (0, 1):
@@ -28,21 +28,21 @@ def test_textures_repeat_without_a_seam(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SEAMLESS)
-def test_equal_seeds_give_equal_textures(name: str) -> None:
-    """The generator alone decides."""
+def test_demo_textures_with_equal_seeds_are_equal(name: str) -> None:
+    """Another seed gives another texture."""
     one, same, other = (SEAMLESS[name](np.random.default_rng(seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert (one != other).any()
 
 
-def test_plaster_keeps_its_colour() -> None:
-    """The mean is the colour that was asked for."""
+def test_plaster_texture_has_the_requested_mean_colour() -> None:
+    """The mean is over linear texels."""
     linear = decode_srgb(textures.plaster((0.2, 0.4, 0.3), np.random.default_rng(0)) / 255.0)
     np.testing.assert_allclose(linear.mean(axis=(0, 1)), (0.2, 0.4, 0.3), atol=0.02)
 
 
-def test_herringbone_planks_have_their_shape() -> None:
-    """The joints between planks cover a plausible share of the texture."""
+def test_herringbone_texture_has_planks_and_narrow_joints() -> None:
+    """The joints cover 3 to 20 % of the texture."""
     texture = textures.herringbone((200, 300), 20.0, (0.5, 0.5, 0.5), (0.5, 0.5, 0.5), np.random.default_rng(0))
     assert texture.shape == (200, 300, 3)
     dark = (texture[..., 0] < 170).mean()
@@ -50,8 +50,8 @@ def test_herringbone_planks_have_their_shape() -> None:
     assert 0.03 < dark < 0.2
 
 
-def test_painted_vase_and_stripes_use_their_colours() -> None:
-    """Both show a substantial amount of ground and of paint."""
+def test_painted_vase_and_stripes_contain_both_their_colours() -> None:
+    """Each texture shows a substantial amount of ground and of paint."""
     rng = np.random.default_rng(0)
     vase = textures.painted_vase((0.8, 0.8, 0.8), (0.0, 0.0, 0.3), rng, height=256, width=256)
     painted = (vase[..., 0] < 90).mean()

@@ -16,17 +16,17 @@ METRICS = (ls.metrics.psnr, ls.metrics.ssim, ls.metrics.flip)
 
 
 def noise_image(seed: int, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
-    """A noise image, 0.1 to 0.9."""
+    """Returns a noise image with values from 0.1 to 0.9."""
     return np.random.default_rng(seed).uniform(0.1, 0.9, (*shape, 3))
 
 
 def flat(color: tuple[float, float, float]) -> np.ndarray:
-    """An image of one colour."""
+    """Returns an image of one colour."""
     return np.broadcast_to(np.array(color), (32, 32, 3))
 
 
 def ssim_by_definition(image: np.ndarray, reference: np.ndarray) -> float:
-    """SSIM by Wang et al. 2004, equations 13 to 17, window by window."""
+    """Computes SSIM by Wang et al. 2004, equations 13 to 17, window by window."""
     offsets = np.arange(-5, 6)
     bell = np.exp(-(offsets**2) / (2.0 * 1.5**2))
     window = np.outer(bell, bell) / bell.sum() ** 2
@@ -45,10 +45,10 @@ def ssim_by_definition(image: np.ndarray, reference: np.ndarray) -> float:
 
 
 def flip_of_flat_colors(srgb: tuple[float, float, float], reference: tuple[float, float, float]) -> float:
-    """FLIP by Andersson et al. 2020 of two flat images, for which filters and features do nothing.
+    """Computes FLIP by Andersson et al. 2020 of two flat images, for which filters and features do nothing.
 
-    Section 4.1: Hunt-adjusted L*a*b*, the HyAB distance to the power of 0.7, divided by that of green and blue, and
-    mapped by two lines that meet at (0.4, 0.95).
+    By section 4.1, colours are Hunt-adjusted L*a*b*. Their HyAB distance to the power of 0.7 is divided by that of
+    green and blue, and mapped by two lines that meet at (0.4, 0.95).
     """
 
     def hunt(color):
@@ -85,7 +85,7 @@ def test_psnr_matches_hand_computed_values():
 
 
 def test_ssim_of_flat_images_is_the_luminance_term():
-    """SSIM without variance is (2 m1 m2 + C1) / (m1^2 + m2^2 + C1): of 0.4 and 0.6, 0.4801 / 0.5201."""
+    """SSIM without variance is (2 m1 m2 + C1) / (m1^2 + m2^2 + C1): of means 0.4 and 0.6, 0.4801 / 0.5201."""
     assert ls.metrics.ssim(np.full((16, 16, 3), 0.4), np.full((16, 16, 3), 0.6)) == pytest.approx(
         0.4801 / 0.5201, abs=1e-9
     )
@@ -109,22 +109,22 @@ def test_ssim_matches_the_definition_of_the_paper():
     ],
 )
 def test_flip_of_flat_images_matches_the_paper(color, reference):
-    """The paper's formulas without filtering; 1 for green on blue, the largest possible distance."""
+    """The paper's formulas need no filtering here; green on blue gives 1, the largest possible distance."""
     expected = flip_of_flat_colors(color, reference)
     assert ls.metrics.flip(flat(color), flat(reference)) == pytest.approx(expected, abs=2e-4)
     if color == (0.0, 1.0, 0.0):
         assert expected == 1.0
 
 
-def test_flip_is_smaller_on_a_finer_display():
-    """Noise is less visible there."""
+def test_flip_is_smaller_on_a_display_with_more_pixels_per_degree():
+    """Noise is less visible on a finer display."""
     image, reference = noise_image(1), noise_image(2)
     coarse, usual, fine = (ls.metrics.flip(image, reference, pixels_per_degree=density) for density in (10, 67, 300))
     assert coarse > usual > fine > 0.0
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_equal_images_have_the_best_value(metric):
+def test_image_metrics_of_equal_images_have_the_best_value(metric):
     """More noise makes the value worse."""
     reference = noise_image(3)
     noise = np.random.default_rng(4).normal(0.0, 1.0, reference.shape)
@@ -135,14 +135,14 @@ def test_equal_images_have_the_best_value(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_bytes_equal_floats_of_their_value_over_255(metric):
-    """A PNG's bytes and floats give the same values."""
+def test_image_metrics_of_bytes_equal_those_of_floats(metric):
+    """The floats are the bytes over 255."""
     image, reference = ((255 * noise_image(seed)).round().astype(np.uint8) for seed in (5, 6))
     assert metric(image, reference) == pytest.approx(metric(image / 255.0, reference / 255.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_flipping_both_images_changes_nothing(metric):
+def test_image_metrics_do_not_change_if_both_images_are_flipped(metric):
     """Both images are turned upside down, or mirrored."""
     image, reference = noise_image(7), noise_image(8)
     for mirror in (np.flipud, np.fliplr):
@@ -150,8 +150,8 @@ def test_flipping_both_images_changes_nothing(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_invalid_image_pairs_are_refused(metric):
-    """Different sizes, shapes, ranges and NaN each have their own message of one line."""
+def test_image_metrics_refuse_invalid_pairs_of_images(metric):
+    """Different sizes, shapes, ranges and NaN each have a different message of one line."""
     image = noise_image(9)
     with pytest.raises(ls.SceneError, match="the image is 32 x 24, its reference 32 x 23"):
         metric(image, image[1:])
@@ -182,7 +182,7 @@ def test_flip_refuses_0_pixels_per_degree():
 @pytest.mark.parametrize(
     ("metric", "package"), [(ls.metrics.ssim, "skimage.metrics"), (ls.metrics.flip, "flip_evaluator")]
 )
-def test_missing_packages_are_reported_with_how_to_install_them(metric, package, monkeypatch):
+def test_missing_metric_packages_are_reported_with_the_pip_command(metric, package, monkeypatch):
     """The error names the extra."""
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ls.errors.MissingExtraError, match=r"pip install 'lumisplat\[metrics\]'"):
@@ -193,7 +193,7 @@ WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 
 
 def waves_image(seed: int, shape: tuple[int, int] = (176, 192)) -> np.ndarray:
-    """A smooth image with noise, 0.05 to 0.95."""
+    """Returns a smooth image with noise, with values from 0.05 to 0.95."""
     rng = np.random.default_rng(seed)
     y, x = np.arange(shape[0])[:, None, None], np.arange(shape[1])[:, None]
     waves = np.sin(x * rng.uniform(0.02, 0.3, 3) + y * rng.uniform(0.02, 0.3, 3) + rng.uniform(0.0, 6.0, 3))
@@ -201,12 +201,12 @@ def waves_image(seed: int, shape: tuple[int, int] = (176, 192)) -> np.ndarray:
 
 
 def noisy(image: np.ndarray, size: float) -> np.ndarray:
-    """The image with more noise."""
+    """Returns the image with more noise."""
     return np.clip(image + size * np.random.default_rng(99).normal(size=image.shape), 0.0, 1.0)
 
 
 def ms_ssim_by_convolution(image: np.ndarray, reference: np.ndarray, weights: tuple[float, ...] = WEIGHTS) -> float:
-    """MS-SSIM by Wang et al. 2003 with full 2D windows; odd last rows and columns are repeated."""
+    """Computes MS-SSIM by Wang et al. 2003 with full 2D windows; odd last rows and columns are repeated."""
     offsets = np.arange(-5.0, 6.0)
     window = np.exp(-(offsets[:, None] ** 2 + offsets**2) / 4.5)
     window /= window.sum()
@@ -237,7 +237,7 @@ def test_ms_ssim_matches_a_second_implementation(noise):
     assert 0.3 < expected < 0.9999
 
 
-def test_ms_ssim_of_flat_images_is_the_coarsest_luminance():
+def test_ms_ssim_of_flat_images_is_the_luminance_of_the_coarsest_scale():
     """The value without contrast is (0.4801 / 0.5201) ** 0.1333."""
     dark, light = np.full((161, 170, 3), 0.4), np.full((161, 170, 3), 0.6)
     assert ls.metrics.ms_ssim(dark, light) == pytest.approx((0.4801 / 0.5201) ** 0.1333, abs=1e-9)
@@ -252,14 +252,14 @@ def test_ms_ssim_of_one_scale_is_ssim():
     assert ls.metrics.ms_ssim(image, reference, scales=1) == pytest.approx(ls.metrics.ssim(image, reference), abs=1e-9)
 
 
-def test_inverted_image_has_ms_ssim_0():
+def test_ms_ssim_of_an_inverted_image_is_0():
     """A negative mean of structure counts as 0."""
     reference = waves_image(3)
     assert ls.metrics.ms_ssim(1.0 - reference, reference) == 0.0
     assert ls.metrics.ms_ssim(reference, reference) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_ms_ssim_accepts_odd_sizes():
+def test_ms_ssim_accepts_images_of_odd_size():
     """The last row and column are repeated; the weights of two scales sum to 1."""
     reference = waves_image(4, (45, 47))
     image = noisy(reference, 0.1)
@@ -268,7 +268,7 @@ def test_ms_ssim_accepts_odd_sizes():
     assert ls.metrics.ms_ssim(image, reference, scales=2) == pytest.approx(expected, abs=1e-12)
 
 
-def test_small_images_allow_fewer_scales():
+def test_small_images_have_fewer_scales_of_ms_ssim():
     """161 pixels suffice for five scales, 160 for four; smaller images are refused."""
     sizes = {161: 5, 160: 4, 81: 4, 80: 3, 21: 2, 20: 1, 11: 1, 10: 0}
     assert {size: ls.metrics.ms_ssim_scales(size, 500) for size in sizes} == sizes
@@ -291,8 +291,8 @@ WITH_MS_SSIM = (ls.metrics.psnr, ls.metrics.ssim, ls.metrics.ms_ssim, ls.metrics
 
 
 @pytest.mark.parametrize("metric", WITH_MS_SSIM)
-def test_pixels_outside_a_region_do_not_count(metric):
-    """Errors inside the region do."""
+def test_image_metrics_ignore_pixels_outside_a_region(metric):
+    """Errors inside the region change the metrics."""
     reference = waves_image(5)
     image = noisy(reference, 0.05)
     region = np.zeros(reference.shape[:2], bool)
@@ -308,7 +308,7 @@ def test_pixels_outside_a_region_do_not_count(metric):
     )
 
 
-def test_psnr_of_a_region_is_over_its_pixels():
+def test_psnr_of_a_region_is_the_mean_over_its_pixels():
     """Off by 0.1 in a quarter of the image: 20 dB in that quarter, 6.02 dB more over all pixels."""
     grey = np.full((32, 32, 3), 0.5)
     region = np.zeros((32, 32), bool)
@@ -319,7 +319,7 @@ def test_psnr_of_a_region_is_over_its_pixels():
 
 
 @pytest.mark.parametrize("metric", WITH_MS_SSIM)
-def test_invalid_regions_are_refused(metric):
+def test_image_metrics_refuse_invalid_regions(metric):
     """A region is empty, has another shape, or holds numbers."""
     image = waves_image(6)
     with pytest.raises(ls.SceneError, match="region is empty"):
@@ -330,7 +330,7 @@ def test_invalid_regions_are_refused(metric):
         metric(image, image, region=np.ones(image.shape[:2]))
 
 
-def test_region_at_the_image_border_has_no_windows():
+def test_ssim_refuses_a_region_at_the_image_border():
     """Windows lie inside the image, so the outermost pixels are the centre of none."""
     image = waves_image(7)
     edge = np.zeros(image.shape[:2], bool)

@@ -22,7 +22,7 @@ Y00, Y10 = math.sqrt(1.0 / (4.0 * math.pi)), math.sqrt(3.0 / (4.0 * math.pi))
 
 
 def all_around(count: int = 4000) -> np.ndarray:
-    """Unit vectors evenly spread over the sphere (a Fibonacci lattice)."""
+    """Returns unit vectors evenly spread over the sphere (a Fibonacci lattice)."""
     step = np.arange(count) + 0.5
     z, rotation = 1.0 - 2.0 * step / count, step * math.pi * (3.0 - math.sqrt(5.0))
     across = np.sqrt(1.0 - z * z)
@@ -30,7 +30,7 @@ def all_around(count: int = 4000) -> np.ndarray:
 
 
 def points(rgb, normals: np.ndarray | None = None) -> ls.metrics.LitPoints:
-    """Points within 0.5 m around the origin, in grey or colours."""
+    """Returns points within 0.5 m around the origin, in grey or colours."""
     normals = all_around() if normals is None else normals
     colors = np.asarray(rgb, np.float64)
     colors = np.repeat(colors[:, None], 3, axis=1) if colors.ndim == 1 and len(colors) == len(normals) else colors
@@ -38,7 +38,7 @@ def points(rgb, normals: np.ndarray | None = None) -> ls.metrics.LitPoints:
 
 
 def lit_from(direction, share: float, normals: np.ndarray | None = None) -> np.ndarray:
-    """Irradiance 0.2 (1 + share cos) of light from a direction."""
+    """Returns the irradiance 0.2 (1 + share cos) of light from a direction."""
     normals = all_around() if normals is None else normals
     return 0.2 * (1.0 + share * normals @ np.asarray(direction, np.float64))
 
@@ -59,8 +59,8 @@ def test_paa_y_matches_hand_computed_values():
     assert ls.metrics.paa_y(above, above) == 0.0
 
 
-def test_all_16_irradiance_coefficients_are_recovered(monkeypatch):
-    """They are exact without the penalty, and a little smoother with it."""
+def test_irradiance_fit_recovers_all_16_sh_coefficients(monkeypatch):
+    """The coefficients are exact without the penalty, and a little smoother with it."""
     rng = np.random.default_rng(1)
     true = np.concatenate([[4.0], rng.uniform(-0.3, 0.3, 15)])
     normals = all_around()
@@ -79,7 +79,7 @@ def test_all_16_irradiance_coefficients_are_recovered(monkeypatch):
 
 
 def test_albedo_variation_does_not_change_the_irradiance_fit():
-    """Scales independent of the normals add noise only; outliers and dark spots change nothing."""
+    """Albedos independent of the normals add noise only; outliers and dark spots change nothing."""
     rng = np.random.default_rng(2)
     clean = lit_from((0, 0, 1), 0.5)
     reference = points(clean)
@@ -117,7 +117,7 @@ def test_robust_fit_minimises_hubers_loss():
     assert np.abs(robust_fit(design, values) - np.linalg.lstsq(design, values)[0]).max() > 1e-3
 
 
-def test_robust_fit_scales_with_the_values():
+def test_robust_fit_coefficients_scale_with_the_values():
     """Values a thousand times as large have coefficients a thousand times as large."""
     rng = np.random.default_rng(4)
     design, values = rng.normal(size=(200, 3)), rng.standard_t(3, 200)
@@ -125,10 +125,10 @@ def test_robust_fit_scales_with_the_values():
 
 
 def test_apf_y_matches_hand_computed_values():
-    """Light with gain and offset is predicted; a constant predicts the mean, and leaves 0.2 x 0.5 x E|n_z| = 0.05.
+    """Light with gain and offset is predicted.
 
-    The mean of |n_z| over the sphere is 1/2. With light from x, E(n; c_scene) is n_x, which is independent of n_z: the
-    same 0.05 remains.
+    A constant predicts the mean, and leaves 0.2 x 0.5 x E|n_z| = 0.05. The mean of |n_z| over the sphere is 1/2. With
+    light from x, E(n; c_scene) is n_x, which is independent of n_z, so 0.05 remains, too.
     """
     avatar = points(lit_from((0, 0, 1), 0.5))
     assert ls.metrics.apf_y(avatar, points(3.0 * lit_from((0, 0, 1), 0.2))) == pytest.approx(0.0, abs=5e-3)
@@ -137,7 +137,7 @@ def test_apf_y_matches_hand_computed_values():
 
 
 def test_luminance_and_lab_match_reference_values():
-    """CIE Y by its weights; L*a*b* under D65 of red, green, blue (53.24, 80.09, 67.20 and so on) and greys."""
+    """CIE Y has its standard weights; L*a*b* under D65 is that of red, green, blue, white and two greys."""
     assert luminance([0.5, 0.25, 1.0]) == pytest.approx(0.1063 + 0.1788 + 0.0722)
     expected = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86], [100.0, 0.0, 0.0]]
     np.testing.assert_allclose(lab([*np.eye(3), np.ones(3)]), expected, atol=0.03)
@@ -160,7 +160,7 @@ def test_ncm_ab_matches_hand_computed_values():
     assert ls.metrics.ncm_ab(mixed, mixed) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_ncm_ab_is_the_cheapest_assignment():
+def test_ncm_ab_is_the_mean_distance_of_the_cheapest_assignment():
     """Between equally many points, the distance is the mean over the best pairing."""
     rng = np.random.default_rng(5)
     normals = all_around(60)
@@ -170,7 +170,7 @@ def test_ncm_ab_is_the_cheapest_assignment():
     assert ls.metrics.ncm_ab(*sides) == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=1e-9)
 
 
-def test_ncm_ab_subsampling_depends_on_the_seed_only():
+def test_ncm_ab_of_a_random_subset_depends_only_on_the_seed():
     """Each seed gives one value, close to that of all points."""
     rng = np.random.default_rng(6)
     normals = all_around(1500)
@@ -182,8 +182,8 @@ def test_ncm_ab_subsampling_depends_on_the_seed_only():
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_metrics_ignore_order_position_and_for_paa_y_intensity(metric):
-    """Points in another order, and both sides moved, give the same value; more light does not change PAA-Y."""
+def test_light_metrics_ignore_the_order_and_position_of_points(metric):
+    """Both sides may be moved together; twice the light of the avatar does not change PAA-Y."""
     rng = np.random.default_rng(7)
     normals = all_around(500)
     avatar = points(rng.uniform(0.1, 0.5, (500, 3)) * (1.0 + 0.5 * normals[:, :1]), normals)
@@ -201,8 +201,8 @@ def test_metrics_ignore_order_position_and_for_paa_y_intensity(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_points_beyond_the_radius_do_not_count(metric):
-    """Points within the radius do."""
+def test_light_metrics_ignore_points_beyond_the_radius(metric):
+    """Points within the radius change the metrics."""
     normals = all_around(400)
     avatar = points(lit_from((0, 0, 1), 0.5, normals), normals)
     near = points(lit_from((0.6, 0, 0.8), 0.8, normals), normals)
@@ -218,13 +218,13 @@ def test_points_beyond_the_radius_do_not_count(metric):
 
 
 def splats(colors: np.ndarray, normals: np.ndarray | None, count: int) -> ls.Gaussians:
-    """Gaussians of linear colours without view dependence."""
+    """Returns Gaussians of linear colours without view dependence."""
     base = random_gaussians(3, count=count)
     sh = ((encode_srgb(colors) - 0.5) / 0.28209479177387814)[:, None, :]
     return replace(base, sh=sh.astype(np.float32), normals=normals, means=base.means - base.means.mean(axis=0))
 
 
-def test_points_of_gaussians_are_in_world_space_and_linear():
+def test_lit_points_of_gaussians_are_linear_and_in_world_space():
     """Colours are those of SH degree 0."""
     rng = np.random.default_rng(9)
     normals, colors = all_around(50), rng.uniform(0.05, 1.0, (50, 3))
@@ -253,7 +253,7 @@ def test_estimated_normals_of_a_scene_face_the_avatar():
     )
 
 
-def test_metrics_of_gaussians_equal_those_of_their_points():
+def test_light_metrics_of_gaussians_equal_those_of_their_points():
     """Gaussians, instances and scenes are accepted."""
     rng = np.random.default_rng(11)
     normals = all_around(300)
@@ -264,8 +264,8 @@ def test_metrics_of_gaussians_equal_those_of_their_points():
         assert metric(ls.SplatInstance(avatar), room, radius=2.0) == value
 
 
-def test_invalid_arguments_are_refused():
-    """Nothing near, too few points, black points, invalid settings and invalid arrays each give one line."""
+def test_light_metrics_refuse_invalid_arguments_in_one_line():
+    """Errors are a scene with no point near the avatar, too few or black points, invalid settings and arrays."""
     avatar = points(np.full(4000, 0.2))
     far = replace(avatar, positions=avatar.positions + np.array([9, 0, 0], np.float32))
     with pytest.raises(ls.SceneError, match=r"no point of the scene is within 1.5 of the avatar, the nearest is 8.5"):
@@ -297,7 +297,7 @@ def test_invalid_arguments_are_refused():
         ls.metrics.LitPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
-def test_missing_pot_is_reported_with_how_to_install_it(monkeypatch):
+def test_missing_package_pot_is_reported_with_the_pip_command(monkeypatch):
     """The error names the extra."""
     monkeypatch.setitem(sys.modules, "ot", None)
     with pytest.raises(ls.errors.MissingExtraError, match=r"ncm_ab needs .* pip install 'lumisplat\[metrics\]'"):

@@ -14,14 +14,14 @@ METRICS = (ls.metrics.sae, ls.metrics.sm_iou, ls.metrics.boundary_f)
 
 
 def square(left: int, top: int, size: int, strength: float = 1.0, shape: tuple[int, int] = (20, 20)) -> np.ndarray:
-    """A square shadow."""
+    """Returns the mask of a square shadow."""
     shadow = np.zeros(shape)
     shadow[top : top + size, left : left + size] = strength
     return shadow
 
 
 def boundary_pixels(shadow: np.ndarray) -> list[tuple[int, int]]:
-    """Pixels in shadow next to a lit one, found one by one."""
+    """Finds pixels in shadow next to a lit pixel, one by one."""
     height, width = shadow.shape
     found = []
     for row in range(height):
@@ -65,8 +65,8 @@ def test_boundary_f_matches_hand_computed_values():
     assert ls.metrics.boundary_f(inner, outer) == 0.0
 
 
-def test_boundaries_within_the_tolerance_agree():
-    """A shadow off by the tolerance has the full score; one pixel more, and it has not."""
+def test_shadow_boundaries_within_the_tolerance_agree():
+    """A shadow off by the tolerance has the full score; a shadow off by one pixel more has not."""
     assert ls.metrics.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
     assert 0.0 < ls.metrics.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
 
@@ -88,15 +88,15 @@ def test_boundary_f_matches_brute_force_distances(seed, tolerance, share, size):
     assert ls.metrics.boundary_f(shadow, reference, tolerance=tolerance) == pytest.approx(expected)
 
 
-def test_shadow_strength_equal_to_the_threshold_is_lit():
+def test_shadow_strength_equal_to_the_threshold_counts_as_lit():
     """A pixel is in shadow where S > tau."""
     assert ls.metrics.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4)) == 0.0
     assert ls.metrics.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4), threshold=0.09) == 1.0
     assert math.isnan(ls.metrics.sae(square(4, 4, 4), square(4, 4, 4, 0.1)))
 
 
-def test_metrics_without_shadows():
-    """No shadow in both images is full agreement, in one of them none; an error over no pixels is NaN."""
+def test_shadow_metrics_of_images_without_shadows_are_defined():
+    """Without a shadow in both images agreement is full, in one image none; an error over no pixels is NaN."""
     nothing, something = np.zeros((20, 20)), square(4, 4, 4)
     assert ls.metrics.sm_iou(nothing, nothing) == ls.metrics.boundary_f(nothing, nothing) == 1.0
     assert ls.metrics.sm_iou(nothing, something) == ls.metrics.boundary_f(nothing, something) == 0.0
@@ -105,8 +105,8 @@ def test_metrics_without_shadows():
     assert math.isnan(ls.metrics.sae(something, nothing))
 
 
-def test_image_border_is_no_shadow_boundary():
-    """A shadow that fills the image has no boundary; one cut by the border has one inside only."""
+def test_border_of_an_image_is_no_shadow_boundary():
+    """A shadow that fills the image has no boundary; a shadow cut by the border has one inside only."""
     full = np.ones((8, 8))
     assert ls.metrics.boundary_f(full, full) == 1.0
     half = np.zeros((8, 8))
@@ -117,7 +117,7 @@ def test_image_border_is_no_shadow_boundary():
     assert ls.metrics.boundary_f(half, shifted) == 1.0
 
 
-def test_shadow_outside_the_region_does_not_count():
+def test_shadow_metrics_ignore_shadows_outside_the_region():
     """The border of the region is no boundary."""
     shadow, reference = square(4, 4, 4), square(4, 4, 4)
     shadow[:, 12:] = 1.0
@@ -134,7 +134,7 @@ def test_shadow_outside_the_region_does_not_count():
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_mirrored_images_and_bytes_give_equal_values(metric):
+def test_shadow_metrics_are_equal_for_mirrored_images_and_bytes(metric):
     """Both images are mirrored, or given as bytes."""
     random = np.random.default_rng(1)
     shadow, reference = random.integers(0, 256, (2, 12, 17)).astype(np.uint8)
@@ -146,8 +146,8 @@ def test_mirrored_images_and_bytes_give_equal_values(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_invalid_arguments_are_refused(metric):
-    """Invalid shapes, ranges and settings each give one line."""
+def test_shadow_metrics_refuse_invalid_arguments_in_one_line(metric):
+    """Shapes, ranges and settings are invalid."""
     shadow = square(4, 4, 4)
     with pytest.raises(ls.SceneError, match="the image is 20 x 20, its reference 20 x 19"):
         metric(shadow, shadow[1:])
@@ -165,7 +165,7 @@ def test_invalid_arguments_are_refused(metric):
         metric([[0.0], [0.0, 1.0]], shadow)
 
 
-def test_negative_tolerance_is_refused():
+def test_boundary_f_refuses_a_negative_tolerance():
     """The range is 0 to 100."""
     with pytest.raises(ls.ConfigError, match="tolerance is -1"):
         ls.metrics.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)

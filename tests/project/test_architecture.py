@@ -128,7 +128,7 @@ MORE_NARROW = {
         "shadow_maps",
     },
     "palette": {"constants", "errors", "runtime", "device", "kernels", "palette"},
-    "io": HOST_ONLY | {"palette"},  # as it writes SOG; see test_host_only_folders_do_not_load_warp
+    "io": HOST_ONLY | {"palette"},  # as it writes SOG; see test_host_only_folders_do_not_import_warp
     "viewer": {"public", "viewer"},
     "cli": {"public", "io", "cli"},  # of io, documented functions
     "__main__": {"cli"},
@@ -229,8 +229,8 @@ def test_modules_import_only_their_own_and_lower_layers() -> None:
     ]
 
 
-def test_imports_have_no_cycles() -> None:
-    """Counts imports inside functions and those for type checkers."""
+def test_imports_between_modules_have_no_cycles() -> None:
+    """Imports inside functions and those for type checkers count, too."""
     targets = {module_name(path): {*imported_modules(path, typing=True)} - {module_name(path), ""} for path in FILES}
     done: set[str] = set()
     while ready := {name for name in targets.keys() - done if targets[name] & targets.keys() <= done}:
@@ -238,8 +238,8 @@ def test_imports_have_no_cycles() -> None:
     assert not targets.keys() - done
 
 
-def test_host_only_folders_do_not_load_warp() -> None:
-    """Neither directly nor indirectly."""
+def test_host_only_folders_do_not_import_warp() -> None:
+    """They import Warp neither directly nor indirectly."""
     files = [path for path in FILES if kind(module_name(path)) in HOST_ONLY]
     for path in files:
         assert not [full for full, _ in imports(tree(path)) if full.split(".")[0] == "warp"], path
@@ -257,8 +257,8 @@ assert "lumisplat.renderer" not in sys.modules
     assert done.returncode == 0, done.stderr
 
 
-def test_import_loads_no_heavy_packages() -> None:
-    """``import lumisplat`` loads neither NumPy nor anything heavier."""
+def test_importing_lumisplat_loads_no_heavy_packages() -> None:
+    """``import lumisplat`` loads neither NumPy nor larger packages."""
     heavy = "{'numpy', 'warp', 'zstandard', 'PIL', 'OpenEXR', 'rich'}"
     program = f"import sys, lumisplat; print(sorted({heavy} & set(sys.modules)))"
     assert subprocess.check_output([sys.executable, "-c", program], text=True).strip() == "[]"
@@ -285,7 +285,7 @@ def misplaced_device_code(path: Path) -> Iterator[str]:
                 yield f"{name}:{node.lineno} {node.name} is a wp.func"
 
 
-def test_launches_and_kernels_are_only_in_their_files() -> None:
+def test_kernel_launches_and_kernels_are_only_in_their_files() -> None:
     """Launches and graph captures are in launcher.py, kernels in *_kernels.py."""
     assert not [line for path in FILES for line in misplaced_device_code(path)]
 
@@ -294,7 +294,7 @@ ALLOCATORS = {f"wp.{name}" for name in ("zeros", "empty", "full", "ones", "array
 ALLOCATORS |= {f"wp.{name}_like" for name in ("zeros", "empty", "full", "ones")} | {"DeviceArray"}
 
 
-def test_device_memory_is_allocated_only_in_its_files() -> None:
+def test_device_memory_is_allocated_only_in_four_files() -> None:
     """Allocations are in buffers.py, assets.py, struct_tables.py, and downloads.py for host copies."""
     offenders = []
     for path in FILES:
@@ -319,19 +319,19 @@ def undocumented(path: Path) -> Iterator[str]:
                 yield f"{path}: {node.name}"
 
 
-def test_public_code_is_documented() -> None:
-    """Every module, public class, function, method and property has a docstring."""
+def test_every_public_name_of_the_source_has_a_docstring() -> None:
+    """Names are modules, classes, functions, methods and properties."""
     assert not [name for path in FILES for name in undocumented(path)]
 
 
-def test_every_folder_is_documented() -> None:
+def test_every_source_folder_has_a_docstring() -> None:
     """The ``__init__`` of every folder describes its content."""
     folders = {path.parent for path in FILES}
     assert not [str(folder) for folder in folders if not ast.get_docstring(tree(folder / "__init__.py"))]
 
 
-def test_config_fields_are_documented() -> None:
-    """Every setting has a docstring right below its name."""
+def test_every_setting_has_a_docstring_below_its_name() -> None:
+    """Settings are the fields of the classes in ``config/``."""
     for node in (node for path in PACKAGE.glob("config/*.py") for node in ast.walk(tree(path))):
         if isinstance(node, ast.ClassDef):
             for field, after in zip(node.body, [*node.body[1:], None], strict=True):
@@ -340,7 +340,7 @@ def test_config_fields_are_documented() -> None:
                     assert documented, f"{node.name}.{ast.unparse(field.target)} has no docstring"
 
 
-def test_import_and_call_readers_find_all_cases(tmp_path: Path) -> None:
+def test_readers_of_imports_and_calls_find_all_cases(tmp_path: Path) -> None:
     """Imports for type checkers are skipped by default."""
     path = tmp_path / "sample.py"
     path.write_text(
@@ -368,7 +368,7 @@ def test_import_and_call_readers_find_all_cases(tmp_path: Path) -> None:
         ("scene/sample.py", '"""Module."""\ndef f():\n    pass\n', "sample.py: f"),
     ],
 )
-def test_broken_rules_name_the_offender(
+def test_broken_architecture_rules_name_the_offender(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, source: str, offence: str
 ) -> None:
     """Rules on imports, launches, device code and docstrings are each broken once."""

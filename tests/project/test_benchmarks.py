@@ -39,7 +39,7 @@ def test_every_benchmark_has_a_device_option(path: Path) -> None:
         assert not re.search(r"device=\"cpu\"|_renderer\([^)]*\"cpu\"", path.read_text())
 
 
-def test_missing_devices_are_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_benchmarks_refuse_missing_devices_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     """The message lists the available devices."""
     with pytest.raises(SystemExit):
         timing.parser("run", None).parse_args(["--device", "cuda:99"])
@@ -47,7 +47,7 @@ def test_missing_devices_are_refused_in_one_line(capsys: pytest.CaptureFixture[s
     assert timing.parser("run", None).parse_args(["--device", "cpu"]).device == "cpu"
 
 
-def test_stages_are_timed_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_benchmarks_time_the_stages_of_gpu_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stage times come from a synchronised frame, the frame time from another one."""
     monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
     case = raster_scenes.cases()[3]
@@ -61,15 +61,15 @@ def test_stages_are_timed_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_bench_command_lists_gpu_stage_times(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The command ``lumisplat bench`` prints the stages of a GPU frame."""
+    """The command is ``lumisplat bench``."""
     monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
     ls.save(tmp_path / "capture.ply", raster_scenes.random_gaussians(1, 20))
     assert main(["bench", str(tmp_path / "capture.ply"), "--width", "32", "--repeats", "2"]) == 0
     assert "composite" in capsys.readouterr().out
 
 
-def test_every_documented_benchmark_is_listed() -> None:
-    """``python -m bench`` names each current command of the docs and its run time."""
+def test_every_documented_benchmark_is_listed_with_its_run_time() -> None:
+    """The list is that of ``python -m bench``."""
     listed = benchmarks()
     assert {"bench.run", "bench.first_light", "bench.realtime_truth.bias"} <= listed.keys()
     assert not [name for name, line in listed.items() if not re.search(r"\(.*(second|minute)s?\b.*\)\.$", line)]
@@ -80,7 +80,7 @@ def test_every_documented_benchmark_is_listed() -> None:
 
 
 @pytest.mark.parametrize("path", [page.CPU_PAGE, page.GPU_PAGE], ids=lambda path: path.stem)
-def test_every_row_of_the_pages_has_a_machine_a_date_and_a_command(path: Path) -> None:
+def test_every_benchmark_row_has_a_machine_a_date_and_a_command(path: Path) -> None:
     """All tables of both pages have the same seven columns."""
     lines = path.read_text().splitlines()
     assert len(lines) < 200
@@ -93,7 +93,7 @@ def test_every_row_of_the_pages_has_a_machine_a_date_and_a_command(path: Path) -
             assert re.fullmatch(r"20\d\d-\d\d-\d\d", date), row
 
 
-def test_tables_that_benchmarks_write_are_on_the_pages() -> None:
+def test_tables_that_benchmarks_write_are_on_the_benchmark_pages() -> None:
     """Each region between comments holds one table of the page's form."""
     assert page.regions(page.CPU_PAGE).keys() == {"raster", "trace", "paths", "light", "start"}
     assert page.regions(page.GPU_PAGE).keys() == {"gsplat"}
@@ -114,7 +114,7 @@ def raster_rows(*, with_peer: bool) -> list[dict]:
 
 
 def test_bench_run_writes_only_the_tables_of_complete_groups(tmp_path: Path) -> None:
-    """A group that did not run, or ran without its peer, keeps the page's table."""
+    """A group that did not run, or ran without the program that it is compared with, keeps the page's table."""
     copy = Path(shutil.copy(page.CPU_PAGE, tmp_path / "benchmarks.md"))
     before = page.regions(copy)
     rows = raster_rows(with_peer=True)
@@ -136,15 +136,15 @@ def test_bench_run_writes_only_the_tables_of_complete_groups(tmp_path: Path) -> 
     assert page.regions(copy)["paths"] == before["paths"]
 
 
-def test_a_page_without_the_table_is_refused(tmp_path: Path) -> None:
+def test_benchmark_page_without_the_table_is_refused(tmp_path: Path) -> None:
     """The message names the comment that the page lacks."""
     (tmp_path / "page.md").write_text("# Benchmarks\n")
     with pytest.raises(ValueError, match="expected one line '<!-- written: raster -->', found 0"):
         page.write_region(tmp_path / "page.md", "raster", [])
 
 
-def test_first_light_compares_gsplat_and_ours_on_the_device() -> None:
-    """Frames take all our stages, gradients those of the backward pass."""
+def test_first_light_table_compares_gsplat_and_lumisplat_on_the_device() -> None:
+    """Frames take all stages of Lumisplat, gradients those of the backward pass."""
     frames = [Finding("10: gsplat on the device, ms", 2.0), Finding("10: our stages but sync and download, ms", 1.0)]
     stages = {"composite": 9.0, "backward: pixels": 1.5, "backward: Gaussians": 0.5}
     gradients = [Finding("10: gsplat's frame and derivatives, ms", [7.0, 1.0]), Finding("10: our stages, ms", stages)]
@@ -156,7 +156,7 @@ def test_first_light_compares_gsplat_and_ours_on_the_device() -> None:
     assert gsplat_rows([StepRow("frames", "skipped")], 320) == []
 
 
-def test_links_to_the_pages_lead_to_their_headings() -> None:
+def test_links_to_benchmark_pages_lead_to_their_headings() -> None:
     """Anchors of links in README, docs, changelog and source are headings of the page they name."""
     root = BENCH.parent
     files = [*root.glob("*.md"), *(root / "docs").rglob("*.md"), *(root / "src").rglob("*.py")]

@@ -22,13 +22,13 @@ def commands_of_hooks() -> list[str]:
     return re.findall(r"entry: \.venv/bin/(.*)", (ROOT / ".pre-commit-config.yaml").read_text())
 
 
-def test_hooks_and_make_run_the_same_commands() -> None:
+def test_pre_commit_hooks_and_make_check_run_the_same_commands() -> None:
     """Tools, arguments and order are equal."""
     assert commands_of_hooks() == commands_of_make()
     assert {command.split()[0] for command in commands_of_make()} == TOOLS
 
 
-def test_tool_versions_are_pinned() -> None:
+def test_versions_of_checking_tools_are_pinned() -> None:
     """The extra [dev] pins each tool, so that new rules of a release cannot fail a check."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     held = {re.split(r"[\[=]", requirement)[0] for requirement in extras["dev"] if "==" in requirement}

@@ -125,13 +125,13 @@ def _same(one: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("name", TAKERS)
-def test_dlpack_arrays_give_the_same_as_numpy_arrays(name: str) -> None:
-    """Every function and class of the list takes both."""
+def test_dlpack_arrays_give_the_same_results_as_numpy_arrays(name: str) -> None:
+    """Every listed function and class accepts both."""
     _same(TAKERS[name](np.asarray), TAKERS[name](Foreign))
 
 
-def test_arrays_of_the_caller_are_copied() -> None:
-    """A scene does not change when the caller's array changes later."""
+def test_arrays_given_to_a_capture_are_copied() -> None:
+    """A capture does not change when the caller's array changes later."""
     means = Foreign(np.zeros((2, 3), np.float32))
     gaussians = ls.Gaussians(means, np.tile(WXYZ, (2, 1)), np.ones((2, 3)), np.ones(2), np.zeros((2, 1, 3)))  # pyright: ignore[reportArgumentType]
     means._values[:] = np.nan
@@ -139,7 +139,7 @@ def test_arrays_of_the_caller_are_copied() -> None:
 
 
 @pytest.mark.parametrize("take", ["Gaussians", "Mesh", "placement", "environment"])
-def test_arrays_in_inaccessible_memory_are_refused(take: str) -> None:
-    """One line, without a traceback, says where an array is expected."""
+def test_arrays_in_gpu_memory_are_refused_in_one_line(take: str) -> None:
+    """The message says to copy the array to the CPU."""
     with pytest.raises(ls.SceneError, match=r"cannot be read \(this memory is on a GPU\): copy it to the CPU"):
         TAKERS[take](lambda values: Foreign(values, device=2))

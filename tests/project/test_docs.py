@@ -73,16 +73,16 @@ def beside(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.usefixtures("beside")
-def test_python_of_the_docs_runs(program):
-    """Runs every block marked runnable beside a capture, a mesh and a camera file."""
+def test_python_blocks_of_the_docs_run(program):
+    """Every runnable block runs in a folder with a capture, a mesh and a camera file."""
     exec(compile(program, "docs", "exec"), {})
 
 
 @pytest.mark.parametrize(("package", "program"), OTHERS_PROGRAMS)
 @pytest.mark.usefixtures("beside")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # others may leave files open
-def test_python_of_the_docs_runs_with_optional_packages(package, program):
-    """Runs blocks that need a package if it is installed, and only parses them otherwise."""
+def test_python_blocks_of_the_docs_run_with_optional_packages(package, program):
+    """Blocks that need a package run if it is installed, and are only parsed otherwise."""
     compiled = compile(program, "docs", "exec")
     pytest.importorskip(package)
     if package == "av":
@@ -102,15 +102,15 @@ def test_scene_files_of_the_docs_load(text, beside):
 
 
 @pytest.mark.parametrize("name", ["settings.md", "options.md", "scene_file.md"])
-def test_reference_pages_equal_the_declarations(name):
-    """The tool writes the pages without changes."""
+def test_generated_reference_pages_equal_the_declarations(name):
+    """Running the generator would not change the pages."""
     from tools.make_reference import PAGES
 
     assert (ROOT / "docs" / name).read_text(encoding="utf-8") == PAGES[name](), "run tools/make_reference.py"
 
 
-def test_every_key_of_a_scene_file_has_a_help():
-    """No row of the reference of scene files, options and settings lacks its text."""
+def test_every_row_of_the_reference_pages_has_a_help_text():
+    """The pages list keys of scene files, options and settings."""
     for name, column in (("settings.md", 4), ("options.md", 2), ("scene_file.md", -2)):
         rows = re.findall(r"^\| `.*", (ROOT / "docs" / name).read_text(encoding="utf-8"), re.MULTILINE)
         cells = [re.split(r"(?<!\\)\|", row) for row in rows]
@@ -118,15 +118,15 @@ def test_every_key_of_a_scene_file_has_a_help():
         assert not [row for row, texts in zip(rows, cells, strict=True) if not texts[column].strip()]
 
 
-def test_all_python_of_the_docs_is_marked():
-    """No Python block is left unchecked."""
+def test_every_python_block_of_the_docs_is_checked():
+    """Each block is marked as runnable or as one that needs a package."""
     blocks = sum(page.read_text().count("```python") for page in PAGES)
     assert len(PROGRAMS) + len(OTHERS_PROGRAMS) == blocks > 0
     assert len(SCENE_FILES) > 0
 
 
-def test_every_public_name_is_in_the_reference():
-    """The API page documents each public name by its import path, and each submodule."""
+def test_every_public_name_is_on_the_api_page():
+    """The page documents each public name by its import path, and each submodule."""
     listed = (ROOT / "docs" / "api.md").read_text()
     described = re.search(r"automodule:: lumisplat.errors\n +:members: (.*)", listed)
     assert described
@@ -141,15 +141,15 @@ def test_every_public_name_is_in_the_reference():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_relative_links_of_the_docs_exist(page):
-    """Targets are files of the repository."""
+def test_relative_links_of_the_docs_lead_to_files(page):
+    """The files are in the repository."""
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
         assert (page.parent / target).exists(), target
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_options_of_the_docs_exist(command, capsys):
-    """The command's help lists every option that the docs use."""
+def test_options_used_in_the_docs_are_in_the_help_of_their_command(command, capsys):
+    """Settings of ``--set`` exist, too."""
     words = command.split()
     assert main([*words[1 : 3 if words[1] == "farm" else 2], "--help"]) == 0
     listed = capsys.readouterr().out

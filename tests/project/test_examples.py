@@ -47,8 +47,8 @@ def demo_is_ready(demo, monkeypatch):
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_long_example_runs_small(name, tmp_path, monkeypatch, demo_is_ready):
-    """An example with small frames and few Gaussians ends without an error and writes a file to out/."""
+def test_long_example_runs_with_small_frames_and_few_gaussians(name, tmp_path, monkeypatch, demo_is_ready):
+    """The example writes a file to out/."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ls, "gaussians_from_mesh", lambda mesh, count: gaussians_from_mesh(mesh, min(count, 500)))
     (example,) = (path for path in EXAMPLES if path.stem == name)
@@ -61,8 +61,8 @@ def test_long_example_runs_small(name, tmp_path, monkeypatch, demo_is_ready):
     "example",
     [pytest.param(path, id=path.stem, marks=[pytest.mark.deep] if path.stem in LONG else []) for path in EXAMPLES],
 )
-def test_example_runs(example, tmp_path, monkeypatch, demo_is_ready):
-    """An example ends without an error and writes a file to out/."""
+def test_example_program_runs_and_writes_a_file(example, tmp_path, monkeypatch, demo_is_ready):
+    """The file is in out/."""
     monkeypatch.chdir(tmp_path)
     ls.save("capture.ply", random_gaussians(1, count=200))
     arguments = ["capture.ply"] if example.stem in TAKES_A_CAPTURE else []
@@ -71,8 +71,8 @@ def test_example_runs(example, tmp_path, monkeypatch, demo_is_ready):
     assert any((tmp_path / "out").rglob("*.*"))
 
 
-def test_lowest_point_of_a_rig_is_on_the_floor(tmp_path, monkeypatch):
-    """The lowest point of a rig has height 0 at time 0."""
+def test_rig_of_the_avatar_example_stands_on_the_floor(tmp_path, monkeypatch):
+    """Its lowest point has height 0 at time 0."""
     rig = TubeRig(clips={"bend": BEND})
     path = rig.write(tmp_path / "tube.glb")
     (example,) = (path for path in EXAMPLES if path.stem == "avatar_in_capture")

@@ -25,7 +25,7 @@ def folders_of_map(page: str) -> set[str]:
     return found
 
 
-def test_the_map_names_every_folder() -> None:
+def test_architecture_map_names_every_folder_of_the_package() -> None:
     """The map has exactly the folders of the first two levels."""
     page = (ROOT / "docs" / "architecture.md").read_text()
     shown = folders_of_map(page.partition("## The map")[2].split("```")[1])
@@ -35,7 +35,7 @@ def test_the_map_names_every_folder() -> None:
     assert not gone, f"docs/architecture.md's map names {', '.join(gone)}, which the package has not: remove them"
 
 
-def test_map_reader_finds_nested_folders() -> None:
+def test_reader_of_the_architecture_map_finds_nested_folders() -> None:
     """The reader finds several folders on one line, but not the text after them."""
     page = "io/        files\n  gltf/ usd/\n  ply.py    a module\n           and usd/ again\nmath/   numbers\n"
     assert folders_of_map(page) == {"io/", "io/gltf/", "io/usd/", "math/"}

@@ -49,8 +49,8 @@ def test_cited_method_pages_and_anchors_exist() -> None:
     assert not lost
 
 
-def test_named_files_exist() -> None:
-    """Every path of a page, test, benchmark or tool in sources and docs exists."""
+def test_files_named_in_sources_and_docs_exist() -> None:
+    """The files are pages, tests, benchmarks and tools."""
     named = [(path, name) for path, text in texts() for name in NAMED.findall(text)]
     assert len(named) > 50
     assert not [f"{path.relative_to(ROOT)}: {name}" for path, name in named if not any(ROOT.glob(name))]
@@ -60,14 +60,14 @@ def test_named_files_exist() -> None:
     "page", [*METHOD, ROOT / "CONTRIBUTING.md", ROOT / "docs" / "architecture.md"], ids=lambda page: page.stem
 )
 def test_method_pages_name_existing_source_files(page: Path) -> None:
-    """Every page names its source files, relative to the package or the root."""
+    """Paths are relative to the package or the root of the repository."""
     named = re.findall(r"`((?:[\w-]+/)+[\w-]*(?:\.py|\.md)?)`", page.read_text())
     assert named
     places = [ROOT / "src" / "lumisplat", ROOT]
     assert not [name for name in named if not any((place / name).exists() for place in places)]
 
 
-def test_equation_labels_are_unique_and_referenced() -> None:
+def test_equation_labels_of_method_pages_are_unique_and_referenced() -> None:
     """Labels are unique over all pages, and every reference has a label."""
     labels = [label for page in METHOD for label in LABEL.findall(page.read_text())]
     assert len(labels) == len(set(labels)) > 50

@@ -36,16 +36,16 @@ PUBLIC = [("", name) for name in ls.__all__ if name not in SUBMODULES] + [
 """Pairs of submodule and public name; "" is the top level."""
 
 
-def test_top_level_has_few_sorted_names() -> None:
-    """``ls`` has what the first programs use, and the submodules."""
+def test_public_names_of_lumisplat_are_at_most_95_and_sorted() -> None:
+    """``ls`` has what first programs use, and the submodules."""
     assert len(ls.__all__) <= 95
     assert ls.__all__ == sorted(ls.__all__)
     assert set(SUBMODULES) <= set(ls.__all__) <= set(dir(ls))
 
 
 @pytest.mark.parametrize(("module", "name"), PUBLIC)
-def test_every_name_resolves(module: str, name: str) -> None:
-    """Every public name exists, has this ``__name__``, and has a docstring."""
+def test_every_public_name_exists_with_a_docstring(module: str, name: str) -> None:
+    """Its ``__name__`` is the public name."""
     value = getattr(getattr(ls, module) if module else ls, name)
     assert inspect.getdoc(value)
     assert callable(value)
@@ -53,8 +53,8 @@ def test_every_name_resolves(module: str, name: str) -> None:
         assert value.__name__ == name
 
 
-def test_a_name_means_the_same_in_all_modules() -> None:
-    """Names in several modules are the same object."""
+def test_public_name_in_several_modules_is_the_same_object() -> None:
+    """Top-level names and names of submodules are compared."""
     values: dict[str, object] = {}
     for module, name in PUBLIC:
         value = getattr(getattr(ls, module) if module else ls, name)
@@ -64,27 +64,27 @@ def test_a_name_means_the_same_in_all_modules() -> None:
 @pytest.mark.parametrize(
     "first", ["ls.Frame", "ls.load", "ls.render", "ls.create_renderer", "__import__('lumisplat.frame.frame')"]
 )
-def test_names_resolve_in_any_import_order(first: str) -> None:
+def test_public_names_resolve_in_any_import_order(first: str) -> None:
     """Every name may be the first one used; `render` also after the package of that name is loaded."""
     program = f"import lumisplat as ls; {first}; ls.create_renderer; assert callable(ls.render), ls.render"
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
 
 
-def test_star_import_gives_the_public_names() -> None:
-    """``from lumisplat import *`` imports exactly ``__all__``."""
+def test_star_import_gives_exactly_the_public_names() -> None:
+    """``from lumisplat import *`` imports ``__all__``."""
     names: dict[str, object] = {}
     exec("from lumisplat import *", names)
     assert set(names) - {"__builtins__"} == set(ls.__all__)
 
 
-def test_unknown_names_are_refused() -> None:
-    """A typo raises an AttributeError that names it."""
+def test_unknown_attribute_of_lumisplat_is_refused_by_name() -> None:
+    """A typo raises an AttributeError."""
     with pytest.raises(AttributeError, match="no attribute 'rendre'"):
         _ = cast(Any, ls).rendre
 
 
-def test_missing_name_points_to_its_submodule() -> None:
-    """The AttributeError of a name that moved to a submodule says where it is."""
+def test_attribute_error_of_a_moved_name_points_to_its_submodule() -> None:
+    """`psnr` is now in `lumisplat.metrics`."""
     with pytest.raises(AttributeError, match=r"no attribute 'psnr': it is lumisplat\.metrics\.psnr"):
         _ = cast(Any, ls).psnr
 
@@ -98,8 +98,8 @@ def test_missing_name_points_to_its_submodule() -> None:
         ("DeviceError", RuntimeError),
     ],
 )
-def test_errors_have_the_expected_base_classes(error: str, builtin: type) -> None:
-    """Every error is a LumisplatError and the built-in error that callers expect."""
+def test_every_error_is_a_lumisplat_error_and_a_built_in_error(error: str, builtin: type) -> None:
+    """Callers may catch either."""
     assert issubclass(getattr(ls, error), ls.LumisplatError)
     assert issubclass(getattr(ls, error), builtin)
 
@@ -113,21 +113,21 @@ def test_errors_have_the_expected_base_classes(error: str, builtin: type) -> Non
         ({"depth_iso_transmittance": 1.5}, "depth_iso_transmittance is 1.5"),
     ],
 )
-def test_settings_are_checked(settings: dict[str, float], message: str) -> None:
+def test_raster_settings_out_of_range_are_refused(settings: dict[str, float], message: str) -> None:
     """The error names the setting, its value and its range."""
     with pytest.raises(ls.ConfigError, match=message):
         replace(ls.RasterConfig(), **settings)
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0), (0.0, 0.0, 1.1), (0.0, -0.1, 0.0), (float("nan"), 0.0, 0.0)])
-def test_backgrounds_are_checked(background: tuple[float, ...]) -> None:
-    """A background is three numbers in 0..1."""
+def test_background_setting_is_three_numbers_from_0_to_1(background: tuple[float, ...]) -> None:
+    """Two numbers, 1.1, -0.1 and NaN are refused."""
     with pytest.raises(ls.ConfigError, match="background"):
         ls.RenderConfig(background=background)  # pyright: ignore[reportArgumentType]
 
 
-def test_missing_devices_are_named() -> None:
-    """The error lists the available devices."""
+def test_missing_device_is_refused_with_the_available_ones() -> None:
+    """The devices are cuda:97 and tpu."""
     with pytest.raises(ls.DeviceError, match=r"there is no device 'cuda:97' on this machine: use auto or one of cpu"):
         ls.create_renderer(device="cuda:97")
     with pytest.raises(ls.DeviceError, match="no device 'tpu'"):

@@ -24,7 +24,7 @@ TOOL = ROOT / "tools" / "make_relightable_room.py"
 
 @pytest.fixture(scope="module")
 def tool():
-    """The generator as a module."""
+    """Returns the generator as a module."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / "tools"))
         yield importlib.import_module("make_relightable_room")
@@ -42,7 +42,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, ball: Path) -> Path:
-    """Room with two balls."""
+    """Returns the folder of a room with two balls, rendered once."""
     if importlib.util.find_spec("mitsuba") is None:
         pytest.skip("needs Mitsuba")
     out = tmp_path_factory.mktemp("sets") / "room"
@@ -55,7 +55,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, ball: Path) -> Path:
     return out
 
 
-def test_walls_face_inwards_and_figures_stand_inside(tool: ModuleType, ball: Path) -> None:
+def test_walls_of_the_relightable_room_face_inwards_and_balls_stand(tool: ModuleType, ball: Path) -> None:
     """Six walls and two plates face the middle; two balls of 1.3 m stand on the floor."""
     scene = tool.room_of([ball, ball])
     for instance in scene.meshes[:8]:
@@ -71,14 +71,14 @@ def test_walls_face_inwards_and_figures_stand_inside(tool: ModuleType, ball: Pat
     assert len(scene.meshes) == 10
 
 
-def test_eyes_of_views_are_inside_the_room(tool: ModuleType) -> None:
-    """No eye is inside a wall."""
+def test_cameras_of_the_relightable_room_are_inside_it(tool: ModuleType) -> None:
+    """No camera is inside a wall."""
     for camera in tool.inside(88, 40, 30):
         x, y, z = np.abs(camera.eye)
         assert x < tool.HALF[0] and z < tool.HALF[1] and 0.3 < y < tool.HEIGHT - 0.3
 
 
-def test_lights_of_the_room_round_trip_through_scenes(tool: ModuleType, tmp_path: Path) -> None:
+def test_lights_of_the_relightable_room_survive_saving_and_loading(tool: ModuleType, tmp_path: Path) -> None:
     """Both kinds of light are read back."""
     lights = (*tool.capture_lights(), tool.ball())
     tool.save_lights(tmp_path / "lamps.toml", lights)
@@ -88,7 +88,7 @@ def test_lights_of_the_room_round_trip_through_scenes(tool: ModuleType, tmp_path
 
 
 @pytest.mark.deep
-def test_room_images_match_the_path_tracer(tool: ModuleType, made: Path, ball: Path) -> None:
+def test_images_of_the_relightable_room_match_the_path_tracer(tool: ModuleType, made: Path, ball: Path) -> None:
     """More than 34 dB in views without a visible light, less than 30 dB with 0.7 of the light; albedo matches, too."""
     room = tool.room_of([ball, ball])
     matt: list[ls.MeshInstance] = []

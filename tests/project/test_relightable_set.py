@@ -28,14 +28,14 @@ SIZE = 32
 
 @pytest.fixture(scope="module")
 def tool(monkeypatch_module: pytest.MonkeyPatch) -> ModuleType:
-    """The generator as a module."""
+    """Returns the generator as a module."""
     monkeypatch_module.syspath_prepend(str(ROOT / "tools"))
     return importlib.import_module("make_relightable_set")
 
 
 @pytest.fixture(scope="module")
 def monkeypatch_module():
-    """Monkeypatch that is undone after this file."""
+    """Yields a monkeypatch that is undone after this file."""
     with pytest.MonkeyPatch.context() as patch:
         yield patch
 
@@ -100,7 +100,7 @@ def layer(folder: Path, name: str, index: int, channels: str) -> tuple[np.ndarra
     return np.stack([stored[channel] for channel in channels], axis=-1), stored["A"] > 0.999
 
 
-def test_views_are_held_out_between_the_others(tool: ModuleType, balls: Path) -> None:
+def test_relightable_set_holds_out_views_between_the_others(tool: ModuleType, balls: Path) -> None:
     """The requested number is held out, none at the ends; all cameras are at one distance and see the whole object."""
     scene = tool.scene_of(balls)
     views = tool.views_around(scene, SIZE, 12, 4)
@@ -111,7 +111,7 @@ def test_views_are_held_out_between_the_others(tool: ModuleType, balls: Path) ->
     np.testing.assert_allclose(away, away[0])
 
 
-def test_panoramas_are_downscaled_by_block_means(tool: ModuleType) -> None:
+def test_large_panoramas_are_downscaled_by_block_means(tool: ModuleType) -> None:
     """Small panoramas are unchanged."""
     image = np.random.default_rng(0).random((600, 1200, 3))
     smaller = tool.reduced(image)
@@ -122,7 +122,7 @@ def test_panoramas_are_downscaled_by_block_means(tool: ModuleType) -> None:
 
 @pytest.mark.deep
 @pytest.mark.parametrize("environment", LIT_IN)
-def test_images_match_the_path_tracer(tool, made, balls, environment: str) -> None:
+def test_images_of_the_relightable_set_match_the_path_tracer(tool, made, balls, environment: str) -> None:
     """More than 38 dB, which checks light axes, exposure, bounces and encoding; less than 30 dB rotated or mirrored."""
     folder = made(balls)
     insides = [layer(folder, "albedo", index, "RGB")[1] for index in range(2)]
@@ -138,8 +138,8 @@ def test_images_match_the_path_tracer(tool, made, balls, environment: str) -> No
 
 
 @pytest.mark.deep
-def test_layers_match_the_mesh(tool, made, balls) -> None:
-    """Base colour, world normals and coverage."""
+def test_layers_of_the_relightable_set_match_its_mesh(tool, made, balls) -> None:
+    """Layers are base colour, world normals and coverage."""
     folder = made(balls)
     for index, frame in enumerate(seen(tool, folder, balls, None)):
         assert frame.albedo is not None
@@ -157,8 +157,8 @@ def test_layers_match_the_mesh(tool, made, balls) -> None:
 
 
 @pytest.mark.deep
-def test_roughness_is_interpolated_between_vertices(tool, made, balls) -> None:
-    """A glossy set has highlights."""
+def test_roughness_of_the_relightable_set_is_interpolated(tool, made, balls) -> None:
+    """Roughness varies over a triangle between its vertices; a glossy set has highlights."""
     folder, matt = made(balls, "--material", "varied"), made(balls)
     scene = tool.scene_of(balls)
     for index, frame in enumerate(seen(tool, folder, balls, None)):
@@ -175,7 +175,9 @@ def test_roughness_is_interpolated_between_vertices(tool, made, balls) -> None:
 @pytest.mark.deep
 @pytest.mark.parametrize("roughness", [0.2, 0.8])
 @pytest.mark.parametrize("degrees", [10.0, 75.0])
-def test_gltf_dielectric_matches_the_specification(tool: ModuleType, roughness: float, degrees: float) -> None:
+def test_gltf_dielectric_of_mitsuba_matches_the_specification(
+    tool: ModuleType, roughness: float, degrees: float
+) -> None:
     """Importance sampling estimates the same reflectance."""
     if importlib.util.find_spec("mitsuba") is None:
         pytest.skip("needs Mitsuba")
@@ -215,7 +217,7 @@ def test_gltf_dielectric_matches_the_specification(tool: ModuleType, roughness: 
 
 @pytest.mark.deep
 @pytest.mark.data
-def test_textures_have_the_same_orientation_as_ours(tool, made, data_dir: Path) -> None:
+def test_textures_have_equal_orientation_in_mitsuba_and_lumisplat(tool, made, data_dir: Path) -> None:
     """Compares a textured duck in both renderers."""
     duck = data_dir / "meshes" / "Duck.glb"
     folder = made(duck)

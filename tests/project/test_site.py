@@ -43,8 +43,8 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return json.loads((out / "searchindex.js").read_text(encoding="utf-8").removeprefix("Search.setIndex(")[:-1])
 
 
-def test_words_of_other_programs_are_found_first(index: dict[str, Any]) -> None:
-    """Index entries rank above titles and text in Sphinx's search, by the share of the entry that the query covers."""
+def test_site_search_finds_pages_by_words_of_other_programs_first(index: dict[str, Any]) -> None:
+    """Sphinx's search ranks index entries above titles and text, by the fraction of the entry that the query covers."""
     expected = {word.lower(): page for page, _, word in conf()["words_of_other_programs"]()}
     first: dict[str, set[str]] = {}
     for word in WORDS:
@@ -58,8 +58,8 @@ def test_words_of_other_programs_are_found_first(index: dict[str, Any]) -> None:
     assert first == {word: {expected[word.lower()]} for word in WORDS}
 
 
-def test_all_rows_of_words_lead_to_a_page_about_them() -> None:
-    """Pages of rows exist, and one at least of the options, keys or functions of a row is on its page."""
+def test_every_word_of_other_programs_leads_to_a_page_about_it() -> None:
+    """Pages of rows exist, and at least one of the options, keys or functions of a row is on its page."""
     text = (DOCS / "guide" / "from_other_programs.md").read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith(("| ---", "| there"))]
     assert len(conf()["_ROW"].findall(text)) == len(rows) > 50

@@ -53,13 +53,13 @@ def _has(kind: type, name: str) -> bool:
 
 
 @pytest.mark.parametrize("path", STUBS, ids=lambda path: path.stem)
-def test_stubs_match_the_installed_packages(path: Path) -> None:
-    """Everything that a stub names exists."""
+def test_stubs_name_only_what_installed_packages_have(path: Path) -> None:
+    """Stubs are in ``typings``; names are constants, classes, attributes, methods and parameters."""
     assert unknown_names(path.read_text(), importlib.import_module(path.stem)) == []
 
 
-def test_wrong_stubs_are_reported() -> None:
-    """A missing constant, class, attribute, method and parameter."""
+def test_wrong_stubs_are_reported_by_name() -> None:
+    """A constant, a class, an attribute, a method and a parameter are missing."""
     stub = (
         "ONE: int\nclass Two: ...\nclass Node:\n    mesh: int\n    three: int\n    def to_json(self, four: int): ...\n"
     )

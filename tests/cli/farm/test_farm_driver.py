@@ -179,7 +179,7 @@ def test_farm_replaces_workers_that_die_while_starting_only_once(tmp_path: Path)
 
 
 def test_farm_workers_continue_if_a_scene_file_is_deleted(tmp_path: Path, caplog: Any) -> None:
-    """A replacement that cannot load the scene is not used; without any worker, the other frames fail with its error."""
+    """A replacement that cannot load the scene is not used; without workers, the other frames fail with its error."""
     gone = ls.errors.MissingFileError("garden.ply", "no such file")
 
     def trouble(worker: int, index: int | None) -> Answer | Exception | None:
