@@ -20,10 +20,11 @@ from lumisplat.math.distortion import Coefficients, undistort
 from lumisplat.scene.checks import take_scene_fields
 
 DISTORTION_MAX = 1e9
-"""Largest distortion coefficient: far beyond any lens, while the polynomial still fits into float64."""
+"""Largest accepted lens distortion coefficient: far above any real lens, and small enough that the distortion
+polynomial stays finite in float64."""
 
 _RIGID_ERROR = 1e-3
-"""Tolerance for the scalar products of a rotation's rows."""
+"""Largest error allowed in the scalar products of a pose's rotation rows, which are 1 or 0 for an exact rotation."""
 
 
 class CameraModel(Enum):
@@ -52,7 +53,7 @@ def _pixel_count(value: float, name: str = "width") -> int:
 
 @frozen(kw_only=True)
 class Camera:
-    """A camera with OpenCV axes: projection, pose, and for rays also a thin lens and a rolling shutter.
+    """A camera with OpenCV axes: projection and pose; ray-traced frames also use its thin lens and rolling shutter.
 
     Raises:
         SceneError: A size or focal length is not positive, a pose is not rigid, the aperture is negative, or the two
@@ -68,15 +69,15 @@ class Camera:
     fy: Annotated[float, Range(0.0, above=True)]
     """Vertical focal length, in the same unit as ``fx``."""
     cx: Annotated[float, Range(unit="pixels")]
-    """Principal point, from the left edge of the image."""
+    """Column of the principal point, from the left edge of the image."""
     cy: Annotated[float, Range(unit="pixels")]
-    """Principal point, from the top edge of the image."""
+    """Row of the principal point, from the top edge of the image."""
     camera_from_world: npt.NDArray[np.float64]
     """World-to-camera pose for column vectors, rigid, shape (4, 4); with a rolling shutter, the pose at the start of
     the first row."""
     near: Annotated[float, Range(0.0, unit="scene units", above=True)] = NEAR_PLANE
-    """Near plane: view depth below which nothing is drawn; fisheye: distance. The default is halved until it is at
-    most a thousandth of the largest asset's size."""
+    """Near plane: nothing is drawn at a smaller view depth (fisheye: at a smaller distance from the eye). The default
+    is halved until it is at most a thousandth of the largest asset's size."""
     name: str = ""
     """Name of the frame; in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE
@@ -177,12 +178,12 @@ class Camera:
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """Width and height of frames in pixels: the window's, if there is one."""
+        """Width and height of a rendered frame in pixels: those of ``window``, else those of the whole image."""
         return (self.width, self.height) if self.window is None else self.window[2:]
 
     @property
     def image_corner(self) -> tuple[int, int]:
-        """Column and row, in the whole image, of the upper left pixel of frames."""
+        """Column and row of a rendered frame's upper left pixel in the whole image; (0, 0) without a window."""
         return (0, 0) if self.window is None else self.window[:2]
 
     @property
@@ -214,7 +215,7 @@ class Camera:
 
     @property
     def shutter_rotation(self) -> Doubles:
-        """Rotation of the camera over the same time: axis in world space times angle in radians, shape (3,)."""
+        """Rotation of the camera while the image is exposed: axis in world space times angle in radians, shape (3,)."""
         sine, cosine = self._shutter_sine_cosine()
         length = float(np.linalg.norm(sine))
         return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
@@ -264,10 +265,10 @@ class Camera:
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
     def windows(self, columns: int, rows: int) -> list[Camera]:
-        """Cuts the image into a grid of windows of similar size; returns their cameras, row by row.
+        """Cuts the image into ``columns`` by ``rows`` windows of similar size; returns their cameras, row by row.
 
         Raises:
-            SceneError: The camera already has a window, or there are fewer steps of 16 pixels than parts.
+            SceneError: The camera already has a window, or a side of the image has fewer than 16 pixels per window.
         """
         if self.window is not None:
             raise SceneError("a camera with a window cannot be cut again: cut the whole image")
@@ -284,16 +285,16 @@ class Camera:
         return np.asarray(np.linalg.inv(end), dtype=np.float64)
 
     def _shutter_sine_cosine(self) -> tuple[Doubles, float]:
-        """Returns axis times sine, exactly 0 without rotation, and cosine of the rotation between the two poses."""
+        """Returns the shutter's rotation: axis times sine of the angle (exactly 0 without rotation), and cosine."""
         first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
         return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)
 
 
 def checked_window(window: object, width: int, height: int) -> tuple[int, int, int, int]:
-    """Returns a window of an image of the given size as four integers.
+    """Checks a user's window of an image; returns left, top, width and height of the window as integers.
 
     Raises:
-        SceneError: It is no such window.
+        SceneError: The window is not four whole numbers, leaves the image, or its edges are not multiples of 16 pixels.
     """
     numbers = finite_numbers(window, (4,))
     if numbers is None or (numbers != np.floor(numbers)).any():
@@ -310,7 +311,7 @@ def checked_window(window: object, width: int, height: int) -> tuple[int, int, i
 
 
 def _cuts(name: str, parts: object, size: int) -> list[int]:
-    """Returns the positions that cut a side of an image into parts, including both ends."""
+    """Returns the pixel positions that cut a side of ``size`` pixels into ``parts`` ranges, with 0 and ``size``."""
     steps = -(-size // WINDOW_STEP)
     if not is_number(parts) or parts != int(parts) or not 1 <= parts <= steps:
         raise SceneError(f"{name} is {parts}, expected 1 to {steps}: {size} pixels are cut in steps of {WINDOW_STEP}")
@@ -326,9 +327,9 @@ def camera_pose(eye: Doubles, right: Doubles, forward: Doubles) -> Doubles:
 
 
 def _focal_length(model: CameraModel, fov_y: float, height: int, distance: float) -> float:
-    """Returns the focal length for a field of view, in the unit of the model.
+    """Returns the focal length of a camera with vertical field of view ``fov_y``, in the unit of the camera model.
 
-    An orthographic camera shows at ``distance`` as much as a pinhole camera.
+    An orthographic camera shows as much as a pinhole camera with the same field of view at ``distance``.
     """
     fisheye = model is CameraModel.FISHEYE
     widest = 2.0 * math.pi if fisheye else math.nextafter(math.pi, 0.0)
@@ -341,7 +342,7 @@ def _focal_length(model: CameraModel, fov_y: float, height: int, distance: float
 
 
 def _model_of(model: object) -> CameraModel:
-    """Converts a camera model, given as such or by its value, such as "fisheye"."""
+    """Converts a `CameraModel` or its value, such as "fisheye", to a `CameraModel`."""
     return enum_member("camera model", model, CameraModel, SceneError)
 
 

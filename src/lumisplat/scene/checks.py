@@ -1,4 +1,4 @@
-"""Checks that the scene dataclasses share. Values come from users, so their types are not trusted."""
+"""Checks that all scene dataclasses use. Field values come from users, so their types are not trusted."""
 
 from __future__ import annotations
 
@@ -46,7 +46,11 @@ def check_positive(name: str, value: object) -> float:
 
 
 def take_scene_fields(item: DataclassInstance, prefix: str = "") -> None:
-    """Converts and checks the fields of a new object as declared, see `take_fields`; errors are `SceneError`."""
+    """Converts and checks the fields of a new dataclass object by their annotations, see `take_fields`.
+
+    Raises:
+        SceneError: A value does not fit its field.
+    """
     take_fields(item, prefix, SceneError)
 
 
@@ -63,10 +67,10 @@ class LinearColor:
         self._range = Range(0.0, high)
 
     def __call__(self, value: npt.ArrayLike, name: str = "color") -> Vector:
-        """Returns the three channels.
+        """Returns the red, green and blue channels of the colour ``value``.
 
         Raises:
-            SceneError: The value is no colour, or a channel is out of range.
+            SceneError: The value is neither one nor three numbers, or a channel is out of range.
         """
         single: Any = plain(value)
         values: Any = (single,) * 3 if type(single) in (int, float) else host_array(single)
@@ -81,14 +85,14 @@ class LinearColor:
 
 
 COLOR, UNIT_COLOR = LinearColor(), LinearColor(1.0)
-"""Converters for non-negative colours, and for colours in 0..1."""
+"""Converter of colours of any non-negative value, and (`UNIT_COLOR`) of colours in 0..1."""
 
 
 def items_of(name: str, values: object) -> Iterable[object]:
-    """Returns ``values``, which must be a list or another iterable.
+    """Returns ``values`` unchanged if they are a list or another iterable; ``name`` names them in the error.
 
     Raises:
-        SceneError: It is a single object.
+        SceneError: ``values`` is a single object.
     """
     if not _is_iterable(values):
         raise SceneError(f"{name} is a {type(values).__name__}, expected a list")

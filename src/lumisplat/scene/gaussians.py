@@ -43,11 +43,11 @@ _OPTIONAL = ("normals", "albedo", "roughness", "metallic", "incident")
 class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 
-    Arrays become read-only float32; they are copied unless they are that already. Inputs must be finite, of matching
-    shapes, with positive scales and opacities in 0..1. Quaternions are normalised.
+    Arrays become read-only float32; an array that already is read-only float32 is not copied. Inputs must be finite, of
+    matching shapes, with positive scales and opacities in 0..1. Quaternions are normalised.
 
     Raises:
-        SceneError: An input breaks one of these rules; the message names it and counts the offenders.
+        SceneError: An input breaks one of these rules; the message names the input and counts the invalid values.
     """
 
     means: FloatArray = given(converter=to_floats)
@@ -55,12 +55,12 @@ class Gaussians:
     rotations_wxyz: FloatArray = given(converter=to_floats)
     """Unit quaternions, object from Gaussian, scalar first, shape (N, 4)."""
     scales: FloatArray = given(converter=to_floats)
-    """Standard deviations along each Gaussian's own axes, scene units, > 0, shape (N, 3)."""
+    """Standard deviations along the three axes of each Gaussian, scene units, > 0, shape (N, 3)."""
     opacities: FloatArray = given(converter=to_floats)
     """Opacity at the centre, 0..1, shape (N,)."""
     sh: FloatArray = given(converter=to_floats)
-    """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3), K in 1, 4, 9, 16. The
-    colour is max(sum + 0.5, 0)."""
+    """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3) with K = 1, 4, 9 or 16
+    coefficients per channel. The colour is max(SH sum + 0.5, 0)."""
     normals: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Unit surface normals in object space, shape (N, 3)."""
     albedo: FloatArray | None = given(converter=to_floats_or_none, default=None)
@@ -72,24 +72,26 @@ class Gaussians:
     antialiased: bool = field(default=False, kw_only=True)
     """True if the capture was trained with Mip-Splatting's opacity compensation, and must be rendered with it."""
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = field(default=KERNEL_DEGREE, kw_only=True)
-    """Exponent of the distance in the response that the capture was trained with, from linear to quintic; ordinary
-    captures have 2, the Gaussian. Only the ray tracer uses it; the rasteriser draws every capture with degree 2."""
+    """Exponent of the distance in the kernel that the capture was trained with: 0 is linear, 2 the Gaussian of
+    ordinary captures, 5 quintic. Only the ray tracer uses it; the rasteriser draws every capture with degree 2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
     """Comments of the file, preserved by conversions."""
     incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
     """Indirect light at each Gaussian when the images were taken, as Relightable 3D Gaussians trains it in addition to
-    the environment: SH coefficients of incident linear radiance, shape (N, J, 3), J in 1, 4, 9, 16; the radiance is
-    max(sum, 0). It is stored for other programs, and lights nothing here."""
+    the environment: SH coefficients of incident linear radiance, shape (N, J, 3) with J = 1, 4, 9 or 16 coefficients
+    per channel; the radiance is max(SH sum, 0). Lumisplat stores it for other programs and does not light with it."""
 
     up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
-    """Unit vector that points up in the capture; None: unknown. Accepts what `lumisplat.Scene` accepts."""
+    """Unit vector that points up in the capture; None: unknown. Accepts an axis name or a direction, as
+    `lumisplat.Scene` does."""
     first_view: Camera | None = field(default=None, kw_only=True)
     """Default camera for looking at the capture, such as the camera of one of its images; it looks at the point at its
     ``focus_distance``. None: unknown."""
 
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
-    """World position of the capture's zero, scene units, float64, unless an instance overrides it. Captures in map
-    coordinates store means and first view relative to an origin, because float32 positions are 0.5 apart there."""
+    """World position of the capture's coordinate origin, scene units, float64; an instance may override it. Captures
+    in map coordinates store means and first view relative to this origin, because float32 positions would be 0.5 apart
+    there."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -146,7 +148,7 @@ class Gaussians:
         return self.means.min(axis=0), self.means.max(axis=0)
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Returns the arrays by name, without the optional ones that are None."""
+        """Returns the per-Gaussian arrays by field name; optional arrays that are None are left out."""
         named = {name: getattr(self, name) for name in (*_REQUIRED, *_OPTIONAL)}
         return {name: values for name, values in named.items() if values is not None}
 
@@ -156,17 +158,17 @@ class Gaussians:
 
 
 def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
-    """Joins sets in the same space into one, in order. Optional arrays are kept if all sets have them.
+    """Joins Gaussian sets in one common space into one set, in order. An optional array stays if every set has it.
 
     SH of lower degree are padded with zeros. Comments come from the first set; up and first view come from the first
     set that has them.
 
-    Antialiased sets merge with others if they are opaque, as Gaussians made from meshes are; the result is not
-    antialiased.
+    Antialiased sets merge with ordinary ones only if the antialiased sets are opaque, as Gaussians made from meshes
+    are; the result is not antialiased.
 
     Raises:
         SceneError: The list is empty; only some sets are antialiased, and not all of these are opaque; kernel degrees
-            differ; or the sets are so far apart that float32 holds no common origin.
+            differ; or the sets are so far from each other that float32 holds no common origin.
     """
     if not sets:
         raise SceneError("zero Gaussian sets, expected at least one")
@@ -214,9 +216,10 @@ def _with_origin(gaussians: Gaussians, origin: Vector) -> Gaussians:
 
 
 def moved_orientation(gaussians: Gaussians, new_from_old: Doubles) -> dict[str, Any]:
-    """Returns ``up`` and ``first_view`` of a capture after an affine transform, shape (4, 4), if it has them.
+    """Returns the fields ``up`` and ``first_view`` of a capture after an affine transform, shape (4, 4).
 
-    Directions rotate by the rotation nearest to the matrix; the eye and its target move with the capture.
+    Directions rotate by the rotation nearest to the matrix; the first view's eye and target move with the capture. The
+    result is empty if the capture has neither.
     """
     if gaussians.up is None and gaussians.first_view is None:
         return {}

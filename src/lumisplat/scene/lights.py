@@ -39,7 +39,7 @@ def vector(name: str, values: npt.ArrayLike) -> Vector:
 
 
 def to_vector(values: npt.ArrayLike, name: str = "vector") -> Vector:
-    """Converts a field to a vector, see `vector`."""
+    """Converts three finite numbers of a field to a vector, with `vector`."""
     return vector(name, values)
 
 
@@ -57,10 +57,10 @@ def direction_of(name: str, values: npt.ArrayLike) -> Vector:
 
 
 def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.ArrayLike | None) -> Vector:
-    """Returns the unit direction that is given, or the direction from ``start`` to ``target``.
+    """Returns the unit vector of ``direction``, or else the direction from ``start`` to ``target``.
 
     Raises:
-        SceneError: Both are given, or neither, or the target is at the start.
+        SceneError: Direction and target are both given, or neither, or the target is at the start.
     """
     is_given = bool(np.any(np.asarray(vector("direction", direction)) != 0.0))
     if target is None:
@@ -81,7 +81,7 @@ def facing_edges(
     """Returns the edges of a rectangle that faces ``target``; ``edge_u`` is horizontal, with y as the vertical.
 
     Raises:
-        SceneError: Only one of target and size is given, edges are given too, or the size is not positive.
+        SceneError: Only one of target and size is given, edges are given in addition, or the size is not positive.
     """
     if target is None or size is None:
         raise SceneError("target and size of a rect must be given together")
@@ -98,7 +98,7 @@ def facing_edges(
 
 
 RIGHT_ANGLE = math.pi / 2.0 + 1e-6
-"""Largest angle from an axis, radians."""
+"""Largest angle from a light's axis, radians: a right angle with a tolerance for rounding."""
 
 
 def _radiance(values: npt.ArrayLike | None, name: str = "image") -> FloatArray | None:
@@ -125,7 +125,7 @@ def _unit_quaternion(values: npt.ArrayLike, name: str = "rotation_wxyz") -> tupl
     """Normalises a quaternion.
 
     Raises:
-        SceneError: It is not four finite numbers, or all are 0.
+        SceneError: The quaternion is not four finite numbers, or all four are 0.
     """
     float_array(name, values)
     wxyz = np.asarray(host_array(values), dtype=np.float64)
@@ -171,7 +171,7 @@ class LightPoint:
     __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards points for ``intensity`` 1, with all light coming from the centre, (N,).
+        """Returns the intensity towards N points with ``intensity`` 1 and all light coming from the centre, (N,).
 
         Args:
             offsets: Points minus the light's position, scene units, shape (N, 3).
@@ -228,7 +228,7 @@ class LightSpot:
             )
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards points, see `LightPoint.candela`."""
+        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
         distance2 = _squared(offsets)
         inner, outer = math.cos(self.inner_angle), math.cos(self.outer_angle)
         cosine = offsets @ np.array(self.direction) / np.sqrt(distance2)
@@ -284,7 +284,7 @@ class LightDirectional:
 
 @frozen
 class LightSphere:
-    """A spherical area light. Only the path pipeline shows it.
+    """A spherical area light. Frames show the sphere itself only with the path pipeline.
 
     Outside the sphere, it lights like a ``LightPoint`` of the same radius with ``intensity * pi * radius^2`` candela.
 
@@ -310,7 +310,8 @@ class LightSphere:
     casts_shadow: bool = field(default=True, kw_only=True)
     """Let objects block the light; without, it passes through everything."""
     visible: bool = field(default=True, kw_only=True)
-    """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
+    """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
+    light.
     """
     name: str = field(default="", kw_only=True)
     """Name of the light, also of its layers."""
@@ -318,7 +319,7 @@ class LightSphere:
     __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards points, see `LightPoint.candela`."""
+        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
         return np.full(len(offsets), math.pi * self.radius**2)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
@@ -337,7 +338,7 @@ class LightSphere:
 
 @frozen
 class LightRect:
-    """A rectangular (or parallelogram) area light that shines on one side. Only the path pipeline shows it.
+    """A rectangle or parallelogram that shines on one side. Frames show the light itself only with the path pipeline.
 
     Raises:
         SceneError: A value is negative, not finite or of the wrong shape, or the edges are parallel.
@@ -363,7 +364,8 @@ class LightRect:
     casts_shadow: bool = field(default=True, kw_only=True)
     """Let objects block the light; without, it passes through everything."""
     visible: bool = field(default=True, kw_only=True)
-    """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
+    """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
+    light.
     """
     name: str = field(default="", kw_only=True)
     """Name of the light, also of its layers."""
@@ -388,28 +390,32 @@ class LightRect:
         return np.asarray(np.cross(self.edge_u, self.edge_v), np.float64)
 
     def boundary(self) -> Doubles:
-        """Returns the corners in order, world space, shape (4, 3)."""
+        """Returns the four corners in order around the rectangle, world space, shape (4, 3)."""
         u, v = np.array(self.edge_u), np.array(self.edge_v)
         return np.array([self.position + 0.5 * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
 
     def covers(self, offsets: Doubles) -> Flags:
-        """Returns which points of the light's plane lie on the light, (N,), from their offsets to its centre."""
+        """Returns which points of the light's plane lie on the light, shape (N,).
+
+        Args:
+            offsets: Points in the light's plane minus the light's centre, shape (N, 3).
+        """
         across = self.area_vector
         shares = np.abs([np.cross(offsets, self.edge_v) @ across, np.cross(self.edge_u, offsets) @ across])
         return np.asarray((shares / (across @ across) <= 0.5).all(axis=0))
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards points, see `LightPoint.candela`."""
+        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns the distances at which rays hit the emitting side, scene units, shape (N,); inf for misses."""
+        """Returns the distances at which N rays hit the emitting side, scene units, shape (N,); inf for misses."""
         return _flat_distances(self, origins, directions)
 
 
 @frozen
 class LightDisk:
-    """A disk-shaped area light that shines on one side. Only the path pipeline shows it.
+    """A disk-shaped area light that shines on one side. Frames show the disk itself only with the path pipeline.
 
     Raises:
         SceneError: A value is negative, not finite or of the wrong shape, or the direction has no length.
@@ -435,7 +441,8 @@ class LightDisk:
     casts_shadow: bool = field(default=True, kw_only=True)
     """Let objects block the light; without, it passes through everything."""
     visible: bool = field(default=True, kw_only=True)
-    """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
+    """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
+    light.
     """
     name: str = field(default="", kw_only=True)
     """Name of the light, also of its layers."""
@@ -452,22 +459,26 @@ class LightDisk:
         return math.pi * self.radius**2 * np.array(self.direction)
 
     def boundary(self) -> Doubles:
-        """Returns points on the rim in order, world space, shape (48, 3)."""
+        """Returns 48 points around the rim in order, world space, shape (48, 3)."""
         normal, angles = np.array(self.direction), np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)[:, None]
         u = np.cross(np.eye(3)[int(np.abs(normal).argmin())], normal)
         u /= np.linalg.norm(u)
         return self.position + self.radius * (np.cos(angles) * u + np.sin(angles) * np.cross(normal, u))
 
     def covers(self, offsets: Doubles) -> Flags:
-        """Returns which points of the light's plane lie on the light, (N,), from their offsets to its centre."""
+        """Returns which points of the light's plane lie on the light, shape (N,).
+
+        Args:
+            offsets: Points in the light's plane minus the light's centre, shape (N, 3).
+        """
         return np.asarray((offsets**2).sum(axis=1) <= self.radius**2)
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards points, see `LightPoint.candela`."""
+        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns the distances at which rays hit the emitting side, scene units, shape (N,); inf for misses."""
+        """Returns the distances at which N rays hit the emitting side, scene units, shape (N,); inf for misses."""
         return _flat_distances(self, origins, directions)
 
 
@@ -528,11 +539,12 @@ Light = PlacedLight | LightDirectional | LightEnvironment
 LIGHT_KINDS: dict[str, type[PlacedLight | LightDirectional]] = {
     one.kind: one for one in (LightPoint, LightSpot, LightDirectional, LightSphere, LightRect, LightDisk)
 }
-"""Light classes by their ``type`` in scene files; the environment has a table of its own there."""
+"""Light classes by their ``type`` in scene files; environments are missing, as scene files have a table of their own
+for them."""
 
 
 def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles:
-    """Returns the unshadowed irradiance of surfaces that face a light, with all light coming from its position.
+    """Returns the unshadowed irradiance of surfaces that face a light, as if the light were a point at its position.
 
     The formulas are those of device/light/light.py for hard shadows.
 
@@ -554,7 +566,7 @@ def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles
 def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
     """Transforms a light together with the object that it belongs to.
 
-    Its size is scaled; its intensity and range stay, as in glTF.
+    The light's size is scaled; its intensity and range stay, as in glTF.
 
     Args:
         light: Any light; environments are returned unchanged.
@@ -572,12 +584,12 @@ def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light
 
 
 def _squared(offsets: Doubles) -> Doubles:
-    """Returns squared lengths, clamped to the smallest distance to a light, shape (N,)."""
+    """Returns squared lengths of N vectors, clamped to the square of the smallest distance to a light, shape (N,)."""
     return np.maximum(np.einsum("ij,ij->i", offsets, offsets), LIGHT_DISTANCE_MIN**2)
 
 
 def _window(reach: float, distance2: Doubles) -> Doubles:
-    """Returns the attenuation towards the end of a light's range (glTF, KHR_lights_punctual)."""
+    """Returns the fade towards a light's range (glTF, KHR_lights_punctual), a factor, from squared distances."""
     return np.clip(1.0 - (distance2 / reach**2) ** 2, 0.0, 1.0)
 
 

@@ -39,45 +39,47 @@ SIZE_SAMPLE = 4096
 """Largest number of points from which an asset's approximate size is estimated."""
 
 SIZE_TAIL = 0.02
-"""Fraction of these points, at each end of each axis, that counts as outliers."""
+"""Fraction of the sampled points that counts as outliers, at each end of each axis."""
 
 CAMERA_MARGIN = 1.1
-"""Factor from the radius of the cameras' sphere to the scene extent, as in INRIA's trainer."""
+"""Factor from the largest distance of a camera to the mean camera position, to the scene extent, as in INRIA's
+trainer."""
 
 
 class _Box(NamedTuple):
-    """Bounding box of an asset in object space."""
+    """Bounding box of an asset in object space, without outliers."""
 
     low: Doubles
     high: Doubles
     middle: Doubles
-    """Grid point nearest to the box's centre, shape (3,): zero unless the asset is far from it."""
+    """Grid point nearest to the box's centre, shape (3,): zero unless the asset is far from its coordinate origin."""
     is_far: bool
 
 
 _Asset = TypeVar("_Asset", Gaussians, Mesh)
 
 _CENTERED: WeakKeyDictionary[Gaussians | Mesh, tuple[Gaussians | Mesh, Doubles]] = WeakKeyDictionary()
-"""Cache for assets far from their own zero: the asset relative to a grid point, and that point."""
+"""Cache of assets far from their coordinate origin: the asset relative to a grid point, and the grid point."""
 _BOXES: WeakKeyDictionary[Gaussians | Mesh, _Box] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
 class LocalFrame:
-    """An origin and a unit: world position p has local coordinates (p - origin) / unit."""
+    """A coordinate system with an origin and a unit: world position p has local coordinates (p - origin) / unit."""
 
     origin: Doubles
-    """World position of the local zero, shape (3,)."""
+    """World position of the local coordinate origin, shape (3,)."""
     unit: float = 1.0
     """Length of the local unit in scene units."""
 
     @classmethod
     def of_cameras(cls, cameras: Sequence[Camera], extent: float) -> LocalFrame:
-        """Returns the frame about the centre of cameras in which `camera_extent` has a given value.
+        """Returns the frame centred at the mean camera position whose unit gives the cameras the extent ``extent``.
 
         Args:
             cameras: At least one camera.
-            extent: Camera extent in the local frame. If all cameras are at one position, the unit stays 1.
+            extent: `camera_extent` of the cameras in the local frame. If all cameras are at one position, the unit
+                stays 1.
         """
         eyes = np.stack([camera.eye for camera in cameras])
         middle, found = eyes.mean(axis=0), camera_extent(cameras)
@@ -111,7 +113,7 @@ class LocalFrame:
         )
 
     def gaussians(self, gaussians: Gaussians) -> Gaussians:
-        """Converts local Gaussians to world space, with an origin of their own where float32 needs one."""
+        """Converts local Gaussians to world space; means that float32 cannot represent get a non-zero ``origin``."""
         means = self.unit * gaussians.means.astype(np.float64) + self.origin
         scales = (self.unit * gaussians.scales.astype(np.float64)).astype(np.float32)
         origin = needed_origin(means, float(np.median(scales)))
@@ -131,7 +133,7 @@ class LocalFrame:
     def scene(self, scene: Scene) -> Scene:
         """Converts a scene to coordinates relative to this frame's origin; the unit stays that of the world.
 
-        Assets far from their own zero are re-centred, identically in each call.
+        Assets far from their coordinate origin are re-centred; repeated calls return the same re-centred asset.
         """
         assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
         if not self.origin.any() and not any(_box(asset).is_far for asset in assets):
@@ -146,7 +148,7 @@ class LocalFrame:
         return replace(scene, splats=splats, meshes=meshes, lights=[self._moved_light(light) for light in scene.lights])
 
     def _placed(self, asset: _Asset, world_from_object: Doubles) -> tuple[_Asset, Doubles]:
-        """Returns an asset, re-centred if needed, and its local transform."""
+        """Returns an asset, re-centred if it is far from its coordinate origin, and its object-to-local transform."""
         matrix = world_from_object.copy()
         middle = _box(asset).middle
         if middle.any():
@@ -180,9 +182,8 @@ def camera_extent(cameras: Sequence[Camera]) -> float:
 def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
     """Returns the local frame in which a scene is rendered, and the default near plane of its cameras.
 
-    The origin is zero unless the scene is far from it. Otherwise it is the point nearest to the scene's centre on a
-    grid so coarse that scenes around zero, and scenes that move a little, keep their origin. For small scenes the near
-    plane is nearer.
+    The origin is zero unless the scene is far from zero. Otherwise the origin is the point nearest to the scene's
+    centre on a grid so coarse that a scene that moves a little keeps its origin. Small scenes get a nearer near plane.
     """
     if not (scene.splats or scene.meshes):
         return LocalFrame(np.zeros(3)), NEAR_PLANE
@@ -203,19 +204,19 @@ def default_near(size: float) -> float:
 
 
 def register_box(gaussians: Gaussians, low: Doubles, high: Doubles) -> None:
-    """Registers the bounding box of a whole capture for a part of it, so that all parts render in the same frame.
+    """Registers a whole capture's bounding box for a part of the capture, so that all parts render in the same frame.
 
     Args:
         gaussians: Part of a capture.
         low: Smallest coordinates of the whole capture, shape (3,).
-        high: Largest coordinates, shape (3,).
+        high: Largest coordinates of the whole capture, shape (3,).
     """
     middle = _grid_point(0.5 * (low + high), float((high - low).max()))
     _BOXES[gaussians] = _Box(low, high, middle, bool(middle.any()))
 
 
 def needed_origin(points: Doubles, width: float) -> Doubles:
-    """Returns an origin for points that float32 cannot represent relative to zero, shape (3,); zero where it can.
+    """Returns an origin relative to which float32 can represent the points, shape (3,); zero where zero will do.
 
     Args:
         points: Positions, shape (N, 3), float64; positions beyond float32's range are ignored.
@@ -234,14 +235,17 @@ def needed_origin(points: Doubles, width: float) -> Doubles:
 
 
 def _grid_point(middle: Doubles, size: float) -> Doubles:
-    """Returns the nearest point of a grid whose step is `ORIGIN_GRID` sizes, rounded up to a power of two."""
+    """Returns the grid point nearest to ``middle``.
+
+    The grid's step is `ORIGIN_GRID` times ``size``, rounded up to a power of two.
+    """
     least = max(ORIGIN_GRID * size, 1e-12 * float(np.abs(middle).max()), 1e-300)
     step = 2.0 ** math.ceil(math.log2(least))
     return np.asarray(np.round(middle / step) * step, np.float64)
 
 
 def _box(asset: Gaussians | Mesh) -> _Box:
-    """Returns an asset's bounding box without outliers, estimated once from a few thousand points."""
+    """Returns an asset's bounding box without outliers, estimated once from at most `SIZE_SAMPLE` points and cached."""
     found = _BOXES.get(asset)
     if found is None:
         points = asset.means if isinstance(asset, Gaussians) else asset.positions
@@ -259,7 +263,7 @@ def _box(asset: Gaussians | Mesh) -> _Box:
 
 
 def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
-    """Returns centres and side lengths of world-space boxes around the bulk of each instance, shape (N, 3) each."""
+    """Returns centres and side lengths of world-space boxes around N instances without outliers, shape (N, 3) each."""
     assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
     boxes = np.array([_box(asset)[:2] for asset in assets])
     matrices = np.array([one.transform for one in (*scene.splats, *scene.meshes)])[:, :3]
@@ -268,10 +272,10 @@ def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
 
 
 ZERO: Doubles = np.zeros(3)
-"""The world's zero, as an origin."""
+"""Origin of world coordinates."""
 
 _STRAYS = 0.01
-"""Fraction of a body's means on each side that its box ignores."""
+"""Fraction of a body's means that its bounding box ignores, at each end of each axis."""
 
 
 def placed_mesh(instance: MeshInstance) -> Mesh:
@@ -305,12 +309,12 @@ class PlacedGaussians(NamedTuple):
 
     @property
     def rotations_xyzw(self) -> FloatArray:
-        """Rotations in the order of Warp's quaternions, shape (N, 4)."""
+        """World-from-Gaussian unit quaternions in the order of Warp's quaternions, scalar last, shape (N, 4)."""
         return self.rotations_wxyz[:, [1, 2, 3, 0]]
 
 
 def placed_gaussians(instances: Iterable[SplatInstance], origin: Doubles = ZERO) -> PlacedGaussians:
-    """Returns the Gaussians of all instances in world space relative to an origin, in order; may be empty."""
+    """Returns the Gaussians of all instances in world space relative to ``origin``, in order; may be empty."""
     empty = PlacedGaussians(*(np.empty((0, *shape), np.float32) for shape in ((3,), (4,), (3,), ())))
     parts = [empty, *(_in_world(instance, origin) for instance in instances)]
     return PlacedGaussians(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -26,7 +26,7 @@ Texture = npt.NDArray[np.uint8]
 
 
 class TextureWrap(Enum):
-    """Texture wrap mode: what a texture shows outside 0..1."""
+    """Texture wrap mode: continuation of a texture outside texture coordinates 0..1."""
 
     REPEAT = "repeat"
     """Repeat the texture."""
@@ -41,14 +41,15 @@ WrapPair = tuple[TextureWrap, TextureWrap]
 Wraps = Mapping[str, WrapPair]
 """Wrap modes of several textures, by field name."""
 WrapsLike = Mapping[str, TextureWrap | str | Sequence[TextureWrap | str]]
-"""Input for `Wraps`, which may also give one mode for both axes, and modes by value."""
+"""Input that `checked_wraps` converts to `Wraps`: a mode may be given by value, and one mode may stand for both axes.
+"""
 
 
 def to_texture(value: npt.ArrayLike | None, name: str = "texture") -> Texture | None:
-    """Converts texels to a read-only array.
+    """Converts texels to a read-only array; None stays None.
 
     Raises:
-        SceneError: They are not (H, W, 3 or 4) uint8.
+        SceneError: The texels are not of shape (H, W, 3 or 4) and type uint8.
     """
     if value is None:
         return None
@@ -59,14 +60,14 @@ def to_texture(value: npt.ArrayLike | None, name: str = "texture") -> Texture | 
 
 
 def checked_wraps(given: WrapsLike | None, known: Sequence[str]) -> Wraps | None:
-    """Converts the wrap modes of a material's textures to pairs.
+    """Converts the wrap modes of a material's textures to pairs; None stays None.
 
     Args:
-        given: Wrap modes from the user.
+        given: Wrap modes from the user, by texture name.
         known: Names of the material's textures.
 
     Raises:
-        SceneError: There is no such texture or wrap mode.
+        SceneError: The material has no such texture, or there is no such wrap mode.
     """
     if given is None:
         return None
@@ -104,8 +105,8 @@ class AlphaMode(Enum):
 class MaterialPbr:
     """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,volume,...}).
 
-    At roughness 0 the surface is smooth, and rays are reflected or refracted: a mirror where it is metallic, glass
-    where it transmits. Unlit frames show the base colour of all other surfaces.
+    At roughness 0 the surface is smooth, and reflects or refracts rays in one direction: a metal is a mirror, a
+    transmissive dielectric is glass. Unlit frames show the base colour of all other surfaces.
 
     Raises:
         SceneError: A value is outside its range, or a texture is not (H, W, 3 or 4) uint8.
@@ -124,8 +125,9 @@ class MaterialPbr:
     """Index of refraction; with 1, light is neither reflected nor bent."""
     transmission: Share = 0.0
     """Fraction of the light not reflected that is refracted through the dielectric, tinted by the base colour at each
-    crossing. The mesh should be closed with triangles counter-clockwise from outside, which tells rays whether they
-    enter or leave. Splats scatter that fraction back, and so do rough meshes except in `Pipeline.PATH`."""
+    crossing. The mesh should be closed, with triangles counter-clockwise from outside, so that rays can tell entering
+    from leaving. Splats, and rough meshes outside `Pipeline.PATH`, scatter the fraction back instead of refracting it.
+    """
     thin_walled: bool = False
     """Treat the mesh as a wall without an inside: light passes straight through, and the volume settings have no
     effect."""
@@ -134,8 +136,8 @@ class MaterialPbr:
     attenuation_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
     """Distance inside the volume after which white light has ``attenuation_color``; inf: no absorption."""
     priority: Annotated[int, Range(-(2**31), 2**31 - 1)] = 0
-    """Priority where transmissive meshes overlap: the volume of the highest one counts; of equal ones, the last
-    entered."""
+    """Priority where transmissive meshes overlap: the overlap has the volume of the mesh with the highest priority;
+    among equal priorities, of the mesh that the ray entered last."""
     clearcoat: Share = 0.0
     """Strength of a clear coat over the whole surface (KHR_materials_clearcoat)."""
     clearcoat_roughness: Share = 0.0
@@ -143,12 +145,12 @@ class MaterialPbr:
     sheen_color: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))
     """Linear colour of the sheen of cloth, below the clear coat; black: none (KHR_materials_sheen)."""
     sheen_roughness: Share = 0.0
-    """Roughness of the sheen; the higher it is, the less the sheen concentrates at grazing angles. Values below 0.1
-    count as 0.1."""
+    """Roughness of the sheen: at low roughness the sheen shows only at grazing angles. Values below 0.1 count as 0.1.
+    """
     emissive: Color = given(converter=COLOR, default=(0.0, 0.0, 0.0))
-    """Emitted linear radiance; on a splat set, a factor of the captured colour."""
+    """Emitted linear radiance of a mesh; on a splat set, factor of the captured colour that is emitted."""
     double_sided: bool = True
-    """Let meshes emit from the back of their triangles, too. False: the back only reflects, as with glTF's
+    """Let meshes emit from the back of their triangles, too. False: the back emits nothing, as with glTF's
     ``doubleSided``. Both sides reflect light either way."""
     base_color_texture: Texture | None = given(converter=to_texture, default=None)
     """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); the fourth channel is alpha."""
@@ -175,14 +177,14 @@ class MaterialPbr:
     sheen_roughness_texture: Texture | None = given(converter=to_texture, default=None)
     """Factor of ``sheen_roughness`` (alpha), linear."""
     wrap_u: TextureWrap = TextureWrap.REPEAT
-    """Wrap mode of textures along u; also by its value, ``"clamp"``."""
+    """Wrap mode of textures along u: a `TextureWrap` or its value, such as ``"clamp"``."""
     wrap_v: TextureWrap = TextureWrap.REPEAT
     """Wrap mode of textures along v."""
     texture_wraps: Wraps | None = None
-    """Wrap modes of single textures along u and v, instead of ``wrap_u`` and ``wrap_v``: ``{"normal_texture":
-    ("clamp", "repeat")}``."""
+    """Wrap modes along u and v by texture name, such as ``{"normal_texture": ("clamp", "repeat")}``; other textures
+    have ``wrap_u`` and ``wrap_v``."""
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
-    """Meaning of alpha on meshes; also by its value, ``"mask"``."""
+    """Meaning of alpha on meshes: an `AlphaMode` or its value, such as ``"mask"``."""
     alpha: Share = 1.0
     """Factor of the base colour texture's alpha."""
     alpha_cutoff: Annotated[float, Range(0.0)] = 0.5
@@ -224,18 +226,18 @@ class MaterialPbr:
 class MaterialSimple:
     """Simple material: emission, ambient light, diffuse reflection and a Phong highlight.
 
-    With the defaults a splat set emits its captured colour and reflects nothing, as without a material. If the diffuse
-    and specular factors add up to more than 1, both are scaled down, so that energy is conserved. The equations are in
-    docs/method/materials.md#simple.
+    With the defaults a splat set emits its captured colour and reflects nothing, as a splat set without a material
+    does. If the diffuse and specular factors add up to more than 1, both are scaled down, so that energy is conserved.
+    The equations are in docs/method/materials.md#simple.
 
     Raises:
         SceneError: A value is outside its range, or the texture is not (H, W, 3 or 4) uint8.
     """
 
     emissive: Color = given(converter=COLOR, default=(1.0, 1.0, 1.0))
-    """Fraction of the surface colour that is emitted, without any light."""
+    """Fraction of the surface colour that is emitted, with or without lights."""
     ambient: Color = given(converter=COLOR, default=(0.0, 0.0, 0.0))
-    """Fraction of the surface colour that shows in lit frames, wherever the lights are."""
+    """Fraction of the surface colour that lit frames show everywhere, also in shadow."""
     diffuse: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))
     """Fraction of the surface colour that is reflected diffusely."""
     specular: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))

@@ -32,7 +32,7 @@ _log = logging.getLogger("lumisplat")
 
 
 def _to_indices(values: npt.ArrayLike, name: str = "indices") -> IntArray:
-    """Converts triangles to a NumPy array, which the mesh checks."""
+    """Converts a user's triangles to a NumPy array; the mesh checks their type and shape later."""
     return np.asarray(host_array(values))
 
 
@@ -40,9 +40,9 @@ def _to_indices(values: npt.ArrayLike, name: str = "indices") -> IntArray:
 class Mesh:
     """A mesh of V vertices and F triangles, counter-clockwise seen from outside.
 
-    Arrays become read-only; they are copied unless they are that already. Normals are normalised; a normal of zero
-    length becomes the area-weighted mean of the adjacent faces' normals. Triangles with an index out of range, or
-    without area, are left out, and a warning counts them; all vertices stay.
+    Arrays become read-only; an array that already is read-only and of the right type is not copied. Normals are
+    normalised; a normal of zero length becomes the area-weighted mean of the adjacent faces' normals. Triangles with an
+    index out of range, or without area, are left out, and a warning counts them; all vertices stay.
 
     Raises:
         SceneError: Shapes do not match, values are not finite, a colour is outside 0..1, indices are not integers, or
@@ -62,7 +62,7 @@ class Mesh:
     """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
     name: str = ""
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
-    """World position of the mesh's zero, unless an instance overrides it, as in `Gaussians`."""
+    """World position of the mesh's coordinate origin, float64; an instance may override it, as for `Gaussians`."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -125,22 +125,22 @@ TRIANGLE_HEIGHT_MIN = 1e-12
 float64, thin triangles from float32 1e-7."""
 
 _BLOCK = 2**16
-"""Triangles checked at once, few enough for their float64 corners to stay in the cache."""
+"""Number of triangles checked at once, so few that their float64 corners stay in the CPU cache."""
 
 
 class TriangleCheck(NamedTuple):
-    """Usable triangles, and counts of the others by reason."""
+    """Mask of a mesh's usable triangles, and counts of the unusable ones by reason."""
 
     usable: npt.NDArray[np.bool_]
     """True for each usable triangle, shape (F,)."""
     out_of_range: int
-    """Number of triangles with an index of no vertex."""
+    """Number of triangles with an index that is no vertex."""
     without_area: int
     """Number of triangles whose corners coincide or are collinear."""
 
     @property
     def problems(self) -> str:
-        """The counts as a phrase for messages; empty if all triangles are usable."""
+        """Counts of the unusable triangles as a phrase for messages; empty if all triangles are usable."""
         return describe_problems(self.out_of_range, self.without_area)
 
 
@@ -158,7 +158,7 @@ def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any
         indices: Triangles of any integer type, shape (F, 3).
 
     Raises:
-        SceneError: ``indices`` has another shape or type.
+        SceneError: ``indices`` are not of shape (F, 3), or not integers.
     """
     if indices.dtype.kind not in "iu":
         raise SceneError(f"indices must be integers, got {indices.dtype}")
@@ -178,7 +178,7 @@ def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any
 
 
 def area_vectors(positions: npt.NDArray[np.floating], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.float64]:
-    """Returns the cross products of the triangles' edges, shape (F, 3): along the normal, twice as long as the area."""
+    """Returns vectors along the F triangles' normals, twice as long as the triangles' areas, shape (F, 3)."""
     corners = positions.astype(np.float64)[indices]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -186,7 +186,7 @@ def area_vectors(positions: npt.NDArray[np.floating], indices: npt.NDArray[np.in
 def sum_at_vertices(
     vectors: npt.NDArray[np.float64], indices: npt.NDArray[np.integer], vertex_count: int
 ) -> npt.NDArray[np.float64]:
-    """Sums vectors of triangles, shape (F, 3), at each vertex over its triangles, shape (V, 3)."""
+    """Returns the sum of ``vectors``, shape (F, 3), over the triangles at each of V vertices, shape (V, 3)."""
     sums = np.zeros((vertex_count, 3))
     for corner in range(3):
         np.add.at(sums, indices[:, corner], vectors)

@@ -1,4 +1,4 @@
-"""Placement of objects: up axes and fronts of scenes, which files do not store, positions and angles."""
+"""Placement of objects by position, angles and front; up and front directions of scenes, which files may not store."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _FRONTS: dict[str, Vector] = {
     "x-up": (0.0, 0.0, 1.0),
     "x-down": (0.0, 0.0, 1.0),
 }
-"""Direction from the scene to a viewer in front of it: captures are viewed along +z, and glTF files along -z."""
+"""Direction from a scene to a viewer in front of it, by up axis: captures are viewed along +z, glTF files along -z."""
 
 
 def up_vector_or_none(up: str | npt.ArrayLike | None, name: str = "up") -> Vector | None:
-    """Converts a field to a unit up vector, and leaves None as it is."""
+    """Converts the name of an axis or a direction to a unit up vector; None stays None."""
     return None if up is None else up_vector(up)
 
 
@@ -46,7 +46,7 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
     """Returns a unit up vector from the name of an axis, or from a direction of any length, shape (3,).
 
     Raises:
-        SceneError: The value is neither.
+        SceneError: The value is neither the name of an axis nor a direction.
     """
     if isinstance(up, str):
         if up not in UP_AXES:
@@ -61,12 +61,12 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
 
 
 def y_up_from(up: npt.ArrayLike) -> Doubles:
-    """Returns the rotation, shape (3, 3), to coordinates with y up and z to the front, as in glTF.
+    """Returns the rotation, shape (3, 3), that takes a scene to coordinates with y up and z to the front, as in glTF.
 
-    For scenes with y down it is 180 degrees about x.
+    For scenes with y down the rotation is 180 degrees about x.
 
     Args:
-        up: Unit vector that points up, shape (3,).
+        up: Unit vector that points up in the scene, shape (3,).
     """
     upward, front = np.asarray(up, dtype=np.float64), front_vector(up)
     return np.stack([np.cross(upward, front), upward, front])
@@ -76,7 +76,8 @@ def front_vector(up: npt.ArrayLike) -> Doubles:
     """Returns the horizontal unit vector from a scene to a viewer in front of it, shape (3,).
 
     Args:
-        up: Unit vector that points up, shape (3,). Between the axes, the front is the nearest axis's, made horizontal.
+        up: Unit vector that points up, shape (3,). For an up vector between the axes, the front of the nearest axis is
+            made horizontal.
     """
     upward = np.asarray(up, dtype=np.float64)
     nearest = max(UP_AXES, key=lambda name: float(upward @ np.array(UP_AXES[name])))
@@ -99,29 +100,30 @@ class Placement(NamedTuple):
     scale: float | None = None
     """Uniform scale factor, above 0."""
     up: str | npt.ArrayLike | None = None
-    """Up direction of the scene, in which an object with y up is stood upright; None: as it is."""
+    """Up direction of the scene; an object with y up is rotated upright there. None: no such rotation."""
     look_at: npt.ArrayLike | None = None
-    """World position that the object's front faces; ``up`` stays up."""
+    """World position that the object's front faces, while the object stays upright."""
     front: str | None = None
     """Axis that is the object's front, a key of `FRONT_AXES`; None: +z, as in glTF."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlacedInstance:
-    """Common part of placed assets; subclasses declare ``world_from_object`` and call `_place`."""
+    """Base class of placed assets; subclasses declare ``world_from_object`` and call `_place`."""
 
     name: str = ""
     position: InitVar[npt.ArrayLike | None] = None
-    """World position of the object's origin, shape (3,). This and the next arguments replace ``world_from_object``."""
+    """World position of the object's origin, shape (3,). Position, angles, scale, up, target and front together
+    replace ``world_from_object``."""
     rotation_degrees: InitVar[npt.ArrayLike | None] = None
     """Rotations about the x, then y, then z axis in degrees, shape (3,)."""
     scale_by: InitVar[float | None] = None
     """Uniform scale factor."""
     up: InitVar[str | npt.ArrayLike | None] = None
-    """Up direction of the scene, an axis (``"y-down"``) or a direction, in which an object with y up, as in glTF, is
-    stood upright."""
+    """Up direction of the scene, an axis (``"y-down"``) or a direction; an object with y up, as in glTF, is rotated
+    upright there."""
     look_at: InitVar[npt.ArrayLike | None] = None
-    """World position that the object's front faces, with ``up`` up."""
+    """World position that the object's front faces, while the object stays upright along ``up``."""
     front: InitVar[str | None] = None
     """Axis that is the object's front, with ``up`` or ``look_at``: ``"+z"`` (the default, as in glTF), ``"-z"``,
     ``"+x"`` or ``"-x"``."""
@@ -137,7 +139,7 @@ class PlacedInstance:
     def _place(
         self, world_from_object: npt.ArrayLike | None, placing: Placement, origin: Vector = (0.0, 0.0, 0.0)
     ) -> None:
-        """Sets and checks ``world_from_object``: the given matrix, the placement's, or a move to ``origin``.
+        """Sets ``world_from_object`` to the given matrix, else that of ``placing``, else a translation to ``origin``.
 
         Raises:
             SceneError: As in `placed`.
@@ -145,7 +147,7 @@ class PlacedInstance:
         object.__setattr__(self, "world_from_object", placed(world_from_object, placing, origin))
 
     def _placement(self) -> str:
-        """Returns name, position, and scale unless it is 1, as text."""
+        """Returns the instance's name, position, and scale unless it is 1, as text for ``repr``."""
         matrix = self.transform
         scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
         scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""
@@ -153,7 +155,7 @@ class PlacedInstance:
 
 
 def placed(world_from_object: npt.ArrayLike | None, placing: Placement, origin: Vector = (0.0, 0.0, 0.0)) -> Doubles:
-    """Returns ``world_from_object``, shape (4, 4), of a placement: scale, rotate, stand upright, then move.
+    """Returns the matrix of a placement, shape (4, 4): scale, rotate, stand upright, then move; or the given matrix.
 
     Without a position, the object moves to ``origin``.
 
@@ -188,7 +190,7 @@ def front_rotation(front: str | None) -> Doubles:
         front: A key of `FRONT_AXES`; None: +z.
 
     Raises:
-        SceneError: It is no such axis.
+        SceneError: ``front`` is not a key of `FRONT_AXES`.
     """
     if front is not None and front not in FRONT_AXES:
         raise SceneError(f"front is {front!r}, expected one of {', '.join(FRONT_AXES)}")
@@ -196,7 +198,7 @@ def front_rotation(front: str | None) -> Doubles:
 
 
 def _standing(placing: Placement, position: Doubles) -> Doubles:
-    """Returns the rotation that stands an object with y up upright, and turns its front to the target.
+    """Returns the rotation that stands an object with y up upright in the scene, and turns its front to the target.
 
     Raises:
         SceneError: The front is no axis, or the target lies straight above or below.

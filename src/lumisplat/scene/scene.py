@@ -25,14 +25,14 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placing import UP_AXES, PlacedInstance, Placement, up_vector, up_vector_or_none, y_up_from
 
 BULK_TAIL = 0.02
-"""Fraction of a capture's opacity left out at each end of each axis, so that stray Gaussians neither set the view nor
-raise an object above the ground."""
+"""Fraction of a capture's total opacity left out of its bulk at each end of each axis, so that stray Gaussians neither
+set the view nor raise an object above the ground."""
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
 
 _BINS = 2**14
-"""Number of bins into which coordinates are first sorted."""
+"""Number of bins into which coordinates are sorted coarsely to find a weighted quantile."""
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
@@ -42,7 +42,7 @@ class SplatInstance(PlacedInstance):
     """A capture placed in the world by rotation, uniform scale and translation.
 
     Raises:
-        SceneError: ``gaussians`` is something else, or ``world_from_object`` mirrors, shears or scales the axes
+        SceneError: ``gaussians`` is not a `Gaussians`, or ``world_from_object`` mirrors, shears or scales the axes
             differently; the message says which, and by how much.
     """
 
@@ -50,9 +50,9 @@ class SplatInstance(PlacedInstance):
     world_from_object: npt.NDArray[np.float64] | None = None
     """Similarity transform, shape (4, 4); None: a translation to the ``origin`` of the Gaussians."""
     material: Material | None = None
-    """Material that reflects light; None: the capture is shown as captured, whatever the lights."""
+    """Material that reflects light; None: the capture shows its captured colours, whatever the lights."""
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = field(default=SH_DEGREE_MAX, kw_only=True)
-    """Highest SH degree that is evaluated. A lower degree removes view-dependent light that was baked in."""
+    """Highest SH degree that is evaluated. A lower degree removes view-dependent colour that was baked in."""
     shadow_catcher: bool = field(default=False, kw_only=True)
     """Make the capture a shadow catcher: it shows its captured colours, darkened where other objects block a light.
     Lights do not brighten it, and its own Gaussians do not shadow it. Its ambient light, the ``ambient`` of a
@@ -92,17 +92,17 @@ class MeshInstance(PlacedInstance):
     """A mesh placed in the world by any invertible affine transform.
 
     Raises:
-        SceneError: ``mesh`` is something else, ``world_from_object`` is not an invertible affine transform, or it is
-            given together with a position or another part of a placement.
+        SceneError: ``mesh`` is not a `Mesh`, ``world_from_object`` is not an invertible affine transform, or a matrix
+            is given together with a position or another placement argument.
     """
 
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: a translation to the ``origin`` of the mesh."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Make the mesh a shadow catcher, visible only where other objects shadow it or, if it is shiny, are mirrored in
-    it. It stands for a surface of the captures, or of an image behind the frame. It hides nothing and casts no shadow.
-    Captures do not block its light, except captures added to others that are shadow catchers."""
+    """Make the mesh a shadow catcher: only the shadows of other objects on it are visible, and on a shiny mesh also
+    their reflections. It stands for a surface of the captures, or of an image behind the frame. It hides nothing and
+    casts no shadow. A capture blocks its light only if other captures of the scene are shadow catchers."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
@@ -123,7 +123,7 @@ def checked_lights(lights: Iterable[Light], name: str = "lights") -> tuple[Light
     """Converts a list of lights from the user to a tuple.
 
     Raises:
-        SceneError: It is not a list, an entry is not a light, or two environments are enabled.
+        SceneError: ``lights`` is not a list, an entry is not a light, or two environments are enabled.
     """
     checked: list[Light] = []
     for light in items_of(name, lights):
@@ -136,17 +136,17 @@ def checked_lights(lights: Iterable[Light], name: str = "lights") -> tuple[Light
 
 
 def _splats(items: Iterable[SplatInstance | Gaussians], name: str = "splats") -> tuple[SplatInstance, ...]:
-    """Converts captures to instances; bare captures are placed at their origin."""
+    """Converts captures to instances; a `Gaussians` without an instance is placed at its origin."""
     return _instances(name, items, Gaussians, SplatInstance)
 
 
 def _meshes(items: Iterable[MeshInstance | Mesh], name: str = "meshes") -> tuple[MeshInstance, ...]:
-    """Converts meshes to instances; bare meshes are placed at their origin."""
+    """Converts meshes to instances; a `Mesh` without an instance is placed at its origin."""
     return _instances(name, items, Mesh, MeshInstance)
 
 
 def _instances(name: str, items: Iterable[object], asset: type[Any], instance: type[_Placed]) -> tuple[_Placed, ...]:
-    """Converts the entries of a list to instances; bare assets are placed at their origin."""
+    """Converts the entries of a list to instances; an asset without an instance is placed at its origin."""
     placed: list[_Placed] = []
     for item in items_of(name, items):
         one = instance(cast("Any", item)) if isinstance(item, asset) else item
@@ -158,7 +158,7 @@ def _instances(name: str, items: Iterable[object], asset: type[Any], instance: t
 
 @frozen(weakref_slot=True)
 class Scene:
-    """Captures, meshes and lights to render. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at their origin.
+    """Captures, meshes and lights to render. ``Gaussians`` and ``Mesh`` without an instance stand at their origin.
 
     Raises:
         SceneError: An entry of a list has the wrong type, two environments are enabled, or ``up`` is no direction.
@@ -170,7 +170,7 @@ class Scene:
     splats: tuple[SplatInstance, ...] = given(converter=_splats, default=())
     meshes: tuple[MeshInstance, ...] = given(converter=_meshes, default=())
     lights: tuple[Light, ...] = given(converter=checked_lights, default=())
-    """Lights, of which at most one enabled one is a `LightEnvironment`."""
+    """Lights; at most one enabled light is a `LightEnvironment`."""
     up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
     """Unit vector that points up; None: unknown, see `up_direction`. Accepts the name of an axis (``"y-down"``,
     ``"z-up"``) or a direction of any length."""
@@ -186,10 +186,10 @@ class Scene:
 
     @property
     def is_lit_by_default(self) -> bool:
-        """True if frames are lit unless ``RenderConfig.lighting`` decides: the scene has lights or meshes.
+        """True if frames are lit unless ``RenderConfig.lighting`` says otherwise: the scene has lights or meshes.
 
-        Meshes without any light would be flat areas of colour, so captures around them light them, or a headlight at
-        the camera does. Captures alone bring their light with them.
+        Meshes without any light would be flat areas of colour, so the captures around them light them, or a headlight
+        at the camera does. Captures without meshes or lights show their captured colours.
         """
         return bool(self.lights or self.meshes)
 
@@ -205,9 +205,10 @@ class Scene:
 
     @property
     def up_direction(self) -> Vector:
-        """Unit vector that points up: ``up``, else that of the first capture that has one, else a guess.
+        """Unit vector that points up: ``up``, else that of the first capture that stores one, else a guess.
 
-        The guess is y down for a scene with a capture, y up for one with only meshes. `up_source` says which it is.
+        The guess is y down for a scene with a capture, and y up for a scene of meshes. `up_source` names the source
+        used.
         """
         if self.up is not None:
             return self.up
@@ -216,21 +217,21 @@ class Scene:
 
     @property
     def up_source(self) -> Literal["scene", "capture", "guess"]:
-        """Source of `up_direction`: ``up`` of the scene, a capture's own up, or a guess."""
+        """Source of `up_direction`: ``up`` of the scene, ``up`` of a capture, or a guess."""
         if self.up is not None:
             return "scene"
         return "guess" if self._stated_up() is None else "capture"
 
     @property
     def first_view(self) -> Camera | None:
-        """World-space default view of the first capture that has one; None if none has."""
+        """World-space camera of the first capture that stores a default view; None if no capture stores one."""
         for instance in self.splats:
             if instance.gaussians.first_view is not None:
                 return moved_orientation(instance.gaussians, instance.transform)["first_view"]
         return None
 
     def _stated_up(self) -> Vector | None:
-        """Returns the world-space up direction of the first capture that has one."""
+        """Returns the world-space up direction of the first capture that stores one; None if no capture does."""
         for instance in self.splats:
             if instance.gaussians.up is not None:
                 return moved_orientation(instance.gaussians, instance.transform)["up"]
@@ -238,9 +239,9 @@ class Scene:
 
     @property
     def upright_wxyz(self) -> tuple[float, float, float, float]:
-        """Rotation, a quaternion, scalar first, that stands an object with y up upright in the scene.
+        """Quaternion, scalar first, that rotates an object with y up upright in the scene.
 
-        The object's side that is seen along -z, as in glTF, becomes its front.
+        The side of the object that faces +z, its front in glTF, faces the front of the scene.
         """
         w, x, y, z = quaternions_from_matrices(y_up_from(self.up_direction).T[None])[0]
         return float(w), float(x), float(y), float(z)
@@ -275,11 +276,11 @@ class Scene:
 
 
 _BULKS: WeakKeyDictionary[Gaussians, tuple[bytes, Bounds]] = WeakKeyDictionary()
-"""Cache of captures' bulk bounds: transform of the instance that was measured last, and its bounds."""
+"""Cache of each capture's bulk bounds: the transform of the last measured instance as bytes, and its bounds."""
 
 
 def _bulk(instance: SplatInstance) -> Bounds:
-    """Returns the box of a capture's means without `BULK_TAIL` of its opacity at each end of each axis."""
+    """Returns the world-space box of a capture's means, without `BULK_TAIL` of its opacity at each end of each axis."""
     place = instance.transform.tobytes()
     held = _BULKS.get(instance.gaussians)
     if held is None or held[0] != place:
@@ -291,7 +292,7 @@ def _bulk(instance: SplatInstance) -> Bounds:
 
 
 def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray, tail: float = BULK_TAIL) -> tuple[float, float]:
-    """Returns the weighted quantiles ``tail`` and 1 - ``tail`` of heights; both arrays have shape (N,)."""
+    """Returns the weighted quantiles ``tail`` and 1 - ``tail`` of N heights with N weights."""
     low = float(heights.min())
     extent = float(heights.max()) - low
     # Binning avoids sorting millions of heights: only two bins are sorted.
@@ -308,7 +309,15 @@ def _height_at(
     share: npt.NDArray[np.float64],
     wanted: float,
 ) -> float:
-    """Returns the height up to which the weight sums to ``wanted``, from bins and cumulative weights."""
+    """Returns the height up to which the weights sum to ``wanted``.
+
+    Args:
+        heights: Heights of N points, shape (N,).
+        weights: Weight of each point, shape (N,).
+        bins: Bin of each point, shape (N,).
+        share: Cumulative weight up to the end of each bin.
+        wanted: Cumulative weight to find.
+    """
     number = int(np.searchsorted(share, wanted))
     rows = np.flatnonzero(bins == number)
     rows = rows[np.argsort(heights[rows])]
@@ -324,7 +333,7 @@ def check_similarity(
     ``name`` and ``taker`` name the matrix and its user in the message.
 
     Raises:
-        SceneError: It mirrors, scales the axes differently or shears; the message says by how much.
+        SceneError: The matrix mirrors, shears, or scales the axes differently; the message says by how much.
     """
     gram = linear.T @ linear
     gram /= np.trace(gram) / 3.0

@@ -1,4 +1,4 @@
-"""Actors that move through a scene, file sequences of Gaussians, and animations: the scene at each time."""
+"""Actors that move through a scene, file sequences of Gaussians, and animations: a scene that changes with time."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
 SEQUENCE_TIME_SLACK = 1e-6
-"""Tolerance in frames for times just before a frame, because k / fps * fps is below k for some k."""
+"""Tolerance in frames for times just before a frame starts: rounding makes k / fps * fps less than k for some k."""
 
 SEQUENCE_FRAMES_KEPT = 2
-"""Frames that a sequence caches: the current and the previous one. A frame may have a gigabyte."""
+"""Number of frames that a sequence caches: the current and the previous one. A frame may take a gigabyte."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianSequence:
-    """Frames of Gaussians at a constant rate, loaded when they are shown; made by `load_sequence`.
+    """Frames of Gaussians at a constant rate, each loaded when first needed; made by `load_sequence`.
 
-    A frame is shown unchanged until the time of the next one. Frames are not interpolated, because files reorder
+    A frame is returned unchanged until the time of the next frame. Frames are not interpolated, because files reorder
     Gaussians and their counts may differ, so that Gaussians of two frames do not correspond. The last few frames are
     cached.
 
@@ -53,7 +53,7 @@ class GaussianSequence:
     load: Callable[[Path], Gaussians]
     """Function that reads the file of a frame."""
     _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
-    """Cached frames by index, the most recently shown last."""
+    """Cached frames by index, the most recently used last."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", tuple(self.paths))
@@ -75,14 +75,14 @@ class GaussianSequence:
         return self.frame_count / self.fps
 
     def at(self, time: float) -> Gaussians:
-        """Returns the frame at a time. Earlier times give the first frame, later ones the last.
+        """Returns the frame at a time: before the first frame the first, after the last frame the last.
 
         Args:
             time: Seconds.
 
         Raises:
             SceneError: The time is not finite.
-            FormatError: The frame cannot be read; names its file.
+            FormatError: The frame's file cannot be read; the message names the file.
         """
         check_time(time)
         # Rounding may put a multiple of 1 / fps just before the frame that begins there.
@@ -101,12 +101,12 @@ Instance = SplatInstance | MeshInstance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deforming:
-    """A deforming mesh or capture, read from its file at each time; made by `load_animation`."""
+    """A deforming mesh or capture that is read from its file for each time; made by `load_animation`."""
 
     read: Callable[[float], Instances]
-    """Function that returns the placed instances at a time in seconds."""
+    """Function that reads the placed instances at a time in seconds."""
     _shown: dict[float, Instances] = field(default_factory=dict[float, Instances], init=False)
-    """Cached instances of the last time."""
+    """Cached instances of the last time that was asked for."""
 
     def at(self, time: float) -> Instances:
         """Returns the instances at a time in seconds; repeated calls for the same time return the same objects.
@@ -125,38 +125,38 @@ class Deforming:
 
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
-"""Types of an actor's subject. A `Scene` stands for its captures and meshes, `Deforming` for those of a time."""
+"""Types of an actor's subject. A `Scene` stands for its captures and meshes, `Deforming` for those of the moment."""
 _Item = TypeVar("_Item")
 
 
 @frozen
 class Actor:
-    """A subject that moves through a scene, by its own clip or frames and by keyframes.
+    """A subject that moves through a scene by keyframes, and may itself play a clip or a sequence of frames.
 
     The subject is placed by ``world_from_object``, then moved by ``motion``: the pose at a time is
     ``motion.at(time) @ world_from_object``.
 
     Raises:
-        SceneError: A field has the wrong type, a transform is not a similarity (meshes accept any affine one), a number
-            is out of range, or the clip does not exist.
+        SceneError: A field has the wrong type, a transform is not a similarity (meshes accept any affine transform), a
+            number is out of range, or the clip does not exist.
     """
 
     subject: Subject
     motion: Keyframes | None = None
-    """Motion through the world in the animation's time; None: the actor does not move."""
+    """Motion through the world by the animation's time; None: the actor stays at ``world_from_object``."""
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Transform before the motion, shape (4, 4); None: the identity."""
+    """Transform that is applied before the motion, shape (4, 4); None: the identity."""
     name: str = field(default="", kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Cast shadows on the scene."""
+    """Let the actor cast shadows on the scene."""
     relight: bool = field(default=True, kw_only=True)
-    """Light the actor by the scene's light at its position; otherwise it keeps its captured colours."""
+    """Light the actor by the light that the scene has at the actor's position; False: it keeps its captured colours."""
     clip: str | None = field(default=None, kw_only=True)
     """Name of the rig's clip; None: the first."""
     loop: bool = field(default=True, kw_only=True)
-    """Repeat the clip or the frames; otherwise the last pose stays. Keyframes never repeat."""
+    """Repeat the clip or the frames; False: hold the last pose. Keyframes never repeat."""
     speed: Annotated[float, Range(0.0)] = field(default=1.0, kw_only=True)
-    """Playback speed of the clip or the frames: their seconds per second of the animation."""
+    """Playback speed of the clip or the frames: seconds of the clip per second of the animation."""
 
     def __post_init__(self) -> None:
         subjects = "Gaussians, a GaussianSequence, RiggedGaussians, a Mesh, a Rig or a Scene"
@@ -182,7 +182,7 @@ class Actor:
         return self.subject if isinstance(self.subject, Rig) else None
 
     def at(self, time: float) -> tuple[Instance, ...]:
-        """Returns the actor's instances at a time: one, or one for each mesh of its rig or asset of its scene.
+        """Returns the actor's instances at a time: one instance, or one per mesh of its rig or asset of its scene.
 
         Args:
             time: Seconds of the animation.
@@ -218,18 +218,18 @@ class Actor:
 
     @property
     def own_duration(self) -> float:
-        """Duration of one pass of the clip or the frames at the actor's speed, seconds; 0 if it has none."""
+        """Duration of one pass of the clip or the frames at the actor's speed, seconds; 0 if the actor has neither."""
         return self._length() / self.speed if self.speed > 0.0 else 0.0
 
     def _length(self) -> float:
-        """Returns the duration of the clip or the frames at their own speed."""
+        """Returns the duration of the clip or the frames at speed 1, seconds; 0 if the actor has neither."""
         if isinstance(self.subject, GaussianSequence):
             return self.subject.duration
         rig = self.rig
         return rig.duration(self.clip) if rig is not None and rig.clips else 0.0
 
     def _own_time(self, time: float) -> float:
-        """Converts the animation's time to a time of the clip or the frames."""
+        """Converts the animation's time to the time within the clip or the frames."""
         own, length = self.speed * time, self._length()
         return own % length if self.loop and length > 0.0 else own
 
@@ -253,7 +253,7 @@ def _items(name: str, items: Iterable[_Item], kind: type[_Item]) -> tuple[_Item,
 
 @frozen
 class Animation:
-    """A scene, the actors that move through it, and the times of the frames.
+    """A static scene, the actors that move through it, and the times of the frames.
 
     Raises:
         SceneError: A field has the wrong type, or a number is out of range.
@@ -270,7 +270,7 @@ class Animation:
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
     """Settings of the actors' relighting and shadows."""
     camera_path: CameraPath | None = None
-    """Moving camera, in the animation's time; None: ``cameras`` do not move."""
+    """Moving camera, by the animation's time; None: ``cameras`` stand still."""
 
     def __post_init__(self) -> None:
         check_kind("scene", self.scene, Scene, "a Scene")
@@ -295,7 +295,7 @@ class Animation:
         return self.frame_count / self.fps
 
     def actors_at(self, time: float) -> list[Instance]:
-        """Returns the instances of all actors at a time, in order; `Actor.at` returns those of one actor.
+        """Returns the instances of all actors at a time, in the actors' order; `Actor.at` returns those of one actor.
 
         Raises:
             SceneError: The time is not finite.

@@ -38,19 +38,20 @@ def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ..
 class CameraPath:
     """A path through K cameras: eye, rotation and focal length follow smooth cubics (Catmull-Rom 1974).
 
-    The camera stands still before the first time and after the last. With ``targets`` it looks at a point that moves
-    likewise, so that this point stays in the centre of the image between the keys, too.
+    The camera stands still before the first time and after the last. With ``targets`` the camera looks at a point that
+    moves along such a cubic, too, so that the point stays in the centre of the image between the keys.
 
     Raises:
-        SceneError: There is no camera, they differ in size, model or distortion, one has a rolling shutter, shapes do
-            not match, or times do not increase.
+        SceneError: There is no camera, cameras differ in size, model or distortion, one has a rolling shutter, shapes
+            do not match, or times do not increase.
     """
 
     cameras: tuple[Camera, ...] = given(converter=_cameras)
     times: npt.ArrayLike | None = None
     """Times of the cameras in seconds, increasing, shape (K,); None: 0, 1, 2 and so on."""
     targets: npt.ArrayLike | None = None
-    """World positions in the centre of the image at these times, shape (K, 3); None: rotations are interpolated."""
+    """World positions in the centre of the image at ``times``, shape (K, 3); None: the cameras' rotations are
+    interpolated."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -112,7 +113,7 @@ class CameraPath:
         return replace(before, camera_from_world=pose, fx=float(focal[0]), fy=float(focal[1]), **blended)
 
     def frames(self, fps: float) -> list[Camera]:
-        """Returns one camera for each frame, from the first time to the last, named ``frame_00000`` and so on.
+        """Returns one camera per frame, from the first time of the path to the last, named ``frame_00000`` and so on.
 
         Args:
             fps: Frames per second, above 0.
@@ -131,7 +132,7 @@ class CameraPath:
         return [replace(self.at(first + k / fps), name=f"frame_{k:05d}") for k in range(int(count + 1e-6) + 1)]
 
     def stretched(self, seconds: float) -> CameraPath:
-        """Returns the same path from time 0 to ``seconds``.
+        """Returns the path with its times scaled and moved, so that it runs from time 0 to ``seconds``.
 
         Raises:
             SceneError: ``seconds`` is not positive.
@@ -152,9 +153,14 @@ def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
 
 
 def _cubic(times: Doubles, values: Doubles, time: float) -> Doubles:
-    """Interpolates values, shape (K, N), at a time between the first and the last by cubic Hermite splines.
+    """Interpolates N values between K keys at a time between the first and the last, by cubic Hermite splines.
 
-    The slope at a key is that from the previous to the next key; at the ends, that to the neighbour.
+    The slope at a key is that of the line from the previous to the next key; at the ends, of the line to the neighbour.
+
+    Args:
+        times: Times of the keys, shape (K,).
+        values: Values at the keys, shape (K, N).
+        time: Time at which to interpolate.
     """
     k = int(np.searchsorted(times, time, side="right")) - 1
     span = times[k + 1] - times[k]

@@ -15,7 +15,7 @@ from lumisplat.math.transforms import matrices_from_quaternions, slerp
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframes:
-    """Poses of an object at K times; in between, positions and scales are linear and rotations slerped.
+    """Poses of an object at K times; between them, positions and scales are linear and rotations slerped.
 
     Before the first key and after the last one the pose is constant. Rotations take the shorter arc: for a full turn,
     give a key every 120 degrees.

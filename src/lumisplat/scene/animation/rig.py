@@ -1,4 +1,4 @@
-"""Rigs: meshes that are moved by joints, and the clips that move the joints.
+"""Rigs: meshes that joints deform, and the clips that move the joints.
 
 A vertex moves with the weighted mean of its joints' matrices (linear blend skinning, glTF 2.0 section 3.7.3).
 """
@@ -29,7 +29,7 @@ _Floats = npt.NDArray[np.floating]
 
 
 class Channel(Enum):
-    """Property of a node that a track animates."""
+    """Property of a node that a clip animates."""
 
     TRANSLATION = "translation"
     """Translation vector, shape (3,)."""
@@ -38,7 +38,7 @@ class Channel(Enum):
     SCALE = "scale"
     """Scale factors along the axes, shape (3,)."""
     WEIGHTS = "weights"
-    """Weights of the morph targets of the node's mesh, shape (T,)."""
+    """Weights of the T morph targets of the node's mesh, shape (T,)."""
 
 
 class Interpolation(Enum):
@@ -53,7 +53,7 @@ class Interpolation(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """One channel of one node over time."""
+    """Keys of one channel of one node: K times with C numbers each."""
 
     node: int
     channel: Channel
@@ -63,7 +63,8 @@ class Track:
     values: Doubles
     """Values at the keys, shape (K, C)."""
     tangents: Doubles | None = None
-    """Incoming and outgoing tangents of a cubic spline at each key, units per second, shape (K, 2, C)."""
+    """Incoming and outgoing tangents of a cubic spline at each key, value units per second, shape (K, 2, C); None
+    without a spline."""
 
     def at(self, time: float) -> Doubles:
         """Returns the value at a time, shape (C,), constant before the first key and after the last one."""
@@ -83,13 +84,13 @@ class Track:
         return (1.0 - share) * first + share * second
 
     def _normalise(self, value: Doubles) -> Doubles:
-        """Normalises rotations, whose length splines do not preserve; other values are returned unchanged."""
+        """Normalises a rotation, because splines do not preserve its length; values of other channels stay."""
         return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """A named animation of a rig."""
+    """A named animation of a rig, made of tracks."""
 
     name: str
     tracks: tuple[Track, ...]
@@ -102,12 +103,12 @@ class Clip:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
-    """N nodes with their rest transforms. A node scales a point first, then rotates, then translates it."""
+    """Hierarchy of N nodes with their rest transforms. A node scales a point, then rotates, then translates it."""
 
     parents: tuple[int | None, ...]
     """Index of each node's parent; None for a root."""
     order: tuple[int, ...]
-    """All nodes, parents before children."""
+    """Indices of all nodes, parents before children."""
     translations: Doubles
     """Rest translations, shape (N, 3)."""
     rotations_wxyz: Doubles
@@ -115,10 +116,11 @@ class Skeleton:
     scales: Doubles
     """Rest scales, shape (N, 3)."""
     matrices: Mapping[int, Doubles]
-    """``parent_from_node`` of nodes with a matrix instead of the three parts; clips do not move these."""
+    """``parent_from_node`` matrices by node, for nodes that store a matrix instead of translation, rotation and scale;
+    clips do not move these nodes."""
 
     def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> Doubles:
-        """Returns the transforms of all nodes to world space, shape (N, 4, 4).
+        """Returns the transforms of all N nodes to world space, shape (N, 4, 4).
 
         Args:
             clip: Animation; None: rest pose.
@@ -147,12 +149,12 @@ class Skeleton:
 
 
 def blend_matrices(matrices: _Floats, joints: npt.NDArray[np.integer], weights: _Floats) -> npt.NDArray[np.float64]:
-    """Returns the skinning matrix of each vertex, shape (V, 3, 4).
+    """Returns the skinning matrix of each of V vertices, shape (V, 3, 4).
 
     Args:
-        matrices: ``world_from_bind`` of each joint: its pose times its inverse bind matrix, shape (J, 4, 4).
-        joints: Joint indices of each vertex, shape (V, K).
-        weights: Weights of these joints, any sum but 0, shape (V, K).
+        matrices: ``world_from_bind`` of each of J joints: pose times inverse bind matrix, shape (J, 4, 4).
+        joints: Indices of the K joints that move each vertex, shape (V, K).
+        weights: Weights of the vertex's joints, any sum but 0, shape (V, K).
     """
     rows = np.ascontiguousarray(matrices[:, :3])
     blended = np.zeros((len(joints), 3, 4))
@@ -164,42 +166,42 @@ def blend_matrices(matrices: _Floats, joints: npt.NDArray[np.integer], weights: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MorphTargets:
-    """Vertex offsets of T morph targets, added by weight."""
+    """Offsets of V vertices by T morph targets, added by weight."""
 
     node: int
-    """Node whose weights a clip animates."""
+    """Index of the node whose morph-target weights a clip animates."""
     weights: Doubles
-    """Rest weights, shape (T,)."""
+    """Weights of the T morph targets at rest, shape (T,)."""
     positions: FloatArray
-    """Position offsets, shape (T, V, 3)."""
+    """Offset of each of V vertices by each of T morph targets, shape (T, V, 3)."""
     normals: FloatArray | None
-    """Normal offsets, shape (T, V, 3)."""
+    """Offset of each vertex normal by each morph target, shape (T, V, 3); None: normals do not change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigPart:
-    """V vertices in the bind pose, and the joints that move them."""
+    """V vertices in the bind pose, and the J joints that move them, K per vertex."""
 
     positions: FloatArray
     """Positions in the bind pose, shape (V, 3)."""
     normals: FloatArray | None
     """Normals in the bind pose, shape (V, 3)."""
     nodes: IntArray
-    """Nodes of the J joints, shape (J,)."""
+    """Index of the node of each joint, shape (J,)."""
     joint_from_bind: Doubles
-    """Inverse bind matrices, shape (J, 4, 4)."""
+    """Inverse bind matrix of each joint, shape (J, 4, 4)."""
     joints: IntArray
-    """Joint indices of each vertex, 0..J-1, shape (V, K)."""
+    """Indices of the joints that move each vertex, 0..J-1, shape (V, K)."""
     weights: FloatArray
-    """Weights of these joints, non-negative with a positive sum, shape (V, K)."""
+    """Weights of each vertex's joints, non-negative with a positive sum, shape (V, K)."""
     morphs: MorphTargets | None = None
 
     def matrices(self, world_from_node: Doubles) -> Doubles:
-        """Returns ``world_from_bind`` of each vertex, shape (V, 3, 4)."""
+        """Returns the ``world_from_bind`` matrix of each of V vertices, shape (V, 3, 4)."""
         return blend_matrices(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Returns posed positions and normals (of any length) in world space, shape (V, 3) each."""
+        """Returns posed positions and normals (of any length) of V vertices in world space, shape (V, 3) each."""
         positions: npt.NDArray[np.floating] = self.positions
         normals: npt.NDArray[np.floating] | None = self.normals
         if self.morphs is not None:
@@ -218,7 +220,7 @@ class RigPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigSurface:
-    """Triangles of one material over the concatenated vertices of several parts."""
+    """Triangles of one material over the concatenated vertices of several `RigPart`."""
 
     parts: tuple[RigPart, ...]
     indices: IntArray
@@ -228,17 +230,17 @@ class RigSurface:
     colors: FloatArray | None
     name: str
     _usable_indices: dict[bytes, IntArray] = field(default_factory=dict[bytes, IntArray], init=False, repr=False)
-    """Usable triangles of the last pose that lost some, by their mask."""
+    """Triangles with an area in the last pose that flattened some, by the mask of usable triangles."""
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Returns posed positions and normals (of any length) of all vertices in world space, shape (V, 3) each."""
+        """Returns posed positions and normals (of any length) of all V vertices in world space, shape (V, 3) each."""
         moved = [part.pose_vertices(pose) for part in self.parts]
         normals = [normals for _, normals in moved if normals is not None]
         positions = np.concatenate([positions for positions, _ in moved])
         return positions, np.concatenate(normals) if len(normals) == len(moved) else None
 
     def mesh(self, pose: RigPose) -> Mesh | None:
-        """Returns the posed mesh without triangles that have no area in this pose; None if none is left."""
+        """Returns the posed mesh without the triangles that have lost their area; None if no triangle is left."""
         moved, normals = self.pose_vertices(pose)
         positions = read_only_view(moved.astype(np.float32))
         usable = check_triangles(positions, self.indices).usable
@@ -255,7 +257,7 @@ class RigSurface:
         )
 
     def _select(self, usable: npt.NDArray[np.bool_]) -> IntArray:
-        """Returns the triangles of a mask, as the same array for the same mask, so that caches recognise it."""
+        """Returns the triangles of a mask; repeated calls return the same array object, so that caches recognise it."""
         key = usable.tobytes()
         if key not in self._usable_indices:
             self._usable_indices.clear()
@@ -268,9 +270,9 @@ class RigPose:
     """State of a rig at a time."""
 
     world_from_node: Doubles
-    """Node transforms, shape (N, 4, 4)."""
+    """Transforms of the N nodes to world space, shape (N, 4, 4)."""
     morph_weights: dict[int, Doubles]
-    """Morph-target weights by node, for the nodes whose weights the clip animates."""
+    """Morph-target weights by node index, for the nodes whose weights the clip animates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,7 +290,7 @@ class Rig:
     surfaces: tuple[RigSurface, ...]
     animations: tuple[Clip, ...]
     meshes: tuple[Mesh, ...] = field(init=False)
-    """Meshes in the rest pose, one per material, with the joints where the file's nodes are, as `load` shows them."""
+    """Meshes in the rest pose, one per material, with the joints where the file's nodes are, as `load` returns them."""
 
     def __post_init__(self) -> None:
         rest = RigPose(self.skeleton.world_from_node(), {})
@@ -303,7 +305,7 @@ class Rig:
 
     @property
     def clips(self) -> tuple[str, ...]:
-        """Names of the clips, in the file's order; the number of a clip without a name."""
+        """Names of the clips, in the file's order; a clip without a name is named by its number."""
         return tuple(clip.name for clip in self.animations)
 
     @property
@@ -311,7 +313,7 @@ class Rig:
         """Mesh in the rest pose, for a rig with one mesh.
 
         Raises:
-            SceneError: The rig has several; see `meshes`.
+            SceneError: The rig has several meshes; `meshes` returns all of them.
         """
         self._refuse_several("meshes")
         return self.meshes[0]
@@ -323,7 +325,7 @@ class Rig:
             clip: Name of the clip; None: the first.
 
         Raises:
-            SceneError: There is no such clip; the message lists the clips.
+            SceneError: The rig has no clip of that name; the message lists the clips.
         """
         found = self._clip(clip)
         if found is None:
@@ -334,8 +336,8 @@ class Rig:
         """Returns the mesh at a time of a clip, for a rig with one mesh; see `poses`.
 
         Raises:
-            SceneError: The rig has several meshes, there is no such clip, the time is not finite, or the mesh has no
-                triangles with an area at that time.
+            SceneError: The rig has several meshes or no clip of that name, the time is not finite, or all triangles of
+                the mesh have lost their area at that time.
         """
         self._refuse_several("poses(time)")
         found = self.poses(time, clip)
@@ -374,7 +376,7 @@ class Rig:
         return RigPose(self.skeleton.world_from_node(found, time), weights)
 
     def _clip(self, name: str | None) -> Clip | None:
-        """Returns a clip by name, the first for None."""
+        """Returns a clip by name; for None, the first clip, or None if the rig has no clips."""
         if name is None:
             return self.animations[0] if self.animations else None
         for clip in self.animations:
@@ -389,7 +391,7 @@ class Rig:
 
 
 def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skeleton) -> IntArray:
-    """Joins the triangles of parts into one array over the vertices of all parts, shape (F, 3).
+    """Joins the triangles of several parts into one array over the vertices of all parts, shape (F, 3).
 
     Args:
         parts: Parts of one surface.

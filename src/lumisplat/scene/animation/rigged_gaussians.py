@@ -1,4 +1,4 @@
-"""Gaussians bound to the triangles of a surface or a rig, with which they deform."""
+"""Gaussians bound to the triangles of a surface or a rig: they deform with the triangles."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.mesh_sampling import SurfaceSamples, sample_surfaces
 
 RIG_HIDDEN_AREA = 1e-4
-"""Area of a posed triangle, relative to its rest area, below which its Gaussians vanish: scaled to a hundredth, or so
-flat that float32 loses its normal."""
+"""Area of a posed triangle, relative to its rest area, below which the triangle's Gaussians vanish: the triangle is
+scaled to a hundredth, or so flat that float32 loses its normal."""
 
 RIG_SHEAR_MIN = 1e-5
-"""Cosine between a Gaussian's two deformed wide axes below which they count as perpendicular: above float32's
+"""Cosine between a Gaussian's two deformed wide axes below which the axes count as perpendicular: above float32's
 rounding, which would otherwise rotate round discs."""
 
 _Floats = npt.NDArray[np.floating]
@@ -31,7 +31,7 @@ _SHORT_NORMAL = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Binding:
-    """Binding of the N Gaussians of one surface to T of its triangles.
+    """Binding of the N Gaussians of one surface to T triangles of the surface.
 
     The frame of a triangle has the columns (first edge, second edge, normal); at rest the normal has length 1.
     """
@@ -41,21 +41,21 @@ class Binding:
     areas: FloatArray
     """Twice the rest areas of the triangles, shape (T,)."""
     triangles: IntArray
-    """Triangle of each Gaussian, 0..T-1, shape (N,)."""
+    """Index of the triangle of each Gaussian, 0..T-1, shape (N,)."""
     weights: FloatArray
-    """Barycentric coordinates of the centres, shape (N, 3)."""
+    """Barycentric coordinates of each Gaussian's centre in its triangle, shape (N, 3)."""
     in_frame: FloatArray
     """Gaussians in the rest frame of their triangle: columns are the two wide axes times their scales, and the centre
     relative to the first corner; shape (N, 3, 3)."""
 
     def frames(self, positions: _Floats) -> tuple[FloatArray, FloatArray]:
-        """Returns the posed frames of the triangles, and the ratios of their areas to the rest areas.
+        """Returns the posed frames of the T triangles, and the ratios of posed to rest areas.
 
         The length of the normal is the square root of the area ratio, so that a uniform scale of the surface scales the
         frame uniformly.
 
         Args:
-            positions: Positions of all vertices of the surface, shape (V, 3).
+            positions: Posed positions of all V vertices of the surface, shape (V, 3).
 
         Returns:
             Frames, shape (T, 3, 3), and area ratios, shape (T,).
@@ -71,7 +71,7 @@ class Binding:
 
 
 def bind_surface(mesh: Mesh, samples: SurfaceSamples) -> Binding:
-    """Binds Gaussians to the triangles of the mesh that they were sampled from."""
+    """Binds sampled Gaussians to the triangles of the mesh from which they were sampled."""
     used, triangles = np.unique(samples.faces, return_inverse=True)
     corners = mesh.indices[used]
     a, b, c = mesh.positions.astype(np.float64)[corners].swapaxes(0, 1)
@@ -96,13 +96,13 @@ def bind_surface(mesh: Mesh, samples: SurfaceSamples) -> Binding:
 def deform_gaussians(
     binding: Binding, scales: _Floats, positions: _Floats, vertex_normals: _Floats | None
 ) -> tuple[dict[str, _Floats], npt.NDArray[np.bool_]]:
-    """Moves Gaussians with their triangles.
+    """Moves N Gaussians with the triangles to which they are bound.
 
     Args:
         binding: Binding of the Gaussians to the triangles.
         scales: Rest scales, shape (N, 3).
-        positions: Posed positions of all vertices of the surface, shape (V, 3).
-        vertex_normals: Posed normals of these vertices, any length, shape (V, 3); None: the triangles are flat.
+        positions: Posed positions of all V vertices of the surface, shape (V, 3).
+        vertex_normals: Posed normals of the vertices, any length, shape (V, 3); None: the triangles are flat.
 
     Returns:
         New ``means``, ``rotations_wxyz``, ``scales`` and ``normals`` by name, and a mask of the Gaussians that vanish
@@ -129,9 +129,9 @@ def deform_gaussians(
 
 
 def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
-    """Returns two perpendicular vectors that span the same ellipse as the given pair, shape (N, 3) each.
+    """Returns two perpendicular vectors that span the same ellipse as ``first`` and ``second``, shape (N, 3) each.
 
-    The pair is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two possible angles, so that axes
+    Each pair is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two possible angles, so that axes
     change as little as possible.
     """
     first_square, second_square, mixed = _dots(first, first), _dots(second, second), _dots(first, second)
@@ -144,7 +144,7 @@ def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
 
 
 def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
-    """Returns shading normals of the Gaussians, shape (N, 3); ``flat`` if the vertices have no normals."""
+    """Returns shading normals of N Gaussians, shape (N, 3); ``flat`` if the vertices have no normals."""
     if vertex_normals is None:
         return flat
     lengths = np.linalg.norm(vertex_normals, axis=1, keepdims=True)
@@ -169,19 +169,19 @@ def _crosses(first: _Floats, second: _Floats) -> _Floats:
 class RiggedGaussians:
     """Gaussians on the surface of a rig that follow its triangles; made by `bind_gaussians`.
 
-    The barycentric coordinates of a Gaussian are fixed. The triangle's affine map from rest to pose transforms its two
-    wide axes, and the principal axes of the ellipse that they span become its new wide axes. Rotation, stretch and
-    shear in the plane are thus exact; a polar decomposition with an area factor would only approximate skin that
-    stretches in one direction. The thin axis is perpendicular to both and scales with the square root of the area
-    ratio. Normals are interpolated between the posed vertices. Opacities, colours and materials stay; where a triangle
-    shrinks to nothing, its Gaussians get opacity 0. Number and order never change.
+    The barycentric coordinates of a Gaussian are fixed. The triangle's affine map from rest to pose transforms the
+    Gaussian's two wide axes; the principal axes of the ellipse that the transformed axes span become the new wide axes.
+    Rotation, stretch and shear in the plane are thus exact; a polar decomposition with an area factor would only
+    approximate skin that stretches in one direction. The thin axis is perpendicular to the wide ones and scales with
+    the square root of the area ratio. Normals are interpolated between the posed vertices. Opacities, colours and
+    materials stay; where a triangle shrinks to nothing, its Gaussians get opacity 0. Number and order never change.
     """
 
     rig: Rig
     gaussians: Gaussians
     """Gaussians in the rest pose, in the rig's world space."""
     bindings: tuple[Binding, ...]
-    """Binding for each surface of the rig, in the order of the Gaussians."""
+    """Binding of each surface of the rig, in the order of the Gaussians."""
 
     def __repr__(self) -> str:
         return f"RiggedGaussians(count={self.count}, rig={self.rig!r})"
@@ -221,12 +221,12 @@ class RiggedGaussians:
 
 
 def bind_gaussians(rig: Rig, count: int | None = None, seed: int = 0) -> RiggedGaussians:
-    """Covers a rig's surface with Gaussians, as `gaussians_from_mesh` does, that move with its triangles.
+    """Covers a rig's surface with Gaussians, as `gaussians_from_mesh` does, and binds them to the rig's triangles.
 
     Args:
         rig: Rig from `load_rig`.
-        count: Number of Gaussians, at least one for each mesh of the rig; None: so many that neighbours are 1/300 of
-            the bounding box's diagonal apart, from 1,000 to 1,000,000.
+        count: Number of Gaussians, at least one per mesh of the rig; None: so many that neighbours are 1/300 of the
+            bounding box's diagonal apart, from 1,000 to 1,000,000.
         seed: Seed of the random order; equal seeds give equal results on the same platform and NumPy version.
 
     Raises:

@@ -21,40 +21,40 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.neighbours import morton_codes
 
 DECIMATE_NEIGHBOURS = 4
-"""Candidates for merging: the next Gaussians along a Morton curve in each direction. More candidates make passes
-slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on the biker."""
+"""Number of candidates for merging: the next Gaussians along a Morton curve in each direction. More candidates make
+passes slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on the biker."""
 
 DECIMATE_COLOR_WEIGHT = 30.0
-"""Loss of a colour difference of 1, relative to that of an e-fold larger spread. Results stay within 0.3 dB from 10 to
-100."""
+"""Cost of merging two Gaussians whose colours differ by 1, relative to the cost of growing by a factor e. Results stay
+within 0.3 dB from 10 to 100."""
 
 DECIMATE_OPACITY_MIN = 1e-9
-"""Opacity below which a Gaussian's mass falls no further, because weights must not be 0."""
+"""Smallest opacity from which masses are computed, because masses are weights and must not be 0."""
 
 ROWS, COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
-"""Rows and columns of the six entries of a packed symmetric matrix."""
+"""Row (`ROWS`) and column (`COLUMNS`) of the six entries of a packed symmetric matrix."""
 
 _DECIMATE_BLOCK = 2**13
-"""Pairs whose costs are computed at a time: about 60 doubles per pair fit into the cache."""
+"""Number of pairs whose costs are computed at once: about 60 doubles per pair fit into the CPU cache."""
 
 _Indices = npt.NDArray[np.intp]
 
 _SHIFTS = np.array([0.8191725134, 0.6710436067, 0.5497004779])
-"""The R3 sequence: offsets of the curve's origin from pass to pass, so that its seams move."""
+"""Offset of the Morton curve's origin per pass (R3 sequence), so that the seams between cells move."""
 
 
 class Moments(NamedTuple):
-    """Moments of N Gaussians, one contiguous array for each axis or matrix entry."""
+    """Mass, mean and covariance of N Gaussians, one contiguous array for each axis or matrix entry."""
 
     masses: Doubles
-    """Opacity times `areas`, above 0, shape (N,)."""
+    """Opacity times projected area (`areas`), above 0, shape (N,)."""
     means: Doubles
     """Means, shape (3, N)."""
     covariances: Doubles
-    """Packed covariances, shape (6, N)."""
+    """Covariances, six packed entries each, shape (6, N)."""
 
     def at(self, rows: npt.NDArray[np.intp] | slice) -> Moments:
-        """Returns the moments of some Gaussians."""
+        """Returns the moments of the Gaussians that ``rows`` selects."""
         return Moments(self.masses[rows], self.means[:, rows], self.covariances[:, rows])
 
 
@@ -69,7 +69,7 @@ def moments_of(gaussians: Gaussians) -> Moments:
 
 
 def areas(covariances: Doubles) -> Doubles:
-    """Returns a Gaussian's projected area up to a constant: the root mean square over all directions, shape (N,).
+    """Returns the projected area of N Gaussians, root mean square over all directions, up to a constant, shape (N,).
 
     Along a unit vector n, the outline has the area pi sqrt(n^T adj(covariance) n). The mean of its square is a third of
     the adjugate's trace.
@@ -80,7 +80,7 @@ def areas(covariances: Doubles) -> Doubles:
 
 
 def log_determinants(covariances: Doubles) -> Doubles:
-    """Returns the natural logarithms of the covariances' determinants, shape (N,)."""
+    """Returns the natural logarithms of N covariances' determinants, shape (N,)."""
     xx, xy, xz, yy, yz, zz = covariances
     determinants = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     # Rounding may make the determinants of the thinnest zero or negative.
@@ -88,7 +88,7 @@ def log_determinants(covariances: Doubles) -> Doubles:
 
 
 def _mixture(first: Moments, second: Moments) -> Moments:
-    """Returns the moments of the mixture of each Gaussian of ``first`` with one of ``second``."""
+    """Returns the moments of the mixtures of ``first`` and ``second``, Gaussian by Gaussian."""
     masses = first.masses + second.masses
     share = second.masses / masses
     step = second.means - first.means
@@ -100,7 +100,7 @@ def _mixture(first: Moments, second: Moments) -> Moments:
 
 
 def mixtures(parts: Moments, labels: npt.NDArray[np.intp], count: int) -> Moments:
-    """Returns the moments of ``count`` mixtures; labels, shape (N,), assign the parts to them."""
+    """Returns the moments of ``count`` mixtures; ``labels``, shape (N,), name the mixture of each of N parts."""
     masses = np.bincount(labels, parts.masses, count).astype(np.float64, copy=False)
 
     def averages(values: Doubles) -> Doubles:
@@ -113,7 +113,7 @@ def mixtures(parts: Moments, labels: npt.NDArray[np.intp], count: int) -> Moment
 
 
 def shapes(covariances: Doubles) -> tuple[Doubles, Doubles]:
-    """Decomposes covariances into unit quaternions, shape (N, 4), and scales, smallest first, shape (N, 3)."""
+    """Decomposes N covariances into unit quaternions, shape (N, 4), and scales, smallest first, shape (N, 3)."""
     matrices = np.empty((covariances.shape[1], 3, 3))
     for entry in range(6):
         matrices[:, ROWS[entry], COLUMNS[entry]] = matrices[:, COLUMNS[entry], ROWS[entry]] = covariances[entry]
@@ -131,11 +131,11 @@ class _Pairs(NamedTuple):
 
 
 def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[float], None] | None) -> _Indices:
-    """Assigns Gaussians to ``count`` clusters.
+    """Assigns N Gaussians to ``count`` clusters.
 
     Args:
-        parts: Moments of N Gaussians.
-        colors: Their display-referred mean colours, shape (3, N).
+        parts: Moments of the Gaussians.
+        colors: Display-referred mean colours of the Gaussians, shape (3, N).
         count: Number of clusters, 1..N.
         progress: Called with the fraction done, 0..1.
 
@@ -166,7 +166,7 @@ def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[f
 
 
 def _curve(means: Doubles, step: int) -> _Indices:
-    """Returns the order of the means along a Morton curve of cubic cells, whose origin differs in each pass."""
+    """Returns the order of the means along a Morton curve of cubic cells; pass ``step`` moves the curve's origin."""
     low, high = np.quantile(means, (0.001, 0.999), axis=1)
     extent = max(float((high - low).max()), np.finfo(np.float32).tiny)
     # The capture fills half of the cube along each axis, and shifts within it from pass to pass.
@@ -175,7 +175,7 @@ def _curve(means: Doubles, step: int) -> _Indices:
 
 
 def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
-    """Returns pairs in which each Gaussian is the other's cheapest candidate along the curve."""
+    """Returns pairs of Gaussians that are each other's cheapest merging candidate along the curve."""
     count = parts.masses.size
     numbers = np.arange(count)
     best, partner = np.full(count, np.inf), np.full(count, -1, np.intp)
@@ -198,7 +198,7 @@ def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
 
 
 def _costs(parts: Moments, logs: Doubles, colors: Doubles, own: slice, other: slice) -> Doubles:
-    """Returns the loss of merging each Gaussian of a slice with one of the other slice."""
+    """Returns the cost of merging each Gaussian of the slice ``own`` with its counterpart in the slice ``other``."""
     first, second = parts.at(own), parts.at(other)
     merged = _mixture(first, second)
     # Runnalls 2007, equation 16: upper bound of the Kullback-Leibler divergence of shapes, times the mass.
@@ -212,7 +212,7 @@ def _costs(parts: Moments, logs: Doubles, colors: Doubles, own: slice, other: sl
 
 
 def _cheapest(pairs: _Pairs, most: int) -> _Pairs:
-    """Returns at most ``most`` pairs, the cheapest ones."""
+    """Returns the ``most`` cheapest pairs, or all pairs if there are fewer."""
     if pairs.first.size <= most:
         return pairs
     rows = np.argpartition(pairs.costs, most - 1)[:most]
@@ -220,7 +220,7 @@ def _cheapest(pairs: _Pairs, most: int) -> _Pairs:
 
 
 def _merged(parts: Moments, colors: Doubles, pairs: _Pairs) -> tuple[Moments, Doubles]:
-    """Replaces the moments and colours of the first of each pair by those of the pair's mixture."""
+    """Overwrites the first Gaussian of each pair with the moments and colour of the pair's mixture, in place."""
     first, second = parts.at(pairs.first), parts.at(pairs.second)
     merged = _mixture(first, second)
     for old, new in zip(parts, merged, strict=True):
@@ -234,8 +234,8 @@ def decimate(gaussians: Gaussians, count: int, *, progress: Callable[[float], No
     """Merges neighbouring Gaussians until ``count`` are left.
 
     Each new Gaussian has the mean, the covariance and the mass of the Gaussians that it replaces. The mass is opacity
-    times projected area, averaged over all directions, so that it hides as much of the background (up to opacity 1). SH
-    coefficients, normals and materials are averages weighted by mass.
+    times projected area, averaged over all directions; the new Gaussian thus hides as much of the background as the
+    replaced ones (up to opacity 1). SH coefficients, normals and materials are averages weighted by mass.
 
     Args:
         gaussians: Capture of N Gaussians.
@@ -243,7 +243,7 @@ def decimate(gaussians: Gaussians, count: int, *, progress: Callable[[float], No
         progress: Called with the fraction done, 0..1.
 
     Returns:
-        New Gaussians in Morton order; ``gaussians`` itself if it has no more than ``count``.
+        New Gaussians in Morton order; ``gaussians`` itself if it has at most ``count``.
 
     Raises:
         SceneError: ``count`` is not a whole number above 0.
@@ -276,7 +276,7 @@ def decimate(gaussians: Gaussians, count: int, *, progress: Callable[[float], No
 
 
 def _unit_or_thin_axis(normals: Doubles, rotations: Doubles) -> Doubles:
-    """Normalises mean normals; where they cancel, returns the Gaussian's thinnest axis, which is its first."""
+    """Normalises averaged normals; a normal of length 0 becomes the Gaussian's thinnest axis, which is its first."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     thin = matrices_from_quaternions(rotations)[:, :, 0]
     return np.where(lengths > 1e-3, normals / np.maximum(lengths, 1e-3), thin)

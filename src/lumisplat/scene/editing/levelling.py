@@ -1,4 +1,4 @@
-"""Levelling: estimates the up direction of a tilted capture from its ground, points, or principal axes."""
+"""Levelling: estimates the up direction of a tilted capture from its ground, given points, or principal axes."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ from lumisplat.scene.placing import UP_AXES, Vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 _SAMPLES = 8_000
-"""Number of Gaussians on which planes are evaluated."""
+"""Number of sampled Gaussians on which candidate ground planes are evaluated."""
 _PLANES = 1_500
-"""Number of candidate planes, each through a Gaussian and the two nearest of `_DRAWN` others."""
+"""Number of candidate planes. Each goes through a random Gaussian and two nearby ones of `_DRAWN` further random
+draws."""
 _DRAWN = 8
 _THICKNESS = 0.012
 """Half the thickness of a ground plane, relative to the size of the capture."""
 _CLEAR = 0.2
-"""Height above a ground that must be free over most of it, relative to the size of the capture."""
+"""Height above a ground plane, relative to the size of the capture, that must be free over most of the plane."""
 _OPEN_LEAST = 0.3
-"""Smallest fraction of a ground's area with free space above it; it rejects the back of a guitar, which has its front
-there."""
+"""Smallest fraction of a ground plane's area with free space above it. It rejects the back of a lying guitar, whose
+front occupies that space."""
 _GROUND_LEAST = 0.06
-"""Smallest fraction of the visible weight that a ground contains."""
+"""Smallest fraction of the visible weight that a ground plane contains."""
 _FLAT_LEAST = 0.6
-"""Smallest fraction of the weight within twice a ground's thickness that lies within its thickness; a slice of a wall
+"""Of the weight within twice a plane's thickness, the smallest fraction within its single thickness; a slice of a wall
 has half."""
 _BELOW_MOST = 0.12
-"""Largest fraction of the visible weight below a ground."""
+"""Largest fraction of the visible weight below a ground plane."""
 _NEAR_STATED = math.cos(math.radians(50.0))
 """Cosine of the largest angle between a ground's normal and the up direction that a file states."""
 _CELLS = (4, 24)
@@ -46,14 +47,14 @@ number in between."""
 _CELL_POINTS = 8
 """Approximate number of a ground's points per cell."""
 _UPRIGHT = math.cos(math.radians(5.0))
-"""Cosine of the tilt below which a capture without a ground stays as it is: its principal axes are no more accurate."""
+"""Cosine of the tilt below which a capture without a ground stays as it is: principal axes are no more accurate."""
 _APART = 1.2
 """Smallest ratio between a capture's extent along a principal axis and along the others for the axis to be distinct."""
 _LONG, _STANDS = 1.7, math.cos(math.radians(70.0))
-"""Ratio of the longest to the second extent above which an object is long, and the cosine of the largest angle between
-its long axis and the guess at which it counts as standing rather than lying."""
+"""Ratio of the longest to the second extent above which an object is long (`_LONG`), and cosine of the largest angle
+between its long axis and the guessed up direction at which it stands and does not lie (`_STANDS`)."""
 _SIDE = 0.65
-"""Fraction of the visible weight on one side of three ground points above which that side is up."""
+"""Fraction of the visible weight on one side of a plane through given ground points, above which that side is up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +64,12 @@ class UpEstimate:
     up: Vector
     """Unit vector that points up, world space."""
     source: Literal["ground", "points", "axes", "stated"]
-    """Evidence: a ground plane, given points, the axes along which the scene is longest or shortest, or, without any
-    of these, the direction that the scene or a capture states."""
+    """Evidence for ``up``: a ground plane, given points, principal axes along which the scene is longest or shortest,
+    or else the direction that the scene or a capture states."""
     height: float | None = None
-    """Height of the ground or the points along ``up``, scene units; None: no ground."""
+    """Height of the ground or of the given points along ``up``, scene units; None if there is no ground."""
     share: float | None = None
-    """Fraction of the visible weight that lies in the ground, 0..1; None: no ground."""
+    """Fraction of the visible weight that lies in the ground, 0..1; None if there is no ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +87,10 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
 
     The ground is the plane with most visible weight in it, little below it, free space above most of it, and the rest
     standing on it (random sample consensus, Fischler and Bolles 1981, then least squares). It is at most 50 degrees off
-    an up direction that the scene or a capture states; a guessed up direction only decides among equals. Without a
-    ground, a stated direction is returned. Otherwise up is a principal axis along which the scene is clearly longer or
-    shorter than along the others: the axis along which a long object stands, or else the axis nearest to the guess. A
-    guess that is less than 5 degrees off is returned unchanged.
+    an up direction that the scene or a capture states; a guessed up direction only decides between equally good planes.
+    Without a ground, a stated direction is returned. Otherwise up is a principal axis along which the scene is clearly
+    longer or shorter than along the others: the axis along which a long object stands, or else the axis nearest to the
+    guess. A guess that is less than 5 degrees off is returned unchanged.
 
     Args:
         scene: Scene with captures.
@@ -116,8 +117,8 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
 def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussians:
     """Rotates a capture about the origin so that its up direction is an axis, and stores that axis as ``up``.
 
-    The axis is the one nearest to the up direction that the capture states; without one it is y down, as in most
-    captures. The first view rotates with the capture.
+    The axis is the one nearest to the up direction that the capture states; for a capture that states none, y down, as
+    in most captures. The first view rotates with the capture.
 
     Args:
         gaussians: Capture.
@@ -137,7 +138,7 @@ def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussi
 
 
 def _cloud(scene: Scene) -> _Cloud:
-    """Samples a scene's Gaussians, weighted by opacity and outline, with a limit for large ones."""
+    """Samples a scene's Gaussians, weighted by opacity and projected area; the area of large Gaussians is limited."""
     points, weights = zip(*map(_weighted, scene.splats), strict=True)
     means, mass = np.concatenate(points), np.concatenate(weights)
     step = max(1, len(means) // _SAMPLES)
@@ -156,7 +157,7 @@ def _weighted(instance: SplatInstance) -> tuple[Doubles, Doubles]:
 
 
 def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float]:
-    """Returns the bounds of the middle 90 % of the weight."""
+    """Returns the smallest and largest value of the middle 90 % of the weight."""
     order = np.argsort(values)
     rows = np.searchsorted(np.cumsum(weights[order]), (0.05, 0.95)).clip(0, len(values) - 1)
     low, high = values[order][rows]
@@ -164,7 +165,7 @@ def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float
 
 
 def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None:
-    """Returns the up direction of the best ground; None if there is none."""
+    """Returns the up direction of the best ground plane; None if no plane qualifies as ground."""
     thickness = _THICKNESS * cloud.size
     normals, offsets = _planes(cloud)
     normals, offsets = _facing_the_rest(cloud, normals, offsets, thickness)
@@ -186,7 +187,7 @@ def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None
 
 
 def _planes(cloud: _Cloud) -> tuple[Doubles, Doubles]:
-    """Returns planes through triples of nearby points: unit normals (M, 3), and offsets (M,)."""
+    """Returns M planes through triples of nearby points: unit normals, shape (M, 3), and offsets, shape (M,)."""
     rng = np.random.default_rng(0)
     count = len(cloud.points)
     first = rng.choice(count, _PLANES, p=cloud.weights)
@@ -202,7 +203,7 @@ def _planes(cloud: _Cloud) -> tuple[Doubles, Doubles]:
 
 
 def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thickness: float) -> tuple[Doubles, Doubles]:
-    """Flips planes so that their normals point to the side with more weight."""
+    """Flips planes so that their normals point to the side of the plane with more weight."""
     above = _share_beyond(cloud, normals, offsets + thickness)
     below = _share_beyond(cloud, -normals, -offsets + thickness)
     signs = np.where(above >= below, 1.0, -1.0)
@@ -210,7 +211,7 @@ def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thicknes
 
 
 def _share_beyond(cloud: _Cloud, normals: Doubles, offsets: Doubles) -> Doubles:
-    """Returns the fraction of the weight beyond each plane, (M,)."""
+    """Returns the fraction of the weight on the normal's side of each of M planes, shape (M,)."""
     shares = np.empty(len(normals))
     for start in range(0, len(normals), 64):
         rows = slice(start, start + 64)
@@ -220,7 +221,7 @@ def _share_beyond(cloud: _Cloud, normals: Doubles, offsets: Doubles) -> Doubles:
 
 
 def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) -> UpEstimate | None:
-    """Refits a plane by least squares and returns its up direction; None if it is no ground."""
+    """Refits a plane by least squares and returns its up direction; None if the plane does not qualify as ground."""
     for width in (2.0, 1.5, 1.0, 1.0):
         heights = cloud.points @ normal - offset
         near = np.abs(heights) < width * thickness
@@ -248,7 +249,7 @@ def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) ->
 
 
 def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, thickness: float) -> bool:
-    """Returns whether a plane is wide in both directions, with free space above most of it."""
+    """Returns whether a plane is wide in both directions and has free space above most of it."""
     across = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     across /= np.linalg.norm(across)
     flat = cloud.points @ np.stack([across, np.cross(normal, across)], axis=1)
@@ -265,10 +266,10 @@ def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, th
 
 
 def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEstimate:
-    """Returns the up direction of the plane through points.
+    """Returns the up direction of the plane through given ground points, shape (N, 3).
 
     Raises:
-        SceneError: They are fewer than three, not finite, or collinear.
+        SceneError: The points are fewer than three, not finite, or collinear.
     """
     count = len(cast("Sized", given)) if isinstance(given, Sized) else 0
     points = finite_numbers(given, (count, 3))
@@ -289,7 +290,7 @@ def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEsti
 
 
 def _own_axis(cloud: _Cloud, guess: Doubles) -> Vector:
-    """Returns the distinct principal axis of a capture that is nearest to the guess, on the guess's side.
+    """Returns the capture's distinct principal axis nearest to the guessed up direction, on the guess's side.
 
     Raises:
         SceneError: The capture has no distinct axis.

@@ -1,4 +1,4 @@
-"""Selection of Gaussians: by their values, in a box or a sphere, and without floaters."""
+"""Selection of Gaussians by their values, by a box or a sphere, and removal of floaters."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.gaussians import Gaussians
 
 FLOATER_NEIGHBOURS = 4
-"""Smallest number of neighbours of a Gaussian that is no floater."""
+"""Smallest number of neighbours at which a Gaussian is no floater."""
 
 FLOATER_REACH = 3.0
-"""Radius of the neighbourhood, in the Gaussian's largest scale or the capture's median one: where a Gaussian ends."""
+"""Radius of a Gaussian's neighbourhood in units of its largest scale, or of the capture's median largest scale if that
+is more: about where a Gaussian's visible footprint ends."""
 
 Range = tuple[float | None, float | None]
 """Smallest and largest value to keep; None: no limit."""
@@ -27,14 +28,14 @@ Box = tuple[npt.ArrayLike, npt.ArrayLike]
 Sphere = tuple[npt.ArrayLike, float]
 
 _BLOCK = 2**16
-"""Gaussians that are searched at a time, between two progress reports."""
+"""Number of Gaussians that are searched between two progress reports."""
 
 
 def _remaining(gaussians: Gaussians, kept: npt.NDArray[np.bool_]) -> Gaussians:
-    """Returns the Gaussians of a mask, shape (N,); the same object if all are kept.
+    """Returns the Gaussians that the mask ``kept``, shape (N,), selects; ``gaussians`` itself if all are selected.
 
     Raises:
-        SceneError: None are kept; the message has the capture's bounds.
+        SceneError: No Gaussian is selected; the message states the capture's bounds.
     """
     if kept.all():
         return gaussians
@@ -73,14 +74,14 @@ def select(
         red: Mean colour over all directions, display-referred, 0..1 or slightly outside.
         green: Mean colour, as for red.
         blue: Mean colour, as for red.
-        roughness: Roughness, 0..1, if the capture has it.
-        metallic: Metalness, 0..1, if the capture has it.
+        roughness: Roughness, 0..1, for captures that store it.
+        metallic: Metalness, 0..1, for captures that store it.
 
     Returns:
-        These Gaussians, in their order, unchanged; ranges include both limits.
+        The selected Gaussians, unchanged, in their order; ranges include both limits.
 
     Raises:
-        SceneError: A range is no pair of numbers, the capture lacks a value, or no Gaussian is left.
+        SceneError: A range is no pair of numbers, the capture does not store a value, or no Gaussian is left.
     """
     check_argument("select", gaussians, Gaussians, "Gaussians")
     ranges = {
@@ -119,7 +120,7 @@ def _limits(name: str, limits: object) -> tuple[float, float]:
 
 
 def _values(gaussians: Gaussians, name: str) -> FloatArray:
-    """Returns one number for each Gaussian, shape (N,)."""
+    """Returns the value ``name`` (an argument of `select`) of each of N Gaussians, shape (N,)."""
     if name in ("x", "y", "z"):
         axis = "xyz".index(name)
         return gaussians.means[:, axis] + gaussians.origin[axis] if any(gaussians.origin) else gaussians.means[:, axis]
@@ -150,7 +151,7 @@ def crop(
         outside: Keep the Gaussians outside instead.
 
     Returns:
-        These Gaussians, in their order, unchanged; the border belongs to the inside.
+        The selected Gaussians, unchanged, in their order; the border belongs to the inside.
 
     Raises:
         SceneError: Neither box nor sphere is given, one is malformed, or no Gaussian is left.
@@ -196,20 +197,21 @@ def remove_floaters(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Gaussians:
-    """Removes isolated Gaussians, which have fewer than ``neighbours`` others around them.
+    """Removes isolated Gaussians: those with fewer than ``neighbours`` other Gaussians around them.
 
-    Others count if their means are within ``reach`` times the Gaussian's largest scale, or times the capture's median
-    largest scale if that is more. Thus wide Gaussians of a distant background, which are far apart, are kept. A clump
-    of more than ``neighbours`` floaters is kept, too: use `crop` and `select` to remove it.
+    Another Gaussian counts if its mean is within ``reach`` times the Gaussian's largest scale, or within ``reach``
+    times the capture's median largest scale if that is more. Thus wide Gaussians of a distant background, which are far
+    from each other, are kept. A clump of more than ``neighbours`` floaters is kept, too: use `crop` and `select` to
+    remove it.
 
     Args:
         gaussians: Capture.
-        neighbours: Smallest number of others, 1 or more.
+        neighbours: Smallest number of other Gaussians around a Gaussian that is kept, 1 or more.
         reach: Distance in scales, above 0.
         progress: Called with the fraction done, 0..1.
 
     Returns:
-        The other Gaussians, in their order, unchanged.
+        The remaining Gaussians, unchanged, in their order.
 
     Raises:
         SceneError: An argument is out of range, or no Gaussian is left.

@@ -1,6 +1,6 @@
 """Transforms captures (means, shapes and SH), merges them, and changes their SH degree.
 
-Instances only scale uniformly; files may also scale captures by different factors along the axes.
+Placed instances scale uniformly; `under_affine` also stretches, shears and mirrors, as files of scenes may demand.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lumisplat.scene.scene import check_similarity
 _Vector = npt.ArrayLike
 
 _BLOCK = 2**16
-"""Gaussians whose axes are decomposed at once."""
+"""Number of Gaussians whose axes are decomposed at once."""
 
 
 def transform(
@@ -45,7 +45,7 @@ def transform(
     """Transforms a capture: means, rotations, scales, normals and SH.
 
     A `SplatInstance` places a capture without changing it; this function is for files and for `merge`. Colours rotate
-    with the capture: a camera moved likewise sees the same image.
+    with the capture: a camera that moves with it sees the same image.
 
     Args:
         gaussians: Capture.
@@ -55,8 +55,8 @@ def transform(
         translation: Translation, applied last, scene units.
 
     Returns:
-        The transformed Gaussians, including up, first view and origin; they get an origin if float32 needs one.
-        Opacities and materials are the same arrays.
+        The transformed Gaussians, including up, first view and origin; means that float32 cannot represent get a new
+        ``origin``. Opacities and materials are the same arrays.
 
     Raises:
         SceneError: A number is not finite, ``scale`` is not positive, or ``matrix`` mirrors, shears or scales the axes
@@ -91,7 +91,7 @@ def transform(
 
 
 def _rotated_sh(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Rotates, or mirrors, SH coefficients, shape (N, K, 3), by an orthogonal matrix ``new_from_old``."""
+    """Rotates (or mirrors) the SH of N Gaussians, K coefficients each, (N, K, 3), by an orthogonal ``new_from_old``."""
     degree = SH_DEGREE_FROM_COUNT[sh.shape[1]]
     return np.einsum("jk,nkc->njc", sh_rotation(rotation, degree), sh, optimize=True)
 
@@ -161,10 +161,10 @@ def merge(captures: Iterable[Gaussians]) -> Gaussians:
     those that are dropped. The comments are those of the first capture.
 
     Args:
-        captures: At least one. `transform` moves them before, if needed.
+        captures: At least one. Captures in other coordinates are to be moved by `transform` first.
 
     Raises:
-        SceneError: There is none, only some are antialiased, or their kernel degrees differ.
+        SceneError: The list is empty, only some captures are antialiased, or their kernel degrees differ.
     """
     sets: list[Gaussians] = []
     for one in items_of("captures", captures):

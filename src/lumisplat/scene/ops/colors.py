@@ -1,4 +1,4 @@
-"""Colours of Gaussians from their SH (Kerbl et al. 2023), in display space, and under scaled light.
+"""Colours of Gaussians from their SH (Kerbl et al. 2023), in display space, and their change under scaled light.
 
 See docs/method/gaussians.md#colour.
 """
@@ -20,28 +20,29 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import SplatInstance
 
 RECOLOR_DARK = 1e-4
-"""Display-referred colour to which the mean colour is clamped in `scale_light`: far inside the linear part of the sRGB
-curve (0.04), where the gain equals the factor, and far above float32's rounding of 0.5 (6e-8)."""
+"""Smallest display-referred mean colour that `scale_light` divides by; darker ones are clamped to it. It lies far
+inside the linear part of the sRGB curve (0.04), where the gain equals the factor, and far above float32's rounding of
+0.5 (6e-8)."""
 
 _DIRECTIONS_PER_COEFFICIENT = 8
-"""Directions per SH coefficient at which colours are compared: twice as many give the same root mean square."""
+"""Sample directions per SH coefficient when SH are fitted: twice as many give the same root mean square error."""
 _STEP = 4096
-"""Gaussians that are converted at once."""
+"""Number of Gaussians that are converted at once."""
 
 Subject = TypeVar("Subject", Gaussians, SplatInstance)
-"""Type of the object that is relit or shadowed; functions return the type that they are given."""
+"""Type of the object whose light is scaled; functions return an object of the type that they are given."""
 
 
 def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], degree: int = SH_DEGREE_MAX) -> FloatArray:
     """Evaluates display-referred colours ``max(SH + 0.5, 0)`` along directions from the eye to the means.
 
     Args:
-        gaussians: Gaussians.
-        directions: Unit vectors in the Gaussians' own space, shape (N, 3).
+        gaussians: N Gaussians.
+        directions: Unit vectors in the Gaussians' object space, shape (N, 3).
         degree: Highest SH degree to evaluate, 0 to 3.
 
     Returns:
-        Shape (N, 3).
+        Display-referred colours, shape (N, 3).
     """
     basis = sh_basis(directions, min(degree, gaussians.sh_degree), np.float32)
     # A small matrix product per Gaussian makes one pass over its contiguous coefficients.
@@ -55,7 +56,7 @@ def display_sh(linear_sh: npt.NDArray[np.floating]) -> FloatArray:
     The sRGB SH fit the sRGB encoding of ``max(SH + 0.5, 0)``. A single coefficient is converted exactly.
 
     Args:
-        linear_sh: SH of linear Rec.709 colours, shape (N, K, 3).
+        linear_sh: SH of linear Rec.709 colours of N Gaussians, K coefficients per channel, shape (N, K, 3).
 
     Returns:
         SH of sRGB colours, shape (N, K, 3).
@@ -80,12 +81,13 @@ def display_sh(linear_sh: npt.NDArray[np.floating]) -> FloatArray:
 def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
     """Scales the captured light of each Gaussian by a linear factor.
 
-    Light is linear, while colours are display-referred. At a channel's mean colour ``c`` over all directions, the
-    display gain is ``g = encode(f decode(c)) / c``; the colours of all directions, ``max(SH + 0.5, 0)``, are multiplied
-    by it. The mean colour thus changes by exactly the factor of light, and highlights keep their contrast.
+    Light is linear, while colours are display-referred. For a channel's mean colour ``c`` over all directions and
+    factor ``f``, the display gain is ``g = encode(f decode(c)) / c``; the colour ``max(SH + 0.5, 0)`` of every
+    direction is multiplied by ``g``. The mean colour thus changes by exactly the factor of light, and highlights keep
+    their contrast.
 
     Args:
-        gaussians: Gaussians.
+        gaussians: N Gaussians.
         factors: Linear-light factors, at least 0, one per Gaussian, shape (N,), or one per channel, shape (N, 3).
 
     Returns:
@@ -110,7 +112,7 @@ def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
 
 
 def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subject:
-    """Scales the captured light of a subject by ``factors``, shape (N, 3); the same object if all are 1."""
+    """Scales the captured light of Gaussians or of an instance by linear factors, shape (N, 3); see `scale_light`."""
     if isinstance(subject, Gaussians):
         return scale_light(subject, factors)
     scaled = scale_light(subject.gaussians, factors)
@@ -118,14 +120,14 @@ def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subje
 
 
 def base_colors(gaussians: Gaussians) -> npt.NDArray[np.float64]:
-    """Returns the linear albedo of Gaussians, shape (N, 3); without one, their decoded mean captured colour."""
+    """Returns the linear albedo of N Gaussians, shape (N, 3); without an albedo, their decoded mean captured colour."""
     if gaussians.albedo is not None:
         return gaussians.albedo.astype(np.float64)
     return decode_srgb(np.maximum(SH_C0 * gaussians.sh[:, 0].astype(np.float64) + 0.5, 0.0)).astype(np.float64)
 
 
 def _scale_sh(sh: FloatArray, factors: FloatArray) -> FloatArray:
-    """Scales the light of SH, shape (M, K, 3), by ``factors``, shape (M, 3)."""
+    """Scales the captured light of M Gaussians' SH, shape (M, K, 3), by linear factors, shape (M, 3)."""
     wide = sh.astype(np.float64)
     # Towards black the gain tends to the factor, because the sRGB curve is linear there.
     mean = np.maximum(SH_C0 * wide[:, 0] + 0.5, RECOLOR_DARK)

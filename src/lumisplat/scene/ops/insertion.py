@@ -1,7 +1,7 @@
 """Insertion of objects into captures: upright, in a plausible size, on the ground, where there is free space.
 
-The ground is found in a grid of cells seen from above: a Gaussian covers a cell with its opacity times the area of its
-projection. docs/adr/0093-meshes-in-captures-are-placed-automatically.md explains the decisions.
+The ground is found on a horizontal grid of cells: a Gaussian covers a cell with its opacity times the area of its
+projection onto the ground. docs/adr/0093-meshes-in-captures-are-placed-automatically.md explains the decisions.
 """
 
 from __future__ import annotations
@@ -32,65 +32,76 @@ _log = logging.getLogger("lumisplat")
 _Placed = TypeVar("_Placed", SplatInstance, MeshInstance)
 
 _SIZES = (0.02, 0.75)
-"""Smallest and largest diagonal of an object, relative to that of the captures, for which units are assumed to agree.
+"""Smallest and largest diagonal of an object, relative to the captures' diagonal, at which object and captures are
+assumed to have the same unit.
 """
 _SIZE_IN_VIEW = 0.4
-"""Largest relative diagonal if a first view is stated, because a larger object would hide the view's subject."""
+"""Replaces the largest relative diagonal of `_SIZES` if a capture stores a first view, because a larger object would
+hide the view's subject."""
 _OWN_SIZE = 0.25
-"""Relative diagonal to which objects of other sizes are scaled, so that the object does not fill the image."""
+"""Diagonal, relative to the captures', to which objects in other units are scaled, so that they do not fill the image.
+"""
 _CELLS_ACROSS = 6
-"""Cells of the ground across the wider side of an object."""
+"""Number of ground cells across the wider side of an object."""
 _REACH = 64
-"""Cells in each direction from the start that are searched for free space: ten times the object."""
+"""Number of cells that are searched for free space in each direction from the start: ten times the object's width."""
 _COVERED = 0.5
-"""Coverage of a cell at which it counts as covered, which is the median visible depth."""
+"""Coverage from which a cell counts as covered: at 0.5, the height that is found is the median visible depth."""
 _SPACINGS = 1.5
-"""Smallest cell size, in the spacing of the scene's points if they were spread evenly over the ground."""
+"""Smallest cell size, in mean distances between the scene's points, as if they were spread evenly over the ground."""
 _MESH_POINTS = 400_000
-"""Points on all meshes of a scene, at most a twentieth of them on one mesh."""
+"""Number of points sampled on all meshes of a scene, at most a twentieth of them on one mesh."""
 _OUTWARDS = 0.4
-"""Mean cosine between normals and directions from the centre above which a capture is an object; most have 0.5 or
-more."""
+"""Mean cosine between normals and directions from the centre above which a capture is an object and not a room; most
+objects have 0.5 or more."""
 _UPRIGHT = 0.2
-"""Smallest projected area of a mesh part on the ground, relative to its area, so that walls count, too."""
+"""Smallest area with which a mesh triangle covers the ground, relative to the triangle's area, so that walls, whose
+projected area is 0, still block cells."""
 _CLIMBS = 3
-"""Number of steps, each at most the height of the object, from the underside of a floor to its top."""
+"""Number of steps, each at most the height of the object, in which the ground rises from the underside of a thick
+floor to its top."""
 _LAYER = 0.1
-"""Fraction of an object's height above the lowest covered height that belongs to the ground, such as grass."""
+"""Thickness of the ground, in object heights: what lies less than this above the ground, such as grass, blocks
+nothing."""
 _BLOCKED = 0.05
-"""Mean coverage between the ground and the object's height up to which a position is free."""
+"""Largest mean coverage between the ground and the object's height at which a position counts as free."""
 _MARGIN = 0.25
-"""Free margin around an object, relative to its footprint, so that it stands beside furniture and not between its
-legs."""
+"""Free margin on each side of an object, relative to its footprint, so that it stands beside furniture and not between
+the furniture's legs."""
 _OPEN = 2.0
-"""Height above the ground, in object heights, that is preferably free where there is a ceiling: not under a table."""
+"""Preferably free height above the ground, in object heights, in a scene with a ceiling: an object should not stand
+under a table."""
 _ROOFED = 0.5
-"""Fraction of the ground with something above it, at any height, from which the scene has a ceiling."""
+"""Fraction of ground cells with an obstacle at any height above them, from which the scene counts as having a ceiling.
+"""
 _KNOWN = 0.75
-"""Smallest fraction of the footprint whose ground is captured."""
+"""Smallest fraction of an object's footprint in which the captures show ground."""
 _WIDE = 0.25
-"""Smallest area of a connected free region, relative to the largest one: the inside of a cupboard is free, too."""
+"""Smallest area of a connected free region, relative to the largest free region: it excludes the inside of cupboards.
+"""
 _FLOOR = 0.1
-"""Fraction of ground cells that may lie below the floor."""
+"""Fraction of ground cells that may lie below the floor: the floor height is this quantile of the ground's heights."""
 _RISE = 0.5
-"""Largest height of the ground above the floor, in object heights; higher surfaces hang over the ground."""
+"""Largest height of the ground above the floor, in object heights; higher surfaces do not count as ground."""
 _SCENE_OF_VIEW = 2.5
-"""Diagonal of a view's subject, in focus distances: surroundings such as a sky say nothing about its size."""
+"""Diagonal that a first view's subject is assumed to have, in focus distances of the view: the background, such as a
+sky, says nothing about the subject's size."""
 _BEFORE = 0.8
-"""Distance of an object in a view without a ground, relative to the focus distance."""
+"""Distance from the eye, in focus distances, of an object inserted into a first view that shows no ground."""
 _ASIDE_IN_VIEW = 0.12
 _LOW_IN_VIEW = 0.36
-"""Position of the object's foot in that view: offset to the right and down from the centre, in image widths and
-heights."""
+"""Offset of an inserted object's foot from the image centre if the first view shows no ground: `_ASIDE_IN_VIEW` image
+widths to the right, `_LOW_IN_VIEW` image heights down."""
 _ASIDE = 0.5
-"""Bonus of positions to the front and right, relative to their distance: the object is visible there and hides little.
+"""Bonus for positions to the front and right of the start, relative to their distance from it: an object there is
+visible and hides little.
 """
 
 
 def stand_on_ground(instance: _Placed, height: float = 0.0, *, up: str | npt.ArrayLike) -> _Placed:
     """Moves an instance vertically so that its lowest point is at a given height.
 
-    The lowest point of a capture ignores 2 % of its opacity, so that stray Gaussians below do not raise it.
+    The lowest point of a capture ignores 2 % of its opacity, so that stray Gaussians below do not raise the capture.
 
     Args:
         instance: Placed capture or mesh.
@@ -98,7 +109,7 @@ def stand_on_ground(instance: _Placed, height: float = 0.0, *, up: str | npt.Arr
         up: Up direction of the scene, an axis (``"y-down"``) or a direction: `Scene.up_direction`.
 
     Raises:
-        SceneError: It is no instance, or an argument is out of range.
+        SceneError: ``instance`` is neither a SplatInstance nor a MeshInstance, or an argument is out of range.
     """
     if not isinstance(cast(object, instance), SplatInstance | MeshInstance):
         raise SceneError(f"stand_on_ground takes a SplatInstance or a MeshInstance, got a {type(instance).__name__}")
@@ -120,28 +131,28 @@ def lowest(instance: SplatInstance | MeshInstance, up: str | npt.ArrayLike) -> f
 
 @dataclass(frozen=True)
 class Insertion:
-    """Placement of an object in captures."""
+    """Automatic placement of an object in captures."""
 
     world_from_asset: Doubles
-    """Similarity transform, shape (4, 4)."""
+    """Similarity transform from the object's file to world space, shape (4, 4)."""
     scale: float
     """Scale factor of the transform."""
     where: str
-    """Description of what the object stands on, or why it stands on nothing."""
+    """Phrase for messages on what the object stands on, or why there is no ground under it."""
     size: float = 1.0
-    """Its size in its file, as a share of the scene's."""
+    """Diagonal of the object in its file, relative to the scene's diagonal."""
     fits: bool = False
-    """Whether the scale was chosen so that it fits, as it is in other units than the scene."""
+    """True if the scale was chosen automatically, because object and scene seem to have different units."""
 
     @property
     def scaling(self) -> str:
-        """The scale and its reason as the end of a message; empty if the size is kept."""
+        """Automatic scale and its reason, as the end of a message; empty if the object keeps its size."""
         if not self.fits:
             return ""
         return f", scaled to fit, as its file makes it {self.size:.3g} times as large as the scene"
 
     def __str__(self) -> str:
-        """Returns the scene-file keys of the same placement."""
+        """Returns the keys of a scene file that place the object like this."""
         position = ", ".join(f"{value:.4g}" for value in self.world_from_asset[:3, 3])
         scale = f", scale = {self.scale:.4g}" if self.scale != 1.0 else ""
         return f"upright = true, position = [{position}]{scale}"
@@ -152,19 +163,19 @@ def insert(
 ) -> Scene:
     """Inserts a mesh into a scene of captures: upright, on the ground below it, in free space.
 
-    An asset with y up, like most files, or with its own scene's up direction, is rotated to `Scene.up_direction`. It
-    stays at its horizontal coordinates, unless the captures do not reach there or something stands there; then it is
-    moved aside. An asset with less than 2 % or more than 75 % of the captures' size is assumed to be in other units,
-    and is scaled to a quarter of their size. A log line reports the placement. In a scene without captures the asset
-    stays as it is.
+    An asset with y up, like most files, or with its own scene's up direction, is rotated to `Scene.up_direction`. The
+    asset stays at its horizontal coordinates, unless the captures do not reach there or an obstacle stands there; then
+    it is moved aside. An asset whose diagonal is below 2 % or above 75 % of the captures' is assumed to be in other
+    units, and is scaled to a quarter of the captures' diagonal. A log line reports the placement. In a scene without
+    captures the asset stays as it is.
 
     Args:
         scene: Scene that receives the asset.
-        asset: A mesh, or the scene of a file with several; its lights move along.
-        scale: Scale factor, above 0; None: 1, or as above.
+        asset: A mesh, or the scene of a file with several meshes; its lights move along.
+        scale: Scale factor, above 0; None: 1, or a quarter of the captures' size if the units seem to differ.
         front: Axis of the asset, in its y-up coordinates, that faces a viewer in front of the scene: ``"+z"`` (the
             default, as in glTF), ``"-z"``, ``"+x"`` or ``"-x"``.
-        name: Name for the log line; the asset's own by default.
+        name: Name of the asset in the log line; by default the name that the asset stores.
 
     Raises:
         SceneError: An argument is out of range.
@@ -198,13 +209,13 @@ def insertion(
     scale: float | None = None,
     front: str | None = None,
 ) -> Insertion:
-    """Finds the placement of objects in a scene, all together, as `insert` does.
+    """Finds the placement that `insert` gives to objects in a scene; the objects move together, as one.
 
     Args:
         scene: Scene with at least one capture.
         objects: At least one object, at the coordinates of its file.
-        objects_up: Up direction in that file; None: y.
-        scale: Scale factor; None: 1, or a factor that fits.
+        objects_up: Up direction in the objects' file; None: y.
+        scale: Scale factor; None: 1, or a quarter of the captures' size if the units seem to differ.
         front: Front axis, as in `insert`.
 
     Raises:
@@ -232,7 +243,7 @@ def insertion(
 
 
 def _points(asset: MeshInstance | SplatInstance) -> Doubles:
-    """Returns points that enclose an object, at the coordinates of its file, shape (N, 3)."""
+    """Returns points that enclose an object, at the coordinates of its file, shape (N, 3): vertices or box corners."""
     if isinstance(asset, MeshInstance):
         return transform_points(asset.transform, asset.mesh.positions[np.unique(asset.mesh.indices)])
     low, high = Scene(splats=(asset,)).bulk_bounds()
@@ -241,29 +252,29 @@ def _points(asset: MeshInstance | SplatInstance) -> Doubles:
 
 @dataclass(frozen=True)
 class _VisibleScene:
-    """Points and bounds of a scene, in coordinates with x to the right, y up, and z to the front."""
+    """Points and bounds of a scene in view coordinates: x to the right, y up, z to the front."""
 
     means: Doubles
-    """Means of Gaussians, and points on meshes, shape (N, 3)."""
+    """Means of Gaussians, and sample points on meshes, view coordinates, shape (N, 3)."""
     areas: Doubles
-    """Areas of their projections on the ground, times their opacities, shape (N,)."""
+    """Projected area on the ground times opacity of each Gaussian or sample point, shape (N,)."""
     solid: Flags
-    """True where the space below a point is filled, as on a closed mesh, shape (N,)."""
+    """True for points of solid objects such as closed meshes, which block the whole space below them, shape (N,)."""
     low: Doubles
-    """Lower corner of the bulk of the captures, or without any, of the meshes, shape (3,)."""
+    """Lower corner of the box around the bulk of the captures, shape (3,); without captures, around the meshes."""
     high: Doubles
     view: Camera | None
-    """First view of the captures, in these coordinates."""
+    """First view that a capture stores, in view coordinates; None if no capture stores one."""
 
     @property
     def size(self) -> float:
-        """Diagonal of the bulk, or of the first view's subject if that is less; above 0."""
+        """Diagonal of the box from ``low`` to ``high``, or of the first view's subject if that is less; above 0."""
         diagonal = max(float(np.linalg.norm(self.high - self.low)), 1e-12)
         return diagonal if self.view is None else min(diagonal, _SCENE_OF_VIEW * (self.view.focus_distance or np.inf))
 
     @classmethod
     def of(cls, scene: Scene, rotation: Doubles) -> _VisibleScene:
-        """Collects the points of a scene; ``rotation``, shape (3, 3), leads to these coordinates."""
+        """Collects the points of a scene; ``rotation``, shape (3, 3), takes world directions to view coordinates."""
         means: list[Doubles] = []
         areas: list[Doubles] = []
         ends: list[list[tuple[float, float]]] = []
@@ -300,7 +311,10 @@ class _VisibleScene:
 
 
 def _surface(instance: MeshInstance, count: int, rotation: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns points on a placed mesh, and their projected areas, of which upright parts have some, too."""
+    """Samples ``count`` points on a placed mesh; returns positions, shape (count, 3), and projected areas, (count,).
+
+    Upright triangles count with `_UPRIGHT` of their area. A mesh without area returns its vertices, with area 0.
+    """
     mesh = instance.mesh
     world = transform_points(instance.transform, mesh.positions) @ rotation.T
     corners = world[mesh.indices]
@@ -316,7 +330,7 @@ def _surface(instance: MeshInstance, count: int, rotation: Doubles) -> tuple[Dou
 
 
 def _faces_outwards(capture: SplatInstance) -> bool:
-    """Returns whether the normals of a capture point outwards, which means an object and not a room."""
+    """Returns whether a capture's normals point outwards on average: the capture is an object and not a room."""
     normals = capture.gaussians.normals
     if normals is None:
         return False
@@ -327,7 +341,7 @@ def _faces_outwards(capture: SplatInstance) -> bool:
 
 
 def _is_closed(mesh: Mesh) -> bool:
-    """Returns whether a mesh's triangles face outwards and enclose a tenth of its box: an object, not a room."""
+    """Returns whether a mesh's triangles face outwards and enclose a tenth of its bounding box, as an object's do."""
     positions = mesh.positions.astype(np.float64)
     corners = (positions - positions.mean(axis=0))[mesh.indices]
     x, y, z = (float(extent) for extent in np.ptp(positions, axis=0))
@@ -335,12 +349,12 @@ def _is_closed(mesh: Mesh) -> bool:
 
 
 def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tuple[Doubles, float, str]:
-    """Returns x and z of an object's centre, shape (2,), the height of its foot, and a description.
+    """Returns x and z of an inserted object's centre, shape (2,), the height of its foot, and `Insertion.where`.
 
     Args:
         visible: Points of the scene.
-        own: Position by the object's own coordinates, x and z, shape (2,).
-        size: Size of its box, shape (3,).
+        own: x and z of the centre at the object's unchanged coordinates, shape (2,).
+        size: Size of the object's bounding box, shape (3,).
     """
     low, high, footprint = visible.low[[0, 2]], visible.high[[0, 2]], size[[0, 2]]
     start = _start(visible, own)
@@ -381,7 +395,7 @@ def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tup
 
 
 def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
-    """Returns a foot position low in the first view, in front of its subject: x and z, shape (2,), and height."""
+    """Returns a foot position low in the first view, nearer than its subject: x and z, shape (2,), and height."""
     right, down, forward = view.camera_from_world[:3, :3]
     slope = forward + _ASIDE_IN_VIEW * view.width / view.fx * right + _LOW_IN_VIEW * view.height / view.fy * down
     foot = view.eye + _BEFORE * view.focus_distance * slope
@@ -389,7 +403,10 @@ def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
 
 
 def _start(visible: _VisibleScene, own: Doubles) -> Doubles:
-    """Returns where the search starts, x and z, (2,): the object's own position, unless it is not visible there."""
+    """Returns x and z, shape (2,), at which the search for a free position starts.
+
+    The start is the object's unchanged position, or a point ahead in the first view if the object is not visible there.
+    """
     middle = 0.5 * (visible.low + visible.high)
     inside = bool(((visible.low[[0, 2]] <= own) & (own <= visible.high[[0, 2]])).all())
     if visible.view is None:
@@ -403,9 +420,14 @@ def _start(visible: _VisibleScene, own: Doubles) -> Doubles:
 
 
 def _in_view(visible: _VisibleScene, positions: Doubles, heights: Doubles) -> Flags:
-    """Returns which positions, x and z, shape (..., 2), at given heights lie well inside the first view.
+    """Returns which positions lie well inside the first view, shape (...).
 
-    Positions far behind the view's subject count as hidden. Without a first view, all positions count.
+    Positions far behind the view's subject count as hidden. Without a first view, all positions count as visible.
+
+    Args:
+        visible: Points of the scene.
+        positions: x and z, shape (..., 2).
+        heights: Heights of the positions, shape (...).
     """
     if visible.view is None:
         return np.ones(positions.shape[:-1], bool)
@@ -420,20 +442,21 @@ def _in_view(visible: _VisibleScene, positions: Doubles, heights: Doubles) -> Fl
 def _ground(
     visible: _VisibleScene, corner: Doubles, cell: float, height: float
 ) -> tuple[Doubles, Callable[[float], Doubles]]:
-    """Finds the ground of square cells, and the obstacles on it.
+    """Finds the height of the ground in square cells, and the obstacles on the ground.
 
-    The ground of a cell begins at the lowest Gaussians that cover half of it from below, and ends at those that cover
-    half of it from above. Hidden Gaussians and grass lie between the two.
+    The ground of a cell begins at the lowest Gaussians that cover half of the cell seen from below, and ends at the
+    highest ones that cover half of it seen from above, within a thin layer. Hidden Gaussians and grass lie between the
+    two.
 
     Args:
         visible: Points of the scene.
         corner: x and z of the first cell's corner, shape (2,).
-        cell: Edge of a cell.
+        cell: Side length of a cell.
         height: Height of the object that is to stand there.
 
     Returns:
-        Ground heights, NaN where there is no ground, shape (C, C) with C = 2 `_REACH` + 1; and a function from a height
-        above the ground to the coverage up to that height, 0..1, same shape.
+        Ground heights, NaN where there is no ground, shape (C, C) with C = 2 `_REACH` + 1; and a function that returns
+        the coverage of each cell by obstacles up to a given height above the ground, 0..1, shape (C, C).
     """
     count = 2 * _REACH + 1
     rows = np.floor((visible.means[:, [0, 2]] - corner) / cell).astype(np.int64)
@@ -472,7 +495,7 @@ def _ground(
 
 
 def _wide(free: Flags) -> Flags:
-    """Returns the connected regions of free cells with at least a quarter of the largest one's area."""
+    """Returns a mask of the connected free regions that have at least `_WIDE` of the largest region's area."""
     label = np.where(free, np.arange(1, free.size + 1).reshape(free.shape), 0)
     while True:
         around = np.pad(label, 1)
@@ -487,7 +510,13 @@ def _wide(free: Flags) -> Flags:
 
 
 def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:
-    """Returns for each cell the row at which its coverage reaches `_COVERED`, or -1; rows must be grouped by cell."""
+    """Returns for each cell the first point at which the cell's coverage reaches `_COVERED`, or -1 if it never does.
+
+    Args:
+        number: Cell of each point; points must be grouped by cell.
+        covers: Coverage that each point adds.
+        count: Number of cells.
+    """
     sums = np.cumsum(covers)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     before = np.repeat((sums - covers)[starts], np.diff(starts, append=number.size))
@@ -498,7 +527,7 @@ def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:
 
 
 def _box_mean(values: Doubles, half: Rows) -> Doubles:
-    """Returns means over boxes of 2 ``half`` + 1 cells around each cell; cells outside count as 0."""
+    """Returns the mean of ``values`` over 2 ``half`` + 1 cells per axis around each cell; cells outside count as 0."""
     rows, columns = (int(number) for number in half)
     padded = np.pad(values, ((rows + 1, rows), (columns + 1, columns)))
     sums = padded.cumsum(axis=0).cumsum(axis=1)

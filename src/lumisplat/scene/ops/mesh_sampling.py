@@ -1,6 +1,6 @@
 """Conversion of meshes to Gaussians: flat discs over their surface, so that an object exists in both forms.
 
-Discs are aligned with creases, and grow until no hole is left. Several meshes share the count by area.
+Discs are aligned with creases, and grow until no hole is left. Several meshes share the number of discs by area.
 """
 
 from __future__ import annotations
@@ -42,35 +42,39 @@ from lumisplat.scene.scene import MeshInstance, Scene
 # Lengths are in spacings: the square root of the area per Gaussian.
 
 SAMPLING_COUNT_MAX = 50_000_000
-"""Largest number of Gaussians: candidates and pairs take about 1 KB each, which makes 50 GB and a quarter of an hour.
+"""Largest number of Gaussians: candidates and pairs take about 1 KB per Gaussian, which makes 50 GB and a quarter of
+an hour.
 """
 
 SAMPLING_CANDIDATES_PER_GAUSSIAN = 4.0
-"""Candidate points per Gaussian: Poisson-disk elimination needs several times as many as it selects."""
+"""Candidate points per Gaussian: Poisson-disk elimination needs several times as many candidates as it selects."""
 
 SAMPLING_SEARCH_SPACINGS = 0.86
-"""First radius of the elimination, which shrinks until the count is reached; the densest packing of discs has 1.07."""
+"""First radius of the Poisson-disk elimination, in spacings between Gaussians; the radius shrinks until enough points
+are selected. The densest packing of discs has 1.07."""
 
 SAMPLING_OPACITY = 0.995
-"""Opacity of the discs: above ALPHA_MAX, so that their centres are as opaque as a Gaussian can be."""
+"""Opacity of the discs: above ALPHA_MAX, so that a disc's centre is as opaque as rendering allows."""
 
 SAMPLING_THICKNESS = 0.05
-"""Scale along the normal, relative to the smaller wide scale: thin enough to separate layers (docs/adr/0088)."""
+"""Scale of a disc along its normal, relative to its smaller in-plane scale: thin enough to separate layers
+(docs/adr/0088)."""
 
 SAMPLING_FIRST_SCALE = 0.7
-"""Initial wide scales, which grow only where there are holes."""
+"""In-plane scale of the discs before growth, in spacings between Gaussians; discs grow only where there are holes."""
 
 SAMPLING_GROWTH = 1.08
-"""Factor by which a disc grows in a step."""
+"""Factor by which a disc grows in one step."""
 
 SAMPLING_GROWTH_STEPS = 8
-"""Largest number of steps: 1.08^8 = 1.85 times the first scale."""
+"""Largest number of growth steps: 1.08^8 = 1.85 times the first scale."""
 
 SAMPLING_GROWTH_REACH = 0.5
-"""Difference of exponents up to which a disc grows together with the nearest disc, so that none grows alone."""
+"""Discs whose Gaussian exponent at an uncovered point is at most this above the nearest disc's grow too, so that no
+disc grows alone."""
 
 SAMPLING_COVERED_ALPHA = 0.95
-"""Alpha from which a candidate point counts as covered."""
+"""Smallest alpha at which a candidate point counts as covered."""
 
 SAMPLING_FACING_COSINE = -0.5
 """Cosine between normals below which neighbours lie on the two sides of a thin wall."""
@@ -79,21 +83,22 @@ SAMPLING_AXIS_COSINE = 0.97
 """Cosine between shading and geometric normal (14 degrees) below which discs are aligned with the face."""
 
 SAMPLING_EDGE_BAND = 0.2
-"""Distance from a crease within which the surface need not be covered, because discs would reach over the crease."""
+"""Distance from a crease, in spacings between Gaussians, within which points need not be covered, because covering
+discs would reach over the crease."""
 
 SAMPLING_EDGE_ROW = 0.45
-"""Scale that a disc next to a crease may always have."""
+"""Smallest limit of a disc's scale across a crease, in spacings between Gaussians, however near the crease is."""
 
 SAMPLING_CREASE_POINTS_PER_GAUSSIAN = 50
-"""Largest number of crease points per Gaussian. Compact objects need fewer than ten; slivers, all edge and no area,
-would need any number."""
+"""Largest number of crease points per Gaussian. Compact objects need fewer than ten; thin slivers, with long edges and
+little area, would need any number."""
 
 _Floats = npt.NDArray[np.floating]
 _Indices = npt.NDArray[np.integer]
 
 
 def _shading_normals(mesh: Mesh, points: SurfacePoints, face_normals: _Floats) -> _Floats:
-    """Interpolates vertex normals at points, shape (N, 3); face normals if the mesh has no vertex normals."""
+    """Interpolates vertex normals at N points, shape (N, 3); returns face normals if the mesh has no vertex normals."""
     flat = face_normals[points.faces]
     if mesh.normals is None:
         return flat
@@ -103,13 +108,13 @@ def _shading_normals(mesh: Mesh, points: SurfacePoints, face_normals: _Floats) -
 
 
 def _thin_axes(smooth: _Floats, flat: _Floats) -> _Floats:
-    """Returns shading normals, or face normals where the two differ so much that discs would stick out."""
+    """Returns the discs' normals: shading normals, or face normals where both differ beyond `SAMPLING_AXIS_COSINE`."""
     agree = np.abs(np.einsum("ij,ij->i", smooth, flat)) > SAMPLING_AXIS_COSINE
     return np.where(agree[:, None], smooth, flat)
 
 
 def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Returns each Gaussian's axes (across the nearest crease, along it, normal) as columns, shape (N, 3, 3)."""
+    """Returns the axes of N Gaussians as matrix columns: across the nearest crease, along it, normal; (N, 3, 3)."""
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     if creases.positions.size:
         near = cross_pairs(positions, creases.positions, 2.5 * spacing)
@@ -125,7 +130,7 @@ def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spac
 
 
 def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Returns the largest wide scales before a Gaussian reaches far over a crease, shape (N, 2)."""
+    """Returns the largest in-plane scales at which N Gaussians do not reach far over a crease, shape (N, 2)."""
     limits = np.full((positions.shape[0], 2), np.inf)
     if not creases.positions.size:
         return limits
@@ -152,17 +157,17 @@ def _grow_scales(
     limits: _Floats,
     spacing: float,
 ) -> _Floats:
-    """Returns the smallest wide scales with which the discs cover all inner candidates, shape (N, 2).
+    """Returns the smallest in-plane scales with which N discs cover all inner candidates, shape (N, 2).
 
     Discs start small and round. Where a candidate is not yet opaque, the discs that cover most of it grow by a step.
 
     Args:
-        candidates: Points on the surface, shape (M, 3).
+        candidates: M points on the surface, shape (M, 3).
         inner: Candidates that must be covered: those not next to a crease, shape (M,).
-        chosen: Candidates that are the centres of the Gaussians, shape (N,).
+        chosen: Indices of the candidates that are the centres of the N Gaussians, shape (N,).
         pairs: Neighbours among the candidates.
         axes: Axes of each Gaussian as columns, shape (N, 3, 3).
-        limits: Largest scales, shape (N, 2).
+        limits: Largest in-plane scales, shape (N, 2).
         spacing: Distance between neighbouring Gaussians.
     """
     point, gaussian = _covering_pairs(pairs, chosen, inner)
@@ -184,7 +189,11 @@ def _grow_scales(
 
 
 def _covering_pairs(pairs: Pairs, chosen: _Indices, inner: npt.NDArray[np.bool_]) -> tuple[_Indices, _Indices]:
-    """Returns pairs of an inner candidate that is no centre and the index of a Gaussian near it."""
+    """Pairs inner candidates that are no centre with the Gaussians near them.
+
+    Returns:
+        Index of the candidate and index of the Gaussian of each pair.
+    """
     is_centre = np.zeros(inner.size, dtype=bool)
     is_centre[chosen] = True
     gaussian_of = np.zeros(inner.size, dtype=np.int32)
@@ -202,11 +211,11 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     surface normal. The wide axes grow from the local spacing until no hole is left, and shrink towards creases and open
     edges, over which they reach by a fraction of the spacing. Colour is the unlit base colour (material times vertex
     colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are averaged over about half
-    a spacing, because discs blur by themselves (mip pyramid, Williams 1983); their alpha is ignored.
+    a spacing, because discs blur by themselves (mip pyramid, Williams 1983); the textures' alpha is ignored.
 
-    Discs touch the surface at their centres, so that silhouettes of curved meshes reach beyond it: ray traced, a ball
-    of 2,000 Gaussians covers 5.8 % more than the mesh, one of 20,000 0.8 %. Rasterised silhouettes reach up to a pixel
-    further, because the rasteriser filters each disc by the pixel.
+    Discs touch the surface at their centres, so that silhouettes of curved meshes reach beyond the mesh: ray traced, a
+    ball of 2,000 Gaussians covers 5.8 % more than the mesh, one of 20,000 0.8 %. Rasterised silhouettes reach up to a
+    pixel further, because the rasteriser filters each disc by the pixel.
 
     Args:
         mesh: Triangles in object space.
@@ -217,7 +226,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     Returns:
         Gaussians in the mesh's object space, with ``normals`` (interpolated shading normals if the mesh has them),
         ``albedo`` (linear) and, from a `MaterialPbr`, ``roughness`` and ``metallic``. They are ``antialiased``, so that
-        cameras do not dilate them, which no trainer has compensated for here.
+        the renderer does not dilate them: unlike trained captures, they are not trained to compensate for the dilation.
 
     Raises:
         SceneError: ``mesh`` is not a mesh, or ``count`` is not a whole number from 1 to 50,000,000.
@@ -226,17 +235,17 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
 
 class SurfaceSamples(NamedTuple):
-    """N Gaussians of a mesh, and the positions of their centres on it."""
+    """N Gaussians on a mesh, and the positions of their centres on its triangles."""
 
     gaussians: Gaussians
     faces: npt.NDArray[np.integer]
-    """Triangle of each Gaussian, shape (N,)."""
+    """Index of the triangle on which each Gaussian lies, shape (N,)."""
     weights: npt.NDArray[np.float64]
     """Barycentric coordinates of each centre in its triangle, shape (N, 3)."""
 
 
 def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> SurfaceSamples:
-    """Covers a mesh with Gaussians as `gaussians_from_mesh` does, and returns the triangles that they lie on."""
+    """Covers a mesh with Gaussians as `gaussians_from_mesh` does, and returns the triangle of each Gaussian, too."""
     hints: dict[type, str] = {Scene: ": give scene.meshes[0].mesh, for example", MeshInstance: ": give its .mesh"}
     check_argument("gaussians_from_mesh", mesh, Mesh, "a Mesh", hints.get(type(mesh), ""))
     areas, face_normals = face_areas_and_normals(mesh)
@@ -267,7 +276,7 @@ def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> Surfa
 def _opaque_discs(
     material: Material, positions: _Floats, axes: _Floats, wide: _Floats, *, normals: _Floats, albedo: _Floats
 ) -> Gaussians:
-    """Makes Gaussians with wide scales ``wide``, shape (N, 2), and the properties of a material."""
+    """Makes disc Gaussians with in-plane scales ``wide``, shape (N, 2), and a material's roughness and metalness."""
     count = len(positions)
     is_pbr = isinstance(material, MaterialPbr)
     thin = SAMPLING_THICKNESS * wide.min(axis=1, keepdims=True)
@@ -286,7 +295,7 @@ def _opaque_discs(
 
 
 def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Returns the distance to the nearest crease where it is below half a spacing, otherwise inf, shape (M,)."""
+    """Returns the distance of M points to the nearest crease, shape (M,); inf from half a spacing on."""
     distance = np.full(positions.shape[0], np.inf)
     if creases.positions.size:
         near = cross_pairs(positions, creases.positions, 0.5 * spacing)
@@ -295,7 +304,7 @@ def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) 
 
 
 def _same_side(pairs: Pairs, normals: _Floats) -> Pairs:
-    """Removes pairs across a thin wall, so that its two sides are sampled independently."""
+    """Removes pairs whose points lie on the two sides of a thin wall, so that the sides are sampled independently."""
     cosines = np.einsum("ij,ij->i", normals[pairs.first], normals[pairs.second])
     return pairs.where(cosines > SAMPLING_FACING_COSINE)
 
@@ -304,9 +313,9 @@ def sample_surfaces(meshes: Sequence[Mesh], count: int | None = None, seed: int 
     """Covers several meshes with Gaussians, ``count`` in total.
 
     Args:
-        meshes: At least one mesh, all in the same space.
-        count: At least one for each mesh; None: so many that neighbours are 1/300 of the diagonal of the common
-            bounding box apart, from 1,000 to 1,000,000.
+        meshes: At least one mesh, all in one common space.
+        count: Number of Gaussians of all meshes, at least one per mesh; None: so many that neighbours are 1/300 of the
+            diagonal of the common bounding box apart, from 1,000 to 1,000,000.
         seed: Seed of the random order.
 
     Raises:

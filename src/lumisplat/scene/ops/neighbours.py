@@ -17,23 +17,23 @@ _Floats = npt.NDArray[np.floating]
 
 
 def sort_morton(gaussians: Gaussians) -> Gaussians:
-    """Sorts a capture along a Morton curve (Morton 1966), which improves compression.
+    """Sorts a capture along a Morton curve (Morton 1966), which makes the capture's file compress better.
 
     Args:
         gaussians: Capture.
 
     Returns:
-        The same Gaussians in another order. Frames are the same, except for Gaussians of exactly equal depth.
+        The same Gaussians in another order. Frames are the same, except where Gaussians have exactly equal depth.
     """
     check_argument("sort_morton", gaussians, Gaussians, "Gaussians")
     return gaussians.subset(morton_order(gaussians.means))
 
 
 def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
-    """Returns indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells per axis.
+    """Returns indices that sort N points, shape (N, 3), along a Morton curve with 2^21 cells per axis.
 
-    A thousandth of the points at each end of an axis is clamped, so that one outlier cannot put all others into one
-    cell.
+    A thousandth of the points at each end of an axis is clamped, so that one outlier cannot put all other points into
+    one cell.
     """
     low, high = np.quantile(positions.astype(np.float64), (0.001, 0.999), axis=0)
     extent = np.maximum(high - low, np.finfo(np.float32).tiny)
@@ -42,7 +42,7 @@ def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
 
 
 def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
-    """Returns the Morton codes, shape (N,), of points in the unit cube, shape (3, N)."""
+    """Returns the Morton codes of N points in the unit cube, given by axis, shape (3, N); the result has shape (N,)."""
     code = np.zeros(shares.shape[1], dtype=np.uint64)
     for axis in range(3):
         bits = (shares[axis] * (2**21 - 1)).astype(np.uint64)
@@ -60,40 +60,41 @@ def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
 
 
 SAMPLING_RADIUS_STEP = 0.97
-"""Factor by which the radius shrinks while too few points are selected."""
+"""Factor by which the Poisson-disk radius shrinks while too few points are selected."""
 
 SAMPLING_RADIUS_STEPS_MAX = 100
-"""Largest number of steps, to a twentieth of the radius: closer points coincide, and fill up the number."""
+"""Largest number of steps in which the Poisson-disk radius shrinks, to a twentieth. Points still closer count as
+coincident, and are selected by priority until the wanted number is reached."""
 
 _Indices = npt.NDArray[np.integer]
 
 _CELL_BITS = 21
 _CELL_MASK = (1 << _CELL_BITS) - 1
 _CELL_MAX = 2.0**40
-"""Largest cell coordinate: all points farther out share the last cell."""
+"""Largest cell coordinate: all points farther from zero share the last cell."""
 
 _MARGIN = 1.0 + 1e-6
 """Factor by which SciPy's float64 search radius grows, because distances are then compared in float32."""
 
 
 _ROUNDS = 4
-"""Radii that are tried after the first one."""
+"""Number of radii that `pairs_of_about` tries after the first one."""
 
 
 class Pairs(NamedTuple):
-    """Neighbours closer than some radius: entry k pairs point ``first[k]`` with point ``second[k]``."""
+    """Pairs of points closer than a radius: entry k pairs point ``first[k]`` with point ``second[k]``."""
 
     first: _Indices
     second: _Indices
     distance: FloatArray
 
     def where(self, rows: npt.NDArray[np.bool_]) -> Pairs:
-        """Returns the pairs that a mask selects."""
+        """Returns the pairs that the mask ``rows`` selects."""
         return Pairs(self.first[rows], self.second[rows], self.distance[rows])
 
 
 def cell_order(points: npt.NDArray[np.floating], size: float) -> _Indices:
-    """Returns the order that sorts points into cubic cells of side ``size``, so that neighbours are close in memory."""
+    """Returns indices that sort points by cubic cells of side ``size``, so that neighbours are close in memory."""
     with np.errstate(over="ignore"):
         cells = np.floor(np.asarray(points, dtype=np.float32) / np.float32(size))
     x, y, z = (np.clip(cells, -_CELL_MAX, _CELL_MAX).astype(np.int64) & _CELL_MASK).T
@@ -101,10 +102,10 @@ def cell_order(points: npt.NDArray[np.floating], size: float) -> _Indices:
 
 
 def neighbour_pairs(points: npt.NDArray[np.floating], radius: float) -> Pairs:
-    """Returns all pairs of points closer than ``radius``, each once.
+    """Returns all pairs of points closer than ``radius``, each pair once.
 
     Args:
-        points: Shape (M, 3).
+        points: M points, shape (M, 3).
         radius: Search distance, > 0, in the points' unit.
     """
     points = np.asarray(points, np.float32)
@@ -113,11 +114,11 @@ def neighbour_pairs(points: npt.NDArray[np.floating], radius: float) -> Pairs:
 
 
 def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floating], radius: float) -> Pairs:
-    """Returns all pairs of a point (``first``) and one of ``others`` (``second``) closer than ``radius``.
+    """Returns all pairs of a point of ``points`` (``first``) and a point of ``others`` (``second``) within ``radius``.
 
     Args:
-        points: Shape (M, 3).
-        others: Shape (C, 3).
+        points: M points, shape (M, 3).
+        others: C points, shape (C, 3).
         radius: Search distance, > 0, in the points' unit.
     """
     points, others = np.asarray(points, np.float32), np.asarray(others, np.float32)
@@ -126,7 +127,7 @@ def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floatin
 
 
 def _closer(points: FloatArray, others: FloatArray, first: _Indices, second: _Indices, radius: float) -> Pairs:
-    """Returns the pairs whose distance in float32 is below the radius, in the order of their indices."""
+    """Returns the pairs whose float32 distance is below the radius, sorted by their two indices."""
     order = np.lexsort((second, first))
     first, second = first[order], second[order]
     step = points[first] - others[second]
@@ -139,9 +140,9 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
     """Selects ``count`` of M points by Poisson-disk elimination; returns their indices.
 
     Points are visited by priority, in parallel: a point is selected if no undecided or selected point with a higher
-    priority is within the radius. When no more points fit, the radius shrinks a little and the others are tried again
-    (dart throwing in the order of McCool and Fiume 1992, in parallel by Luby's independent-set rule). Every other point
-    is closer to a selected one than the final radius, up to one shrinking step.
+    priority is within the radius. When no more points fit, the radius shrinks a little and the remaining points are
+    tried again (dart throwing in the order of McCool and Fiume 1992, in parallel by Luby's independent-set rule). In
+    the end every unselected point is closer to a selected one than the final radius, up to one shrinking step.
 
     Args:
         pairs: All neighbours closer than ``radius``.
@@ -169,14 +170,14 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
 
 
 def _fill_up(selected: npt.NDArray[np.bool_], more: npt.NDArray[np.bool_], priority: _Indices, count: int) -> _Indices:
-    """Returns the selected points and the first of ``more`` by priority, ``count`` in total, sorted."""
+    """Adds points of ``more`` by priority to the selected ones until there are ``count``; returns sorted indices."""
     rows = np.flatnonzero(more)
     rows = rows[np.argsort(priority[rows])][: count - np.count_nonzero(selected)]
     return np.sort(np.concatenate([np.flatnonzero(selected), rows]))
 
 
 def _select_maximal(pairs: Pairs, selected: npt.NDArray[np.bool_]) -> None:
-    """Selects points until every point is selected or paired with a selected one."""
+    """Marks points in ``selected`` until every point is selected or paired with a selected one."""
     first, second, _ = pairs
     undecided = ~selected
     undecided[second[selected[first]]] = False
@@ -194,14 +195,14 @@ def _select_maximal(pairs: Pairs, selected: npt.NDArray[np.bool_]) -> None:
 def pairs_of_about(
     count: int, points: npt.NDArray[np.floating], pairs_within: Callable[[float], Pairs]
 ) -> tuple[Pairs, float]:
-    """Returns pairs of points within a radius at which the median point has about ``count`` others, and the radius.
+    """Returns pairs within a radius at which the median point has about ``count`` neighbours, and the radius.
 
-    On a surface the number grows with the square of the radius, which corrects the first guess.
+    On a surface the number of neighbours grows with the square of the radius, which corrects the first guess.
 
     Args:
-        count: Wanted number of pairs of a point.
-        points: Shape (N, 3).
-        pairs_within: Returns the pairs closer than a radius, each in both orders.
+        count: Wanted number of neighbours of a point.
+        points: N points, shape (N, 3).
+        pairs_within: Returns the pairs closer than a radius, each pair in both orders.
     """
     low, high = np.quantile(points, [0.25, 0.75], axis=0)
     radius = max(float(np.linalg.norm(high - low)) * np.sqrt(count / len(points)), 1e-9)

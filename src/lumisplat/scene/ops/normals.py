@@ -1,4 +1,4 @@
-"""Normals: outward ones of Gaussians (docs/method/relighting.md#normals), and smooth ones of meshes.
+"""Normals: outward normals of Gaussians (docs/method/relighting.md#normals), and smooth normals of meshes.
 
 The normal of a Gaussian is its shortest axis. Its outward side is found on a voxel grid, from the free space connected
 to the outside. Normals of meshes are smooth across blunt edges and broken at sharp ones.
@@ -28,72 +28,79 @@ from lumisplat.scene.mesh import Mesh, area_vectors
 from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, pairs_of_about
 
 NORMAL_NEIGHBOURS = 24
-"""Median number of neighbours for fitting a Gaussian's tangent plane: over two rings on a surface."""
+"""Median number of neighbours from which a Gaussian's tangent plane is fitted: over two rings on a surface."""
 
 NORMAL_NEIGHBOURS_PER_CELL = 16
-"""Largest number of neighbours in a cube of the search radius, twice as many as a surface has there: in dense clusters
-all would otherwise be paired with all."""
+"""Largest number of neighbours taken from a cube with the search radius as side, twice as many as a surface has there:
+in dense clusters every Gaussian would otherwise be paired with every other."""
 
 NORMAL_NEIGHBOURS_MIN = 4
 """Smallest number of neighbours that determine a plane."""
 
 OUTSIDE_CELLS = 1_500_000
-"""Largest number of voxels for finding the outside: about a centimetre for a person; half a second."""
+"""Largest number of voxels for finding the outside: a voxel is about a centimetre for a person, and the search takes
+half a second."""
 
 OUTSIDE_OPACITY_MIN = 0.1
 """Smallest opacity of a Gaussian that counts as solid: haze around an object must not enclose it."""
 
 OUTSIDE_REACH = 1.5
-"""Radius of a Gaussian's solid disc, in its scales: neighbours on a surface meet there."""
+"""Radius of the disc that a Gaussian fills as solid, in its scales: discs of neighbours on a surface touch at this
+radius."""
 
 OUTSIDE_STEPS_MAX = 12
-"""Largest number of cells from a disc's centre to its rim: it bounds the time of a few huge Gaussians, which may leak.
+"""Largest number of sample points from a disc's centre to its rim. It bounds the time for a few huge Gaussians, whose
+discs may then have holes.
 """
 
 OUTSIDE_CONNECTED = 0.25
-"""Weight of a cell's connection to the outside, around corners; the rest is the weight of its open directions."""
+"""Weight, in a cell's openness, of being connected to the outside around corners; the rest is the weight of the
+fraction of directions that are free in a straight line."""
 
 OUTSIDE_CONTRAST = 0.1
-"""Difference of openness from which one side counts as outside: two or three of 26 directions."""
+"""Difference of openness from which the more open side of a Gaussian counts as outside: two or three of 26 directions.
+"""
 
 WELD_SHARE = 1e-6
 """Distance relative to a mesh's diagonal below which vertices are welded for smoothing: text files round to six
 digits."""
 
 _BORDER = 2
-"""Free cells around the set: they are outside, and keep the blur off the grid's edge."""
+"""Width of the border of free cells around the Gaussians: its cells are outside, and the blur does not reach the
+grid's edge."""
 
 
 def shortest_axes(gaussians: Gaussians) -> Doubles:
-    """Returns each Gaussian's shortest axis, unit, either sign, shape (N, 3); for a round Gaussian, its first axis."""
+    """Returns the unit shortest axis of N Gaussians, of either sign, shape (N, 3); for a round one, its first axis."""
     return _ranked_axes(gaussians)[..., 0]
 
 
 def _wide_axes(gaussians: Gaussians) -> tuple[Doubles, Doubles]:
-    """Returns the two longer axes times their scales, the shorter one first, shape (N, 3) each."""
+    """Returns the two longer axes of N Gaussians times their scales, the shorter one first, shape (N, 3) each."""
     axes, scales = _ranked_axes(gaussians), np.sort(gaussians.scales, axis=1)
     return axes[..., 1] * scales[:, 1:2], axes[..., 2] * scales[:, 2:]
 
 
 def _ranked_axes(gaussians: Gaussians) -> Doubles:
-    """Returns unit axes as columns in order of increasing scale, shape (N, 3, 3)."""
+    """Returns the unit axes of N Gaussians as matrix columns in order of increasing scale, shape (N, 3, 3)."""
     axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))
     order = np.argsort(gaussians.scales, axis=1, kind="stable")
     return np.take_along_axis(axes, order[:, None, :], axis=2)
 
 
 class OpennessGrid(NamedTuple):
-    """Voxel grid of how open the space around each cell is towards the outside."""
+    """Voxel grid that stores how open the space around each cell is towards the outside."""
 
     openness: FloatArray
-    """0 (solid or enclosed) to 1, blurred by about a cell, shape (X, Y, Z)."""
+    """Openness of each cell, 0 (solid or enclosed) to 1, blurred by about a cell, shape (X, Y, Z) for cells along x,
+    y, z."""
     corner: Doubles
     """Lower corner of cell (0, 0, 0), shape (3,)."""
     cell: float
     """Side of a cell, scene units."""
 
     def at(self, points: Doubles) -> FloatArray:
-        """Returns the openness at points, shape (N, 3); 1 outside the grid."""
+        """Returns the openness at N points, shape (N, 3); 1 outside the grid."""
         cells = np.floor((points - self.corner) / self.cell)
         inside = np.all((cells >= 0) & (cells < np.array(self.openness.shape)), axis=1)
         x, y, z = np.where(inside[:, None], cells, 0.0).astype(np.int64).T
@@ -101,7 +108,7 @@ class OpennessGrid(NamedTuple):
 
 
 def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> FloatArray:
-    """Returns +1 where a Gaussian's axis points outwards, otherwise -1, shape (N,).
+    """Returns +1 for each Gaussian whose axis points outwards, otherwise -1, shape (N,).
 
     Gaussians are voxelised as solid; free cells connected to the edge of the grid are outside. The openness on both
     sides of a Gaussian is compared along its axis at distances of one cell, two, four and so on, until one side is
@@ -109,7 +116,7 @@ def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> Floa
     Where both sides stay equal, as for a single sheet, the axes are turned to one common side.
 
     Args:
-        gaussians: Gaussians.
+        gaussians: N Gaussians.
         axes: Unit vectors in object space, shape (N, 3).
     """
     grid = _openness_grid(gaussians)
@@ -129,14 +136,14 @@ def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> Floa
 
 
 def agreeing_signs(axes: Doubles) -> Doubles:
-    """Returns signs, (M,), that turn axes, shape (M, 3), to one side of the plane perpendicular to most of them."""
+    """Returns signs, shape (M,), that turn M axes, shape (M, 3), to one side of the plane most axes are normal to."""
     common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
     common *= np.sign(common[np.abs(common).argmax()])
     return np.where(axes @ common < 0.0, -1.0, 1.0)
 
 
 def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
-    """Voxelises a set, and computes how open each cell is towards the outside."""
+    """Voxelises the Gaussians, and computes how open each cell is towards the outside."""
     wide = _wide_axes(gaussians)
     means = gaussians.means.astype(np.float64)
     opaque = gaussians.opacities >= OUTSIDE_OPACITY_MIN
@@ -164,7 +171,14 @@ def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
 
 
 def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int) -> Iterator[Doubles]:
-    """Yields points on the discs of M Gaussians, one per disc at a time, (M, 3), ``count`` steps to the rim."""
+    """Yields points that fill the discs of M Gaussians: one point per disc at a time, shape (M, 3).
+
+    Args:
+        means: Centres of the discs, shape (M, 3).
+        first: First semi-axis of each disc, shape (M, 3).
+        second: Second semi-axis of each disc, shape (M, 3).
+        count: Number of points from a disc's centre to its rim.
+    """
     offsets = np.arange(-count, count + 1) * (OUTSIDE_REACH / count)
     for a in offsets:
         for b in offsets[np.hypot(offsets, a) <= OUTSIDE_REACH * 1.01]:
@@ -172,14 +186,14 @@ def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int
 
 
 def _bounds_without_strays(points: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns the corners of a box around all points except outliers far outside the quantiles."""
+    """Returns the corners of a box around all points except those far outside the outer quantiles."""
     low, high = np.quantile(points, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
     margin = 0.5 * (high - low)
     return np.maximum(points.min(axis=0), low - margin), np.minimum(points.max(axis=0), high + margin)
 
 
 def _open_directions(free: Flags) -> FloatArray:
-    """Returns the fraction of a cell's 26 neighbour directions without a solid cell up to the grid's edge.
+    """Returns, per cell, the fraction of the 26 neighbour directions without a solid cell up to the grid's edge.
 
     For each direction, the grid is swept slice by slice: a cell is open if it is free and the next cell in that
     direction is open.
@@ -201,20 +215,20 @@ def _open_directions(free: Flags) -> FloatArray:
 
 
 def _shift(flags: Flags, u: int, v: int) -> Flags:
-    """Shifts a slice by -1, 0 or 1 cells along its axes; cells that enter at the edge are true."""
+    """Shifts a slice of flags by -1, 0 or 1 cells along its two axes; cells that enter at the edge are true."""
     rows, columns = flags.shape
     padded = np.pad(flags, 1, constant_values=True)
     return padded[1 - u : 1 - u + rows, 1 - v : 1 - v + columns]
 
 
 def _outside(solid: Flags) -> Flags:
-    """Returns which free cells are connected to the first cell through faces of free cells."""
+    """Returns a mask of the free cells that are connected to the first cell through faces of free cells."""
     labels, _ = ndimage.label(~solid)
     return labels == labels[0, 0, 0]
 
 
 def _blur(values: FloatArray, axis: int) -> FloatArray:
-    """Blurs with weights 1/4, 1/2, 1/4 along an axis; edge cells extend outwards."""
+    """Blurs values with weights 1/4, 1/2, 1/4 along an axis; the grid's edge cells are repeated outwards."""
     padded = np.pad(values, [(1, 1) if dim == axis else (0, 0) for dim in range(3)], mode="edge")
     lower, upper = (np.take(padded, np.arange(int(values.shape[axis])) + shift, axis=axis) for shift in (0, 2))
     blurred = np.float32(0.5) * values + np.float32(0.25) * (lower + upper)
@@ -224,22 +238,22 @@ def _blur(values: FloatArray, axis: int) -> FloatArray:
 def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = NormalEstimate.AUTO) -> FloatArray:
     """Estimates unit outward normals of an object captured from outside.
 
-    First an axis is found for each Gaussian, then which of its two directions points to the free space that is
-    connected to the outside (see `_outward_signs`). For a room captured from within, outside is behind its walls.
+    First an axis is found for each Gaussian; then the direction of the axis that points to the free space connected to
+    the outside is chosen (see `_outward_signs`). For a room captured from within, outside is behind its walls.
 
     Args:
-        gaussians: Gaussians; more opaque ones have more weight.
+        gaussians: N Gaussians; more opaque ones have more weight.
         method: ``AUTO``: the set's own ``normals`` if it has them, else ``SMALLEST_AXIS``. ``SMALLEST_AXIS``: the axis
             of the smallest scale; for a round Gaussian any of its axes. ``PCA``: the normal of the plane through
             neighbouring means, weighted by opacity and by a Gaussian of distance; the smallest axis where neighbours
             are too few.
 
     Returns:
-        Normals in the set's own space, shape (N, 3), read-only.
+        Normals in the Gaussians' object space, shape (N, 3), read-only.
 
     Raises:
-        ConfigError: ``method`` is no NormalEstimate, nor the value of one.
-        SceneError: The argument is not a set of Gaussians.
+        ConfigError: ``method`` is neither a NormalEstimate nor the value of one.
+        SceneError: ``gaussians`` is not a `Gaussians`.
     """
     method = enum_member("method", method, NormalEstimate)
     check_argument("estimate_normals", gaussians, Gaussians, "Gaussians")
@@ -253,7 +267,10 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = Normal
 
 
 def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
-    """Fits planes to the means around each Gaussian; returns their normals, either sign, shape (N, 3)."""
+    """Fits a plane to the means around each of N Gaussians; returns the planes' normals, of either sign, shape (N, 3).
+
+    Gaussians with fewer than `NORMAL_NEIGHBOURS_MIN` neighbours get their row of ``fallback``, shape (N, 3).
+    """
     within = partial(_pairs_within, gaussians.means)
     pairs, radius = pairs_of_about(NORMAL_NEIGHBOURS, gaussians.means, within)
     means, opacities = gaussians.means.astype(np.float64), gaussians.opacities.astype(np.float64)
@@ -276,7 +293,7 @@ def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
 
 
 def _pairs_within(means: FloatArray, radius: float) -> Pairs:
-    """Pairs each Gaussian (``first``) with others near it, at most `NORMAL_NEIGHBOURS_PER_CELL` of them per cube."""
+    """Pairs each Gaussian (``first``) with others within ``radius``, at most `NORMAL_NEIGHBOURS_PER_CELL` per cube."""
     _, cells = np.unique(np.floor(means / radius).astype(np.int64), axis=0, return_inverse=True)
     order = np.argsort(cells.ravel(), kind="stable")
     starts = np.searchsorted(cells.ravel()[order], cells.ravel()[order])
@@ -298,7 +315,7 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
         crease_angle: Largest angle between faces that are smoothed, radians, 0 to pi; 0: flat shading.
 
     Raises:
-        SceneError: It is no mesh, or the angle is out of range.
+        SceneError: ``mesh`` is not a `Mesh`, or the angle is out of range.
     """
     check_argument("smooth_normals", mesh, Mesh, "a Mesh")
     if not is_number(crease_angle) or not 0.0 <= crease_angle <= math.pi:
@@ -322,7 +339,7 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
 
 
 def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
-    """Returns unit normals of the triangles' corners, shape (3 F, 3)."""
+    """Returns unit normals of the corners of F triangles, shape (3 F, 3), averaged as in `smooth_normals`."""
     areas = area_vectors(mesh.positions, mesh.indices)
     faces = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-300)
     low, high = mesh.bounds()
@@ -350,7 +367,7 @@ def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
 
 
 def _corner_angles(mesh: Mesh) -> np.ndarray:
-    """Returns the angles of the triangles at their corners, radians, shape (F, 3)."""
+    """Returns the inner angles of F triangles at their corners, radians, shape (F, 3)."""
     corners = mesh.positions.astype(np.float64)[mesh.indices]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     sine = np.linalg.norm(np.cross(one, other), axis=2)

@@ -18,11 +18,11 @@ from lumisplat.scene.materials import TextureWrap, WrapPair, wraps_of
 from lumisplat.scene.mesh import Mesh, area_vectors
 
 SAMPLING_SPACINGS_PER_DIAGONAL = 300
-"""Default number of spacings along the bounding box's diagonal, a compromise of detail and number: some 70,000 to
-100,000 Gaussians for a compact object."""
+"""Default ratio of the bounding box's diagonal to the spacing of Gaussians, a compromise between detail and number:
+some 70,000 to 100,000 Gaussians for a compact object."""
 
 SAMPLING_DEFAULT_COUNTS = (1_000, 1_000_000)
-"""Bounds of the default count."""
+"""Smallest and largest default number of Gaussians."""
 
 CREASE_COSINE = 0.77
 """Cosine between face normals below which an edge is a crease (about 40 degrees)."""
@@ -32,22 +32,22 @@ _Ints = npt.NDArray[np.integer]
 
 
 class SurfacePoints(NamedTuple):
-    """M points on triangles."""
+    """M points on the triangles of a mesh."""
 
     positions: Doubles
-    """Positions, shape (M, 3)."""
+    """Positions of the points, shape (M, 3)."""
     faces: npt.NDArray[np.integer]
-    """Triangle of each point, shape (M,)."""
+    """Index of each point's triangle, shape (M,)."""
     weights: Doubles
-    """Barycentric coordinates, shape (M, 3)."""
+    """Barycentric coordinates of each point in its triangle, shape (M, 3)."""
 
     def at(self, rows: npt.NDArray[np.integer]) -> SurfacePoints:
-        """Returns the points that ``rows`` selects."""
+        """Returns the points that the indices ``rows`` select."""
         return SurfacePoints(self.positions[rows], self.faces[rows], self.weights[rows])
 
 
 def face_areas_and_normals(mesh: Mesh) -> tuple[Doubles, Doubles]:
-    """Returns the triangles' areas, shape (F,), and unit normals (0 without an area), shape (F, 3)."""
+    """Returns the areas of F triangles, shape (F,), and unit normals (0 for a triangle without area), shape (F, 3)."""
     vectors = area_vectors(mesh.positions, mesh.indices)
     doubled = np.linalg.norm(vectors, axis=1)
     normals = np.divide(vectors, doubled[:, None], out=np.zeros_like(vectors), where=doubled[:, None] > 0.0)
@@ -86,15 +86,15 @@ def stratified_points(mesh: Mesh, areas: Doubles, count: int, rng: np.random.Gen
 def interpolate_vertices(
     values: npt.NDArray[np.floating], corners: npt.NDArray[np.integer], weights: npt.NDArray[np.floating]
 ) -> Doubles:
-    """Interpolates vertex values, shape (V, D), at points on triangles.
+    """Interpolates D values per vertex at M points on triangles.
 
     Args:
-        values: Vertex values, shape (V, D).
-        corners: Vertices of the triangle of each point, shape (M, 3).
-        weights: Barycentric coordinates of the points, shape (M, 3).
+        values: Values of V vertices, shape (V, D).
+        corners: Vertex indices of each point's triangle, shape (M, 3).
+        weights: Barycentric coordinates of each point, shape (M, 3).
 
     Returns:
-        Shape (M, D).
+        Interpolated values, shape (M, D).
     """
     interpolated = np.zeros((len(corners), values.shape[1]))
     for corner in range(3):
@@ -106,7 +106,7 @@ class CreasePoints(NamedTuple):
     """C points along creases."""
 
     positions: npt.NDArray[np.float64]
-    """Positions, shape (C, 3)."""
+    """Positions of the points, shape (C, 3)."""
     directions: npt.NDArray[np.float64]
     """Unit direction of the edge at each point, shape (C, 3)."""
 
@@ -134,7 +134,7 @@ def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: f
 
 
 def welded_indices(mesh: Mesh) -> IntArray:
-    """Returns triangles over unique positions, which joins vertices split for normals or uvs, shape (F, 3)."""
+    """Returns the triangles, shape (F, 3), after joining vertices at equal positions that normals or uvs split."""
     _, unique_from_vertex = np.unique(mesh.positions, axis=0, return_inverse=True)
     return unique_from_vertex.reshape(-1).astype(np.int32)[mesh.indices]
 
@@ -142,7 +142,7 @@ def welded_indices(mesh: Mesh) -> IntArray:
 def _crease_edges(
     mesh: Mesh, face_normals: npt.NDArray[np.floating]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Returns the start and end points of the open, non-manifold and sharp edges, shape (E, 3) each."""
+    """Returns start and end points of the E open, non-manifold and sharp edges of a mesh, shape (E, 3) each."""
     faces = np.flatnonzero(np.linalg.norm(face_normals, axis=1) > 0.5)
     corners = welded_indices(mesh)[faces]
     ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
@@ -160,7 +160,7 @@ def _crease_edges(
 
 
 def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Floats:
-    """Returns linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3).
+    """Returns material colour times vertex colour times texture at M points, linear, clamped to 0..1, shape (M, 3).
 
     Args:
         mesh: Mesh.
@@ -181,7 +181,7 @@ def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Fl
 
 
 def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) -> _Floats:
-    """Returns each face's mip level at which texels are ``width`` wide on average over both directions, shape (F,)."""
+    """Returns the mip level of each of F faces at which a texel is ``width`` wide on average over u and v, (F,)."""
     area = np.linalg.norm(area_vectors(mesh.positions, mesh.indices), axis=1)
     p, q, r = uvs.astype(np.float64)[mesh.indices].swapaxes(0, 1)
     uv_area = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
@@ -190,7 +190,7 @@ def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) ->
 
 
 def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats, wraps: WrapPair) -> _Floats:
-    """Looks a texture up trilinearly in linear Rec.709, shape (M, 3); ``level`` 0 is full resolution."""
+    """Looks a texture up trilinearly at M points; returns linear Rec.709, shape (M, 3); level 0: full resolution."""
     image = decode_srgb(np.arange(256) / 255.0).astype(np.float32)[texture[..., :3]]
     colors, step = np.zeros((uvs.shape[0], 3)), 0
     while True:
@@ -204,7 +204,7 @@ def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats
 
 
 def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
-    """Looks an image up bilinearly, shape (M, 3)."""
+    """Looks an image up bilinearly at M texture coordinates, shape (M, 2); returns shape (M, 3)."""
     height, width = image.shape[:2]
     x = wrapped(uvs[:, 0], wraps[0]) * width - 0.5
     y = wrapped(uvs[:, 1], wraps[1]) * height - 0.5
@@ -217,12 +217,12 @@ def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
 
 
 def _neighbour(texels: _Ints, size: int, wrap: TextureWrap) -> _Ints:
-    """Wraps or clamps texel indices beyond an edge."""
+    """Wraps, mirrors or clamps indices of texels one step beyond an edge of ``size`` texels."""
     return texels % size if wrap is TextureWrap.REPEAT else np.clip(texels, 0, size - 1)
 
 
 def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
-    """Wraps texture coordinates into 0..1."""
+    """Maps texture coordinates into 0..1 as the wrap mode says."""
     if wrap is TextureWrap.CLAMP:
         return np.clip(coordinates, 0.0, 1.0)
     if wrap is TextureWrap.MIRROR:
@@ -231,7 +231,7 @@ def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
 
 
 def _halve(image: _Floats, axis: int) -> _Floats:
-    """Halves the number of rows or columns, to at least one, by exact area averages, also for odd numbers."""
+    """Halves the number of rows (axis 0) or columns (axis 1), odd or even, to at least one, by exact area averages."""
     size = int(image.shape[axis])
     half = max(size // 2, 1)
     image = np.moveaxis(image, axis, 0)

@@ -1,4 +1,4 @@
-"""Camera construction: framing a scene, orbits, focus on a pixel; pixel rays; and up directions from cameras."""
+"""Camera construction: framing a scene, orbits, focus on a pixel, pixel rays, and up directions from cameras."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lumisplat.scene.placing import Vector, front_vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 FRAMING_FARTHEST = 1e17
-"""Largest coordinate of a scene that can be framed, scene units: a camera position may reach 1e18."""
+"""Largest coordinate of a scene that can be framed, scene units: camera positions are limited to 1e18."""
 
 _FRAMING_FOV_Y = 0.8
 """Default vertical field of view, radians: a normal lens."""
@@ -29,38 +29,39 @@ _FRAMING_ELEVATION = 0.2
 """Default elevation of the eye above the horizon, radians: enough to show the ground below an object."""
 
 _STEEP = 0.1
-"""Cosine of the elevation below which a view is so steep that its horizontal direction is unreliable."""
+"""Cosine of a view's elevation below which the view is so steep that its horizontal direction is unreliable."""
 
 _GAPS = 50
-"""Largest gap between connected Gaussians, as a divisor of the bulk's largest extent."""
+"""Divisor of the bulk's largest extent: Gaussians farther from each other than the quotient do not count as connected.
+"""
 _OPACITY_MIN = 0.1
-"""Smallest opacity of Gaussians that extend the visible bounds."""
+"""Smallest opacity of a Gaussian that extends the visible bounds."""
 _ENDS_MOST = 4.0
-"""Distance from the bulk, in its extents, beyond which Gaussians are ignored."""
+"""Distance from the bulk, in its extents, beyond which Gaussians never extend the visible bounds."""
 
 _FRAMING_MARGIN = 1.05
-"""Factor of the fitting distance that leaves a margin around the scene's box."""
+"""Factor of the camera distance at which the scene's box just fits; it leaves a margin around the box."""
 
 _ROLL, _PITCH = 0.1, 0.35
-"""Standard deviations, radians, of the roll and pitch at which people hold cameras."""
+"""Standard deviations, radians, of the roll (`_ROLL`) and pitch (`_PITCH`) at which people hold cameras."""
 _AGREE = 0.3
 """Length of the mean of all up vectors below which the cameras do not agree on an up direction."""
 _ALL_DOWN = 0.9
 """Length of the mean of all view directions from which all cameras look the same way, as from an aircraft."""
 _CONVERGE = 0.35
-"""Largest median tangent of the angle by which camera axes miss their common point."""
+"""Tangent of the angle between a camera's axis and the cameras' common point: up to this median, the axes converge."""
 _MIDDLE = 0.3
-"""Central fraction of an image in which depth is measured."""
+"""Fraction of the image, around its centre, in which the median depth is measured."""
 _COUNT = 2000
-"""Largest number of cameras that are compared with each other; larger sets are subsampled."""
+"""Largest number of cameras that are compared with each other; from more cameras, a subset is taken."""
 _WIDEST = 2.0
-"""Largest field of view of a first view, radians, for cameras with wider lenses."""
+"""Largest vertical field of view of a capture's first view, radians; views of wider lenses are narrowed to it."""
 
 
 def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
-    """Returns origins and unit directions of the rays through the pixel centres, world space, (H, W, 3) each.
+    """Returns origins and unit directions of the rays through the pixel centres, world space, shape (H, W, 3) each.
 
-    Pixels of a fisheye without a ray have direction 0. With a rolling shutter each row has its own pose.
+    Pixels of a fisheye without a ray have direction 0. With a rolling shutter, each row has its own pose.
     """
     (width, height), (left, top) = camera.image_size, camera.image_corner
     rotation, directions = camera.world_from_camera[:3, :3], camera.ray_directions()
@@ -83,7 +84,7 @@ def pixel_ray(camera: Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
         y: Row of the image, from 0.
 
     Raises:
-        SceneError: There is no such pixel, or it has no ray.
+        SceneError: The image has no such pixel, or the pixel has no ray.
     """
     for name, value, count in (("x", x, camera.width), ("y", y, camera.height)):
         if not is_whole(value) or not 0 <= value < count:
@@ -97,14 +98,14 @@ def pixel_ray(camera: Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
 
 
 def _camera_around(camera: Camera, x: int, y: int) -> Camera:
-    """Returns the camera with the smallest window that contains a pixel."""
+    """Returns the camera with its window set to the smallest one that contains pixel (x, y)."""
     left, top = (side // WINDOW_STEP * WINDOW_STEP for side in (x, y))
     window = left, top, min(WINDOW_STEP, camera.width - left), min(WINDOW_STEP, camera.height - top)
     return replace(camera, window=window)
 
 
 def _rotate(vectors: Doubles, turn: Doubles) -> Doubles:
-    """Rotates vectors, (H, W, 3), about ``turn``, (H, 1, 3), by its length in radians (Rodrigues)."""
+    """Rotates vectors, (H, W, 3), about the axes ``turn``, (H, 1, 3), by the axes' lengths in radians (Rodrigues)."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     axis = np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0)
     across = np.cross(axis, vectors)
@@ -148,8 +149,8 @@ def frame_camera(
 ) -> Camera:
     """Returns a camera that looks at a scene; by default its first view, or else a view of the whole scene.
 
-    The first view (`Scene.first_view`) of a capture provides all values that are not given. Scenes without one are seen
-    from the front.
+    The first view (`Scene.first_view`) of a capture provides all values that are not given. Scenes without a first view
+    are viewed from the front.
 
     Args:
         scene: Scene to look at. Its `Scene.up_direction` is up in the image.
@@ -166,8 +167,8 @@ def frame_camera(
         width: Image width, pixels.
         height: Image height, pixels.
         name: Name of the camera.
-        all_around: Without ``distance``, choose one at which the visible scene fits from all sides, for an orbit; a
-            first view's distance takes precedence.
+        all_around: Without ``distance``, choose a distance at which the visible scene fits the image from all sides,
+            for an orbit; a first view's distance takes precedence.
 
     Raises:
         SceneError: The scene is empty, or an argument is out of its range.
@@ -203,7 +204,7 @@ def frame_camera(
 
 
 def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
-    """Returns azimuth and elevation of a view's eye; for steep views, the image's up direction defines the azimuth."""
+    """Returns azimuth and elevation of a view's eye; for steep views, the azimuth follows the image's up direction."""
     upward = np.array(scene.up_direction)
     front = front_vector(upward)
     _, down, forward = view.camera_from_world[:3, :3]
@@ -213,13 +214,13 @@ def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
 
 
 def _fov_of(view: Camera, aspect: float) -> float:
-    """Returns the vertical field of view at which an image of another aspect ratio shows all of a view."""
+    """Returns the vertical field of view at which an image of aspect ratio ``aspect`` shows all that ``view`` shows."""
     tangent = math.tan(0.5 * view.fov_y)
     return 2.0 * math.atan(tangent * max(1.0, view.width / view.height / aspect))
 
 
 def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[Doubles, Doubles]:
-    """Returns the direction from the target to the eye, and up in the image."""
+    """Returns the unit direction from the target to the eye, and the up direction of the image, world space."""
     upward = np.array(scene.up_direction)
     front = front_vector(upward)
     level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(upward, front)
@@ -230,10 +231,10 @@ def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[Doubles, Doub
 
 
 def _target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
-    """Returns the given world position, (3,); None: the first view's target, else the visible scene's centre.
+    """Returns ``target`` as a world position, (3,); None: the first view's target, else the visible scene's centre.
 
     Raises:
-        SceneError: It is not three finite numbers, or the scene is empty.
+        SceneError: ``target`` is not three finite numbers, or the scene is empty.
     """
     if target is None:
         view = scene.first_view
@@ -250,8 +251,8 @@ def _target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
 def visible_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
     """Returns the corners (min, max) of a world-space box around the visible scene, shape (3,) each.
 
-    The bulk of a capture (`Scene.bulk_bounds`) cuts off thin ends that are visible. The box grows over all Gaussians
-    that are connected to the bulk without gaps; stray Gaussians are not.
+    The bulk of a capture (`Scene.bulk_bounds`) cuts off thin ends that are visible. The box therefore grows over all
+    Gaussians that are connected to the bulk without gaps; stray Gaussians stay outside.
 
     Raises:
         SceneError: The scene is empty.
@@ -263,7 +264,7 @@ def visible_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
 
 
 def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
-    """Returns means outside a box that are connected to its contents, world space, shape (M, 3)."""
+    """Returns M means outside a box that connect to the Gaussians inside without gaps, world space, shape (M, 3)."""
     means, gaussians = instance.world_means, instance.gaussians
     gap = max(float((high - low).max()) / _GAPS, 4.0 * instance.scale * float(np.median(gaussians.scales.max(axis=1))))
     reach = _ENDS_MOST * (high - low).max()
@@ -291,12 +292,12 @@ def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
 def _fitting_distance(
     scene: Scene, center: Doubles, sides: list[tuple[Doubles, Doubles]], lens: tuple[float, float]
 ) -> float:
-    """Returns the distance from ``center`` at which the visible scene fits from all sides.
+    """Returns the distance from ``center`` at which the visible scene fits the image from all ``sides``.
 
     Args:
         scene: Scene.
         center: World position in the centre of the image.
-        sides: Directions as from `_side`.
+        sides: Eye and up directions, as `_side` returns them.
         lens: Vertical field of view, and ratio of width to height of the image.
     """
     fov_y, aspect = lens
@@ -331,15 +332,18 @@ def _check_angle(name: str, angle: object, largest: float) -> None:
 def orbit_cameras(
     scene: Scene, count: int, camera: Camera | None = None, *, turns: float = 1.0, target: npt.ArrayLike | None = None
 ) -> list[Camera]:
-    """Returns cameras evenly spread on a circle about the vertical through a point; the last precedes the first.
+    """Returns cameras evenly spread on a circle about the vertical through a point.
+
+    A full revolution ends one step before the first camera, so that the frames loop as a video.
 
     Args:
         scene: Scene to orbit; its `Scene.up_direction` is the axis.
         count: Number of cameras, at least 1.
-        camera: First camera; None: one from the front, at a distance from which the scene fits all the way round, see
-            `frame_camera`.
+        camera: First camera; None: a view from the front, at a distance from which the scene fits all the way round,
+            see `frame_camera`.
         turns: Number of revolutions, counter-clockwise seen from above; negative: clockwise.
-        target: World position on the axis, shape (3,); None: the centre of the scene's bulk.
+        target: World position on the axis, shape (3,); None: the centre of the visible scene, or the point at which its
+            first view looks.
 
     Returns:
         ``count`` cameras, which differ in pose and name; the target is at the same pixel in each.
@@ -358,7 +362,7 @@ def orbit_cameras(
 
 
 def _turned(camera: Camera, scene: Scene, point: npt.NDArray[np.float64], turns: float, name: str) -> Camera:
-    """Rotates a camera about the vertical through a point."""
+    """Rotates a camera about the vertical through ``point`` by ``turns`` revolutions."""
     before_from_now = np.eye(4)
     before_from_now[:3, :3] = axis_rotation(scene.up_direction, -2.0 * math.pi * turns)
     before_from_now[:3, 3] = point - before_from_now[:3, :3] @ point
@@ -372,18 +376,18 @@ def _turned(camera: Camera, scene: Scene, point: npt.NDArray[np.float64], turns:
 
 
 def up_of_cameras(cameras: Sequence[Camera]) -> Vector | None:
-    """Estimates the up direction of a scene from its cameras, as people hold them.
+    """Estimates the up direction of a scene from its cameras, assuming that people held them.
 
-    The start is the mean of the cameras' up vectors, as in nerfstudio's auto-orient. It leans if all cameras look down,
-    whereas the x axis of a level camera stays horizontal. Least squares combine both, weighted by how people hold
-    cameras. Cameras held sideways count with the side that was up. If up vectors cancel and all cameras look the same
-    way, as from an aircraft, up is opposite to the view direction.
+    The start is the mean of the cameras' up vectors, as in nerfstudio's auto-orient. This mean leans if all cameras
+    look down, whereas the x axis of a level camera stays horizontal. Least squares combine both, weighted by how much
+    people roll and pitch cameras. A camera held sideways counts with the side of its image that was up. If up vectors
+    cancel and all cameras look the same way, as from an aircraft, up is opposite to the view direction.
 
     Args:
-        cameras: At least one.
+        cameras: At least one camera.
 
     Returns:
-        Unit vector that points up; None if the cameras do not agree.
+        Unit vector that points up; None if the cameras' up vectors contradict each other.
     """
     right, down, forward = np.array([camera.camera_from_world[:3, :3] for camera in cameras]).transpose(1, 0, 2)
     up: Doubles = -down.mean(axis=0)
@@ -405,11 +409,11 @@ def up_of_cameras(cameras: Sequence[Camera]) -> Vector | None:
 def first_view_of(cameras: Sequence[Camera], means: npt.NDArray[np.floating]) -> Camera:
     """Returns the camera nearest to all others in position and view direction, focused on its subject.
 
-    The subject is where the axes of all cameras converge, or else the median depth in the centre of its image.
+    The subject is where the axes of all cameras converge, or else lies at the median depth in the centre of the image.
 
     Args:
-        cameras: At least one.
-        means: Positions of the Gaussians, world space, shape (N, 3).
+        cameras: At least one camera.
+        means: Positions of N Gaussians, world space, shape (N, 3).
     """
     some = list(cameras[:: max(1, -(-len(cameras) // _COUNT))])
     eyes = np.array([camera.eye for camera in some])
@@ -446,7 +450,7 @@ def _distance_to_convergence(camera: Camera, eyes: Doubles, axes: Doubles) -> fl
 
 
 def _median_depth(camera: Camera, means: npt.NDArray[np.floating]) -> float:
-    """Returns the median depth in the centre of an image; without Gaussians there, that of all Gaussians."""
+    """Returns the median depth of the Gaussians in the image centre; without Gaussians there, of all Gaussians."""
     points = means @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     x, y, z = points.T.astype(np.float64)
     before = z > camera.near
