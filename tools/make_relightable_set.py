@@ -3,7 +3,7 @@
     pip install -e '.[bench]' && python tools/make_relightable_set.py Duck.glb envmap3.exr OUT --material varied
 
 OUT has the layout of NeRF's synthetic scenes, which ``lumisplat train`` reads, and the truth for
-``lumisplat evaluate --materials`` (docs/guide/materials.md#sets)::
+``lumisplat evaluate --materials`` (docs/guide/material_sets.md)::
 
     transforms_train.json, train/r_000.png     training images
     transforms_test.json, test/r_000.png       held-out images, whose cameras the following files share

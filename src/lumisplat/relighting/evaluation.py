@@ -182,7 +182,7 @@ def _specular(path: Path) -> float:
 
 
 RELIT_SAMPLES = 64
-"""Default samples per pixel of relit images; docs/guide/materials.md#grain has the remaining noise."""
+"""Default samples per pixel of relit images; docs/guide/materials.md#noise has the remaining noise."""
 
 
 def evaluate_materials(
@@ -212,7 +212,7 @@ def evaluate_materials(
             through the centres of pixels, because that is how Gaussians were trained and jitter would blur them again.
             Rays without a footprint, as for antialiased captures, do use jitter.
         samples: Samples per pixel of relit images. None: those of ``config``, or 64 if it has none, so that noise is a
-            small part of the error (docs/guide/materials.md#grain).
+            small part of the error (docs/guide/materials.md#noise).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
         progress: Called with a label of the stage and the fraction done, 0..1.
 

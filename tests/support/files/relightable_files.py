@@ -1,4 +1,4 @@
-"""Writes a small data set with known materials and light, rendered from a capture (docs/guide/materials.md#sets)."""
+"""Writes a small data set with known materials and light, rendered from a capture (docs/guide/material_sets.md)."""
 
 from __future__ import annotations
 
