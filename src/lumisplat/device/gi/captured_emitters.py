@@ -1,7 +1,7 @@
 """Captures as lights: sampled directions towards boxes around their Gaussians, and the pdf of such directions.
 
 A point is sampled uniformly in one of the boxes. The pdf of its direction integrates over all points of the ray in all
-boxes, so that the radiance of a ray counts fully whichever Gaussians it hits
+boxes, so that the radiance of a ray counts fully, whichever Gaussians the ray hits
 (docs/method/realtime.md#captured-emitters).
 """
 
@@ -12,13 +12,13 @@ from lumisplat.device.structs import struct
 
 @struct
 class EmitterBox:
-    """Box around Gaussians of a capture that is sampled as a light, world space."""
+    """World-space box around Gaussians of a capture, which is sampled as a light."""
 
     center: wp.vec3
     box_from_world: wp.mat33
     """Rotation from the world's axes to those of the box."""
     half: wp.vec3
-    """Half edge lengths, scene units."""
+    """Half the length of the box along each of its axes, scene units."""
     power: float
     """Approximate luminance times area of the Gaussians in the box; above 0."""
 
@@ -28,14 +28,14 @@ TINY = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def box_weight(box: EmitterBox, point: wp.vec3) -> float:
-    """Returns the approximate irradiance of a point by the Gaussians in a box, up to a common factor."""
+    """Estimates the irradiance at a point by the Gaussians in a box, up to a factor that all boxes share."""
     away = box.center - point
     return box.power / wp.max(wp.max(wp.dot(away, away), wp.dot(box.half, box.half)), TINY)
 
 
 @wp.func
 def total_weight(point: wp.vec3, boxes: wp.array[EmitterBox]) -> float:
-    """Returns the sum of the weights of all boxes at a point."""
+    """Returns the sum of ``box_weight`` over all boxes at a point."""
     total = float(0.0)
     for k in range(boxes.shape[0]):
         total += box_weight(boxes[k], point)
@@ -44,9 +44,9 @@ def total_weight(point: wp.vec3, boxes: wp.array[EmitterBox]) -> float:
 
 @wp.func
 def chosen_box(u: float, total: float, point: wp.vec3, boxes: wp.array[EmitterBox]) -> int:
-    """Chooses a box in proportion to its weight at a point.
+    """Returns the index of a box that is chosen in proportion to ``box_weight`` at a point.
 
-    ``u`` is random, 0..1, and ``total`` the sum of all weights.
+    ``u`` is random, 0..1, and ``total`` the sum of the weights of all boxes.
     """
     chosen = int(0)
     rest = u * total
@@ -60,16 +60,16 @@ def chosen_box(u: float, total: float, point: wp.vec3, boxes: wp.array[EmitterBo
 
 @wp.func
 def point_in(box: EmitterBox, u: wp.vec2, v: float) -> wp.vec3:
-    """Returns a point in a box, uniformly distributed for random numbers in 0..1."""
+    """Returns a point of a box, uniformly distributed if ``u`` and ``v`` are random numbers in 0..1."""
     local = wp.cw_mul(box.half, wp.vec3(2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0, 2.0 * v - 1.0))
     return box.center + wp.transpose(box.box_from_world) * local
 
 
 @wp.func
 def crossing(box: EmitterBox, point: wp.vec3, direction: wp.vec3) -> wp.vec2:
-    """Returns the distances at which a ray enters and leaves a box, at least 0.
+    """Returns the distances at which a ray enters and leaves a box, both at least 0.
 
-    The ray misses if the second is not larger.
+    The ray misses the box if the second distance is not larger than the first.
     """
     start = box.box_from_world * (point - box.center)
     along = box.box_from_world * direction
@@ -88,9 +88,9 @@ def crossing(box: EmitterBox, point: wp.vec3, direction: wp.vec3) -> wp.vec2:
 
 @wp.func
 def direction_pdf(point: wp.vec3, direction: wp.vec3, total: float, boxes: wp.array[EmitterBox]) -> wp.vec2:
-    """Returns the pdf of a direction, per steradian, and the distance at which its ray leaves the last box.
+    """Returns the pdf of a sampled direction, per steradian, and the distance at which its ray leaves the last box.
 
-    In a box of volume V, the points between distances a and b have the pdf (b^3 - a^3) / (3 V).
+    The points of the ray between distances a and b in a box of volume V contribute the pdf (b^3 - a^3) / (3 V).
     """
     pdf = float(0.0)
     end = float(0.0)

@@ -1,6 +1,6 @@
 """Light grid: world-space cells that each store a few of many lights, among which surfaces choose one.
 
-Without a grid, real-time surfaces choose lights as paths do. See docs/method/realtime.md#light-grid.
+Without a grid, surfaces in real-time rendering choose lights as paths do. See docs/method/realtime.md#light-grid.
 """
 
 import warp as wp
@@ -32,52 +32,53 @@ from lumisplat.device.structs.shading import (
 )
 
 GRID_CELL_SIZE = 1.0 / 4.0
-"""Largest width of a cell as a fraction of its distance from the eye; widths are powers of two."""
+"""Largest width of a cell as a fraction of its distance from the eye; the widths are powers of two."""
 
 GRID_CHOICES = 4
-"""Independent light selections stored for each cell, of which each surface uses one.
+"""Number of independent light selections stored for each cell; each surface uses one of them.
 
-With the eight cells that a surface may use, this exceeds the 25 pixels whose noise is assumed independent where light
-changes."""
+Together with the eight cells that a surface may use, this gives 32 selections: more than the 25 pixels whose noise is
+assumed to be independent in the test for changes of light."""
 
 
 @struct
 class LightGrid:
-    """The few lights, of many, among which the surfaces of each world-space cell choose (docs/method/realtime.md)."""
+    """The few lights that each world-space cell stores, from which its surfaces choose (docs/method/realtime.md)."""
 
     cell_of: wp.array[int]
-    """Cell of each ray's surface; -1: none; ``ALL_LIGHTS``: all lights. Empty: all surfaces choose among all lights."""
+    """Cell of each ray's surface; -1: no cell; ``ALL_LIGHTS``: all lights. Empty: all surfaces choose among all
+    lights."""
     numbers: wp.array[int]
-    """Light indices of each cell, `GRID_LIGHTS` plus one; -1: no further light."""
+    """Light indices of each cell, ``SLOTS`` for each; -1: the slot is empty."""
     chances: wp.array[float]
-    """Probability of each light to be among those of its cell; 0 for the additional light, which is never chosen."""
+    """Probability with which each light was stored in its cell; 0 for the last one, which surfaces never choose."""
 
 
 # Random branches of a ray's key.
 SURFACE_BRANCH = wp.constant(7)
-"""Random branch that selects the surface of the ray."""
+"""Random branch that selects one of a ray's two surfaces."""
 
 CELL_BRANCH = wp.constant(8)
-"""Random branch that selects the cell."""
+"""Random branch that selects the cell for a surface."""
 
 SLOTS = wp.constant(GRID_LIGHTS + 1)
-"""Lights stored for each cell, plus one whose rank determines the probabilities of the others."""
+"""Number of lights stored for each cell, including a last one whose rank determines the probabilities of the others."""
 
 CHOICES = wp.constant(wp.float32(GRID_CHOICES))
 
 CELL_SIZE = wp.constant(wp.float32(GRID_CELL_SIZE))
 
 ALL_LIGHTS = wp.constant(-2)
-"""Stands for a cell: the surface chooses among all lights."""
+"""Value in place of a cell: the surface chooses among all lights."""
 
 NO_CELL = wp.constant(wp.int64(2**63 - 1))
 """Key of surfaces without a cell; larger than all other keys."""
 
 LEVEL_LAST = wp.constant(100)
-"""Largest absolute level; cells are 2^level wide."""
+"""Largest absolute value of a level; the cells of a level are 2^level scene units wide."""
 
 COORDINATES = wp.constant(2**17)
-"""Number of cells on each side of the origin along an axis."""
+"""Number of cells along each axis on either side of the origin."""
 
 BITS_18 = wp.constant(wp.int64(18))
 
@@ -94,7 +95,7 @@ LEAST = wp.constant(wp.float32(1e-30))
 MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
 
 FEW = wp.constant(wp.float32(0.01))
-"""Magnitude below which logarithms and exponentials near 1 are evaluated as power series."""
+"""Magnitude below which power series replace logarithms and exponentials near 1."""
 
 grid_values = wp.types.vector(length=GRID_LIGHTS + 1, dtype=wp.float32)
 """Vector type with one number for each light of a cell."""
@@ -102,20 +103,20 @@ grid_values = wp.types.vector(length=GRID_LIGHTS + 1, dtype=wp.float32)
 
 @wp.struct
 class GridCell:
-    """Location of a cell."""
+    """Position and size of a cell."""
 
     center: wp.vec3
     """Centre, world space."""
     half: float
-    """Half the diagonal; surfaces that use the cell's lights are within twice this distance of its centre."""
+    """Half the cell's diagonal; surfaces that use the cell's lights are within twice this distance of its centre."""
 
 
 @wp.func
 def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.int64:
     """Returns the key of the cell whose lights a surface uses.
 
-    It is the cell of a random point in a cell-sized cube around the surface. ``u`` and ``v`` are random, 0..1 each;
-    ``v[1]`` selects one of the cell's light selections.
+    It is the cell that contains a random point of a cell-sized cube around the surface. ``u`` and ``v`` are random,
+    0..1 each; ``v[1]`` selects one of the cell's light selections.
     """
     width = wp.max(CELL_SIZE * from_eye, 2.0 * wp.max(wp.abs(position)) / float(COORDINATES))
     if not (width < wp.inf and wp.isfinite(position)):
@@ -135,7 +136,7 @@ def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.i
 
 @wp.func
 def grid_cell(key: wp.int64) -> GridCell:
-    """Returns the location of the cell with a key."""
+    """Returns position and size of the cell with a key."""
     width = width_of(int(key >> (wp.int64(3) * BITS_18 + BITS_2)) - LEVEL_LAST)
     cell = GridCell()
     for axis in range(3):
@@ -147,9 +148,9 @@ def grid_cell(key: wp.int64) -> GridCell:
 
 @wp.func
 def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> float:
-    """Estimates the irradiance by a light of a surface in a cell that faces it.
+    """Estimates the irradiance by a light at a surface that lies in a cell and faces the light.
 
-    The estimate is above 0 if any surface there receives light.
+    The estimate is above 0 if any surface in the cell receives light.
 
     ``environment_mean`` is the mean luminance of the environment.
     """
@@ -160,7 +161,7 @@ def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> f
 
 @wp.func
 def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
-    """Estimates the irradiance by all emissive triangles of a surface in a cell that faces them."""
+    """Estimates the irradiance by all emissive triangles at a surface that lies in a cell and faces them."""
     away = emitters.center - cell.center
     nearest2 = wp.max(wp.dot(away, away), wp.max(cell.half * cell.half, emitters.radius * emitters.radius))
     return emitters.power / wp.max(nearest2, LEAST)
@@ -168,7 +169,7 @@ def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
 
 @wp.func
 def bounded(weight: float) -> float:
-    """Clamps a positive weight, so that ranks are finite; 0 stays 0."""
+    """Clamps a positive weight, so that the rank computed from it is finite; 0 stays 0."""
     if weight > 0.0:
         return wp.clamp(weight, LEAST, MOST)
     return 0.0
@@ -176,7 +177,10 @@ def bounded(weight: float) -> float:
 
 @wp.func
 def exponential_draw(word: wp.uint32, number: int) -> float:
-    """Draws an exponentially distributed number with mean 1: -log(1 - x), with x at the centre of one of 2^24 steps."""
+    """Draws an exponentially distributed number with mean 1.
+
+    It is -log(1 - x), where x is the centre of one of 2^24 equal steps of 0..1.
+    """
     x = (float(int(wp.rshift(mix(word + mix(wp.uint32(number))), BITS_8))) + 0.5) * UNIT
     if x < FEW:
         return x * (1.0 + x * (0.5 + x * (1.0 / 3.0 + 0.25 * x)))
@@ -195,9 +199,9 @@ def chance_below(limit: float) -> float:
 def grid_light(
     u: float, cell: int, interaction: Interaction, grid: LightGrid, scene: wp.array[ShadingScene]
 ) -> LightChoice:
-    """Chooses a light of a cell in proportion to its importance over its probability to be stored in the cell.
+    """Chooses one of a cell's lights in proportion to its importance over its probability to be stored in the cell.
 
-    The importance is that at the surface. ``u`` is random, 0..1; without a cell, -1, there is no light.
+    The importance is evaluated at the surface. ``u`` is random, 0..1; for ``cell`` -1, no light is chosen.
     """
     choice = LightChoice()
     choice.number = -1
@@ -226,9 +230,9 @@ def grid_light(
 
 @wp.func
 def lit_surface(i: int, wave: wp.array[WaveData]) -> Branch:
-    """Chooses which surface of ray ``i`` is lit, in proportion to its approximate reflected light.
+    """Chooses which surface of ray ``i`` is lit, in proportion to the light that each surface approximately reflects.
 
-    The kind of the returned branch is the slot of the surface.
+    ``kind`` of the returned branch is the surface: 0 for Gaussians, 1 for a mesh.
     """
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SURFACE_BRANCH), wave[0].rays.sample[i])
     return branch_of(i, u[0], False, Bounce(), wave)
@@ -247,7 +251,7 @@ def sample_light_of(
 ) -> Contribution:
     """Chooses a light by importance and samples it as ``sample_choice`` does.
 
-    The light comes from the ``grid`` of the wave if there is one, else from all lights.
+    The light is chosen from the ray's cell if ``grid`` has cells, else from all lights.
     """
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
     cell = int(ALL_LIGHTS)

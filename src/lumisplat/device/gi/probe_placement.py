@@ -14,9 +14,10 @@ from lumisplat.device.structs.camera import CameraData
 
 @struct
 class ProbeGrid:
-    """Layout of probes on the pixels of a frame, in a 1-element array.
+    """Layout of the screen probes of a frame, in a 1-element array.
 
-    Probe ``t`` belongs to tile ``t``, in row order; adaptive probes follow those of the tiles.
+    Each tile of pixels has a probe of its own, with the index of the tile in row order, and may have an additional
+    adaptive probe. Adaptive probes follow those of the tiles.
     """
 
     width: int
@@ -28,14 +29,14 @@ class ProbeGrid:
     adaptive: int
     """Largest number of adaptive probes."""
     cells: int
-    """Cells along a side of a probe's octahedral map."""
+    """Number of cells along a side of a probe's octahedral map."""
     history: float
-    """Largest number of samples for which a cell's mean counts."""
+    """Largest number of samples for which the mean of a cell counts."""
     offset: float
-    """Offset in scales of a Gaussian within which Gaussians do not block the rays of its probe."""
+    """Distance from a probe, in scales of a Gaussian, within which Gaussians do not block the probe's rays."""
     frame: int
     has_history: int
-    """0: the previous frame belongs to another sequence."""
+    """1: probes of the previous frame may be continued; 0: the previous frame belongs to another sequence."""
     seed: wp.uint32
 
 
@@ -48,55 +49,55 @@ class ProbeData:
     position: wp.array[wp.vec3]
     """Position, world space."""
     pixel: wp.array[wp.vec2]
-    """Position in the image: a pixel centre."""
+    """Position in the image, pixels: the centre of a pixel."""
     normal: wp.array[wp.vec3]
     """Surface normal, unit, towards the viewer."""
     distance: wp.array[float]
     """Distance from the eye, scene units."""
     extent: wp.array[float]
-    """Extent of the surface's Gaussian as in `SurfacePixels`; 0 for meshes."""
+    """Position uncertainty of the probe's surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
     source: wp.array[int]
-    """Probe of the previous frame that the probe continues; -1: none."""
+    """Index of the previous frame's probe that the probe continues; -1: the probe is new."""
     refresh_count: wp.array[int]
     """Number of times the probe was refreshed."""
     refreshed: wp.array[int]
-    """Last frame in which the probe was refreshed; undefined if never."""
+    """Number of the last frame in which the probe was refreshed; undefined if it never was."""
 
 
 @struct
 class ProbeCells:
-    """Directional cells of all probes, probe by probe, each in row order."""
+    """Cells of the probes' octahedral maps, probe by probe, in row order for each probe."""
 
     radiance: wp.array[wp.vec3]
-    """Mean radiance, linear."""
+    """Mean radiance that arrives from the cell's directions, linear."""
     nearness: wp.array[float]
-    """Mean inverse hit distance; 0: the rays escape."""
+    """Mean inverse hit distance of the cell's rays; 0: the rays escape."""
     samples: wp.array[float]
-    """Number of samples for which the means count; 0: undefined."""
+    """Number of samples for which the means count; 0: the means are undefined."""
 
 
 @struct
 class ProbeLight:
-    """Probe light that pixels look up: filtered cells without gaps, and their SH coefficients."""
+    """Light of the probes that pixels look up: filtered cells without gaps, and their SH coefficients."""
 
     exists: wp.array[int]
     """1: the probe has light; one element for each probe."""
     radiance: wp.array[wp.vec3]
-    """Radiance of the cells, ordered as in `ProbeCells`."""
+    """Radiance that arrives from each cell's directions, linear, ordered as in `ProbeCells`."""
     sh: wp.array[wp.vec3]
-    """Nine SH coefficients for each probe, in the order of ``lumisplat.math.sh``."""
+    """SH coefficients of the radiance, nine for each probe, in the order of ``lumisplat.math.sh``."""
 
 
 @struct
 class TileNeeds:
-    """Pixels of each tile that no probe covers, and where an adaptive probe should go."""
+    """Pixels of each tile that no probe covers, and the best position of an adaptive probe for them."""
 
     uncovered: wp.array[int]
-    """Number of uncovered pixels among those tested."""
+    """Number of pixels without a suitable probe, among those tested."""
     pixel: wp.array[int]
     """Pixel for the adaptive probe."""
     source: wp.array[int]
-    """Previous probe to continue, as in `ProbeData`."""
+    """Index of the previous frame's probe that the adaptive probe is to continue; -1: none."""
 
 
 @struct
@@ -106,9 +107,9 @@ class ProbePlacement:
     pixel: int
     """Index of the pixel; -1: none."""
     source: int
-    """Previous probe to continue, as in `ProbeData`."""
+    """Index of the previous frame's probe that the probe is to continue; -1: none."""
     uncovered: int
-    """Number of candidate pixels; for adaptive probes the uncovered ones, as in `TileNeeds`."""
+    """Number of pixels at which the probe could be placed; for adaptive probes, pixels that no other probe covers."""
 
 
 @struct
@@ -118,41 +119,49 @@ class Match:
     probe: int
     """Index of the probe; -1: none."""
     distance: float
-    """Image distance to the probe, pixels, plus a penalty for probes that should rather not be continued."""
+    """Distance to the probe in the image, pixels, plus a penalty if another tile should rather continue the probe."""
 
 
 SEARCH_ROWS = wp.constant(8)
-"""Rows and columns of a tile whose pixels are tested."""
+"""Number of rows and of columns of a tile in which pixels are tested."""
 
 COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
-"""Smallest cosine between matching normals of Gaussians, whose normals are noisy."""
+"""Smallest cosine between the normals of a pixel and a probe on the same Gaussians, whose normals are noisy."""
 
 COSINE_MIN_MESHES = wp.constant(wp.float32(0.95))
 
 SHARE_MIN = wp.constant(wp.float32(0.5))
-"""Pixel coverage below which a surface gets a probe only if no better pixel exists."""
+"""Coverage of a pixel below which its surface gets a probe only if no pixel of the tile is covered more."""
 
-POORER = wp.constant(wp.float32(1e12))
-"""Penalty that makes pixels covered less than ``SHARE_MIN`` the last choice for a probe."""
+LOW_COVERAGE_PENALTY = wp.constant(wp.float32(1e12))
+"""Penalty that makes pixels covered by less than ``SHARE_MIN`` the last choice for a probe."""
 
-SECOND = wp.constant(wp.float32(1e6))
-"""Penalty if a tile's own probe would continue an adaptive one, so that the two do not swap."""
+ADAPTIVE_PENALTY = wp.constant(wp.float32(1e6))
+"""Penalty for a tile's own probe that would continue an adaptive probe, so that the two probes do not swap."""
 
 CUT_OFF_STEPS = wp.constant(4)
-"""Steps from a pixel to a probe in the image, between which occlusion of the probe is tested."""
+"""Number of steps from a pixel to a probe in the image; the pixels between the steps may show a surface that occludes
+it."""
 
-NEARER = wp.constant(wp.float32(0.95))
-"""Largest distance of an occluding surface, as a fraction of the smaller of the two distances from the eye."""
+OCCLUDER_DISTANCE_MAX = wp.constant(wp.float32(0.95))
+"""Largest distance of an occluding surface from the eye, as a fraction of that of the pixel or the probe.
 
-AS_FAR = wp.constant(wp.float32(0.85))
-"""Smallest ratio of two distances from the eye that may share a probe; at grazing angles, a tile may be metres long."""
+The nearer of pixel and probe counts."""
+
+DISTANCE_RATIO_MIN = wp.constant(wp.float32(0.85))
+"""Smallest ratio of the distances from the eye of two points that may share a probe.
+
+At grazing angles, the surface in a tile may be metres long."""
 
 UNIT_32 = wp.constant(wp.float32(2.0**-32))
 
 
 @wp.func
 def reach_of(grid: ProbeGrid, camera: CameraData, distance: float) -> float:
-    """Returns the width of a tile at a distance, scene units: points this close to one plane may share a probe."""
+    """Returns the width of a tile at a distance from the eye, scene units.
+
+    Points this close to a common plane may share a probe.
+    """
     width = float(grid.tile) / wp.min(camera.focal[0], camera.focal[1])
     if camera.model == ORTHOGRAPHIC:
         return width
@@ -178,7 +187,7 @@ def is_cut_off(pixel: int, probe: int, grid: ProbeGrid, surfaces: SurfacePixels,
     """Returns whether a nearer surface, such as the end of a wall, lies between a pixel and a probe in the image."""
     start = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
     to_probe = probes.pixel[probe] - start
-    nearer = NEARER * wp.min(surfaces.distance[pixel], probes.distance[probe])
+    nearer = OCCLUDER_DISTANCE_MAX * wp.min(surfaces.distance[pixel], probes.distance[probe])
     for k in range(1, CUT_OFF_STEPS):
         at = start + (float(k) / float(CUT_OFF_STEPS)) * to_probe
         between = int(at[1]) * grid.width + int(at[0])
@@ -197,7 +206,7 @@ def tile_of(grid: ProbeGrid, x: int, y: int) -> int:
 
 @wp.func
 def probe_of_tile(tile: int, adaptive: int, adaptive_of: wp.array[int]) -> int:
-    """Returns the tile's own probe (``adaptive`` 0) or its adaptive one (1); -1: none."""
+    """Returns the index of a tile's own probe (``adaptive`` 0) or of its adaptive probe (1); -1: none."""
     if tile < 0 or adaptive == 0:
         return tile
     return adaptive_of[tile]
@@ -218,9 +227,9 @@ def radical_inverse_3(number: int) -> float:
 
 @wp.func
 def wanted_pixel(grid: ProbeGrid, tile: int) -> wp.vec2:
-    """Returns the preferred position, 0..1, of a new probe in a tile for this frame.
+    """Returns the preferred position of a new probe in a tile for this frame, 0..1 along each side of the tile.
 
-    The positions are Halton points, shifted from tile to tile.
+    The positions are Halton points over the frames, shifted from tile to tile.
     """
     number = grid.frame % 4096 + 1
     x = float(wp.rshift(reversed_bits(wp.uint32(number)), wp.uint32(8))) * 256.0 * UNIT_32
@@ -240,11 +249,11 @@ def match_of(
     probes: ProbeData,
     adaptive_of: wp.array[int],
 ) -> Match:
-    """Finds the nearest probe of the previous frame on a pixel's surface, in the tile that showed the surface then.
+    """Finds the previous frame's probe that is nearest to a pixel in the image and lies on the pixel's surface.
 
-    Nearness is measured in the image: in space, nearer rows of a floor seen at a grazing angle would always win.
-    Camera, probes and ``adaptive_of`` are those of the previous frame; ``of_adaptive`` selects matches for an adaptive
-    probe.
+    The probe is searched in the tile that showed the surface in the previous frame. Distance is measured in the image:
+    in space, nearer rows of a floor seen at a grazing angle would always win. ``camera``, ``probes`` and
+    ``adaptive_of`` are those of the previous frame; ``of_adaptive`` selects matches for an adaptive probe.
     """
     match = Match()
     match.probe = -1
@@ -260,7 +269,7 @@ def match_of(
         if fits(probes, i, position, surfaces.normal[pixel], reach, surfaces.extent[pixel]):
             distance = wp.length(pixel_of_point(camera, probes.position[i]) - at)
             if adaptive == 1 and not of_adaptive:
-                distance += SECOND
+                distance += ADAPTIVE_PENALTY
             if probes.refresh_count[i] > 0 and distance < match.distance:
                 match.probe = i
                 match.distance = distance
@@ -268,14 +277,17 @@ def match_of(
 
 
 @wp.func
-def is_as_far(distance: float, other: float) -> bool:
+def is_similar_distance(distance: float, other: float) -> bool:
     """Returns whether two points of one surface have similar enough distances from the eye to share a probe."""
-    return wp.min(distance, other) > AS_FAR * wp.max(distance, other)
+    return wp.min(distance, other) > DISTANCE_RATIO_MIN * wp.max(distance, other)
 
 
 @wp.func
 def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: SurfacePixels, probes: ProbeData) -> bool:
-    """Returns whether one of the four tiles around a pixel has a probe on its surface, not counting adaptive probes."""
+    """Returns whether one of the four tiles around a pixel has a probe on the pixel's surface.
+
+    Adaptive probes do not count.
+    """
     pixel = y * grid.width + x
     reach = reach_of(grid, camera, surfaces.distance[pixel])
     left = (x + grid.tile // 2) // grid.tile - 1
@@ -283,7 +295,7 @@ def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: Su
     for k in range(4):
         i = tile_of(grid, left + k % 2, above + k // 2)
         if fits(probes, i, surfaces.position[pixel], surfaces.normal[pixel], reach, surfaces.extent[pixel]):
-            if is_as_far(surfaces.distance[pixel], probes.distance[i]) and not is_cut_off(
+            if is_similar_distance(surfaces.distance[pixel], probes.distance[i]) and not is_cut_off(
                 pixel, i, grid, surfaces, probes
             ):
                 return True
@@ -303,10 +315,10 @@ def choose_pixel_among(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """Chooses the pixel of a tile for a probe: nearest to a previous probe, else nearest to the preferred position.
+    """Chooses the pixel of a tile for a probe: nearest to a probe of the previous frame, if any lies on its surface.
 
-    ``rows`` x ``rows`` pixels of the tile are tested; with ``only_uncovered``, only pixels that no probe of this frame
-    covers. A previous probe is one of the previous frame.
+    Otherwise the pixel nearest to the preferred position is chosen. ``rows`` x ``rows`` pixels of the tile are tested;
+    with ``only_uncovered``, only pixels that no probe of this frame covers.
     """
     placement = ProbePlacement()
     placement.pixel = -1
@@ -329,7 +341,7 @@ def choose_pixel_among(
                 counts = not is_covered(grid, camera, x, y, surfaces, probes)
             if counts:
                 placement.uncovered += 1
-                poorer = wp.where(surfaces.share[pixel] < SHARE_MIN, POORER, 0.0)
+                poorer = wp.where(surfaces.share[pixel] < SHARE_MIN, LOW_COVERAGE_PENALTY, 0.0)
                 cost = poorer + wp.length_sq(wp.vec2(float(across), float(down)) - wanted)
                 if cost < fresh_cost:
                     fresh_cost = cost
@@ -356,7 +368,7 @@ def choose_pixel_in_tile(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """Chooses the pixel for a tile's own probe as ``choose_pixel_among``.
+    """Chooses the pixel for a tile's own probe by ``choose_pixel_among``.
 
     If the tested pixels show no surface, all pixels of the tile are tested.
     """

@@ -1,7 +1,8 @@
 """World-space radiance cache: its data, the cell of a hit, and lookup of the stored radiance.
 
-Cells are squares in the plane of one of six faces, one cell thick; 8 x 8 cells form a tile. Each tile stores 85 means:
-of its cells in row order, then of squares of 2 x 2, 4 x 4 and 8 x 8 cells. See docs/method/realtime.md#radiance-cache.
+Surfaces are assigned to one of six faces by their normals, as on a cube. Cells are squares in the plane of a face, as
+thick as they are wide; 8 x 8 cells form a tile. Each tile stores 85 means: of its cells in row order, then of squares
+of 2 x 2, 4 x 4 and 8 x 8 cells. See docs/method/realtime.md#radiance-cache.
 """
 
 import warp as wp
@@ -16,51 +17,52 @@ LAYER_SHIFT = 0.382
 Walls often lie at whole numbers, halves or quarters, where rounding would put their points into two layers."""
 
 TILE_CELLS: int = wp.constant(64)
-"""Cells of a tile."""
+"""Number of cells of a tile."""
 
 TILE_MEANS: int = wp.constant(85)
-"""Means of a tile: 64 + 16 + 4 + 1."""
+"""Number of means of a tile: 64 + 16 + 4 + 1."""
 
 TILE_MIPS: int = wp.constant(4)
-"""Mip levels of the means: squares 1, 2, 4 and 8 cells wide."""
+"""Number of mip levels of a tile's means: squares 1, 2, 4 and 8 cells wide."""
 
 NO_TILE: wp.int64 = wp.constant(wp.int64(2**63 - 1))
-"""Key for the absence of a tile: larger than all other keys."""
+"""Key that stands for no tile; larger than all keys of tiles."""
 
 LEVEL_LAST: int = wp.constant(16)
 """Cell widths range from 2^-LEVEL_LAST to 2^(LEVEL_LAST - 1) scene units: 5 bits of the key."""
 
 NEAR_LEVELS: int = wp.constant(3)
-"""Levels by which cells of short rays are finer: a tile of them is as wide as one cell of long rays."""
+"""Number of levels by which cells of short rays are finer: a tile of theirs is as wide as one cell of long rays."""
 
 COORDINATE_BITS: int = wp.constant(18)
-"""Bits of the key for each coordinate of a tile."""
+"""Number of key bits for each coordinate of a tile."""
 
 CELLS_REACH: float = wp.constant(8191.0)
-"""Smallest cell width is a position's largest coordinate over this number (1/16 of it for fine cells).
+"""Largest coordinate of a position over the width whose level, rounded down, is that of the position's cell.
 
-Cell coordinates then fit the key."""
+Cells are therefore up to twice as narrow, and those of short rays up to 16 times; their coordinates still fit the key.
+"""
 
 REFLECTANCE_MAX: float = wp.constant(0.99)
 """Upper limit of the albedo for cached light, so that interreflection between white walls converges."""
 
 AGE_LAST: int = wp.constant(2**31 - 1)
-"""Frame number for the absence of a tile: larger than all frames."""
+"""Frame number that stands for no tile; larger than all frame numbers."""
 
 COUNT_LIVE: int = wp.constant(0)
-"""Index of the number of live tiles."""
+"""Index, in the counts, of the number of live tiles."""
 
 COUNT_NEW: int = wp.constant(1)
-"""Index of the number of tiles that an insertion adds."""
+"""Index, in the counts, of the number of tiles that an insertion adds."""
 
 COUNT_EXCESS: int = wp.constant(2)
-"""Index of the number of tiles that an insertion would add beyond the capacity."""
+"""Index, in the counts, of the number of tiles that an insertion would add beyond the capacity."""
 
 COUNT_EVICTED: int = wp.constant(3)
-"""Index of the number of tiles evicted early since the start."""
+"""Index, in the counts, of the number of tiles evicted early since the start, to make space for new ones."""
 
 COUNT_DROPPED: int = wp.constant(4)
-"""Index of the number of tiles dropped for lack of room since the start."""
+"""Index, in the counts, of the number of new tiles dropped since the start, because the cache was full."""
 
 COUNTS: int = wp.constant(5)
 """Length of the array of tile counts, ``CacheTiles.counts``."""
@@ -68,7 +70,7 @@ COUNTS: int = wp.constant(5)
 
 @struct
 class CacheSamples:
-    """Ray hits that sample the cache, one element for each ray."""
+    """Hits of rays, as samples that are added to the cache or looked up in it; one element for each ray."""
 
     is_active: wp.array[bool]
     """False: the ray hit nothing, and the other fields are undefined."""
@@ -77,46 +79,46 @@ class CacheSamples:
     normal: wp.array[wp.vec3]
     """Surface normal, unit, towards the ray's origin, world space."""
     direction: wp.array[wp.vec3]
-    """Ray direction, unit, world space."""
+    """Direction of the ray, unit, world space."""
     distance: wp.array[float]
     """Length of the ray, scene units."""
     from_eye: wp.array[float]
     """Distance of the hit from the eye, scene units; cells grow with it."""
     albedo: wp.array[wp.vec3]
-    """Diffuse albedo, linear."""
+    """Diffuse albedo of the hit surface, linear."""
     radiance: wp.array[wp.vec3]
-    """Linear reflected direct radiance from lights and environment, without emission."""
+    """Linear radiance that the surface reflects from lights and environment directly, without emission."""
     extent: wp.array[float]
     """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
 
 
 @struct
 class CachePoints:
-    """Points of cells from which rays gather indirect light, one element for each ray.
+    """Points in cells from which rays gather indirect light, one element for each ray.
 
-    Points of one cell are adjacent, as are those of one tile.
+    The points of one cell are adjacent, as are those of one tile.
     """
 
     is_active: wp.array[bool]
     """False: there is no point, and the other fields are undefined."""
     position: wp.array[wp.vec3]
-    """Position, world space."""
+    """Position of the point, world space."""
     normal: wp.array[wp.vec3]
-    """Normal, unit, world space."""
+    """Surface normal at the point, unit, world space."""
     extent: wp.array[float]
-    """Position uncertainty of the sample that the point comes from, scene units."""
+    """Position uncertainty of the sample from which the point was made, scene units."""
     key: wp.array[wp.uint32]
     """Key of the random numbers of the cell's rays, see ``device/math/random.py``.
 
     The key depends on cell and frame, but not on the slot of the tile."""
     ray: wp.array[int]
-    """Index of the ray among those of the cell, from 0."""
+    """Index of the ray among the rays of its cell, from 0."""
     rays: wp.array[int]
-    """Number of rays of the cell."""
+    """Number of rays of the point's cell."""
     slot: wp.array[int]
-    """Slot of the tile; -1: there is no point."""
+    """Slot of the point's tile; -1: there is no point."""
     cell: wp.array[int]
-    """Cell of the tile, in row order."""
+    """Index of the point's cell in its tile, in row order."""
 
 
 @struct
@@ -124,65 +126,69 @@ class CacheGrid:
     """Settings of the cache for kernels."""
 
     cell_size: float
-    """Largest cell width as a fraction of its distance from the eye."""
+    """Largest width of a cell as a fraction of its distance from the eye."""
     history: float
-    """Frames over which direct light is averaged."""
+    """Number of frames over which direct light is averaged."""
     bounce_history: float
-    """Rays over which indirect light is averaged."""
+    """Number of rays over which indirect light is averaged."""
     samples_min: float
     """Number of samples below which a mean counts as noisy."""
     tiles: int
-    """Capacity in tiles."""
+    """Largest number of tiles that the cache holds."""
 
 
 @struct
 class CacheTiles:
     """Live tiles of the cache.
 
-    Their keys are sorted; their contents stay in a fixed slot each. ``slots`` is a permutation whose elements behind
-    the live tiles are the free slots.
+    The keys of the tiles are sorted; the data of a tile stay in one slot. ``slots`` is a permutation of all slots:
+    those of the live tiles, then the free ones.
     """
 
     counts: wp.array[int]
-    """Counts with indices ``COUNT_LIVE`` to ``COUNT_DROPPED``."""
+    """Numbers of tiles, at the indices ``COUNT_LIVE`` to ``COUNT_DROPPED``."""
     keys: wp.array[wp.int64]
-    """Keys in ascending order; ``NO_TILE`` behind the live ones."""
+    """Keys of the live tiles in ascending order, then ``NO_TILE``."""
     slots: wp.array[int]
-    """Slot of the tile with each key."""
+    """Slot of the tile with each key of ``keys``, then the free slots."""
     used: wp.array[int]
-    """Last frame in which a ray hit the tile, by slot."""
+    """Number of the last frame in which a ray hit the tile, by slot."""
     bounced: wp.array[int]
     """One more than the last frame in which the tile's cells sent rays, by slot; 0: never."""
     filled: wp.array[int]
-    """Number of the tile's cells with samples, by slot."""
+    """Number of cells of the tile that have samples, by slot."""
     direct: wp.array[wp.vec4]
-    """Mean reflected direct radiance, linear, and its number of samples; ``TILE_MEANS`` for each slot."""
+    """Mean linear radiance reflected from lights directly, and the number of its samples; ``TILE_MEANS`` for each
+    slot."""
     indirect: wp.array[wp.vec4]
-    """Mean incident indirect radiance, cosine-weighted and linear (irradiance over pi), and its number of rays.
+    """Mean incident indirect radiance, cosine-weighted and linear (irradiance over pi), and the number of its rays.
 
-    Surfaces of a cell may differ, so that each applies its own albedo."""
+    There are ``TILE_MEANS`` for each slot. Incident radiance is stored because the surfaces of a cell may differ in
+    albedo."""
     frames: wp.array[int]
-    """Number of frames with samples, at most ``history``; 0: empty cell. ``TILE_CELLS`` for each slot."""
+    """Number of frames in which each cell had samples, at most ``history``; 0: empty. ``TILE_CELLS`` for each slot."""
     updated: wp.array[int]
-    """Last frame with samples, by slot and cell."""
+    """Number of the last frame in which each cell had samples, by slot and cell."""
     position: wp.array[wp.vec3]
-    """World-space position of one sample of the frame ``updated``, by slot and cell."""
+    """World-space position of one sample of each cell from frame ``updated``, by slot and cell."""
     normal: wp.array[wp.vec3]
-    """Normal of the sample whose position is stored."""
+    """Normal of the sample at ``position``."""
     extent: wp.array[float]
-    """Position uncertainty of the sample whose position is stored, scene units."""
+    """Position uncertainty of the sample at ``position``, scene units."""
 
 
 @struct
 class SortedSamples:
-    """Samples sorted by tile, cell and index."""
+    """Cache samples sorted by tile, cell and index."""
 
     keys: wp.array[wp.int64]
-    """Tile keys, ascending; ``NO_TILE`` for samples without a tile. Twice the number of samples, for the sort."""
+    """Keys of the samples' tiles, ascending; ``NO_TILE`` for samples without a tile.
+
+    The second half of the array is scratch space for the sort."""
     order: wp.array[int]
-    """Indices of the samples; twice the number of samples."""
+    """Indices of the samples in sorted order; the second half of the array is scratch space for the sort."""
     cells: wp.array[int]
-    """Cell of each sample in its tile, by sample index."""
+    """Index of each sample's cell in its tile, by sample index."""
 
 
 SHIFT = wp.constant(wp.float32(LAYER_SHIFT))
@@ -192,34 +198,34 @@ COORDINATE_MASK = wp.constant(2**18 - 1)
 BITS_32 = wp.constant(wp.int64(32))
 
 KEY_ORIGIN = wp.constant(wp.uint32(0x63616368))
-"""Initial state of the cells' random numbers, distinct from that of pixels."""
+"""Initial state of the random numbers of cells, distinct from that of pixels."""
 
 
 @wp.struct
 class CacheCell:
-    """Cell of a sample."""
+    """Tile and cell of a sample."""
 
     key: wp.int64
-    """Key of the tile; ``NO_TILE``: none."""
+    """Key of the tile; ``NO_TILE``: the sample has no cell."""
     cell: int
-    """Cell of the tile, in row order."""
+    """Index of the cell in the tile, in row order."""
 
 
 @wp.struct
 class CellLight:
-    """Cached linear radiance leaving a sample's surface."""
+    """Linear radiance that leaves a sample's surface, looked up in the cache."""
 
     direct: wp.vec3
-    """Reflected light of lights and environment."""
+    """Reflected direct light of lights and environment."""
     indirect: wp.vec3
     """Reflected light of other surfaces."""
     is_valid: bool
-    """True if the indirect light is based on any rays."""
+    """True if any ray has sampled the indirect light."""
 
 
 @wp.func
 def exponent_of(value: float) -> int:
-    """Returns floor(log2(value)) of a positive number, exactly and the same on every device."""
+    """Returns floor(log2(value)) of a positive number, exactly and with the same result on every device."""
     return ((wp.cast(value, wp.int32) >> 23) & 255) - 127
 
 
@@ -231,7 +237,7 @@ def width_of(level: int) -> float:
 
 @wp.func
 def level_of(grid: CacheGrid, position: wp.vec3, from_eye: float) -> int:
-    """Returns the level of the cells of long rays at a position."""
+    """Returns the level of the cells for long rays at a position; cells are 2^level scene units wide."""
     reach = wp.max(wp.abs(position))
     width = wp.max(grid.cell_size * from_eye, reach / CELLS_REACH)
     # One coarser, one finer and the levels of short rays must exist, too.
@@ -251,13 +257,16 @@ def face_of(normal: wp.vec3) -> int:
 
 @wp.func
 def with_coordinate(key: wp.int64, coordinate: int) -> wp.int64:
-    """Appends a coordinate to a key."""
+    """Appends a coordinate to a key as its lowest bits."""
     return (key << wp.int64(COORDINATE_BITS)) | wp.int64(coordinate & COORDINATE_MASK)
 
 
 @wp.func
 def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> CacheCell:
-    """Returns the cell of a level at a position with a surface normal; ``is_near`` selects the cells of short rays."""
+    """Returns the cell of a given level at a position with a surface normal.
+
+    ``is_near`` selects cells of short rays instead of those of long rays.
+    """
     cell = CacheCell()
     cell.key = NO_TILE
     scaled = position / width_of(level)
@@ -276,13 +285,13 @@ def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> Ca
 
 @wp.func
 def is_of_short_rays(key: wp.int64) -> bool:
-    """Returns whether a tile's cells are those of short rays, by the key bit before the three coordinates."""
+    """Returns whether a tile has cells of short rays, which the key bit before the three coordinates tells."""
     return ((key >> wp.int64(3 * COORDINATE_BITS)) & wp.int64(1)) != wp.int64(0)
 
 
 @wp.func
 def is_near(samples: CacheSamples, i: int, level: int) -> bool:
-    """Returns whether a ray is shorter than a cell.
+    """Returns whether ray ``i`` is shorter than a cell of this level is wide.
 
     The ray's origin may then lie on the other side of a wall from the rest of the cell.
     """
@@ -301,7 +310,7 @@ def cell_of_sample(grid: CacheGrid, samples: CacheSamples, i: int) -> CacheCell:
 
 @wp.func
 def slot_of(tiles: CacheTiles, key: wp.int64) -> int:
-    """Returns the slot of the tile with a key; -1: there is none."""
+    """Returns the slot of the tile with a key; -1: the cache has no such tile."""
     live = tiles.counts[COUNT_LIVE]
     rank = first_not_below(tiles.keys, live, key)
     if rank < live:
@@ -320,9 +329,9 @@ def mean_index(slot: int, cell: int, mip: int) -> int:
 
 @wp.func
 def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: float, best: wp.vec4) -> wp.vec4:
-    """Returns ``best`` if it has enough samples, else the finest mean around a cell that has enough.
+    """Returns ``best`` if it has ``samples_min`` samples, else the finest mean around a cell that has as many.
 
-    If none has enough, the mean with the most samples is returned.
+    If none has that many, the mean with the most samples is returned.
     """
     if best[3] >= samples_min or slot < 0:
         return best
@@ -337,13 +346,13 @@ def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: f
 
 @wp.func
 def color_of(mean: wp.vec4) -> wp.vec3:
-    """Returns the radiance of a mean, without its number of samples."""
+    """Returns the radiance of a stored mean, whose fourth component is the number of samples."""
     return wp.vec3(mean[0], mean[1], mean[2])
 
 
 @wp.func
 def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3:
-    """Returns the radiance that a sample's surface reflects of a cell's mean indirect light."""
+    """Returns the radiance that a sample's surface reflects from the indirect light of its cell."""
     return wp.cw_mul(wp.min(samples.albedo[i], wp.vec3(REFLECTANCE_MAX)), color_of(indirect))
 
 
@@ -351,10 +360,10 @@ def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3
 def long_ray_radiance(
     tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int, position: wp.vec3, level: int
 ) -> CellLight:
-    """Looks up direct and indirect radiance of a sample of a long ray at a position in the sample's plane.
+    """Looks up the direct and indirect radiance of a sample of a long ray at a position in the sample's plane.
 
-    If a level has too few samples, the next coarser and then the next finer level are used: they hold values from
-    before the camera moved closer or away.
+    If a level has too few samples, the next coarser and then the next finer level are looked up: they store values from
+    before the camera moved closer or farther away.
     """
     direct = wp.vec4()
     indirect = wp.vec4()
@@ -378,8 +387,8 @@ def long_ray_radiance(
 def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int) -> wp.vec3:
     """Returns the linear radiance leaving a sample's surface, over all bounces, without emission.
 
-    A short ray uses the sample's own direct radiance and the indirect radiance of the fine cells of short rays, because
-    a mean over a larger cell may leak through a wall.
+    For a short ray, the direct radiance is the sample's own, and the indirect radiance is that of the fine cells for
+    short rays, because a mean over a larger cell may leak through a wall.
     """
     level = level_of(grid, samples.position[i], samples.from_eye[i])
     if is_near(samples, i, level):

@@ -31,7 +31,7 @@ from lumisplat.device.structs.rays import RayData
 
 @struct
 class ProbeSum:
-    """Weighted sum of probe values at a pixel."""
+    """Weighted sum of the irradiance or radiance of probes at a pixel."""
 
     total: wp.vec3
     weight: float
@@ -48,11 +48,13 @@ COSINE_1 = wp.constant(wp.float32(2.0 * math.pi / 3.0))
 
 COSINE_2 = wp.constant(wp.float32(math.pi / 4.0))
 
-APART_MIN = wp.constant(wp.float32(0.05))
-"""Value added to the squared distance, in tiles, between pixel and probe, by which the probe's weight is divided."""
+DISTANCE2_MIN = wp.constant(wp.float32(0.05))
+"""Value added to the squared distance between pixel and probe, in tiles, which divides the weight of the probe.
+
+It limits the weight of probes close to the pixel."""
 
 CUT_OFF_WEIGHT = wp.constant(wp.float32(1e-3))
-"""Weight factor of occluded probes, which matter only if all probes are occluded."""
+"""Factor of the weight of occluded probes, which matter only if all probes are occluded."""
 
 WEIGHT_MIN = wp.constant(wp.float32(1e-6))
 """Total weight below which the probes around a pixel are ignored."""
@@ -95,7 +97,7 @@ def probe_radiance(light: ProbeLight, i: int, cells: int, direction: wp.vec3) ->
 
 @wp.func
 def nearness_weight(distance: float, other: float) -> float:
-    """Returns a weight, 0..1, by the ratio of two points' distances from the eye."""
+    """Returns a weight, 0..1, by the ratio of the distances of two points from the eye; 1 if they are equal."""
     ratio = wp.min(distance, other) / wp.max(wp.max(distance, other), 1e-20)
     ratio *= ratio
     ratio *= ratio
@@ -104,7 +106,7 @@ def nearness_weight(distance: float, other: float) -> float:
 
 @wp.func
 def facing_weight(normal: wp.vec3, other: wp.vec3) -> float:
-    """Returns a weight, 0..1, by the angle between two normals."""
+    """Returns a weight, 0..1, by the angle between two normals; 1 if they are equal."""
     cosine = wp.max(wp.dot(normal, other), 0.0)
     cosine *= cosine
     cosine *= cosine
@@ -115,7 +117,10 @@ def facing_weight(normal: wp.vec3, other: wp.vec3) -> float:
 def add_probe(
     probe_sum: ProbeSum, weight: float, i: int, cells: int, direction: wp.vec3, glossy: bool, light: ProbeLight
 ):
-    """Adds a probe's weighted value: radiance along ``direction`` if ``glossy``, else irradiance for that normal."""
+    """Adds the weighted value of probe ``i`` to ``probe_sum`` and returns the sum.
+
+    The value is the radiance along ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
+    """
     if glossy:
         probe_sum.total += weight * probe_radiance(light, i, cells, direction)
     else:
@@ -137,7 +142,7 @@ def near_probes(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Sums the probes on a pixel's surface in the four tiles around ``point``."""
+    """Sums the values of the probes that lie on a pixel's surface, in the four tiles around ``point``."""
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     distance = surfaces.distance[pixel]
@@ -153,7 +158,7 @@ def near_probes(
             if fits(probes, i, surfaces.position[pixel], normal, reach, surfaces.extent[pixel]):
                 if light.exists[i] != 0 and not is_cut_off(pixel, i, grid, surfaces, probes):
                     apart = (probes.pixel[i] - point) / float(grid.tile)
-                    weight = nearness_weight(distance, probes.distance[i]) / (wp.length_sq(apart) + APART_MIN)
+                    weight = nearness_weight(distance, probes.distance[i]) / (wp.length_sq(apart) + DISTANCE2_MIN)
                     weight *= facing_weight(normal, probes.normal[i])
                     probe_sum = add_probe(probe_sum, weight, i, grid.cells, direction, glossy, light)
     return probe_sum
@@ -170,7 +175,7 @@ def wider_probes(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Sums all probes that face the same side, in the pixel's tile and the eight tiles around it."""
+    """Sums the values of all probes that face the same side as a pixel, in its tile and the eight tiles around it."""
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     column = pixel % grid.width // grid.tile
@@ -202,11 +207,11 @@ def gathered_light(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Returns the weighted mean of the probes at a pixel's surface; its weight is 0 if no probe applies.
+    """Returns the weighted mean of the values of the probes at a pixel's surface; weight 0: no probe applies.
 
     ``point`` is the image position, pixels, around which tiles are looked up: in the pixel, or jittered by up to half a
-    tile. ``direction`` is the surface normal or, if ``glossy``, the unit direction whose radiance is returned instead
-    of irradiance.
+    tile. ``direction`` is the surface normal, for irradiance, or, if ``glossy``, the unit direction whose radiance is
+    returned.
     """
     probe_sum = near_probes(pixel, point, direction, glossy, grid, camera, surfaces, probes, adaptive_of, light)
     if not probe_sum.weight > WEIGHT_MIN:
@@ -220,19 +225,23 @@ def gathered_light(
 # --- Rays of probes, and filtering between neighbouring probes ---
 
 RISE = wp.constant(wp.float32(1e-4))
-"""Height above a mesh at which probe rays start, as a fraction of the larger of coordinates and distance from the eye.
+"""Height above a mesh at which probe rays start.
+
+It is a fraction of the largest coordinate or the distance from the eye, whichever is larger.
 """
 
 NEVER = wp.constant(2**31 - 1)
 
 STALEST = wp.constant(1 << 20)
-"""Largest age of a probe in frames that affects its priority."""
+"""Number of frames without refresh beyond which the priority of a probe does not grow."""
 
 BAYER = wp.constant(wp.types.vector(length=16, dtype=wp.int32)(0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5))
-"""Order of the tiles of a 4 x 4 block such that any first few are evenly spread."""
+"""Order of refresh within 4 x 4 tiles; the tiles that come first are evenly spread, however many they are."""
 
 ANGLE_MAX = wp.constant(wp.float32(0.2))
-"""Largest angle, in cell widths, between two probes' directions to the hit of a cell for the cells to be averaged."""
+"""Largest angle at which cells of two probes are averaged, in cell widths.
+
+It is the angle between the directions from both probes to the hit of one of the cells."""
 
 PROBE_SEED = wp.constant(wp.uint32(0x70726F62))
 """Value mixed into the seed so that probe rays use other random numbers than camera rays."""
@@ -255,9 +264,9 @@ def refresh_key(i: int, grid: ProbeGrid, probes: ProbeData) -> int:
 
 @wp.func
 def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeData, rays_out: RayData):
-    """Starts the ray of a cell of probe ``i`` through a uniform point of the cell.
+    """Starts the ray of a cell of probe ``i`` in the direction of a random point of the cell.
 
-    Rays into the probe's own mesh are not started.
+    A ray that would enter the mesh that the probe lies on is not started.
     """
     seed = wp.bit_xor(grid.seed, PROBE_SEED)
     number = i * grid.cells * grid.cells + cell
@@ -286,7 +295,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
 
 @wp.func
 def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes: ProbeData) -> float:
-    """Returns the filter weight of probe ``j`` for probe ``i``: 0 off its plane."""
+    """Returns the weight of probe ``j`` in the filtered light of probe ``i``: 0 if ``j`` is off the plane of ``i``."""
     reach = reach_of(grid, camera, probes.distance[i])
     if not fits(probes, j, probes.position[i], probes.normal[i], reach, probes.extent[i]):
         return float(0.0)
@@ -294,12 +303,12 @@ def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes
 
 
 @wp.func
-def shows_the_same(i: int, j: int, cell: int, grid: ProbeGrid, probes: ProbeData, cells: ProbeCells) -> bool:
-    """Returns whether a cell of two probes shows the same surface.
+def shows_same_surface(i: int, j: int, cell: int, grid: ProbeGrid, probes: ProbeData, cells: ProbeCells) -> bool:
+    """Returns whether a cell shows the same surface from probes ``i`` and ``j``.
 
-    The hit of ``j`` must lie in the cell's direction as seen from ``i``. Hit distances are limited to those of ``i``,
-    so that near surfaces are not blurred with what lies behind them. A cell of ``i`` without samples accepts any
-    neighbour.
+    Seen from ``i``, the hit of the cell of ``j`` must lie in the cell's direction. The hit distance of ``j`` is limited
+    to that of ``i``, so that near surfaces are not blurred with the surfaces behind them. If the cell of ``i`` has no
+    samples, the result is True.
     """
     count = grid.cells * grid.cells
     if cells.samples[i * count + cell] == 0.0:

@@ -1,4 +1,4 @@
-"""Secondary rays of real-time rendering: within highlights, straight through glass, or mirrored."""
+"""Secondary rays of real-time rendering: within highlights, straight through glass, or reflected by mirrors."""
 
 import warp as wp
 
@@ -25,12 +25,13 @@ MIRRORED_SOLID_ANGLE = 0.02
 Without this limit, one ray in thousands would be thousands of times too bright."""
 
 LOBE_ALPHA_FROM = 0.16
-"""GGX alpha (roughness 0.4) from which highlight rays fade to the light of screen probes, whose cells are 0.4 wide.
+"""GGX alpha (roughness 0.4) from which highlight rays are blended with screen probes, whose cells are 0.4 radians
+wide.
 
 GI-1.1 traces rays up to a roughness of 0.2, and switches to probes without a blend."""
 
 LOBE_ALPHA_TO = 0.25
-"""GGX alpha (roughness 0.5) from which highlights send no rays."""
+"""GGX alpha (roughness 0.5) from which highlights use screen probes alone and send no rays."""
 
 
 @struct
@@ -42,28 +43,28 @@ class LobeRays:
     slot: wp.array[int]
     """Surface of the pixel: 0 for Gaussians, 1 for a mesh; -1: no ray."""
     ray: wp.array[int]
-    """Index of the ray."""
+    """Index of the square's ray among all highlight rays."""
     weight: wp.array[wp.vec3]
-    """Factor from the ray's radiance to the highlight's reflected radiance over its albedo."""
+    """Factor that converts the ray's radiance to the highlight's reflected radiance over its albedo."""
     radiance: wp.array[wp.vec3]
     """Radiance along each ray, linear; one element for each ray."""
 
 
 @struct
 class BouncedRays:
-    """Radiance along secondary rays, without the light that the surfaces they hit reflect."""
+    """Radiance along secondary rays, and light samples at the surfaces that they hit."""
 
     emitted: wp.array[wp.vec3]
-    """Radiance of captures and of emission that is not sampled as a light; linear."""
+    """Linear radiance of captures, and of emission that is not sampled as a light."""
     share: wp.array[wp.vec3]
-    """Weight of the hit surface in the ray's radiance; 0: no surface."""
+    """Weight, in the ray's radiance, of the light that the hit surface reflects; 0: no surface."""
     sampled: wp.array[wp.vec3]
-    """Unshadowed radiance that the hit surface reflects of a sampled light, linear."""
+    """Unshadowed linear radiance of one sampled light that the hit surface reflects."""
 
 
 @struct
 class OnwardRays:
-    """Rays of `BouncedRays` that continue at smooth surfaces; empty where there are none."""
+    """Rays that continue those of `BouncedRays` at smooth surfaces; empty in scenes without smooth surfaces."""
 
     rays: RayData
     """Rays of the next wave; a ray that has hit a rough surface is inactive."""
@@ -72,11 +73,11 @@ class OnwardRays:
     length_before: wp.array[float]
     """Length of the path before the ray, scene units."""
     mirrored: wp.array[int]
-    """1: a mirror reflected the ray, so that it sees lights directly."""
+    """1: a mirror reflected the ray, so that lights that the ray hits count."""
     weights: wp.array[wp.vec3]
-    """Weight of the ray in the radiance of the first ray."""
+    """Factor of the ray's radiance in the radiance of the secondary ray that it continues."""
     media: wp.array[wp.vec4i]
-    """Media that the ray has entered, as in ``Boundary``; empty: none."""
+    """Media that the ray is inside of, as in ``Boundary``; empty: no ray is in a medium."""
 
 
 # --- Rays within highlights, one for four pixels (docs/method/realtime.md#glossy) ---
@@ -100,7 +101,7 @@ def square_of(pixel: int, width: int) -> int:
 
 @wp.func
 def followed_pixel(square: int, frame: int, width: int) -> wp.vec2i:
-    """Returns the pixel of a square that may send a ray this frame; the four pixels alternate, diagonally."""
+    """Returns the pixel of a 2 x 2 square that may send a ray in this frame; the four pixels take turns, diagonally."""
     turn = frame % 4
     across = turn % 2
     down = (turn // 2) ^ across
@@ -109,7 +110,7 @@ def followed_pixel(square: int, frame: int, width: int) -> wp.vec2i:
 
 @wp.func
 def lobe_share(alpha: float) -> float:
-    """Returns the weight of rays in a highlight of this GGX alpha; screen probes have the rest."""
+    """Returns the weight of traced rays in a highlight of this GGX alpha; screen probes have the remaining weight."""
     return wp.clamp((ALPHA_TO - alpha) / (ALPHA_TO - ALPHA_FROM), 0.0, 1.0)
 
 
@@ -117,11 +118,12 @@ def lobe_share(alpha: float) -> float:
 def lobe_radiance(
     pixel: int, slot: int, camera: wp.array[CameraData], surfaces: SurfacePixels, lobes: LobeRays
 ) -> wp.vec4:
-    """Returns a highlight's linear reflected radiance over its albedo by the ray of its square, and 1.
+    """Returns a highlight's linear reflected radiance over its albedo in x, y and z, and its weight, 1, in w.
 
-    Without a ray, all components are 0.
+    The radiance is that along the ray of the pixel's square. All components are 0 if the square has no ray from this
+    surface.
 
-    ``slot`` is the pixel's surface, and ``surfaces`` are those of its kind.
+    ``slot`` is the kind of the surface, 0 for Gaussians and 1 for a mesh; ``surfaces`` are the G-buffer of this kind.
     """
     square = square_of(pixel, camera[0].width)
     if lobes.slot[square] != slot:
@@ -148,7 +150,7 @@ SMALLEST = wp.constant(wp.float32(MIRRORED_SOLID_ANGLE))
 def straight_bounce(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
     """Returns reflection and straight transmission at the mesh that ray ``i`` hits; zero if the mesh is not smooth.
 
-    As for shadow rays, both sides count as air: light leaving glass is reflected as light entering it.
+    Both sides count as air, as for shadow rays: light leaving glass is reflected as much as light entering it.
     """
     bounce = Bounce()
     if wave[0].meshes.face[i] >= 0 and wave[0].gaussians.transmittance[i] > 0.0:
@@ -163,7 +165,10 @@ def straight_bounce(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 def straight_step(
     i: int, branch: Branch, bounce: Bounce, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> PathStep:
-    """Continues ray ``i`` by reflection or straight transmission; the weight is divided by the branch's probability."""
+    """Continues ray ``i`` by reflection or straight transmission, whichever ``branch`` is.
+
+    The weight of the continued ray is divided by the probability of the branch.
+    """
     step = PathStep()
     side = -bounce.side
     step.direction = wave[0].rays.direction[i]
@@ -183,7 +188,7 @@ def straight_step(
 
 @wp.func
 def start_onward(i: int, kind: int, step: PathStep, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts the continuation of ray ``i``; input and output arrays may be the same."""
+    """Starts the continuation of ray ``i`` in ``rays_out``, which may be the arrays that the ray is read from."""
     sample_key = branch_key(wave[0].rays.sample_key[i], kind)
     pixel_key = branch_key(wave[0].rays.pixel_key[i], kind)
     sample = wave[0].rays.sample[i]
@@ -202,7 +207,7 @@ def start_onward(i: int, kind: int, step: PathStep, wave: wp.array[WaveData], ra
 
 @wp.func
 def at_most(radiance: wp.vec3, most: float) -> wp.vec3:
-    """Scales a radiance down to a maximum luminance."""
+    """Scales a radiance down to the luminance ``most`` if it is brighter."""
     brightness = luminance(radiance)
     if brightness > most:
         return (most / brightness) * radiance
@@ -213,10 +218,10 @@ def at_most(radiance: wp.vec3, most: float) -> wp.vec3:
 def mirrored_light(
     i: int, length_before: float, no_shadows: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Returns the linear radiance of lights that ray ``i``, reflected by a mirror, hits itself.
+    """Returns the linear radiance of the lights that ray ``i``, reflected by a mirror, hits.
 
-    Small bright lights are hit rarely, so they are treated as if they covered ``MIRRORED_SOLID_ANGLE``, and no
-    brighter.
+    Small bright lights are hit rarely. A light that covers less than ``MIRRORED_SOLID_ANGLE`` is therefore dimmed to
+    the radiance that it would have if it covered this solid angle.
 
     ``length_before`` is the path length before the ray, scene units; ``no_shadows``: light samples pass mirrors.
     """

@@ -1,4 +1,4 @@
-"""Surfaces that pixels show in real time: G-buffer, reprojection to the previous frame, and albedo."""
+"""Surfaces that pixels show in real-time rendering: G-buffer, reprojection to the previous frame, and albedo."""
 
 import warp as wp
 
@@ -23,19 +23,22 @@ from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_SURFACE_PX = 8.0
-"""Largest distance of two points of one surface from each other's planes, in pixel widths; GI-1.1's tile size."""
+"""Largest distance of two points of one surface from each other's tangent planes, in pixel widths.
+
+It is the tile size of GI-1.1."""
 
 SAME_NORMAL_MESH = 0.9
-"""Smallest cosine between the normals of one mesh surface in two frames; faster rotation loses its history."""
+"""Smallest cosine between the normals of one point of a mesh in two frames; the history of faster rotation is dropped.
+"""
 
 SAME_NORMAL_SPLATS = 0.5
-"""Smallest cosine between the normals of one surface of Gaussians in two frames; their normals are noisy."""
+"""Smallest cosine between the normals of one point of Gaussians in two frames; normals of Gaussians are noisy."""
 
 YOUNG_SHARE = 0.5
-"""Fraction of its samples for which a young mean counts when a sample is added.
+"""Fraction of its samples for which a mean of few samples counts when a sample is added.
 
 Later samples include more bounces and are closer to the converged value. The variance is a third higher than that of
-plain means."""
+ordinary means."""
 
 
 @struct
@@ -43,7 +46,7 @@ class SurfacePixels:
     """G-buffer of the surfaces of one kind, Gaussians or meshes; one element for each pixel, in row order."""
 
     share: wp.array[float]
-    """Coverage of the pixel, 0..1; 0: no surface, and the other fields are undefined."""
+    """Fraction of the pixel that the surface covers, 0..1; 0: no surface, and the other fields are undefined."""
     position: wp.array[wp.vec3]
     """Position, world space."""
     normal: wp.array[wp.vec3]
@@ -53,9 +56,9 @@ class SurfacePixels:
     extent: wp.array[float]
     """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
     albedo: wp.array[wp.vec3]
-    """Diffuse albedo towards the viewer under constant illumination, linear."""
+    """Diffuse albedo, linear: fraction of a constant environment that is reflected towards the viewer."""
     glossy_albedo: wp.array[wp.vec3]
-    """Albedo of the highlight towards the viewer."""
+    """Albedo of the highlight, linear: fraction of a constant environment that is reflected towards the viewer."""
     alpha: wp.array[float]
     """GGX alpha of the highlight, as in ``Bsdf``."""
     previous: wp.array[wp.vec3]
@@ -69,67 +72,69 @@ class InstanceMotion:
     existed: int
     """0: the instance did not exist in the previous frame."""
     deforms: int
-    """1: its Gaussians or vertices moved individually."""
+    """1: the Gaussians or vertices of the instance moved individually."""
     before_from_now: wp.mat33
-    """World-space transform from current to previous positions; linear part."""
+    """Linear part of the world-space transform from current to previous positions."""
     before_from_now_offset: wp.vec3
     before_from_object: wp.mat33
-    """Transform from object space to the world space of the previous frame; linear part."""
+    """Linear part of the transform from object space to the world space of the previous frame."""
     before_from_object_offset: wp.vec3
     means: wp.array[wp.vec3]
-    """Previous means of its Gaussians, object space; this and the next two arrays are empty unless it deforms."""
+    """Previous means of the instance's Gaussians, object space.
+
+    The three arrays from here on are empty unless the instance deforms."""
     rotations: wp.array[wp.quat]
     positions: wp.array[wp.vec3]
-    """Previous vertex positions, indexed as in ``MeshData``."""
+    """Previous positions of the instance's vertices, indexed as in ``MeshData``."""
 
 
 @struct
 class PixelLight:
-    """One light sample for each ray of the first wave, for one of its two surfaces."""
+    """One light sample for each ray of the first wave, at one of the ray's two surfaces."""
 
     slot: wp.array[int]
-    """Surface that is lit: 0 for Gaussians, 1 for a mesh; -1: none."""
+    """Surface that the sample lights: 0 for Gaussians, 1 for a mesh; -1: none."""
     diffuse: wp.array[wp.vec3]
     """Unshadowed diffusely reflected radiance, as if the surface covered the whole pixel; linear."""
     glossy: wp.array[wp.vec3]
-    """Unshadowed radiance reflected by anything but the diffuse part, linear."""
+    """Unshadowed radiance reflected by highlights and other non-diffuse lobes, linear."""
 
 
 @struct
 class SurfaceLight:
-    """Reflected light of surfaces of one kind, one element for each pixel, in row order."""
+    """Light reflected by surfaces of one kind (Gaussians or meshes), one element for each pixel, in row order."""
 
     is_sampled: wp.array[wp.bool]
     """True if the pixel has a sample in this frame; if false, the other fields are undefined."""
     diffuse: wp.array[wp.vec3]
     """Diffusely reflected radiance over the albedo, linear."""
     glossy: wp.array[wp.vec3]
-    """Radiance reflected by anything but the diffuse part, linear."""
+    """Radiance reflected by highlights and other non-diffuse lobes, linear."""
 
 
 @struct
 class LightHistory:
-    """Temporal means of the light of surfaces of one kind, one element for each pixel, in row order.
+    """Temporal means of the light of surfaces of one kind (Gaussians or meshes), for each pixel, in row order.
 
-    Each surface has a diffuse and a glossy value as in ``SurfaceLight``; the moments are those of the two luminances.
+    Each surface has a diffuse and a glossy mean as in ``SurfaceLight``, and moments of both luminances.
     """
 
     frames: wp.array[float]
-    """Number of frames in the means; 0: no history."""
+    """Number of frames that the means average; 0: no history."""
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
     moments: wp.array[wp.vec4]
-    """Means of the luminance and of its square; diffuse, then glossy."""
+    """Mean and mean square of the diffuse luminance, then of the glossy luminance."""
 
 
 @struct
 class FilteredLight:
-    """Spatially filtered light of surfaces of one kind, one element for each pixel, in row order."""
+    """Spatially filtered light of surfaces of one kind (Gaussians or meshes), for each pixel, in row order."""
 
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
     variance: wp.array[wp.vec2]
-    """Variances of the diffuse and glossy luminance."""
+    """Variances of the diffuse and of the glossy luminance."""
 
 
 @struct
@@ -139,13 +144,15 @@ class TemporalPixels:
     color: wp.array[wp.vec3]
     """Linear radiance."""
     motion: wp.array[wp.vec3]
-    """Motion in pixels and in distance of the surface that ends the pixel, or of the background; NaN: new surface."""
+    """Motion since the previous frame: x and y in pixels, and distance from the eye; NaN: new surface.
+
+    It is the motion of the surface that ends the pixel, or of the background."""
     instance: wp.array[int]
     """Instance of the surface that ends the pixel, as in ``FirstSurface``; -1: the background."""
     previous_pixel: wp.array[wp.vec2]
-    """Position of the pixel in the previous frame, in pixels from the centre of the first pixel."""
+    """Position of the pixel in the previous frame; (0, 0) is the centre of the first pixel."""
     weight: wp.array[float]
-    """Weight of this frame in the mean, 0..1; 1: no history."""
+    """Weight of the current frame in the temporal mean, 0..1; 1: no history."""
 
 
 @struct
@@ -153,17 +160,16 @@ class TemporalHistory:
     """Temporal means of pixels over frames, one element for each pixel, in row order."""
 
     frames: wp.array[float]
-    """Number of frames in the mean; 0: no history."""
+    """Number of frames that the mean averages; 0: no history."""
     color: wp.array[wp.vec3]
-    """Linear radiance."""
+    """Mean linear radiance."""
     sample: wp.array[float]
-    """Luminance of the last frame's sample."""
+    """Luminance of the pixel in the last frame alone."""
     change: wp.array[float]
-    """Mean squared difference between the luminances of successive samples."""
+    """Mean squared difference between the luminances of successive frames."""
     instance: wp.array[int]
-    """Instance of the nearest surface in the surrounding 3 x 3 pixels of the last frame, as in ``FirstSurface``.
-
-    The value is -1 if there was none."""
+    """Instance of the nearest surface in the surrounding 3 x 3 pixels of the last frame, as in ``FirstSurface``; -1:
+    none."""
 
 
 # --- Pixels sampled in each frame (``RealtimeConfig.light_interval``), and weights of young means ---
@@ -173,9 +179,9 @@ BLOCK = wp.constant(RAY_BLOCK_PX)
 
 @wp.func
 def is_sampled_in_frame(x: int, y: int, interval: int, frame: int) -> bool:
-    """Returns whether a pixel is sampled in this frame.
+    """Returns whether a pixel is sampled in frame number ``frame``.
 
-    All pixels are sampled in the first frame, then every ``interval``-th block of pixels in turn.
+    All pixels are sampled in the first frame; in later frames, one of each ``interval`` blocks of pixels is, in turn.
     """
     return frame == 0 or (x // BLOCK + y // BLOCK + frame) % interval == 0
 
@@ -185,11 +191,9 @@ SHARE = wp.constant(wp.float32(YOUNG_SHARE))
 
 @wp.func
 def mean_weight(count: float, history: float) -> float:
-    """Returns the number of samples for which a mean of ``count`` samples counts when one is added.
+    """Returns the weight of a mean of ``count`` samples, in samples, when another sample is added.
 
-    A young mean counts for less than its number of samples.
-
-    ``history`` is the largest number of samples in a mean.
+    The weight of a mean of few samples is less than ``count``. ``history`` is the largest number of samples in a mean.
     """
     if count < history:
         return SHARE * count
@@ -199,18 +203,19 @@ def mean_weight(count: float, history: float) -> float:
 # --- Motion (docs/method/realtime.md#motion) ---
 
 UNMOVED = -1
-"""Stands for an instance number: the instance did not move."""
+"""Value in place of an instance index: the instance did not move."""
 
 GONE = -2
-"""Stands for an instance number: the instance was removed."""
+"""Value in place of an instance index: the instance was removed."""
 
 
 @wp.func
 def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
-    """Returns whether the instance that a pixel showed has moved and is not the one that the pixel shows now.
+    """Returns whether the instance that a pixel showed in the previous frame has moved away from the pixel.
 
-    ``before`` is its index in the previous frame, splats first; -1: the background. ``moved_to`` maps these indices to
-    current ones, or to ``UNMOVED`` or ``GONE``.
+    ``before`` is the index of this instance in the previous frame, splat instances first; -1: the background. ``now``
+    is that of the instance that the pixel shows now. ``moved_to`` maps previous indices to current ones, or to
+    ``UNMOVED`` or ``GONE``.
     """
     if before < 0:
         return False
@@ -232,7 +237,7 @@ def splat_before(
     assets: wp.array[GaussianData],
     motions: wp.array[InstanceMotion],
 ) -> wp.vec3:
-    """Returns the previous position of a point that moves with a Gaussian; ``number`` is the Gaussian's instance."""
+    """Returns the previous position of a point that moves with Gaussian ``gaussian`` of instance ``number``."""
     if motions[number].existed == 0:
         return no_position()
     if motions[number].deforms == 0:
@@ -248,9 +253,9 @@ def splat_before(
 def mesh_before(
     position: wp.vec3, number: int, face: int, weights: wp.vec2, meshes: MeshData, motions: wp.array[InstanceMotion]
 ) -> wp.vec3:
-    """Returns the previous position of a point of a mesh.
+    """Returns the previous position of a point of mesh instance ``number``.
 
-    ``face`` is an index over all meshes; ``weights`` are the barycentric weights of its second and third corner.
+    ``face`` is an index over all meshes; ``weights`` are the barycentric weights of the face's second and third corner.
     """
     if motions[number].existed == 0:
         return no_position()
@@ -265,7 +270,10 @@ def mesh_before(
 
 @wp.func
 def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
-    """Projects a point with a pinhole camera: x and y in pixels, centres at +0.5, and its distance; 0: not visible."""
+    """Projects a point with a pinhole camera: returns x and y in pixels, with pixel centres at +0.5, and its distance.
+
+    The distance is 0 for a point that is not visible.
+    """
     from_eye = position - camera[0].eye
     view = wp.transpose(camera[0].world_from_camera) * from_eye
     if not view[2] > camera[0].near:
@@ -279,11 +287,11 @@ def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
 def motion_of(
     position: wp.vec3, previous: wp.vec3, camera: wp.array[CameraData], camera_before: wp.array[CameraData]
 ) -> wp.vec3:
-    """Returns a point's motion in the image: current minus previous x, y in pixels and distance.
+    """Returns a point's motion in the image since the previous frame: x and y in pixels, and distance from the eye.
 
     The result is NaN if the point had no previous position or was not visible.
 
-    ``previous`` is the point's position in the previous frame; NaN: none.
+    ``previous`` is the point's position in the previous frame; NaN: it had none.
     """
     if wp.isnan(previous[0]):
         return no_position()
@@ -312,13 +320,13 @@ def snapped(x: float) -> float:
 
 @wp.func
 def least_cosine(extent: float) -> float:
-    """Returns the smallest cosine between normals of one surface; ``extent`` is above 0 for Gaussians."""
+    """Returns the smallest cosine between two normals of one surface; ``extent`` is above 0 for Gaussians."""
     return wp.where(extent > 0.0, NORMAL_SPLATS, NORMAL_MESH)
 
 
 @wp.func
 def tolerance(distance: float, extent: float, camera: wp.array[CameraData]) -> float:
-    """Returns the largest distance of points of one surface from each other's planes, scene units."""
+    """Returns the largest distance of two points of one surface from each other's tangent planes, scene units."""
     return wp.max(SURFACE_PX * distance / camera[0].focal[0], extent)
 
 
@@ -333,7 +341,8 @@ def is_near(
 ) -> bool:
     """Returns whether two points with normals lie on one surface.
 
-    ``tolerated`` is the largest distance of each point from the plane of the other, scene units.
+    ``tolerated`` is the largest distance of each point from the tangent plane of the other, scene units, and
+    ``cosine_min`` the smallest cosine between their normals.
     """
     if wp.dot(normal, other_normal) < cosine_min:
         return False
@@ -360,12 +369,12 @@ def is_same_surface(
 # --- Albedo: reflected fraction of a constant environment (docs/method/realtime.md#surfaces) ---
 
 MEAN_COSINE = wp.constant(wp.float32(2.0 / 3.0))
-"""Mean cosine of constant illumination, weighted by the cosine."""
+"""Mean cosine of light from a constant environment, weighted by the cosine."""
 
 
 @wp.func
 def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
-    """Returns the transmittance of the layers for constant illumination, approximated at its mean cosine."""
+    """Returns the fraction of constant illumination that clearcoat and sheen transmit, evaluated at its mean cosine."""
     if not has_layers(bsdf):
         return 1.0
     return left_by_coat(bsdf, cosine, MEAN_COSINE) * left_by_sheen(bsdf, cosine, MEAN_COSINE)
@@ -373,7 +382,7 @@ def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def diffuse_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the diffuse albedo for a view at a cosine under a constant environment."""
+    """Returns the diffuse albedo for a view at a cosine from the normal, under a constant environment."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.cw_mul(simple_scale(bsdf), bsdf.diffuse)
     if bsdf.dielectric <= 0.0:
@@ -383,7 +392,7 @@ def diffuse_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def base_highlight(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the albedo of the highlight below the layers; 0 for smooth surfaces, which have none."""
+    """Returns the albedo of the highlight below clearcoat and sheen; 0 for smooth surfaces, which have no highlight."""
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
         return wp.vec3(0.0)
     return view_albedo(bsdf, cosine) + lost_share(cosine, bsdf.alpha) * bsdf.rescattered
@@ -391,7 +400,7 @@ def base_highlight(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def glossy_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the albedo of everything but the diffuse part, without the mirror reflection of smooth surfaces."""
+    """Returns the albedo of all lobes except the diffuse one, without the mirror reflection of smooth surfaces."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.cw_mul(simple_scale(bsdf), bsdf.specular)
     albedo = base_highlight(bsdf, cosine)
@@ -412,7 +421,7 @@ def transmitted_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def highlight_width(bsdf: Bsdf) -> float:
-    """Returns the GGX alpha of the highlight; for a Phong exponent the equivalent of Walter et al. 2007."""
+    """Returns the GGX alpha of the highlight; for a Phong exponent, the equivalent alpha of Walter et al. 2007."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.sqrt(2.0 / (bsdf.shininess + 2.0))
     return bsdf.alpha
@@ -420,6 +429,9 @@ def highlight_width(bsdf: Bsdf) -> float:
 
 @wp.func
 def matte_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the total albedo for a view under constant illumination, by reflection and transmission, at most 1."""
+    """Returns the total albedo for a view under a constant environment, at most 1.
+
+    It includes transmission through rough surfaces, but not the mirror reflection of smooth surfaces.
+    """
     albedo = diffuse_albedo(bsdf, cosine) + glossy_albedo(bsdf, cosine) + transmitted_albedo(bsdf, cosine)
     return wp.min(albedo, wp.vec3(1.0))

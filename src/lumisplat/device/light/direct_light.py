@@ -47,29 +47,29 @@ class SampledLight:
     """Contribution of one light sample at a surface of a path."""
 
     contribution: Contribution
-    """Contribution with the MIS weight against path rays that hit the light."""
+    """Contribution multiplied by the MIS weight, because path rays may also hit the light."""
     unweighted: wp.vec3
-    """Contribution's colour without the MIS weight."""
+    """Colour of the contribution without the MIS weight."""
 
 
 LIGHT_COSINE_MIN = 0.1
 """Smallest cosine assumed when a light is selected, because parts of an extended light may be above the horizon."""
 
 LIGHT_BRANCHES = wp.constant(2)
-"""First branch of a ray's key for random numbers of lights; 0 and 1 are the reflected and the refracted ray."""
+"""First branch of a ray's key that lights use for random numbers; branches 0 and 1 belong to the ray's two bounces."""
 
 BSDF_BRANCHES = wp.constant(2)
-"""First branch of a light's key for its shadow rays; 0 and 1 are samples of the BSDF."""
+"""First branch of a light's key that its shadow rays use; branches 0 and 1 belong to samples of the BSDF."""
 
 # Random branches of a ray's key where one light is selected.
 POINT_BRANCH = wp.constant(2)
-"""Random branch that selects the point of the light."""
+"""Random branch that selects a point of the light's extent."""
 
 CHOICE_BRANCH = wp.constant(3)
-"""Random branch that selects the light and the emissive triangle."""
+"""Random branch that selects the light and, among emissive triangles, the triangle."""
 
 SHADOW_BRANCH = wp.constant(5)
-"""Random branch of shadow rays, independent of the branch that selected the point of the light."""
+"""Random branch of the shadow ray, independent of the branch that selected the point of the light."""
 
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 
@@ -88,7 +88,10 @@ def choice_count(scene: wp.array[ShadingScene]) -> int:
 
 @wp.func
 def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether light ``number`` is the environment; emissive triangles are one more light after all others."""
+    """Returns whether light ``number`` is the environment.
+
+    The emissive triangles are one more light, numbered after all others.
+    """
     if number == scene[0].settings[0].light_count:
         return False
     return scene[0].lights[number].kind == LIGHT_ENVIRONMENT
@@ -96,7 +99,7 @@ def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 @wp.func
 def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether objects block light ``number``; emissive meshes always cast shadows."""
+    """Returns whether objects block the light of light ``number``; emissive meshes always cast shadows."""
     if number == scene[0].settings[0].light_count:
         return True
     return scene[0].lights[number].casts_shadow != 0
@@ -106,8 +109,8 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
     """Returns whether rays scattered at surfaces also find light ``number``, so that its samples need MIS weights.
 
-    That excludes lights without extent, and lights whose samples pass objects that would block rays or are shadowed
-    differently.
+    They do not find lights without extent. They may not count at lights whose samples pass objects that would block the
+    rays, or are shadowed differently.
     """
     if no_shadows or scene[0].settings[0].changes_shadows != 0:
         return False
@@ -123,7 +126,7 @@ def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bo
 
 @wp.func
 def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
-    """Estimates the irradiance of a surface by light ``number``; above 0 wherever the light contributes."""
+    """Estimates the irradiance of a surface point by light ``number``; above 0 wherever the light contributes."""
     if number == scene[0].settings[0].light_count:
         emitters = scene[0].emitters
         away = emitters.center - position
@@ -138,7 +141,7 @@ def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.
 
 @wp.func
 def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
-    """Estimates the irradiance of a surface by all lights."""
+    """Estimates the irradiance of a surface point by all lights."""
     total = float(0.0)
     for number in range(choice_count(scene)):
         total += light_importance(number, position, normal, scene)
@@ -147,7 +150,7 @@ def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[Shading
 
 @wp.func
 def vertex_without_importance(interaction: Interaction) -> PathVertex:
-    """Returns an interaction as a vertex for light selection, without its importance."""
+    """Returns position and normal of an interaction as a path vertex; its importance is not set."""
     vertex = PathVertex()
     vertex.position = interaction.position
     vertex.normal = interaction.normal
@@ -158,7 +161,7 @@ def vertex_without_importance(interaction: Interaction) -> PathVertex:
 
 @wp.func
 def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
-    """Returns an interaction as a vertex for light selection."""
+    """Returns an interaction as a path vertex: position, normal, and the importance of all lights."""
     vertex = vertex_without_importance(interaction)
     vertex.importance = total_importance(vertex.position, vertex.normal, scene)
     return vertex
@@ -166,7 +169,7 @@ def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVe
 
 @wp.func
 def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) -> LightChoice:
-    """Selects a light for a surface in proportion to its importance; ``u`` is random, 0..1."""
+    """Selects a light for a path vertex in proportion to its importance there; ``u`` is random, 0..1."""
     choice = LightChoice()
     choice.number = -1
     if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
@@ -183,7 +186,7 @@ def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) ->
 
 @wp.func
 def choice_probability(number: int, vertex: PathVertex, scene: wp.array[ShadingScene]) -> float:
-    """Returns the probability with which ``chosen_light`` selects light ``number`` at a surface."""
+    """Returns the probability with which ``chosen_light`` selects light ``number`` for a path vertex."""
     if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
         return 0.0
     return light_importance(number, vertex.position, vertex.normal, scene) / vertex.importance
@@ -191,7 +194,7 @@ def choice_probability(number: int, vertex: PathVertex, scene: wp.array[ShadingS
 
 @wp.func
 def environment_number(scene: wp.array[ShadingScene]) -> int:
-    """Returns the index of the light that is the environment; -1: none."""
+    """Returns the index of the light that is the environment; -1: the scene has no environment light."""
     for number in range(scene[0].settings[0].light_count):
         if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
             return number
@@ -203,7 +206,7 @@ def environment_number(scene: wp.array[ShadingScene]) -> int:
 
 @wp.func
 def arrives(interaction: Interaction, direction: wp.vec3) -> bool:
-    """Returns whether light from a direction arrives at an interaction: from above or, at rough glass, from below."""
+    """Returns whether light from a direction arrives at an interaction: above its horizon or, at rough glass, below."""
     cosine = wp.dot(interaction.normal, direction)
     above = wp.dot(interaction.horizon_normal, direction)
     if cosine < 0.0 and above < 0.0:
@@ -221,7 +224,7 @@ def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
 
 @wp.func
 def contribution_of(interaction: Interaction, sample: LightSample, share: float) -> Contribution:
-    """Returns the contribution of ``share`` of a light sample to the ray's radiance.
+    """Returns the contribution of a light sample, times ``share``, to the ray's radiance.
 
     For a shadow catcher, the contribution is irradiance.
     """
@@ -240,7 +243,7 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
 
 @wp.func
 def power_heuristic(pdf: float, other: float) -> float:
-    """Returns the MIS weight of a sample with this pdf if the direction could also be sampled with the other pdf."""
+    """Returns the MIS weight of a sample with pdf ``pdf`` if another strategy samples its direction with ``other``."""
     if pdf <= 0.0:
         return 0.0
     ratio = other / pdf
@@ -256,11 +259,13 @@ def environment_sample(
     choice: float,
     scene: wp.array[ShadingScene],
 ) -> LightSample:
-    """Draws one of two samples of the environment: by its radiance, or by a BSDF.
+    """Draws one of two samples of the environment: by its radiance or, if ``samples_bsdf``, by a BSDF.
 
-    The balance heuristic (Veach and Guibas 1995) makes the sum of both samples an unbiased estimate.
+    The samples are weighted by the balance heuristic (Veach and Guibas 1995), so that the sum of both is an unbiased
+    estimate.
 
-    ``bsdf`` is the BSDF of the surface or a part of it. ``u`` and ``choice``, which selects a lobe, are random, 0..1.
+    ``bsdf`` is the BSDF of the surface or a part of it. ``u`` is random, 0..1 each; ``choice``, random, 0..1, selects a
+    lobe.
     """
     sample = LightSample()
     environment = scene[0].environment
@@ -284,19 +289,19 @@ def environment_sample(
 
 @wp.func
 def light_key(pixel_key: wp.uint32, number: int) -> wp.uint32:
-    """Returns the key of the random sequence that samples light ``number``."""
+    """Returns the key of the random sequence that samples light ``number`` for all samples of a pixel."""
     return branch_key(pixel_key, LIGHT_BRANCHES + number)
 
 
 @wp.func
 def shadow_ray_key(key: wp.uint32, number: int, samples_bsdf: bool, slot: int) -> wp.uint32:
-    """Returns the key of the shadow ray from a ray's interaction ``slot`` towards light ``number``."""
+    """Returns the random key of the shadow ray from interaction ``slot`` of a ray towards light ``number``."""
     return branch_key(light_key(key, number), BSDF_BRANCHES + slot + 2 * int(samples_bsdf))
 
 
 @wp.func
 def light_center_contribution(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> Contribution:
-    """Returns the contribution of light ``number``, not the environment, sampled at its centre."""
+    """Returns the contribution of light ``number``, sampled at its centre; the light must not be the environment."""
     sample = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
     return contribution_of(interaction, sample, 1.0)
 
@@ -305,9 +310,9 @@ def light_center_contribution(number: int, interaction: Interaction, scene: wp.a
 def light_sample_contribution(
     number: int, interaction: Interaction, pixel_key: wp.uint32, index: int, scene: wp.array[ShadingScene]
 ) -> Contribution:
-    """Returns the contribution of light ``number``, not the environment, sampled at a random point of its extent.
+    """Returns the contribution of light ``number``, sampled at a random point of its extent.
 
-    ``index`` is the index of the ray's sample.
+    The light must not be the environment. ``index`` is the index of the ray's sample.
     """
     u = sobol_2d(light_key(pixel_key, number), index)
     sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
@@ -323,7 +328,7 @@ def environment_contribution(
     index: int,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Returns the contribution of the environment, light ``number``, by one of its two samples."""
+    """Returns the contribution of the environment, light ``number``, by one of the two ``environment_sample`` draws."""
     key = light_key(pixel_key, number)
     u = sobol_2d(key, index)
     choice = float(0.0)
@@ -343,10 +348,10 @@ def light_contribution(
     index: int,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Returns the contribution of light ``number`` for a shadow ray.
+    """Returns the contribution of light ``number`` along one shadow ray.
 
-    The environment uses one of its two samples. Other lights use a random point for soft shadows, their centre for hard
-    ones.
+    The environment is sampled by its radiance or, if ``samples_bsdf``, by the BSDF. Other lights are sampled at a
+    random point for soft shadows, and at their centre for hard shadows.
     """
     contribution = Contribution()
     if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
@@ -370,9 +375,9 @@ def sample_chosen(
     with_mis: bool,
     scene: wp.array[ShadingScene],
 ) -> SampledLight:
-    """Samples the selected light at an interaction; the contribution is divided by the selection probability.
+    """Samples a selected light at an interaction; the contribution is divided by the selection probability.
 
-    ``u`` and ``which`` are random, 0..1; ``with_mis``: whether rays scattered at the surface find the light too, see
+    ``u`` and ``which`` are random, 0..1; ``with_mis``: whether rays scattered at the surface find the light, too, see
     ``uses_mis``.
     """
     sample = LightSample()
@@ -397,9 +402,10 @@ def sample_chosen(
 
 @wp.func
 def half_highlight(bsdf: Bsdf, cos_view: float) -> Bsdf:
-    """Returns the BSDF with its diffuse part reduced to at most the highlight.
+    """Returns a BSDF for sampling, whose diffuse part is reduced to at most the albedo of the highlight.
 
-    Half of its samples are then of the highlight; otherwise they would be rare and bright.
+    At least half of its samples are then drawn from the highlight. Otherwise, samples in the highlight would be rare
+    and bright.
     """
     half = bsdf
     mirrored = bsdf.specular
@@ -419,9 +425,10 @@ def sample_chosen_environment(
     which: float,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Samples the selected environment, by its radiance or by the surface's BSDF, over the selection probability.
+    """Samples the selected environment and divides the contribution by the selection probability.
 
-    ``u`` and ``which`` are random, 0..1; ``u[0]`` selects between the two samples, so that all are stratified together.
+    The sample is drawn by radiance or by the surface's BSDF, which ``u[0]`` selects, so that both kinds are stratified
+    together. ``u`` and ``which`` are random, 0..1.
     """
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
     samples_lobe = u[0] >= 0.5
@@ -440,7 +447,7 @@ def start_chosen_ray(
     wave: wp.array[WaveData],
     rays: RayData,
 ):
-    """Starts shadow ray ``i`` from surface ``slot`` of ray ``i`` towards its sampled light."""
+    """Starts shadow ray ``i``, from surface ``slot`` of ray ``i`` towards its sampled light."""
     j = slot * wave[0].rays.is_active.shape[0] + i
     start_shadow_ray(i, j, number, contribution, scene, wave, rays)
     rays.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], SHADOW_BRANCH)
@@ -459,9 +466,9 @@ def sample_choice(
     wave: wp.array[WaveData],
     rays: RayData,
 ) -> Contribution:
-    """Samples a light selected in real time, and starts shadow ray ``i`` unless the contribution needs none.
+    """Samples the light that real-time rendering has selected, and starts shadow ray ``i`` if it is needed.
 
-    ``slot`` is the lit surface of the ray: 0 for Gaussians, 1 for a mesh. Shadow ray ``i`` must be inactive before.
+    ``slot`` is the lit surface of ray ``i``: 0 for Gaussians, 1 for a mesh. Shadow ray ``i`` must be inactive before.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]

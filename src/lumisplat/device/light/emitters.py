@@ -1,4 +1,4 @@
-"""Lights sampled by tables: the environment by brightness, emissive triangles by power."""
+"""Lights sampled by CDF tables: the environment by brightness, emissive triangles by power."""
 
 import warp as wp
 
@@ -9,7 +9,7 @@ from lumisplat.device.mesh.mesh_surface import surface_alpha
 from lumisplat.device.structs.shading import EmitterTriangle, EnvironmentData, LightSample, ShadingScene
 
 EMITTER_MARGIN = 1e-5
-"""Fraction of the distance by which shadow rays end before emissive triangles."""
+"""Fraction of the distance to an emissive triangle by which shadow rays end before the triangle."""
 
 # --- The environment ---
 #
@@ -24,7 +24,7 @@ BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MA
 
 @wp.func
 def image_coordinates(environment: EnvironmentData, direction: wp.vec3) -> wp.vec2:
-    """Returns the image coordinates of a world-space direction, 0..1 each, from the left and from the top."""
+    """Returns the image coordinates of a world-space direction in the environment, 0..1 each, from left and top."""
     local = wp.transpose(environment.world_from_environment) * direction
     u = 0.5 + INV_TWO_PI * angle_of(local[0], -local[2])
     # The arc cosine of y would lose digits near the poles.
@@ -34,7 +34,7 @@ def image_coordinates(environment: EnvironmentData, direction: wp.vec3) -> wp.ve
 
 @wp.func
 def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
-    """Returns the radiance at image coordinates, bilinear, with left and right edges joined."""
+    """Returns the radiance at coordinates of the environment's image, bilinear; left and right edges are joined."""
     x = at[0] * float(environment.width) - 0.5
     y = wp.clamp(at[1] * float(environment.height) - 0.5, 0.0, float(environment.height - 1))
     left = wp.floor(x)
@@ -55,9 +55,9 @@ def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def first_above(ends: wp.array[float], first: int, count: int, value: float) -> int:
-    """Returns which of ``count`` ascending numbers, from element ``first`` on, first exceeds ``value``.
+    """Returns the position, from 0, of the first of ``count`` ascending numbers that exceeds ``value``.
 
-    If none does, the last one is returned.
+    The numbers begin at element ``first``. If none exceeds the value, the last position is returned.
     """
     low = int(0)
     high = count - 1
@@ -72,7 +72,7 @@ def first_above(ends: wp.array[float], first: int, count: int, value: float) -> 
 
 @wp.func
 def start_of(ends: wp.array[float], first: int, index: int) -> float:
-    """Returns the cumulative fraction before entry ``index``: the end of the previous entry."""
+    """Returns the cumulative fraction of a CDF before entry ``index``: the end of the previous entry."""
     if index == 0:
         return 0.0
     return ends[first + index - 1]
@@ -80,9 +80,10 @@ def start_of(ends: wp.array[float], first: int, index: int) -> float:
 
 @wp.func
 def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
-    """Returns ``sin^2 (theta / 2) = (1 - cos theta) / 2`` at the two edges of a row, without cancellation.
+    """Returns ``sin^2 (theta / 2) = (1 - cos theta) / 2`` at the upper and lower edge of an image row.
 
-    theta is the angle from the nearer pole: from the top in the upper half, from the bottom in the lower half.
+    theta is the angle from the nearer pole: from the top in the upper half, from the bottom in the lower half of the
+    image. The result has no cancellation.
     """
     step = 0.5 * PI / float(environment.height)
     upper = row
@@ -97,13 +98,13 @@ def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
 
 @wp.func
 def cell_size(environment: EnvironmentData, height: wp.vec2) -> float:
-    """Returns the solid angle of a texel's cell."""
+    """Returns the solid angle of a texel between the edges ``height`` of its row, as ``cell_height`` returns them."""
     return 2.0 * TWO_PI * wp.abs(height[1] - height[0]) / float(environment.width)
 
 
 @wp.func
 def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp.vec3:
-    """Returns the environment's radiance from a world-space direction; black without an environment."""
+    """Returns the environment's radiance from a world-space direction; black if the scene has no environment."""
     if environment.exists == 0:
         return wp.vec3(0.0)
     return interpolate(environment, image_coordinates(environment, direction))
@@ -127,7 +128,7 @@ def environment_pdf(environment: EnvironmentData, direction: wp.vec3) -> float:
 def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
     """Samples a direction towards the environment in proportion to its brightness.
 
-    A black environment gives a sample without irradiance; ``u`` is random, 0..1 each.
+    ``u`` is random, 0..1 each. If the environment is black, the sample's irradiance is 0.
     """
     sample = LightSample()
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
@@ -178,10 +179,10 @@ def emitter_share(k: int, scene: wp.array[ShadingScene]) -> float:
 
 @wp.func
 def area_pdf(share: float, across: wp.vec3, direction: wp.vec3, distance2: float) -> float:
-    """Returns the pdf, per steradian, of a point on a triangle that is sampled with probability ``share``.
+    """Returns the pdf, per steradian, of a point sampled uniformly on a triangle.
 
-    ``across`` is the cross product of two of its edges, world space; ``direction`` and ``distance2``, squared, lead to
-    the point.
+    The triangle is chosen with probability ``share``; ``across`` is the cross product of two of its edges, world space.
+    ``direction`` leads to the point, whose squared distance is ``distance2``.
     """
     projected = 0.5 * wp.abs(wp.dot(across, direction))
     if projected <= 0.0:
@@ -191,9 +192,10 @@ def area_pdf(share: float, across: wp.vec3, direction: wp.vec3, distance2: float
 
 @wp.func
 def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> wp.vec3:
-    """Returns a point of a triangle, lifted towards ``point`` so that a ray from there does not hit the triangle.
+    """Returns a point of an emissive triangle, lifted towards ``point``.
 
-    ``weights`` are barycentric. The lift is that of ``spawn_point`` with the largest rounding error on the triangle.
+    A shadow ray that leads to the lifted point does not hit the triangle. ``weights`` are barycentric. The lift is that
+    of ``spawn_point`` for the largest rounding error on the triangle.
     """
     inner = wp.vec3(
         wp.max(weights[0], triangle.inside[0]),
@@ -208,7 +210,7 @@ def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> 
 
 @wp.func
 def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[ShadingScene]) -> LightSample:
-    """Samples a point on the emissive triangles as a light for ``point``.
+    """Samples a point on the emissive triangles as a light for the surface point ``point``.
 
     ``which`` selects the triangle and ``u`` the position on it; both are random, 0..1.
     """

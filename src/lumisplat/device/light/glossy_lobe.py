@@ -1,6 +1,6 @@
 """Rays within the highlights of rough surfaces: choice of the surface, probability, and direction.
 
-These rays only find surfaces: light from lights and environment in highlights is sampled by direct light. The
+These rays only find surfaces; the light of lights and of the environment in highlights is sampled as direct light. The
 equations are in docs/method/materials.md#glossy-reflections.
 """
 
@@ -17,15 +17,15 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, WaveData
 
 GLOSSY_SHARE_FOLLOWED = 0.25
-"""Weight of a highlight in its ray from which every sample sends a ray.
+"""Weight of a highlight in its ray from which on every sample sends a ray within the highlight.
 
-Highlights of less weight send rays in fewer samples, which count for more: a dielectric, which reflects 0.04, in one
-of six."""
+Highlights of less weight send rays in fewer samples, and each ray counts more. A dielectric, which reflects 0.04, sends
+a ray in one of six samples."""
 
 FOLLOWED = wp.constant(wp.float32(GLOSSY_SHARE_FOLLOWED))
 
 LOBE_BRANCH = wp.constant(1 << 20)
-"""Branch of a ray's keys, behind those of mirrors, glass and any number of lights."""
+"""Random branch of highlight rays, behind those of mirrors, glass and any number of lights."""
 CHOICE_BRANCH = wp.constant((1 << 20) + 1)
 DIRECTION_BRANCH = wp.constant((1 << 20) + 2)
 
@@ -38,21 +38,21 @@ class LobeRay:
     """A ray within a highlight."""
 
     slot: int
-    """Surface that sends the ray: 0 for Gaussians, 1 for a mesh; -1: no ray."""
+    """Surface from which the ray starts: 0 for Gaussians, 1 for a mesh; -1: no ray."""
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
     normal: wp.vec3
-    """Normal of the ray's layer, as in ``RayData``."""
+    """Unit normal of the layer of flat Gaussians at which the ray starts, as in ``RayData``; zero: none."""
     weight: wp.vec3
-    """Weight of the ray's radiance in the surface's reflected radiance.
+    """Factor of the ray's radiance in the radiance that the surface reflects.
 
-    In the result of `lobe_ray`, it is the weight in the colour of the parent ray."""
+    In the result of `lobe_ray`, it is the factor in the colour of the parent ray."""
 
 
 @wp.func
 def highlight_of(bsdf: Bsdf) -> Bsdf:
-    """Returns the highlights of a BSDF alone, including those of its layers."""
+    """Returns a BSDF with the highlights of ``bsdf`` only, including those of its clearcoat and sheen."""
     alone = bsdf
     if bsdf.model == BSDF_SIMPLE:
         alone.specular = wp.cw_mul(simple_scale(bsdf), bsdf.specular)
@@ -63,7 +63,7 @@ def highlight_of(bsdf: Bsdf) -> Bsdf:
 
 @wp.func
 def highlight_share(interaction: Interaction) -> float:
-    """Estimates the fraction of a ray that an interaction's highlight reflects.
+    """Estimates the fraction of a ray's light that the highlight of an interaction reflects.
 
     The estimate is above 0 wherever the highlight reflects any light.
     """
@@ -81,7 +81,7 @@ def highlight_share(interaction: Interaction) -> float:
 
 @wp.func
 def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
-    """Selects the interaction whose highlight sends a ray, in proportion to its reflection; -1: none."""
+    """Selects one of two interactions in proportion to the reflection of its highlight: 0, 1, or -1 for none."""
     first = highlight_share(splats)
     total = first + highlight_share(mesh)
     if not (u * wp.max(total, FOLLOWED) < total):
@@ -91,14 +91,14 @@ def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
 
 @wp.func
 def lobe_slot(i: int, splats: Interaction, mesh: Interaction, wave: wp.array[WaveData]) -> int:
-    """Selects the interaction of ray ``i`` whose highlight sends a ray; -1: none."""
+    """Selects the interaction of ray ``i`` from whose highlight a ray starts: 0, 1, or -1 for none."""
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
     return chosen_slot(u[0], splats, mesh)
 
 
 @wp.func
 def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
-    """Returns interaction ``j``, which need not exist."""
+    """Returns interaction ``j``; if there is none, its field ``exists`` is False."""
     interaction = Interaction()
     if wave[0].interactions.exists[j]:
         interaction = load_interaction(j, wave)
@@ -107,7 +107,7 @@ def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData]) -> LobeRay:
-    """Samples a ray within the highlight of one interaction of ray ``i`` (GGX by visible normals)."""
+    """Samples a ray within the highlight of interaction ``slot`` of ray ``i`` (GGX by visible normals)."""
     ray = LobeRay()
     ray.slot = slot
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], DIRECTION_BRANCH), wave[0].rays.sample[i])
@@ -126,7 +126,7 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
 
 @wp.func
 def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
-    """Samples the highlight ray of ray ``i``."""
+    """Selects an interaction of ray ``i`` and samples a ray within its highlight."""
     splats = interaction_of(i, wave)
     mesh = interaction_of(wave[0].interactions.exists.shape[0] // 2 + i, wave)
     slot = lobe_slot(i, splats, mesh, wave)

@@ -34,12 +34,13 @@ from lumisplat.device.structs.shading import (
 )
 
 SMOOTH_HEIGHT_MIN = 1.0e-5
-"""Height of a smooth surface over its triangle, as a fraction of its sides, below which it counts as rounding error."""
+"""Height of a smooth surface over its triangle below which it counts as rounding error, as a fraction of the sides."""
 
 SMOOTH_START_COSINE = 0.1
-"""Cosine of the light on a triangle of a smooth mesh above which shadow rays start at the triangle itself.
+"""Cosine of the light on a triangle of a smooth mesh above which shadow rays start on the triangle.
 
-Below it, also if negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-shadow-terminators.md)."""
+At lower or negative cosines, shadow rays start higher, up to the smooth surface
+(docs/adr/0019-smooth-shadow-terminators.md)."""
 
 # --- Shadow rays from triangles that approximate a smooth surface (docs/method/shadows.md#smooth-meshes) ---
 #
@@ -53,9 +54,9 @@ START_COSINE = wp.constant(wp.float32(SMOOTH_START_COSINE))
 
 @wp.func
 def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, to_vertex: wp.vec3, normal: wp.vec3) -> float:
-    """Returns the height above a point, along ``normal``, of the plane through a vertex across its vertex normal.
+    """Returns the height above a point of the plane through a vertex that is orthogonal to the vertex normal.
 
-    ``to_vertex`` leads from the point to the vertex, world space.
+    The height is measured along ``normal``. ``to_vertex`` leads from the point to the vertex, world space.
     """
     across = wp.normalize(instance.world_from_object_normal * meshes.normals[vertex])
     return wp.dot(across, to_vertex) * wp.dot(across, normal)
@@ -67,12 +68,10 @@ def smooth_height(
 ) -> float:
     """Returns the height of the smooth surface above a point of its triangle (after Hanika 2021), scene units.
 
-    The height is 0 where there is no smooth surface.
+    The smooth surface is the weighted mean of the planes through the corners, each orthogonal to the corner's vertex
+    normal. Vertex normals that all lean one way, without spreading, form no smooth surface; the height is then 0.
 
-    The smooth surface is the weighted mean of the planes through the corners orthogonal to the vertex normals. Normals
-    that lean one way without spreading form no such surface.
-
-    ``normal`` is the shading normal there, world space, unit, on the visible side of the triangle.
+    ``normal`` is the shading normal at the point, world space, unit, on the visible side of the triangle.
     """
     if instance.has_normals == 0:
         return 0.0
@@ -90,9 +89,10 @@ def smooth_height(
 
 @wp.func
 def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contribution:
-    """Returns ``contribution`` aimed at the same point of the light from a start that is moved by ``lift``.
+    """Returns ``contribution`` for a shadow ray whose start is moved by ``lift``.
 
-    With the old length, the ray would end behind an emissive triangle.
+    The ray still ends at the same point of the light; with its previous length, it would end behind an emissive
+    triangle.
     """
     if contribution.distance < wp.inf and wp.length_sq(lift) > 0.0:
         to_light = contribution.distance * contribution.direction - lift
@@ -103,10 +103,11 @@ def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contri
 
 @wp.func
 def lift_of(height: float, normal: wp.vec3, geometric_normal: wp.vec3, direction: wp.vec3) -> wp.vec3:
-    """Returns the vector from a triangle to the origin of a shadow ray on the smooth surface.
+    """Returns the vector from a triangle to the origin of a shadow ray on the smooth surface above.
 
-    Triangles that face the light by a cosine of ``SMOOTH_START_COSINE`` or more shadow no convex surface: rays start on
-    them, which keeps contact shadows. Below that, the origin moves proportionally up to the smooth surface.
+    A triangle that faces the light by a cosine of ``SMOOTH_START_COSINE`` or more shadows no convex surface: rays start
+    on the triangle, which keeps contact shadows. Below that cosine, the origin moves proportionally up to the smooth
+    surface.
     """
     share = wp.clamp(1.0 - wp.dot(geometric_normal, direction) / START_COSINE, 0.0, 1.0)
     return share * height * normal
@@ -123,7 +124,7 @@ SHADE_OPTIONS = {
 
 @wp.func
 def unit_or(vector: wp.vec3, least: float, otherwise: wp.vec3) -> wp.vec3:
-    """Normalises a vector; returns ``otherwise`` if it is not longer than ``least``."""
+    """Normalises a vector; returns ``otherwise`` if the vector is at most ``least`` long."""
     if wp.length(vector) > least:
         return wp.normalize(vector)
     return otherwise
@@ -181,7 +182,7 @@ def bsdf_of(
 
 @wp.func
 def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
-    """Reads interaction ``j``, which must exist."""
+    """Reads interaction ``j`` from the arrays of a wave; the interaction must exist."""
     interaction = Interaction()
     interaction.exists = True
     interaction.position = wave[0].interactions.position[j]
@@ -217,7 +218,7 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]):
-    """Writes interaction ``j``, except for the start of its shadow rays."""
+    """Writes interaction ``j`` to the arrays of a wave, except for the start of its shadow rays."""
     wave[0].interactions.exists[j] = interaction.exists
     if not interaction.exists:
         return
@@ -258,7 +259,7 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 @wp.func
 def texel(meshes: MeshData, values: wp.array[float], texture: TextureData, uv: wp.vec2) -> wp.vec3:
-    """Returns a texture's colour at ``uv``; ``values`` maps its bytes to colours."""
+    """Returns a texture's colour at ``uv``; ``values`` is the table that decodes its bytes."""
     return sample_texture(meshes.texels, values, texture, uv)
 
 
@@ -301,9 +302,9 @@ def mapped_normal(
 def mesh_interaction(
     i: int, transmittance: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """Returns the interaction of ray ``i`` with the mesh that it hits, behind Gaussians of this transmittance.
+    """Returns the interaction of ray ``i`` with the mesh that it hits behind Gaussians.
 
-    The interaction does not exist if the mesh reflects nothing, or only as a mirror.
+    ``transmittance`` is that of the Gaussians. ``exists`` is False if the mesh reflects nothing, or only as a mirror.
     """
     interaction = Interaction()
     number = wave[0].meshes.instance[i]
@@ -380,7 +381,7 @@ def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave:
 def emission_at(
     number: int, corners: wp.vec3i, weights: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Returns the linear radiance of a mesh point without lights: emission and reflected ambient light.
+    """Returns the linear radiance of a mesh point that lights do not cause: emission and reflected ambient light.
 
     ``direction`` is that of the ray hitting the point, world space; some materials emit only from front sides.
     """
@@ -403,7 +404,7 @@ def emission_at(
 
 @wp.func
 def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the emission and reflected ambient light where ray ``i`` hits a mesh."""
+    """Returns the linear emission and reflected ambient light at the point where ray ``i`` hits a mesh."""
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     weights = hit_weights(wave[0].meshes.weights[i])
     return emission_at(wave[0].meshes.instance[i], corners, weights, wave[0].rays.direction[i], scene)

@@ -1,7 +1,7 @@
-"""Light types except the environment: samples from a surface point, ray intersection, and bounds for a cell.
+"""All types of lights except the environment: sampling from a surface point, ray intersection, and bounds for a cell.
 
-A hard light is sampled at its centre. A soft light has an extent, and ``u`` samples a direction within it: the mean of
-irradiance times cosine over ``u`` is the irradiance by the whole light. The environment has its own module.
+A hard light is sampled at its centre. A soft light has an extent, and ``u`` samples a direction within the extent: the
+mean of irradiance times cosine over ``u`` is the irradiance by the whole light. The environment is in emitters.py.
 
 The equations are in docs/method/lighting.md#lights.
 """
@@ -26,12 +26,12 @@ NEAREST2 = wp.constant(wp.float32(LIGHT_DISTANCE_MIN**2))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 TINY = wp.constant(wp.float32(1e-30))
-"""Smallest divisor, and squared distance below which a light coincides with the point and has no direction."""
+"""Smallest divisor; also the squared distance below which a light coincides with the point and has no direction."""
 
 
 @wp.func
 def window(light: LightData, distance2: float) -> float:
-    """Returns the attenuation of a light towards the end of its range (glTF, KHR_lights_punctual)."""
+    """Returns the factor by which a light fades out towards its range (glTF, KHR_lights_punctual)."""
     if light.range == wp.inf:
         return 1.0
     share2 = distance2 / (light.range * light.range)
@@ -40,7 +40,7 @@ def window(light: LightData, distance2: float) -> float:
 
 @wp.func
 def cone(light: LightData, direction: wp.vec3) -> float:
-    """Returns the angular attenuation of a spot at a point that sees it in ``direction``.
+    """Returns the angular attenuation of a spot at a point; ``direction`` leads from the point to the spot.
 
     ``1 - cosine`` is half the squared distance of the two unit vectors, which keeps its digits for narrow cones.
     """
@@ -132,7 +132,10 @@ def flat_point(light: LightData, u: wp.vec2) -> wp.vec3:
 
 @wp.func
 def flat_covers(light: LightData, offset: wp.vec3) -> bool:
-    """Returns whether a point of a planar light's plane, relative to its centre, lies on the light."""
+    """Returns whether a point in the plane of a planar light lies on the light.
+
+    ``offset`` is the point relative to the light's centre.
+    """
     if light.kind == LIGHT_DISK:
         return wp.dot(offset, offset) <= light.radius * light.radius
     across = wp.cross(light.edge_u, light.edge_v)
@@ -170,9 +173,9 @@ def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
 
 @wp.func
 def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """Samples any light but the environment for ``point``.
+    """Samples any light except the environment, as seen from ``point``.
 
-    ``soft`` 0: the whole light is at its centre; 1: its extent is sampled by ``u``, random, 0..1 each.
+    ``soft`` 0: the light is sampled at its centre; 1: at a point of its extent selected by ``u``, random, 0..1 each.
     """
     if light.kind == LIGHT_POINT or light.kind == LIGHT_SPOT:  # noqa: PLR1714
         return sample_point(light, point, soft, u)
@@ -210,7 +213,7 @@ def flat_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Ligh
 
 @wp.func
 def sphere_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
-    """Intersects a ray that starts outside with a spherical light."""
+    """Intersects a ray with a spherical light; the ray must start outside the sphere."""
     crossing = LightCrossing()
     crossing.t = wp.inf
     offset = light.position - origin
@@ -230,9 +233,9 @@ def sphere_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Li
 
 @wp.func
 def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
-    """Intersects a ray with a visible light.
+    """Intersects a ray with a light that rays can hit.
 
-    Returns distance, radiance, and the pdf of light samples in its direction.
+    Returns distance, radiance, and the pdf with which samples of the light have the ray's direction.
     """
     if is_flat(light):
         return flat_crossing(light, origin, direction)
@@ -241,9 +244,9 @@ def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Lig
 
 @wp.func
 def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: float) -> float:
-    """Returns the largest angular attenuation factor of a spot anywhere within ``reach`` of a point.
+    """Returns the largest angular attenuation factor of a spot at any point within ``reach`` of a given point.
 
-    ``to_light`` and ``distance`` lead from the point to the spot.
+    ``to_light`` is the vector from the given point to the spot, ``distance`` its length.
     """
     if distance <= reach:
         return 1.0
@@ -256,11 +259,11 @@ def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: flo
 
 @wp.func
 def light_bound(light: LightData, center: wp.vec3, half: float) -> float:
-    """Estimates the irradiance by a light of a surface in a cell that faces it.
+    """Estimates the irradiance by a light at a surface that lies in a cell and faces the light.
 
-    The estimate is above 0 if any surface there receives light.
+    The estimate is above 0 if any surface in the cell receives light.
 
-    The light is not the environment; ``half`` is half the cell's diagonal.
+    The light must not be the environment; ``half`` is half the cell's diagonal.
     """
     power = wp.dot(WEIGHTS, light.power)
     if light.kind == LIGHT_DIRECTIONAL or light.kind == LIGHT_HEADLIGHT:  # noqa: PLR1714

@@ -43,7 +43,7 @@ from lumisplat.device.structs.shading import Contribution, ShadingScene, WaveDat
 
 @wp.func
 def leaves_below(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> bool:
-    """Returns whether a ray from interaction ``j`` leaves through its surface."""
+    """Returns whether a ray from interaction ``j`` in a direction passes through a transmitting surface."""
     if not wave[0].interactions.transmitted:
         return False
     through = wp.dot(direction, wave[0].interactions.geometric_normal[j]) < 0.0
@@ -68,7 +68,7 @@ def spawn_origin(
 def spawn_lift(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> wp.vec3:
     """Returns the vector from the spawn point of interaction ``j`` to the origin of a ray in a direction.
 
-    The origin lies on the smooth surface where that is higher than the triangle.
+    The origin lies on the smooth surface where the smooth surface is higher than the triangle.
     """
     height = wave[0].interactions.smooth_height[j]
     if height <= 0.0 or leaves_below(j, direction, wave):
@@ -107,7 +107,7 @@ def start_shadow_ray(
 
 @wp.func
 def shadow_key(settings: ShadowData) -> wp.uint32:
-    """Returns the key of the random numbers that all rays of a stochastic sample share."""
+    """Returns the key of the random numbers that all shadow rays of a stochastic sample share."""
     return sample_key_of(-1, settings.sample // 16, settings.seed)
 
 
@@ -115,7 +115,7 @@ def shadow_key(settings: ShadowData) -> wp.uint32:
 def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> float:
     """Returns the transmittance at which a shadow ray ends.
 
-    It is the transmittance that counts as black or, with DRAWS_PER_RAY, the ray's random number.
+    It is the transmittance that counts as black or, with DRAWS_PER_RAY, a random number of the ray.
     """
     if settings.draws == DRAWS_PER_RAY:
         return sobol_2d(pixel_key, sample)[0]
@@ -126,7 +126,7 @@ def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> flo
 
 @wp.func
 def passed_share(settings: ShadowData, transmittance: float) -> float:
-    """Returns the transmittance of a finished shadow ray; with random blocking it is 0 or 1."""
+    """Converts the transmittance of a finished shadow ray to the light's visibility: 0 or 1 with random blocking."""
     if settings.draws == DRAWS_NONE:
         return transmittance
     return wp.where(transmittance > 0.0, 1.0, 0.0)
@@ -153,9 +153,9 @@ def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
 
 @wp.func
 def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.vec3:
-    """Returns the visibility of a light through Gaussians, per channel.
+    """Returns the visibility of a light through Gaussians, for each colour channel.
 
-    ``tint`` is the alpha-weighted sum of their linear colours; its scale is irrelevant.
+    ``tint`` is the alpha-weighted sum of the Gaussians' linear colours; its scale is irrelevant.
     """
     if transmittance <= wp.max(settings.transmittance_min, settings.threshold):
         return wp.vec3(0.0)
@@ -172,31 +172,31 @@ def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.v
 
 @struct
 class Absorption:
-    """Accumulated attenuation of a packet, one lane for each ray; local arrays of the kernel."""
+    """Accumulated attenuation of the shadow rays of a packet, one lane for each ray; local arrays of the kernel."""
 
     transmittance: wp.array[float]
     """Transmittance so far; 0 for blocked rays and for rays outside the packet."""
     floor: wp.array[float]
     """Transmittance at which a ray is blocked; FAR for rays outside the packet."""
     tint: wp.array(dtype=float, ndim=2)
-    """Alpha-weighted sums of linear colours: rows red, green and blue, one column for each lane."""
+    """Alpha-weighted sums of the Gaussians' linear colours: rows red, green and blue, one column for each lane."""
 
 
 @struct
 class FirstHits:
-    """Nearest hits of a packet, one lane for each ray; local arrays of the kernel."""
+    """Nearest hits of the shadow rays of a packet, one lane for each ray; local arrays of the kernel."""
 
     lists: wp.array[HitList]
     hits: wp.array[Hit]
     """Slots of the hit lists of all rays."""
     cut_t: wp.array[float]
-    """Hits from (cut_t, cut_index) on do not count."""
+    """Distance from which on hits, from (cut_t, cut_index), do not count."""
     cut_index: wp.array[int]
 
 
 @wp.func
 def begin_absorption(absorption: Absorption, packet: PacketRays, config: ShadowData, rays: RayData, first: int):
-    """Resets the attenuation of all rays."""
+    """Resets the attenuation of all rays of a packet."""
     for lane in range(absorption.transmittance.shape[0]):
         is_taken = packet.limit[lane] > 0.0
         absorption.transmittance[lane] = wp.where(is_taken, 1.0, 0.0)
@@ -209,7 +209,7 @@ def begin_absorption(absorption: Absorption, packet: PacketRays, config: ShadowD
 
 @wp.func
 def begin_first_hits(first_hits: FirstHits):
-    """Empties the hit lists of all rays."""
+    """Empties the hit lists of all rays of a packet."""
     lanes = first_hits.lists.shape[0]
     for lane in range(lanes):
         first_hits.lists[lane] = empty_list(lane * (first_hits.hits.shape[0] // lanes))
@@ -219,9 +219,9 @@ def begin_first_hits(first_hits: FirstHits):
 
 @wp.func
 def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], first: int) -> float:
-    """Sets how far Gaussians of a tree count: up to the rays' limits, or nowhere on rays that skip a shadow catcher.
+    """Sets ``t_max`` of the rays for a tree: the ray's limit, or -FAR for rays that skip the tree's shadow catcher.
 
-    Returns the farthest of these distances, at least -FAR; nodes farther away need not be visited.
+    Returns the largest of these distances, at least -FAR; nodes farther away need not be visited.
     """
     is_shadow_only = tree.number != WORLD and tree.instance.shadow_only != 0
     reach = float(-FAR)
@@ -234,13 +234,13 @@ def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], fir
 
 @wp.func
 def shadow_begin(config: ShadowData, particle: Particle, instance: SplatInstanceData) -> float:
-    """Returns the distance from which a Gaussian shadows a surface of wider Gaussians."""
+    """Returns the distance from which a Gaussian shadows a surface of wider Gaussians, scene units."""
     return config.offset * instance.scale * particle.largest_scale + config.offset_absolute
 
 
 @wp.func
 def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
-    """Returns the largest distance at which a hit may count."""
+    """Returns the largest distance at which a hit may count on any ray of a packet."""
     reach = float(-FAR)
     for lane in range(first_hits.cut_t.shape[0]):
         reach = larger(reach, lesser(first_hits.cut_t[lane], packet.limit[lane]))
@@ -249,7 +249,7 @@ def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
 
 @wp.func
 def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit_list: HitList) -> wp.vec3:
-    """Returns the visibility of the light through the hits of a list."""
+    """Returns the visibility of a light through the Gaussians whose hits a list stores."""
     transmittance = float(1.0)
     tint = wp.vec3()
     for j in range(hit_list.head, hit_list.tail):
@@ -263,7 +263,7 @@ def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit
 
 
 class PacketAbsorption(NamedTuple):
-    """Attenuation types and functions for a certain number of lanes."""
+    """Types and functions that attenuate packets with a certain number of lanes."""
 
     storage: Any
     """Type of the local variable that stores an Absorption."""
@@ -272,7 +272,7 @@ class PacketAbsorption(NamedTuple):
 
 
 class PacketFirstHits(NamedTuple):
-    """First-hit types and functions for a certain number of lanes."""
+    """Types and functions that find the first hits of packets with a certain number of lanes."""
 
     storage: Any
     """Type of the local variable that stores FirstHits."""
@@ -282,7 +282,7 @@ class PacketFirstHits(NamedTuple):
 
 @functools.cache
 def packet_absorption_of(lanes: int) -> PacketAbsorption:
-    """Builds types and functions for shadows by all Gaussians on packets of up to ``lanes`` rays."""
+    """Builds types and functions for shadows by all Gaussians, for packets of up to ``lanes`` rays."""
     LANES = lanes
     Floats, Vec3s = packet_of(lanes).floats, packet_of(lanes).vec3s
     hit_responses, alphas_at = packet_hits_of(lanes).hit_responses, packet_hits_of(lanes).alphas_at
@@ -317,7 +317,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         first: int,
         key: wp.uint32,
     ) -> int:
-        """Attenuates the rays by a Gaussian and ends those that it blocks; returns 1 if any ray hits it, else 0."""
+        """Attenuates the rays by a Gaussian and ends rays that it blocks; returns 1 if any ray hits it, else 0."""
         begin = shadow_begin(config, particle, instance)
         kind, across2, along2 = hit_responses(particle, begin, packet)
         found = counted_hits(kind, begin, packet, particle, instance, scene, rays, first)
@@ -353,7 +353,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
 @functools.cache
 def packet_first_hits_of(lanes: int) -> PacketFirstHits:
-    """Builds types and functions for shadows by the nearest Gaussians on packets of up to ``lanes`` rays."""
+    """Builds types and functions for shadows by the nearest Gaussians, for packets of up to ``lanes`` rays."""
     LANES = lanes
     HITS = lanes * HIT_COUNTS[-1]
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints

@@ -24,12 +24,12 @@ from lumisplat.device.structs.shading import (
 )
 
 CAPTURED_SHARE_MIN = 1.0e-6
-"""Weight of captured colours on a ray below which they count as rounding error beside relit Gaussians."""
+"""Weight of captured colours on a ray below which the weight counts as rounding error beside relit Gaussians."""
 
 CAPTURED_MIN = wp.constant(wp.float32(CAPTURED_SHARE_MIN))
 
 NEAR_MESH = wp.constant(wp.float32(0.999))
-"""Fraction of the distance to a mesh below which a point is certainly in front of it despite rounding."""
+"""Fraction of the distance to a mesh below which a point is in front of the mesh in spite of rounding."""
 
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 
@@ -46,9 +46,9 @@ def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
 
 @wp.func
 def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Returns whether linear light is behind the Gaussians instead of the background.
+    """Returns whether linear light lies behind the Gaussians of ray ``i``, instead of the display-referred background.
 
-    A mesh, the environment or nothing counts as linear light.
+    A mesh, the environment and nothing at all count as linear light.
     """
     if wave[0].meshes.face[i] >= 0:
         return True
@@ -59,7 +59,7 @@ def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
-    """Returns the distance along ray ``i`` to the projection of the mean of the surface's Gaussian."""
+    """Returns the distance along ray ``i`` to the projection of the mean of the surface's Gaussian onto the ray."""
     instance = scene[0].splats[surface.instance]
     mean = scene[0].attributes[instance.asset].means[surface.gaussian] - instance.object_from_world_offset
     to_mean = instance.scale * (instance.world_from_object * mean) - wave[0].rays.origin[i]
@@ -68,9 +68,9 @@ def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene
 
 @wp.func
 def reflects_as_captured(surface: SplatSurface, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether the iso-opacity surface exists and belongs to an unrelit set that lights change.
+    """Returns whether the iso-opacity surface exists and belongs to a set that is not relit but changed by lights.
 
-    Such sets are shadow catchers, or emit their captured colour and reflect light.
+    Such sets are shadow catchers, or emit their captured colour and reflect light as well.
     """
     if not surface.depth < wp.inf:
         return False
@@ -84,7 +84,7 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
 
     Contributions of relit sets are kept separate from those of others (docs/method/lighting.md#surfaces).
 
-    ``over_light``: whether linear light is behind them instead of the background over which colours were captured.
+    ``over_light``: linear light lies behind the Gaussians, instead of the background over which colours were captured.
     """
     surface = SplatSurface()
     surface.instance = -1
@@ -136,10 +136,10 @@ def with_captured(
     over_light: bool,
     scene: wp.array[ShadingScene],
 ) -> SplatSurface:
-    """Adds to a surface the captured colours on the ray and their weight.
+    """Adds to a surface the captured colours on its ray and their weight.
 
-    ``color`` is the colour of all Gaussians on the ray, ``relit_color`` that of relit sets with weight ``relit``;
-    ``over_light`` is as for ``splat_surface``.
+    ``color`` is the colour of all Gaussians on the ray, ``relit_color`` that of the relit sets, whose weight is
+    ``relit``. ``over_light``: linear light lies behind the Gaussians, instead of the background.
     """
     if relit > 0.0:
         color = color - relit_color
@@ -157,15 +157,15 @@ def with_captured(
 
 @wp.func
 def reflects_light(surface: SplatSurface) -> bool:
-    """Returns whether lights change the Gaussians' appearance, which then do not only emit captured colour."""
+    """Returns whether lights change the appearance of a surface of Gaussians; others only emit captured colour."""
     return surface.gaussian >= 0
 
 
 @wp.func
 def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the fraction, per channel, of a ray's decoded captured colour that is not the background's.
+    """Returns the fraction, per channel, of a ray's linear captured colour that is not the background behind it.
 
-    ``over_light`` is as for ``splat_surface``.
+    ``over_light``: linear light lies behind the Gaussians, instead of the background.
     """
     shown = captured_color(surface.captured, surface.weight)
     behind = wp.vec3(0.0)
@@ -195,10 +195,10 @@ def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp
 
 @wp.func
 def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the point of ray ``i`` at a depth, world space; close to a mesh, the point just in front of the mesh.
+    """Returns the world-space point of ray ``i`` at a depth; close to a mesh, the point just in front of the mesh.
 
-    Splats are wider in the image than their Gaussians. On a ray that hits a wall in front of the floor, the floor's
-    surface would lie on the far side of the wall and be lit from there.
+    Splats are wider in the image than their Gaussians. On a ray that hits a wall in front of the floor, the surface of
+    the floor would lie on the far side of the wall and be lit from there.
     """
     point = wave[0].rays.origin[i] + depth * wave[0].rays.direction[i]
     if wave[0].meshes.face[i] >= 0 and depth > NEAR_MESH * wave[0].meshes.t[i]:
@@ -216,7 +216,7 @@ def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.ar
 def splat_interaction(
     i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """Returns the interaction of ray ``i`` with the surface of its Gaussians, which must pass ``reflects_light``."""
+    """Returns the interaction of ray ``i`` with the surface of its Gaussians; ``reflects_light`` must hold for it."""
     interaction = Interaction()
     # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     interaction.exists = True
@@ -241,7 +241,7 @@ def splat_interaction(
 
 @wp.func
 def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float:
-    """Returns the distance from the Gaussians' surface within which equally large Gaussians cast no shadow on it.
+    """Returns the distance from a surface of Gaussians within which equally large Gaussians cast no shadow on it.
 
     The distance is in scene units.
     """
@@ -252,10 +252,10 @@ def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float
 
 @wp.func
 def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the normal of the layer of the surface's Gaussian: its shading normal; zero if no layer is identifiable.
+    """Returns the normal of the layer of flat Gaussians that a surface belongs to: its shading normal; zero: no layer.
 
-    The Gaussian must be flat and, by its own normal, seen from the front: silhouettes show some Gaussians from behind,
-    where the others of their layer lie in front of them.
+    The surface's Gaussian must be flat and, by its own normal, seen from the front: silhouettes show some Gaussians
+    from behind, where other Gaussians of the layer lie in front of them.
     """
     # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     instance = surface.instance
@@ -274,16 +274,16 @@ def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[Shading
 
 @wp.func
 def catcher_received(light: CatcherLight) -> float:
-    """Returns the irradiance of a shadow catcher without added objects, in one channel."""
+    """Returns the irradiance that a shadow catcher receives without added objects, in one channel."""
     rest = wp.where(light.ambient > 0.0, light.ambient, light.emitted_unshadowed)
     return light.unshadowed + wp.max(rest, light.least - light.unshadowed)
 
 
 @wp.func
 def catcher_change(light: CatcherLight) -> float:
-    """Returns the relative change of a shadow catcher's irradiance by all added objects, in one channel.
+    """Returns the change of a shadow catcher's irradiance by all added objects, over its irradiance without them.
 
-    `lumisplat.baking.gaussian_views.CatcherLight` is the same in NumPy.
+    It is for one channel; `lumisplat.baking.gaussian_views.CatcherLight` computes the same in NumPy.
     """
     change = light.change
     received = catcher_received(light)
@@ -302,13 +302,13 @@ def catcher_change(light: CatcherLight) -> float:
 
 @wp.func
 def weighted_factor(factor: float, weight: float) -> float:
-    """Converts the factor of a captured colour to that of a pixel in which it has the weight ``weight``."""
+    """Converts a factor of captured colour to a factor of a pixel in which captured colour has weight ``weight``."""
     return 1.0 + weight * (factor - 1.0)
 
 
 @wp.func
 def straight_factor(factor: wp.vec3, weight: float) -> wp.vec3:
-    """Inverts ``weighted_factor`` for three channels; 1 where there is no captured colour."""
+    """Inverts ``weighted_factor`` for three channels; returns 1 if ``weight`` is 0."""
     if weight <= 0.0:
         return wp.vec3(1.0)
     return wp.max(wp.vec3(1.0) + (factor - wp.vec3(1.0)) / weight, wp.vec3(0.0))

@@ -1,7 +1,8 @@
 """BSDFs: evaluation, sampling, and pdfs.
 
-Directions are unit vectors away from the surface, ``view`` on the side of ``normal``. Below the surface, nothing is
-reflected, but rough glass transmits. Both models are reciprocal and conserve energy.
+Directions are unit vectors away from the surface, ``view`` on the side of ``normal``. No light is reflected to
+directions below the surface, but rough glass transmits light there. Both models, BSDF_SIMPLE and BSDF_PBR, are
+reciprocal and conserve energy.
 
 The equations are in docs/method/materials.md.
 """
@@ -51,7 +52,7 @@ class BsdfSample:
 
 @wp.func
 def scattered_sine2(bsdf: Bsdf) -> float:
-    """Returns the squared sine of the largest angle at which diffuse light leaves.
+    """Returns the squared sine of the largest angle from the normal at which diffuse light leaves the surface.
 
     Beyond this angle, light is totally reflected.
     """
@@ -64,7 +65,7 @@ def scattered_sine2(bsdf: Bsdf) -> float:
 
 @wp.func
 def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
-    """Returns the pdf with which ``diffuse_direction`` samples a direction of this cosine, per steradian."""
+    """Returns the pdf, per steradian, with which ``diffuse_direction`` samples a direction at cosine ``cos_light``."""
     sine2 = scattered_sine2(bsdf)
     if (1.0 - cos_light) * (1.0 + cos_light) > sine2:
         return 0.0
@@ -73,7 +74,7 @@ def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
 
 @wp.func
 def diffuse_direction(bsdf: Bsdf, normal: wp.vec3, u: wp.vec2) -> wp.vec3:
-    """Samples a cosine-weighted direction from which diffuse light arrives."""
+    """Samples a cosine-weighted direction among those from which light reaches the diffuse lobe."""
     sine2 = u[0] * scattered_sine2(bsdf)
     return around(normal, wp.sqrt(1.0 - sine2), wp.sqrt(sine2), u[1])
 
@@ -90,26 +91,26 @@ SINE2_MIN = wp.constant(wp.float32(1e-12))
 
 @wp.func
 def has_layers(bsdf: Bsdf) -> bool:
-    """Returns whether there is clearcoat or sheen."""
+    """Returns whether a material has clearcoat or sheen."""
     return bsdf.coat > 0.0 or not is_black(bsdf.sheen)
 
 
 @wp.func
 def coat_share(coat: float, alpha: float, cosine: float) -> float:
-    """Returns the albedo of the clearcoat for a view at a cosine."""
+    """Returns the albedo of the clearcoat for a view at a cosine from the normal."""
     rising = rising_share(cosine, alpha)
     return coat * (HEAD_ON * (1.0 - lost_share(cosine, alpha) - rising) + rising)
 
 
 @wp.func
 def sheen_share(curve: wp.vec4, cosine: float) -> float:
-    """Returns a lower bound of the albedo of white sheen for a view at a cosine; it may exceed 1."""
+    """Returns a lower bound of the albedo of white sheen for a view at a cosine from the normal; it may exceed 1."""
     return wp.exp(curve[0] + cosine * (curve[1] + cosine * (curve[2] + cosine * curve[3])))
 
 
 @wp.func
 def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
-    """Returns the fraction of light that the clearcoat passes to the layers below."""
+    """Returns the fraction of light that the clearcoat passes to sheen and base below, for a view and a light."""
     if bsdf.coat <= 0.0:
         return 1.0
     from_view = coat_share(bsdf.coat, bsdf.coat_alpha, cos_view)
@@ -118,7 +119,7 @@ def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
 
 @wp.func
 def left_by_sheen(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
-    """Returns the fraction of light that the sheen passes to the layers below."""
+    """Returns the fraction of light that the sheen passes to the base below, for a view and a light."""
     if is_black(bsdf.sheen):
         return 1.0
     largest = wp.max(sheen_share(bsdf.sheen_curve, cos_view), sheen_share(bsdf.sheen_curve, cos_light))
@@ -127,7 +128,7 @@ def left_by_sheen(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
 
 @wp.func
 def coat_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Evaluates the clearcoat above the horizon: a GGX highlight with F0 = 0.04."""
+    """Evaluates the BSDF of the clearcoat above the horizon: a GGX highlight with F0 = 0.04."""
     half = view + light
     length2 = wp.dot(half, half)
     if bsdf.coat <= 0.0 or length2 <= SINE2_MIN:
@@ -149,7 +150,7 @@ def coat_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def sheen_masking_exponent(x: float, alpha: float) -> float:
-    """Returns the exponent of the masking fit (Estevez and Kulla 2017)."""
+    """Returns the exponent in the fit of sheen masking (Estevez and Kulla 2017)."""
     smooth = (1.0 - alpha) * (1.0 - alpha)
     a = 21.5473 + smooth * (25.3245 - 21.5473)
     b = 3.82987 + smooth * (3.32435 - 3.82987)
@@ -161,7 +162,7 @@ def sheen_masking_exponent(x: float, alpha: float) -> float:
 
 @wp.func
 def sheen_masking(cosine: float, alpha: float) -> float:
-    """Returns Lambda of the masking fit."""
+    """Returns Lambda, the masking function of sheen, by the fit of Estevez and Kulla (2017)."""
     if cosine < 0.5:
         return wp.exp(sheen_masking_exponent(cosine, alpha))
     return wp.exp(2.0 * sheen_masking_exponent(0.5, alpha) - sheen_masking_exponent(1.0 - cosine, alpha))
@@ -169,7 +170,10 @@ def sheen_masking(cosine: float, alpha: float) -> float:
 
 @wp.func
 def sheen_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates the sheen of upright fibres above the horizon (Estevez and Kulla 2017), limited to conserve energy."""
+    """Evaluates the BSDF of the sheen above the horizon: upright fibres (Estevez and Kulla 2017).
+
+    The BSDF is limited so that it conserves energy.
+    """
     half = view + light
     length2 = wp.dot(half, half)
     if is_black(bsdf.sheen) or length2 <= SINE2_MIN:
@@ -186,7 +190,7 @@ def sheen_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp
 
 @wp.func
 def layer_shares(bsdf: Bsdf, cos_view: float, below: float) -> wp.vec2:
-    """Returns the sampling probabilities of clearcoat and sheen; ``below`` is the approximate albedo below them."""
+    """Returns the probabilities of sampling clearcoat and sheen; ``below`` is the approximate albedo of the base."""
     coat = coat_share(bsdf.coat, bsdf.coat_alpha, cos_view)
     sheen = (1.0 - coat) * mean_of(bsdf.sheen) * wp.min(sheen_share(bsdf.sheen_curve, cos_view), 1.0)
     rest = left_by_coat(bsdf, cos_view, cos_view) * left_by_sheen(bsdf, cos_view, cos_view) * below
@@ -204,14 +208,14 @@ EXPONENT_MIN = wp.constant(wp.float32(-30.0))
 
 @wp.func
 def simple_scale(bsdf: Bsdf) -> wp.vec3:
-    """Returns the factor, per channel, that limits diffuse plus highlight albedo to 1."""
+    """Returns the factor, per channel, that limits the sum of diffuse albedo and highlight albedo to 1."""
     total = bsdf.diffuse + bsdf.specular
     return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
 
 
 @wp.func
 def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns Phong's cosine to the power of the shininess."""
+    """Returns the cosine between light and mirror direction, to the power of the shininess (Phong)."""
     cosine = 2.0 * wp.dot(normal, view) * wp.dot(normal, light) - wp.dot(view, light)
     # Because log(x) <= x - 1, most directions need no power.
     if cosine <= 0.0 or bsdf.shininess * (cosine - 1.0) < EXPONENT_MIN:
@@ -221,7 +225,7 @@ def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 
 @wp.func
 def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates the simple model above the horizon, as ``bsdf_eval``."""
+    """Evaluates the BSDF_SIMPLE model above the horizon; result as in ``bsdf_eval``."""
     value = INV_PI * bsdf.diffuse
     if wp.max(bsdf.specular) > 0.0:
         value += INV_TWO_PI * (bsdf.shininess + 2.0) * highlight(bsdf, normal, view, light) * bsdf.specular
@@ -232,7 +236,7 @@ def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> w
 
 @wp.func
 def simple_share(bsdf: Bsdf) -> float:
-    """Returns the probability with which the highlight of the simple model is sampled."""
+    """Returns the probability with which BSDF_SIMPLE samples its highlight instead of the diffuse lobe."""
     specular = mean_of(bsdf.specular)
     if specular <= 0.0:
         return 0.0
@@ -252,21 +256,24 @@ def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the albedo of the highlight for a view at a cosine."""
+    """Returns the albedo of the highlight for a view at a cosine from the normal."""
     rising = rising_share(cosine, bsdf.alpha)
     return (1.0 - lost_share(cosine, bsdf.alpha) - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
 
 
 @wp.func
 def head_on_share(dielectric: float, eta: float) -> float:
-    """Returns the reflectance at normal incidence of a dielectric with this reflection strength."""
+    """Returns the reflectance at normal incidence of a dielectric whose reflection has strength ``dielectric``."""
     ratio = (1.0 - eta) / (1.0 + eta)
     return dielectric * ratio * ratio
 
 
 @wp.func
 def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
-    """Returns the fraction of light from a cosine that the dielectric reflects, by its highlight or as a mirror."""
+    """Returns the fraction of light arriving at a cosine that the dielectric reflects specularly.
+
+    The dielectric reflects it as a highlight or, if it is smooth, as a mirror.
+    """
     if bsdf.alpha <= 0.0 or transmits(bsdf):
         return dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
     rising = rising_share(cosine, bsdf.alpha)
@@ -276,7 +283,7 @@ def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def mean_mirrored_share(dielectric: float, eta: float, alpha: float, fresnel_mean: float) -> float:
-    """Returns the mean of ``mirrored_share`` for constant hemispherical illumination."""
+    """Returns the mean of ``mirrored_share`` under constant illumination from the hemisphere."""
     if alpha <= 0.0:
         return mean_dielectric_share(dielectric, fresnel_mean, eta)
     rising = mean_rising_share(alpha)
@@ -285,7 +292,10 @@ def mean_mirrored_share(dielectric: float, eta: float, alpha: float, fresnel_mea
 
 @wp.func
 def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
-    """Evaluates the diffuse lobe: light not reflected specularly on entry and exit (Kelemen and Szirmay-Kalos 2001)."""
+    """Evaluates the diffuse lobe of BSDF_PBR (Kelemen and Szirmay-Kalos 2001).
+
+    It scatters light that is reflected specularly neither on entry nor on exit.
+    """
     if bsdf.dielectric <= 0.0:
         return INV_PI * bsdf.diffuse
     enters = 1.0 - mirrored_share(bsdf, cos_light)
@@ -295,7 +305,7 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
 
 @wp.func
 def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates the metallic-roughness model above the horizon, as ``bsdf_eval``."""
+    """Evaluates BSDF_PBR, the metallic-roughness model, above the horizon; result as in ``bsdf_eval``."""
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
     value = wp.vec3(0.0)
@@ -317,7 +327,7 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 
 @wp.func
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
-    """Returns the probability with which the highlight is sampled: its fraction of the directional albedo."""
+    """Returns the probability with which BSDF_PBR samples its highlight: the highlight's fraction of the albedo."""
     if transmits(bsdf):
         return glass_share(bsdf, cos_view)
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
@@ -336,7 +346,7 @@ def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
 
 @wp.func
 def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates the BSDF without layers, as ``bsdf_eval``."""
+    """Evaluates the BSDF without clearcoat and sheen; result as in ``bsdf_eval``."""
     if wp.dot(normal, view) <= 0.0:
         return wp.vec3(0.0)
     if wp.dot(normal, light) <= 0.0:
@@ -350,7 +360,7 @@ def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 
 @wp.func
 def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf of the simple model above the horizon, as ``bsdf_pdf``."""
+    """Returns the pdf of BSDF_SIMPLE above the horizon, per steradian, as in ``bsdf_pdf``."""
     diffuse = INV_PI * wp.dot(normal, light)
     share = simple_share(bsdf)
     if share <= 0.0:
@@ -361,7 +371,7 @@ def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> fl
 
 @wp.func
 def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf of the metallic-roughness model above the horizon, as ``bsdf_pdf``."""
+    """Returns the pdf of BSDF_PBR above the horizon, per steradian, as in ``bsdf_pdf``."""
     cos_view = wp.dot(normal, view)
     diffuse = diffuse_pdf(bsdf, wp.dot(normal, light))
     share = pbr_share(bsdf, cos_view)
@@ -377,7 +387,7 @@ def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float
 
 @wp.func
 def base_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf without layers, as ``bsdf_pdf``."""
+    """Returns the pdf of the BSDF without clearcoat and sheen, per steradian, as in ``bsdf_pdf``."""
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
     if cos_view <= 0.0:
@@ -408,7 +418,7 @@ def facet_mirrored(normal: wp.vec3, view: wp.vec3, alpha: float, u: wp.vec2) -> 
 
 @wp.func
 def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
-    """Samples a unit direction without layers; zero: none was found."""
+    """Samples a unit direction of the BSDF without clearcoat and sheen; zero: no direction was found."""
     cos_view = wp.dot(normal, view)
     share = float(0.0)
     if bsdf.model == BSDF_SIMPLE:
@@ -430,7 +440,10 @@ def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choic
 
 @wp.func
 def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
-    """Estimates the albedo for a view without layers, excluding the mirror reflection of smooth surfaces."""
+    """Estimates the albedo of the BSDF without clearcoat and sheen for a view.
+
+    The mirror reflection of smooth surfaces does not count.
+    """
     if bsdf.model == BSDF_SIMPLE:
         return mean_of(bsdf.diffuse) + mean_of(bsdf.specular)
     albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.transmitted)
@@ -464,8 +477,8 @@ def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
     """Returns the pdf with which ``bsdf_sample`` samples the direction ``light``, per steradian.
 
-    It integrates to less than 1 by the fraction of rejected samples: reflections below the horizon, or transmissions
-    above it.
+    Over all directions, the pdf integrates to 1 minus the fraction of rejected samples: reflections below the horizon,
+    or transmissions above it.
     """
     pdf = base_pdf(bsdf, normal, view, light)
     cos_view = wp.dot(normal, view)
@@ -481,7 +494,7 @@ def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def sampled_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
-    """Samples the direction of ``bsdf_sample``; zero: none was found."""
+    """Samples the direction that ``bsdf_sample`` returns; zero: no direction was found."""
     if not has_layers(bsdf):
         return base_direction(bsdf, normal, view, u, choice)
     cos_view = wp.dot(normal, view)
@@ -497,9 +510,9 @@ def sampled_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, ch
 
 @wp.func
 def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> BsdfSample:
-    """Samples a direction of incident light in proportion to the material's reflection.
+    """Samples a direction of incident light in approximate proportion to the BSDF times the cosine.
 
-    ``u`` and ``choice``, which selects a lobe, are random, 0..1.
+    ``u`` is random, 0..1 each; ``choice``, random, 0..1, selects a lobe.
     """
     sample = BsdfSample()
     sample.direction = normal

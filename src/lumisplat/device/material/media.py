@@ -1,8 +1,8 @@
 """Participating media inside meshes: the current medium of a ray, its absorption, and interfaces between media.
 
-A ray stores the mesh instances that it is inside of, in the order in which it entered them. Where several overlap, the
-one of highest priority is the medium; of equal priorities, the last one entered. A surface between equal media is
-ignored (after Schmidt and Budge 2002). Thin walls and opaque meshes are not media.
+A ray stores the mesh instances that it is inside of, in the order in which it entered them. Where several meshes
+overlap, the mesh of highest priority is the medium; of equal priorities, the last one entered. A surface between equal
+media is ignored (after Schmidt and Budge 2002). Thin walls and opaque meshes are not media.
 
 The equations are in docs/method/materials.md#media.
 """
@@ -15,7 +15,7 @@ from lumisplat.device.structs.scene import MeshInstanceData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 NESTED = wp.constant(4)
-"""Number of media that a ray can be in at once; further ones are not recorded."""
+"""Largest number of media that a ray can be inside of at once; further media are not recorded."""
 AIR = wp.constant(-1)
 
 
@@ -30,7 +30,7 @@ def is_in(media: wp.vec4i, number: int) -> bool:
 
 @wp.func
 def entered(media: wp.vec4i, number: int) -> wp.vec4i:
-    """Returns the media after mesh instance ``number`` is entered."""
+    """Returns the media of a ray after it has entered mesh instance ``number``."""
     for k in range(NESTED):
         if media[k] == 0:
             media[k] = number + 1
@@ -40,7 +40,7 @@ def entered(media: wp.vec4i, number: int) -> wp.vec4i:
 
 @wp.func
 def exited(media: wp.vec4i, number: int) -> wp.vec4i:
-    """Returns the media after mesh instance ``number`` is left, removing its last entry."""
+    """Returns the media of a ray after it has left mesh instance ``number``, whose last entry is removed."""
     slot = int(-1)
     for k in range(NESTED):
         if media[k] == number + 1:
@@ -56,7 +56,7 @@ def exited(media: wp.vec4i, number: int) -> wp.vec4i:
 
 @wp.func
 def current(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> int:
-    """Returns the mesh instance that a ray travels in; AIR: none."""
+    """Returns the mesh instance whose medium a ray travels in; AIR: no medium."""
     number = AIR
     highest = int(0)
     for k in range(NESTED):
@@ -70,7 +70,7 @@ def current(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> int:
 
 @wp.func
 def index_of(number: int, instances: wp.array[MeshInstanceData]) -> float:
-    """Returns the index of refraction of a medium."""
+    """Returns the index of refraction of mesh instance ``number``, or of air."""
     if number == AIR:
         return 1.0
     return instances[number].material.ior
@@ -88,8 +88,8 @@ def index_around(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> floa
 def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> Boundary:
     """Returns the interface that a mesh surface forms for a ray: the media on both sides, and whether it exists.
 
-    ``from_inside``: the ray comes from inside the mesh; a mesh that is no medium has no inside. ``media`` are those
-    that the ray has entered.
+    ``from_inside``: the ray comes from inside the mesh; a mesh that is not a medium has no inside. ``media`` are those
+    that the ray is inside of when it arrives.
     """
     boundary = Boundary()
     boundary.media = media
@@ -114,7 +114,7 @@ def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.a
 
 @wp.func
 def media_of_ray(i: int, wave: wp.array[WaveData]) -> wp.vec4i:
-    """Returns the media that ray ``i`` has entered; none if they are not recorded."""
+    """Returns the media that ray ``i`` is inside of at its origin; none if the wave does not record media."""
     if wave[0].media:
         return wave[0].media[i]
     return wp.vec4i(0)
@@ -132,7 +132,7 @@ def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 @wp.func
 def media_before(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec4i:
-    """Returns the media of ray ``i`` up to its hit; a mesh hit from inside counts as entered."""
+    """Returns the media that ray ``i`` is inside of just before its hit; a mesh hit from inside counts as entered."""
     if wave[0].meshes.face[i] >= 0:
         return boundary_of_ray(i, scene, wave).media
     return media_of_ray(i, wave)
@@ -140,7 +140,7 @@ def media_before(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 
 @wp.func
 def passed(absorption: wp.vec3, distance: float) -> wp.vec3:
-    """Returns the transmittance of a distance in a medium (Beer's law), linear."""
+    """Returns the linear transmittance over a distance in a medium (Beer's law)."""
     return wp.vec3(
         wp.where(absorption[0] > 0.0, wp.exp(-absorption[0] * distance), 1.0),
         wp.where(absorption[1] > 0.0, wp.exp(-absorption[1] * distance), 1.0),
@@ -181,9 +181,10 @@ def scattered_media(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> wp.vec4i:
-    """Returns the media of a ray that a surface scatters: those behind the surface if it passes through the mesh.
+    """Returns the media of a ray that a surface scatters: those behind the surface if the ray passes through a mesh.
 
-    ``by_mesh``: the mesh scatters it, else Gaussians in front do; ``normal`` is on the side from which the ray arrives.
+    ``by_mesh``: a mesh scatters the ray, instead of the Gaussians in front of it. ``normal`` is the surface normal on
+    the side from which the ray arrives.
     """
     if not by_mesh:
         return media_before(i, scene, wave)

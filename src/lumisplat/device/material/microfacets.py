@@ -1,7 +1,8 @@
 """Smooth and rough reflection and refraction: Fresnel, the GGX microfacet distribution, and rough glass.
 
-Directions are unit vectors; normals are unit vectors on the side of the incident light. ``cosine`` is
-``-dot(direction, normal)``. ``eta`` is the index of refraction of that side over that of the other.
+Directions and normals are unit vectors; normals are on the side of the incident light. ``cosine`` is
+``-dot(direction, normal)``. ``eta`` is the index of refraction on the side of the incident light over the index on the
+other side.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -20,29 +21,29 @@ GGX_WIDTH_MIN = 1e-6
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 NODES = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * (_POINTS + 1.0)).tolist()))
-"""Quadrature nodes over the root of the cosine, because reflectances rise steeply at grazing angles."""
+"""Quadrature nodes over the root of the cosine, which resolve the steep rise of reflectances at grazing angles."""
 
 WEIGHTS = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * _WEIGHTS).tolist()))
 
 
 @wp.func
 def reflect(direction: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """Returns the reflected direction."""
+    """Returns the direction in which a surface with this normal reflects an incident direction."""
     return wp.normalize(direction - 2.0 * wp.dot(direction, normal) * normal)
 
 
 @wp.func
 def cosine2_beyond(cosine: float, eta: float) -> float:
-    """Returns the squared cosine of the refraction angle; not above zero: total internal reflection.
+    """Returns the squared cosine of the angle of refraction; at most 0 under total internal reflection.
 
-    It is ``1 - eta^2 (1 - cosine^2)``, without cancellation for nearly equal indices.
+    It is ``1 - eta^2 (1 - cosine^2)``, computed without cancellation for nearly equal indices.
     """
     return (1.0 - eta) * (1.0 + eta) + eta * eta * cosine * cosine
 
 
 @wp.func
 def refract(direction: wp.vec3, normal: wp.vec3, eta: float) -> wp.vec3:
-    """Returns the refracted direction, if there is no total internal reflection."""
+    """Returns the refracted direction; there must be no total internal reflection."""
     cosine = -wp.dot(direction, normal)
     beyond = wp.sqrt(wp.max(cosine2_beyond(cosine, eta), 0.0))
     return wp.normalize(eta * direction + (eta * cosine - beyond) * normal)
@@ -62,7 +63,10 @@ def fresnel(cosine: float, eta: float) -> float:
 
 @wp.func
 def dielectric_share(strength: float, cosine: float, eta: float) -> float:
-    """Returns the reflectance of a dielectric; its strength does not weaken total internal reflection."""
+    """Returns the reflectance of a dielectric whose reflection is scaled by ``strength``.
+
+    Total internal reflection is not scaled.
+    """
     if cosine2_beyond(cosine, eta) <= 0.0:
         return 1.0
     return strength * fresnel(cosine, eta)
@@ -70,7 +74,10 @@ def dielectric_share(strength: float, cosine: float, eta: float) -> float:
 
 @wp.func
 def mean_fresnel(eta: float) -> float:
-    """Returns the mean of ``fresnel`` for constant illumination on the side of the lower index; error at most 7e-6."""
+    """Returns the mean of ``fresnel`` for constant illumination on the side of the lower index.
+
+    The error is at most 7e-6.
+    """
     ratio = wp.min(eta, 1.0 / eta)
     total = float(0.0)
     for k in range(8):
@@ -81,10 +88,10 @@ def mean_fresnel(eta: float) -> float:
 
 @wp.func
 def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
-    """Returns the mean of ``dielectric_share`` for constant hemispherical illumination.
+    """Returns the mean of ``dielectric_share`` under constant illumination from the hemisphere.
 
-    ``fresnel_mean`` is the mean from the side of the lower index for a strength of 1. ``eta`` is above 1 on the side of
-    the higher index, from which the fraction 1 / eta^2 of the light crosses.
+    ``fresnel_mean`` is the mean for illumination on the side of the lower index and a strength of 1. If ``eta`` is
+    above 1, the light comes from the side of the higher index, from which the fraction 1 / eta^2 of the light crosses.
     """
     mean = strength * fresnel_mean
     if eta > 1.0:
@@ -94,7 +101,7 @@ def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> f
 
 @wp.func
 def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
-    """Returns the reflectance of a metal from that at normal incidence (Schlick 1994), linear."""
+    """Returns the linear reflectance of a metal, given ``head_on``, that at normal incidence (Schlick 1994)."""
     grazing = wp.pow(wp.clamp(1.0 - cosine, 0.0, 1.0), 5.0)
     return head_on + grazing * (wp.vec3(1.0) - head_on)
 
@@ -107,7 +114,7 @@ def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
 ALPHA_GGX_MIN = wp.constant(wp.float32(GGX_WIDTH_MIN))
 
 HALF_MIN2 = wp.constant(wp.float32(1e-12))
-"""Squared length of view + light below which its direction is rounding error."""
+"""Squared length of the vector view + light below which its direction is rounding error."""
 
 
 @wp.func
@@ -125,7 +132,7 @@ def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
 
 @wp.func
 def smith_g1(cosine: float, alpha: float) -> float:
-    """Returns Smith's G1, the fraction of unmasked microfacets, over twice the cosine (Heitz 2014)."""
+    """Returns Smith's G1, the fraction of unmasked microfacets, divided by twice the cosine (Heitz 2014)."""
     alpha2 = alpha * alpha
     return 1.0 / (cosine + wp.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine))
 
@@ -137,7 +144,10 @@ def smith_g1(cosine: float, alpha: float) -> float:
 
 @wp.func
 def rising_share(cosine: float, alpha: float) -> float:
-    """Returns the directional albedo of Schlick's ``(1 - cosine)^5`` term; up to 0.08 too large at grazing angles."""
+    """Returns the albedo of a GGX highlight whose reflectance is Schlick's term ``(1 - cosine)^5`` alone.
+
+    The fit is up to 0.08 too large at grazing angles.
+    """
     x = wp.max(1.0 - cosine, 0.0)
     above = cosine * x * x + 2.3 * alpha
     below = cosine + alpha * (2.48 + alpha * (38.2 + alpha * 24.7))
@@ -146,7 +156,7 @@ def rising_share(cosine: float, alpha: float) -> float:
 
 @wp.func
 def lost_share(cosine: float, alpha: float) -> float:
-    """Returns the fraction of light lost by masking and shadowing of microfacets.
+    """Returns the fraction of light that masking and shadowing of microfacets remove from a GGX highlight.
 
     The fit is up to 0.12 too small at grazing angles.
     """
@@ -169,11 +179,12 @@ def mean_lost_share(alpha: float) -> float:
 
 @wp.func
 def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
-    """Returns the fraction of a metal's single-scattering loss that multiple scattering reflects.
+    """Returns the fraction of a metal's single-scattering energy loss that multiple scattering reflects.
 
-    At each further bounce, light leaves with the mean albedo of white, or hits another facet (Kulla and Conty 2017).
+    At each further bounce, light leaves with the mean albedo of a white metal, or hits another facet (Kulla and Conty
+    2017).
 
-    ``head_on`` is the reflectance of the metal at normal incidence; smooth facets lose nothing.
+    ``head_on`` is the reflectance of the metal at normal incidence. Without masking, there is no loss.
     """
     if alpha <= 0.0:
         return wp.vec3(0.0)
@@ -185,7 +196,7 @@ def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
 
 @wp.func
 def rescattered_eval(share: wp.vec3, cos_view: float, cos_light: float, alpha: float) -> wp.vec3:
-    """Evaluates the BSDF of the multiple scattering: diffuse, weighted by the loss in each direction."""
+    """Evaluates the BSDF of multiple scattering: diffuse, weighted by the loss for view and for light."""
     lost = lost_share(cos_view, alpha) * lost_share(cos_light, alpha)
     return (INV_PI * lost / mean_lost_share(alpha)) * share
 
@@ -194,7 +205,8 @@ def rescattered_eval(share: wp.vec3, cos_view: float, cos_light: float, alpha: f
 def sample_ggx_vndf(view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
     """Samples a microfacet normal visible to ``view`` (Heitz 2018; spherical caps of Dupuy and Benyoub 2023).
 
-    Both are in the frame in which the surface normal is z; the pdf is ``2 D G1 / (2 cosine) * dot(view, facet)``.
+    ``view`` and the normal are in the frame in which the surface normal is z. The pdf of the reflected direction's
+    facet is ``2 D G1 / (2 cosine) * dot(view, facet)``.
     """
     axis = wp.normalize(wp.vec3(alpha * view[0], alpha * view[1], view[2]))
     angle = TWO_PI * u[0]
@@ -213,14 +225,14 @@ HEAD_ON = wp.constant(wp.float32(COAT_HEAD_ON))
 
 @wp.func
 def mirrored(cosine: float, alpha: float) -> float:
-    """Returns the fraction of light from a cosine that the highlight reflects."""
+    """Returns the fraction of light arriving at a cosine that the highlight of a dielectric with F0 = 0.04 reflects."""
     rising = rising_share(cosine, alpha)
     return HEAD_ON * (1.0 - lost_share(cosine, alpha) - rising) + rising
 
 
 @wp.func
 def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
-    """Returns the BSDF of the diffuse lobe over the base colour."""
+    """Returns the BSDF of a dielectric's diffuse lobe, divided by the base colour."""
     rising = mean_rising_share(alpha)
     mean = HEAD_ON * (1.0 - mean_lost_share(alpha) - rising) + rising
     return INV_PI * (1.0 - mirrored(cos_light, alpha)) * (1.0 - mirrored(cos_view, alpha)) / (1.0 - mean)
@@ -228,7 +240,7 @@ def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
 
 @wp.func
 def highlight_factor(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: float) -> float:
-    """Returns the BSDF of the highlight above the horizon, which is colourless."""
+    """Returns the BSDF of a dielectric's highlight above the horizon; it is the same in all channels."""
     half = view + light
     x = wp.max(1.0 - 0.5 * wp.length(half), 0.0)
     fresnel = HEAD_ON + (1.0 - HEAD_ON) * x * x * x * x * x
@@ -246,7 +258,11 @@ def reflected_dot(
     by_diffuse: float,
     by_highlight: float,
 ) -> wp.float32:
-    """Returns both lobes times the light's cosine, weighted by the loss derivatives of each lobe; above the horizon."""
+    """Returns the diffuse and the highlight BSDF times the light's cosine, weighted by their loss derivatives.
+
+    ``by_diffuse`` and ``by_highlight`` are the derivatives. ``spread`` is added to the highlight's squared alpha. The
+    light must be above the horizon.
+    """
     alpha = roughness * roughness
     cos_light = wp.dot(normal, light)
     diffuse = diffuse_factor(wp.dot(normal, view), cos_light, alpha)
@@ -261,20 +277,20 @@ def reflected_dot(
 # light, as at smooth surfaces.
 
 BEND_MIN = wp.constant(wp.float32(1e-3))
-"""Smallest difference from 1 of the index ratio by which rays are refracted.
+"""Smallest difference between 1 and the ratio of indices by which rough glass refracts.
 
 At a ratio of 1, the lobe would be a single direction."""
 
 
 @wp.func
 def transmits(bsdf: Bsdf) -> bool:
-    """Returns whether light passes through the surface over a lobe of directions."""
+    """Returns whether light passes through the surface into a lobe of directions (rough glass)."""
     return not is_black(bsdf.transmitted)
 
 
 @wp.func
 def bending(eta: float) -> float:
-    """Returns the index ratio, kept away from 1."""
+    """Returns the ratio of indices ``eta``, moved away from 1 to a difference of ``BEND_MIN``."""
     if wp.abs(eta - 1.0) >= BEND_MIN:
         return eta
     return wp.where(eta > 1.0, 1.0 + BEND_MIN, 1.0 - BEND_MIN)
@@ -282,7 +298,10 @@ def bending(eta: float) -> float:
 
 @wp.func
 def facet_of(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Returns the unit normal, on the view's side, of the microfacet that sends light to the view; zero: none."""
+    """Returns the unit normal of the microfacet that reflects or refracts the light to the view; zero: none does.
+
+    The normal is on the view's side.
+    """
     half = view + light
     if wp.dot(normal, light) <= 0.0:
         if bsdf.thin_walled:
@@ -308,7 +327,7 @@ def facet_reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def facet_transmittance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the transmittance of a microfacet."""
+    """Returns the transmittance of a microfacet for light at a cosine from its normal, for each channel."""
     return (1.0 - dielectric_share(bsdf.dielectric, cosine, bsdf.eta)) * bsdf.transmitted
 
 
@@ -326,8 +345,8 @@ def reflected_chance(bsdf: Bsdf, cosine: float) -> float:
 def spread_of_facets(bsdf: Bsdf, to_view: float, to_light: float) -> float:
     """Returns the Jacobian of transmission at microfacets.
 
-    It is the solid angle of the normals over the solid angle of the light behind the surface that they send to the
-    view.
+    It is the solid angle of microfacet normals over the solid angle of the light directions behind the surface from
+    which these microfacets send light to the view.
     """
     if bsdf.thin_walled:
         return 0.25 / to_view
@@ -394,7 +413,7 @@ def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, c
 
 @wp.func
 def glass_share(bsdf: Bsdf, cos_view: float) -> float:
-    """Returns the probability with which microfacets are sampled instead of the diffuse lobe."""
+    """Returns the probability with which rough glass samples microfacets instead of the diffuse lobe."""
     mirrored = dielectric_share(bsdf.dielectric, cos_view, bsdf.eta)
     facets = (1.0 - bsdf.metallic) * mirrored + mean_of(bsdf.metal) + (1.0 - mirrored) * mean_of(bsdf.transmitted)
     diffuse = (1.0 - mirrored) * mean_of(bsdf.diffuse)

@@ -1,8 +1,8 @@
 """Specular bounces at meshes: weights of the surface's own colour, the reflected ray and the refracted ray.
 
 In lit frames, weights apply to linear light. In unlit frames they apply to display-referred colours, as captures store
-them: Fresnel weights are unchanged, so that reflection and transmission add up to one, and tints are encoded like any
-other colour.
+them: Fresnel weights are unchanged, so that reflection and transmission add up to one, and the colours of tinted
+materials are encoded like any other colour.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -32,7 +32,10 @@ SLENDER = wp.constant(wp.float32(SPAWN_SLENDER))
 
 @wp.func
 def stays_outside(direction: wp.vec3, normal: wp.vec3, side: wp.vec3, eta: float, passes: bool) -> bool:
-    """Returns whether a shading normal reflects to the triangle's near side and refracts to its far side."""
+    """Returns whether a shading normal reflects to the triangle's near side and refracts to its far side.
+
+    ``side`` is the triangle's normal on the side of the ray; ``passes``: the surface refracts at all.
+    """
     cosine = -wp.dot(direction, normal)
     if cosine <= 0.0 or wp.dot(reflect(direction, normal), side) <= 0.0:
         return False
@@ -53,13 +56,13 @@ def bounce_of(
 ) -> Bounce:
     """Splits the colour of a ray among the surface, the reflected and the refracted ray.
 
-    Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. Light that a dielectric does not
-    reflect is divided, by its transmission, between the refracted ray and the base colour.
+    Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. The light that a dielectric does not
+    reflect is divided between the refracted ray and the base colour, by the material's transmission.
 
-    ``face_normal`` points out of the mesh: a ray along it comes from inside; opaque materials have no inside.
-    ``shading_normal`` is ignored if it would reflect through the triangle, or refract back. ``eta`` is the index of
-    refraction on the ray's side over the index behind the surface. ``lit``: weights are for linear light instead of
-    display-referred colours.
+    ``face_normal`` points out of the mesh; a ray along it comes from inside, but opaque materials have no inside.
+    ``shading_normal`` is ignored if its reflection would lead through the triangle, or its refraction back. ``eta`` is
+    the index of refraction on the ray's side over the index behind the surface. ``lit``: weights are for linear light
+    instead of display-referred colours.
     """
     bounce = Bounce()
     bounce.color = base_color
@@ -102,7 +105,7 @@ def bounce_of(
 
 @wp.func
 def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
-    """Returns the bounce of a surface that does not exist: the ray continues unchanged."""
+    """Returns the bounce at a surface between equal media, which does not count: the ray continues unchanged."""
     bounce = Bounce()
     bounce.side = face_normal
     if wp.dot(direction, face_normal) > 0.0:
@@ -117,7 +120,7 @@ def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
 def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
     """Returns whether ray ``i`` continues at the mesh that it hits.
 
-    The ray is reflected or refracted, or the surface is partly or wholly absent.
+    The mesh reflects or refracts the ray, is partly transparent by its alpha, or separates equal media.
     """
     material = scene[0].mesh_instances[wave[0].meshes.instance[i]].material
     alpha = scene[0].mesh_instances[wave[0].meshes.instance[i]].alpha
@@ -128,9 +131,9 @@ def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def blended(bounce: Bounce, coverage: float) -> Bounce:
-    """Returns the bounce at a surface that covers only a fraction of the ray.
+    """Returns the bounce at a surface that covers only the fraction ``coverage`` of the ray.
 
-    The rest of the ray continues, straight unless it is refracted.
+    The rest of the ray continues behind the surface: straight, unless the surface refracts.
     """
     if coverage >= 1.0:
         return bounce
@@ -145,9 +148,9 @@ def blended(bounce: Bounce, coverage: float) -> Bounce:
 
 @wp.func
 def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
-    """Returns the fraction of ray ``i`` that the hit mesh covers.
+    """Returns the fraction of ray ``i`` that the mesh it hits covers; the rest continues behind the mesh.
 
-    The rest of the ray continues behind the mesh. With random alpha tests, the fraction is 1.
+    With random alpha tests, the fraction is 1.
     """
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     if instance.alpha.is_drawn != 0 or instance.alpha.mode != ALPHA_BLEND:
@@ -160,7 +163,7 @@ def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 def bounce_across(
     i: int, boundary: Boundary, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Bounce:
-    """Returns the bounce of ray ``i`` at the mesh that it hits, across a given interface."""
+    """Returns the bounce of ray ``i`` at the mesh that it hits, for a given interface between media."""
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
@@ -189,7 +192,7 @@ def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.arr
 
 @wp.func
 def magnitudes(m: wp.mat33) -> wp.mat33:
-    """Returns the absolute values of all entries."""
+    """Returns a matrix with the absolute values of all entries of ``m``."""
     result = wp.mat33(0.0)
     for i in range(3):
         for j in range(3):
@@ -203,10 +206,10 @@ def spawn_point(
 ) -> wp.vec3:
     """Returns a point of a triangle, moved along ``normal`` so that a ray from there does not hit the triangle again.
 
-    The offset follows from the magnitudes of the numbers that are rounded, for this point and in the next intersection,
-    as far as they affect the distance from the triangle's plane (Waechter and Binder 2019, A Fast and Robust Method for
-    Avoiding Self-Intersection). A point at an edge also moves away from the edge, by twice as much: in a corner, the
-    ray would otherwise start behind the other wall.
+    The offset bounds the rounding errors of this point and of the next intersection, as far as they affect the distance
+    from the triangle's plane (Waechter and Binder 2019, A Fast and Robust Method for Avoiding Self-Intersection). A
+    point at an edge is also moved away from the edge, by twice as much: in a corner, the ray would otherwise start
+    behind the other wall.
 
     ``weights`` are barycentric; ``normal``, world space, unit, points to the side on which the ray continues.
     """

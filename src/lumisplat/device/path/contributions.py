@@ -1,7 +1,7 @@
 """Contributions of paths: light that path rays hit, light samples with their shadow rays, and light layers.
 
-Surfaces also sample the environment, emissive triangles and visible lights, so that both strategies are combined by the
-power heuristic. The equations are in docs/method/paths.md#lights.
+Surfaces also sample the environment, emissive triangles and visible lights. The power heuristic combines these samples
+with path rays that hit the same lights. The equations are in docs/method/paths.md#lights.
 """
 
 import warp as wp
@@ -36,28 +36,30 @@ from lumisplat.device.structs.shading import Interaction, LightCrossing, PathVer
 class PathShadowRays:
     """Shadow rays of a wave of paths, and the light contributions along them.
 
-    Element ``ray`` leads from the surface to a sampled light. Element ``stride + ray``, if it exists, follows the path
-    ray itself up to a light that it hits.
+    The first half of each array has one shadow ray for each path, from its surface to a sampled light. The second half,
+    if it exists, has one for each path that follows the path ray up to a light that it hits.
     """
 
     rays: RayData
-    """Rays, active where the light can be shadowed."""
+    """The shadow rays; active only where something could block the light."""
     contributions: wp.array[wp.vec3]
-    """Unshadowed contributions."""
+    """Contribution of each ray's light to the image if nothing blocks it."""
     opaque: wp.array[wp.bool]
-    """True if glass blocks the ray, because path rays find the light through the glass."""
+    """True if glass blocks the ray completely, because path rays find the light through the glass."""
     skips: wp.array[wp.bool]
-    """True if the ray passes shadow catchers, because it starts at one."""
+    """True if shadow catchers do not block the ray, because it starts at one."""
     media: wp.array[wp.vec4i]
-    """Media at the ray's origin, as in ``Boundary``, unless glass blocks it; empty if no medium absorbs."""
+    """Media at the ray's origin, as in ``Boundary``, unless glass blocks the ray; empty if no medium absorbs."""
     lights: wp.array[int]
-    """Index of the light."""
+    """Index of the light that each ray leads to."""
     diffuse: wp.array[wp.vec3]
-    """Diffuse fraction as in `PathData`, after this surface; empty in frames without light layers."""
+    """Fraction of the contribution that the path's first surface scattered diffusely; empty in frames without light
+    layers."""
     unshadowed: wp.array[wp.vec3]
-    """Unshadowed contribution by light samples alone, without MIS; empty unless the frame has the ``lights`` layers."""
+    """Contribution by light samples alone, without MIS and shadows; empty unless the frame has the ``lights`` layers.
+    """
     reaching: wp.array[wp.vec3]
-    """Contribution ``unshadowed`` after absorption by the medium, on a ray that glass ends; empty likewise."""
+    """``unshadowed`` times the transmittance of the medium, on rays that glass ends; empty if ``unshadowed`` is."""
 
 
 PART_DIRECT_DIFFUSE: int = wp.constant(0)
@@ -75,25 +77,26 @@ PARTS: int = wp.constant(5)
 
 @struct
 class PathImages:
-    """Accumulated path radiance for each ray of the first wave; linear.
+    """Sums of path radiance for each ray of the first wave, linear.
 
-    Light layers that the frame does not request are empty.
+    Arrays of light layers that the frame does not have are empty.
     """
 
     light: wp.array[wp.vec3]
     """Total radiance."""
     parts: wp.array[wp.vec3]
-    """Radiance by PART_DIRECT_DIFFUSE and so on: rows of one element for each ray, as in the arrays below."""
+    """Radiance of each part, PART_DIRECT_DIFFUSE and so on: one row for each part, one element of a row for each ray.
+    """
     bounces: wp.array[wp.vec3]
-    """Radiance by number of scattering events: at most one more than the paths' bounces."""
+    """Radiance by the number of scattering events: one more row than the paths have bounces."""
     lights_unshadowed: wp.array[wp.vec3]
-    """Unshadowed radiance of each light at the first surface, by light samples alone."""
+    """Radiance of each light at the first surface if nothing blocks it, by light samples alone."""
     lights_shadowed: wp.array[wp.vec3]
-    """Shadowed radiance of each light at the first surface, by light samples alone."""
+    """Radiance of each light at the first surface, with shadows, by light samples alone."""
     lights_total: wp.array[wp.vec3]
-    """Total radiance of each light; the last row is emission that is not a light."""
+    """Total radiance that each light causes; the last row is emission that does not count as a light."""
     received: wp.array[wp.vec3]
-    """1 where a path measures the irradiance fields below, else 0."""
+    """1 where a path measures the irradiance of a shadow catcher, else 0."""
     unshadowed: wp.array[wp.vec3]
     """Irradiance of shadow catchers by lights, without added objects; empty in frames without shadow catchers."""
     shadowed: wp.array[wp.vec3]
@@ -105,7 +108,7 @@ class PathImages:
     ambient: wp.array[wp.vec3]
     """Ambient irradiance of shadow catchers."""
     open: wp.array[wp.vec3]
-    """Part of the ambient irradiance that no added object blocks."""
+    """Part of ``ambient`` that no added object blocks."""
 
 
 # --- Light layers, and irradiance of shadow catchers (docs/method/paths.md#layers) ---
@@ -113,14 +116,14 @@ class PathImages:
 
 @wp.func
 def add_to_row(rows: wp.array[wp.vec3], row: int, count: int, root: int, value: wp.vec3):
-    """Adds to a ray's element in one of several rows of ``count`` elements each."""
+    """Adds ``value`` to the element of ray ``root`` in row ``row``; rows have ``count`` elements each."""
     i = row * count + root
     rows[i] = rows[i] + value
 
 
 @wp.func
 def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, images: wp.array[PathImages]):
-    """Adds light to the part set by its first scattering (diffuse or glossy) and its bounces (direct or indirect)."""
+    """Adds light to the part for the path's first scattering (diffuse or glossy) and bounces (direct or indirect)."""
     count = images[0].light.shape[0]
     if bounces == 0:
         add_to_row(images[0].parts, PART_EMISSION, count, root, value)
@@ -147,8 +150,8 @@ def add_light(
 ):
     """Adds a light contribution of a path to the images.
 
-    ``value`` is linear radiance times the throughput. ``light`` may be one more than the last light's index, for
-    emission that is not a light. ``diffuse`` is the fraction that the first surface scattered diffusely.
+    ``value`` is linear radiance times the throughput. ``light`` is the index of the light, or ``light_count`` for the
+    emission of captures and meshes. ``diffuse`` is the fraction that the first surface scattered diffusely.
     """
     if for_catcher:
         if light < light_count:
@@ -171,7 +174,7 @@ def add_light(
 def add_first_light(root: int, unshadowed: wp.vec3, shadowed: wp.vec3, light: int, images: wp.array[PathImages]):
     """Adds a light sample at the first surface of a path to the light layers, if the frame has them.
 
-    ``unshadowed`` is the unshadowed and ``shadowed`` the shadowed linear radiance reflected by the surface.
+    ``unshadowed`` and ``shadowed`` are the linear radiance that the surface reflects from it, without and with shadows.
     """
     if images[0].lights_unshadowed:
         count = images[0].light.shape[0]
@@ -182,13 +185,13 @@ def add_first_light(root: int, unshadowed: wp.vec3, shadowed: wp.vec3, light: in
 
 @wp.func
 def add_unshadowed_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
-    """Adds irradiance of a shadow catcher by lights, without added objects."""
+    """Adds irradiance of a shadow catcher by lights, without added objects, to the images."""
     images[0].unshadowed[root] += value
 
 
 @wp.func
 def add_emitted_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
-    """Adds irradiance of a shadow catcher by surrounding captures, without added objects."""
+    """Adds irradiance of a shadow catcher by surrounding captures, without added objects, to the images."""
     images[0].emitted_unshadowed[root] += value
 
 
@@ -207,9 +210,9 @@ def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
 
 @wp.func
 def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
-    """Returns whether the ray of path ``i`` starts at a shadow catcher, where light samples alone count.
+    """Returns whether the ray of path ``i`` starts at a shadow catcher, where lights count only by light samples.
 
-    The exception is an environment that uses MIS: the ray sees it where its own splat set leaves it open.
+    An environment that uses MIS is the exception: the ray sees it where the catcher's splat set does not block it.
     """
     return paths[0].pdf[i] < 0.0
 
@@ -218,10 +221,10 @@ def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
 def escaped_radiance(
     i: int, direction: wp.vec3, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Returns the linear radiance at infinity that path ``i`` sees, with its MIS weight against environment samples.
+    """Returns the linear radiance from infinity along path ``i``, with its MIS weight against environment samples.
 
-    Without an environment, mirrors show the background; elsewhere it is black, because a background does not emit
-    light.
+    In a scene without an environment, paths that have only been reflected by mirrors see the background. Other paths
+    see black, because a background does not emit light.
     """
     if scene[0].environment.exists == 0:
         if paths[0].is_specular[i]:
@@ -245,7 +248,7 @@ def escaped_radiance(
 def emitted_share(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> float:
-    """Returns the MIS weight of the emission of the mesh hit by path ``i``, against samples of emissive triangles."""
+    """Returns the MIS weight of the emission that path ``i`` hits, against samples of emissive triangles."""
     pdf = paths[0].pdf[i]
     number = wave[0].meshes.instance[i]
     if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
@@ -273,7 +276,10 @@ def hit_light(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> LightCrossing:
-    """Intersects the ray of path ``i`` with light ``number``; the radiance has its MIS weight; distance inf: no hit."""
+    """Intersects the ray of path ``i`` with light ``number``; the returned radiance includes the MIS weight.
+
+    The returned distance is inf if the ray misses the light.
+    """
     crossing = LightCrossing()
     crossing.t = wp.inf
     is_shown = not leaves_catcher(i, paths) and (paths[0].is_specular[i] or uses_mis(number, no_shadows, scene))
@@ -293,7 +299,7 @@ def hit_light(
 def emitted_radiance(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Returns the linear radiance of captures and of mesh emission that path ``i`` sees."""
+    """Returns the linear radiance of captures and mesh emission along the ray of path ``i``."""
     radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     if not paths[0].is_specular[i]:
         radiance *= scene[0].settings[0].capture_gain
@@ -309,7 +315,7 @@ def emitted_radiance(
 # --- Light samples, and lights that path rays hit behind blended Gaussians ---
 
 HIT_LIGHT_BRANCH = wp.constant(4)
-"""Random branch for the attenuation, by Gaussians, of a light that the ray itself hits.
+"""Random branch of the shadow ray along a path ray up to a light that the path ray hits.
 
 See also light/direct_light.py."""
 
@@ -335,7 +341,7 @@ def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
 
 @wp.func
 def start_along(i: int, j: int, t_max: float, branch: int, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts ray ``j`` along ray ``i`` of a wave, with the random keys of its own branch; the caller activates it."""
+    """Starts ray ``j`` along ray ``i`` of a wave, with random keys of branch ``branch``; the caller activates it."""
     rays_out.origin[j] = wave[0].rays.origin[i]
     rays_out.direction[j] = wave[0].rays.direction[i]
     rays_out.t_min[j] = wave[0].rays.t_min[i]
@@ -352,7 +358,7 @@ def start_along(i: int, j: int, t_max: float, branch: int, wave: wp.array[WaveDa
 def start_hit_light_ray(
     i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: wp.array[PathShadowRays]
 ):
-    """Starts the shadow ray along ray ``i`` up to a light that the ray hits at distance ``t``."""
+    """Starts the shadow ray along path ray ``i`` up to a light that the path ray hits at distance ``t``."""
     j = wave[0].rays.is_active.shape[0] + i
     shadows[0].contributions[j] = value
     shadows[0].lights[j] = light
@@ -371,9 +377,10 @@ def add_hit_lights(
     shadows: wp.array[PathShadowRays],
     images: wp.array[PathImages],
 ):
-    """Adds the visible lights that the ray of path ``i`` hits before its surface.
+    """Adds the visible lights that the ray of path ``i`` hits before its surface to the images.
 
-    Among lights behind blended Gaussians, one is chosen at random, and a shadow ray determines its attenuation.
+    If blended Gaussians lie in front of them, one of the lights is chosen at random, and a shadow ray along the path
+    ray determines its attenuation.
     """
     is_hazy = shadows[0].contributions.shape[0] > wave[0].rays.is_active.shape[0]
     end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
@@ -469,9 +476,10 @@ def add_unshadowed_samples(
     shadows: wp.array[PathShadowRays],
     images: wp.array[PathImages],
 ):
-    """Adds light samples without shadows: to the irradiance of a shadow catcher, or to the light layers.
+    """Adds light samples without the shadows of added objects to the irradiance of a shadow catcher.
 
-    ``number`` is the index of the wave, ``visible`` the transmittance of the shadow ray.
+    At other surfaces, in the first wave, it adds them to the light layers, if the frame has them. ``number`` is the
+    index of the wave, ``visible`` the transmittance of the shadow ray.
     """
     light = shadows[0].lights[i]
     if shadows[0].skips[i]:

@@ -27,7 +27,7 @@ ROULETTE_RANGE = (0.05, 0.95)
 """Range of the survival probability, which is the largest throughput channel clamped to it."""
 
 LEAVES_CATCHER: float = wp.constant(-1.0)
-"""Stands for a pdf: the ray starts at a shadow catcher, where light samples alone count."""
+"""Value in place of a pdf: the ray starts at a shadow catcher, where lights count only by light samples."""
 
 
 @struct
@@ -35,11 +35,13 @@ class PathData:
     """State of the paths of a wave, one element for each ray."""
 
     root: wp.array[int]
-    """Ray of the first wave that the path started with."""
+    """Index of the ray of the first wave with which the path started."""
     throughput: wp.array[wp.vec3]
-    """Factor of the ray's radiance in the colour of the root ray."""
+    """Factor of the ray's radiance in the colour of the path's first ray."""
     pdf: wp.array[float]
-    """Pdf with which the ray's direction was sampled, per steradian; 0: the only direction; LEAVES_CATCHER."""
+    """Pdf with which the ray's direction was sampled, per steradian.
+
+    0: only this direction was possible. LEAVES_CATCHER: the ray starts at a shadow catcher."""
     position: wp.array[wp.vec3]
     """Position of the surface at which the ray starts, as in ``PathVertex``."""
     normal: wp.array[wp.vec3]
@@ -47,25 +49,25 @@ class PathData:
     is_specular: wp.array[wp.bool]
     """True if all earlier surfaces were smooth, so that the path shows what the camera sees in mirrors."""
     for_catcher: wp.array[wp.bool]
-    """True if the path measures the irradiance of a shadow catcher instead of the radiance of its root ray."""
+    """True if the path measures the irradiance of a shadow catcher instead of the radiance of its first ray."""
     diffuse: wp.array[wp.vec3]
-    """Fraction of its contribution that the first surface scattered diffusely; empty in frames without light layers."""
+    """Fraction of the path's light that its first surface scattered diffusely; empty in frames without light layers."""
     media: wp.array[wp.vec4i]
     """Media that the ray has entered, as in ``Boundary``; empty in scenes without media."""
 
 
 @struct
 class PathSteps:
-    """Next steps of the paths of a wave: one ray of the next wave for each ray."""
+    """Next steps of the paths of a wave: one ray of the next wave for each path."""
 
     goes_on: wp.array[int]
     """0: the path ends, and the other fields are undefined."""
     next_ends: wp.array[int]
-    """Inclusive prefix sum of ``goes_on``: one more than the index of the ray in the next wave."""
+    """Inclusive prefix sum of ``goes_on``: one more than the index of the path's ray in the next wave."""
     rays: RayData
-    """Origins, directions and widths of the rays; the other fields are empty."""
+    """Origins, directions and widths of the next rays; the other arrays are empty."""
     paths: PathData
-    """State of the paths, except for their roots."""
+    """State of the paths after the step, except for ``root``."""
 
 
 @struct
@@ -76,25 +78,25 @@ class PathStep:
     direction: wp.vec3
     t_min: float
     layer_normal: wp.vec3
-    """Normal of the surface's layer, as in ``RayData``."""
+    """Unit normal of the layer of flat Gaussians at which the ray starts, as in ``RayData``; zero: none."""
     path_length: float
-    """Path length to the unfolded eye behind the origin, scene units; 0 after scattering.
+    """Path length from the unfolded eye to the ray's origin, scene units; 0 after scattering.
 
     The light that a scattering surface receives does not depend on the viewer."""
     spread: float
     weight: wp.vec3
-    """Factor of the throughput, without the probability of the branch."""
+    """Factor by which the step changes the throughput, without division by the probability of the branch."""
     pdf: float
-    """Pdf with which the direction was sampled, per steradian; 0: the only direction."""
+    """Pdf with which the direction was sampled, per steradian; 0: only this direction was possible."""
     diffuse: wp.vec3
-    """Diffuse fraction of the weight."""
+    """Fraction of ``weight`` that the diffuse lobe contributes, for each channel."""
     media: wp.vec4i
     """Media that the ray has entered, as in ``Boundary``."""
 
 
 @struct
 class Branch:
-    """Randomly chosen continuation of a path."""
+    """Randomly chosen continuation of a path, and the probability with which it was chosen."""
 
     kind: int
     """BRANCH_NONE, BRANCH_SPLATS, BRANCH_MESH, BRANCH_REFLECTED or BRANCH_REFRACTED."""
@@ -124,7 +126,7 @@ GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 
 @wp.func
 def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -> float:
-    """Estimates the fraction of a ray that interaction ``j`` scatters; above 0 wherever it scatters any light.
+    """Estimates the fraction of a ray's light that interaction ``j`` scatters; above 0 wherever it scatters any.
 
     A shadow catcher scatters only for paths that may measure its irradiance.
     """
@@ -149,8 +151,9 @@ def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -
 
 @wp.func
 def branch_of(i: int, u: float, may_find_catcher: bool, bounce: Bounce, wave: wp.array[WaveData]) -> Branch:
-    """Selects the surface at which a path continues, in proportion to the approximate reflection of each.
+    """Selects how path ``i`` continues, in proportion to the light that each continuation approximately carries.
 
+    The continuations are scattering at the Gaussians or at the mesh, and the reflection and refraction of ``bounce``.
     ``u`` is random, 0..1; ``may_find_catcher``: whether the path may measure the irradiance of a shadow catcher.
     """
     transmittance = wave[0].gaussians.transmittance[i]
@@ -175,7 +178,7 @@ def branch_of(i: int, u: float, may_find_catcher: bool, bounce: Bounce, wave: wp
 
 @wp.func
 def scattering_interaction(i: int, branch: Branch, wave: wp.array[WaveData]) -> Interaction:
-    """Returns the interaction at which path ``i`` scatters.
+    """Returns the interaction at which path ``i`` scatters, for the chosen branch.
 
     Shadow catchers are white for paths that measure their irradiance.
     """
@@ -210,7 +213,8 @@ def scattered_step(
 ) -> PathStep:
     """Samples the step of a path that an interaction scatters.
 
-    ``u`` and ``choice``, which selects the lobe, are random, 0..1; ``splits``: whether the diffuse fraction is needed.
+    ``u`` is random, 0..1 each; ``choice``, random, 0..1, selects the lobe. ``splits``: whether the step needs its
+    diffuse fraction.
     """
     step = PathStep()
     sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
@@ -265,7 +269,7 @@ def is_scattering(branch: Branch) -> bool:
 
 @wp.func
 def survival(number: int, throughput: wp.vec3, key: wp.uint32, sample: int) -> float:
-    """Returns the survival probability of a path after a wave by Russian roulette; 0: the path has ended.
+    """Returns the probability with which a path survives Russian roulette after wave ``number``; 0: the path ends.
 
     The decision is drawn from the low-discrepancy sequence of ``key``.
     """

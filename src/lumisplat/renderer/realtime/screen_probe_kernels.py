@@ -25,7 +25,7 @@ from lumisplat.device.gi.screen_probes import (
     gathered_light,
     neighbour_weight,
     refresh_key,
-    shows_the_same,
+    shows_same_surface,
     start_probe_ray,
 )
 from lumisplat.device.gi.surfaces import SurfacePixels, mean_weight
@@ -349,7 +349,7 @@ def filter_cells(
             j = tile_of(grid, column + along * (1 - down), row + along * down)
         if j >= 0 and cells.samples[wp.max(j, 0) * count + cell] > 0.0:
             vote = neighbour_weight(i, j, grid, cameras[0], probes)
-            if vote > 0.0 and shows_the_same(i, j, cell, grid, probes, cells):
+            if vote > 0.0 and shows_same_surface(i, j, cell, grid, probes, cells):
                 vote *= cells.samples[j * count + cell]
                 total += vote * cells.radiance[j * count + cell]
                 weight += vote
