@@ -1,4 +1,4 @@
-"""Reflection lobes of rough dielectrics for light from parts of the hemisphere (docs/method/delighting.md#highlights).
+"""Reflection lobes of rough dielectrics for light from parts of the hemisphere (docs/method/delighting.md#roughness).
 
 One item is a roughness, a view and a bin of directions. It integrates over the bin's samples.
 """
