@@ -86,7 +86,7 @@ def fit_lights(
     each light with power 1. The powers, at least 0, are a robust linear least-squares fit, so that objects which are
     missing from the scene count little. Positions and the other parameters that renders depend on nonlinearly are found
     by Gauss-Newton, from the given values and from a lattice of other positions. Source:
-    docs/method/relighting.md#lights-of-a-photograph.
+    docs/method/relighting.md#lights-of-an-image.
 
     Images show only the product of light power and surface colour, and its product with the exposure. Base colours are
     therefore known unless ``base_colors`` asks for them. If it asks for all materials, their product over the materials
