@@ -240,7 +240,7 @@ def level_of(grid: CacheGrid, position: wp.vec3, from_eye: float) -> int:
     """Returns the level of the cells for long rays at a position; cells are 2^level scene units wide."""
     reach = wp.max(wp.abs(position))
     width = wp.max(grid.cell_size * from_eye, reach / CELLS_REACH)
-    # One coarser, one finer and the levels of short rays must exist, too.
+    # The next coarser and finer levels and the levels of short rays must exist, too.
     return wp.clamp(exponent_of(width), NEAR_LEVELS - LEVEL_LAST, LEVEL_LAST - 2)
 
 

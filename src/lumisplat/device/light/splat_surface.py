@@ -104,7 +104,7 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
             relit_color = wave[0].gaussians.relit_color[i]
             relit_index = wave[0].gaussians.relit_gaussian[i]
             if captured_surface and relit <= alpha - relit:
-                # Only one surface of a ray is lit: this one, and the few relit Gaussians on the ray show as captured.
+                # Only one surface of a ray is lit: if it is this one, relit Gaussians show their captured colour.
                 relit = float(0.0)
         elif scene[0].materials[surface.instance].keeps_capture == 0:
             relit = alpha

@@ -437,7 +437,7 @@ def light_surface(
     with_mis = uses_mis(choice.number, no_shadows, scene)
     shadows[0].opaque[i] = with_mis
     if interaction.shadow_only:
-        # Of all lights, rays that leave a shadow catcher find only the environment, which they alone sample.
+        # Rays that leave a shadow catcher find no light but the environment, and sample it without light samples.
         if with_mis and choice.number == environment_number(scene):
             return
         shadows[0].skips[i] = True

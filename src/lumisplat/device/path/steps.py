@@ -232,7 +232,7 @@ def scattered_step(
         step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
     step.t_min = wave[0].interactions.spawn_t_min[j]
     step.layer_normal = wave[0].interactions.geometric_normal[j]
-    # Not lifted above the layer, as shadow rays are not, because MIS weights assume that both reach the same lights.
+    # The origin is not lifted above the layer: shadow rays are not either, and MIS needs both to find the same lights.
     step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
     return step
 

@@ -205,7 +205,7 @@ def may_intersect(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
     if footprint.extent != SOMETHING:
         return footprint.extent == EVERYTHING
     forward = wp.dot(cell.axis, footprint.direction)
-    # False if the angle between the axes exceeds the sum of the half angles; cosines, because most pairs end here.
+    # Rejects pairs whose axes form a larger angle than the sum of the half angles; cosines make this test fast.
     if atlas.layout != PARALLEL and (
         cell.cosine >= 0.0 and forward < cell.cosine * footprint.cosine - cell.sine * footprint.sine
     ):
