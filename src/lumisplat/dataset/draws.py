@@ -11,11 +11,11 @@ from lumisplat.config.setting import Span, WholeSpan
 from lumisplat.math.arrays import Doubles
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-"""Golden ratio conjugate, whose multiples modulo 1 fill 0..1 evenly from the first on."""
+"""Golden ratio conjugate. Its multiples modulo 1 are spread evenly over 0..1, however many there are."""
 
 
 class Purpose(IntEnum):
-    """Purpose of random numbers; each purpose has its own stream, so that settings of one do not change another."""
+    """Purpose of random numbers. Each purpose has a separate stream: a setting of one does not change another."""
 
     POSE = 0
     OBJECTS = 1
@@ -38,7 +38,7 @@ class Draws:
         self._generator = np.random.Generator(np.random.Philox(words))
 
     def units(self, *shape: int) -> Doubles:
-        """Returns uniform numbers in [0, 1)."""
+        """Returns an array of uniform numbers in [0, 1), with the given shape."""
         return self._generator.random(shape)
 
     def unit(self) -> float:
@@ -46,15 +46,15 @@ class Draws:
         return float(self._generator.random())
 
     def between(self, ends: Span) -> float:
-        """Returns a uniform number of a range."""
+        """Returns a uniform number between the two numbers ``ends``."""
         return ends[0] + (ends[1] - ends[0]) * self.unit()
 
     def factor(self, ends: Span) -> float:
-        """Returns a number of a range of positive numbers, with a uniform logarithm."""
+        """Returns a number between the two positive numbers ``ends``, with a uniformly distributed logarithm."""
         return math.exp(self.between((math.log(ends[0]), math.log(ends[1]))))
 
     def whole(self, ends: WholeSpan) -> int:
-        """Returns a uniform integer of a range, both ends included."""
+        """Returns a uniform integer between the two integers ``ends``, which are included."""
         return ends[0] + self.below(ends[1] - ends[0] + 1)
 
     def below(self, count: int) -> int:
@@ -71,7 +71,13 @@ class Draws:
 def split_of(seed: int, view: int, shares: tuple[float, float, float]) -> str:
     """Returns the split of a view: ``train``, ``val`` or ``test``.
 
-    A Kronecker sequence divides any number of consecutive views nearly in the given fractions.
+    A Kronecker sequence assigns the splits, so that any run of consecutive views is divided nearly in the given
+    fractions.
+
+    Args:
+        seed: Seed of the data set.
+        view: Index of the view.
+        shares: Fractions of the views in ``train``, ``val`` and ``test``.
     """
     fraction = (Draws(seed, 0, Purpose.SPLIT).unit() + view * _GOLDEN) % 1.0
     if fraction < shares[0]:

@@ -1,4 +1,4 @@
-"""Files of a view: colour image, layers, and its camera, lights and labels as JSON."""
+"""Writes the files of a view: colour image, layers, and camera, lights and labels as JSON."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lumisplat.scene.lights import Light
 
 
 class LayerFiles(NamedTuple):
-    """Folder, file extension and content of a layer."""
+    """Folder, file extension and meaning of the files of a layer."""
 
     folder: str
     extension: str
@@ -56,23 +56,26 @@ LAYER_FILES = {
         "32-bit: linear Rec.709 R G B A, neither exposed nor tone-mapped; depth.Z along rays, normals in world axes",
     ),
 }
-"""Files of each layer by its name."""
+"""Files of every layer, by the name of the layer."""
 
 VIEW_FOLDER = "views"
 
 
 def view_name(index: int) -> str:
-    """Returns the stem of the files of a view."""
+    """Returns the name, without extension, that all files of a view have."""
     return f"view_{index:06d}"
 
 
 def view_file(index: int) -> str:
-    """Returns the JSON file of a view, relative to the data set; it is written last and marks the view as complete."""
+    """Returns the path of a view's JSON file, relative to the data set's folder.
+
+    The JSON file is written last and marks the view as complete.
+    """
     return f"{VIEW_FOLDER}/{view_name(index)}.json"
 
 
 def layer_file(layer: str, name: str) -> str:
-    """Returns the file of a layer of a view, relative to the data set."""
+    """Returns the path of a layer's file for the view ``name``, relative to the data set's folder."""
     files = LAYER_FILES[layer]
     return f"{files.folder}/{name}.{files.extension}"
 
@@ -89,7 +92,7 @@ def write_view(folder: Path, view: DatasetView, frame: Frame, config: DatasetCon
         view: The view.
         frame: Its rendered frame.
         config: Settings of the data set.
-        id_types: Pixel types of the id layers, the same for all views.
+        id_types: Pixel types of the ``instance`` and ``category`` layers, equal for all views.
 
     Raises:
         ConfigError: The layers include ``albedo``, and the frame has none.
@@ -110,7 +113,7 @@ def write_view(folder: Path, view: DatasetView, frame: Frame, config: DatasetCon
 
 
 def _write_layer(path: Path, layer: str, frame: Frame) -> None:
-    """Writes a layer that is an image of the frame."""
+    """Writes a layer that is computed from the frame's AOVs."""
     if layer == "depth":
         with atomic_write(path) as temporary, Path(temporary).open("wb") as file:
             np.save(file, depth_along_z(frame), allow_pickle=False)
@@ -130,13 +133,13 @@ def _write_layer(path: Path, layer: str, frame: Frame) -> None:
 
 
 def depth_along_z(frame: Frame) -> FloatArray:
-    """Returns the view depth of surfaces along the camera's z axis, shape (H, W); 0 without a surface."""
+    """Returns the depth of each pixel's surface along the camera's z axis, shape (H, W); 0 without a surface."""
     depth = frame.depth_z
     return np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
 
 
 def normal_picture(frame: Frame) -> npt.NDArray[np.uint8]:
-    """Returns normals in camera axes as bytes, shape (H, W, 3); 0 0 0 without a surface."""
+    """Returns the normals in camera axes as bytes, 127.5 (1 + normal), shape (H, W, 3); 0 0 0 without a surface."""
     # Not BLAS: its last bits depend on the number of threads.
     normal = np.einsum("hwi,ji->hwj", frame.normal.astype(np.float64), frame.camera.camera_from_world[:3, :3])
     shown = np.clip(127.5 * (1.0 + normal) + 0.5, 0.0, 255.0)
@@ -171,7 +174,7 @@ def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfi
 
 
 def _thing(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
-    """Returns the JSON entry of an object, with the bounding box of its pixels."""
+    """Returns the JSON entry of an object, with the bounding box of its visible pixels."""
     rows, columns = np.nonzero(ids == thing.id)
     box = None
     if rows.size:
@@ -193,7 +196,7 @@ def _thing(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
 
 
 def _light(light: Light) -> dict[str, Any]:
-    """Returns the JSON entry of a light: its class and numbers; environment images are given by name."""
+    """Returns the JSON entry of a light: its class and its fields, except the image of an environment."""
     values = {
         field.name: getattr(light, field.name)
         for field in dataclasses.fields(light)
@@ -203,7 +206,7 @@ def _light(light: Light) -> dict[str, Any]:
 
 
 def _plain(value: object) -> object:
-    """Returns a value as JSON; infinity becomes null."""
+    """Converts a field value to JSON types; an infinite number becomes null."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, tuple | list | np.ndarray):
@@ -212,7 +215,7 @@ def _plain(value: object) -> object:
 
 
 def id_type(count: int) -> type[np.uint8] | type[np.uint16]:
-    """Returns the pixel type of an image with ``count`` ids.
+    """Returns the smallest pixel type of an image that stores ids up to ``count``.
 
     Raises:
         SceneError: There are more than 65,535 ids.

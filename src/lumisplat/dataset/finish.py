@@ -1,6 +1,6 @@
 """Writes the files that describe a whole data set: cameras, layers and categories, a contact sheet, and shards.
 
-Shards are in the format of WebDataset: tar files whose members share the first part of their names.
+Shards are in the format of WebDataset: tar files in which the members of one view begin with the view's name.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _AXES = "cameras: x right, y down, z forward (OpenCV); camera_from_world takes c
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSummary:
-    """Number of views per split, and what is missing or was left out."""
+    """Number of views in each split, of views not rendered yet, and of objects without a free position."""
 
     train: int
     """Number of training views."""
@@ -53,7 +53,7 @@ class DatasetSummary:
 def finish_dataset(folder: str | os.PathLike[str], config: DatasetConfig) -> DatasetSummary:
     """Writes the files that describe a whole data set, once all views are rendered.
 
-    ``transforms.json`` has the cameras and splits for nerfstudio, ``layers.json`` the content of the layers and the
+    ``transforms.json`` has the cameras and splits for nerfstudio, ``layers.json`` the meaning of the layers and the
     names of categories, ``contact_sheet.png`` the first views. ``shards`` has tar files for WebDataset if
     ``config.shard_views`` is above 0; otherwise existing shards are removed.
 
@@ -62,7 +62,7 @@ def finish_dataset(folder: str | os.PathLike[str], config: DatasetConfig) -> Dat
         config: Its settings.
 
     Returns:
-        The number of views per split; if some are ``missing``, no file has been written.
+        The number of views in each split. If ``missing`` is above 0, no file has been written.
 
     Raises:
         ConfigError: ``config`` is not a DatasetConfig.
@@ -101,7 +101,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _transforms(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Returns the cameras in the format of nerfstudio."""
+    """Returns the cameras and splits in the format of nerfstudio's ``transforms.json``."""
     names: dict[str, list[str]] = {split: [] for split in ("train", "val", "test")}
     frames: list[dict[str, Any]] = []
     for record in records:
@@ -127,7 +127,7 @@ def _transforms(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _layers(config: DatasetConfig, records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Returns the content of the layers, and the categories that occur in the views."""
+    """Returns the content of ``layers.json``: the meaning of the layers, and the categories that occur in the views."""
     categories = {thing["category"]: thing["category_id"] for record in records for thing in record["things"]}
     return {
         "axes": _AXES,
@@ -145,15 +145,18 @@ SHARD_FOLDER = "shards"
 
 
 def _write_shards(folder: Path, records: Sequence[Mapping[str, Any]], views: int) -> list[Path]:
-    """Writes the views of each split into shards ``train-000000.tar`` and so on; repeated calls write the same bytes.
+    """Writes the views of each split into shards ``train-000000.tar`` and so on; repeated calls write equal bytes.
 
     A view has the members ``view_000012.png``, ``view_000012.depth.npy`` and so on, ``view_000012.json`` last. Existing
-    shards beyond the last one are removed.
+    shards with higher numbers are removed.
 
     Args:
         folder: Folder of the data set.
         records: JSON records of the views, in order.
         views: Largest number of views per shard.
+
+    Returns:
+        Paths of the shards.
 
     Raises:
         FormatError: A file cannot be read or written.
@@ -179,7 +182,7 @@ def _remove_shards(folder: Path, kept: Sequence[Path]) -> None:
 
 
 def _write_shard(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
-    """Writes one tar file without times and owners."""
+    """Writes one shard as a tar file without modification times and owners."""
     with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
             for member, file in _members(folder, record).items():
@@ -191,7 +194,7 @@ def _write_shard(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
 
 
 def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
-    """Returns the files of a view by member name: the layer and the extension follow the view's name."""
+    """Returns the files of a view by their name in a shard: the view's name, the layer, and the extension."""
     name, files = view_name(record["view"]), record["files"]
     members: dict[str, Path] = {}
     for layer, file in files.items():
@@ -204,16 +207,18 @@ def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
 _SHEET_TILES = 48
 """Largest number of images on the contact sheet."""
 _SHEET_COLUMNS = 8
-"""Approximate number of images in a row."""
+"""Approximate number of images in a row of the contact sheet."""
 _TILE_WIDTH = 200
-"""Width of an image on the sheet, pixels."""
+"""Width of an image on the contact sheet, pixels."""
 _FAR, _NEAR = 0.1, 1.0
-"""Grey values of the farthest and the nearest surface of a view."""
+"""Grey values, 0..1, of a view's farthest surface and of its nearest surface on the contact sheet."""
 _NOT_ON_SHEET = ("exr",)
 
 
 def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
-    """Writes a contact sheet: each view with its layers side by side; depth is grey with near white, ids have colours.
+    """Writes a contact sheet: each view with its layers side by side.
+
+    Depth is shown as grey values, the nearest surface white. Each id is shown in a colour of its own.
 
     Args:
         path: The PNG file.
@@ -243,7 +248,7 @@ def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
 
 
 def _tile(path: Path, layer: str) -> Image.Image:
-    """Returns a layer as an RGB image."""
+    """Reads the file of a layer as an RGB image for the contact sheet."""
     from PIL import Image
 
     try:
@@ -260,7 +265,7 @@ def _tile(path: Path, layer: str) -> Image.Image:
 
 
 def _gray(depth: FloatArray) -> np.ndarray:
-    """Returns depth as grey bytes, near is white; black without a surface."""
+    """Returns depth as grey bytes, shape (H, W, 3): the nearest surface white, pixels without a surface black."""
     surface = depth > 0.0
     near, far = (depth[surface].min(), depth[surface].max()) if surface.any() else (0.0, 1.0)
     share = (far - depth) / max(float(far - near), 1e-9)

@@ -14,28 +14,30 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance, bulk_extent
 
 BOX_TAIL = 0.002
-"""Fraction of a capture's opacity outside its box at each end of each axis, so that stray Gaussians do not enlarge it.
+"""Fraction of a capture's total opacity that may lie beyond each face of its box, so that stray Gaussians do not
+enlarge the box.
 """
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DatasetThing:
-    """Labels of a capture, a mesh or an inserted object in a view."""
+    """Labels of one object in a view: a capture or mesh of the scene, or an inserted object."""
 
     id: int
-    """Id in the layer ``instance``, from 1; parts of the scene have the same id in all views, inserted objects follow.
+    """Id in the layer ``instance``, from 1. Objects of the scene have the same id in all views; inserted objects
+    follow.
     """
     name: str
     category: str
-    """Category: the name of a part of the scene, or the file name of an inserted object without its extension."""
+    """Category: the name of an object of the scene, or the file name of an inserted object without its extension."""
     category_id: int
-    """Id in the layer ``category``, from 1; the same in all views."""
+    """Id of the category in the layer ``category``, from 1; equal in all views."""
     kind: str
-    """``capture``, ``mesh``, or ``scene`` for an inserted object with several of them."""
+    """``capture``, ``mesh``, or ``scene`` for an inserted object that has several captures or meshes."""
     is_object: bool
-    """True for an object that was inserted into the scene."""
+    """True for an object that was inserted into the scene, False for a capture or mesh of the scene."""
     instances: tuple[int, ...]
-    """Indices in the frame's ``instance_index``."""
+    """Values of the object's pixels in the frame's ``instance_index``."""
     world_from_object: Doubles
     """Object-to-world transform, shape (4, 4)."""
     low: Doubles
@@ -45,7 +47,7 @@ class DatasetThing:
 
 
 class Catalogue:
-    """Assigns names, ids and categories to the scene and the inserted objects.
+    """Assigns names, ids and categories to the objects of a scene and to inserted objects.
 
     Args:
         scene: Scene without inserted objects.
@@ -60,10 +62,10 @@ class Catalogue:
         self._boxes += [_box(mesh.mesh.positions) for mesh in scene.meshes]
         self._asset_boxes = {id(asset): _box(asset.points) for asset in assets}
         self.categories = tuple(dict.fromkeys((*self._names, *(asset.name for asset in assets))))
-        """Names of the categories; the first has id 1."""
+        """Names of the categories, in the order of their ids from 1."""
 
     def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
-        """Returns the labels of a view, in the order of their ids."""
+        """Returns the labels of all objects in a view with these inserted objects, in the order of their ids."""
         things = self._scene_objects(sum(len(one.splats) for one in objects))
         next_splat = len(self._scene.splats)
         next_mesh = next_splat + sum(len(one.splats) for one in objects) + len(self._scene.meshes)
@@ -94,7 +96,8 @@ class Catalogue:
         """Returns the labels of the captures and meshes of the scene.
 
         Args:
-            between: Number of captures that inserted objects add; frames number them before the meshes.
+            between: Number of captures of inserted objects; ``instance_index`` numbers them before the meshes of the
+                scene.
         """
         instances = (*self._scene.splats, *self._scene.meshes)
         own = zip(instances, self._names, self._boxes, strict=True)
@@ -118,7 +121,7 @@ class Catalogue:
 def id_images(
     instance_index: npt.NDArray[np.int32], things: Sequence[DatasetThing]
 ) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16]]:
-    """Returns the images of object ids and category ids, shape (H, W) each; 0 for the background.
+    """Returns an image of object ids and an image of category ids, shape (H, W) each; 0 for the background.
 
     Args:
         instance_index: Instance index of a frame, shape (H, W); -1 for the background.
@@ -146,7 +149,7 @@ def _box(points: npt.NDArray[np.floating]) -> tuple[Doubles, Doubles]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DatasetView:
-    """View of a data set: the scene to render, the camera, and the labels."""
+    """A view of a data set: the scene to render, the camera, and the labels."""
 
     index: int
     """Index of the view, from 0."""
@@ -156,11 +159,11 @@ class DatasetView:
     """Scene with the view's lights and inserted objects."""
     camera: Camera
     things: tuple[DatasetThing, ...]
-    """Labels of all objects in the order of their ids, visible or not."""
+    """Labels of all objects, visible or not, in the order of their ids."""
     left_out: tuple[str, ...] = ()
     """Names of objects for which no free position was found."""
 
     @property
     def name(self) -> str:
-        """Stem of the view's files."""
+        """Name of the view's files without extension."""
         return self.camera.name

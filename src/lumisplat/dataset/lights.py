@@ -1,4 +1,4 @@
-"""Random lights: rotated environments, suns and point lights."""
+"""Random lights for views: rotated environments, suns and point lights."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from lumisplat.math.transforms import axis_rotation, multiply_quaternions, quate
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightPoint
 
 _LIGHT_TRIES = 32
-"""Positions tried for a point light in the free space of a scene; the last one is used in any case."""
+"""Number of random positions tried for a point light in the free space of a scene; the last is used if none is free."""
 _LIGHT_NEAREST = 0.25
-"""Smallest distance from the scene's middle that sets a point light's intensity, as a fraction of the diagonal."""
+"""Smallest distance from the scene's middle that is used to compute a point light's intensity, as a fraction of the
+diagonal of the scene's box."""
 _LIGHT_CLEARANCE = 0.01
-"""Free space around a point light, as a fraction of the diagonal."""
+"""Radius of the free space around a point light, as a fraction of the diagonal of the scene's box."""
 
 
 class LightSampler:
-    """Samples the lights of views.
+    """Samples random lights, for each view.
 
     Args:
         config: Ranges of the lights.
         space: Extent and free space of the scene.
         environments: Environments loaded from files.
-        where: Placement of the cameras.
+        where: Where the cameras are placed; it decides where point lights are placed.
         needs_light: True if the scene has surfaces that are black without light.
     """
 
@@ -51,7 +52,7 @@ class LightSampler:
 
     @property
     def has_lights(self) -> bool:
-        """True if views may have lights."""
+        """True if some view can have a light."""
         return bool(self._own or self._environments or self._suns[1] or self._config.points[1])
 
     def lights(self, draws: Draws) -> tuple[Light, ...]:
@@ -71,15 +72,15 @@ class LightSampler:
         return (*lights, *suns, *points)
 
     def exposure(self, draws: Draws) -> float:
-        """Returns the exposure offset of a view, stops."""
+        """Returns the random exposure offset of a view, stops."""
         return draws.between(self._config.exposure)
 
     def _is_replaced(self, light: Light) -> bool:
-        """Returns whether a light of the scene is replaced by an environment of a file."""
+        """Returns whether an environment from a file replaces this light of the scene."""
         return isinstance(light, LightEnvironment) and bool(self._environments)
 
     def _rotated(self, light: Light, angle: float, brightness: float) -> Light:
-        """Returns an environment rotated about the vertical and scaled in brightness; other lights unchanged."""
+        """Returns an environment rotated about the vertical and scaled in brightness; other lights stay unchanged."""
         if not isinstance(light, LightEnvironment):
             return light
         rotation = quaternions_from_matrices(axis_rotation(self._space.up, angle)[None])[0]
@@ -111,7 +112,11 @@ class LightSampler:
         )
 
     def _light_position(self, draws: Draws) -> Doubles:
-        """Returns a position above and around the scene, or in the upper part of its free space."""
+        """Returns a random position for a point light.
+
+        If cameras are placed around the scene, the light is above and around the scene; otherwise it is in the upper
+        part of the scene's free space.
+        """
         space = self._space
         if self._where is PosePlaces.DOME:
             direction = draws.direction()

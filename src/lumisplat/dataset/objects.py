@@ -1,4 +1,4 @@
-"""Inserts objects into a scene: each on the ground, with free space around it."""
+"""Inserts objects into a scene; each object stands on the ground, with free space around it."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 _Instance = TypeVar("_Instance", SplatInstance, MeshInstance)
 
 _POSITIONS = 32
-"""Positions tried for an object in one batch."""
+"""Number of random positions tried for an object in one batch."""
 _BATCHES = 4
-"""Largest number of batches of positions."""
+"""Largest number of batches of positions tried for an object."""
 _FOOTPRINT = np.array([(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)])
-"""Points below an object at which the ground is probed, in units of its bounding radius."""
+"""Points below an object at which the height of the ground is measured, in units of the object's bounding radius."""
 
 
 @dataclass(frozen=True, eq=False)
 class Asset:
-    """Object before it is placed."""
+    """An object that can be inserted into scenes, in the coordinates of its file."""
 
     name: str
-    """File name without its extension."""
+    """Name of the object's file without its extension."""
     scene: Scene
-    """The object alone, in its own coordinates."""
+    """Scene that contains only the object."""
     points: Doubles
-    """Points of its surface without stray Gaussians, shape (N, 3)."""
+    """Points on the object's surface, without stray Gaussians, shape (N, 3)."""
     middle: Doubles
-    """Centre of its bounding box, shape (3,)."""
+    """Centre of the object's bounding box, shape (3,)."""
     radius: float
-    """Radius of its bounding sphere around ``middle``."""
+    """Radius of the object's bounding sphere around ``middle``."""
 
     @classmethod
     def of(cls, name: str, loaded: Gaussians | Mesh | Scene) -> Asset:
-        """Returns the object of a loaded file, without its lights.
+        """Returns the object that a file contains, without the lights of the file.
 
         Raises:
             SceneError: The object is empty or has no size.
@@ -69,13 +69,13 @@ class Asset:
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject:
-    """Object at its position in a scene."""
+    """An object at its position in a scene."""
 
     asset: Asset
     world_from_object: Doubles
     """Similarity transform, shape (4, 4)."""
     center: Doubles
-    """Centre of its bounding sphere, world space, shape (3,)."""
+    """Centre of the object's bounding sphere, world space, shape (3,)."""
     radius: float
 
     @property
@@ -94,7 +94,7 @@ class PlacedObject:
 
 @dataclass(frozen=True)
 class Placement:
-    """Inserted objects of a view."""
+    """Objects inserted into the scene of one view."""
 
     placed: tuple[PlacedObject, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -114,7 +114,7 @@ class ObjectPlacer:
         self._config, self._assets, self._space = config, assets, space
 
     def place(self, draws: Draws) -> Placement:
-        """Places the objects of a view in the order in which they are drawn, whatever their size."""
+        """Places the objects of a view one after the other, in the random order in which they were chosen."""
         if not self._assets:
             return Placement()
         placed: list[PlacedObject] = []
@@ -143,13 +143,13 @@ class ObjectPlacer:
         return None
 
     def _free_center(self, units: Doubles, radius: float, foot: float, others: list[PlacedObject]) -> Doubles | None:
-        """Returns the first candidate centre of the bounding sphere with level ground and free space; else None.
+        """Returns the first candidate centre of an object with level ground and free space; None if none has both.
 
         Args:
-            units: Candidate positions in the scene's box, 0..1, shape (N, 3).
-            radius: Radius of the bounding sphere.
+            units: N candidate positions in the scene's box, as fractions 0..1 of the box, shape (N, 3).
+            radius: Radius of the object's bounding sphere.
             foot: Height of the object's lowest point relative to the centre, below 0.
-            others: Objects placed before.
+            others: Objects that are already placed.
         """
         space = self._space
         starts = space.low + units * (space.high - space.low)
@@ -183,7 +183,7 @@ class ObjectPlacer:
 
 
 def uniform_quaternion(share: float, first: float, second: float) -> Doubles:
-    """Maps three uniform numbers of 0..1 to a uniformly distributed rotation (Shoemake 1992).
+    """Maps three uniform random numbers of 0..1 to a uniformly distributed random rotation (Shoemake 1992).
 
     Returns:
         A unit quaternion, scalar first, shape (4,).

@@ -19,20 +19,20 @@ from lumisplat.scene.ops.views import frame_camera
 from lumisplat.scene.placing import front_vector
 
 _TRIES = 200
-"""Poses tried for a view."""
+"""Number of random poses tried for a view."""
 _NEAR = 1e-3
-"""Near plane, as a fraction of the scene's diagonal."""
+"""Distance of the near plane, as a fraction of the diagonal of the scene's box."""
 _UPRIGHT = 1e-3
-"""Sine of the angle between view direction and vertical below which the image's up direction is arbitrary."""
+"""Sine of the angle between view direction and vertical below which any direction may be up in the image."""
 
 
 class PoseSampler:
-    """Samples the cameras of views.
+    """Samples random cameras, one for each view.
 
     Args:
         config: Settings of the data set.
         space: Extent and free space of the scene.
-        cameras: Given cameras, for `PosePlaces.CAMERAS`.
+        cameras: Cameras near which views are placed, for `PosePlaces.CAMERAS`.
 
     Raises:
         SceneError: `PosePlaces.CAMERAS` is set, and ``cameras`` is empty.
@@ -51,10 +51,10 @@ class PoseSampler:
         Args:
             view: Index of the view.
             draws: Random numbers of the view.
-            objects: Inserted objects.
+            objects: Objects inserted into the scene.
 
         Raises:
-            SceneError: No tried pose has enough free space around it and surfaces in view.
+            SceneError: No tried pose has enough free space around it and enough surfaces in view.
         """
         blocked = hidden = 0
         most = 0.0
@@ -76,7 +76,7 @@ class PoseSampler:
         )
 
     def _sampled(self, view: int, draws: Draws, objects: Sequence[PlacedObject]) -> tuple[Camera, PlacedObject | None]:
-        """Returns a random camera and the object that it looks at; None if it looks at the scene."""
+        """Returns a random camera, and the inserted object that it looks at or None if it looks at the scene."""
         fov = math.radians(draws.between(self._poses.fov))
         looks_at_object, which = draws.unit() < self._poses.at_objects, draws.unit()
         wanted = objects[int(which * len(objects))] if objects and looks_at_object else None
@@ -103,7 +103,13 @@ class PoseSampler:
         return camera, wanted
 
     def _on_dome(self, draws: Draws, fov: float, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
-        """Returns eye, right and forward of a camera around the scene, or around an object."""
+        """Returns the eye, right and forward vectors of a random camera that looks inwards from around its target.
+
+        Args:
+            draws: Random numbers of the view.
+            fov: Vertical field of view, radians.
+            wanted: Object to look at; None looks at the scene.
+        """
         poses, space = self._poses, self._space
         azimuth, elevation = (math.radians(draws.between(ends)) for ends in (poses.azimuth, poses.elevation))
         shares = draws.units(3) - 0.5
@@ -129,7 +135,12 @@ class PoseSampler:
         return _looking(target + factor * distance * backward, -backward, space.up)
 
     def _inside(self, draws: Draws, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
-        """Returns eye, right and forward of a camera anywhere in the scene's box."""
+        """Returns the eye, right and forward vectors of a camera at a random position in the scene's box.
+
+        Args:
+            draws: Random numbers of the view.
+            wanted: Object to look at; None looks in a random direction.
+        """
         poses, space = self._poses, self._space
         eye = space.low + draws.units(3) * (space.high - space.low)
         height = space.bottom + draws.between(poses.height) * (space.top - space.bottom)
@@ -143,7 +154,7 @@ class PoseSampler:
         return _looking(eye, forward, space.up)
 
     def _near_camera(self, draws: Draws) -> tuple[Doubles, Doubles, Doubles]:
-        """Returns eye, right and forward of one of the given cameras, shifted and rotated at random."""
+        """Returns the eye, right and forward vectors of one of the given cameras, shifted and rotated at random."""
         poses = self._poses
         given = self._cameras[draws.below(len(self._cameras))].world_from_camera
         shift = poses.shift * self._space.diagonal * draws.unit() * draws.direction()
@@ -151,7 +162,7 @@ class PoseSampler:
         return given[:3, 3] + shift, rotation @ given[:3, 0], rotation @ given[:3, 2]
 
     def _is_free(self, eye: Doubles, objects: Sequence[PlacedObject]) -> bool:
-        """Returns whether there is enough free space around an eye."""
+        """Returns whether the eye keeps the configured clearance from all surfaces and from the inserted objects."""
         clearance = self._poses.clearance * self._space.diagonal
         if any(np.linalg.norm(eye - one.center) < one.radius + clearance for one in objects):
             return False
@@ -159,7 +170,7 @@ class PoseSampler:
 
 
 def _looking(eye: Doubles, forward: Doubles, up: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Returns eye, right and forward of an upright camera."""
+    """Returns the eye, right and forward vectors of a camera whose image is upright."""
     right = np.cross(forward, up)
     if np.linalg.norm(right) < _UPRIGHT:
         right = level_axes(up)[0]

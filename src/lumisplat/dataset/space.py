@@ -1,4 +1,4 @@
-"""Probes a scene by rays: its extent, free space and ground; finds points inside closed meshes."""
+"""Measures a scene by tracing rays: its extent, free space and ground. Also finds points inside closed meshes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _INSIDE = 0.5
-"""Winding number above which a point counts as inside; meshes with small holes have fractional numbers."""
+"""Winding number above which a point counts as inside a mesh; meshes with small holes have fractional winding numbers.
+"""
 
 
 def winding_number(triangles: Doubles, point: Doubles) -> float:
     """Returns the winding number of a mesh around a point: 1 inside a closed mesh that faces outwards, 0 outside.
 
-    It is the sum of the triangles' solid angles (Van Oosterom and Strackee 1983, equation 8) divided by 4 pi.
+    The winding number is the sum of the solid angles of the N triangles (Van Oosterom and Strackee 1983, equation 8),
+    divided by 4 pi.
 
     Args:
         triangles: Corners, counter-clockwise as seen from outside, shape (N, 3, 3).
@@ -37,7 +39,7 @@ def winding_number(triangles: Doubles, point: Doubles) -> float:
 class Solids:
     """Meshes that must not contain a camera.
 
-    Meshes whose box covers at least half of the scene's box are ignored; they are rooms and sky domes.
+    A mesh whose box covers at least half of the scene's box is ignored, because it is a building or a sky dome.
 
     Args:
         meshes: Meshes of the scene.
@@ -68,9 +70,9 @@ def _dot(a: Doubles, b: Doubles) -> Doubles:
 
 
 _SPHERE_RAYS = 32
-"""Number of rays that look for surfaces around a point."""
+"""Number of rays from a point, in all directions, that look for surfaces near the point."""
 _ACROSS, _DOWN = 16, 12
-"""Columns and rows of the ray grid that estimates what a camera sees."""
+"""Number of columns and rows of the ray grid that estimates how much of an image shows surfaces."""
 
 
 class Space:
@@ -100,7 +102,8 @@ class Space:
         self._sphere_directions = even_directions(_SPHERE_RAYS)
 
     def depths(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns the distances to the surfaces that rays hit, scene units, shape (N,); inf for no hit.
+        """Returns the distance to the first surface that each of N rays hits, scene units, shape (N,); inf without
+        one.
 
         Args:
             origins: Ray origins, world space, shape (N, 3).
@@ -109,29 +112,29 @@ class Space:
         return self._renderer.trace_rays(self.scene, origins, directions).depth.astype(np.float64)
 
     def is_free(self, point: Doubles, radius: float) -> bool:
-        """Returns whether a point is outside all meshes and at least ``radius`` from every surface."""
+        """Returns whether a point is outside all closed meshes and at least ``radius`` away from every surface."""
         if self._solids.contain(point):
             return False
         nearest = self.depths(np.repeat(point[None], _SPHERE_RAYS, axis=0), self._sphere_directions).min()
         return bool(nearest >= radius)
 
     def surface_fraction(self, camera: Camera) -> float:
-        """Estimates the fraction of a camera's image that shows a surface, 0..1."""
+        """Estimates which fraction of a camera's image shows a surface, 0..1."""
         origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera.scaled(_ACROSS, _DOWN)))
         return float(np.isfinite(self.depths(origins, directions)).mean())
 
     def is_visible(self, eye: Doubles, point: Doubles, radius: float) -> bool:
-        """Returns whether no surface of the scene lies between an eye and a sphere around a point."""
+        """Returns whether no surface of the scene lies between an eye and the sphere of ``radius`` around ``point``."""
         away = point - eye
         distance = float(np.linalg.norm(away))
         return bool(self.depths(eye[None], away[None] / distance)[0] >= distance - radius)
 
     def hemispheres_free(self, centers: Doubles, radii: Doubles) -> Flags:
-        """Returns whether the upper halves of spheres contain no surface, shape (N,).
+        """Returns, for each of N spheres, whether its upper half contains no surface, shape (N,).
 
         Args:
-            centers: Shape (N, 3).
-            radii: Shape (N,).
+            centers: Centres of the spheres, shape (N, 3).
+            radii: Radii of the spheres, shape (N,).
         """
         upper = self._sphere_directions[self._sphere_directions @ self.up >= 0.0]
         origins = np.repeat(centers, len(upper), axis=0)
@@ -139,7 +142,7 @@ class Space:
         return nearest >= radii
 
     def ground_heights(self, points: Doubles) -> Doubles:
-        """Returns the heights along up of the first surfaces below points, shape (N,); -inf without a surface."""
+        """Returns the height along up of the first surface below each of N points, shape (N,); -inf without one."""
         return points @ self.up - self.depths(points, np.repeat(-self.up[None], len(points), axis=0))
 
 

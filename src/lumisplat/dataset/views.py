@@ -1,4 +1,4 @@
-"""Generates the views of a data set, loads its settings, and renders all of it in one call."""
+"""Generates the views of a data set, loads the data set's settings, and renders all views in one call."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class DatasetViews:
     Args:
         scene: The scene.
         config: Settings; None for the defaults.
-        cameras: Given cameras, for ``PosePlaces.CAMERAS``.
+        cameras: Cameras near which views are placed, for ``PosePlaces.CAMERAS``.
         load: Loads an object; None for `lumisplat.load`.
         device: As in ``create_renderer``.
 
@@ -56,7 +56,8 @@ class DatasetViews:
         ConfigError: ``config`` is not a DatasetConfig.
         DeviceError: The device does not exist.
         FormatError: The file of an object or of an environment cannot be read.
-        SceneError: The scene is empty, an object has no size, or ``cameras`` are needed.
+        SceneError: The scene is empty, an object has no size, or ``cameras`` is empty although views are placed near
+            cameras.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class DatasetViews:
 
     @property
     def are_lit(self) -> bool:
-        """True if views may have lights."""
+        """True if some view can have a light."""
         return self._light_sampler.has_lights
 
     def view(self, index: int) -> DatasetView:
@@ -109,7 +110,7 @@ class DatasetViews:
 
         Raises:
             ConfigError: ``index`` is below 0.
-            SceneError: No tried pose has enough free space around it and surfaces in view.
+            SceneError: No tried pose has enough free space around it and enough surfaces in view.
         """
         check_whole("index", index, 0, 2**62)
         pose, objects, light = (
@@ -146,7 +147,7 @@ class DatasetViews:
         write_view(Path(folder), view, frame, self.config, self._id_types)
 
     def _scene(self, placement: Placement, light: Draws) -> Scene:
-        """Returns the scene with inserted objects and lights."""
+        """Returns the scene of a view, with the inserted objects and the view's lights."""
         scene, placed = self.base, placement.placed
         lights = self._light_sampler.lights(light)
         splats = scene.splats
@@ -161,7 +162,7 @@ class DatasetViews:
         )
 
     def _environments(self, scene: Scene) -> list[LightEnvironment]:
-        """Loads the environment files, upright in the scene."""
+        """Loads the environment files, rotated so that the top of each image is up in the scene."""
         lights = self.config.lights
         return [
             LightEnvironment(
@@ -175,7 +176,7 @@ class DatasetViews:
 
 
 def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
-    """Loads the objects of files, each file once.
+    """Loads the objects to insert; a file that is named several times is loaded once.
 
     Raises:
         FormatError: A file cannot be read.
@@ -195,7 +196,7 @@ def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
 
 
 def _as_shadow_catcher(splats: SplatInstance) -> SplatInstance:
-    """Returns a capture without a material as a shadow catcher; a capture with a material unchanged."""
+    """Returns a capture without a material as a shadow catcher; returns a capture with a material unchanged."""
     return splats if splats.material is not None else replace(splats, shadow_catcher=True)
 
 
@@ -211,8 +212,8 @@ def render_dataset(
 ) -> DatasetSummary:
     """Renders random views of a scene with random lights and inserted objects, as training data.
 
-    Views already rendered are kept without a check; ``lumisplat dataset`` checks their settings and divides the work
-    among processes. `DatasetViews` gives single views.
+    Views that are already in the folder are not rendered again and not checked; ``lumisplat dataset`` checks their
+    settings and divides the work among processes. `DatasetViews` gives single views.
 
     Args:
         scene: The scene.
@@ -220,12 +221,12 @@ def render_dataset(
             view, and the files of `finish_dataset`.
         config: Settings of the data set; None for the defaults.
         render: Render settings; None for the defaults.
-        cameras: Given cameras, for ``PosePlaces.CAMERAS``.
+        cameras: Cameras near which views are placed, for ``PosePlaces.CAMERAS``.
         device: As in ``create_renderer``.
         progress: Called after each view with the fraction done, 0..1.
 
     Returns:
-        The number of views per split.
+        The number of views in each split.
 
     Raises:
         ConfigError: A setting is invalid, or ``albedo`` is requested of unlit views.
@@ -290,7 +291,7 @@ def load_dataset_config(path: PathLike) -> DatasetConfig:
 
 
 def _files(table: TomlTable, key: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns paths relative to the folder of the settings file.
+    """Returns the paths that a key lists, relative to the folder of the settings file.
 
     Raises:
         FormatError: A file does not exist.

@@ -1,7 +1,7 @@
 """Reads the PLY container: headers, rows of numbers as structured arrays, and rows with lists.
 
-Rows with list properties, such as the polygons of a mesh, differ in length. Format: Greg Turk, "The PLY Polygon File
-Format" (1994).
+An element is a table of rows. Rows with list properties, such as the polygons of a mesh, differ in length. Format: Greg
+Turk, "The PLY Polygon File Format" (1994).
 """
 
 from __future__ import annotations
@@ -36,34 +36,34 @@ _SCALAR_TYPES = {
 
 
 _PREFIXES = re.compile(r"(?:scalar_|scal_)+")
-"""Prefixes that CloudCompare adds to the names of scalar fields, once each time that it writes them."""
+"""Matches the prefixes that CloudCompare adds to the names of scalar fields, again each time that it saves the file."""
 
 _COLOR_NAMES = (("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-"""Alternative names of red, green and blue."""
+"""Other names that files give the properties red, green and blue."""
 
 _BLOCK_BYTES = 2**20
-"""Size of the blocks in which rows are read, small enough to stay in the cache while columns are separated."""
+"""Bytes of rows that are read at once, few enough to stay in the CPU cache while their columns are separated."""
 
 PlyRows = npt.NDArray[np.void]
-"""Rows of an element, with a field for each property."""
+"""Rows of an element as a structured array, with a field for each property."""
 
 _ZEROS = re.compile(rb"\0+")
 
 
 @dataclass(frozen=True, slots=True)
 class PlyProperty:
-    """A property of an element: a number, or a list of numbers, in each row."""
+    """A property of an element: in each row a number, or a list of numbers."""
 
     name: str
     code: str
     """NumPy type code of the number, or of the list's items."""
     count_code: str | None = None
-    """NumPy type code of a list's length; None if the property is not a list."""
+    """NumPy type code of the length of a list; None if the property is a number."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
-    """An element of a header: a table of rows."""
+    """An element of a file: a table of rows, as the header declares it."""
 
     name: str
     count: int
@@ -77,7 +77,7 @@ class PlyElement:
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """A parsed header."""
+    """A parsed header of a PLY file."""
 
     path: str
     encoding: str
@@ -90,11 +90,11 @@ class PlyHeader:
     """Size of the file in bytes."""
 
     def element(self, name: str) -> PlyElement | None:
-        """Returns the element with a name, None if there is none."""
+        """Returns the element with the given name; None if the file has no such element."""
         return next((element for element in self.elements if element.name == name), None)
 
     def required(self, name: str) -> PlyElement:
-        """Returns the element with a name.
+        """Returns the element with the given name.
 
         Raises:
             FormatError: There is no such element.
@@ -105,7 +105,7 @@ class PlyHeader:
         return element
 
     def dtype(self, element: PlyElement) -> np.dtype[np.void]:
-        """Returns the structured type of an element's rows, packed, in the byte order of the file.
+        """Returns the structured NumPy type of an element's rows, without padding, in the byte order of the file.
 
         Raises:
             FormatError: The element has list properties, so its rows have no fixed length.
@@ -115,7 +115,7 @@ class PlyHeader:
         return np.dtype([(prop.name, _ENCODINGS[self.encoding] + prop.code) for prop in element.properties])
 
     def start(self, element: PlyElement) -> tuple[int, int]:
-        """Returns the byte offset of an element's rows in a binary file, and the number of rows before them.
+        """Returns where an element begins: byte offset of its rows in a binary file, and number of rows before it.
 
         Raises:
             FormatError: An earlier element has list properties.
@@ -177,9 +177,9 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
 
 
 def _with_usual_names(properties: list[PlyProperty]) -> list[PlyProperty]:
-    """Returns properties with lower-case names, without CloudCompare's prefixes, and colours as red, green, blue.
+    """Returns properties in lower case, without CloudCompare's prefixes, with colours named red, green and blue.
 
-    A property keeps its name if the new name is taken.
+    A property keeps its name if another property already has the new name.
     """
     names = [prop.name for prop in properties]
     plain = [(_PREFIXES.sub("", name, count=1) if _PREFIXES.match(name) else name).lower() for name in names]
@@ -194,7 +194,7 @@ def _with_usual_names(properties: list[PlyProperty]) -> list[PlyProperty]:
 
 
 def _refuse_truncated(header: PlyHeader, element: PlyElement, found: str) -> NoReturn:
-    """Raises the `FormatError` of a file that holds only ``found`` of an element."""
+    """Raises a `FormatError` that says how many rows of an element the file holds: ``found``, fewer than declared."""
     raise FormatError(
         header.path, f"truncated: the header promises {element.count:,} rows of {element.name}, the file holds {found}"
     )
@@ -204,8 +204,8 @@ def ply_header_bytes(comments: tuple[str, ...], elements: list[tuple[str, int, s
     """Returns the header of a little-endian file.
 
     Args:
-        comments: One line each; line breaks inside become spaces.
-        elements: Name, count, PLY type of all properties, and property names of each element.
+        comments: One comment line each; line breaks inside a comment become spaces.
+        elements: For each element its name, its row count, the PLY type of all its properties, and their names.
     """
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {' '.join(comment.split())}".rstrip() for comment in comments]
@@ -220,8 +220,8 @@ def read_ply_rows(header: PlyHeader, element: PlyElement, block_rows: int | None
 
     Args:
         header: Header of the file.
-        element: One of its elements; neither it nor an earlier element may have list properties.
-        block_rows: Rows per block of a binary file; None uses as many as fit into the cache.
+        element: An element without list properties; earlier elements have none either.
+        block_rows: Rows per block of a binary file; None uses as many as fit into the CPU cache.
 
     Yields:
         Structured arrays with ``element.count`` rows in total.
@@ -277,16 +277,16 @@ def _check_size(header: PlyHeader, element: PlyElement, needed: int) -> None:
 
 
 class PlyList(NamedTuple):
-    """Values of a list property in all rows."""
+    """A list property: its lists in all rows of an element."""
 
     counts: npt.NDArray[Any]
-    """Number of items in each row, shape (rows,)."""
+    """Number of items of the list in each row, shape (rows,)."""
     items: npt.NDArray[Any]
-    """Items of all rows, concatenated."""
+    """Items of the lists of all rows, concatenated."""
 
 
 class _Span(NamedTuple):
-    """Position of one list in the data."""
+    """Position of one list in the binary data of an element."""
 
     start: int
     """Byte offset of the first item."""
@@ -299,11 +299,11 @@ def read_ply_lists(header: PlyHeader, element: PlyElement, scalars: Collection[s
 
     Args:
         header: Header of the file.
-        element: One of its elements; no earlier element may have list properties.
-        scalars: Names of number properties to read, too, as lists of one item.
+        element: An element of the file; earlier elements have no list properties.
+        scalars: Names of number properties to read as lists of one item.
 
     Returns:
-        The lists by name. Other properties are skipped.
+        The lists by property name. Other properties are skipped.
 
     Raises:
         FormatError: The file ends before its last row, or the rows do not parse.
@@ -326,7 +326,7 @@ def read_ply_lists(header: PlyHeader, element: PlyElement, scalars: Collection[s
 
 
 def _with_types(element: PlyElement, order: str, code: str | None = None) -> PlyElement:
-    """Returns an element whose type codes have a byte order, and are replaced by ``code`` if given."""
+    """Returns an element with the byte order ``order`` in its type codes; ``code``, if given, replaces all types."""
     properties = (
         PlyProperty(p.name, order + (code or p.code), p.count_code and order + (code or p.count_code))
         for p in element.properties
@@ -335,7 +335,14 @@ def _with_types(element: PlyElement, order: str, code: str | None = None) -> Ply
 
 
 def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_before: int) -> bytes:
-    """Converts the rows of a text file to binary data in which every number, counts included, is a double."""
+    """Converts an element's rows in a text file to binary data in which every number, also a list length, is a double.
+
+    Args:
+        header: Header of the file.
+        element: The element.
+        data: Contents of the file.
+        rows_before: Number of rows of earlier elements.
+    """
     lines = [line for line in data[header.data_offset :].splitlines() if line.strip()]
     rows = lines[rows_before : rows_before + element.count]
     if len(rows) < element.count:
@@ -346,7 +353,11 @@ def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_
 def _walk(
     header: PlyHeader, element: PlyElement, data: bytes, count: int, scalars: Collection[str]
 ) -> dict[str, list[_Span]]:
-    """Finds the byte spans of the lists and scalars in the first ``count`` rows, which must be complete."""
+    """Finds the positions of lists and of ``scalars`` in the first ``count`` rows of binary data.
+
+    Raises:
+        FormatError: The data ends before these rows are complete.
+    """
     counters = [
         struct.Struct(p.count_code[0] + np.dtype(p.count_code).char) if p.count_code else None
         for p in element.properties
@@ -387,7 +398,13 @@ def _walk(
 
 
 def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]]) -> dict[str, PlyList] | None:
-    """Returns the lists if all rows have the list lengths of the first row, as in a triangle mesh; else None."""
+    """Returns the lists if all rows have lists as long as those of the first row, as in a triangle mesh; else None.
+
+    Args:
+        element: The element.
+        data: Binary data of its rows.
+        first: Positions of the lists in the first row.
+    """
     fields: list[tuple[Any, ...]] = []
     for p in element.properties:
         if p.count_code:
@@ -404,7 +421,7 @@ def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]])
 
 
 def _gather(prop: PlyProperty, data: bytes, spans: list[_Span]) -> PlyList:
-    """Returns the lists at the given spans."""
+    """Returns the lists of a property, copied from the given positions in the data."""
     size = np.dtype(prop.code).itemsize
     items = b"".join([data[start : start + length * size] for start, length in spans])
     return PlyList(np.array([span.length for span in spans]), np.frombuffer(items, prop.code))

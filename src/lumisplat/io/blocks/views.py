@@ -1,4 +1,7 @@
-"""Selects and loads the blocks that a view needs, and plans the work of several workers from the index alone."""
+"""Selects and loads the blocks that a view needs, and plans which blocks each of several workers loads.
+
+Selecting and planning use only the index of a capture.
+"""
 
 from __future__ import annotations
 
@@ -25,41 +28,43 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import default_near, register_box
 
 BLOCK_PREVIEW = 2**18
-"""Number of sampled Gaussians from which a view of the whole capture is framed."""
+"""Number of Gaussians sampled from a capture to frame a view of the whole capture."""
 
 BLOCK_MEMORY = 5
-"""Memory of rendered Gaussians as a multiple of their size on disk.
+"""Memory that Gaussians take while they are rendered, as a multiple of their size on disk.
 
-Measured on a CPU: 6.7 million Gaussians of 56 bytes took 1.7 GiB."""
+On a CPU, 6.7 million Gaussians of 56 bytes took 1.7 GiB."""
 
 _log = logging.getLogger("lumisplat")
 
 _REACH = math.sqrt(-2.0 * math.log(ALPHA_MIN))
-"""Cut-off radius of a Gaussian of opacity 1, standard deviations."""
+"""Radius at which a Gaussian of opacity 1 is cut off, in standard deviations."""
 _DILATION_PX = _REACH * math.sqrt(0.3) + 1.0
-"""Largest widening of a projected Gaussian by the rasteriser's filter, plus one pixel for rounding, pixels."""
+"""Largest amount, in pixels, by which the rasteriser's filter widens a projected Gaussian, plus one pixel for
+rounding."""
 
 _CUTS_MAX = 8
-"""Largest number of columns, and of rows, of windows that a view is split into."""
+"""Largest number of columns, and largest number of rows, of windows that a view is split into."""
 
 
 class BlockPart(NamedTuple):
-    """One level of detail of one block."""
+    """A block at one level of detail."""
 
     block: int
-    """Index of the block."""
+    """Index of the block in `BlockIndex.blocks`."""
     level: int
     """Level of detail; 0 is the finest."""
 
 
 def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) -> list[BlockPart]:
-    """Selects the blocks that an unlit, rasterised frame needs, and a level of detail for each.
+    """Selects the blocks that an unlit, rasterised frame needs, and a level of detail for each block.
 
     Args:
         index: Index of the capture.
         camera: An undistorted pinhole. If it has a window, only blocks visible in the window are selected.
-        pixels: Largest projected size of a coarser level's mean Gaussian at the block's nearest point, pixels. 0
-            selects the finest level everywhere; frames are then bit for bit those of the whole capture.
+        pixels: Coarser levels are selected for a block as long as their Gaussians, on average, cover at most this many
+            pixels at the block's nearest point. 0 selects the finest level everywhere; frames are then bit for bit
+            those of the whole capture.
 
     Raises:
         SceneError: The camera is not an undistorted pinhole, or has a rolling shutter.
@@ -77,7 +82,7 @@ def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) ->
 
 
 def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
-    """Loads the Gaussians of blocks, in the order of the parts.
+    """Loads the Gaussians of blocks at the given levels, in the order of ``parts``.
 
     Raises:
         FormatError: A file cannot be read, or the blocks do not fit into the machine's memory.
@@ -106,7 +111,7 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
 
 
 def all_blocks(index: BlockIndex, level: int = 0) -> list[BlockPart]:
-    """Selects all blocks at one level, or at their coarsest level if they have fewer."""
+    """Selects all blocks at one level; a block without this level is selected at its coarsest level."""
     return [BlockPart(number, min(level, len(block.levels) - 1)) for number, block in enumerate(index.blocks)]
 
 
@@ -114,7 +119,7 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
     """Loads a whole capture at one level of detail.
 
     Args:
-        path: Folder of the capture, or the index in it.
+        path: Folder of the capture, or the index in that folder.
         lod: Level of detail, as for `lumisplat.io.load`.
         budget: Largest number of Gaussians, as for `lumisplat.io.load`.
 
@@ -137,7 +142,9 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
 
 
 def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
-    """Loads about ``count`` Gaussians, evenly spaced over the capture, to find its extent; all if it has fewer.
+    """Loads about ``count`` Gaussians, evenly spaced over the capture, to find its extent.
+
+    If the capture has fewer Gaussians, all are loaded.
 
     Args:
         index: Index of the capture.
@@ -158,21 +165,22 @@ def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
 
 
 def _bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:
-    """Returns the size of blocks on disk, bytes."""
+    """Returns the total size of blocks on disk, bytes."""
     return index.row_bytes * sum(index.blocks[part.block].levels[part.level].count for part in parts)
 
 
 def _level(block: Block, size: float) -> int:
-    """Returns the coarsest level whose mean Gaussian is at most ``size`` scene units large, or the finest level."""
+    """Returns the coarsest level with ``scale_mean`` of at most ``size`` scene units, or the finest if none has."""
     fine = [number for number, level in enumerate(block.levels) if level.scale_mean <= size]
     return fine[-1] if fine else 0
 
 
 def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Doubles]:
-    """Tests blocks against the view frustum, widened by the reach of their Gaussians.
+    """Tests each block against the view frustum, widened by the radius of the block's Gaussians.
 
     Returns:
-        Whether each block may be visible, shape (B,), and the view depth of its nearest point, at least the near plane.
+        Whether each block may be visible, and the view depth of the block's nearest point, at least the near plane;
+        shape (blocks,) each.
     """
     (low, high), scale = index.bounds, index.scale_max
     choices = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -200,18 +208,18 @@ def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], 
 
 @dataclass(frozen=True)
 class WorkerPlan:
-    """Work of one worker."""
+    """Views that one worker renders, and the blocks that it loads for them."""
 
     views: range
-    """Indices of the worker's views."""
+    """Indices of the views that the worker renders."""
     tiles: int
-    """Number of windows to render; more than views if the blocks of a view do not fit into memory at once."""
+    """Number of windows to render. A view counts as one window, unless its blocks do not fit into memory at once."""
     held_bytes: int
-    """Largest size of blocks in memory at once, bytes on disk."""
+    """Largest total size of blocks that are in memory at one time, measured in bytes on disk."""
     moved_bytes: int
-    """Total size of all loaded blocks, bytes on disk."""
+    """Total size of all blocks that the worker loads, measured in bytes on disk; a block loaded twice counts twice."""
     too_large: int
-    """Number of windows whose blocks do not fit into memory even with their view split into 8 x 8."""
+    """Number of windows whose blocks do not fit into memory even though their view is split as finely as possible."""
 
 
 def plan_views(
@@ -262,7 +270,10 @@ def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_b
 
 
 def _windows(index: BlockIndex, camera: Camera, memory_bytes: int, pixels: float) -> list[list[BlockPart]]:
-    """Returns the blocks of the view, or of each window in the coarsest split whose windows fit into memory."""
+    """Returns the blocks of a view, or of each of its windows if the blocks of the view do not fit into memory.
+
+    The view is split into as few windows as fit.
+    """
     cuts = 1
     while True:
         cameras = [camera] if cuts == 1 else camera.windows(cuts, cuts)

@@ -58,14 +58,14 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat")
 
 ANIMATION_SAMPLES_MAX = 400_000
-"""Largest number of samples of a glTF camera or capture, which are all made when the file is read: more than an hour
-of animation. That many take a minute on one core, and 500 MB."""
+"""Largest number of samples of a glTF camera or capture: more than an hour of animation. All samples are computed when
+the file is read; this many take a minute on one core, and 500 MB."""
 
 _KINDS = {Channel.TRANSLATION: "VEC3", Channel.ROTATION: "VEC4", Channel.SCALE: "VEC3", Channel.WEIGHTS: "SCALAR"}
 
 
 def _read_clips(file: GltfFile) -> tuple[Clip, ...]:
-    """Reads all animations of a file as clips with unique names; an unnamed animation is called by its index.
+    """Reads all animations of a file as clips with unique names; an unnamed animation is named by its index.
 
     Channels without a target node are skipped. Channels that animate extension properties are skipped and counted in a
     log line.
@@ -99,7 +99,15 @@ def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str) -> tuple
 
 
 def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, node: int, where: str) -> Track:
-    """Reads a sampler as the track of one node property."""
+    """Reads a sampler as the track of one node property.
+
+    Args:
+        file: The file.
+        sampler: The sampler.
+        kind: The node property.
+        node: Index of the node.
+        where: Name of the channel in messages.
+    """
     item = file.item("nodes", node, where)
     if item.matrix is not None and kind is not Channel.WEIGHTS:
         raise FormatError(
@@ -133,7 +141,7 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
 def _sampler(
     file: GltfFile, animation: pygltflib.Animation, number: int | None, where: str
 ) -> pygltflib.AnimationSampler:
-    """Returns the sampler that a channel refers to."""
+    """Returns the sampler with the number that a channel states."""
     samplers: list[pygltflib.AnimationSampler] = animation.samplers or []
     if number is None or number not in range(len(samplers)):
         raise FormatError(file.path, f"{where} refers to samplers[{number}], but there are {len(samplers)}")
@@ -163,7 +171,7 @@ def _target_count(file: GltfFile, node: pygltflib.Node, where: str) -> int:
 
 
 def _unit(file: GltfFile, quaternions: Matrix, where: str) -> Matrix:
-    """Normalizes quaternions, shape (K, 4).
+    """Normalizes K quaternions, shape (K, 4).
 
     Raises:
         FormatError: A quaternion has zero length.
@@ -175,7 +183,7 @@ def _unit(file: GltfFile, quaternions: Matrix, where: str) -> Matrix:
 
 
 class _RigPrimitive(NamedTuple):
-    """A primitive of a node, as stored and as a part of the rig."""
+    """A primitive of a node: ``raw`` as stored in the file, ``part`` as a part of the rig."""
 
     raw: RawPrimitive
     part: RigPart
@@ -199,7 +207,7 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
 
 
 def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], vertex_colors: bool = True) -> Rig | None:
-    """Builds a rig of the given nodes' meshes; None if they have no triangles."""
+    """Builds a rig from the meshes of the given nodes; None if the meshes have no triangles."""
     skeleton = _read_skeleton(file)
     groups: dict[tuple[int, bool, bool], list[_RigPrimitive]] = {}
     for piece in _rig_primitives(file, clips, nodes):
@@ -213,7 +221,7 @@ def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], verte
 
 
 def _visible_surfaces(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
-    """Returns the surfaces that have triangles in the rest pose. Files hide meshes by scaling them to zero."""
+    """Returns the surfaces that have triangles in the rest pose. Files hide a mesh by scaling it to zero."""
     rest = RigPose(skeleton.world_from_node(), {})
     visible: list[RigSurface] = []
     for surface in surfaces:
@@ -243,7 +251,7 @@ def _read_skeleton(file: GltfFile) -> Skeleton:
 
 
 def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_RigPrimitive]:
-    """Yields the triangle primitives of nodes, once for each instance."""
+    """Yields the triangle primitives of the meshes of nodes; a mesh with several instances is yielded once for each."""
     materials = GltfMaterials(file)
     morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
     for index in nodes:
@@ -287,7 +295,7 @@ def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart
 
 
 def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | None:
-    """Returns the morph targets of a primitive, with zeros for targets without offsets; None without any target."""
+    """Returns the morph targets of a primitive, with zeros where a target has no offsets; None if it has no target."""
     numbers = sorted(raw.morph_positions.keys() | raw.morph_normals.keys())
     if not numbers:
         return None
@@ -325,11 +333,11 @@ def _surface(file: GltfFile, pieces: list[_RigPrimitive], skeleton: Skeleton, ve
 
 
 _FPS = 25.0
-"""Frame rate of glTF animations, frames per second: the format has none."""
+"""Frame rate of animations read from glTF, frames per second. glTF stores times in seconds and no frame rate."""
 _SAMPLES_PER_FRAME = 4
-"""Samples per frame of captures and cameras, which become keyframes. Meshes are posed at each frame exactly."""
+"""Samples per frame of moving captures and cameras, which become keyframes. Meshes are posed exactly at each frame."""
 _STEP_OFFSETS = (-2e-6, -1e-6, 1e-6)
-"""Times of the extra samples around a STEP key, in seconds from the key.
+"""Times of the extra samples around a key with STEP interpolation, in seconds from the key.
 
 Two samples of the old value before the key and two of the new one, at the key and after it, keep the Catmull-Rom cubics
 flat on both sides of the step."""
@@ -371,7 +379,7 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
 
 
 class _AnimationReader:
-    """Builds an `Animation` from a file and one of its clips.
+    """Builds an `Animation` from a glTF file and one of the file's animations.
 
     Args:
         file: The open file.
@@ -386,7 +394,7 @@ class _AnimationReader:
         self._moved = _moved_nodes(file, clip)
 
     def animation(self, frames: int) -> Animation:
-        """Returns the scene, actors, cameras and camera path, with ``frames`` frames."""
+        """Returns the animation, ``frames`` frames long, with scene, actors, cameras and camera path."""
         file, moved = self._file, self._moved
         deformed = [index for index in self._nodes if index in moved or self._is_deformed(index)]
         still = [index for index in self._nodes if index not in set(deformed)]
@@ -470,7 +478,7 @@ class _AnimationReader:
             yield Actor(still, Keyframes(times, transforms[:, :3, 3], rotations, scales), name=one.name)
 
     def _camera_path(self) -> CameraPath | None:
-        """Returns the path of the first moving camera, None if no camera moves."""
+        """Returns the path of the first moving camera; None if no camera moves."""
         nodes = [index for index in self._nodes if self._file.model.nodes[index].camera is not None]
         moving = next((index for index in nodes if index in self._moved), None)
         if moving is None:

@@ -35,21 +35,21 @@ if TYPE_CHECKING:
     import pygltflib
 
 _FAR = 1000.0
-"""zfar of an orthographic camera in an empty scene, as a multiple of znear. glTF requires a zfar."""
+"""Value of zfar, as a multiple of znear, for an orthographic camera in an empty scene; glTF requires a zfar."""
 _CENTRE_TOLERANCE = 1e-6
-"""Distance in pixels up to which a principal point counts as the image centre."""
+"""Distance in pixels up to which a principal point counts as being in the image centre."""
 
 
 def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """Reads the cameras of the default scene in node order, named after the node, else after the camera.
+    """Reads the cameras of the default scene in node order, each named after its node, else after the glTF camera.
 
     The scale of a node does not affect its camera, as section 3.10 of the glTF specification demands.
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
-        width: Image width in pixels; None: from the height and the file's aspect ratio.
-        height: Image height in pixels; None: from the width and the aspect ratio. If both are None, the image is the
-            largest within 1280 x 720. The vertical field of view is always that of the file.
+        width: Image width in pixels; None derives it from the height and the file's aspect ratio.
+        height: Image height in pixels; None derives it from the width and the aspect ratio. If both are None, the image
+            is the largest within 1280 x 720. The vertical field of view is always that of the file.
 
     Raises:
         FormatError: The file is malformed, or a camera is invalid; the message names the camera.
@@ -184,7 +184,7 @@ def camera_losses(cameras: Sequence[Camera]) -> list[str]:
 
 
 def _far(camera: Camera, scene: Scene) -> float:
-    """Returns a far plane distance beyond everything in the scene."""
+    """Returns a distance for the far plane that is larger than the distance of any object in the scene."""
     if not (scene.splats or scene.meshes):
         return _FAR * camera.near
     corners = np.array(np.meshgrid(*np.array(scene.bounds()).T)).reshape(3, -1).T

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     _RowSource = pygltflib.Accessor | pygltflib.AccessorSparseIndices | pygltflib.AccessorSparseValues
 
 _Stored = npt.NDArray[Any]
-"""Numbers with the component type of the file."""
+"""Numbers in the component type of the file."""
 
 _GLB_HEADER_BYTES = 12
 _CHUNK_HEADER_BYTES = 8
@@ -35,17 +35,16 @@ _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<
 _COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 VERTICES, TRIANGLES = 34962, 34963
-"""``target`` of buffer views, by OpenGL's numbers: ARRAY_BUFFER for vertex attributes, ELEMENT_ARRAY_BUFFER for
-indices."""
+"""Values of ``target`` in buffer views: ARRAY_BUFFER for vertex attributes, ELEMENT_ARRAY_BUFFER for vertex indices."""
 
 _COMPONENT_CODES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _GLB_MAX = 2**32 - 1
-"""Largest size of a GLB file in bytes, whose header stores it in 32 bits."""
+"""Largest size of a GLB file in bytes; its header stores the size in 32 bits."""
 
 
 class GltfFile:
-    """A parsed glTF file. Its items are accessed by checked indices."""
+    """A parsed glTF file whose methods check each index before they return the item."""
 
     def __init__(self, path: Path) -> None:
         import pygltflib
@@ -84,7 +83,7 @@ class GltfFile:
         Args:
             collection: ``"nodes"``, ``"meshes"``, ``"accessors"``, ...
             index: Index as stored in the file.
-            referrer: The item that refers to it, for the message.
+            referrer: The item that contains the index, for the message.
 
         Raises:
             FormatError: The collection has no such index.
@@ -125,12 +124,16 @@ class GltfFile:
         return values.astype(np.int64)
 
     def _count(self, decoded_bytes: int) -> None:
-        """Counts decoded bytes against the expansion limit: many primitives may copy the same accessor."""
+        """Adds to the total of decoded bytes and refuses too many, because many primitives may copy one accessor.
+
+        Raises:
+            FormatError: The total is far more than a file of this size can hold.
+        """
         self._decoded_bytes += decoded_bytes
         check_expansion(self.path, "its accessors", self._decoded_bytes, self.stored_bytes)
 
     def view_bytes(self, index: object, referrer: str) -> tuple[memoryview, int | None]:
-        """Returns the bytes of a buffer view, and its stride or None.
+        """Returns the bytes of a buffer view and the view's stride in bytes, None if it states none.
 
         Raises:
             FormatError: The index is invalid, or the view does not fit into its buffer.
@@ -179,7 +182,7 @@ class GltfFile:
         return self._buffers[index]
 
     def _values(self, accessor: pygltflib.Accessor, name: str, kind: str) -> _Stored:
-        """Returns the values of an accessor with the stored component type, shape (count, components)."""
+        """Returns the values of an accessor in the component type of the file, shape (count, components)."""
         if accessor.type not in kind.split() or accessor.componentType not in _COMPONENT_TYPES:
             raise FormatError(
                 self.path, f"{name} has type {accessor.type} of {accessor.componentType}, expected {kind}"
@@ -210,7 +213,7 @@ class GltfFile:
         return values
 
     def _rows(self, source: _RowSource, count: int, width: int, dtype: np.dtype[Any], name: str) -> _Stored:
-        """Returns a view of ``count`` rows of ``width`` numbers, without a copy, spaced by the buffer view's stride."""
+        """Returns ``count`` rows of ``width`` numbers as a view of the buffer, spaced by the buffer view's stride."""
         data, stored_stride = self.view_bytes(source.bufferView, name)
         row_bytes = width * dtype.itemsize
         offset, stride = source.byteOffset or 0, stored_stride or row_bytes
@@ -226,7 +229,7 @@ class GltfFile:
 
 
 def _extensions(item: object) -> set[str]:
-    """Returns the names of all extensions used anywhere in the JSON."""
+    """Returns the names of all extensions that occur anywhere in the JSON value ``item``."""
     found: set[str] = set()
     pending: list[object] = [item]
     while pending:
@@ -249,7 +252,7 @@ def _is_count(value: object) -> TypeGuard[int]:
 
 
 def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
-    """Returns the JSON chunk of a GLB file, and its BIN chunk or None (glTF 2.0, section 4.4)."""
+    """Returns the JSON chunk of a GLB file, and its BIN chunk or None if it has none (glTF 2.0, section 4.4)."""
     if len(data) < _GLB_HEADER_BYTES + _CHUNK_HEADER_BYTES:
         raise FormatError(path, f"a GLB file of {len(data)} bytes: truncated")
     version, length = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
@@ -273,20 +276,20 @@ def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
 
 @dataclass(frozen=True, slots=True)
 class GltfPrimitive:
-    """A primitive and the file it belongs to."""
+    """A primitive of a mesh, with the file that contains it."""
 
     file: GltfFile
     item: pygltflib.Primitive
     where: str
-    """Name in messages, such as ``meshes[2].primitives[0]``."""
+    """Name of the primitive in messages, such as ``meshes[2].primitives[0]``."""
 
     def floats(self, name: str, kind: str) -> npt.NDArray[np.float32] | None:
-        """Reads an attribute as float32, shape (V, components); None if the primitive lacks it."""
+        """Reads an attribute as float32, shape (vertices, components); None if the primitive lacks the attribute."""
         accessor = self._accessor(name)
         return None if accessor is None else self.file.floats(accessor, kind, f"{self.where} {name}")
 
     def integers(self, name: str, kind: str) -> npt.NDArray[np.int64] | None:
-        """Reads an attribute of unsigned integers, shape (V, components); None if the primitive lacks it."""
+        """Reads an attribute of unsigned integers, shape (vertices, components); None if the primitive lacks it."""
         accessor = self._accessor(name)
         return None if accessor is None else self.file.integers(accessor, kind, f"{self.where} {name}")
 
@@ -299,7 +302,7 @@ class GltfPrimitive:
 
 
 class GltfDocument:
-    """A glTF file being built. Arrays are written to the file directly, without a copy of the whole buffer."""
+    """A glTF file being built. Arrays are written to the file directly, so that memory never holds the whole buffer."""
 
     def __init__(self) -> None:
         self._json: dict[str, Any] = {"asset": {"version": "2.0", "generator": "lumisplat"}}
@@ -317,7 +320,12 @@ class GltfDocument:
         return len(self._json.get(collection, ()))
 
     def use(self, extension: str, **values: Any) -> dict[str, Any]:
-        """Returns an item's ``extensions`` value with one extension, and lists the extension in extensionsUsed."""
+        """Lists an extension in extensionsUsed, and returns the ``extensions`` value for an item that uses it.
+
+        Args:
+            extension: Name of the extension.
+            **values: Properties of the extension in the item.
+        """
         used: list[str] = self._json.setdefault("extensionsUsed", [])
         if extension not in used:
             used.append(extension)
@@ -333,10 +341,11 @@ class GltfDocument:
     def accessor(
         self, values: npt.NDArray[Any], target: int = VERTICES, *, normalized: bool = False, bounds: bool = False
     ) -> int:
-        """Appends an array, shape (N,) or (N, 1..4), of float32 or unsigned integers; returns the accessor's index.
+        """Appends an array of float32 or unsigned integers as an accessor, and returns the accessor's index.
 
         Args:
-            values: Rows of a multiple of four bytes; index rows may be shorter.
+            values: N numbers, shape (N,), or N rows of 1 to 4 numbers. The size of a row of vertex attributes is a
+                multiple of four bytes.
             target: Buffer view target, `VERTICES` or `TRIANGLES`.
             normalized: Whether integers represent 0..1.
             bounds: Whether to store the minimum and maximum, as required for positions.
@@ -356,7 +365,7 @@ class GltfDocument:
         return self.add("accessors", item)
 
     def view(self, data: memoryview | bytes, target: int | None = None) -> int:
-        """Appends bytes to the buffer, and returns the index of their buffer view."""
+        """Appends bytes to the buffer as a buffer view, and returns the index of the view."""
         item = {"buffer": 0, "byteOffset": self._size, "byteLength": len(data)}
         padding = bytes(-len(data) % 4)
         self._parts += [data, padding]
@@ -407,5 +416,5 @@ class GltfDocument:
 
 
 def _encoded(document: dict[str, Any]) -> bytes:
-    """Encodes the JSON as UTF-8. Undecodable bytes in file names become question marks."""
+    """Encodes the JSON document as UTF-8. Bytes of file names that are not text become question marks."""
     return json.dumps(document, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode("utf-8", "replace")

@@ -38,7 +38,7 @@ _log = logging.getLogger("lumisplat")
 _EXTENSION = "KHR_gaussian_splatting"
 
 _CAPTURE_SIGNS = (1, -1, -1)
-"""Signs of x, y and z between glTF files and captures, in both directions: a half turn about x."""
+"""Signs by which x, y and z are multiplied between glTF files and captures, in both directions: a half turn about x."""
 CAPTURE_FROM_FILE = np.diag([1.0, -1.0, -1.0, 1.0])
 """`_CAPTURE_SIGNS` as a transform, shape (4, 4)."""
 
@@ -48,25 +48,28 @@ _MATERIALS = {
     "roughness": ("_ROUGHNESS", "SCALAR"),
     "metallic": ("_METALLIC", "SCALAR"),
 }
-"""Attributes, with types, that hold normals and materials in files of Lumisplat. Other files may use them differently.
+"""Attribute name and type of normals and of each material field in files of Lumisplat. Other programs may use the same
+names differently.
 """
 
 _DISPLAY = ("srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb", "BT.709")
 _LINEAR = ("lin_rec709_display", "BT.709-linear")
-"""Names of the linear colour space; all but the first are from drafts of the extension."""
+"""Names that files give the linear colour space; all but the first are from drafts of the extension."""
 
 _Numbers = dict[tuple[int, bool], str]
-"""Allowed number formats of an attribute: component type and whether it is normalized, with a name for messages."""
+"""Allowed number formats of an attribute: component type and whether it is normalized, with the format's name in
+messages."""
 
 _SAME_TRANSFORM = 1e-6
-"""Tolerance for node transforms that went through a quaternion."""
+"""Largest difference of the elements of two node transforms that count as equal, as quaternions in files are rounded.
+"""
 
 _DEGENERATE = 1e-9
-"""Determinant of the normalized axes below which a node flattens its Gaussians."""
+"""Determinant of a node's normalized axes below which the node counts as flattening its Gaussians."""
 
 
 class _Layout(NamedTuple):
-    """Storage of an attribute of the extension."""
+    """Number format and type of one attribute of the extension KHR_gaussian_splatting."""
 
     name: str
     kind: str
@@ -102,8 +105,8 @@ def holds_gaussians(primitive: Any) -> bool:
 def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> Gaussians:
     """Reads the Gaussians of a primitive into the axes of captures; its material and COLOR_0 are ignored.
 
-    Linear colours are encoded as sRGB, as captures have them: exactly without view dependence, else by the closest SH
-    of the same degree. Overlapping Gaussians then blend in a different space than they were trained for, which a log
+    Linear colours are encoded as sRGB, as in captures: exactly if they do not depend on the view, else by the closest
+    SH of the same degree. Overlapping Gaussians then blend in a different space than they were trained for, which a log
     line states.
 
     Args:
@@ -168,7 +171,7 @@ def _check_extension(primitive: GltfPrimitive) -> bool:
 
 
 def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
-    """Returns the scales as stored, shape (N, 3), and whether they are logarithms."""
+    """Returns the scales of N Gaussians as stored, shape (N, 3), and whether the stored values are logarithms."""
     scales = _attribute(primitive, _SCALE, count)
     negative = int(np.count_nonzero(scales < 0.0))
     if negative:
@@ -182,7 +185,7 @@ def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
 
 
 def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> tuple[FloatArray, bool]:
-    """Returns the opacities as stored, shape (N,), and whether they are logits."""
+    """Returns the opacities of N Gaussians as stored, shape (N,), and whether the stored values are logits."""
     opacities = _attribute(primitive, _OPACITY, count)[:, 0]
     are_logits = look_like_logits(opacities, with_logarithms=with_logarithms)
     if are_logits:
@@ -193,7 +196,7 @@ def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> t
 
 
 def _sh(primitive: GltfPrimitive, count: int) -> FloatArray:
-    """Reads the SH coefficients of a primitive, shape (N, K, 3)."""
+    """Reads the K SH coefficients of each of N Gaussians, shape (N, K, 3)."""
     matches = [match for name in vars(primitive.item.attributes) if (match := _COEFFICIENT.fullmatch(name))]
     degree = max((int(match[1]) for match in matches), default=0)
     if degree > SH_DEGREE_MAX:
@@ -208,7 +211,7 @@ def _sh(primitive: GltfPrimitive, count: int) -> FloatArray:
 
 
 def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatArray:
-    """Reads an attribute of the extension, shape (N, components)."""
+    """Reads an attribute of KHR_gaussian_splatting for ``count`` Gaussians, shape (count, components)."""
     full = f"{_EXTENSION}:{layout.name}"
     values = primitive.floats(full, layout.kind)
     if values is None:
@@ -224,14 +227,14 @@ def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatAr
 
 
 def _check_count(primitive: GltfPrimitive, name: str, values: FloatArray, count: int) -> FloatArray:
-    """Returns ``values``, after checking that there is one per Gaussian."""
+    """Returns ``values`` after checking that there is one value for each of ``count`` Gaussians."""
     if len(values) != count:
         raise primitive.error(f"has {len(values):,} {name} for {count:,} POSITION")
     return values
 
 
 def _materials(primitive: GltfPrimitive, count: int, extras: dict[str, Any] | None) -> dict[str, FloatArray]:
-    """Reads normals and materials from files of Lumisplat, shape (N, 3) or (N,) each."""
+    """Reads normals and materials of N Gaussians, shape (N, 3) or (N,) each; empty for files of other programs."""
     found: dict[str, FloatArray] = {}
     for column, (name, kind) in _MATERIALS.items():
         values = None if extras is None else primitive.floats(name, kind)
@@ -241,7 +244,7 @@ def _materials(primitive: GltfPrimitive, count: int, extras: dict[str, Any] | No
 
 
 def _settings(path: PathLike, extras: dict[str, Any] | None) -> dict[str, Any]:
-    """Returns capture settings from Lumisplat's extras, which the extension cannot store."""
+    """Returns the capture settings that the extension cannot store, from Lumisplat's extras."""
     extras = extras or {}
     return {
         "antialiased": extras.get("antialiased") is True,
@@ -253,21 +256,21 @@ def _settings(path: PathLike, extras: dict[str, Any] | None) -> dict[str, Any]:
 
 @dataclass(slots=True)
 class GltfCaptures:
-    """Captures of a file, each read once."""
+    """Captures of a file. A mesh that several nodes use is read once."""
 
     file: GltfFile
     drop_invalid: bool
     _read: dict[int, list[Gaussians]] = field(default_factory=dict[int, list[Gaussians]])
-    """Captures by mesh index."""
+    """Captures read so far, by mesh index."""
     _stretched: dict[tuple[int, bytes], Gaussians] = field(default_factory=dict[tuple[int, bytes], Gaussians])
-    """Stretched captures, by the id of the capture and the bytes of the stretch matrix."""
+    """Captures stretched so far, by the id of the original capture and the bytes of the stretch matrix."""
     _stretched_bytes: int = 0
 
     def instances(self, nodes: Iterable[int], world_from_node: list[Matrix]) -> Iterator[SplatInstance]:
-        """Yields the captures of nodes as world-space instances, named after the node, else after the mesh.
+        """Yields the captures of nodes as world-space instances, each named after its node, else after the mesh.
 
-        A node with a non-uniform scale gets its own, transformed Gaussians (`under_affine`); other nodes share theirs.
-        SH are evaluated in the instance's space, so they rotate with the node.
+        A node with a non-uniform scale gets a transformed copy of the Gaussians (`under_affine`); all other nodes share
+        the Gaussians of the mesh. SH are evaluated in the space of the instance, so they rotate with the node.
 
         Raises:
             FormatError: Gaussians are malformed or invalid, or a node mirrors or flattens them.
@@ -289,7 +292,7 @@ class GltfCaptures:
                     raise FormatError(self.file.path, f"{node_label(self.file, index)}: {error}") from None
 
     def is_in(self, index: int) -> bool:
-        """Returns whether a node has captures."""
+        """Returns whether the mesh of a node has captures."""
         mesh = self.file.model.nodes[index].mesh
         return mesh is not None and bool(self._captures(mesh))
 
@@ -331,7 +334,7 @@ class GltfCaptures:
         return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)
 
     def _stretched_capture(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
-        """Returns a stretched copy of a capture, made once."""
+        """Returns a copy of a capture stretched by a matrix; equal arguments return the same copy."""
         key = (id(gaussians), stretch.tobytes())
         if key not in self._stretched:
             self._stretched_bytes += sum(values.nbytes for values in gaussians.arrays().values())
@@ -343,8 +346,8 @@ class GltfCaptures:
 def single_capture(instance: SplatInstance) -> Gaussians:
     """Returns an instance's Gaussians in the axes of captures, with the instance's transform applied.
 
-    If the transform only rotates the capture's known up direction to y, the Gaussians are returned without that
-    rotation.
+    If the Gaussians state an up direction, and the transform only rotates that direction to y, they are returned
+    unchanged.
 
     Raises:
         SceneError: The Gaussians are too far away or too large.
@@ -361,7 +364,7 @@ def single_capture(instance: SplatInstance) -> Gaussians:
 
 
 def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> int:
-    """Appends a capture as a point mesh, rotated to y up, and returns its index.
+    """Appends a capture as a mesh of points, rotated to y up, and returns the index of the mesh.
 
     Values are stored as float32, unchanged. COLOR_0 is a fallback for programs without Gaussian support: linear colour
     with opacity, in 8 bits. Normals and materials are stored as custom attributes (`_MATERIALS`).
@@ -413,7 +416,7 @@ def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> in
 
 
 def _fallback_colors(gaussians: Gaussians) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Returns the mean colours in linear light with opacities, as 8-bit values, shape (N, 4)."""
+    """Returns the mean linear colours and the opacities of N Gaussians as 8-bit values, shape (N, 4)."""
     display = np.clip(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0, 1.0)
     values = np.column_stack([decode_srgb(display), gaussians.opacities])
     return (values * 255.0 + 0.5).astype(np.uint8)

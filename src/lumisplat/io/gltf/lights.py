@@ -24,16 +24,17 @@ _log = logging.getLogger("lumisplat")
 EXTENSION = "KHR_lights_punctual"
 
 _CONE_EDGE = 1e-3
-"""Width in radians of the edge that a spot gets if its inner and outer cone angles are equal."""
+"""Angle in radians between the inner and the outer cone that a spot gets if its two angles are equal."""
 
 _PUNCTUAL = {kind: light for kind, light in LIGHT_KINDS.items() if light.unit in ("cd", "lux")}
-"""Light classes by the extension's type names, which equal Lumisplat's: the lights without an area."""
+"""Classes of the lights without an area, by the type name that both KHR_lights_punctual and Lumisplat use."""
 
 
 def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matrix]) -> list[Light]:
-    """Reads the lights of ``nodes`` into world space, in order, named after the node, else after the light.
+    """Reads the lights of ``nodes`` into world space, in order, each named after its node, else after the light.
 
-    Node scales move lights but do not change their intensity or range. Lights of nodes with zero scale are skipped.
+    The scale of a node moves a light but does not change its intensity or range. Lights of nodes with zero scale are
+    skipped.
 
     Raises:
         FormatError: An index is invalid, a type is unknown, or a value is out of range; the message names the light.
@@ -58,10 +59,10 @@ def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matr
 
 
 def _within_limits(file: GltfFile, definition: dict[str, Any], label: str) -> dict[str, Any]:
-    """Returns a light definition with boundary values moved into the valid range, as other programs write them.
+    """Returns a light definition in which border values that other programs write are moved into the valid range.
 
-    A range of 0, as in three.js, means no range. Equal cone angles get a narrow edge between them. Each change is
-    logged.
+    A range of 0, as three.js writes it, means no range. Equal cone angles get a narrow edge between them. Each change
+    is logged.
     """
     changes: list[str] = []
     definition = dict(definition)
@@ -104,8 +105,8 @@ def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> L
 def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> int | None:
     """Appends a light and its node, and returns the node's index; None if glTF cannot store the light.
 
-    A sphere light becomes a point light with the same intensity as seen from outside: ``intensity * pi * radius^2``
-    candela.
+    A sphere light becomes a point light with the intensity that the sphere has from outside, ``intensity * pi *
+    radius^2`` candela.
     """
     if isinstance(light, LightSphere):
         candela = light.intensity * math.pi * light.radius**2

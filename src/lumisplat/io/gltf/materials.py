@@ -36,7 +36,7 @@ _DIELECTRIC = 0.04
 """Reflectance at normal incidence of a dielectric with an index of refraction of 1.5."""
 
 _LISTED_MAX = 4
-"""Number of materials that one log line names."""
+"""Largest number of materials that one log line names."""
 
 
 _READ = {
@@ -50,7 +50,7 @@ _READ = {
     *(f"KHR_materials_{name}" for name in ("unlit", "emissive_strength", "ior", "specular", "transmission", "volume")),
     *(f"KHR_materials_{name}" for name in ("clearcoat", "sheen", "pbrSpecularGlossiness")),
 }
-"""Extensions that are read, or that another log line covers."""
+"""Extensions that are read, or whose loss another log line reports."""
 _WITHOUT_EFFECT = (
     "KHR_xmp",
     "KHR_materials_variants",  # the default variant is used
@@ -70,7 +70,7 @@ _WITHOUT_EFFECT = (
     "MSFT_lod",  # the finest level is used
     "VRM",
 )
-"""Name prefixes of extensions that do not change the image."""
+"""Beginnings of the names of extensions that do not change the image."""
 
 _Item = dict[str, Any]
 
@@ -127,7 +127,10 @@ def warn_unread(file: GltfFile) -> None:
 
 
 def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]:
-    """Returns the interior of a transmissive surface (KHR_materials_volume), thin-walled without a thickness."""
+    """Returns the absorption of a transmissive surface's interior (KHR_materials_volume).
+
+    A surface without a thickness is thin-walled instead, that is, it has no interior.
+    """
     volume = _extension(material, "volume")
     if not volume.get("thicknessFactor", 0.0) > 0.0:
         return {"thin_walled": transmission > 0.0}
@@ -138,7 +141,7 @@ def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]
 
 
 def _layers(material: pygltflib.Material) -> dict[str, Any]:
-    """Returns the factors of KHR_materials_clearcoat and KHR_materials_sheen."""
+    """Returns the material fields of KHR_materials_clearcoat and KHR_materials_sheen."""
     coat, sheen = _extension(material, "clearcoat"), _extension(material, "sheen")
     return {
         "clearcoat": coat.get("clearcoatFactor", 0.0),
@@ -152,8 +155,8 @@ def _metallic_roughness(material: pygltflib.Material) -> dict[str, Any]:
     """Returns metallic-roughness factors, converted from specular-glossiness if the material uses that.
 
     Without textures, the conversion finds the base colour and metalness that reproduce the diffuse and specular
-    colours, with dielectrics reflecting 4 %. A material with a specular texture, or without a specularFactor, which
-    would be white, is read as a dielectric.
+    colours, with dielectrics reflecting 4 %. A material with a specular texture is read as a dielectric, and so is a
+    material without a specularFactor, whose default would be white.
     """
     glossiness = specular_glossiness(material)
     if glossiness is None:
@@ -176,9 +179,9 @@ def _metallic_roughness(material: pygltflib.Material) -> dict[str, Any]:
 def _metal_of(diffuse: Doubles, specular: Doubles) -> tuple[Doubles, float]:
     """Returns the base colour and metalness that reproduce a diffuse and a specular colour, shape (3,) each.
 
-    With the brightest channels d and s, d (1 - s) is reflected diffusely and s specularly. A base colour b with
-    metalness m gives d (1 - s) = b (1 - m) (1 - F) and s = F (1 - m) + b m, with F = 0.04. Eliminating b leaves a
-    quadratic equation for m.
+    With d and s the brightest channels of the two colours, d (1 - s) is reflected diffusely and s specularly. A base
+    colour b with metalness m gives d (1 - s) = b (1 - m) (1 - F) and s = F (1 - m) + b m, with F = 0.04. Eliminating b
+    leaves a quadratic equation for m.
     """
     scattered, mirrored = float(diffuse.max()), float(specular.max())
     if mirrored <= _DIELECTRIC:
@@ -193,7 +196,7 @@ def _metal_of(diffuse: Doubles, specular: Doubles) -> tuple[Doubles, float]:
 
 
 def _roughness_texels(texels: npt.NDArray[np.uint8], glossiness: dict[str, Any]) -> npt.NDArray[np.uint8]:
-    """Returns a texture with roughness in green from a specularGlossinessTexture, whose alpha is glossiness."""
+    """Returns a texture with roughness in green, from a specularGlossinessTexture, which has glossiness in alpha."""
     alpha = texels[..., 3] if texels.shape[2] == 4 else np.full(texels.shape[:2], 255, np.uint8)
     roughness = 255.0 - float(glossiness.get("glossinessFactor", 1.0)) * alpha
     return np.stack([np.zeros_like(alpha), np.clip(roughness + 0.5, 0, 255).astype(np.uint8), 0 * alpha], axis=2)
@@ -272,7 +275,7 @@ class GltfMaterials:
     def _textures_and_alpha(
         self, material: pygltflib.Material, factors: tuple[float, ...], label: str
     ) -> dict[str, Any]:
-        """Returns the fields shared by all material classes: textures, wrap modes and alpha."""
+        """Returns the fields that all material classes have: textures, wrap modes and alpha."""
         textures = _textures(material)
         read = {name: self._texels.get(index, label) for name, index in textures.indices.items()}
         values: dict[str, Any] = {name: texels for name, texels in read.items() if texels is not None}
@@ -293,9 +296,10 @@ class GltfMaterials:
 
 
 def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
-    """Returns the transformed coordinates of the base colour texture, else of the first texture, shape (V, 2).
+    """Returns the transformed texture coordinates of a primitive's V vertices, shape (V, 2).
 
-    Returns None if the primitive lacks these coordinates.
+    They are those of the base colour texture, or else of the material's first texture. None is returned if the
+    primitive lacks these coordinates.
 
     Raises:
         FormatError: The coordinates or the transform are malformed.
@@ -308,7 +312,7 @@ def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
 
 
 def _wrap_values(wraps: dict[str, WrapPair]) -> dict[str, Any]:
-    """Returns the first texture's wrap modes for the whole material, and by name those of textures that differ."""
+    """Returns the wrap modes of the first texture as default, and by name those of textures that differ from it."""
     if not wraps:
         return {}
     first = next(iter(wraps.values()))
@@ -322,7 +326,7 @@ def _value_or(value: Any, default: Any) -> Any:
 
 
 class MaterialWriter:
-    """Writes the materials and textures of a scene, each once.
+    """Writes the materials and textures of a scene; a material that several meshes use is written once.
 
     Args:
         document: The file.
@@ -335,7 +339,7 @@ class MaterialWriter:
         self._textures: dict[tuple[int, WrapPair], int] = {}
         self._samplers: dict[WrapPair, int] = {}
         self.approximated: list[str] = []
-        """Names of simple materials that glTF can only approximate."""
+        """Names of the `MaterialSimple` materials that glTF can only approximate."""
         self.ranked = 0
         """Number of materials with a ``priority``, which glTF cannot store."""
 
@@ -404,7 +408,7 @@ class MaterialWriter:
         return _without_none(item) | _common_fields(material) | ({"extensions": extensions} if extensions else {})
 
     def _transmission(self, material: MaterialPbr, texture: _Item | None) -> _Item:
-        """Returns the transmission extension, with a volume for solid materials: any thickness > 0 means solid."""
+        """Returns the transmission extension, with a volume for a solid material: any thickness above 0 means solid."""
         factors = _without_none({"transmissionFactor": material.transmission, "transmissionTexture": texture})
         extensions = self._document.use("KHR_materials_transmission", **factors)
         if material.is_solid:
@@ -415,7 +419,7 @@ class MaterialWriter:
         return extensions
 
     def _simple(self, material: MaterialSimple, textured: bool) -> _Item:
-        """Returns an unlit material if the material only emits its colour, else a metallic-roughness estimate."""
+        """Returns an unlit glTF material if ``material`` only emits its colour, else an approximation of it."""
         surface: _Item = {
             "baseColorFactor": [*material.base_color, material.alpha],
             "baseColorTexture": self._texture(material, "base_color_texture") if textured else None,
@@ -440,7 +444,7 @@ class MaterialWriter:
         return item | _common_fields(material)
 
     def _texture(self, material: Material, name: str) -> _Item | None:
-        """Returns the texture info of a material field, None if the field is empty."""
+        """Returns the textureInfo for a material field; None if the field has no texture."""
         texels: Texture | None = getattr(material, name)
         if texels is None:
             return None
@@ -469,14 +473,14 @@ class MaterialWriter:
 
 
 def _without_none(item: _Item) -> _Item:
-    """Returns an item without the keys whose value is None."""
+    """Returns a JSON item without the keys whose value is None."""
     return {key: value for key, value in item.items() if value is not None}
 
 
 def _common_fields(material: Material) -> _Item:
-    """Returns the name, sidedness and alpha mode of a material.
+    """Returns the name, sidedness and alpha mode of a glTF material.
 
-    Materials are double-sided, except emissive ones that emit from one side and solid transmissive ones.
+    Materials are double-sided, except emissive materials that emit from one side and solid transmissive materials.
     """
     item: _Item = {"name": material.name} if material.name else {}
     if material.is_emissive or not (isinstance(material, MaterialPbr) and material.is_solid):

@@ -1,4 +1,7 @@
-"""Reads and writes glTF meshes: primitives as stored or in their rest pose, skins and vertex colours."""
+"""Reads and writes glTF meshes: primitives as stored or in their rest pose, skins and vertex colours.
+
+Shapes of arrays: V vertices and F triangles of a primitive, J joints of a skin, K joints that move a vertex.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 
 RIG_BLACK_COLOR = 0.5 / 255.0
-"""Vertex colour below which a vertex counts as black: 8 bits round it to 0."""
+"""Linear vertex colour below which a vertex counts as black: an 8-bit colour would round it to 0."""
 
 RIG_BLACK_FRACTION = 0.5
 """Fraction of black vertices above which COLOR_0 is assumed to hold something other than colours."""
@@ -32,15 +35,15 @@ _log = logging.getLogger("lumisplat")
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 TRIANGLE_MODES = (None, _TRIANGLES, _STRIP, _FAN)
-"""Modes of primitives that are read as meshes."""
+"""Modes of primitives that are read as meshes: lists, strips and fans of triangles."""
 
 _SHORT_MAX = 65534
-"""Largest 16-bit index; 65535 would restart the primitive."""
+"""Largest vertex index stored in 16 bits; 65535 would restart the primitive."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawPrimitive:
-    """A triangle primitive as stored, with V vertices."""
+    """A triangle primitive as stored in the file, with V vertices and F triangles."""
 
     positions: FloatArray
     """Vertex positions, shape (V, 3)."""
@@ -50,7 +53,7 @@ class RawPrimitive:
     colors: FloatArray | None
     """Linear vertex colours, clipped to 0..1, shape (V, 3)."""
     triangles: npt.NDArray[np.int64]
-    """Vertex indices, shape (F, 3); they may be out of range."""
+    """Vertex indices of the triangles, shape (F, 3); they may be out of range."""
     material: Material
     influences: Influences | None
     """Joints and weights of the vertices; None if the node has no skin."""
@@ -106,7 +109,10 @@ def read_meshes(
 
 
 def _morph(raw: RawPrimitive, weights: dict[int, float]) -> tuple[FloatArray, npt.NDArray[np.floating] | None]:
-    """Returns positions and normals with the weighted morph targets added."""
+    """Returns the positions and normals of a primitive after adding its morph targets, each times its weight.
+
+    Normals are None if the primitive has none.
+    """
     positions, normals = raw.positions, raw.normals
     for target, offsets in raw.morph_positions.items():
         positions = (positions + weights[target] * offsets).astype(np.float32)
@@ -170,7 +176,7 @@ def _raw(
 
 
 def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.int64]:
-    """Returns the triangles of a list, strip or fan, shape (F, 3)."""
+    """Returns the triangles of a triangle list, strip or fan as vertex indices, shape (F, 3)."""
     accessor, mode = primitive.item.indices, primitive.item.mode
     if accessor is None:
         corners = np.arange(vertex_count)
@@ -190,7 +196,14 @@ def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.in
 
 
 def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, targets: set[int] | None) -> dict[int, FloatArray]:
-    """Returns the morph offsets of an attribute by target number; targets without offsets are absent."""
+    """Returns the morph offsets of an attribute by target number; targets that do not move it are absent.
+
+    Args:
+        primitive: The primitive.
+        name: Name of the attribute, ``POSITION`` or ``NORMAL``.
+        base: Unmorphed values of the attribute.
+        targets: Numbers of the morph targets to read; None reads all.
+    """
     found: dict[int, FloatArray] = {}
     for number, target in enumerate(primitive.item.targets or []):
         if name in target and (targets is None or number in targets):
@@ -211,22 +224,22 @@ class Skin:
     """Inverse bind matrices, shape (J, 4, 4)."""
 
     def world_from_bind(self, world_from_node: Sequence[Matrix]) -> Matrix:
-        """Returns the joint transforms from the bind pose to world space, shape (J, 4, 4)."""
+        """Returns the transforms of the J joints from the bind pose to world space, shape (J, 4, 4)."""
         return np.stack([world_from_node[joint] for joint in self.joints]) @ self.joint_from_bind
 
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """Skin weights of a primitive's vertices."""
+    """Skin weights of a primitive's V vertices, with K joints for each vertex."""
 
     joints: npt.NDArray[np.int32]
-    """Joint indices, shape (V, K)."""
+    """Indices of the joints that move each vertex, shape (V, K)."""
     weights: npt.NDArray[np.float32]
-    """Weights of the joints, finite and >= 0, with a positive sum per vertex, shape (V, K)."""
+    """Weight of each joint in `joints`, finite and >= 0, with a positive sum per vertex, shape (V, K)."""
 
 
 def read_skin(file: GltfFile, index: int) -> Skin:
-    """Reads a skin.
+    """Reads the skin at an index.
 
     Raises:
         FormatError: The skin has no joints, refers to missing nodes, or has too few or non-finite matrices.
@@ -251,7 +264,7 @@ def read_skin(file: GltfFile, index: int) -> Skin:
 
 
 def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: int) -> Influences:
-    """Reads all sets of joints and weights of a skinned primitive.
+    """Reads all sets of joints and weights (JOINTS_0, WEIGHTS_0, JOINTS_1, ...) of a skinned primitive.
 
     Args:
         primitive: The primitive.
@@ -273,7 +286,7 @@ def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: i
 
 
 def _read_set(primitive: GltfPrimitive, number: int, vertex_count: int) -> Influences | None:
-    """Reads one set of joints and weights without checking it; None if the primitive has no such set."""
+    """Reads one set of joints and weights without checking its values; None if the primitive has no such set."""
     joints = primitive.integers(f"JOINTS_{number}", "VEC4")
     if joints is None:
         return None
@@ -296,13 +309,14 @@ def _check_weights(primitive: GltfPrimitive, weights: npt.NDArray[np.float32]) -
 
 
 def usable_colors(path: PathLike, colors: FloatArray, material: Material, name: str, advice: str) -> FloatArray | None:
-    """Returns vertex colours, or None if most are black on a textured mesh, where they must be masks; logs it.
+    """Returns vertex colours, or None if most are black on a textured mesh. A log line reports mostly black colours.
 
-    On a mesh without a texture, mostly black colours are used all the same, and the log line gives ``advice``.
+    COLOR_0 that would make a textured mesh black is assumed to hold masks. On a mesh without a texture, mostly black
+    colours are used all the same, and the log line gives ``advice``.
 
     Args:
         path: The file.
-        colors: Linear colours, shape (V, 3).
+        colors: Linear colours of V vertices, shape (V, 3).
         material: Material of the mesh.
         name: Name of the mesh.
         advice: Advice for the case that COLOR_0 holds no colours.
@@ -318,7 +332,7 @@ def usable_colors(path: PathLike, colors: FloatArray, material: Material, name: 
 
 
 def add_mesh(document: GltfDocument, mesh: Mesh, materials: MaterialWriter) -> int:
-    """Appends a mesh and returns its index. A mesh without normals is flat-shaded, in glTF as in Lumisplat."""
+    """Appends a mesh and returns its index. A mesh without normals is flat-shaded in glTF, as in Lumisplat."""
     attributes = {"POSITION": document.accessor(mesh.positions, bounds=True)}
     for name, values in (("NORMAL", mesh.normals), ("TEXCOORD_0", mesh.uvs), ("COLOR_0", mesh.colors)):
         if values is not None:

@@ -1,7 +1,7 @@
 """Reads the nodes of a glTF file: the scene graph, world transforms, and Lumisplat's settings in ``extras``.
 
 Settings that glTF cannot store are written as an object under the key ``lumisplat`` of ``extras``, which other programs
-ignore. Its keys are the field names of the Lumisplat class.
+ignore. The keys of this object are the field names of the Lumisplat class.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 INSTANCING = "EXT_mesh_gpu_instancing"
 _INSTANCE_BYTES = 1024
-"""Approximate memory of an instance in bytes."""
+"""Approximate memory of one instance in bytes, for the limit on instances."""
 
 
 def node_label(file: GltfFile, index: int) -> str:
@@ -40,7 +40,10 @@ def node_label(file: GltfFile, index: int) -> str:
 
 
 def scene_nodes(file: GltfFile) -> Iterator[int]:
-    """Yields the visible nodes of the default scene, parents first; all visible nodes if the file has no scenes."""
+    """Yields the indices of the visible nodes of the default scene, parents first.
+
+    If the file has no scenes, all visible nodes are yielded.
+    """
     model = file.model
     if model.scenes:
         scene = file.item("scenes", model.scene or 0, "the file")
@@ -63,7 +66,7 @@ def scene_nodes(file: GltfFile) -> Iterator[int]:
 
 @dataclass(frozen=True, slots=True)
 class Hierarchy:
-    """Parents of all nodes."""
+    """Parent of each node, and an order in which parents come before their children."""
 
     parents: tuple[int | None, ...]
     """Parent index of each node; None for a root."""
@@ -72,7 +75,7 @@ class Hierarchy:
 
 
 def hierarchy(file: GltfFile) -> Hierarchy:
-    """Returns the parents of all nodes, including nodes outside of the scene, which may be joints.
+    """Returns the hierarchy of all nodes, including nodes outside of the scene, which may be joints.
 
     Raises:
         FormatError: A node has two parents, or is its own ancestor.
@@ -110,7 +113,7 @@ def world_transforms(file: GltfFile) -> list[Matrix]:
 
 
 def node_matrix(file: GltfFile, index: int) -> Matrix | None:
-    """Returns ``parent_from_node`` of a node with a matrix, shape (4, 4); None for other nodes.
+    """Returns ``parent_from_node``, shape (4, 4), of a node that stores a matrix; None for other nodes.
 
     Raises:
         FormatError: The matrix is not 16 finite numbers.
@@ -139,9 +142,9 @@ def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
 
 
 def instance_transforms(file: GltfFile, index: int) -> list[Matrix]:
-    """Returns ``node_from_instance`` of each instance of a node's mesh, shape (4, 4); one identity without instancing.
+    """Returns ``node_from_instance``, shape (4, 4), of each instance of a node's mesh (EXT_mesh_gpu_instancing).
 
-    Instances with zero scale are hidden and left out (EXT_mesh_gpu_instancing).
+    A node without the extension has one instance, with the identity. Instances with zero scale are hidden and left out.
 
     Raises:
         FormatError: An attribute is malformed, or attributes differ in length.
@@ -172,7 +175,7 @@ def instance_transforms(file: GltfFile, index: int) -> list[Matrix]:
 
 
 def node_item(matrix: Matrix, name: str) -> dict[str, Any]:
-    """Returns the JSON of a node with a transform, shape (4, 4), and a name if it is not empty."""
+    """Returns the JSON object of a node with a transform, shape (4, 4), and with ``name`` unless it is empty."""
     item: dict[str, Any] = {"name": name} if name else {}
     if not np.array_equal(matrix, np.eye(4)):
         item["matrix"] = (matrix.T + 0.0).reshape(-1).tolist()  # column-major; + 0.0 removes negative zeros
@@ -180,7 +183,7 @@ def node_item(matrix: Matrix, name: str) -> dict[str, Any]:
 
 
 def _local_transform(file: GltfFile, index: int) -> Matrix:
-    """Returns ``parent_from_node`` of any node, shape (4, 4)."""
+    """Returns ``parent_from_node``, shape (4, 4), of a node, whether it stores a matrix or separate columns."""
     stored = node_matrix(file, index)
     if stored is not None:
         return stored
@@ -193,7 +196,7 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
 
 
 def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
-    """Returns a property of a node, shape (count,), or its default."""
+    """Returns a property of a node as an array, shape (count,); its glTF default if the node does not state it."""
     stored = getattr(file.model.nodes[index], name)
     if stored is None:
         return np.array(_REST[name])
@@ -217,7 +220,7 @@ CAMERA_EXTRAS = ("width", "height", "exposure", "aperture", "focus_distance")
 
 
 def lumisplat_extras(item: Any) -> dict[str, Any] | None:
-    """Returns Lumisplat's settings in an item's extras; None if another program wrote the file.
+    """Returns Lumisplat's settings in the extras of an item; None if the item has none, as in files of other programs.
 
     Args:
         item: An object of pygltflib, or a part of the JSON.
@@ -228,7 +231,7 @@ def lumisplat_extras(item: Any) -> dict[str, Any] | None:
 
 
 def with_extras(item: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
-    """Returns a JSON item with Lumisplat's settings in its extras."""
+    """Returns a JSON item to which ``stored``, if not empty, is added as Lumisplat's settings in extras."""
     return item | ({"extras": {EXTRAS_KEY: stored}} if stored else {})
 
 

@@ -53,11 +53,11 @@ _READABLE = (
     "KHR_node_visibility",
     INSTANCING,
 )
-"""Extensions that a file may require, in addition to material extensions, which only change the appearance of
-surfaces."""
+"""Extensions that a file may require. Material extensions may also be required: they only change the look of surfaces.
+"""
 
 _ORTHOGONAL = 1e-6
-"""Largest cosine between two axes of a node's transform: nodes translate, rotate and scale, but do not shear."""
+"""Largest cosine between two axes of a node's transform, because a glTF node cannot store a shear."""
 
 
 def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussians:
@@ -103,8 +103,15 @@ def scene_of_nodes(
 ) -> Scene:
     """Returns the captures, meshes and lights of the given nodes as a scene.
 
+    Args:
+        file: The file.
+        nodes: Indices of the nodes.
+        world_from_node: World transform of every node of the file.
+        sieve: Counts the unusable triangles.
+        drop_invalid: Drop invalid Gaussians of captures, as in `lumisplat.io.load`.
+
     Raises:
-        FormatError: One of them is malformed.
+        FormatError: A capture, mesh or light is malformed.
     """
     return Scene(
         splats=GltfCaptures(file, drop_invalid).instances(nodes, world_from_node),
@@ -114,7 +121,7 @@ def scene_of_nodes(
 
 
 def holds_one_capture(path: PathLike) -> bool:
-    """Returns whether a file contains one capture, used once, and nothing else; False if the file cannot be read."""
+    """Returns whether a file contains one capture, in one node, and nothing else; False if it cannot be read."""
     try:
         with parsing(path, "a glTF file"):
             file = GltfFile(Path(path))
@@ -132,21 +139,21 @@ def holds_one_capture(path: PathLike) -> bool:
 
 
 def _has_settings(file: GltfFile, nodes: Iterable[int]) -> bool:
-    """Returns whether a node's extras set a material, SH degree or shadow catcher flag for its capture."""
+    """Returns whether the extras of a node set a material, SH degree or shadow catcher flag for the node's capture."""
     return any(instance_settings(lumisplat_extras(file.model.nodes[index])) for index in nodes)
 
 
 def _primitives(file: GltfFile, mesh: int) -> list[Any]:
-    """Returns the primitives of a mesh that are read: Gaussians and triangles."""
+    """Returns those primitives of a mesh that Lumisplat reads: Gaussians and triangles."""
     primitives: list[Any] = file.item("meshes", mesh, "a node").primitives
     return [one for one in primitives if holds_gaussians(one) or one.mode in TRIANGLE_MODES]
 
 
 def check_extensions(file: GltfFile) -> None:
-    """Refuses files that require unsupported extensions.
+    """Refuses a file that requires an extension which Lumisplat does not support.
 
     Raises:
-        FormatError: There is such an extension; the message names it.
+        FormatError: The file requires such an extension; the message names it.
     """
     required = file.model.extensionsRequired or []
     unknown = [name for name in required if name not in _READABLE and not str(name).startswith("KHR_materials_")]
@@ -159,7 +166,7 @@ def check_extensions(file: GltfFile) -> None:
 def _mesh_instances(
     file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve
 ) -> Iterator[MeshInstance]:
-    """Yields the meshes of nodes as instances. A mesh without a skin is read once."""
+    """Yields the meshes of nodes as instances. A mesh without a skin is read once for all nodes that use it."""
     materials = GltfMaterials(file)
     unskinned: dict[int, list[Mesh]] = {}
     for index in nodes:
@@ -187,7 +194,7 @@ def _mesh_instances(
 
 
 def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> None:
-    """Writes a scene, rotated so that its up becomes y. Instances share their captures and meshes.
+    """Writes a scene, rotated so that its up becomes y. A capture or mesh of several instances is written once.
 
     One log line lists what glTF cannot store.
 
@@ -263,7 +270,7 @@ def _shears(matrix: Matrix) -> bool:
 
 
 def _capture_losses(splats: Sequence[SplatInstance]) -> list[str]:
-    """Returns a phrase for each capture feature that only Lumisplat reads."""
+    """Returns a phrase for each feature of the captures that programs other than Lumisplat do not read."""
     relit = sum(splat.material is not None for splat in splats)
     flagged = sum(splat.gaussians.antialiased for splat in splats)
     incident = any(splat.gaussians.incident is not None for splat in splats)

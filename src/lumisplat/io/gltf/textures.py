@@ -29,29 +29,32 @@ _NAMES = {
     "sheen_color_texture": "sheenColorTexture",
     "sheen_roughness_texture": "sheenRoughnessTexture",
 }
-"""Texture names of Lumisplat and of glTF. A mesh gets the texture coordinates of the first texture that its material
-has."""
+"""Texture names of Lumisplat, each with its glTF name, in order of priority: a mesh gets the texture coordinates of
+the first texture that its material has."""
 
 
 _GLOSSINESS_NAMES = {"baseColorTexture": "diffuseTexture", "metallicRoughnessTexture": "specularGlossinessTexture"}
-"""Textures of KHR_materials_pbrSpecularGlossiness, by the metallic-roughness texture that each replaces."""
+"""Texture of KHR_materials_pbrSpecularGlossiness that replaces each metallic-roughness texture, by glTF names."""
 
 _WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWrap.MIRROR}
-"""Wrap modes by their numbers in glTF, which are OpenGL's."""
+"""Wrap modes by the numbers that glTF takes from OpenGL."""
 WRAP_NUMBERS = {wrap: number for number, wrap in _WRAPS.items()}
 
 
 class UvTransform(NamedTuple):
-    """Texture coordinates of a texture. Textures with equal transforms can share coordinates."""
+    """Texture coordinates that a texture uses: a TEXCOORD attribute, scaled, then rotated, then offset.
+
+    Textures with equal `UvTransform` can share texture coordinates.
+    """
 
     uv_set: int = 0
-    """Number of the primitive's TEXCOORD attribute."""
+    """Number of the TEXCOORD attribute."""
     offset: tuple[float, ...] = (0.0, 0.0)
     rotation: float = 0.0
     scale: tuple[float, ...] = (1.0, 1.0)
 
     def apply(self, uvs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Scales, rotates, then offsets texture coordinates (KHR_texture_transform), shape (V, 2).
+        """Scales, rotates, then offsets texture coordinates of V vertices (KHR_texture_transform), shape (V, 2).
 
         Positive angles rotate the image counter-clockwise with v down, as in Khronos' sample viewer. The GLSL code in
         the extension's text does the opposite (github.com/KhronosGroup/glTF issue 1563).
@@ -64,14 +67,14 @@ class UvTransform(NamedTuple):
 
 
 class Textures(NamedTuple):
-    """Textures of one material."""
+    """Textures of one material, which share their texture coordinates."""
 
     uv_transform: UvTransform
-    """Texture coordinates of the first texture and of all textures in ``indices``."""
+    """Texture coordinates of all textures in ``indices``."""
     indices: dict[str, int]
-    """Texture indices by Lumisplat's names."""
+    """Index of each texture in the file, by Lumisplat's name of the texture."""
     left_out: list[str]
-    """glTF names of textures that are dropped because their coordinates differ."""
+    """glTF names of textures that are dropped because their coordinates differ from ``uv_transform``."""
 
     def wraps(self, file: GltfFile, referrer: str) -> dict[str, WrapPair]:
         """Returns the wrap modes along u and v of each texture, by Lumisplat's names.
@@ -101,7 +104,7 @@ def material_textures(material: pygltflib.Material, *, only_color: bool = False)
 
 
 class _Info(NamedTuple):
-    """A texture reference of a material (glTF textureInfo)."""
+    """Reference from a material to a texture (glTF textureInfo)."""
 
     index: Any
     uv_set: Any
@@ -109,7 +112,7 @@ class _Info(NamedTuple):
 
 
 def _info(material: pygltflib.Material, name: str) -> _Info | None:
-    """Returns the textureInfo of a glTF name, from the material itself or one of its extensions; None if absent."""
+    """Returns the textureInfo with a glTF name from a material or one of its extensions; None if both lack it."""
     if name in _GLOSSINESS_NAMES and (replaced := specular_glossiness(material)) is not None:
         found = replaced.get(_GLOSSINESS_NAMES[name])
         return None if found is None else _Info(found.get("index"), found.get("texCoord"), found.get("extensions", {}))
@@ -126,9 +129,10 @@ def _info(material: pygltflib.Material, name: str) -> _Info | None:
 
 
 def specular_glossiness(material: pygltflib.Material) -> dict[str, Any] | None:
-    """Returns a material's KHR_materials_pbrSpecularGlossiness; None if absent or if metallic-roughness is given too.
+    """Returns a material's KHR_materials_pbrSpecularGlossiness object, unless metallic-roughness takes precedence.
 
-    Writers that give both intend metallic-roughness for programs without the extension.
+    None is returned for a material without the extension, and for one with metallic-roughness values. Writers that give
+    both intend metallic-roughness for programs without the extension.
     """
     found: dict[str, Any] | None = (material.extensions or {}).get("KHR_materials_pbrSpecularGlossiness")
     pbr = material.pbrMetallicRoughness
@@ -148,7 +152,7 @@ def _uv_transform(info: _Info) -> UvTransform:
 
 
 def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
-    """Returns the wrap modes of a texture along u and v; repeat without a sampler."""
+    """Returns the wrap modes of a texture along u and v; a texture without a sampler repeats."""
     number = file.item("textures", index, referrer).sampler
     if number is None:
         return TextureWrap.REPEAT, TextureWrap.REPEAT
@@ -161,7 +165,7 @@ def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
 
 
 def texture_extension(texture: pygltflib.Texture) -> str | None:
-    """Returns the extension with a texture's only image in an unsupported format; None for readable textures."""
+    """Returns the extension that holds a texture's only image in an unsupported format; None if it can be read."""
     extensions: dict[str, Any] = texture.extensions or {}
     if texture.source is not None or "EXT_texture_webp" in extensions:
         return None
@@ -177,7 +181,7 @@ class GltfTexels:
         self._total = TextureBytes(file.path)
 
     def get(self, index: int, referrer: str) -> npt.NDArray[np.uint8] | None:
-        """Returns texels as stored, shape (H, W, 3) or (H, W, 4); None for an unsupported image format.
+        """Returns a texture's texels as stored, shape (H, W, 3) or (H, W, 4); None for an unsupported image format.
 
         Raises:
             FormatError: The index is invalid, or an image is missing or corrupt.

@@ -460,7 +460,7 @@ class _Decoder:
         self._values["base_color_texture"] = np.concatenate([colors[:, :, :3], plane[:, :, None]], axis=2)
 
     def _wrap_values(self) -> dict[str, Any]:
-        """Returns the wrap-mode fields: the first texture's modes for all textures, and exceptions by texture name."""
+        """Returns the wrap modes of the first texture as default, and by name those of textures that differ from it."""
         if not self._wraps:
             return {}
         first = next(iter(self._wraps.values()))
