@@ -44,7 +44,7 @@ def lesser(a: float, b: float) -> float:
 
 @wp.func
 def larger(a: float, b: float) -> float:
-    """Returns the larger number, without NaN handling like ``lesser``."""
+    """Returns the larger number, without the NaN handling that keeps ``wp.max`` from vectorising."""
     return wp.where(a > b, a, b)
 
 

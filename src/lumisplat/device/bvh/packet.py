@@ -118,7 +118,7 @@ The threads of a smaller group visit more additional nodes than the group saves 
 
 
 def _on_cuda(code: str, otherwise: str) -> str:
-    """Returns C++ code with one body for CUDA and another for CPUs."""
+    """Returns C++ code with the body ``code`` for CUDA and ``otherwise`` for CPUs."""
     return f"#if defined(__CUDA_ARCH__)\n{code}\n#else\n{otherwise}\n#endif\n"
 
 

@@ -46,7 +46,7 @@ def pixel_number(ray: int, camera: wp.array[CameraData]) -> int:
 
 @wp.func
 def is_in_window(camera: CameraData, x: int, y: int) -> bool:
-    """Returns whether a pixel that is not left of or above the window lies in it."""
+    """Returns whether a pixel lies in the window, if it is known not to lie left of or above the window."""
     return x < camera.left + camera.width and y < camera.top + camera.height
 
 

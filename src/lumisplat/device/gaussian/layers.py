@@ -17,19 +17,23 @@ LAYER_COSINE = 0.35
 """Cosine of 70 degrees; if the normals of two layers differ by more, their order alone distinguishes the layers."""
 
 LAYER_HEIGHT = 0.0625
-"""Smallest height above a surface of the mean of another layer's Gaussian, in shadow offsets: a quarter of a scale.
+"""Smallest height above a surface of the mean of another layer's Gaussian, as a fraction of the shadow offset.
 
-It is also the smallest distance of the ray's origin from the plane of this Gaussian, unless the ray hits the Gaussian
-from the front."""
+By default, the shadow offset is four scales, and the height a quarter of a scale. It is also the smallest distance of
+the ray's origin from the plane of this Gaussian, unless the ray hits the Gaussian from the front."""
 
 LAYER_RISE = 1.0
-"""Amount by which ``LAYER_HEIGHT`` grows with the cosine beyond ``LAYER_COSINE``: to 2.85 scales for parallel layers.
+"""Increase of ``LAYER_HEIGHT`` for each unit of the cosine beyond ``LAYER_COSINE``, as a fraction of the shadow
+offset.
+
+For parallel layers, the height becomes 2.85 scales.
 """
 
 LAYER_LIFT = 0.0625
-"""Height above a surface of Gaussians at which bounced rays start, in shadow offsets: a quarter of a scale.
+"""Height above a surface of Gaussians at which bounced rays start, as a fraction of the shadow offset.
 
-From inside a layer, rays along the layer would leave it below and see the light of its other side (docs/adr/0088)."""
+It is a quarter of a scale by default. From inside a layer, rays along the layer would leave it below and see the light
+of its other side (docs/adr/0088)."""
 
 COSINE = wp.constant(wp.float32(LAYER_COSINE))
 FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))

@@ -35,7 +35,7 @@ GRID_CELL_SIZE = 1.0 / 4.0
 """Largest width of a cell as a fraction of its distance from the eye; the widths are powers of two."""
 
 GRID_CHOICES = 4
-"""Number of independent light selections stored for each cell; each surface uses one of them.
+"""Number of independent selections of lights stored for each cell; each surface uses one of them.
 
 Together with the eight cells that a surface may use, this gives 32 selections: more than the 25 pixels whose noise is
 assumed to be independent in the test for changes of light."""
@@ -62,7 +62,10 @@ CELL_BRANCH = wp.constant(8)
 """Random branch that selects the cell for a surface."""
 
 SLOTS = wp.constant(GRID_LIGHTS + 1)
-"""Number of lights stored for each cell, including a last one whose rank determines the probabilities of the others."""
+"""Number of lights stored for each cell: those to choose from, and one more.
+
+Lights are stored in the order of random ranks. The rank of the last one determines the probability with which each of
+the others was stored."""
 
 CHOICES = wp.constant(wp.float32(GRID_CHOICES))
 
@@ -169,7 +172,7 @@ def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
 
 @wp.func
 def bounded(weight: float) -> float:
-    """Clamps a positive weight, so that the rank computed from it is finite; 0 stays 0."""
+    """Clamps a positive weight, so that a random number divided by it is finite; 0 stays 0."""
     if weight > 0.0:
         return wp.clamp(weight, LEAST, MOST)
     return 0.0

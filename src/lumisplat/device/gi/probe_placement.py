@@ -31,7 +31,7 @@ class ProbeGrid:
     cells: int
     """Number of cells along a side of a probe's octahedral map."""
     history: float
-    """Largest number of samples for which the mean of a cell counts."""
+    """Largest number of samples as which the mean of a cell counts when a sample is added."""
     offset: float
     """Distance from a probe, in scales of a Gaussian, within which Gaussians do not block the probe's rays."""
     frame: int
@@ -73,7 +73,7 @@ class ProbeCells:
     nearness: wp.array[float]
     """Mean inverse hit distance of the cell's rays; 0: the rays escape."""
     samples: wp.array[float]
-    """Number of samples for which the means count; 0: the means are undefined."""
+    """Number of samples as which the means count when a sample is added; 0: the means are undefined."""
 
 
 @struct
@@ -81,7 +81,7 @@ class ProbeLight:
     """Light of the probes that pixels look up: filtered cells without gaps, and their SH coefficients."""
 
     exists: wp.array[int]
-    """1: the probe has light; one element for each probe."""
+    """1: the probe has light that pixels can look up; one element for each probe."""
     radiance: wp.array[wp.vec3]
     """Radiance that arrives from each cell's directions, linear, ordered as in `ProbeCells`."""
     sh: wp.array[wp.vec3]
@@ -119,7 +119,7 @@ class Match:
     probe: int
     """Index of the probe; -1: none."""
     distance: float
-    """Distance to the probe in the image, pixels, plus a penalty if another tile should rather continue the probe."""
+    """Distance to the probe in the image, pixels, plus ``ADAPTIVE_PENALTY`` where it applies."""
 
 
 SEARCH_ROWS = wp.constant(8)
@@ -140,11 +140,10 @@ ADAPTIVE_PENALTY = wp.constant(wp.float32(1e6))
 """Penalty for a tile's own probe that would continue an adaptive probe, so that the two probes do not swap."""
 
 CUT_OFF_STEPS = wp.constant(4)
-"""Number of steps from a pixel to a probe in the image; the pixels between the steps may show a surface that occludes
-it."""
+"""Number of steps in the image from a pixel to a probe; after each step, an occluding surface is looked for."""
 
 OCCLUDER_DISTANCE_MAX = wp.constant(wp.float32(0.95))
-"""Largest distance of an occluding surface from the eye, as a fraction of that of the pixel or the probe.
+"""Largest distance of an occluding surface from the eye, as a fraction of the distance of the pixel or the probe.
 
 The nearer of pixel and probe counts."""
 

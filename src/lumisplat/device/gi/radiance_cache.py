@@ -29,7 +29,8 @@ NO_TILE: wp.int64 = wp.constant(wp.int64(2**63 - 1))
 """Key that stands for no tile; larger than all keys of tiles."""
 
 LEVEL_LAST: int = wp.constant(16)
-"""Cell widths range from 2^-LEVEL_LAST to 2^(LEVEL_LAST - 1) scene units: 5 bits of the key."""
+"""Largest level plus 1: cells are 2^-LEVEL_LAST to 2^(LEVEL_LAST - 1) scene units wide, which takes 5 bits of the key.
+"""
 
 NEAR_LEVELS: int = wp.constant(3)
 """Number of levels by which cells of short rays are finer: a tile of theirs is as wide as one cell of long rays."""
@@ -38,9 +39,10 @@ COORDINATE_BITS: int = wp.constant(18)
 """Number of key bits for each coordinate of a tile."""
 
 CELLS_REACH: float = wp.constant(8191.0)
-"""Largest coordinate of a position over the width whose level, rounded down, is that of the position's cell.
+"""Limit of cell coordinates: a cell is at least as wide as its largest coordinate over this number.
 
-Cells are therefore up to twice as narrow, and those of short rays up to 16 times; their coordinates still fit the key.
+Widths are then rounded down to a power of two, and cells of short rays are eight times narrower; the coordinates of all
+cells fit the key.
 """
 
 REFLECTANCE_MAX: float = wp.constant(0.99)
@@ -50,19 +52,19 @@ AGE_LAST: int = wp.constant(2**31 - 1)
 """Frame number that stands for no tile; larger than all frame numbers."""
 
 COUNT_LIVE: int = wp.constant(0)
-"""Index, in the counts, of the number of live tiles."""
+"""Index in ``CacheTiles.counts`` of the number of live tiles."""
 
 COUNT_NEW: int = wp.constant(1)
-"""Index, in the counts, of the number of tiles that an insertion adds."""
+"""Index in ``CacheTiles.counts`` of the number of tiles that an insertion adds."""
 
 COUNT_EXCESS: int = wp.constant(2)
-"""Index, in the counts, of the number of tiles that an insertion would add beyond the capacity."""
+"""Index in ``CacheTiles.counts`` of the number of tiles that an insertion would add beyond the capacity."""
 
 COUNT_EVICTED: int = wp.constant(3)
-"""Index, in the counts, of the number of tiles evicted early since the start, to make space for new ones."""
+"""Index in ``CacheTiles.counts`` of the number of tiles evicted early since the start, to make space for new ones."""
 
 COUNT_DROPPED: int = wp.constant(4)
-"""Index, in the counts, of the number of new tiles dropped since the start, because the cache was full."""
+"""Index in ``CacheTiles.counts`` of the number of new tiles dropped since the start, because the cache was full."""
 
 COUNTS: int = wp.constant(5)
 """Length of the array of tile counts, ``CacheTiles.counts``."""
@@ -198,7 +200,7 @@ COORDINATE_MASK = wp.constant(2**18 - 1)
 BITS_32 = wp.constant(wp.int64(32))
 
 KEY_ORIGIN = wp.constant(wp.uint32(0x63616368))
-"""Initial state of the random numbers of cells, distinct from that of pixels."""
+"""Initial state from which the random keys of cells are computed, distinct from that of pixels."""
 
 
 @wp.struct
@@ -246,7 +248,7 @@ def level_of(grid: CacheGrid, position: wp.vec3, from_eye: float) -> int:
 
 @wp.func
 def face_of(normal: wp.vec3) -> int:
-    """Returns twice the dominant axis of a normal, plus 1 if the normal points in its negative direction."""
+    """Returns the face, 0 to 5, of a normal: twice the index of its dominant axis, plus 1 if it is negative there."""
     axis = int(2)
     if wp.abs(normal[0]) >= wp.abs(normal[1]) and wp.abs(normal[0]) >= wp.abs(normal[2]):
         axis = 0
@@ -412,7 +414,7 @@ def cell_key(key: wp.int64, cell: int, frame: int) -> wp.uint32:
 
 @wp.func
 def is_first_of_tile(samples: SortedSamples, i: int) -> bool:
-    """Returns whether a sorted sample is the first one of its tile."""
+    """Returns whether element ``i`` of the sorted samples is the first one of its tile."""
     if samples.keys[i] == NO_TILE:
         return False
     return i == 0 or samples.keys[i] != samples.keys[wp.max(i - 1, 0)]
@@ -420,7 +422,7 @@ def is_first_of_tile(samples: SortedSamples, i: int) -> bool:
 
 @wp.func
 def is_first_of_cell(samples: SortedSamples, i: int) -> bool:
-    """Returns whether a sorted sample is the first one of its cell."""
+    """Returns whether element ``i`` of the sorted samples is the first one of its cell."""
     if samples.keys[i] == NO_TILE:
         return False
     before = wp.max(i - 1, 0)

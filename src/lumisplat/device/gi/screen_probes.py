@@ -49,7 +49,7 @@ COSINE_1 = wp.constant(wp.float32(2.0 * math.pi / 3.0))
 COSINE_2 = wp.constant(wp.float32(math.pi / 4.0))
 
 DISTANCE2_MIN = wp.constant(wp.float32(0.05))
-"""Value added to the squared distance between pixel and probe, in tiles, which divides the weight of the probe.
+"""Value added to the squared distance between pixel and probe, in tiles; the probe's weight is divided by the sum.
 
 It limits the weight of probes close to the pixel."""
 

@@ -32,10 +32,10 @@ SAME_NORMAL_MESH = 0.9
 """
 
 SAME_NORMAL_SPLATS = 0.5
-"""Smallest cosine between the normals of one point of Gaussians in two frames; normals of Gaussians are noisy."""
+"""Smallest cosine between the normals of one point of a surface of Gaussians in two frames; the normals are noisy."""
 
 YOUNG_SHARE = 0.5
-"""Fraction of its samples for which a mean of few samples counts when a sample is added.
+"""Weight of a mean of few samples when another sample is added, as a fraction of its number of samples.
 
 Later samples include more bounces and are closer to the converged value. The variance is a third higher than that of
 ordinary means."""
@@ -82,7 +82,7 @@ class InstanceMotion:
     means: wp.array[wp.vec3]
     """Previous means of the instance's Gaussians, object space.
 
-    The three arrays from here on are empty unless the instance deforms."""
+    The arrays ``means``, ``rotations`` and ``positions`` are empty unless the instance deforms."""
     rotations: wp.array[wp.quat]
     positions: wp.array[wp.vec3]
     """Previous positions of the instance's vertices, indexed as in ``MeshData``."""
@@ -146,9 +146,9 @@ class TemporalPixels:
     motion: wp.array[wp.vec3]
     """Motion since the previous frame: x and y in pixels, and distance from the eye; NaN: new surface.
 
-    It is the motion of the surface that ends the pixel, or of the background."""
+    It is the motion of the surface at which the pixel's ray ends, or of the background."""
     instance: wp.array[int]
-    """Instance of the surface that ends the pixel, as in ``FirstSurface``; -1: the background."""
+    """Instance of the surface at which the pixel's ray ends, as in ``FirstSurface``; -1: the background."""
     previous_pixel: wp.array[wp.vec2]
     """Position of the pixel in the previous frame; (0, 0) is the centre of the first pixel."""
     weight: wp.array[float]

@@ -99,7 +99,7 @@ def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 @wp.func
 def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether objects block the light of light ``number``; emissive meshes always cast shadows."""
+    """Returns whether objects cast shadows in the light of light ``number``; they always do for emissive meshes."""
     if number == scene[0].settings[0].light_count:
         return True
     return scene[0].lights[number].casts_shadow != 0
@@ -109,8 +109,8 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
     """Returns whether rays scattered at surfaces also find light ``number``, so that its samples need MIS weights.
 
-    They do not find lights without extent. They may not count at lights whose samples pass objects that would block the
-    rays, or are shadowed differently.
+    The result is False for lights without extent, which rays cannot hit. It is False, too, for lights whose samples
+    ignore objects that block rays, or are shadowed in another way than rays.
     """
     if no_shadows or scene[0].settings[0].changes_shadows != 0:
         return False

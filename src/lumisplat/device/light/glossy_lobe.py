@@ -17,10 +17,10 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, WaveData
 
 GLOSSY_SHARE_FOLLOWED = 0.25
-"""Weight of a highlight in its ray from which on every sample sends a ray within the highlight.
+"""Fraction of a ray's light from which on a highlight that reflects it sends a ray in every sample.
 
-Highlights of less weight send rays in fewer samples, and each ray counts more. A dielectric, which reflects 0.04, sends
-a ray in one of six samples."""
+Highlights that reflect less send rays in fewer samples, and each ray counts more. A dielectric, which reflects 0.04,
+sends a ray in one of six samples."""
 
 FOLLOWED = wp.constant(wp.float32(GLOSSY_SHARE_FOLLOWED))
 
@@ -81,7 +81,7 @@ def highlight_share(interaction: Interaction) -> float:
 
 @wp.func
 def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
-    """Selects one of two interactions in proportion to the reflection of its highlight: 0, 1, or -1 for none."""
+    """Selects an interaction in proportion to its highlight: 0 for ``splats``, 1 for ``mesh``, -1 for none."""
     first = highlight_share(splats)
     total = first + highlight_share(mesh)
     if not (u * wp.max(total, FOLLOWED) < total):
@@ -91,7 +91,7 @@ def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
 
 @wp.func
 def lobe_slot(i: int, splats: Interaction, mesh: Interaction, wave: wp.array[WaveData]) -> int:
-    """Selects the interaction of ray ``i`` from whose highlight a ray starts: 0, 1, or -1 for none."""
+    """Selects the interaction of ray ``i`` that sends a highlight ray: 0 for Gaussians, 1 for a mesh, -1 for none."""
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
     return chosen_slot(u[0], splats, mesh)
 

@@ -37,7 +37,7 @@ SMOOTH_HEIGHT_MIN = 1.0e-5
 """Height of a smooth surface over its triangle below which it counts as rounding error, as a fraction of the sides."""
 
 SMOOTH_START_COSINE = 0.1
-"""Cosine of the light on a triangle of a smooth mesh above which shadow rays start on the triangle.
+"""Cosine between a light and the normal of a smooth mesh's triangle above which shadow rays start on the triangle.
 
 At lower or negative cosines, shadow rays start higher, up to the smooth surface
 (docs/adr/0019-smooth-shadow-terminators.md)."""
@@ -105,9 +105,9 @@ def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contri
 def lift_of(height: float, normal: wp.vec3, geometric_normal: wp.vec3, direction: wp.vec3) -> wp.vec3:
     """Returns the vector from a triangle to the origin of a shadow ray on the smooth surface above.
 
-    A triangle that faces the light by a cosine of ``SMOOTH_START_COSINE`` or more shadows no convex surface: rays start
-    on the triangle, which keeps contact shadows. Below that cosine, the origin moves proportionally up to the smooth
-    surface.
+    A triangle that faces the light by a cosine of ``SMOOTH_START_COSINE`` or more cannot shadow a convex smooth
+    surface: rays start on the triangle, which preserves contact shadows. Below that cosine, the origin moves
+    proportionally up to the smooth surface.
     """
     share = wp.clamp(1.0 - wp.dot(geometric_normal, direction) / START_COSINE, 0.0, 1.0)
     return share * height * normal

@@ -147,7 +147,7 @@ def flat_covers(light: LightData, offset: wp.vec3) -> bool:
 
 @wp.func
 def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """Samples a planar light: its whole power from its centre or, if soft, a random point."""
+    """Samples a planar light: all of its light comes from its centre or, if soft, from a random point of it."""
     sample = LightSample()
     offset = light.position - point
     if soft != 0:

@@ -104,7 +104,10 @@ def coat_share(coat: float, alpha: float, cosine: float) -> float:
 
 @wp.func
 def sheen_share(curve: wp.vec4, cosine: float) -> float:
-    """Returns a lower bound of the albedo of white sheen for a view at a cosine from the normal; it may exceed 1."""
+    """Returns a lower bound of the albedo of white sheen for a view at a cosine from the normal.
+
+    The albedo, and so the bound, may exceed 1 at grazing angles.
+    """
     return wp.exp(curve[0] + cosine * (curve[1] + cosine * (curve[2] + cosine * curve[3])))
 
 
@@ -403,7 +406,7 @@ def base_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def facet_mirrored(normal: wp.vec3, view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
-    """Samples the unit normal of a visible microfacet."""
+    """Samples the unit normal, world space, of a GGX microfacet that is visible to ``view`` and mirrors light to it."""
     # The frame has x along the view direction projected onto the surface.
     cos_view = wp.dot(normal, view)
     along = view - cos_view * normal

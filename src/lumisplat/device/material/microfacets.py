@@ -205,8 +205,8 @@ def rescattered_eval(share: wp.vec3, cos_view: float, cos_light: float, alpha: f
 def sample_ggx_vndf(view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
     """Samples a microfacet normal visible to ``view`` (Heitz 2018; spherical caps of Dupuy and Benyoub 2023).
 
-    ``view`` and the normal are in the frame in which the surface normal is z. The pdf of the reflected direction's
-    facet is ``2 D G1 / (2 cosine) * dot(view, facet)``.
+    ``view`` and the returned normal are in the frame in which the surface normal is z. The pdf of the returned normal
+    is ``2 D G1 / (2 cosine) * dot(view, facet)``.
     """
     axis = wp.normalize(wp.vec3(alpha * view[0], alpha * view[1], view[2]))
     angle = TWO_PI * u[0]

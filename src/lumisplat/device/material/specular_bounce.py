@@ -105,7 +105,7 @@ def bounce_of(
 
 @wp.func
 def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
-    """Returns the bounce at a surface between equal media, which does not count: the ray continues unchanged."""
+    """Returns the bounce at a surface between equal media, which is ignored: the ray continues unchanged."""
     bounce = Bounce()
     bounce.side = face_normal
     if wp.dot(direction, face_normal) > 0.0:

@@ -13,7 +13,7 @@ _ELEMENT = "*static_cast<decltype(items.data)>(__builtin_assume_aligned(items.da
 
 
 def _on_cuda(wide: str, plain: str) -> str:
-    """Returns C++ code with one statement for CUDA and another for CPUs."""
+    """Returns C++ code with the statement ``wide`` for CUDA and ``plain`` for CPUs."""
     check = 'static_assert(sizeof(item) % 16 == 0, "the size of this struct must be a multiple of 16 bytes");'
     return f"{check}\n#if defined(__CUDA_ARCH__)\n{wide};\n#else\n{plain};\n#endif\n"
 

@@ -16,7 +16,7 @@ import warp as wp
 MULTIPLIER_1 = wp.constant(wp.uint32(0x21F0AAAD))
 MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
 ORIGIN = wp.constant(wp.uint32(0x6C756D69))
-"""Initial state: any number except 0, which the permutation maps to 0."""
+"""Initial state from which all keys are computed: any number except 0, which ``mix`` maps to 0."""
 
 BITS_20 = wp.constant(wp.uint32(20))
 BITS_16 = wp.constant(wp.uint32(16))
@@ -35,19 +35,21 @@ KARRAS_4 = wp.constant(wp.uint32(0x8D22F6E6))
 
 # Dimensions below 2^31 belong to Gaussians, by their index in the scene. Other dimensions count down from the last.
 LENS_RADIUS = wp.constant(wp.uint32(0xFFFFFFFF))
-"""Dimension of a camera ray's distance from the lens centre."""
+"""Dimension of the random number that selects the distance of a camera ray's origin from the lens centre."""
 LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
-"""Dimension of a camera ray's angle around the lens centre."""
+"""Dimension of the random number that selects the angle of a camera ray's origin around the lens centre."""
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
-"""Dimension of branch 0 of a key; the dimensions of other branches count down from it."""
+"""Dimension of the random numbers from which keys of branch 0 are made; those of other branches count down from it."""
 CAPTURED_OR_RELIT = wp.constant(wp.uint32(0x80000000))
-"""Dimension of the choice between captured and relit splat sets on a ray: the first one behind those of the Gaussians.
+"""Dimension of the random number that selects captured or relit splat sets on a ray.
+
+It is the first dimension behind those of the Gaussians.
 """
 
 
 @wp.func
 def mix(word: wp.uint32) -> wp.uint32:
-    """Permutes the 32-bit words such that each input bit flips about half of the output bits."""
+    """Maps 32-bit words one-to-one to words such that each input bit flips about half of the output bits."""
     word = wp.bit_xor(word, wp.rshift(word, BITS_16)) * MULTIPLIER_1
     word = wp.bit_xor(word, wp.rshift(word, BITS_15)) * MULTIPLIER_2
     return wp.bit_xor(word, wp.rshift(word, BITS_15))
@@ -67,7 +69,10 @@ def sample_key_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
 
 @wp.func
 def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
-    """Returns a key for a branch of a ray (0: reflected, 1: refracted), independent of the ray's own key."""
+    """Returns the random key of a branch of a ray, independent of the ray's own key.
+
+    Branch 0 is the reflected and 1 the refracted ray; other numbers are for other uses.
+    """
     return mix(sample_key + mix(BRANCH_LAST - wp.uint32(branch)))
 
 
@@ -82,15 +87,18 @@ def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
 
 @wp.func
 def draw(sample_key: wp.uint32, dimension: wp.uint32) -> float:
-    """Draws a uniform random number in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
+    """Draws a uniform random number in [0, 1), a multiple of 2^-24.
+
+    The dimension of the numbers that belong to a Gaussian is the Gaussian's index in the scene.
+    """
     return draw_mixed(sample_key, mix(dimension))
 
 
 @wp.func
 def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
-    """Applies to ``k`` one of many permutations of the numbers below 16, selected by ``word``.
+    """Permutes the numbers below 16: returns the number to which permutation number ``word`` maps ``k``.
 
-    Each step is one-to-one modulo 16.
+    Each step of the computation is one-to-one modulo 16.
     """
     k = wp.bit_and(k * wp.bit_or(wp.rshift(word, BITS_4), ONE) + word, LOW_4)
     k = wp.bit_xor(k, wp.rshift(k, BITS_2))

@@ -210,9 +210,10 @@ def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
 
 @wp.func
 def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
-    """Returns whether the ray of path ``i`` starts at a shadow catcher, where lights count only by light samples.
+    """Returns whether the ray of path ``i`` starts at a shadow catcher.
 
-    An environment that uses MIS is the exception: the ray sees it where the catcher's splat set does not block it.
+    Lights that such a ray hits do not count, because light samples replace them. An environment that uses MIS is the
+    exception: the ray sees it where the catcher's splat set does not block it.
     """
     return paths[0].pdf[i] < 0.0
 
@@ -317,7 +318,7 @@ def emitted_radiance(
 HIT_LIGHT_BRANCH = wp.constant(4)
 """Random branch of the shadow ray along a path ray up to a light that the path ray hits.
 
-See also light/direct_light.py."""
+The other random branches of lights are in light/direct_light.py."""
 
 
 @wp.func

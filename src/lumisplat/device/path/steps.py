@@ -27,7 +27,7 @@ ROULETTE_RANGE = (0.05, 0.95)
 """Range of the survival probability, which is the largest throughput channel clamped to it."""
 
 LEAVES_CATCHER: float = wp.constant(-1.0)
-"""Value in place of a pdf: the ray starts at a shadow catcher, where lights count only by light samples."""
+"""Value in place of a pdf: the ray starts at a shadow catcher, where light samples replace the lights that it hits."""
 
 
 @struct
@@ -53,7 +53,7 @@ class PathData:
     diffuse: wp.array[wp.vec3]
     """Fraction of the path's light that its first surface scattered diffusely; empty in frames without light layers."""
     media: wp.array[wp.vec4i]
-    """Media that the ray has entered, as in ``Boundary``; empty in scenes without media."""
+    """Media that the ray is inside of, as in ``Boundary``; empty in scenes without media."""
 
 
 @struct
@@ -91,7 +91,7 @@ class PathStep:
     diffuse: wp.vec3
     """Fraction of ``weight`` that the diffuse lobe contributes, for each channel."""
     media: wp.vec4i
-    """Media that the ray has entered, as in ``Boundary``."""
+    """Media that the ray is inside of after the step, as in ``Boundary``."""
 
 
 @struct

@@ -31,13 +31,16 @@ class SplatOrigin:
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
 BEYOND_HORIZON = 0.5
-"""Cosine beyond the horizon up to which the normal of a Gaussian counts as facing the eye: 30 degrees.
+"""Sine of 30 degrees: a normal that points away from the eye by up to this angle beyond the horizon counts as facing
+it.
 
 A normal slightly beyond the horizon belongs to a surface that curves away; one farther beyond belongs to a surface seen
 from behind (docs/method/gaussians.md#normals)."""
 
 HORIZON_COSINE = 0.02
-"""Cosine of normals clamped to the horizon, one degree; at 0, rounding would decide whether a surface is visible."""
+"""Cosine to the direction of the eye that normals beyond the horizon are clamped to: one degree above the horizon.
+
+At 0, rounding would decide whether a surface is visible."""
 
 # Projection to the image (EWA splatting, Zwicker et al. 2001)
 
@@ -231,8 +234,8 @@ def depth_plane(
 ) -> wp.vec3:
     """Returns the vector k such that Gaussian ``i`` responds most on ray r at the view depth k . r.
 
-    The Gaussian is widened as its splat is: ``dilation`` is the variance added to the projected covariance, pixel^2. It
-    must lie beyond the near plane.
+    The Gaussian is widened as its splat is: ``dilation`` is the variance added to the projected covariance, pixel^2.
+    The Gaussian must lie beyond the near plane.
     """
     view = instance.camera_from_object * gaussians.means[i] + instance.camera_from_object_offset
     spread = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
@@ -394,7 +397,10 @@ def color_dot(mean: wp.vec3, eye: wp.vec3, degree: int, weights: ShFloats) -> wp
 
 @wp.func
 def sh_weights(sh: wp.array[wp.vec3], first: int, degree: int, gradient: wp.vec3) -> ShFloats:
-    """Returns, for each SH coefficient of a Gaussian, the derivative of the loss with respect to its basis function."""
+    """Returns the derivative of the loss with respect to each SH basis function in a Gaussian's colour.
+
+    ``gradient`` is the gradient with respect to the colour; ``first`` is the index of the Gaussian's first coefficient.
+    """
     weights = ShFloats(0.0)
     used = (degree + 1) * (degree + 1)
     for k in range(SH_COEFFICIENTS):  # unrolled, so that the weights stay in registers

@@ -65,14 +65,15 @@ Sigma points sample the projection along three axes only and extrapolate. Where 
 Gaussian, their bounds miss parts of the image; such Gaussians are bounded by their outline."""
 
 PLANE_SHARE = 5.0
-"""Factor by which `leeway` multiplies the distance to a pinhole's plane.
+"""Factor by which `leeway` multiplies the distance of a Gaussian to a pinhole's plane.
 
-Within 0.02 of the result, the tangents of the projection then grow by at most a tenth."""
+Within a Gaussian of ``UNSCENTED_SINE_MAX`` times the multiplied distance, the tangents of the projection then grow by
+at most a tenth."""
 
 UNSCENTED_MARGIN = 0.1
 """Relative margin of bounds by sigma points.
 
-The curvature of projections within 0.02 of the distance from singularities has less effect."""
+It covers the curvature of projections for Gaussians up to ``UNSCENTED_SINE_MAX`` in size."""
 
 UNSCENTED_SLACK_PX = 0.5
 """Absolute margin of bounds by sigma points, pixels, for lenses whose magnification nearly vanishes at their edge."""

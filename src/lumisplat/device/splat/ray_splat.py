@@ -58,7 +58,7 @@ def widened_gaussian(
 
 @wp.func
 def exposure_time(camera: CameraData, field: float, instance: SplatInstanceData, mean: wp.vec3) -> float:
-    """Returns the time at which a mean is exposed, as a fraction of the shutter's time."""
+    """Returns the time at which a mean is exposed, as a fraction of the time from the first row to the last."""
     if camera.shutter == 0:
         return 0.0
     point = instance.scale * (instance.world_from_object * (mean - instance.eye))
@@ -67,7 +67,7 @@ def exposure_time(camera: CameraData, field: float, instance: SplatInstanceData,
 
 @wp.func
 def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.vec3:
-    """Returns the eye's position at a time of the shutter, object space."""
+    """Returns the eye's position in object space at a time of the shutter: 0 at the first row, 1 at the last."""
     if camera.shutter == 0:
         return instance.eye
     return instance.eye + time * (instance.object_from_world * camera.motion)
@@ -146,7 +146,7 @@ def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
 
 @wp.func
 def eye_of_row(splat: RaySplat, motion: wp.vec3, time: float) -> wp.vec3:
-    """Returns the eye in a Gaussian's canonical space at a time of the shutter.
+    """Returns the eye in a Gaussian's canonical space at a time of the shutter: 0 at the first row, 1 at the last.
 
     ``motion`` is the translation of the eye from the first to the last row.
     """
@@ -274,7 +274,7 @@ class RayPixel:
     limit_z: float
     """Depth limit: inf for a pixel with a ray, 0 for one without."""
     time: float
-    """Time of the shutter at which the pixel's row is exposed."""
+    """Time at which the pixel's row is exposed, as a fraction of the time from the first row to the last."""
     motion: wp.vec3
     """Translation of the eye from the first row to the last."""
     direction: wp.vec3

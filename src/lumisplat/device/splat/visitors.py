@@ -463,7 +463,8 @@ class BackwardTile:
     behind: TileFloats
     """Loss contribution of the splats that each pixel has not blended yet."""
     red: TileFloats
-    """Derivative of the loss with respect to each pixel's red channel; the next two fields are for green and blue."""
+    """Derivative of the loss with respect to each pixel's red channel; ``green`` and ``blue`` are those of the others.
+    """
     green: TileFloats
     blue: TileFloats
 

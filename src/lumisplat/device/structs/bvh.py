@@ -243,7 +243,7 @@ class PacketRays:
     direction: wp.array(dtype=float, ndim=2)
     t_min: wp.array[float]
     limit: wp.array[float]
-    """Distance up to which the ray is traced; -FAR: the ray is finished or absent."""
+    """Distance up to which the ray is traced; -FAR: the ray is finished, or the lane has no ray."""
     path_length: wp.array[float]
     """Length of the path before the ray's origin."""
     spread: wp.array[float]

@@ -38,7 +38,7 @@ class CameraData:
     left: int
     """Left edge of the window in the full frame, pixels.
 
-    Pixel coordinates and random numbers refer to the full frame.
+    Pixel coordinates and random numbers refer to the full frame, so that a window renders the same pixels.
     """
     top: int
     full_width: int
@@ -51,7 +51,7 @@ class CameraData:
     """Radius of the lens, scene units; 0: a pinhole."""
     focus_distance: float
     distorted: int
-    """1: the lens distorts, with the coefficients below."""
+    """1: the lens distorts, with the coefficients ``radial`` and ``tangential``; 0: it does not."""
     radial: wp.vec4
     """Radial distortion coefficients k1 to k4."""
     tangential: wp.vec2
@@ -59,7 +59,7 @@ class CameraData:
     distortion_reach: float
     """Undistorted radius up to which the lens distortion is one-to-one."""
     shutter: int
-    """1: rolling shutter; the pose changes from row to row by the rotation and translation below."""
+    """1: rolling shutter; the pose changes from row to row by ``rotation_angle`` and ``motion``. 0: global shutter."""
     rotation_axis: wp.vec3
     """Axis of the camera's rotation while the rows are exposed, world space, unit."""
     rotation_angle: float
@@ -105,9 +105,9 @@ class PixelData:
     """Images of a frame, one element for each pixel."""
 
     color: wp.array[wp.vec3]
-    """Display-referred sRGB over the background.
+    """Colour over the background, display-referred sRGB.
 
-    In a lit frame, only the captured colour, premultiplied by its weight."""
+    In a lit frame, it is only the captured colour of the pixel, premultiplied by its weight."""
     alpha: wp.array[float]
     """Opacity, 1 - transmittance; 1 where the pixel ends at a mesh."""
     depth: wp.array[float]
@@ -137,7 +137,7 @@ class PixelSums:
     """Sums over the samples of each pixel, in double precision so that 100,000 samples lose no digits."""
 
     color: wp.array[wp.vec3d]
-    """Sum of ``PixelData.color``; the fields below are sums of the fields of the same name in `PixelData` and
+    """Sum of ``PixelData.color``; the other fields are sums of the fields of the same name in `PixelData` and
     `LitPixels`."""
     alpha: wp.array[wp.float64]
     captured_weight: wp.array[wp.float64]
@@ -183,7 +183,8 @@ class FilmData:
     captured_all: wp.array[wp.vec3]
     """Mean linear captured colour.
 
-    The nine arrays from here on are empty unless path tracing measures the light on shadow catchers."""
+    The arrays from ``captured_all`` to ``captured_open`` are empty unless path tracing measures light on shadow
+    catchers."""
     captured_part: wp.array[wp.vec3]
     """Part of ``captured_all`` that shadow catchers contribute."""
     captured_received: wp.array[wp.vec3]

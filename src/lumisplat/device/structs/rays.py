@@ -100,8 +100,7 @@ class HitProfiles:
     """
 
     first: wp.array[int]
-    """Index of each ray's first element; one more entry than rays, the last one being the end of the last ray's hits.
-    """
+    """Index of each ray's first element, and at last the end of the last ray's elements: one entry more than rays."""
     t: wp.array[float]
     """Distance by which hits are ordered."""
     alpha: wp.array[float]

@@ -183,7 +183,7 @@ class SmoothData:
     """Largest channel of the sheen colour."""
     sheen_curve: wp.vec4
     varied: int
-    """Index into MeshData.varied; 0: no texture varies transmission or layers."""
+    """Index into MeshData.varied; 0: no texture varies transmission, clearcoat or sheen."""
 
 
 @struct
@@ -207,7 +207,7 @@ class MeshInstanceData:
     asset: int
     """Index of the TriangleBvh that holds the mesh's triangles.
 
-    Only rays use this field and the fields below."""
+    Only rays use ``asset``, ``root`` and the other fields of this struct that follow."""
     root: int
     """Root node of the mesh's tree in TriangleBvh ``asset``."""
     first: int

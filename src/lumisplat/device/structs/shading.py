@@ -141,7 +141,7 @@ class Bsdf:
     transmitted: wp.vec3
     """Rough BSDF_PBR: fraction of the entering light that is transmitted.
 
-    Zero means no transmission; the next three fields are then undefined."""
+    Zero means no transmission; ``thin_walled``, ``metallic`` and ``metal`` are then undefined."""
     thin_walled: bool
     """True if transmitted light passes straight through; false if it is refracted."""
     metallic: float
@@ -206,7 +206,7 @@ class MaterialData:
     """Strength of the dielectric reflection."""
     ior: float
     fresnel_mean: float
-    """Fraction of constant hemispherical illumination that a smooth dielectric of this ``ior`` reflects."""
+    """Fraction of constant hemispherical illumination that a smooth dielectric with the material's ``ior`` reflects."""
     transmission: float
     thin_walled: int
     compensates: int
@@ -288,8 +288,7 @@ class SplatSurface:
     """Surface of the Gaussians in front of the nearest mesh on a ray, and their captured colours."""
 
     instance: int
-    """Index of the surface's instance or, if there is no surface, of the first Gaussian's; -1: no Gaussian on the ray.
-    """
+    """Index of the surface's instance or, without a surface, of the first Gaussian's; -1: no Gaussian on the ray."""
     gaussian: int
     """Index in its asset of the Gaussian whose appearance lights change; -1: none."""
     depth: float
@@ -365,14 +364,15 @@ class Interactions:
     transmitted: wp.array[wp.vec3]
     """``Bsdf.transmitted`` of each interaction.
 
-    The four arrays from here on are empty unless rough surfaces transmit."""
+    The arrays ``transmitted``, ``thin_walled``, ``metallic`` and ``metal`` are empty unless rough surfaces transmit."""
     thin_walled: wp.array[wp.bool]
     metallic: wp.array[float]
     metal: wp.array[wp.vec3]
     rescattered: wp.array[wp.vec3]
     """``Bsdf.rescattered`` of each interaction.
 
-    The six arrays from here on are empty unless there is clearcoat, sheen or an energy-compensated rough metal."""
+    The arrays from ``rescattered`` to ``sheen_curve`` are empty unless there is clearcoat, sheen or an
+    energy-compensated rough metal."""
     coat: wp.array[float]
     coat_alpha: wp.array[float]
     sheen: wp.array[wp.vec3]
@@ -382,7 +382,9 @@ class Interactions:
     occlusion: wp.array[float]
     shadow_only: wp.array[wp.bool]
     spawn_point: wp.array[wp.vec3]
-    """Origin of shadow rays; this and the arrays below are empty in frames without shadow rays."""
+    """Origin of shadow rays.
+
+    The ``spawn`` arrays and ``geometric_normal`` are empty in frames without shadow rays."""
     spawn_t_min: wp.array[float]
     """Distance along shadow rays within which Gaussians of the surface's own layer do not block, scene units."""
     geometric_normal: wp.array[wp.vec3]
@@ -423,7 +425,7 @@ class RayRadiance:
     captured_all: wp.array[wp.vec3]
     """Linear captured colour.
 
-    The nine arrays from here on are empty unless path tracing measures the light on shadow catchers."""
+    The arrays from ``captured_all`` to ``open`` are empty unless path tracing measures light on shadow catchers."""
     captured_part: wp.array[wp.vec3]
     """Part of ``captured_all`` that a shadow catcher contributes."""
     received: wp.array[wp.vec3]
@@ -500,7 +502,7 @@ class CatcherIrradiance:
     shadowed: wp.array[wp.vec3]
     """Irradiance with shadows of added objects."""
     open: wp.array[wp.vec3]
-    """Sum of the transmittances of the ambient rays."""
+    """Sum of the transmittances of the ambient rays that start at the shadow catcher."""
     reflectance: wp.array[wp.vec3]
     """Captured radiance over the irradiance that the surface received while it was captured."""
 
