@@ -1,1 +1,1 @@
-"""Finished frames: images, layers and views, and how they are saved."""
+"""Finished frames: their images, layers and views, and the files they are saved to."""

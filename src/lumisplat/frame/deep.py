@@ -15,27 +15,29 @@ from lumisplat.math.arrays import FloatArray, Rows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeepFrame:
-    """Deep samples of a frame: M samples in all, pixel by pixel in row order, front to back within a pixel."""
+    """Depth samples of a frame's pixels: pixels row by row, each pixel's samples from front to back."""
 
     size: tuple[int, int]
-    """Rows and columns, (H, W)."""
+    """Rows and columns of the frame, (H, W)."""
     first: Rows
-    """Index of each pixel's first sample, and finally M, (H W + 1,)."""
+    """Index of each pixel's first sample, pixels row by row, shape (H W + 1,). The last entry is the number of
+    samples."""
     near: FloatArray
-    """View depth at which each sample begins, scene units, (M,). For fisheye cameras, which also see sideways and
-    backwards, the distance from the camera."""
+    """View depth at which each sample begins, scene units, one number for each sample. For fisheye cameras, which also
+    see sideways and backwards, the distance from the camera."""
     far: FloatArray
-    """Depth at which each sample ends, measured likewise and never behind the beginning of the next sample, (M,)."""
+    """Depth at which each sample ends, measured as in ``near``, one number for each sample; never behind the beginning
+    of the pixel's next sample."""
     color: FloatArray
-    """Linear Rec.709 colour, premultiplied by the sample's own alpha, (M, 3)."""
+    """Linear Rec.709 colour of each sample, premultiplied by that sample's alpha, shape (samples, 3)."""
     alpha: FloatArray
-    """Fraction of the light from behind that each sample blocks, 0..1, (M,)."""
+    """Fraction of the light from behind that each sample blocks, 0..1, one number for each sample."""
 
     def __repr__(self) -> str:
         return f"DeepFrame({self.size[1]} x {self.size[0]}, samples={len(self.alpha)})"
 
     def flattened(self) -> FloatArray:
-        """Composites the samples of each pixel: premultiplied linear colour and alpha, shape (H, W, 4)."""
+        """Composites each pixel's samples into premultiplied linear colour and alpha, shape (H, W, 4)."""
         counts = np.diff(self.first)
         color, through = np.zeros((len(counts), 3)), np.ones(len(counts))
         for rank in range(int(counts.max(initial=0))):
@@ -47,7 +49,8 @@ class DeepFrame:
         return flat.reshape(*self.size, 4).astype(np.float32)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes a deep EXR: ``R G B A`` premultiplied and linear, ``Z`` and ``ZBack`` depths.
+        """Writes a deep EXR: premultiplied linear ``R G B A``, near depth ``Z`` and far depth ``ZBack`` of each
+        sample.
 
         Raises:
             FormatError: The extension is not .exr, or the file cannot be written.

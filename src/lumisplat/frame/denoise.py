@@ -1,6 +1,6 @@
 """Denoising of a frame's light by Open Image Denoise (Áfra 2019-2026, openimagedenoise.org; package mitsuba-oidn).
 
-docs/method/lighting.md#denoising describes which images are denoised, and which guide the denoiser.
+docs/method/lighting.md#denoising describes which images are denoised, and which images guide the denoiser.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 
 UNLIT_REACH = 2
-"""Distance in pixels within which all captured pixels must be free of added light for a pixel to count as unlit. If
-every second sample finds a light, at least one of these 25 pixels shows it, except once in 30 million."""
+"""Distance in pixels within which no captured pixel may be changed by light if a pixel is to count as unlit. If every
+second sample of a pixel hits a light, at least one of the 25 pixels around is changed, except once in 30 million."""
 
 
 def check_denoiser() -> None:
@@ -29,10 +29,10 @@ def check_denoiser() -> None:
 
 
 def denoised_light(frame: FrameData) -> FloatArray:
-    """Returns the denoised ``light`` of a lit frame, (H, W, 3); pixels whose captures receive no light are unchanged.
+    """Returns a lit frame's ``light``, denoised, shape (H, W, 3); it is unchanged where captures receive no light.
 
-    Added light and shadows are denoised separately: added light as radiance, shadows as a fraction of the captured
-    light, so that captures keep their detail in shadows.
+    Positive light is denoised as radiance, and negative light (shadows) as a fraction of the captured radiance, so that
+    captures keep their detail in shadows.
 
     Raises:
         ConfigError: The frame is unlit, or has no albedo.
@@ -64,9 +64,9 @@ def _untouched(frame: FrameData) -> Flags:
 
 
 def _guides(frame: FrameData) -> dict[str, Any]:
-    """Returns albedo and normals of the first surfaces as guides, unless the surfaces are chosen at random.
+    """Returns albedo and normals to guide the denoiser; empty if they are blurred by defocus or chosen at random.
 
-    ``clean_aux`` tells the denoiser whether the guides are free of noise.
+    The entry ``clean_aux`` tells the denoiser whether the guides are free of noise.
     """
     if frame.camera.aperture > 0.0:
         return {}  # defocused: every sample sees other surfaces
@@ -80,7 +80,7 @@ def _guides(frame: FrameData) -> dict[str, Any]:
 
 
 def draws_surfaces(config: RenderConfig) -> bool:
-    """Returns whether the first Gaussian on a ray is chosen at random, so that albedo and normals are noisy."""
+    """Returns whether the settings choose the first Gaussian on a ray at random: albedo and normals are then noisy."""
     if config.pipeline.traces_paths:
         return config.path.primary is not PathPrimary.ISO
     if not config.pipeline.rasterises:
@@ -89,7 +89,7 @@ def draws_surfaces(config: RenderConfig) -> bool:
 
 
 def _denoised(image: FloatArray, guides: dict[str, Any]) -> FloatArray:
-    """Denoises a non-negative linear HDR image, (H, W, 3); black images are returned as they are."""
+    """Returns a denoised copy of a non-negative linear HDR image, shape (H, W, 3), or the image itself if black."""
     if not image.any():
         return image
     result = np.array(_package().denoise(np.ascontiguousarray(image), hdr=True, **guides), np.float32)
@@ -97,10 +97,10 @@ def _denoised(image: FloatArray, guides: dict[str, Any]) -> FloatArray:
 
 
 def _package() -> Any:
-    """Imports the denoiser.
+    """Imports and returns the denoiser's package.
 
     Raises:
-        MissingExtraError: It is not installed.
+        MissingExtraError: The package is not installed.
     """
     try:
         return import_module("mitsuba_oidn")

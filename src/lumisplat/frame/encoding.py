@@ -1,4 +1,4 @@
-"""Encodes images of a frame: depth as 16-bit grey with its range in the file's metadata, and images for notebooks."""
+"""Encodes images for files and notebooks: depth as 16-bit grey with its range as metadata, frames as PNG or JPEG."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from lumisplat.io.images.texture import to_bytes, write_gray_png
 from lumisplat.math.arrays import FloatArray
 
 NOTEBOOK_PNG_PIXELS_MAX = 2**20
-"""Number of pixels above which notebooks get JPEGs of opaque frames, because notebooks store images in base64.
-Measured at 1280 x 720, in bytes a pixel: the demo room takes 0.60 as PNG and 0.12 as JPEG, the biker from nearby 0.29
-and 0.05."""
+"""Largest number of pixels of a PNG in a notebook; larger opaque frames become JPEGs, because notebooks store images
+in base64. Measured at 1280 x 720: the demo room takes 0.60 bytes a pixel as PNG and 0.12 as JPEG, the biker from nearby
+0.29 and 0.05."""
 
 MimeBundle = tuple[dict[str, str], dict[str, dict[str, int]]]
-"""Representations of an object by MIME type (images in base64), and their metadata."""
+"""An object's representations by MIME type (images in base64), and the metadata of each representation."""
 
 _FORMAT_OF = {"image/png": "PNG", "image/jpeg": "JPEG"}
 _JPEG_QUALITY = 92
 
 
 def mime_type(pixels: Image) -> str:
-    """Chooses PNG for small or transparent images, JPEG for others, so that notebooks stay small."""
+    """Chooses the MIME type of an image in a notebook: PNG if small or transparent, else JPEG, which is smaller."""
     height, width, channels = pixels.shape
     return "image/png" if channels == 4 or height * width <= NOTEBOOK_PNG_PIXELS_MAX else "image/jpeg"
 
 
 def encoded(pixels: Image, mime: str) -> bytes:
-    """Encodes display-referred pixels, shape (H, W, 3 or 4), 0..1 or bytes, as a PNG or JPEG file."""
+    """Encodes a display-referred image, shape (H, W, 3 or 4), floats 0..1 or bytes, as a PNG or JPEG file in memory."""
     from PIL import Image as Picture
 
     stream = io.BytesIO()
@@ -44,13 +44,13 @@ def encoded(pixels: Image, mime: str) -> bytes:
 def mime_bundle(
     pixels: Image, text: str, include: Collection[str] | None, exclude: Collection[str] | None
 ) -> MimeBundle:
-    """Returns an image of the frame and its line of text, restricted to the types that the notebook wants.
+    """Returns a notebook's representations of a frame: an image and a line of text, in the requested MIME types.
 
     Args:
-        pixels: Pixels as for `encoded`.
-        text: Line of text.
-        include: MIME types that are wanted; None: all.
-        exclude: MIME types that are not wanted; None: none.
+        pixels: The image, as for `encoded`.
+        text: The line of text.
+        include: MIME types that the notebook requests; None: all.
+        exclude: MIME types that the notebook refuses; None: none.
     """
     mime = mime_type(pixels)
     wanted = [kind for kind in (mime, "text/plain") if (not include or kind in include) and kind not in (exclude or ())]
@@ -62,24 +62,25 @@ def mime_bundle(
 
 
 _STEPS = 65534
-"""Steps from the nearest to the farthest surface: values 1 to 65535; value 0 means no surface."""
+"""Steps of 16-bit grey from the nearest to the farthest surface: values 1 to 65535. Value 0 means "no surface"."""
 _FORMULA = "depth = depth_near + (value - 1) / 65534 * (depth_far - depth_near); value 0: no surface"
 
 
 def depth_range(depth: FloatArray) -> tuple[float, float] | None:
-    """Returns the nearest and the farthest depth, scene units; None if there is no surface."""
+    """Returns the nearest and the farthest finite depth, scene units; None if no pixel has a surface."""
     surface = depth[np.isfinite(depth)]
     return (float(surface.min()), float(surface.max())) if surface.size else None
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: FloatArray) -> None:
-    """Writes depths as 16-bit grey: linear from 1 (nearest surface) to 65535 (farthest), 0 without a surface.
+    """Writes depths as a 16-bit grey PNG: linear from 1 (nearest surface) to 65535 (farthest), 0 without a surface.
 
-    The text chunks ``depth_near``, ``depth_far`` (scene units, along the ray) and ``depth_formula`` hold the decoding.
+    The PNG's text chunks ``depth_near``, ``depth_far`` (scene units, along the ray) and ``depth_formula`` say how to
+    decode the values.
 
     Args:
-        path: PNG file. It appears complete or not at all.
-        depth: Distances along the rays, shape (H, W); not finite without a surface.
+        path: PNG file. The file appears complete or not at all.
+        depth: Distances along the rays, scene units, shape (H, W); not finite without a surface.
 
     Raises:
         FormatError: The file cannot be written.

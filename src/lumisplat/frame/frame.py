@@ -1,4 +1,4 @@
-"""The finished frame: NumPy images, their display and their files."""
+"""The finished frame of one camera: its images as NumPy arrays, how it is displayed, and the files it is saved to."""
 
 from __future__ import annotations
 
@@ -44,12 +44,13 @@ from lumisplat.scene.camera import Camera
 _log = logging.getLogger("lumisplat")
 
 _PICTURE = "picture"
-"""Key of the function that fetches the encoded bytes of the frame, beside the functions that fetch its images."""
+"""Key in ``_unread`` of the function that fetches the frame's encoded bytes; the other keys are names of image fields.
+"""
 _LIT_PARTS = ("captured", "captured_weight", "light")
 
 ReadPicture = Callable[[], npt.NDArray[np.uint8] | None]
-"""Function that fetches the encoded bytes; it returns None if some pixels are not finite, which the host then checks
-one by one."""
+"""Function that fetches a frame's sRGB bytes from the device. It returns None if some pixels are not finite; the frame
+then encodes its pixels on the host."""
 
 
 class Frame(FrameData):
@@ -58,7 +59,7 @@ class Frame(FrameData):
     __slots__ = ("_unread",)
 
     _unread: dict[str, Callable[[], Any]]
-    """Functions that fetch images that nobody has read yet, by field. Such fields are unset."""
+    """Functions that fetch images not read yet, by field name. A field with an entry here has no value yet."""
 
     LAYERS: ClassVar[tuple[str, ...]] = LAYERS
     """Names of images that can be saved in addition to the colour."""
@@ -68,7 +69,7 @@ class Frame(FrameData):
         "shadow": "lights",
         "shadow_matte": "shadow_ratio",
     }
-    """Entry of ``RenderConfig.aovs`` that a layer or view requires; layers that are not listed are always available."""
+    """Entry of ``RenderConfig.aovs`` that each layer or view requires. Layers without an entry are always available."""
 
     @classmethod
     def of(
@@ -77,12 +78,12 @@ class Frame(FrameData):
         picture: ReadPicture | None = None,
         **others: Any,
     ) -> Frame:
-        """Makes a frame whose images may be functions; each function is called when its image is first read.
+        """Makes a frame from arrays, or from functions that are called when their image is first read.
 
         Args:
-            images: Image fields, as arrays or as functions that fetch them.
-            picture: Fetches the bytes of `pixels_srgb`; None if they have not been encoded.
-            others: The other fields.
+            images: Arrays, or functions that fetch them, by image field.
+            picture: Fetches the encoded bytes of `pixels_srgb` from the device; None: they are encoded on the host.
+            others: Values of the fields that are not images.
         """
         frame = cls(**images, **others)
         unread = {name: image for name, image in images.items() if callable(image)}
@@ -94,11 +95,11 @@ class Frame(FrameData):
         return frame
 
     def developed(self, camera: Camera, config: RenderConfig | None, picture: ReadPicture | None) -> Frame:
-        """Returns the frame with another exposure or tone map; both frames share all images.
+        """Returns a frame with another exposure or tone map, which shares all images with this frame.
 
         Args:
-            camera: The frame's camera, with another exposure.
-            config: The frame's settings, with another tone map.
+            camera: This frame's camera, with another exposure.
+            config: This frame's settings, with another tone map.
             picture: As in `of`.
         """
         unread = self._fetches()
@@ -109,7 +110,7 @@ class Frame(FrameData):
     if not TYPE_CHECKING:  # otherwise type checkers accept every attribute
 
         def __getattr__(self, name: str) -> Any:
-            """Fetches an image at its first access; only unset fields reach this method."""
+            """Fetches an image at its first access. Python calls this method only for fields without a value."""
             fetch = self._fetches().get(name)
             if fetch is None:
                 return object.__getattribute__(self, name)  # raises, unless another thread has fetched it
@@ -124,7 +125,7 @@ class Frame(FrameData):
             return image
 
     def has(self, field: str) -> bool:
-        """Returns whether the frame has an image, without fetching it."""
+        """Returns whether the frame has an image under a field name, without fetching the image."""
         return field in self._fetches() or super().has(field)
 
     def save(
@@ -141,20 +142,22 @@ class Frame(FrameData):
         ``index.gaussian``, ``albedo.R/G/B`` or ``light.NAME.shadow.R/G/B`` in one part; an index is a 32-bit unsigned
         integer, and 4294967295 means "none". ``.npz``: every array of the frame unchanged.
 
-        Radiance that is not finite is written as 0 to PNG and EXR, and a warning counts it.
+        PNG and EXR hold 0 where radiance is not finite, and a warning counts those pixels.
 
         Args:
             path: File to write.
-            layers: Some of `LAYERS`, as a list or a comma-separated text: channels of the EXR (None: all that the frame
-                has), or images beside the PNG, ``NAME.depth.png`` and so on (None: none). An NPZ has all layers. Depth
-                is also written as 16-bit grey, ``NAME.depth16.png``, with its range in the metadata, see `depth_range`.
-            mattes: Object and material mattes (Cryptomatte) to add to an EXR, each in a part of its own, see
+            layers: Names from `LAYERS`, as a list or a comma-separated text. An EXR gets the layers as channels (None:
+                all layers that the frame has). Beside a PNG, each layer becomes a file ``NAME.LAYER.png`` (None: no
+                files), and depth also a 16-bit grey file ``NAME.depth16.png`` with `depth_range` in its metadata. An
+                NPZ has all layers.
+            mattes: Object and material mattes (Cryptomatte) to add to an EXR, one EXR part each, see
                 `lumisplat.layers.render_mattes`.
 
         Raises:
-            ConfigError: A name is not a layer, the frame was rendered without the layer, or the format has no mattes.
-            SceneError: The mattes have another size.
-            FormatError: The extension is none of these, or the file cannot be written.
+            ConfigError: A name is not a layer, the frame was rendered without the layer, or mattes are given for a
+                format other than EXR.
+            SceneError: The mattes and the frame differ in size.
+            FormatError: The extension is not .png, .exr or .npz, or the file cannot be written.
         """
         suffix = Path(path).suffix.lower()
         if mattes is not None:
@@ -184,10 +187,10 @@ class Frame(FrameData):
         self._warn_of_nonfinite(path, LAYERS if shown is None or suffix == ".npz" else shown)
 
     def save_view(self, path: str | os.PathLike[str], view: str, limits: tuple[float, float] | None = None) -> None:
-        """Writes a false-colour view, see `view`, as a PNG.
+        """Writes a false-colour view of the frame as a PNG; arguments as for `view`.
 
         Raises:
-            ConfigError: There is no such view, or the frame was rendered without the layer that it needs.
+            ConfigError: There is no view of this name, or the frame was rendered without the layer that the view needs.
             FormatError: The extension is not .png, or the file cannot be written.
         """
         if Path(path).suffix.lower() != ".png":
@@ -210,38 +213,40 @@ class Frame(FrameData):
                 blue where none would arrive without shadows either. ``hits``: Gaussians blended per ray, from violet
                 over red to yellow on a logarithmic scale, black for none. ``transmittance``: visible fraction of the
                 background, from violet (none) to yellow (all). ``direct_diffuse``, ``indirect_diffuse``,
-                ``direct_glossy``, ``indirect_glossy`` and ``emission``: that part of the radiance, exposed. In
+                ``direct_glossy``, ``indirect_glossy`` and ``emission``: the image field of that name, exposed. In
                 real-time frames, ``motion``: hue by direction in the image, red to the right, yellow-green up, paler
                 where slower, black where unknown; ``history``: number of frames averaged into the direct light, from
                 violet to yellow; ``probes``: screen probes over the frame in grey, by their number of updates, from
                 violet over red to yellow on a logarithmic scale; ``cache``: radiance stored in the radiance cache,
-                exposed; ``cache_cells``: a colour for each cache cell, black without one.
+                exposed; ``cache_cells``: a colour for each cell of the radiance cache, black where the surface has no
+                cell.
             limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and ``probes``;
                 None: ``view_limits(name)``.
 
         Raises:
-            ConfigError: There is no such view, or the frame was rendered without the layer that it needs, see `NEEDS`.
+            ConfigError: There is no view of this name, or the frame was rendered without the layer that the view needs,
+                see `NEEDS`.
         """
         return view_picture(self, name, limits)
 
     def view_limits(self, name: str) -> tuple[float, float]:
-        """Returns the values at the ends of a view's colour map; use the same for all frames that are compared.
+        """Returns the default values at the two ends of a view's colour map. Compare frames with equal limits.
 
         Raises:
-            ConfigError: There is no such view.
+            ConfigError: There is no view of this name.
         """
         return view_limits(self, name)
 
     def denoised(self) -> Frame:
         """Returns the frame with its light denoised by Open Image Denoise (extra ``denoise``).
 
-        Captured light stays as captured, and pixels that show nothing else are the same to the bit. Albedo and normals
-        guide the denoiser where they are free of noise: then ``RenderConfig.aovs`` must contain ``albedo``, which is
-        the case in all pipelines but ``PATH``, and with strategies that are not stochastic. All other images, including
-        alpha, are unchanged.
+        Captured radiance is not denoised, and pixels that show only captured radiance keep their exact values. Albedo
+        and normals guide the denoiser where they are free of noise, as in all pipelines but ``PATH`` with strategies
+        that are not stochastic: ``RenderConfig.aovs`` must then contain ``albedo``. All images other than the light and
+        the colour, including alpha, are unchanged.
 
         Returns:
-            A new frame, to which no samples can be added; this frame, if it is denoised already.
+            A new frame, to which no samples can be added; this frame itself if it is already denoised.
 
         Raises:
             ConfigError: The frame is unlit, or has no albedo.
@@ -257,7 +262,7 @@ class Frame(FrameData):
 
     @staticmethod
     def check_denoiser() -> None:
-        """Checks that the denoiser is installed, before frames are rendered for it.
+        """Raises an error before frames are rendered if the denoiser is not installed.
 
         Raises:
             MissingExtraError: The denoiser is not installed.
@@ -265,11 +270,11 @@ class Frame(FrameData):
         check_denoiser()
 
     def pixels_srgb(self) -> FloatArray:
-        """Returns the pixels of the PNG: 0..1, (H, W, 3), or (H, W, 4) with straight alpha if there is no background.
+        """Returns sRGB pixels as in the PNG, 0..1, (H, W, 3), or (H, W, 4) with straight alpha without a background.
 
         An unlit frame is shown as trained. A lit frame is exposed by its camera's ``exposure`` and tone-mapped by its
-        ``config``; pixels that show only captures equal those of the unlit frame. Pixels that are not finite are black.
-        Captures may be brighter than display white: this array is clipped, ``color`` is not.
+        ``config``; pixels that show only captures equal the pixels of an unlit frame. Pixels that are not finite are
+        black. Captures may be brighter than display white: this array is clipped, ``color`` is not.
         """
         frame, transparent = self._without_nonfinite(), self.background is None
         parts = frame._lit_parts()
@@ -286,8 +291,8 @@ class Frame(FrameData):
         """Returns `pixels_srgb`, so that NumPy and libraries built on it accept a frame as an image.
 
         Args:
-            dtype: Type of the array; None: float32, 0..1. With ``uint8``, the bytes of a PNG.
-            copy: The array is always new, so False is refused.
+            dtype: Type of the array; None: float32, 0..1. ``uint8`` gives the bytes of the PNG.
+            copy: False is refused, because the array is always new.
 
         Raises:
             ValueError: ``copy`` is False; NumPy's protocol requires this type of error.
@@ -302,14 +307,14 @@ class Frame(FrameData):
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
     ) -> MimeBundle:
-        """Shows the frame in a notebook as an image and a line of text; only as text if the image fails."""
+        """Shows the frame in a notebook as an image and a line of text; only the text if the image cannot be made."""
         try:
             return mime_bundle(self._picture(), repr(self), include, exclude)
         except Exception as error:  # an exception would replace the cell's result by a traceback
             return {"text/plain": f"{self!r} (no image: {error})"}, {}
 
     def _repr_png_(self) -> bytes | None:
-        """Returns a PNG for notebooks without bundles; None if the bundle would hold a JPEG, or no image."""
+        """Returns a PNG for notebooks that ignore MIME bundles; None if the image becomes a JPEG or cannot be made."""
         try:
             pixels = self._picture()
             return encoded(pixels, "image/png") if mime_type(pixels) == "image/png" else None
@@ -317,10 +322,10 @@ class Frame(FrameData):
             return None
 
     def layers(self, names: Collection[str] | str | None = None) -> dict[str, Image]:
-        """Returns EXR channels by name: linear ``R G B A`` and those of the chosen layers.
+        """Returns EXR channels by name: linear ``R G B A``, and the channels of the chosen layers.
 
         Args:
-            names: Some of `LAYERS`, as a list or a comma-separated text; None: all that the frame has.
+            names: Names from `LAYERS`, as a list or a comma-separated text; None: all layers that the frame has.
 
         Raises:
             ConfigError: A name is not a layer, or the frame was rendered without it.
@@ -333,13 +338,13 @@ class Frame(FrameData):
         return channels | exr_channels(self, present_layers(self) if names is None else layer_names(names))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Returns every image by name, and the names of the lights if there are any."""
+        """Returns every image by its field name, and the names of the lights if the scene has any."""
         present = [name for name in (*_LIT_PARTS, *RADIANCE, *COUNTS) if self.has(name)]
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*EVERY_FRAME, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
 
     def _picture(self) -> npt.NDArray[Any]:
-        """Returns the pixels of the PNG: as bytes if a device has encoded them, otherwise `pixels_srgb`."""
+        """Returns the pixels of the PNG: bytes if the device has encoded them, otherwise `pixels_srgb` as floats."""
         unread = self._fetches()
         fetch = unread.get(_PICTURE)
         picture = None if fetch is None else fetch()
@@ -349,21 +354,21 @@ class Frame(FrameData):
         return picture
 
     def _fetches(self) -> dict[str, Callable[[], Any]]:
-        """Returns the functions that fetch unread images; empty for a frame that was made from arrays."""
+        """Returns the functions that fetch images not read yet, by field name; empty for a frame made from arrays."""
         try:
             return object.__getattribute__(self, "_unread")
         except AttributeError:
             return {}
 
     def _finite(self) -> npt.NDArray[np.bool_]:
-        """Returns where all radiance is finite, (H, W)."""
+        """Returns the mask of the pixels where all radiance is finite, shape (H, W)."""
         finite = np.isfinite(self.alpha)
         for radiance in (self.color, *(self._lit_parts() or ())):
             finite &= np.isfinite(radiance).reshape(*finite.shape, -1).all(axis=2)
         return finite
 
     def _without_nonfinite(self) -> Frame:
-        """Returns the frame with black of alpha 0 where radiance is not finite."""
+        """Returns the frame with black and alpha 0 at pixels whose radiance is not finite."""
         finite = self._finite()
         if finite.all():
             return self
@@ -374,7 +379,7 @@ class Frame(FrameData):
         return replace(self, **blackened)
 
     def _warn_of_nonfinite(self, path: str | os.PathLike[str], layers: Collection[str]) -> None:
-        """Warns about non-finite pixels in the saved images, and about samples that the renderer left out."""
+        """Warns how many saved pixels are not finite, and how many samples the renderer left out for that reason."""
         encoded_finite = _PICTURE in self._fetches() and self._picture().dtype == np.uint8
         bad = np.zeros(self.camera.image_size[::-1], bool) if encoded_finite else ~self._finite()
         fields = [name for name in RADIANCE if name in layers or ("lights" in layers and name.startswith("light_"))]

@@ -24,23 +24,23 @@ class FrameStats:
     gaussian_count: int
     """Gaussians in the scene, over all instances."""
     visible_count: int
-    """Gaussians whose footprint touches the image; rasteriser only."""
+    """Number of Gaussians whose footprint touches the image. Only the rasteriser counts them."""
     nonfinite_count: int
-    """Gaussians that the rasteriser dropped, and samples left out of a pixel's mean, because a value was NaN or
-    infinite."""
+    """Number of Gaussians that the rasteriser dropped, plus samples left out of a pixel's mean, because of NaN or
+    infinite values."""
     pair_count: int
-    """(tile, Gaussian) pairs; rasteriser only."""
+    """Number of pairs of a tile and a Gaussian that touches the tile. Only the rasteriser counts them."""
     triangle_count: int
     """Triangles in the scene, over all instances."""
     memory_bytes: int
     """Device memory of assets and frame buffers in bytes."""
     noise: float | None = None
-    """Noise of the frame: 95 % of the pixels have an estimated relative error below it (docs/method/samples.md). With
-    fewer than 16 samples it is rough. None if it was not requested, or there is only one sample."""
+    """Relative error that 95 % of the pixels stay below, by estimate (docs/method/samples.md). With fewer than 16
+    samples the estimate is rough. None if no estimate was requested, or there is only one sample."""
 
 
 class LitParts(NamedTuple):
-    """The three images that a lit frame is composed of; see the fields of `FrameData`."""
+    """The three images from which a lit frame is composed; fields as in `FrameData`."""
 
     captured: FloatArray
     captured_weight: FloatArray
@@ -49,11 +49,11 @@ class LitParts(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameData:
-    """Images of one camera, all of shape (H, W, ...); `Frame` adds display and saving."""
+    """Images of one camera, all of shape (H, W, ...); the subclass `Frame` adds display and saving."""
 
     color: FloatArray
-    """Radiance over the background in ``color_space``, (H, W, 3). In a lit frame it is the captured part, decoded,
-    plus ``light``."""
+    """Radiance in ``color_space``, composited over the background, (H, W, 3). A lit frame's colour is ``captured``
+    converted to linear radiance, plus ``light``."""
     alpha: FloatArray
     """Coverage 0..1, (H, W); 1 wherever there is a mesh, even of clear glass, or a visible environment."""
     depth: FloatArray
@@ -67,89 +67,95 @@ class FrameData:
     camera: Camera
     """Camera that was rendered."""
     color_space: str = "srgb"
-    """``srgb``: display-referred, as captures were trained (unlit frames). ``linear``: Rec.709 before exposure and
-    tone mapping (lit frames)."""
+    """``srgb``: display-referred values as captures were trained, in unlit frames. ``linear``: linear Rec.709 before
+    exposure and tone mapping, in lit frames."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
-    """Background of ``color``, display-referred sRGB; None: transparent, and black where mirrors and glass show it."""
+    """Background behind ``color``, display-referred sRGB; None: transparent, and black in mirrors and behind glass."""
     samples: int = 0
-    """Samples per pixel that ``color`` and ``alpha`` average; with adaptive sampling, the largest number; 0:
-    rasterised."""
+    """Number of samples per pixel that ``color`` and ``alpha`` average; with adaptive sampling, the largest number of
+    any pixel; 0: rasterised."""
     config: RenderConfig | None = None
-    """Settings of the rendering, for a resumed frame those of the last call; None: unknown."""
+    """Settings of the rendering; for a resumed frame, the settings of its last call. None: unknown."""
     stats: FrameStats | None = None
-    """Times and counts; None: unknown."""
+    """Times and counts of the rendering; None: unknown."""
     captured: FloatArray | None = None
-    """Captured part of a lit frame, including the background, as an unlit frame shows it: display-referred sRGB, (H,
-    W, 3), premultiplied by ``captured_weight``. Splat sets whose material emits less than their full colour are
-    entirely in ``light``."""
+    """Captured part of a lit frame as an unlit frame shows it, including the background: display-referred sRGB, (H, W,
+    3), premultiplied by ``captured_weight``. Splat sets whose material emits less than their full colour are not in
+    ``captured`` but entirely in ``light``."""
     captured_weight: FloatArray | None = None
     """Fraction of the pixel that ``captured`` covers, 0..1, (H, W): 1 where only captures and the background are
     visible."""
     light: FloatArray | None = None
-    """Signed linear radiance, (H, W, 3): light that lights add to the captured part and shadows remove from it, and
-    the radiance of everything else, such as meshes. Where it is exactly 0, images show the captured part unchanged."""
+    """Signed linear radiance to add to the captured part, (H, W, 3): positive where lights brighten captures, negative
+    in shadows on captures, and all radiance of other objects such as meshes. Where ``light`` is exactly 0, images show
+    the captured part unchanged."""
     albedo: FloatArray | None = None
     """Linear albedo of the surfaces, (H, W, 3)."""
     emission: FloatArray | None = None
     """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3)."""
     reflection: FloatArray | None = None
-    """Linear radiance from mirrors, glass and glossy reflections of other surfaces, (H, W, 3)."""
+    """Linear radiance that surfaces show of other surfaces, by mirrors, glass and glossy reflections, (H, W, 3)."""
     hits: FloatArray | None = None
-    """Gaussians that a ray or a raster pixel blends, averaged over samples, (H, W)."""
+    """Number of Gaussians that a ray or a raster pixel blends, averaged over samples, (H, W)."""
     shadow_ratio: FloatArray | None = None
-    """Shadow-catcher ratio, linear, (H, W, 3): the captured part with inserted objects over the captured part without.
-    Below 1 in their shadow, above 1 where a catcher receives light that they bounce, and 1 elsewhere."""
+    """Shadow-catcher ratio, linear, (H, W, 3): the captured part with inserted objects, divided by the captured part
+    without inserted objects. Below 1 in shadows of the objects, above 1 where the objects bounce light onto a catcher,
+    and 1 elsewhere."""
     light_direct: FloatArray | None = None
-    """Linear radiance reflected from each light without occlusion, (L, H, W, 3); on shadow catchers, the part of the
-    captured colour that is light of it. Except in path-traced frames, ``light_direct * light_shadow`` summed over
-    lights, plus ``emission`` and ``reflection``, is ``color``."""
+    """Linear radiance reflected from each of L lights without occlusion, (L, H, W, 3). On shadow catchers, the portion
+    of the captured colour that comes from the light. In frames that are not path-traced, ``color`` is the sum of
+    ``light_direct * light_shadow`` over lights, plus ``emission`` and ``reflection``."""
     light_shadow: FloatArray | None = None
-    """Unoccluded fraction of ``light_direct``, 0..1, (L, H, W, 3)."""
+    """Unoccluded fraction of ``light_direct`` for each of L lights, 0..1, (L, H, W, 3)."""
     light_total: FloatArray | None = None
-    """Linear radiance of a path-traced frame by light, (L + 1, H, W, 3): all light of each light, seen directly, in
-    mirrors and after bounces; the last entry is emission that is no light. The sum over lights equals the sum of
-    ``bounces``."""
+    """Linear radiance that each of L lights contributes to a path-traced frame, (L + 1, H, W, 3): seen directly, in
+    mirrors and after bounces. The last entry is emission of surfaces, which no light causes. The sum over the first
+    axis equals the sum of ``bounces``."""
     light_names: tuple[str, ...] = ()
-    """Names of the L lights."""
+    """Name of each light, in the order of ``light_direct``."""
     direct_diffuse: FloatArray | None = None
-    """Direct light scattered diffusely by the first surface, in a path-traced frame: linear radiance, (H, W, 3). It
-    and the next three images, plus ``emission``, add up to ``color``."""
+    """Direct light scattered diffusely by the first surface, in a path-traced frame: linear radiance, (H, W, 3). The
+    sum of ``direct_diffuse``, ``direct_glossy``, ``indirect_diffuse``, ``indirect_glossy`` and ``emission`` is
+    ``color``."""
     direct_glossy: FloatArray | None = None
-    """Direct light reflected by the first surface as highlight, mirror image or refraction, (H, W, 3)."""
+    """Direct light that the first surface of a path-traced frame reflects as highlight or mirror image, or refracts:
+    linear radiance, (H, W, 3)."""
     indirect_diffuse: FloatArray | None = None
-    """Indirect light scattered diffusely by the first surface, (H, W, 3)."""
+    """Indirect light scattered diffusely by the first surface of a path-traced frame: linear radiance, (H, W, 3)."""
     indirect_glossy: FloatArray | None = None
-    """Indirect light reflected or refracted by the first surface, (H, W, 3)."""
+    """Indirect light that the first surface of a path-traced frame reflects as glossy or refracts: linear radiance,
+    (H, W, 3)."""
     bounces: FloatArray | None = None
-    """Linear radiance of a path-traced frame by number of scattering events, (max_bounces + 2, H, W, 3). The sum is
-    ``light``, except for changes of light on shadow catchers."""
+    """Linear radiance of a path-traced frame by number of scattering events, (max_bounces + 2, H, W, 3). The sum over
+    the first axis is ``light``, except for changes of light on shadow catchers."""
     motion: FloatArray | None = None
-    """Motion of the pixel's main surface since the previous frame, in a real-time frame, (H, W, 3): image displacement
-    x (to the right) and y (down) in pixels, and change of the distance from the camera in scene units. 0 where
-    ``motion_known`` is 0."""
+    """Motion of each pixel's main surface since the previous frame, in a real-time frame, (H, W, 3): image
+    displacement x (to the right) and y (down) in pixels, and change of the distance from the camera in scene units. All
+    three are 0 where ``motion_known`` is 0."""
     motion_known: IntArray | None = None
-    """1 where the surface was in front of the camera in the previous frame, too; 0 where it is new, or there is no
-    surface, (H, W)."""
+    """1 where the pixel's surface was in front of the camera in the previous frame of a real-time sequence, too; 0
+    where the surface is new, or there is no surface, (H, W)."""
     history: FloatArray | None = None
-    """Number of frames averaged into the direct light of the surface, in a real-time frame, (H, W); 0 without a
-    surface."""
+    """Number of frames averaged into the direct light of each pixel's surface, in a real-time frame, (H, W); 0 without
+    a surface."""
     probes: IntArray | None = None
     """Number of updates of the screen probe at the pixel, in a real-time frame, (H, W); -1: no probe."""
     cache: FloatArray | None = None
-    """Linear radiance that the radiance cache holds at the surface, in a real-time frame, (H, W, 3)."""
+    """Linear radiance that the radiance cache stores at each pixel's surface, in a real-time frame, (H, W, 3)."""
     cache_cells: IntArray | None = None
-    """Identifier of the radiance-cache cell at the surface, in a real-time frame, 0..2^24 - 1, (H, W); different cells
-    rarely share one. -1: no cell."""
+    """Identifier of the radiance-cache cell at each pixel's surface, in a real-time frame, 0..2^24 - 1, (H, W); -1: no
+    cell. Two cells rarely have equal identifiers."""
     draws_meshes: bool = False
-    """True if rays hit some meshes at random, by their alpha; ``albedo`` and ``normal`` are then noisy."""
+    """True if rays hit translucent meshes at random, with probability alpha; ``albedo`` and ``normal`` are then noisy.
+    """
     is_denoised: bool = False
     """True if ``light`` is denoised; then no samples can be added."""
     variance: FloatArray | None = None
-    """Estimated variance of ``color`` as the mean over samples, that is its squared standard error, (H, W, 3)."""
+    """Estimated variance of the mean ``color`` over samples, that is, its squared standard error, (H, W, 3)."""
     sample_count: IntArray | None = None
-    """Number of samples of each pixel, without those that were not finite, (H, W)."""
+    """Number of samples averaged in each pixel, not counting samples that were not finite, (H, W)."""
     accumulated: Mapping[str, FloatArray] | None = None
-    """Accumulators for resuming the frame, as 32-bit words by name; None: rasterised."""
+    """Accumulators for adding samples to the frame, as 32-bit words by name; None: the frame is rasterised."""
 
     def __repr__(self) -> str:
         camera, (width, height) = self.camera, self.camera.image_size
@@ -163,14 +169,14 @@ class FrameData:
         return f"Frame({width} x {height}, name={camera.name!r}, background={self.background}, {how}{samples}{held})"
 
     def has(self, field: str) -> bool:
-        """Returns whether the frame has the image of a field."""
+        """Returns whether the frame has an image under a field name."""
         return getattr(self, field) is not None
 
     @property
     def depth_z(self) -> FloatArray:
-        """View depth of the surface, (H, W): negative behind a fisheye; inf without a surface.
+        """View depth of each pixel's surface, (H, W): negative behind a fisheye camera; inf without a surface.
 
-        With an aperture, ``depth`` counts as the distance along the ray through the centre of the lens.
+        With an aperture, ``depth`` is taken as the distance along the ray through the centre of the lens.
         """
         cosine = self.camera.ray_directions()[..., 2]
         nothing = np.full_like(self.depth, np.inf)
@@ -178,7 +184,7 @@ class FrameData:
 
     @property
     def position(self) -> FloatArray:
-        """World position of the surface on the pixel's central ray, (H, W, 3); zero without a surface."""
+        """World position of the surface on each pixel's central ray, (H, W, 3); zero without a surface."""
         origins, directions = world_rays(self.camera)
         hit = np.isfinite(self.depth)[..., None]
         distance = np.where(hit, self.depth[..., None], 0.0)
@@ -189,8 +195,8 @@ class FrameData:
         """Inserted objects and their shadows as a premultiplied linear RGBA layer for a plate, (H, W, 4).
 
         ``matte[..., :3] + (1 - matte[..., 3:]) * plate`` is ``color`` where the plate is the captured part of the
-        pixel. Alpha is the coverage of inserted objects and the darkest channel of the shadow; RGB holds the rest: the
-        colour that a shadow leaves, and light bounced onto the catcher. None if the frame has no ``shadow_ratio``.
+        pixel. Alpha is the coverage of inserted objects and the darkest channel of the shadow; RGB holds what alpha
+        cannot express: coloured shadows, and light bounced onto the catcher. None if the frame has no ``shadow_ratio``.
         """
         parts = self._lit_parts()
         if parts is None or self.shadow_ratio is None:
@@ -215,17 +221,17 @@ class FrameData:
         )
 
     def straight(self) -> FloatArray:
-        """Returns `premultiplied` divided by alpha, (H, W, 3), in ``color_space``; zero where alpha is zero."""
+        """Returns `premultiplied` divided by alpha, (H, W, 3), in ``color_space``; black where alpha is zero."""
         return unpremultiplied(self.premultiplied(), self.alpha)
 
     def _lit_parts(self) -> LitParts | None:
-        """Returns the images that a lit frame is composed of; None if the frame is unlit."""
+        """Returns the captured part, its weight and the light of a lit frame; None if the frame is unlit."""
         if not self.has("light") or self.captured is None or self.captured_weight is None or self.light is None:
             return None
         return LitParts(self.captured, self.captured_weight, self.light)
 
 
 def unpremultiplied(image: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Divides a premultiplied image, (H, W) or (H, W, 3), by its alpha; zero where alpha is zero."""
+    """Divides a premultiplied image, (H, W) or (H, W, 3), by its alpha, (H, W); the result is zero where alpha is 0."""
     divisor = alpha if image.ndim == 2 else alpha[..., None]
     return np.divide(image, divisor, out=np.zeros_like(image), where=divisor > 0.0)

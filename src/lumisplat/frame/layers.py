@@ -1,4 +1,4 @@
-"""Layers of a frame: their names, EXR channels, and images and false-colour views of them."""
+"""Layers of a frame: their names, their EXR channels, and how each is shown as an image or false-colour view."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Image = npt.NDArray[Any]
 _MATTE = "shadow_matte"
 
 LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS, _MATTE)
-"""Names of layers. A frame has the layers of `AOVS` that ``RenderConfig.aovs`` requested, ``shadow_matte`` if it
-requested ``shadow_ratio``, and always the others."""
+"""Names of layers. Every frame has the layers that are not in `AOVS`; a layer in `AOVS` must be requested by
+``RenderConfig.aovs``, and ``shadow_matte`` by requesting ``shadow_ratio``."""
 
 RADIANCE = (
     "albedo",
@@ -42,27 +42,28 @@ RADIANCE = (
     "history",
     "cache",
 )
-"""Fields of a frame that hold layers of `AOVS` as floats."""
+"""Fields of a frame that hold layers from `AOVS` as floats."""
 
 COUNTS = ("sample_count", "motion_known", "probes", "cache_cells")
-"""Fields of a frame that hold layers of `AOVS` as integers."""
+"""Fields of a frame that hold layers from `AOVS` as integers."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
 _LABEL_MAX = 60
-"""Longest name of a light within a layer's name, characters: file names and EXR channel names end at 255 bytes."""
+"""Longest name of a light within a layer's name, characters: file names and EXR channel names may have 255 bytes."""
 
 
 class LightLayers(NamedTuple):
-    """Layers of one light."""
+    """Images of a frame that show the contribution of one light."""
 
     label: str
     """Name of the light, made safe for channel and file names."""
     direct: FloatArray
-    """Radiance without occlusion, (H, W, 3)."""
+    """Reflected radiance from the light without occlusion, (H, W, 3)."""
     shadow: FloatArray
     """Unoccluded fraction of ``direct``, 0..1, (H, W, 3)."""
     total: FloatArray | None
-    """All light of this light in a path-traced frame, including bounces, (H, W, 3)."""
+    """Radiance that the light contributes to a path-traced frame, including bounces, (H, W, 3); None in other frames.
+    """
 
 
 def present_layers(frame: FrameData) -> tuple[str, ...]:
@@ -72,10 +73,10 @@ def present_layers(frame: FrameData) -> tuple[str, ...]:
 
 
 def layer_names(layers: object) -> tuple[str, ...]:
-    """Parses names of layers from a list or a comma-separated text; it does not check that they exist.
+    """Parses names of layers from a list or a comma-separated text, without checking that the layers exist.
 
     Raises:
-        ConfigError: ``layers`` is neither.
+        ConfigError: ``layers`` is neither a list nor a text.
     """
     names = listed_names(layers)
     if names is None:
@@ -99,7 +100,7 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
     """Returns EXR channels of layers, named so that Nuke groups them; radiance that is not finite becomes 0.
 
     Raises:
-        ConfigError: The frame has no such layer.
+        ConfigError: The frame does not have one of the layers.
     """
     channels: dict[str, Image] = {}
     for layer in layers:
@@ -131,7 +132,7 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
 
 
 def _light_channels(frame: FrameData) -> dict[str, Image]:
-    """Returns the channels of each light's layers."""
+    """Returns the EXR channels of all lights' layers by name."""
     channels: dict[str, Image] = {}
     for light in light_layers(frame):
         channels |= _planes(f"light.{light.label}.direct", _finite(light.direct), "RGB")
@@ -144,7 +145,7 @@ def _light_channels(frame: FrameData) -> dict[str, Image]:
 
 
 def light_layers(frame: FrameData) -> list[LightLayers]:
-    """Returns the layers of each light; the frame must have them, see `check_layer`."""
+    """Returns the layers of each light. Check first with `check_layer` that the frame has them."""
     assert frame.light_direct is not None and frame.light_shadow is not None
     labels = light_labels(frame.light_names or ("",) * len(frame.light_direct))
     totals = [None] * len(labels) if frame.light_total is None else list(frame.light_total[:-1])
@@ -152,7 +153,7 @@ def light_layers(frame: FrameData) -> list[LightLayers]:
 
 
 def light_labels(names: Sequence[str]) -> list[str]:
-    """Returns a unique label for each light, made of its name, or else its number, safe for channel and file names."""
+    """Returns a unique label for each light, safe in channel and file names: the light's name, or else its number."""
     taken: set[str] = set()
     copies: dict[str, int] = {}
     labels: list[str] = []
@@ -180,7 +181,7 @@ def _finite(values: FloatArray) -> FloatArray:
 
 
 Limits = tuple[float, float]
-"""Values at the two ends of a colour map."""
+"""Values that the first and the last colour of a colour map stand for."""
 
 _REALTIME = ("motion", "history", "probes", "cache", "cache_cells")
 """Views of real-time frames: motion, and the state that is reused from frame to frame."""
@@ -215,15 +216,15 @@ _HEAT_RAMP = np.array(
 """Colour map from dark violet over red to pale yellow in equal steps of OKLab, so that equal differences look equal."""
 
 _HITS_TOP = 255.0
-"""Gaussians per ray at the hot end of the colour map; larger counts have the same colour."""
+"""Gaussians per ray at the last colour of the colour map of ``hits``; larger counts have that colour, too."""
 _MOTION_TOP = 16.0
-"""Motion in pixels per frame at full saturation."""
+"""Motion in pixels per frame that is shown at full saturation."""
 _REFRESHES_TOP = 64.0
-"""Probe updates at the hot end of the colour map."""
+"""Probe updates at the last colour of the colour map of ``probes``; larger counts have that colour, too."""
 _PROBE_PX = 2
-"""Half size, in pixels, of the square that marks a probe."""
+"""Half the side, in pixels, of the square that marks a probe."""
 _DIMMED = 0.35
-"""Brightness of the frame behind the probe marks."""
+"""Brightness of the grey frame behind the marks of probes, as a fraction."""
 _NO_LIGHT = (0.09, 0.13, 0.32)
 """Colour of pixels that no light would reach even without shadows: blue, because shadows are shades of grey."""
 
@@ -233,16 +234,16 @@ _DISPLAYED_AS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "shadow_ratio": lambda ratio: ratio,
     "shadow_matte": lambda matte: matte[..., 3:].repeat(3, axis=2),
 }
-"""Conversion to display colours, for layers that are not radiance."""
+"""Conversion to display colours for each layer that is not radiance, by layer name."""
 
 
 def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
     """Returns display-referred images of one layer by name, each of shape (H, W, 3), 0..1.
 
-    Depth runs from red (near) to blue (far) over its own range, normals are mapped from -1..1, positions from their
-    bounding box, each index has a colour of its own. Radiance is exposed, encoded as sRGB and clipped to white;
-    ``variance`` shows its square root. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a
-    surface are black. Most layers give one image of their own name. ``lights`` gives ``light.NAME.direct`` and
+    Depth runs from red (nearest in the frame) to blue (farthest), normals are mapped from -1..1, positions from their
+    bounding box, and each index has its colour. Radiance is exposed, encoded as sRGB and clipped to white; ``variance``
+    shows its square root. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a surface are
+    black. Most layers give one image, with the layer's name. ``lights`` gives ``light.NAME.direct`` and
     ``light.NAME.shadow`` for each light, and in path-traced frames ``light.NAME.total`` and ``light_other`` too;
     ``bounces`` gives ``bounce.0`` and so on. ``shadow_matte`` shows its alpha.
 
@@ -251,7 +252,7 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
         layer: One of ``Frame.LAYERS``.
 
     Raises:
-        ConfigError: The frame has no such layer.
+        ConfigError: The frame does not have the layer.
     """
     check_layer(frame, layer)
     if layer == "lights":
@@ -285,13 +286,13 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
 
 
 def view_limits(frame: FrameData, view: str) -> Limits:
-    """Returns the default values at the ends of a view's colour map.
+    """Returns the default values at the two ends of a view's colour map.
 
-    Depth uses its percentiles 1 and 99, history the largest number of frames that the settings allow, and other views
-    fixed values.
+    Depth: the 1st and 99th percentile of the frame's depths. History: up to the largest number of frames that the
+    settings allow. Other views: fixed values.
 
     Raises:
-        ConfigError: There is no such view.
+        ConfigError: There is no view of this name.
     """
     _check_view(view)
     if view == "hits":
@@ -316,10 +317,10 @@ def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> F
         frame: Rendered frame.
         view: One of `VIEWS`, see ``Frame.view``.
         limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and ``probes``;
-            None: those of `view_limits`.
+            None: the limits from `view_limits`.
 
     Raises:
-        ConfigError: There is no such view, or the frame was rendered without the layer that it needs.
+        ConfigError: There is no view of this name, or the frame was rendered without the layer that the view needs.
     """
     low, high = view_limits(frame, view) if limits is None else limits
     if view == "depth":
@@ -363,7 +364,7 @@ def _displayable(picture: Image) -> FloatArray:
 
 
 def _ramp(stops: npt.NDArray[Any], values: Image) -> Image:
-    """Interpolates colours along equally spaced stops at values 0..1, shape (..., 3)."""
+    """Returns the colours of values 0..1 by interpolation between equally spaced ``stops``, shape (..., 3)."""
     stops_at = np.linspace(0.0, 1.0, len(stops))
     return np.stack([np.interp(values, stops_at, stops[:, channel]) for channel in range(3)], axis=-1)
 
@@ -430,7 +431,7 @@ def _position_picture(frame: FrameData) -> Image:
 
 
 def _index_picture(indices: Image, hit: Image) -> Image:
-    """Colours each index, identically in every frame (Knuth's multiplicative hash); black without a hit."""
+    """Gives each index a colour, equal in all frames (Knuth's multiplicative hash); black where ``hit`` is False."""
     hashed = indices.astype(np.uint32) * np.uint32(2654435761)
     colors = np.stack([(hashed >> shift) & 0xFF for shift in (8, 16, 24)], axis=-1) / 255.0
     return np.where(hit[..., None], 0.2 + 0.8 * colors, 0.0)

@@ -39,18 +39,18 @@ def murmur3_32(name: str) -> int:
 
 
 def id_bits(name: str) -> int:
-    """Returns the bits of a name's id: its hash, with one exponent bit flipped where it would be no normal float."""
+    """Returns the bits of a name's id: its hash, with one exponent bit flipped if the hash would be no normal float."""
     bits = murmur3_32(name)
     return bits ^ (1 << 23) if (bits >> 23 & 255) in (0, 255) else bits
 
 
 def id_floats(names: Sequence[str]) -> npt.NDArray[np.float32]:
-    """Returns the ids of names, shape (N,)."""
+    """Returns the Cryptomatte id of each name as a float, shape (N,) for N names."""
     return np.array([id_bits(name) for name in names], dtype=np.uint32).view(np.float32)
 
 
 def matte_metadata(kind: str, names: Sequence[str]) -> dict[str, str]:
-    """Returns EXR header attributes by which compositors find the channels of a matte, and the names of its ids."""
+    """Returns the EXR header attributes of a matte: they locate its channels and map its names to ids."""
     key = f"cryptomatte/{murmur3_32(kind):08x}"[:-1]
     manifest = {name: f"{id_bits(name):08x}" for name in names}
     return {
@@ -64,12 +64,12 @@ def matte_metadata(kind: str, names: Sequence[str]) -> dict[str, str]:
 def matte_channels(
     kind: str, ids: npt.NDArray[np.float32], coverage: npt.NDArray[np.float32]
 ) -> dict[str, npt.NDArray[np.float32]]:
-    """Returns the channels of all ranks, two ranks in each RGBA group.
+    """Returns the EXR channels of a matte by name, two ranks in each RGBA group.
 
     Args:
         kind: Name of the matte, such as ``CryptoObject``.
-        ids: Ids by rank, shape (2 N, H, W); 0: none.
-        coverage: Covered fraction of the pixel by rank, 0..1, decreasing, same shape.
+        ids: Id of the name at each rank, shape (2 N, H, W) for N groups; 0: no name.
+        coverage: Fraction of the pixel that each rank's name covers, 0..1, decreasing, same shape as ``ids``.
     """
     named: dict[str, npt.NDArray[np.float32]] = {}
     for rank, (one, share) in enumerate(zip(ids, coverage, strict=True)):
@@ -80,21 +80,21 @@ def matte_channels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matte:
-    """The names that cover most of each pixel, and how much each covers."""
+    """For each pixel, the names that cover most of it, and the fraction that each name covers."""
 
     kind: str
     """Name of the matte for compositors: ``CryptoObject`` or ``CryptoMaterial``."""
     names: tuple[str, ...]
     ranks: IntArray
-    """Indices into ``names``, largest coverage first, shape (R, H, W); -1: none."""
+    """Index in ``names`` of the name at each of R ranks, largest coverage first, shape (R, H, W); -1: no name."""
     shares: FloatArray
-    """Covered fraction of the pixel for each rank, 0..1, shape (R, H, W)."""
+    """Fraction of the pixel that the name at each of R ranks covers, 0..1, shape (R, H, W)."""
 
     def coverage(self, name: str) -> FloatArray:
-        """Returns the fraction of each pixel that a name covers, 0..1, shape (H, W).
+        """Returns the fraction of each pixel that ``name`` covers, 0..1, shape (H, W).
 
         Raises:
-            SceneError: Nothing has this name.
+            SceneError: The matte does not contain the name.
         """
         if name not in self.names:
             raise SceneError(
@@ -111,12 +111,12 @@ class Matte:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mattes:
-    """Result of `lumisplat.layers.render_mattes`; `lumisplat.Frame.save` writes it into an EXR."""
+    """Object and material mattes from `lumisplat.layers.render_mattes`; `lumisplat.Frame.save` adds them to an EXR."""
 
     objects: Matte
-    """Mattes by the names of captures and meshes."""
+    """Coverage by the names of captures and mesh instances."""
     materials: Matte
-    """Mattes by the names of materials; each capture counts as a material of its own."""
+    """Coverage by the names of materials; a capture counts as one material with the capture's name."""
 
     @property
     def size(self) -> tuple[int, int]:

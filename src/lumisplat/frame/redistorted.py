@@ -1,4 +1,4 @@
-"""Frames with lens distortion, resampled from pinhole frames: the rasteriser draws only pinhole images.
+"""Frames with lens distortion, resampled from pinhole frames, because the rasteriser draws only pinhole images.
 
 docs/adr/0028-lens-distortion-and-scene-up.md explains the choice and its alternatives.
 """
@@ -22,11 +22,12 @@ from lumisplat.math.resampling import cubic_samples
 from lumisplat.scene.camera import Camera
 
 UNDISTORTED_AREA_MAX = 8.0
-"""Largest ratio of the pinhole image's pixels to the distorted image's. Above it most of the work is wasted, and ray
-tracing is faster."""
+"""Largest allowed pixel count of the pinhole image, as a multiple of the distorted image's. Above it most pinhole
+pixels are wasted, and ray tracing is faster."""
 
 UNDISTORTED_SCALE_MAX = 2.0
-"""Largest factor by which the pinhole's focal length grows where a lens magnifies its edges."""
+"""Largest factor by which the pinhole's focal length exceeds the camera's, where the lens magnifies the image's edges.
+"""
 
 _Image = npt.NDArray[Any]
 
@@ -34,23 +35,23 @@ _NEAREST = (
     *("normal", "gaussian_index", "instance_index", "sample_count"),
     *("motion", "motion_known", "history", "probes", "cache_cells"),
 )
-"""Images that cannot be averaged, such as indices: they take the nearest pixel's value."""
+"""Image fields that cannot be averaged, such as indices: each pixel takes the value of the nearest pinhole pixel."""
 _FILTERED = (
     *("color", "alpha", "captured", "captured_weight", "light"),
     *("albedo", *PATH_PARTS, "reflection", "hits", "variance", "cache"),
 )
 _FILTER_PX = 3.0
-"""Radius of the resampling filter plus one pixel, pixels."""
+"""Margin around the resampled window, pixels: the filter's radius plus one."""
 _BAND_ROWS = 64
-"""Rows that are undistorted at once."""
+"""Number of image rows that are undistorted at once."""
 _PER_LIGHT = ("light_direct", "light_shadow")
-"""Images with one layer for each light."""
+"""Image fields with one image for each light."""
 
 
 def undistorted_camera(camera: Camera) -> Camera:
-    """Returns the pinhole camera that covers a distorting camera's view.
+    """Returns the pinhole camera whose image covers all that a distorting camera sees.
 
-    Its resolution is that of the lens where it magnifies most.
+    The pinhole's resolution equals the lens's where the lens magnifies most.
 
     Raises:
         SceneError: The lens is so wide that most of the pinhole image would be wasted.
@@ -83,7 +84,7 @@ def undistorted_camera(camera: Camera) -> Camera:
 
 
 def pinhole_of(camera: Camera) -> Camera:
-    """Returns `undistorted_camera`, restricted to the window that the camera's own window needs, if it has one.
+    """Returns the `undistorted_camera`, cropped to the pixels that the distorting camera's window, if any, needs.
 
     Raises:
         SceneError: As for `undistorted_camera`.
@@ -106,13 +107,14 @@ def pinhole_of(camera: Camera) -> Camera:
 
 
 def redistorted(frame: Frame, camera: Camera) -> Frame:
-    """Resamples a pinhole frame to a distorting lens.
+    """Resamples a pinhole frame to the image of a distorting lens.
 
-    Colours and other averages are filtered (Catmull-Rom, over the area of each pixel); normals and indices come from
-    the nearest pixel; depth is that of the nearest pixel's surface at the exact point.
+    Colours and other averages are filtered (Catmull-Rom, over the area of each pixel). Normals and indices come from
+    the nearest pinhole pixel. Depth is the distance to the nearest pinhole pixel's surface along the distorted pixel's
+    ray.
 
     Args:
-        frame: Frame of `pinhole_of`.
+        frame: Frame rendered with the camera from `pinhole_of`.
         camera: Camera with the distorting lens.
     """
     # Where the lens shrinks the image, a pixel covers several pinhole pixels: sample as many points along each side.
@@ -144,7 +146,7 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
 
 
 def _magnifications(camera: Camera) -> Doubles:
-    """Returns the lens's magnifications relative to its centre: singular values of its Jacobian, (N, 2)."""
+    """Returns the lens's magnifications at N points relative to its centre: singular values of its Jacobian, (N, 2)."""
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     image_points = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
     visible = undistort(image_points, camera.distortion)
@@ -153,9 +155,10 @@ def _magnifications(camera: Camera) -> Doubles:
 
 
 def _visible_box(camera: Camera) -> tuple[Doubles, Doubles]:
-    """Returns the bounding box of all pixel corners after undistortion, as two corners of shape (2,).
+    """Returns the box that the distorted image's pixel corners span after undistortion: two corners of shape (2,).
 
-    Coordinates are tangents (without focal length); inf and -inf if no pixel has an inverse.
+    Coordinates are tangents of the angle to the optical axis. The box is inf and -inf if no pixel corner has an inverse
+    through the lens.
     """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for first in range(0, camera.height + 1, _BAND_ROWS):
@@ -172,7 +175,10 @@ def _visible_box(camera: Camera) -> tuple[Doubles, Doubles]:
 
 
 def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubles:
-    """Returns the pinhole position of a point in each distorted pixel, pixels, (H, W, 2); NaN without an inverse."""
+    """Returns where the point (``right``, ``down``) of each distorted pixel, 0..1, lies in the pinhole image.
+
+    Positions are in pixels, shape (H, W, 2); NaN where a pixel has no inverse through the lens.
+    """
     (width, height), (left, top) = camera.image_size, camera.image_corner
     x, y = np.meshgrid(left + np.arange(width) + right, top + np.arange(height) + down)
     image_points = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1, dtype=np.float64)
@@ -181,7 +187,7 @@ def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubl
 
 
 def _nearest(image: _Image, points: Doubles, empty: float) -> _Image:
-    """Returns the values of the nearest pixels."""
+    """Returns the image's value at the pixel nearest to each point, and ``empty`` at points that are NaN."""
     visible = ~np.isnan(points[..., 0])
     x, y = (np.where(visible, np.floor(points[..., k]), 0.0).astype(np.int64) for k in (0, 1))
     values = image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)]
@@ -193,11 +199,11 @@ def _depth(frame: Frame, points: Doubles) -> _Image:
     """Interpolates the distance along rays at points of a pinhole image, shape (H, W); inf without a surface.
 
     Inverse view depth is linear over the image of a plane. It is extrapolated from the nearest pixel by the differences
-    to its neighbours, but not across edges.
+    to that pixel's neighbours, but not across edges.
 
     Args:
         frame: Pinhole frame.
-        points: Pixels, shape (H, W, 2); NaN: no point.
+        points: Positions in the pinhole image, pixels, shape (H, W, 2); NaN: no position.
     """
     camera = frame.camera
     corner = np.array(camera.image_corner, np.float64)
@@ -225,10 +231,10 @@ def _depth(frame: Frame, points: Doubles) -> _Image:
 
 
 def _slope(before: Doubles, after: Doubles) -> Doubles:
-    """Returns the change per pixel from the differences to both sides: their mean, or the smaller if they differ much.
+    """Returns the change per pixel from the differences on both sides: their mean, or the smaller if they differ much.
 
-    On a plane both are equal, and across an edge the larger one is wrong. NaN marks a missing difference; without both,
-    the slope is 0.
+    On a plane both differences are equal; across an edge the larger one is wrong. NaN marks a missing difference. If
+    both are missing, the change is 0.
     """
     lesser = np.fmin(np.abs(before), np.abs(after))
     is_smooth = (before * after > 0.0) & (np.maximum(np.abs(before), np.abs(after)) < 2.0 * lesser)
@@ -237,11 +243,11 @@ def _slope(before: Doubles, after: Doubles) -> Doubles:
 
 
 def _motion(motion: _Image, points: Doubles, camera: Camera, pinhole: Camera) -> _Image:
-    """Converts motion vectors from the pinhole to the distorted image, where the scale varies over the image.
+    """Converts motion vectors from the pinhole to the distorted image, whose scale varies over the image.
 
     Args:
         motion: Pinhole motion at the pixels of the distorted image, shape (H, W, 3).
-        points: Pinhole positions of these pixels.
+        points: Pinhole positions of the distorted image's pixels, pixels.
         camera: Camera with the distorting lens.
         pinhole: Pinhole camera.
     """
@@ -253,7 +259,7 @@ def _motion(motion: _Image, points: Doubles, camera: Camera, pinhole: Camera) ->
 
 
 def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
-    """Averages an image, (H, W, C), over points by Catmull-Rom interpolation without overshoot."""
+    """Averages a pinhole image, (H, W, C channels), over several points per pixel, by Catmull-Rom without overshoot."""
     total = np.zeros((*points[0].shape[:2], image.shape[2]))
     for point in points:
         visible = ~np.isnan(point[..., :1])
@@ -262,7 +268,7 @@ def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
 
 
 def _empty(frame: Frame) -> dict[str, Any]:
-    """Returns the values of pixels whose ray has no inverse through the lens: the background."""
+    """Returns each field's value at pixels whose ray has no inverse through the lens: background or "no surface"."""
     behind = np.array(frame.background or (0.0, 0.0, 0.0))
     is_lit = frame.captured is not None
     values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, *_NEAREST), 0.0)

@@ -1,4 +1,4 @@
-"""Parts of a frame's samples, accumulated, for processes that share the rendering of a frame."""
+"""Consecutive samples of a frame, accumulated by one of several processes that share the frame."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import Doubles, FloatArray
 
 SUMS = ("color", "alpha", "radiance", "squares", "captured_weight", "light")
-"""Accumulated sums of a pixel's samples, in storage order; the last two exist in lit frames only."""
+"""Names of the accumulated sums of a pixel's samples, in storage order. Only lit frames have the last two."""
 _CHANNELS = {"color": 3, "alpha": 1, "radiance": 3, "squares": 3, "captured_weight": 1, "light": 3}
 
 
 @dataclass(frozen=True)
 class SamplePart:
-    """Consecutive samples of a frame, as `lumisplat.farm.render_samples` renders them."""
+    """Accumulated samples of a frame, consecutive by index, as `lumisplat.farm.render_samples` renders them."""
 
     first: int
     """Index of the first sample."""
@@ -34,13 +34,14 @@ class SamplePart:
     size: tuple[int, int]
     """Width and height of the frame in pixels."""
     accumulated: Mapping[str, FloatArray]
-    """Accumulators as 32-bit words by name: counts, sums in double precision, means of layers."""
+    """Accumulators as 32-bit words by name: sample counts, sums in double precision, and means of layers."""
     surfaces: Mapping[str, npt.NDArray[Any]]
-    """Surface images (depth, normals, indices) of the frame's first sample; empty in later parts."""
+    """Depth, normals and indices from the frame's first sample, by name; empty if the part does not begin with that
+    sample."""
 
     @property
     def samples(self) -> int:
-        """Number of samples, named as in a frame."""
+        """Number of samples, under the name that a frame uses."""
         return self.count
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -57,7 +58,7 @@ class SamplePart:
 
     @staticmethod
     def load(path: PathLike) -> SamplePart:
-        """Reads a part.
+        """Reads a part written by `save`.
 
         Raises:
             FormatError: The file is missing, damaged, or not a part.
@@ -79,7 +80,7 @@ class SamplePart:
 
     @property
     def _is_consistent(self) -> bool:
-        """True if every array has a value for each pixel, in the words of the accumulators."""
+        """True if every array has a value for each pixel, and accumulators have the number of words they need."""
         pixels, words = self.size[0] * self.size[1], self.accumulated
         if self.first < 0 or min(self.count, *self.size) < 1 or not {"count", "sums"} <= words.keys():
             return False
@@ -96,7 +97,7 @@ def merged(parts: Iterable[SamplePart]) -> SamplePart:
     """Merges consecutive parts of a frame in order: sums, counts, means and variances (Chan et al. 1983).
 
     Args:
-        parts: Parts from sample 0 on, each starting where the previous one ended; only one is in memory at a time.
+        parts: Parts from sample 0 on, each starting where the previous one ended; only one part is in memory at a time.
 
     Raises:
         ConfigError: There is no part, the parts are not consecutive, or they belong to different frames.
@@ -115,7 +116,7 @@ def merged(parts: Iterable[SamplePart]) -> SamplePart:
 
 
 class _Merger:
-    """Running merge of parts.
+    """Merges parts one after another.
 
     Args:
         part: First part.
@@ -128,7 +129,7 @@ class _Merger:
         self._means = _means(part)
 
     def add(self, part: SamplePart) -> None:
-        """Adds the next part."""
+        """Merges the next part into the parts so far."""
         start = self._start
         if part.first != self._end:
             raise ConfigError(f"a part begins at sample {part.first}, expected {self._end}: parts must be consecutive")
@@ -167,7 +168,7 @@ def _counts(part: SamplePart) -> npt.NDArray[np.int32]:
 
 
 def _sums(part: SamplePart) -> dict[str, Doubles]:
-    """Returns the sums of a part by name, each of shape (pixels, channels)."""
+    """Returns the accumulated sums of a part by name, each of shape (pixels, channels)."""
     doubles = np.ascontiguousarray(part.accumulated["sums"]).view(np.float64)
     pixels = part.size[0] * part.size[1]
     sums: dict[str, Doubles] = {}
@@ -181,7 +182,7 @@ def _sums(part: SamplePart) -> dict[str, Doubles]:
 
 
 def _means(part: SamplePart) -> dict[str, Doubles]:
-    """Returns the means of layers by name, each of shape (pixels, 3)."""
+    """Returns the means of the layers by name, each of shape (pixels, 3)."""
     layers = part.accumulated.keys() - {"count", "sums"}
     return {
         name: np.ascontiguousarray(part.accumulated[name]).reshape(-1, 3).astype(np.float64) for name in sorted(layers)

@@ -1,1 +1,1 @@
-"""Renders a scene and a camera to a frame. Each pass is a host module beside its kernels."""
+"""Renders a scene and a camera to a frame. Each rendering pass is a host module with a kernel module beside it."""

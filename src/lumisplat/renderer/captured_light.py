@@ -27,44 +27,44 @@ CAPTURED_LIGHT_ROWS = 32
 """Rows of the environment map that is rendered from captures: 5.6 degrees each, finer than most highlights."""
 
 CAPTURED_LIGHT_COVERED = 0.75
-"""Smallest fraction of all directions that captures must cover around meshes to light them; below it, a headlight
-does. Captures of rooms, or of places with their sky, cover nearly all directions. A floor without a sky covers half of
-them, from below, and would leave meshes nearly black."""
+"""Smallest fraction of all directions around the meshes that captures must cover to light the meshes; below it, a
+headlight lights them. Captures of rooms, or of outdoor places with their sky, cover nearly all directions. A floor
+without a sky covers half of all directions, from below, and would leave meshes nearly black."""
 
 _log = logging.getLogger("lumisplat")
 
 _FINER = 4
-"""Directions across and down each texel of the environment map; the texel is their mean."""
+"""Number of directions along each side of a texel of the environment map; the texel's value is their mean."""
 
 
 def uses_captured_light(config: RenderConfig, scene: Scene) -> bool:
-    """Returns whether captures may light the meshes of a scene that has no lights.
+    """Returns whether the meshes of a scene without lights may be lit by an environment map of its captures.
 
-    Path traced and real-time frames sample that light by themselves.
+    Path-traced and real-time frames need no such map: their rays hit the captures.
     """
     is_unlit = config.lighting is None and not scene.lights
     return is_unlit and bool(scene.meshes) and has_emissive_captures(scene) and not config.pipeline.bounces_light
 
 
 class CapturedLightCache:
-    """Renders the environment map of captures around meshes, and reuses it while both stay where they are."""
+    """Renders an environment map of the captures around the meshes, and reuses it until captures or meshes change."""
 
     def __init__(self) -> None:
         self._splats: tuple[SplatInstance, ...] = ()
-        """Captures of which the cached environment map was rendered."""
+        """Captures from which the cached environment map was rendered."""
         self._box = np.zeros((2, 3))
-        """Bounding box of the meshes around which the map was rendered."""
+        """Bounding box of the meshes around which the cached map was rendered, lowest and highest corner."""
         self._light: CapturedLight | None = None
         self._render: Callable[[Scene, Camera], Frame] | None = None
-        """Renderer of the captures, which stays on the device while the meshes move; None: the meshes have not moved
-        yet."""
+        """Function that renders the captures from device memory. It is stored once meshes have moved among unchanged
+        captures; None before that."""
 
     def lit(self, scene: Scene, stops: float, renderer: Callable[[], Callable[[Scene, Camera], Frame]]) -> Scene:
-        """Returns the scene lit by its captures, or the same scene if they do not surround its meshes.
+        """Returns the scene lit by its captures as an environment, or unchanged if they do not surround its meshes.
 
         Args:
             scene: A scene for which `uses_captured_light` is true.
-            stops: ``RenderConfig.capture_gain``.
+            stops: ``RenderConfig.capture_gain``, stops.
             renderer: Makes a function that renders unlit frames without a background, like `lumisplat.Renderer.render`.
         """
         box, is_same = np.stack(_bounds(scene.meshes)), _are_same_captures(scene.splats, self._splats)
@@ -85,9 +85,14 @@ class CapturedLightCache:
 
 
 def captured_light(scene: Scene, box: Doubles, render: Callable[[Scene, Camera], Frame]) -> CapturedLight | None:
-    """Renders the environment light of a scene's captures around a box; None: the captures cover too few directions.
+    """Renders the captures around a box of meshes as an environment light; None if they cover too few directions.
 
-    Directions that the captures do not cover get the mean of the others. The box has its corners in rows, shape (2, 3).
+    Directions that the captures do not cover get the mean of the covered ones.
+
+    Args:
+        scene: The scene with the captures.
+        box: Lowest and highest corner of the box, world space, shape (2, 3).
+        render: Renders unlit frames without a background.
     """
     low, high = box
     near = max(0.5 * float((high - low).min()), NEAR_PLANE)
@@ -113,7 +118,7 @@ def _bounds(meshes: tuple[MeshInstance, ...]) -> tuple[Doubles, Doubles]:
 
 
 def _are_same_captures(now: tuple[SplatInstance, ...], before: tuple[SplatInstance, ...]) -> bool:
-    """Returns whether two lists of captures look the same: equal Gaussians, transforms, SH degrees and materials."""
+    """Returns whether two lists of captures look equal: Gaussians, transforms, SH degrees and materials are equal."""
     return len(now) == len(before) and all(
         one is other
         or (

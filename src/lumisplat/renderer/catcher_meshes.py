@@ -1,4 +1,4 @@
-"""Meshes that are shadow catchers: separate frames measure the shadows on them, which darken the pixels behind them.
+"""Meshes that are shadow catchers: two extra frames measure the shadows on them, which darken the pixels behind.
 
 The method is in docs/method/lighting.md#meshes-that-catch-shadows.
 """
@@ -21,16 +21,17 @@ from lumisplat.scene.materials import MaterialPbr, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 CATCHER_ALBEDO = 0.5
-"""Albedo of catcher meshes whose material has no base colour; in path tracing, light bounces off them."""
+"""Albedo of catcher meshes whose material has no base colour. Path-traced light bounces off catchers with this albedo.
+"""
 
 CATCHER_ALBEDO_MIN = 0.02
 """Lowest albedo of a catcher mesh in each channel: on a black mesh the shadow ratio would be 0 / 0."""
 
 CATCHER_FILL_PX = 3
-"""Pixels by which the shadow ratio of catcher meshes is extended behind the silhouettes of objects."""
+"""Width in pixels by which a catcher's shadow ratio is extended into the silhouettes of objects in front of it."""
 
 Render = Callable[[Scene], Frame]
-"""Renders a scene from the frame's camera."""
+"""Function that renders a scene from the camera of the frame that gets the shadows."""
 
 
 def has_catcher_meshes(scene: Scene) -> bool:
@@ -47,7 +48,7 @@ def without_catcher_meshes(scene: Scene) -> Scene:
 
 
 def catcher_config(config: RenderConfig) -> RenderConfig:
-    """Returns the settings of the frames that measure shadows: samples at pixel centres, and a black background."""
+    """Returns settings for the frames that measure shadows: samples at pixel centres, and a black background."""
     pipeline = Pipeline.HYBRID if config.pipeline.rasterises else config.pipeline
     return replace(
         config,
@@ -63,19 +64,19 @@ def catcher_config(config: RenderConfig) -> RenderConfig:
 
 
 def catcher_scenes(scene: Scene) -> list[Scene]:
-    """Returns scenes whose frames need the same kernels as those that `with_caught_shadows` renders."""
+    """Returns scenes that need the same kernels as `with_caught_shadows`, so that these can be compiled in advance."""
     added, catchers = _added(scene), tuple(one for one in scene.meshes if one.shadow_catcher)
     bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
     return [bare, replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes))]
 
 
 def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_ratio: bool) -> Frame:
-    """Returns a frame of ``without_catcher_meshes`` with the shadows and reflections on catcher meshes added.
+    """Adds the shadows and reflections that catcher meshes receive to a frame without these meshes; returns the frame.
 
     Args:
-        frame: A lit frame with its ``shadow_ratio``.
+        frame: A lit frame of `without_catcher_meshes`, with its ``shadow_ratio``.
         scene: The scene with the catcher meshes.
-        render: Renders with `catcher_config`.
+        render: Renders with the settings from `catcher_config`.
         returns_ratio: Whether the result contains ``shadow_ratio``.
     """
     assert frame.captured is not None and frame.captured_weight is not None and frame.light is not None
@@ -108,7 +109,7 @@ def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_r
 
 
 def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
-    """Returns a frame of ``without_catcher_meshes`` whose instance indices are those of the full scene."""
+    """Converts a frame of `without_catcher_meshes` to instance indices of the full scene, and returns it."""
     numbers = np.array([k for k, one in enumerate(scene.meshes) if not one.shadow_catcher], np.int32)
     first, index = len(scene.splats), frame.instance_index
     if len(numbers) == 0:
@@ -118,9 +119,9 @@ def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
 
 
 def _added(scene: Scene) -> Scene:
-    """Returns the scene without its catchers and their plate: the objects that were added to the capture.
+    """Returns the objects that were added to the capture: the scene without catcher meshes and without its plate.
 
-    The plate is all captures that catch shadows, or, if none does, all captures that are not relit.
+    The plate is all captures that catch shadows, or, if none catches shadows, all captures that are not relit.
     """
     plate = [one for one in scene.splats if one.shadow_catcher]
     if not plate:
@@ -130,7 +131,7 @@ def _added(scene: Scene) -> Scene:
 
 
 def _lights(scene: Scene) -> tuple[Light, ...]:
-    """Returns the scene's lights, all invisible, plus ambient light unless an environment is among them."""
+    """Returns the scene's lights, environments made invisible, plus ambient light if the scene has no environment."""
     lights = [replace(one, visible=False) if isinstance(one, LightEnvironment) else one for one in scene.lights]
     if any(isinstance(one, LightEnvironment) and one.enabled for one in lights):
         return tuple(lights)
@@ -143,8 +144,7 @@ def _lights(scene: Scene) -> tuple[Light, ...]:
 def _matte(instance: MeshInstance) -> MeshInstance:
     """Returns a catcher with a diffuse material in its base colour, or in `CATCHER_ALBEDO` if it has none.
 
-    That colour affects the ratio of two such frames only through light that bounces between the catcher and added
-    objects.
+    The base colour changes the shadow ratio only through light that bounces between the catcher and added objects.
     """
     color = instance.mesh.material.base_color
     given = CATCHER_ALBEDO if color == MaterialPbr().base_color else np.maximum(color, CATCHER_ALBEDO_MIN)
@@ -153,7 +153,7 @@ def _matte(instance: MeshInstance) -> MeshInstance:
 
 
 def _reflections(scene: Scene, added: Scene, catchers: tuple[MeshInstance, ...], render: Render) -> FloatArray:
-    """Returns the linear radiance that shiny catchers reflect of the added objects, shape (H, W, 3)."""
+    """Returns the linear radiance of added objects that shiny catchers reflect, shape (H, W, 3)."""
     shiny = tuple(one for one in catchers if isinstance(one.mesh.material, MaterialPbr) and _mirrors(one.mesh.material))
     if not shiny:
         return np.float32(0.0) * np.ones((1, 1, 3), np.float32)
@@ -184,9 +184,9 @@ def _without_diffuse(material: object) -> MaterialPbr:
 
 
 def _is_in_front(frame: Frame, scene: Scene, seen: Frame) -> Flags:
-    """Returns a mask of pixels whose captured surface is in front of the catcher, (H, W).
+    """Returns a mask of the pixels whose captured surface is in front of the catcher, shape (H, W).
 
-    The distance must exceed the thickness of the surface's Gaussians.
+    The surface counts as in front if its distance from the catcher exceeds the thickness of its Gaussians.
     """
     height = ((frame.position - seen.position) * seen.normal).sum(axis=2)
     thickness = np.zeros_like(height)
@@ -203,7 +203,7 @@ def _offset(frame: Frame) -> float:
 
 
 def _dilated(image: FloatArray, known: Flags) -> FloatArray:
-    """Returns the image extended from the known pixels by `CATCHER_FILL_PX`, with the mean of known neighbours."""
+    """Extends an image by `CATCHER_FILL_PX` beyond the pixels in ``known``, with the mean of neighbouring pixels."""
     values, known = np.where(known[..., None], image, np.float32(0.0)), known.copy()
     filled = image.copy()
     for _ in range(CATCHER_FILL_PX):

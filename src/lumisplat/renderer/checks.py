@@ -77,7 +77,7 @@ def check_projection(config: RenderConfig) -> None:
 
 
 def check_sampling(config: RenderConfig) -> None:
-    """Raises ConfigError if the pipeline does not support the settings of samples per pixel."""
+    """Raises ConfigError if the settings for samples per pixel are not supported by the pipeline."""
     if config.pipeline.is_sequence:
         given = [name for name in ("samples", "time_limit", "noise", "adaptive") if getattr(config, name) is not None]
         if config.samples == 1:
@@ -95,7 +95,7 @@ def check_sampling(config: RenderConfig) -> None:
 
 
 def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
-    """Raises ConfigError if the frame cannot have the samples of its settings, or cannot be resumed."""
+    """Raises ConfigError if the settings ask for samples that the frame cannot have, or the frame cannot be resumed."""
     check_sampling(config)
     if config.pipeline.is_sequence and resume is not None:
         raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: render the next frame instead")
@@ -104,7 +104,7 @@ def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -
 
 
 def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
-    """Raises ConfigError if the camera has a window and the settings need the whole image."""
+    """Raises ConfigError if the camera renders only a window of the image, but the settings need the whole image."""
     if camera.window is None:
         return
     if plan.has_history:
@@ -116,7 +116,7 @@ def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
 
 
 def check_blocks(config: RenderConfig, plan: FramePlan, camera: Camera | None = None) -> None:
-    """Raises ConfigError unless the frame has a fixed number of samples, the same in each pixel."""
+    """Raises ConfigError unless all pixels have one fixed number of samples, as splitting over processes requires."""
     if camera is not None and plan.rasterises and not plan.is_unscented and camera.is_distorted:
         raise ConfigError("rasterised frames with lens distortion are resampled: their samples cannot be split")
     if plan.has_history or not plan.is_sampled:
@@ -135,7 +135,7 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         frame: The frame to resume.
         camera: Camera of the new samples.
         config: Settings of the new samples.
-        plan: Plan of the frame that adds the samples.
+        plan: Plan of the new samples.
     """
     check_kind("resume", frame, Frame)
     if not plan.is_sampled:
@@ -175,7 +175,7 @@ def check_resumed_scene(frame: Frame, scene: Scene) -> None:
 
 
 def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
-    """Returns the names of fields in which two dataclasses of one type differ; nested ones as ``trace.strategy``."""
+    """Returns the names of fields in which two dataclasses of one type differ; nested fields as ``trace.strategy``."""
     names: list[str] = []
     for field in fields(one):
         value, other_value = getattr(one, field.name), getattr(other, field.name)

@@ -33,33 +33,34 @@ _FACES = (
 
 
 class CubeSamples(NamedTuple):
-    """Incident radiance at a position, one row per direction."""
+    """Incident radiance at a position from N directions, one row per direction."""
 
     directions: Doubles
     """Unit directions in world space, shape (N, 3)."""
     radiance: FloatArray
     """Linear Rec.709 radiance, shape (N, 3)."""
     weights: Doubles
-    """Solid angles, steradians, shape (N,)."""
+    """Solid angle that each direction stands for, steradians, shape (N,)."""
 
 
 class CubeFaces(NamedTuple):
-    """Pixels of a cube map's six faces, P along an edge, face by face and row by row."""
+    """Pixels of a cube map's six faces, each P x P, face by face and row by row."""
 
     radiance: FloatArray
-    """Linear Rec.709 radiance, shape (6 P P, 3); premultiplied by alpha if the frames have no background."""
+    """Linear Rec.709 radiance of each pixel of six P x P faces, shape (6 P P, 3); premultiplied by alpha if the frames
+    have no background."""
     alpha: FloatArray
-    """Coverage of each pixel by the scene, 0..1, shape (6 P P,)."""
+    """Coverage by the scene of each pixel of six P x P faces, 0..1, shape (6 P P,)."""
 
 
 class _Cube(NamedTuple):
-    """The cameras of a cube map around the origin, and the geometry of its pixels."""
+    """The six cameras of a cube map around the origin, and the directions and solid angles of its pixels."""
 
     cameras: tuple[Camera, ...]
     directions: Doubles
-    """Directions through the pixels' centres, shape (6 P P, 3)."""
+    """Direction through the centre of each pixel of six P x P faces, shape (6 P P, 3)."""
     weights: Doubles
-    """Solid angles of the pixels, steradians, shape (6 P P,)."""
+    """Solid angle of each pixel of six P x P faces, steradians, shape (6 P P,)."""
 
 
 def render_faces(
@@ -67,8 +68,8 @@ def render_faces(
 ) -> CubeFaces:
     """Renders a scene from a position to the six faces of a cube map.
 
-    Unlit frames are decoded by `captured_radiance`; lit frames are linear already. Uncovered pixels show the background
-    of the frames, or in lit frames the scene's visible environment.
+    Unlit frames are decoded by `captured_radiance`; lit frames are linear already. Pixels without a surface show the
+    background of the frames, or in lit frames the scene's visible environment.
 
     Args:
         scene: The scene.
@@ -78,7 +79,7 @@ def render_faces(
         near: Half the side of a cube around the position inside which nothing is rendered, scene units.
 
     Raises:
-        SceneError: The scene is refused.
+        SceneError: ``render`` refuses the scene.
     """
     frames = [render(scene, _moved(camera, position, near)) for camera in _cube(face_px).cameras]
     radiance = np.concatenate([_radiance(frame).reshape(-1, 3) for frame in frames])
@@ -88,12 +89,12 @@ def render_faces(
 def render_cube(
     scene: Scene, position: Doubles, render: Callable[[Scene, Camera], Frame], face_px: int, near: float
 ) -> CubeSamples:
-    """Samples the incident radiance at a position; arguments as for `render_faces`.
+    """Samples the incident radiance at a position through a cube map; arguments as for `render_faces`.
 
     Pixels that are not finite are left out, and a warning counts them.
 
     Raises:
-        SceneError: No pixel is finite, or the scene is refused.
+        SceneError: No pixel is finite, or ``render`` refuses the scene.
     """
     cube = _cube(face_px)
     radiance, alpha = render_faces(scene, position, render, face_px, near)
@@ -110,14 +111,14 @@ def render_cube(
 
 
 def face_pixels(directions: Doubles, face_px: int) -> IntArray:
-    """Returns the cube map pixel in each direction.
+    """Returns the index of the cube map pixel in each direction.
 
     Args:
-        directions: World space, of any length above 0, shape (N, 3).
-        face_px: Pixels along a face's edge, P.
+        directions: Directions in world space, of any length above 0, shape (N, 3).
+        face_px: Pixels along a face's edge.
 
     Returns:
-        Rows of `CubeFaces`, shape (N,).
+        Row in `CubeFaces` of each direction's pixel, shape (N,).
     """
     seen = np.stack([directions @ camera.camera_from_world[:3, :3].T for camera in _cube(face_px).cameras])
     face = np.argmax(seen[:, :, 2], axis=0)
@@ -127,10 +128,10 @@ def face_pixels(directions: Doubles, face_px: int) -> IntArray:
 
 
 def cube_solid_angles(face_px: int) -> Doubles:
-    """Returns the solid angle of each pixel of a face, steradians, shape (P, P).
+    """Returns the solid angle of each pixel of a face, steradians, shape (face_px, face_px).
 
-    Over six faces they sum to 4 pi exactly. A rectangle from the face's centre to (x, y), at distance 1, covers
-    ``atan(x y / sqrt(x^2 + y^2 + 1))``.
+    Over six faces the solid angles sum to 4 pi exactly. A rectangle from the face's centre to (x, y), at distance 1,
+    covers ``atan(x y / sqrt(x^2 + y^2 + 1))``.
     """
     edge = np.linspace(-1.0, 1.0, face_px + 1)
     x, y = edge[None, :], edge[:, None]
@@ -152,14 +153,14 @@ def _cube(face_px: int) -> _Cube:
 
 
 def _moved(camera: Camera, position: Doubles, near: float) -> Camera:
-    """Returns the camera with its eye at the position instead of the origin."""
+    """Returns the camera moved from the origin to the position, with another near plane."""
     pose = np.array(camera.camera_from_world)
     pose[:3, 3] = -pose[:3, :3] @ position
     return replace(camera, camera_from_world=pose, near=near)
 
 
 def _radiance(frame: Frame) -> FloatArray:
-    """Returns the linear radiance of a frame's pixels over its background, (H, W, 3)."""
+    """Returns the linear radiance of a frame's pixels composited over its background, (H, W, 3)."""
     if frame.color_space == "linear":
         return frame.color
     weight = frame.alpha if frame.background is None else np.ones_like(frame.alpha)

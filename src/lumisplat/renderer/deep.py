@@ -1,4 +1,4 @@
-"""Deep frames: a few depth samples per pixel, from traced rays, which composite to the frame."""
+"""Renders deep frames: a few depth samples per pixel from traced rays, which composite to the frame."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import Scene
 
 _STEPS = 16
-"""Steps of a pixel's transmittance from 1 to 0. Gaussians within the same step become one sample."""
+"""Number of equal intervals of transmittance, 1 to 0. Gaussians of a pixel within one interval become one sample."""
 _RAYS = 16
-"""Largest number of rays per pixel; the edge of a mesh then covers a pixel in steps of a 16th."""
+"""Largest number of rays per pixel. Coverage of a pixel by a mesh's edge is then a multiple of 1/16."""
 _SURFACE_PX = 16.0
-"""Largest distance in depth, in pixel widths at that depth, between mesh hits of one pixel that are one surface. The
-value allows surfaces up to 86 degrees from facing the camera."""
+"""Largest difference in depth, in pixel widths at that depth, between two mesh hits of one pixel that count as one
+surface. The value suffices for surfaces tilted up to 86 degrees from facing the camera."""
 _ENVIRONMENT_DEPTH = 1e30
 """Depth of an environment, scene units: behind everything, but finite, so that compositors can compute with it."""
 _TINY = float(np.finfo(np.float32).tiny)
 """Lower bound that avoids division by zero."""
 _BAND_RAYS = 2**14
-"""Rays that are traced at once."""
+"""Number of rays that are traced at once."""
 
 
 def render_deep(
@@ -52,17 +52,17 @@ def render_deep(
     *,
     device: str = "auto",
 ) -> DeepFrame:
-    """Renders depth samples of each pixel, so that compositors can insert smoke or people between them.
+    """Renders depth samples of each pixel, between which compositors can insert smoke or people.
 
     Traces the rays of the frame's own samples, up to 16 per pixel with equal weights; Gaussians are widened by the
     pixel's footprint. Hits are sorted by depth. Gaussians within a 16th of the pixel's transmittance form one sample,
     from the first one's depth to the last one's. Mesh hits on one surface form one sample, too.
 
     All samples composited over each other give the frame: weights are scaled to its alpha pixel by pixel, and its
-    colour is divided among the samples in proportion to the linear colours of their Gaussians and meshes. Where the
-    frame shows something that no ray hits, such as the edge of a Gaussian that a rasteriser draws a little wider, that
-    is one sample at the depth of the frame's surface or first Gaussian. Visible lights are samples with light and alpha
-    0. An environment is a sample at depth 1e30.
+    colour is divided among the samples in proportion to the linear colours of their Gaussians and meshes. Where a pixel
+    is covered but no ray hits anything, such as at the edge of a Gaussian that a rasteriser draws a little wider, the
+    pixel gets one sample, at the depth of the frame's surface or first Gaussian. A visible light is a sample with
+    colour and alpha 0. A visible environment is a sample at depth 1e30.
 
     Args:
         scene: The scene to render.
@@ -99,42 +99,42 @@ def render_deep(
 
 
 class _Target(NamedTuple):
-    """The frame that the samples of each pixel must add up to."""
+    """Colour, alpha and fallback depth of N pixels, to which the samples of each pixel must add up."""
 
     color: FloatArray
-    """Premultiplied linear colour, (N, 3)."""
+    """Premultiplied linear colour of each of N pixels, (N, 3)."""
     alpha: Doubles
-    """Alpha, (N,)."""
+    """Alpha of each pixel, 0..1."""
     depth: FloatArray
-    """Depth of a sample where no ray hits anything, (N,)."""
+    """Depth of each pixel's sample if no ray hits anything, as `DeepFrame.near`."""
 
     def of(self, pixels: slice) -> _Target:
-        """Returns the rows of some pixels."""
+        """Returns the rows of a slice of pixels."""
         return _Target(self.color[pixels], self.alpha[pixels], self.depth[pixels])
 
 
 class _Layers(NamedTuple):
-    """Hits of the rays through all pixels of a band, before they are merged into samples; M in all."""
+    """Ray hits of a band (pixels traced at once), before they are merged into depth samples; one row per hit."""
 
     pixel: Rows
-    """Index of the pixel in the band, (M,)."""
+    """Index within the band of each hit's pixel."""
     depth: FloatArray
-    """Depth of the hit, as `DeepFrame.near`, (M,)."""
+    """Depth of each hit, measured as `DeepFrame.near`."""
     weight: FloatArray
-    """Compositing weight of the hit on its ray, (M,)."""
+    """Compositing weight of each hit on its ray, 0..1."""
     light: FloatArray
-    """Linear radiance that the hit's own colour adds to its ray, later to its pixel, (M, 3)."""
+    """Linear radiance that each hit's colour adds to its ray, and after averaging over rays to its pixel, (hits, 3)."""
     is_mesh: Flags
-    """True if the hit is on a mesh, a light or the environment, (M,)."""
+    """True for hits on a mesh, a light or the environment; False for Gaussians."""
 
     @classmethod
     def of(cls, parts: Sequence[_Layers]) -> _Layers:
-        """Concatenates layers."""
+        """Concatenates the hits of several calls."""
         columns: Iterator[Any] = zip(*parts, strict=True)
         return cls(*(np.concatenate(column) for column in columns))
 
     def chosen(self, rows: Rows) -> _Layers:
-        """Returns some of the rows."""
+        """Returns the hits with the given row indices, in that order."""
         columns: Iterator[Any] = iter(self)
         return _Layers(*(values[rows] for values in columns))
 
@@ -143,7 +143,7 @@ class _Samples(NamedTuple):
     """Depth samples of pixels, as in `DeepFrame`."""
 
     counts: Rows
-    """Samples of each pixel, (N,)."""
+    """Number of samples of each pixel."""
     near: FloatArray
     far: FloatArray
     color: FloatArray
@@ -176,7 +176,7 @@ class _DeepTracer:
         return self._gaussians.render(self._scene, self._camera)
 
     def show_lights(self, frame: Frame) -> None:
-        """Lets rays hit the area lights and the environment that the frame shows. An environment makes its alpha 1."""
+        """Adds the visible area lights and environment of the frame to the objects that rays hit."""
         config = frame.config
         if config is None or not FramePlan.of(config, self._scene).is_lit:
             return
@@ -187,7 +187,7 @@ class _DeepTracer:
                 self._area_lights.append(light)
 
     def band(self, pixels: slice, target: _Target, offsets: list[tuple[float, float]]) -> _Samples:
-        """Returns the samples of some pixels, from one ray per pixel through each sub-pixel offset, 0..1."""
+        """Returns the depth samples of a slice of pixels, from a ray per pixel through each sub-pixel offset, 0..1."""
         ray_indices = self._ray_indices[pixels]
         target = target.of(pixels)
         found = [self._layers(ray_indices, sample, offset) for sample, offset in enumerate(offsets)]
@@ -229,7 +229,7 @@ class _DeepTracer:
     def _light_layers(self, light: AreaLight, traced: PixelProfile, pixel: Rows) -> _Layers:
         """Returns the hits of rays on a visible area light, which adds radiance and blocks none.
 
-        ``pixel`` is the pixel of each Gaussian hit.
+        ``pixel`` holds the pixel index of each Gaussian hit in ``traced``.
         """
         distance = light.distances(traced.origins, traced.directions.astype(np.float64))
         left = np.ones(len(distance), np.float32)
@@ -242,7 +242,7 @@ class _DeepTracer:
         return _Layers(hit, depth, np.zeros(len(hit), np.float32), radiance, np.ones(len(hit), bool))
 
     def _mesh_layers(self, traced: PixelProfile, left: FloatArray) -> _Layers:
-        """Returns the mesh hits at which rays end, with the transmittance ``left`` in front of them."""
+        """Returns the hits on the meshes where rays end; ``left`` is each ray's transmittance in front of its mesh."""
         end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (left > 0.0))
         if not len(end):
             return _Layers(end, left[end], left[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
@@ -252,7 +252,7 @@ class _DeepTracer:
         return _Layers(end, depth, left[end], light, np.ones(len(end), bool))
 
     def _depths(self, traced: PixelProfile, pixel: Rows, distance: FloatArray) -> FloatArray:
-        """Converts distances along rays to depths: view depth, or the distance itself for a fisheye."""
+        """Converts distances along the rays of ``pixel`` to view depth; fisheye cameras use the distance itself."""
         if self._camera.model is CameraModel.FISHEYE:
             return distance
         forward = self._camera.world_from_camera[:3, 2]
@@ -260,7 +260,7 @@ class _DeepTracer:
         return (from_eye[pixel] + distance * (traced.directions @ forward)[pixel]).astype(np.float32)
 
     def _samples_of(self, layers: _Layers, target: _Target) -> _Samples:
-        """Merges sorted layers into samples whose sums are the target's colour and alpha."""
+        """Merges hits, sorted by pixel and depth, into samples that composite to the target's colour and alpha."""
         count = len(target.alpha)
         total = np.bincount(layers.pixel, layers.weight, count)
         scale = np.divide(target.alpha, total, out=np.zeros(count), where=total > 0.0)
@@ -282,7 +282,7 @@ class _DeepTracer:
         return _Samples(counts, near, far, color.astype(np.float32), alpha.astype(np.float32))
 
     def _starts(self, layers: _Layers, through: Doubles) -> Rows:
-        """Returns the index of the first layer of each sample."""
+        """Returns the row of each sample's first hit. ``through`` is the transmittance in front of each hit."""
         is_other = np.diff(layers.pixel, prepend=-1) != 0
         farther = np.diff(layers.depth, prepend=np.float32(0.0))
         is_apart = is_other | (farther > 0.0)
@@ -294,20 +294,20 @@ class _DeepTracer:
         return np.flatnonzero(is_other | (is_apart & np.where(continues, ends_surface, changes)))
 
     def _pixel_widths(self, depth: FloatArray) -> FloatArray:
-        """Returns the width of a pixel at each depth, scene units."""
+        """Returns the width of a pixel at each view depth, scene units."""
         distance = np.ones_like(depth) if self._camera.model is CameraModel.ORTHOGRAPHIC else np.abs(depth)
         return distance / np.float32(min(self._camera.fx, self._camera.fy))
 
 
 def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
-    """Returns the radiance that each layer adds to its pixel, (M, 3).
+    """Returns the radiance that each hit adds to its pixel, shape (hits, 3).
 
-    Lights, the only layers without a weight, add their own radiance, which is known. The other layers divide the rest,
-    channel by channel, in proportion to their own radiance, or to their weights where all are black.
+    Lights, the only hits without a weight, add their emitted radiance. The other hits divide the rest of the target's
+    colour, channel by channel, in proportion to their radiance, or to their weights where all are black.
     """
 
     def summed(values: Doubles) -> Doubles:
-        """Sums values by pixel, (N, 1 or 3)."""
+        """Sums the values of each pixel's hits, shape (pixels, 1 or 3)."""
         columns = [np.bincount(layers.pixel, one, len(target)) for one in values.T]
         return np.stack(columns, axis=1, dtype=np.float64)
 
@@ -331,7 +331,7 @@ def _environment_radiance(environment: LightEnvironment, directions: FloatArray)
 
 
 def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, float]]:
-    """Returns the sub-pixel offsets of the rays, 0..1: those of the frame's first samples."""
+    """Returns the sub-pixel offsets of the frame's first samples, 0..1, through which rays are traced."""
     config = frame.config or RenderConfig(samples=max(frame.samples, 1))
     plan = FramePlan.of(config, scene)
     count = _RAYS if plan.has_history else min(max(frame.samples, 1), _RAYS)
@@ -341,7 +341,10 @@ def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, fl
 
 
 def _pixel_ray_indices(width: int, height: int) -> IntArray:
-    """Returns the ray index of each pixel, pixels row by row, (H W,). Rays are stored in square blocks of pixels."""
+    """Returns each pixel's index in the renderer's ray arrays, pixels row by row, shape (H W,).
+
+    The renderer orders rays in square blocks of pixels.
+    """
     side = RAY_BLOCK_PX
     down, right = (numbers.ravel() for numbers in np.divmod(np.arange(width * height), width))
     block = down // side * (-(-width // side)) + right // side
@@ -349,9 +352,10 @@ def _pixel_ray_indices(width: int, height: int) -> IntArray:
 
 
 def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
-    """Returns a depth for each pixel of a frame, row by row.
+    """Returns one depth for each pixel of a frame, row by row.
 
-    The depth is that of the surface, else of the first Gaussian's mean, else interpolated between neighbouring pixels.
+    The depth is that of the pixel's surface, else of its first Gaussian's mean, else interpolated between neighbouring
+    pixels.
     """
     forward, is_fisheye = camera.world_from_camera[:3, 2], camera.model is CameraModel.FISHEYE
     distance = np.where(np.isfinite(frame.depth), frame.depth, np.float32(np.nan))
@@ -371,7 +375,7 @@ def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
 
 
 def _view_colors(scene: Scene, camera: Camera) -> FloatArray:
-    """Returns linear colours of all Gaussians in the camera's view directions, instance by instance, (N, 3)."""
+    """Returns each Gaussian's linear colour seen from the camera, splat instance by splat instance, (N, 3)."""
     shown = [np.zeros((0, 3), np.float32)]
     for splat in scene.splats:
         object_from_world = np.linalg.inv(splat.transform)

@@ -1,4 +1,4 @@
-"""Cryptomatte coverage of a camera's pixels, from frames with shifted sub-pixel positions."""
+"""Renders Cryptomatte coverage of a camera's pixels from frames with shifted sub-pixel positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 _SIDE = 4
-"""Sub-pixel positions along a pixel's side; their square, 16, gives 17 levels of coverage at an edge."""
+"""Sub-pixel positions along a pixel's side; all 16 positions of a pixel give 17 levels of coverage at an edge."""
 _RANKS = 6
 """Largest number of names stored per pixel: three groups of channels, as production renderers write."""
 
@@ -24,9 +24,9 @@ _RANKS = 6
 def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Mattes:
     """Renders the coverage of each pixel by objects and materials, for Cryptomatte in compositors.
 
-    Renders 16 unlit frames, whose rays go through a 4 x 4 grid in each pixel. In each frame, the instance at the
-    pixel's surface (see ``instance_index``) covers as much as the frame's alpha. Surfaces behind translucent Gaussians
-    count as uncovered.
+    Renders 16 unlit frames, whose rays go through a 4 x 4 grid in each pixel. In each frame, the alpha of a pixel
+    counts as coverage by the instance at its surface (see ``instance_index``). Surfaces behind translucent Gaussians
+    get no coverage.
 
     Instances with the same name are one object. An instance without a name is called ``capture 0`` or ``mesh 0``, by
     its index. A mesh material without a name, and a capture's material, take the name of the object.
@@ -62,7 +62,7 @@ def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = No
 
 
 def _names(scene: Scene) -> tuple[list[str], list[str]]:
-    """Returns the object name and the material name of each instance, captures first, by instance index."""
+    """Returns the object names and the material names of all instances, by instance index (captures first)."""
     objects = [splat.name or f"capture {index}" for index, splat in enumerate(scene.splats)]
     materials = list(objects)
     for index, mesh in enumerate(scene.meshes):
@@ -72,12 +72,12 @@ def _names(scene: Scene) -> tuple[list[str], list[str]]:
 
 
 def _matte(kind: str, names: Sequence[str], shown: IntArray, weights: FloatArray) -> Matte:
-    """Sums the coverage of all sub-pixel positions by name, and returns the largest sums of each pixel.
+    """Sums each name's coverage over all sub-pixel positions, and returns a matte of each pixel's largest sums.
 
     Args:
         kind: Name of the matte, as in `Matte`.
         names: Name of each instance.
-        shown: Instance at each sub-pixel position; -1: none, shape (P, H, W).
+        shown: Instance index at each of P sub-pixel positions, shape (P, H, W); -1: none.
         weights: Fraction of the pixel that each position covers, shape (P, H, W).
     """
     distinct = tuple(dict.fromkeys(names))

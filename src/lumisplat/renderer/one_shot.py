@@ -19,7 +19,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 WARM_UP_FRAMES = 32
-"""Frames of a still real-time view, of which the last is returned: direct light is averaged over as many."""
+"""Default number of frames in a still real-time sequence, whose last frame is returned: direct light averages as many.
+"""
 
 
 def render(
@@ -38,11 +39,12 @@ def render(
         scene: The scene to render.
         camera: The camera.
         config: Settings; None: the defaults.
-        frames: Length of the sequence, for ``Pipeline.REALTIME`` only; None: 32, as on the command line.
+        frames: Number of frames of the still sequence, for ``Pipeline.REALTIME`` only; None: 32, as on the command
+            line.
         device: As for ``create_renderer``.
 
     Raises:
-        ConfigError: ``config`` is no RenderConfig, ``frames`` is below 1, or given with another pipeline.
+        ConfigError: ``config`` is no RenderConfig, ``frames`` is below 1, or ``frames`` is given for another pipeline.
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As for ``Renderer.render``.
     """
@@ -68,23 +70,25 @@ def trace_rays(
 ) -> RayHits:
     """Traces rays with given origins and directions through a scene, including mirrors and glass.
 
-    Rays are traced in batches, so memory does not grow with their number. Rays that are close in space should be close
-    in the arrays: they are traced together, which is faster. For many calls on one scene, use ``create_renderer`` with
+    Rays are traced in batches, so memory does not grow with their number. Neighbouring rays in the arrays are traced
+    together, which is faster if they are close in space. For many calls on one scene, use ``create_renderer`` with
     ``Pipeline.TRACE`` and its ``trace_rays``.
 
     Args:
         scene: The scene to trace.
-        origins: World space, shape (N, 3), or (3,) for all rays.
-        directions: World space, of any length, shape (N, 3).
+        origins: World-space origin of each ray, shape (N, 3), or one origin for all rays, shape (3,).
+        directions: World-space direction of each ray, of any length, shape (N, 3).
         config: Settings; None: the defaults. ``background`` is visible in mirrors only.
         profile: Whether to list the Gaussians on each ray up to the first mesh in ``RayHits.profile``. The list is
-            exact and sorted, whatever the strategy. It takes 20 bytes per Gaussian; device memory stays bounded.
+            exact and sorted, whatever ``config.trace.strategy`` is. It takes 20 bytes of host memory per listed
+            Gaussian; device memory stays bounded.
         device: As for ``create_renderer``.
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: A shape does not fit, a value is not finite or a direction has no length; the message counts them.
+        SceneError: A shape does not fit, a value is not finite, or a direction has no length; the message says how
+            many.
     """
     renderer = create_renderer(tracing(checked_config(config)), device)
     return renderer.trace_rays(scene, origins, directions, profile=profile)
@@ -93,7 +97,7 @@ def trace_rays(
 def focused(
     scene: Scene, camera: Camera, x: int, y: int, config: RenderConfig | None = None, *, device: str = "auto"
 ) -> Camera:
-    """Returns the camera focused on the surface at one pixel: only ``focus_distance`` changes.
+    """Returns the camera focused on the surface at one pixel; all fields but ``focus_distance`` are unchanged.
 
     The surface is at the frame's depth at that pixel, traced through a pinhole. Defocus blur also needs an ``aperture``
     and a ray-traced pipeline.
@@ -109,7 +113,7 @@ def focused(
     Raises:
         ConfigError: ``config`` is no RenderConfig.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: There is no such pixel, or no surface at it.
+        SceneError: The pixel is outside the image, or shows no surface.
     """
     return create_renderer(tracing(checked_config(config)), device).focused(scene, camera, x, y)
 
@@ -130,14 +134,14 @@ def transmittance(
 
     Args:
         scene: The scene that blocks the rays.
-        origins: World space, shape (N, 3), or (3,) for all rays.
-        directions: World space, of any length, shape (N, 3).
-        max_distance: Scene units, one number or one per ray, shape (N,).
+        origins: World-space origin of each ray, shape (N, 3), or one origin for all rays, shape (3,).
+        directions: World-space direction of each ray, of any length, shape (N, 3).
+        max_distance: Distance at which the segment ends, scene units: one number, or one per ray, shape (N,).
         config: Settings; None: the defaults.
         device: As for ``create_renderer``.
 
     Returns:
-        Transmittances 0..1, shape (N,).
+        Transmittance of each ray, 0..1, shape (N,).
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.

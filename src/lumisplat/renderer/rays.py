@@ -1,4 +1,4 @@
-"""Ray queries: traces rays given by a caller or by a camera's pixels, and lists the Gaussians on them."""
+"""Ray queries: traces rays of a caller or of a camera's pixels, and lists the Gaussians that rays hit."""
 
 from __future__ import annotations
 
@@ -35,35 +35,36 @@ from lumisplat.scene.scene import Scene
 _log = logging.getLogger("lumisplat")
 
 RAY_BATCH = 2**20
-"""Largest number of rays of a query on the device at once, about 200 MiB."""
+"""Largest number of a query's rays on the device at once, about 200 MiB."""
 
 _INPUTS = {"origins": wp.vec3, "directions": wp.vec3, "ends": wp.float32, "starts": wp.float32}
 
 PROFILE_ROWS = 2**22
-"""Largest number of listed hits on the device at once, 64 MiB; more only if rays that must be traced together have
-more."""
+"""Largest number of a query's listed hits on the device at once, 64 MiB; more only if the rays of one packet, which
+must be traced together, hit more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayProfile:
-    """The Gaussians on N rays, M in all: ray by ray, each in the order in which sorted blending composites them.
+    """The Gaussians that rays hit: ray by ray, on each ray in the order in which sorted blending composites them.
 
     A ray ends after the Gaussian at which its transmittance falls to ``TraceConfig.transmittance_min``, or at the first
     mesh.
     """
 
     first: Rows
-    """Row of each ray's first Gaussian, and M at the end, (N + 1,)."""
+    """Row of each ray's first Gaussian, and at the end the total number of rows, shape (rays + 1,)."""
     t: FloatArray
-    """Hit distance of the Gaussian by ``TraceConfig.hit_distance``, scene units, (M,); ascending on each ray."""
+    """Hit distance of each Gaussian as ``TraceConfig.hit_distance`` defines it, scene units, one per row; ascending on
+    a ray."""
     alpha: FloatArray
-    """Alpha of the Gaussian: the fraction of light from behind that it blocks, 0..0.99, (M,)."""
+    """Alpha of each Gaussian, the fraction of light from behind that it blocks, 0..0.99, one per row."""
     transmittance: FloatArray
-    """Transmittance from behind the Gaussian to the ray's origin, 0..1, (M,)."""
+    """Transmittance from just behind each Gaussian to the ray's origin, 0..1, one per row."""
     gaussian_index: IntArray
-    """Index of the Gaussian in its own instance, (M,)."""
+    """Index of each Gaussian within its instance, one per row."""
     instance_index: IntArray
-    """Index of its splat instance, in scene order, (M,)."""
+    """Index of each Gaussian's splat instance, in scene order, one per row."""
 
     def __repr__(self) -> str:
         return f"RayProfile(rays={len(self)}, hits={len(self.t)})"
@@ -72,22 +73,22 @@ class RayProfile:
         return len(self.first) - 1
 
     def rows(self, ray: int) -> slice:
-        """Returns the rows of a ray, counted from 0: ``profile.alpha[profile.rows(3)]``."""
+        """Returns the rows of one ray, rays counted from 0: ``profile.alpha[profile.rows(3)]``."""
         return slice(int(self.first[ray]), int(self.first[ray + 1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelProfile:
-    """One ray for each of N camera pixels, with all its hits."""
+    """One ray for each of N camera pixels, with all its hits. Pixels of a distorting lens may have no ray."""
 
     gaussians: RayProfile
-    """Gaussians on the rays, widened by the pixel footprint; none for pixels without a ray."""
+    """Gaussians on the rays, widened by the pixel footprint; pixels without a ray have none."""
     mesh_distance: FloatArray
-    """Distance of the nearest mesh, scene units, (N,); inf: no mesh."""
+    """Distance of the nearest mesh on each of N rays, scene units, (N,); inf: no mesh."""
     origins: Doubles
-    """Ray origins, world space, (N, 3); undefined for pixels without a ray."""
+    """World-space origin of each of N rays, (N, 3); undefined for pixels without a ray."""
     directions: FloatArray
-    """Unit ray directions, (N, 3); 0 for pixels without a ray."""
+    """World-space unit direction of each of N rays, (N, 3); 0 for pixels without a ray."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,23 +96,24 @@ class RayHits:
     """Radiance and hits of N rays."""
 
     radiance: FloatArray
-    """Radiance of everything that the ray hits, in ``color_space``, without a background or environment behind it, (N,
-    3)."""
+    """Radiance of everything that each of N rays hits, in ``color_space``, (N, 3), without a background or environment
+    behind the hits."""
     transmittance: FloatArray
-    """Weight of a background behind the ray, 0..1, (N,). 0 if the ray hits a mesh, even of clear glass: ``radiance``
-    then includes the surfaces visible through it."""
+    """Weight of a background behind each of N rays, 0..1, (N,). 0 if the ray hits a mesh, even of clear glass:
+    ``radiance`` then includes the surfaces visible through the glass."""
     depth: FloatArray
-    """Distance to the iso-opacity surface, scene units, (N,); inf: no surface."""
+    """Distance of the iso-opacity surface on each of N rays, scene units, (N,); inf: no surface."""
     normal: FloatArray
-    """Unit normal in world space, facing the ray's origin, (N, 3); zero: no hit."""
+    """World-space unit normal at the surface of each of N rays, facing the ray's origin, (N, 3); zero: no hit."""
     gaussian_index: IntArray
-    """Index of the Gaussian at the surface in its own instance, (N,); -1: none."""
+    """Index within its instance of the Gaussian at the surface of each of N rays, (N,); -1: none."""
     instance_index: IntArray
-    """Index of the instance at the surface, (N,): splat instances in scene order, then mesh instances; -1: none."""
+    """Index of the instance at the surface of each of N rays, (N,): splat instances in scene order, then mesh
+    instances; -1: none."""
     color_space: str = "srgb"
-    """Colour space of the radiance: ``srgb``, display-referred, or ``linear`` for lit queries."""
+    """Colour space of ``radiance``: ``srgb`` (display-referred) for unlit queries, ``linear`` for lit queries."""
     profile: RayProfile | None = None
-    """List of the Gaussians on the rays; None: not requested."""
+    """List of the Gaussians on the rays; None if it was not requested."""
 
     def __repr__(self) -> str:
         depths = self.depth[np.isfinite(self.depth)]
@@ -123,7 +125,7 @@ class RayHits:
 
 
 class RayLoader:
-    """Uploads rays in batches.
+    """Uploads rays of a query in batches.
 
     Args:
         launcher: Runs the kernel.
@@ -135,15 +137,15 @@ class RayLoader:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the kernel modules that start rays."""
         return [camera_ray_kernels]
 
     def allocate(self, count: int) -> RayData:
-        """Returns arrays for this many rays, rounded up to one of a few sizes so that buffers are reused."""
+        """Returns arrays for ``count`` rays, rounded up to one of a few sizes so that buffers are reused."""
         return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
 
     def upload(self, batch: list[FloatArray]) -> list[DeviceArray]:
-        """Uploads origins, directions, end distances and, if given, the distances from which Gaussians count."""
+        """Uploads a batch: origins, directions, end distances and, if given, distances from which Gaussians count."""
         if len(batch) < len(_INPUTS):
             batch = [*batch, np.zeros(len(batch[0]), np.float32)]
         arrays: list[DeviceArray] = []
@@ -155,25 +157,25 @@ class RayLoader:
         return arrays
 
     def load(self, scene: DeviceScene, first: int, count: int, inputs: list[DeviceArray], rays: RayData) -> None:
-        """Starts ``count`` rays of the scene's current sample. ``first`` is the index of the first one in its query."""
+        """Starts ``count`` uploaded rays of the scene's current sample; ``first`` is the query's index of the first."""
         self._launcher.run_banded(
             camera_ray_kernels.load_rays, len(rays.t_max), first, count, scene.sample, *inputs, rays
         )
 
 
 def batches(*arrays: FloatArray) -> Iterator[tuple[int, list[FloatArray]]]:
-    """Yields consecutive rows of all arrays, each with the index of its first row."""
+    """Splits all arrays into batches of consecutive rows; yields each batch with the index of its first row."""
     for first in range(0, max(len(arrays[0]), 1), RAY_BATCH):
         yield first, [array[first : first + RAY_BATCH] for array in arrays]
 
 
 def whole_packets(count: int) -> int:
-    """Rounds a count up to a multiple of a packet's rays."""
+    """Rounds a number of rays up to a multiple of a packet's size (rays that are traced together)."""
     return -(-count // PACKET_RAYS) * PACKET_RAYS
 
 
 def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Doubles, FloatArray]:
-    """Returns origins, float64, and unit directions, float32, shape (N, 3) each.
+    """Returns the origins (float64) and unit directions (float32) of N rays, shape (N, 3) each.
 
     One origin of shape (3,) is used for all rays.
 
@@ -200,7 +202,7 @@ def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Dou
 
 
 def checked_distances(distances: npt.ArrayLike, count: int) -> FloatArray:
-    """Returns one distance per ray, float32, shape (N,).
+    """Returns one distance for each of ``count`` rays, float32.
 
     Raises:
         SceneError: The distances are not one number or one per ray, or some are NaN or negative.
@@ -232,7 +234,7 @@ def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 class RayQueries:
-    """Traces rays in batches, so that memory does not grow with their number.
+    """Computes radiance, hits and transmittance of rays in batches, so that memory does not grow with their number.
 
     Args:
         launcher: Runs the kernels.
@@ -257,7 +259,7 @@ class RayQueries:
         self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
 
     def transmittance_modules(self) -> list[KernelModule]:
-        """Returns the kernel modules of `transmittance`, without those that build BVHs."""
+        """Returns the kernel modules that `transmittance` needs, except for the modules that build BVHs."""
         return [*self._transmittance.modules(ON_ALL, has_meshes=True), *self._rays.modules()]
 
     def query(
@@ -270,16 +272,16 @@ class RayQueries:
         *,
         ends: FloatArray | None = None,
     ) -> RayHits:
-        """Returns radiance and hits of rays; ``directions`` are unit vectors.
+        """Returns the radiance and the hits of N rays.
 
         Args:
             scene: The device scene, synced for rays.
             plan: Plan of the scene.
-            origins: Ray origins, shape (N, 3).
-            directions: Ray directions, shape (N, 3).
-            offsets: For rays that leave Gaussians: distances within which Gaussians of that size are skipped, as for
-                shadow rays, shape (N,). None: no Gaussian is skipped.
-            ends: Distances at which the rays end, shape (N,); None: rays do not end.
+            origins: Ray origins, local to the device scene, shape (N, 3).
+            directions: Unit ray directions, shape (N, 3).
+            offsets: For rays that leave Gaussians: the distance along each ray, shape (N,), up to which Gaussians as
+                large as the one it leaves are skipped, as for shadow rays. None: no Gaussian is skipped.
+            ends: Distance at which each ray ends, shape (N,); None: rays do not end.
         """
         parts: list[dict[str, npt.NDArray[Any]]] = []
         nonfinite = 0
@@ -314,7 +316,10 @@ class RayQueries:
         distances: FloatArray,
         offsets: FloatArray | None = None,
     ) -> FloatArray:
-        """Returns transmittances up to ``distances``, (N,); 0 below ``transmittance_min``. Args are as for `query`."""
+        """Returns the transmittance of N rays up to ``distances``, (N,); 0 where it is below ``transmittance_min``.
+
+        The other arguments are as for `query`.
+        """
         parts: list[FloatArray] = []
         scene.begin_sample(0)
         for first, batch in batches(origins, directions, distances, _starts(origins, offsets)):
@@ -329,7 +334,7 @@ class RayQueries:
     def _query_batch(
         self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray], *, bounced: bool
     ) -> tuple[dict[str, npt.NDArray[Any]], int]:
-        """Returns the images of one batch as one row of pixels, and the number of samples that were not finite."""
+        """Renders one batch of rays; returns its images as one row of pixels, and the number of non-finite samples."""
         # A caller's rays are not jittered: without random numbers, all samples are equal.
         is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
         samples = plan.samples if is_random else 1
@@ -359,12 +364,12 @@ class RayQueries:
 
 
 def _starts(origins: FloatArray, offsets: FloatArray | None) -> FloatArray:
-    """Returns the distance on each ray from which Gaussians count, shape (N,)."""
+    """Returns the distance on each of N rays from which Gaussians count, shape (N,): its offset, or else 0."""
     return np.zeros(len(origins), np.float32) if offsets is None else offsets
 
 
 def tracing(config: RenderConfig | None) -> RenderConfig:
-    """Returns the settings with a ray-traced pipeline: ``PATH`` if they have it, else ``TRACE``."""
+    """Returns the settings with a ray-traced pipeline: ``PATH`` if the settings have it, else ``TRACE``."""
     config = config or RenderConfig()
     return config if config.pipeline.traces_paths else replace(config, pipeline=Pipeline.TRACE)
 
@@ -387,7 +392,7 @@ class RayProfiles:
         self._camera_rays = CameraRays(launcher, buffers)
 
     def query(self, scene: DeviceScene, user_scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
-        """Returns the profile of rays; ``directions`` are unit vectors.
+        """Returns the profile of N rays, that is, the list of Gaussians on them.
 
         A first pass counts the hits. A second pass writes them for a few rays at a time, so that device memory is
         bounded.
@@ -396,7 +401,7 @@ class RayProfiles:
             scene: The device scene, synced.
             user_scene: The caller's scene, from which the device scene was synced.
             origins: Ray origins, local to the device scene, (N, 3).
-            directions: Ray directions, (N, 3).
+            directions: Unit ray directions, (N, 3).
         """
         found = self._hits(scene, origins, directions)
         counts = np.concatenate([device_array(hits.gaussians.hits).numpy()[:count].copy() for count, hits in found])
@@ -407,14 +412,14 @@ class RayProfiles:
     def query_pixels(
         self, scene: DeviceScene, user_scene: Scene, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> PixelProfile:
-        """Returns the profile of rays through camera pixels, with Gaussians widened by the pixel footprint.
+        """Returns the profile of N rays through camera pixels, with Gaussians widened by the pixel footprint.
 
         Args:
             scene: As for `query`, with the camera.
             user_scene: As for `query`.
-            ray_indices: Indices of the rays among those of all pixels, (N,).
-            sample: Index of the sample, which determines its position on the lens.
-            offset: Position of the sample in its pixels, 0..1.
+            ray_indices: Index of each ray among the rays of all pixels, (N,).
+            sample: Index of the sample, which determines where the rays pass the lens.
+            offset: Position within each pixel through which its ray passes, 0..1.
         """
         scene.begin_sample(sample)
         rays = self._pixel_rays(scene, ray_indices, sample, offset)
@@ -437,7 +442,7 @@ class RayProfiles:
         return PixelProfile(profile, mesh_distance, origins, directions)
 
     def surface_distances(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> FloatArray:
-        """Returns the distance of the first surface on each ray, as a frame's depth, (N,); inf: no surface."""
+        """Returns the distance of the first surface on N rays, defined as a frame's ``depth``, (N,); inf: none."""
         parts: list[FloatArray] = []
         for count, hits in self._hits(scene, origins, directions):
             found = (hits.gaussians.depth, hits.meshes.t)
@@ -448,7 +453,7 @@ class RayProfiles:
     def _hits(
         self, scene: DeviceScene, origins: FloatArray, directions: FloatArray
     ) -> Iterator[tuple[int, PrimaryHits]]:
-        """Yields the number of rays and their hits, batch by batch; each batch overwrites the last one's arrays."""
+        """Yields each batch's number of rays and their hits; each batch overwrites the arrays of the previous batch."""
         scene.begin_sample(0)
         for first, batch in batches(origins, directions, np.full(len(origins), np.inf, np.float32)):
             rays = self._rays.allocate(len(batch[0]))
@@ -456,13 +461,13 @@ class RayProfiles:
             yield len(batch[0]), self._find(scene, rays)
 
     def _find(self, scene: DeviceScene, rays: RayData, profiles: DeviceArray | None = None) -> PrimaryHits:
-        """Returns the hits of rays, and lists their Gaussians in ``profiles`` if it is given."""
+        """Returns the hits of rays, and writes the Gaussians that they hit to ``profiles`` if given."""
         meshes = self._meshes.find(scene, rays, "profile.meshes")
         gaussians = self._gaussians.find(scene, rays, meshes.t, "profile.gaussians", bounced=False, profiles=profiles)
         return PrimaryHits(rays, meshes, gaussians)
 
     def _loaded_rays(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> RayData:
-        """Uploads rays of a caller."""
+        """Uploads rays of a caller, and returns them as started rays."""
         rays = self._rays.allocate(len(origins))
         inputs = self._rays.upload([origins, directions, np.full(len(origins), np.inf, np.float32)])
         self._rays.load(scene, 0, len(origins), inputs, rays)
@@ -471,7 +476,7 @@ class RayProfiles:
     def _pixel_rays(
         self, scene: DeviceScene, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> RayData:
-        """Starts rays through camera pixels, as described at `query_pixels`."""
+        """Starts rays through camera pixels; arguments as for `query_pixels`."""
         count = whole_packets(grown_capacity(len(ray_indices)))
         listed = self._buffers.struct("profile.listed", ListedRays, count)
         padded = np.full(count, -1, np.int32)
@@ -484,7 +489,7 @@ class RayProfiles:
     def _profile_of(
         self, scene: DeviceScene, user_scene: Scene, counts: IntArray, start: Callable[[slice], RayData]
     ) -> RayProfile:
-        """Returns the profile of rays with known hit counts; ``start`` starts a slice of them again."""
+        """Returns the profile of rays whose hits are already counted; ``start`` starts a slice of the rays again."""
         first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         parts = [
             self._rows(scene, start(slice(begin, end)), first[begin : end + 1] - first[begin])
@@ -503,7 +508,7 @@ class RayProfiles:
         )
 
     def _rows(self, scene: DeviceScene, rays: RayData, first: Rows) -> dict[str, npt.NDArray[Any]]:
-        """Returns the hits of rays whose first rows are known, by the field names of `HitProfiles`."""
+        """Returns the listed hits of rays, by field of `HitProfiles`; ``first`` is the row of each ray's first hit."""
         count = int(first[-1])
         profiles = self._buffers.struct("profile.rows", HitProfiles, grown_capacity(count), ("first",))
         profiles.first = self._buffers.get("profile.first", wp.int32, len(rays.t_max) + 1)
@@ -515,10 +520,12 @@ class RayProfiles:
 
 
 def profile_ranges(counts: IntArray) -> Generator[tuple[int, int]]:
-    """Yields ranges of consecutive rays whose hits fit the device together; at least one range, which may be empty.
+    """Yields ranges of consecutive rays whose listed hits fit the device together.
+
+    At least one range is yielded; it is empty if no ray hits anything.
 
     Args:
-        counts: Hits of each ray.
+        counts: Number of hits of each ray.
     """
     if not counts.any():
         yield 0, 0

@@ -68,11 +68,11 @@ from lumisplat.scene.ops.views import focused_camera, pixel_ray
 from lumisplat.scene.scene import Scene
 
 _ANY_CAMERA = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-"""Camera for syncing the scene when rays come from a caller."""
+"""Camera for syncing the scene when the rays come from a caller and no camera is given."""
 
 
 class Renderer:
-    """Renders frames, and keeps assets, buffers and compiled kernels between them. Not thread-safe.
+    """Renders frames, and reuses assets, buffers and compiled kernels from frame to frame. Not thread-safe.
 
     Args:
         config: Settings; the defaults draw a capture as it was trained.
@@ -112,13 +112,14 @@ class Renderer:
         self._light_warnings = LightWarnings()
         self._captured_light = CapturedLightCache()
         self._developed: FrameStats | None = None
-        """Statistics of the last frame while the film still holds its samples; else None."""
+        """Statistics of the last frame while the film still holds that frame's samples; else None."""
         self._loaded: tuple[FramePlan, bool] | None = None
-        """Plan of the last frame, and whether its bytes were encoded on the device."""
+        """Plan for which kernels were loaded last, and whether the kernels that encode bytes were among them; None: no
+        kernels are loaded."""
         self._frame_number = 0
         """Index of the next frame in a real-time sequence."""
         self._catchers: Renderer | None = None
-        """Renders the frames that measure shadows on catcher meshes; None until a scene has such meshes."""
+        """Renderer of the frames that measure shadows on catcher meshes; None until a scene has such meshes."""
         if compiles:
             self._load(self._modules(FramePlan.of(config, Scene())))
 
@@ -136,7 +137,7 @@ class Renderer:
             progress: Called with a label and the fraction done, 0..1.
 
         Raises:
-            ConfigError: Frames of the scene are refused, whatever the camera.
+            ConfigError: The settings do not allow frames of the scene, whatever the camera.
             SceneError: ``scene`` is no Scene.
         """
         check_scene(scene)
@@ -161,7 +162,7 @@ class Renderer:
         return [*modules, *self._modules(FramePlan.of(self.config, scene), encodes=encode)]
 
     def _modules(self, plan: FramePlan, *, bounced: bool = False, encodes: bool = False) -> list[KernelModule]:
-        """Returns the kernel modules of frames, or of rays from a caller; ``bounced`` rays start at surfaces."""
+        """Returns the kernel modules of frames or ray queries; ``bounced``: rays start at surfaces, not at a camera."""
         others = [*self._scene.modules(plan), *self._film.modules(plan, encodes=encodes)]
         if not plan.is_sampled:
             return [*self._unlit_raster.modules(has_meshes=plan.has_meshes), *others]
@@ -189,20 +190,21 @@ class Renderer:
             scene: The scene to render. Assets of the last frame are not uploaded again. If a capture replaces one with
                 as many Gaussians, the ray tracer refits its BVH instead of building a new one.
             camera: The camera. A frame of ``Pipeline.REALTIME`` continues a sequence: it reuses the lighting of earlier
-                frames, whatever has moved since; ``reset`` drops it.
+                frames, even if objects or the camera have moved; ``reset`` drops the reused lighting.
             resume: A sampled frame of the same scene, camera and settings, except for ``samples`` and ``time_limit``.
-                The new samples are added to it, with the same result as rendering all at once.
+                New samples are added to the frame's samples, and the result equals a frame rendered with all samples at
+                once.
             encode: Whether the device tone-maps the frame and encodes its bytes, which speeds up ``numpy.asarray(frame,
                 numpy.uint8)`` and saving a PNG; CUDA always does.
             progress: Called after each sample with a label and the fraction done, 0..1. The label contains the number
-                of samples and, once there are enough to estimate it, their noise, separated by commas.
+                of samples and, once there are enough samples for an estimate, the noise, separated by commas.
             stop: Polled often while a CPU samples the frame, from any thread. When it returns True, the frame is
                 abandoned and the renderer is unchanged. Real-time frames depend on each other and are always finished.
 
         Raises:
             StoppedError: ``stop`` returned True.
             ConfigError: ``resume`` is no frame, has another camera, other settings or another number of Gaussians or
-                triangles, is not ray traced, or has too many samples.
+                triangles, is rasterised, or has too many samples.
             DeviceError: The device is out of memory.
             SceneError: ``scene`` or ``camera`` has the wrong type, the scene or the image exceeds 32-bit indices, or
                 the camera is not a pinhole or too distorted for the rasteriser.
@@ -242,7 +244,7 @@ class Renderer:
     def _with_caught_shadows(
         self, scene: Scene, camera: Camera, progress: Progress | None, stop: Callable[[], bool] | None
     ) -> Frame:
-        """Renders a scene with catcher meshes: the visible scene, plus shadows measured by a second renderer."""
+        """Renders a scene with catcher meshes: the scene without them, then shadows that a second renderer measures."""
         shown, returns_ratio = without_catcher_meshes(scene), "shadow_ratio" in self.config.aovs
         frame = self.render(shown, camera, progress=progress, stop=stop)
         self._developed = None
@@ -261,7 +263,10 @@ class Renderer:
         return self._catchers
 
     def render_part(self, scene: Scene, camera: Camera, part: SamplePart, *, progress: Progress | None = None) -> Frame:
-        """Renders a block of a frame's samples, or develops the samples that ``part`` holds. See ``render_samples``."""
+        """Renders one block of a frame's samples, or develops a frame from the samples that ``part`` already holds.
+
+        `lumisplat.farm.render_samples` and `lumisplat.farm.merge_samples` call this method.
+        """
         check_scene(scene)
         check_camera(camera)
         if has_catcher_meshes(scene):
@@ -283,11 +288,11 @@ class Renderer:
         return self._frame(scene, camera, images, counts, samples=part.count)
 
     def reconfigure(self, config: RenderConfig) -> None:
-        """Changes the settings. The next frames equal those of a new renderer to the bit.
+        """Changes the settings. The next frames equal the frames of a new renderer to the bit.
 
         Assets and their BVHs stay on the device; a new renderer would upload and build them again. A sequence of
         ``Pipeline.REALTIME`` restarts, as after ``reset``, and buffers of another pipeline are freed. If only
-        ``tone_map`` changes, sequences and samples are kept: `develop` applies it to frames.
+        ``tone_map`` changes, sequences continue and samples are reused: `develop` applies the tone map to frames.
 
         Args:
             config: The new settings.
@@ -309,11 +314,11 @@ class Renderer:
         vars(self).update(vars(other))
 
     def develop(self, frame: Frame, exposure: float | None = None, *, encode: bool = False) -> Frame:
-        """Returns a frame with this renderer's current tone map and another exposure, without new samples.
+        """Returns a frame with this renderer's current tone map and another exposure, without rendering new samples.
 
         Args:
-            frame: A frame of this renderer. The last one is developed from the samples on the device.
-            exposure: Stops; None: unchanged.
+            frame: A frame of this renderer. The last rendered frame is developed from the samples on the device.
+            exposure: Exposure in stops; None: unchanged.
             encode: As for `render`.
         """
         camera = frame.camera if exposure is None else replace(frame.camera, exposure=exposure)
@@ -329,7 +334,7 @@ class Renderer:
         self._scene.motion.forget()
 
     def release(self) -> None:
-        """Drops the history, as ``reset``, and the assets of the last frame, which the next frame would replace."""
+        """Drops the history, as ``reset`` does, and frees the assets of the last frame on the device."""
         self.reset()
         self._scene.release()
         self._captured_light = CapturedLightCache()
@@ -342,7 +347,7 @@ class Renderer:
         progress: Progress | None,
         part: SamplePart | None = None,
     ) -> tuple[BinningCounts, SampleBudget]:
-        """Samples the synced scene; returns counters, and the budget with the samples and noise reached."""
+        """Renders all samples of the synced scene; returns counters of the passes, and the budget afterwards."""
         self._film.begin(self._scene, plan, resume, part)
         first = part.first if part is not None else 0 if resume is None else resume.samples
         self._light_warnings.warn_of_noise(plan, first + plan.samples)
@@ -374,7 +379,7 @@ class Renderer:
             self._unscented.begin_frame(camera)
 
     def _images(self, plan: FramePlan, camera: Camera, *, encodes: bool = False) -> dict[str, Any]:
-        """Returns the images on the film."""
+        """Downloads the images that the film holds."""
         with self._launcher.stage("download"):
             images = self._film.images(camera.exposure, self.config, encodes=encodes)
             if "lights" in plan.aovs:
@@ -396,7 +401,10 @@ class Renderer:
     def trace_rays(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, *, profile: bool = False
     ) -> RayHits:
-        """Traces rays like the function ``trace_rays``, and reuses BVHs; needs ``Pipeline.TRACE`` or ``PATH``."""
+        """Traces rays like the function `lumisplat.trace_rays`, reusing BVHs of earlier calls.
+
+        The renderer's pipeline must be ``TRACE`` or ``PATH``.
+        """
         start, along = checked_rays(origins, directions)
         plan = self._sync_rays(scene)
         self._load(self._modules(plan))
@@ -409,13 +417,19 @@ class Renderer:
     def profile_pixels(
         self, scene: Scene, camera: Camera, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> PixelProfile:
-        """Lists the hits of rays through camera pixels, as `RayProfiles.query_pixels`; needs ``Pipeline.TRACE``."""
+        """Lists the hits of rays through camera pixels; the last three arguments are as in `RayProfiles.query_pixels`.
+
+        The renderer's pipeline must be ``TRACE``.
+        """
         plan = self._sync_rays(scene, camera)
         self._load(self._modules(plan))
         return self._profiles.query_pixels(self._scene, scene, ray_indices, sample, offset)
 
     def focused(self, scene: Scene, camera: Camera, x: int, y: int) -> Camera:
-        """Focuses a camera like the function ``focused``, and reuses BVHs; needs ``Pipeline.TRACE`` or ``PATH``."""
+        """Returns the camera focused on the surface at pixel (x, y), like the function `lumisplat.focused`.
+
+        The renderer's pipeline must be ``TRACE`` or ``PATH``. BVHs of earlier calls are reused.
+        """
         start, along = checked_rays(*pixel_ray(camera, x, y))
         plan = self._sync_rays(scene)
         self._load(self._modules(plan))
@@ -425,7 +439,10 @@ class Renderer:
     def transmittance(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, max_distance: npt.ArrayLike = math.inf
     ) -> FloatArray:
-        """Returns transmittances like the function ``transmittance``, and reuses BVHs; needs ``Pipeline.TRACE``."""
+        """Returns transmittances along rays like the function `lumisplat.transmittance`.
+
+        The renderer's pipeline must be ``TRACE`` or ``PATH``. BVHs of earlier calls are reused.
+        """
         start, along = checked_rays(origins, directions)
         distances = checked_distances(max_distance, len(start))
         plan = self._sync_rays(scene)
@@ -433,7 +450,7 @@ class Renderer:
         return self._queries.transmittance(self._scene, self._local(start), along, distances)
 
     def leaving_hits(self, scene: Scene, origins: FloatArray, directions: FloatArray, offsets: FloatArray) -> RayHits:
-        """Traces rays that leave Gaussians, like `trace_rays`; ``offsets`` are as for `RayQueries.query`."""
+        """Traces rays that leave Gaussians, and returns their hits; all arguments are as for `RayQueries.query`."""
         plan = self._sync_rays(scene)
         self._load(self._modules(plan, bounced=True))
         return self._queries.query(self._scene, plan, self._local(origins), directions, offsets)
@@ -441,13 +458,13 @@ class Renderer:
     def leaving_transmittance(
         self, scene: Scene, origins: FloatArray, directions: FloatArray, distances: FloatArray, offsets: FloatArray
     ) -> FloatArray:
-        """Returns the transmittance from Gaussians to points at the given distances, like `transmittance`."""
+        """Returns the transmittance up to ``distances`` of rays that leave Gaussians; see `RayQueries.query`."""
         plan = self._sync_rays(scene)
         self._load([*self._scene.modules(plan), *self._queries.transmittance_modules()])
         return self._queries.transmittance(self._scene, self._local(origins), directions, distances, offsets)
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
-        """Syncs the scene for rays of a caller, or for some rays of a camera."""
+        """Syncs the scene for rays that a caller gives, or for chosen rays of a camera."""
         if self.config.pipeline.rasterises:
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or Pipeline.PATH: this one rasterises")
         check_scene(scene)
@@ -459,7 +476,7 @@ class Renderer:
         return plan
 
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
-        """Syncs the scene, and drops cached lighting if its local origin has changed."""
+        """Syncs the scene to the device, and drops cached lighting if the device scene's local origin has changed."""
         before, self._developed = self._scene.frame, None
         self._scene.sync(scene, camera, plan)
         if not np.array_equal(before.origin, self._scene.frame.origin):
@@ -470,20 +487,20 @@ class Renderer:
         return self._scene.frame.points(points).astype(np.float32)
 
     def _with_captured_light(self, scene: Scene) -> Scene:
-        """Returns the scene, lit by its captures if `uses_captured_light` is true."""
+        """Returns the scene, with an environment light of its captures if `uses_captured_light` is true."""
         if not uses_captured_light(self.config, scene):
             return scene
         return self._captured_light.lit(scene, self.config.capture_gain, self._captured_light_renderer)
 
     def _captured_light_renderer(self) -> Callable[[Scene, Camera], Frame]:
-        """Returns a function that renders captures unlit, with its own copy of them on the device."""
+        """Returns a function that renders captures unlit, from a second copy of the captures on the device."""
         launcher = Launcher(self.device, self._launcher.threads, parallel=self._launcher.is_parallel)
         raster = replace(self.config.raster, strategy=RasterStrategy.SORTED, projection=Projection.EWA)
         config = RenderConfig(background=None, lighting=False, raster=raster, response=self.config.response)
         return Renderer(config, launcher, compiles=False).render
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
-        """Raises an error if the frame cannot be rendered, and logs approximations."""
+        """Raises an error if the frame cannot be rendered, and logs which effects are approximated."""
         check_samples(self.config, plan, resume)
         check_window(self.config, plan, camera)
         if resume is not None:
@@ -569,16 +586,17 @@ def create_renderer(
         config: Settings; None: the defaults.
         device: ``auto`` (CUDA if there is one), ``cpu``, ``cuda`` or ``cuda:N``.
         threads: CPU threads; None: as many as this process may use.
-        profile: Whether to time every stage on CUDA, too.
+        profile: Whether to time every stage on CUDA, too; on the CPU, stages are always timed.
         progress: Called with a label and a fraction 0..1 while kernels compile, also when a later frame needs more
             kernels. Compiling takes seconds, once per machine.
         scene: The scene to render: all kernels of its frames are compiled now, and none by the first frame. None:
-            kernels of an empty scene are compiled now, and the others by the first frame.
+            kernels of an empty scene are compiled now, and further kernels by the first frame.
         encode: Whether frames of the scene will be encoded, as for `Renderer.render`.
-        compiles: False: the first frame compiles all kernels that it needs, and nothing is compiled now.
+        compiles: Whether to compile kernels now; False: the first frame compiles all kernels that it needs.
 
     Raises:
-        ConfigError: ``threads`` is not positive, ``config`` is no RenderConfig, or does not allow frames of the scene.
+        ConfigError: ``threads`` is not positive, ``config`` is no RenderConfig, or ``config`` does not allow frames of
+            the scene.
         DeviceError: There is no such device.
         SceneError: ``scene`` is no Scene.
     """

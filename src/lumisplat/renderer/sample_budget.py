@@ -1,4 +1,4 @@
-"""Decides how many samples a frame takes: up to a number, a time limit or a noise level, whichever comes first."""
+"""Decides how many samples a frame takes: up to a count, a time limit or a noise level, whichever is reached first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import NOISE_SAMPLES_MIN
 
 NOISE_CHECKS = 8
-"""Noise estimates while the number of samples doubles: a frame takes at most an eighth more samples than it needs."""
+"""Number of noise estimates while the number of samples doubles. A frame takes at most an eighth more samples than its
+noise level needs."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -19,10 +20,10 @@ ALMOST = 0.999
 
 
 class SampleBudget:
-    """Counts the samples of a frame, and decides when it has enough.
+    """Counts the samples of a frame, and decides when the frame has enough.
 
-    The number of samples alone, including those of a resumed frame, determines when noise is estimated. An interrupted
-    and resumed frame therefore ends with as many samples as an uninterrupted one.
+    Noise is estimated at fixed numbers of samples, including the samples of a resumed frame. An interrupted and resumed
+    frame therefore ends with as many samples as an uninterrupted one.
 
     Args:
         config: Settings with the noise level and the time limit.
@@ -35,7 +36,7 @@ class SampleBudget:
         self._config, self._samples, self._first, self._estimate = config, samples, first, estimate
         self._started = time.monotonic()
         self.done = first
-        """Number of samples so far."""
+        """Number of samples that the frame has so far, including samples of a resumed frame."""
         self.noise: float | None = None
         """Last noise estimate; None: not estimated yet."""
         self.fraction = 0.0
@@ -54,12 +55,12 @@ class SampleBudget:
 
     @property
     def label(self) -> str:
-        """Progress label with the number of samples and their noise."""
+        """Progress label with the number of samples and, if estimated, the noise."""
         parts = ["tracing", f"{self.done:,} {'sample' if self.done == 1 else 'samples'}"]
         return ", ".join(parts if self.noise is None else [*parts, f"noise {self.noise:.3f}"])
 
     def close(self) -> None:
-        """Roughly estimates the noise of a frame with few samples, and warns if the noise level was not reached."""
+        """Makes a rough noise estimate if there are few samples, and warns if the noise level was not reached."""
         is_rough = self.done < NOISE_SAMPLES_MIN
         if self._estimate is not None and is_rough and self.done > 1:
             self.noise = self._estimate()
@@ -69,7 +70,7 @@ class SampleBudget:
             _log.warning("%s after %s samples a pixel, where RenderConfig.noise is %g", found, f"{self.done:,}", wanted)
 
     def _update(self) -> None:
-        """Estimates the noise if it is due, and updates the fraction done."""
+        """Estimates the noise if an estimate is due at this number of samples, and updates ``fraction``."""
         config, added = self._config, self.done - self._first
         fractions = [added / self._samples]
         if self._estimate is not None and is_noise_checked(self.done):
@@ -86,7 +87,7 @@ class SampleBudget:
 
 
 def is_noise_checked(samples: int) -> bool:
-    """Returns whether noise is estimated after this many samples: `NOISE_CHECKS` times per doubling."""
+    """Returns whether noise is estimated after this number of samples: `NOISE_CHECKS` times per doubling."""
     if samples < NOISE_SAMPLES_MIN:
         return False
     return samples % max(1, 2 ** (samples.bit_length() - 1) // NOISE_CHECKS) == 0

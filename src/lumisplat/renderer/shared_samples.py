@@ -1,4 +1,4 @@
-"""Splits the samples of one frame over several processes.
+"""Splits the samples of one frame over several processes, and merges them.
 
 docs/adr/0072-tiles-and-sample-blocks-match-the-frame.md#samples explains the decisions.
 """
@@ -21,15 +21,15 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 SAMPLES_PER_BLOCK = 32
-"""Samples that one process adds up when several share a frame; it affects rounding in shared frames. A power of two,
-since Sobol points are well distributed in powers of two."""
+"""Number of samples in the blocks that processes render when they share a frame. A power of two, because so many Sobol
+points are well distributed. The size affects how sums are rounded."""
 
 
 def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:
-    """Returns the indices of a frame's samples in blocks of 32, which several processes may share.
+    """Splits the indices of a frame's samples into blocks of 32, which several processes may render.
 
     Raises:
-        ConfigError: Frames of the scene have no samples, or their number is not fixed.
+        ConfigError: Frames of the scene have no samples, or the number of samples is not fixed.
         SceneError: ``scene`` is no Scene.
     """
     check_scene(scene)
@@ -42,7 +42,7 @@ def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:
 def render_samples(
     renderer: Renderer, scene: Scene, camera: Camera, samples: range, *, progress: Progress | None = None
 ) -> SamplePart:
-    """Renders some samples of a frame, and returns their sums.
+    """Renders one block of a frame's samples, and returns their sums.
 
     Args:
         renderer: The renderer.
@@ -52,7 +52,7 @@ def render_samples(
         progress: As for `lumisplat.Renderer.render`.
 
     Raises:
-        ConfigError: As for `lumisplat.farm.sample_blocks`, or the samples are not one of its blocks.
+        ConfigError: As for `lumisplat.farm.sample_blocks`, or ``samples`` is not one of the blocks.
         DeviceError: As for `lumisplat.Renderer.render`.
         SceneError: As for `lumisplat.Renderer.render`.
     """
@@ -71,13 +71,13 @@ def render_samples(
 
 
 def merge_samples(renderer: Renderer, scene: Scene, camera: Camera, parts: Iterable[SamplePart]) -> Frame:
-    """Merges all samples of a frame: the result is the same to the bit, whichever processes rendered the parts.
+    """Merges all samples of a frame into the frame. Its bits do not depend on which processes rendered which parts.
 
-    The frame nearly equals that of `lumisplat.Renderer.render`, which adds up the same samples without blocks: some
-    pixels differ by rounding.
+    The frame nearly equals the one from `lumisplat.Renderer.render`, which sums all samples without blocks: some pixels
+    differ by rounding.
 
     Args:
-        renderer: A renderer with the settings of those that rendered the parts.
+        renderer: A renderer with the settings of the renderers that made the parts.
         scene: As for `lumisplat.farm.render_samples`.
         camera: As for `lumisplat.farm.render_samples`.
         parts: All parts in order, from sample 0 on; an iterator may load them one by one.

@@ -1,4 +1,4 @@
-"""The texel layout of a light's deep shadow map, fitted to casters or receivers, and the region that is tabulated.
+"""Atlas (texel layout) of a light's deep shadow map, fitted to casters or receivers, and its tabulated texels.
 
 Source: docs/method/deep_shadow_maps.md#region.
 """
@@ -37,17 +37,18 @@ from lumisplat.scene.local_frame import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCKING_REACH = 6.0
-"""Standard deviations from a Gaussian's mean beyond which absorption is negligible: erfc(6 / sqrt(2)) is 2e-9."""
+"""Number of standard deviations from a Gaussian's mean beyond which absorption is negligible: erfc(6 / sqrt(2)) is
+2e-9."""
 
 Source = npt.NDArray[np.float64] | LightDirectional
 """Position of a point light, shape (3,), or a directional light."""
 
 
 def source_of(light: object) -> Source:
-    """Returns the position or direction of a light; a point may be given instead of a light.
+    """Returns the position or direction of a light; a point of shape (3,) may be given instead of a light.
 
     Raises:
-        SceneError: The argument is neither, or not finite.
+        SceneError: The argument is neither a point nor such a light, or is not finite.
     """
     if isinstance(light, LightDirectional):
         return light
@@ -61,12 +62,12 @@ def source_of(light: object) -> Source:
 
 
 def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) -> Atlas:
-    """Fits the atlas of a light.
+    """Fits the atlas of a light to Gaussians.
 
     Args:
         source: Position or direction of the light.
-        around: Gaussians that the bins and the plane of a directional light must cover: the receivers, or without
-            receivers the casters.
+        around: Gaussians that the depth bins, and for a directional light the texel plane, must cover: the receivers,
+            or the casters if there are no receivers.
         config: Settings.
     """
     atlas = Atlas()
@@ -79,7 +80,12 @@ def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) 
 
 
 def shadow_bound(atlas: Atlas, footprints: npt.NDArray[np.void] | None) -> ShadowBound:
-    """Returns a bound of the shadows of casters, from rows of Footprint; None for a bound that holds any casters."""
+    """Returns a volume that encloses the shadows of casters.
+
+    Args:
+        atlas: The light's atlas.
+        footprints: Row of Footprint for each caster; None: the casters are unknown, and the volume is all of space.
+    """
     bound = ShadowBound()
     bound.extent = EVERYTHING
     if footprints is None or (footprints["extent"] == EVERYTHING).any():
@@ -95,7 +101,7 @@ def shadow_bound(atlas: Atlas, footprints: npt.NDArray[np.void] | None) -> Shado
 
 
 def _bound_by_cylinder(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> None:
-    """Sets a cylinder along a directional light around the footprints' rectangles."""
+    """Sets the bound to a cylinder along a directional light that encloses the casters' footprints (rectangles)."""
     first, second, low, high = (footprints[name].astype(np.float64) for name in ("first", "second", "low", "high"))
     middles = 0.5 * ((low + high)[:, :1] * first + (low + high)[:, 1:] * second)
     center = 0.5 * (middles.min(axis=0) + middles.max(axis=0))
@@ -105,7 +111,10 @@ def _bound_by_cylinder(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> 
 
 
 def _bound_by_cone(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> None:
-    """Sets a cone from a point light around the footprints' cones; casters on all sides of the light stay unbounded."""
+    """Sets the bound to a cone from a point light that encloses the casters' footprints (cones).
+
+    The bound is unchanged if casters lie on all sides of the light.
+    """
     directions = footprints["direction"].astype(np.float64)
     axis = directions.mean(axis=0)
     if np.linalg.norm(axis) <= SHADOW_BOUND_MARGIN:
@@ -157,20 +166,20 @@ def _fit_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians, 
 
 
 def _reach(around: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """Returns the radius of each Gaussian's footprint, shape (N,)."""
+    """Returns the radius of each of N Gaussians' footprints, scene units, shape (N,)."""
     return SHADOW_FOOTPRINT * around.scales.max(axis=1, initial=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Texels and depth bins that are tabulated; transmittance is 1 elsewhere."""
+    """Texels and depth bins whose transmittance is tabulated; everywhere else the transmittance is 1."""
 
     texels: IntArray
-    """Indices of the texels with a column of bins, ascending, shape (P,)."""
+    """Index of each texel that has a column of bins, ascending."""
     first: IntArray
-    """First bin of each column, shape (P,)."""
+    """Index of the first bin of each column, in the order of ``texels``."""
     count: IntArray
-    """Number of bins of each column, shape (P,)."""
+    """Number of bins of each column, in the order of ``texels``."""
 
     @property
     def voxel_count(self) -> int:
@@ -179,14 +188,14 @@ class Region:
 
     @property
     def tiles(self) -> IntArray:
-        """Indices of the tiles with columns, ascending."""
+        """Indices of the tiles that contain columns, ascending."""
         return np.unique(self.texels // TILE_TEXELS)
 
     def columns(self, atlas: Atlas) -> tuple[IntArray, npt.NDArray[np.void]]:
-        """Returns the slot of each tile, and rows of Column for the texels of each slot, as in `Table`.
+        """Returns the slot of each tile (-1: the tile has no column), and a row of Column for each texel of each slot.
 
         Raises:
-            SceneError: There are 2^31 bins or more.
+            SceneError: The region has 2^31 bins or more.
         """
         if self.voxel_count >= 2**31:
             raise SceneError(
@@ -203,7 +212,7 @@ class Region:
 
 
 def texel_count(atlas: Atlas) -> int:
-    """Returns the number of texels over all faces."""
+    """Returns the number of texels of all faces together."""
     return face_count(atlas) * atlas.size**2
 
 
@@ -219,7 +228,7 @@ def all_tiles(atlas: Atlas) -> IntArray:
 
 
 def region_of_casters(atlas: Atlas, casters: PlacedGaussians, tiles: IntArray) -> Region:
-    """Returns the region that casters can shadow: the texels of ``tiles``, from the nearest to the farthest caster."""
+    """Returns the region that casters can shadow: texels of ``tiles``, bins from the nearest to the farthest caster."""
     if atlas.layout == PARALLEL:
         first, last = 0, atlas.bins - 1
     else:
@@ -234,7 +243,7 @@ def region_of_casters(atlas: Atlas, casters: PlacedGaussians, tiles: IntArray) -
 def region_of_receivers(
     launcher: Launcher, atlas: Atlas, receivers: Receivers, rows: IntArray, sampling: FootprintSampling
 ) -> Region:
-    """Returns the region that the lookups of some ``rows`` of receivers read."""
+    """Returns the region that shadow lookups of some receivers read; ``rows`` holds the indices of these receivers."""
     buffers = Buffers(launcher.device)  # temporary arrays over all texels
     firsts = buffers.get("region.firsts", wp.int32, texel_count(atlas))
     lasts = buffers.get("region.lasts", wp.int32, texel_count(atlas))

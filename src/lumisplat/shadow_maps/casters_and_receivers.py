@@ -1,4 +1,4 @@
-"""Converts casters and receivers to Gaussians in world space, and sets up how receivers sample the map."""
+"""Converts shadow casters and receivers to Gaussians in world space, and chooses sample points in receivers."""
 
 from __future__ import annotations
 
@@ -29,33 +29,38 @@ Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 
 SURFACES_HELD = 64
-"""Maximum number of meshes whose Gaussians are cached; the least recently used one is dropped."""
+"""Largest number of meshes whose Gaussians are cached; beyond it, the least recently used mesh is dropped."""
 
 
 class MeshesAsGaussians:
-    """Converts meshes to Gaussians, each once, so that a mesh that reappears casts the same shadow as before.
+    """Converts meshes to Gaussians and caches the result, so that a mesh that reappears casts the same shadow again.
 
-    Meshes that share their ``indices``, such as poses of a rig, are one deforming surface, whose Gaussians follow it.
+    Meshes that share their ``indices``, such as poses of a rig, are one deforming surface: the Gaussians of the first
+    pose move with the triangles.
     """
 
     def __init__(self) -> None:
         self._surfaces: dict[int, _Surface] = {}
 
     def placed(self, name: str, content: Content | Iterable[Content], origin: Doubles = ZERO) -> PlacedGaussians:
-        """Returns the Gaussians of all content in world space; in a scene, those of meshes come last.
+        """Returns the Gaussians of all casters or receivers in world space; in a scene, Gaussians of meshes come last.
 
         Args:
             name: Name of the argument in messages.
-            content: One item or several.
-            origin: World position that the Gaussians are relative to, shape (3,).
+            content: One object or several.
+            origin: World position to which the Gaussians are relative, shape (3,).
 
         Raises:
-            SceneError: An item is of another type.
+            SceneError: An item is not of the types in `Content`.
         """
         return placed_gaussians(self.instances(name, content), origin)
 
     def instances(self, name: str, content: Content | Iterable[Content]) -> list[SplatInstance]:
-        """Returns all content as splat instances; arguments and errors are those of `placed`."""
+        """Returns all content as splat instances, converting meshes to Gaussians; arguments as for `placed`.
+
+        Raises:
+            SceneError: An item is not of the types in `Content`.
+        """
         items: list[SplatInstance] = []
         for one in [content] if isinstance(content, Content) else _several(name, content):
             if isinstance(one, Scene):
@@ -83,7 +88,7 @@ class MeshesAsGaussians:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """A mesh, the Gaussians that cover it, and their binding to its triangles."""
+    """A mesh, the Gaussians that cover it, and the data that binds these Gaussians to the mesh's triangles."""
 
     mesh: Mesh
     gaussians: Gaussians
@@ -95,7 +100,7 @@ class _Surface:
         return cls(mesh, samples.gaussians, bind_surface(mesh, samples))
 
     def moved_to(self, positions: npt.NDArray[np.floating]) -> Gaussians:
-        """Returns the Gaussians of the surface for other vertex positions."""
+        """Returns the surface's Gaussians moved to other vertex positions of the mesh."""
         changed, vanished = deform_gaussians(self.binding, self.gaussians.scales, positions, None)
         opacities = np.where(vanished, np.float32(0.0), self.gaussians.opacities)
         return replace(self.gaussians, opacities=opacities, **changed)
@@ -108,10 +113,10 @@ def _is_similar(linear: npt.NDArray[np.float64]) -> bool:
 
 
 def as_iterable(name: str, content: object) -> Iterable[object]:
-    """Returns the content if it is iterable.
+    """Returns the content if it is iterable; ``name`` is the argument's name in the error message.
 
     Raises:
-        SceneError: The content is a single item of another type; the message lists what may be given.
+        SceneError: The content is a single object of another type; the message lists the types that are allowed.
     """
     if not isinstance(content, Iterable):
         raise SceneError(f"{name} is a {type(content).__name__}, expected {_EXPECTED}")
@@ -142,7 +147,7 @@ def placed_receivers(receivers: Receiving, origin: Doubles) -> PlacedGaussians:
     """Returns receivers in world space relative to an origin, shape (3,); points become Gaussians of scale 0.
 
     Raises:
-        SceneError: An item is of another type, or a value is not finite.
+        SceneError: A receiver is not of the types in `Receiving`, or a value is not finite.
     """
     if isinstance(receivers, Content):
         return MeshesAsGaussians().placed("receivers", receivers, origin)
@@ -155,10 +160,10 @@ def placed_receivers(receivers: Receiving, origin: Doubles) -> PlacedGaussians:
 
 
 def placed_points(values: npt.ArrayLike, origin: Doubles) -> PlacedGaussians:
-    """Returns points, shape (N, 3), as Gaussians of scale 0, relative to an origin.
+    """Returns N points, shape (N, 3), as Gaussians of scale 0 relative to an origin, shape (3,).
 
     Raises:
-        SceneError: The shape does not fit, or values are not finite.
+        SceneError: The points' shape is not (N, 3), or values are not finite.
     """
     points = float_array("points", values)
     if points.size == 0:
@@ -180,7 +185,7 @@ def upload_receivers(buffers: Buffers, placed: PlacedGaussians) -> Receivers:
 
 
 def footprint_sampling(config: DeepShadowConfig, receivers: PlacedGaussians) -> FootprintSampling:
-    """Returns the sampling pattern of each receiver's footprint; receivers of scale 0 are sampled at their mean."""
+    """Returns pattern and number of samples in each receiver's footprint; points are sampled once, at the mean."""
     sampling = FootprintSampling()
     sampling.pattern, sampling.count = _PATTERN[config.sampling], config.samples
     sampling.seed = wp.uint32(config.seed)

@@ -1,4 +1,4 @@
-"""Culls casters that the rays through a tile of an atlas cannot intersect (docs/method/deep_shadow_maps.md#culling)."""
+"""Culls casters that no light ray through a tile of the atlas intersects (docs/method/deep_shadow_maps.md#culling)."""
 
 from __future__ import annotations
 
@@ -18,28 +18,30 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCK_TILES = 8
-"""Side, in tiles, of the blocks for which casters are culled first: 256 blocks at 1024 texels."""
+"""Side, in tiles, of the blocks of tiles for which casters are culled first: 256 blocks if the atlas has 1024 x 1024
+texels."""
 
 BANDS_PER_THREAD = 16
-"""Number of bands per CPU thread. Many small bands balance cells of different cost: some have many casters, others
-none."""
+"""Number of launches (bands of items) per CPU thread. Many small bands balance cells of different cost: some have many
+casters, others none."""
 
 PARALLEL_PARTS = 2**16
-"""Number of parts into which CUDA divides all parent lists, because cells are few and their lists are long."""
+"""Number of parts into which CUDA splits the caster lists of all cells together, because cells are few and lists long.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CulledCasters:
-    """Lists of the casters that texels have to consider."""
+    """For each cell, the list of the casters that light rays through the cell may intersect."""
 
     lists: CasterLists
-    """The lists, on the device."""
+    """The caster lists on the device."""
     counts: IntArray
-    """Number of casters in each list, shape (L,)."""
+    """Number of casters in each list."""
 
 
 class OneList:
-    """Disabled culling: one list of all casters for every texel.
+    """Stands in for culling when it is disabled: one list of all casters serves every texel.
 
     Args:
         buffers: Holds the arrays.
@@ -49,16 +51,16 @@ class OneList:
         self._buffers = buffers
 
     def cull(self, footprints: DeviceArray) -> CulledCasters:
-        """Lists as many casters as there are footprints."""
+        """Returns one list of all casters; there is one footprint for each caster."""
         return CulledCasters(list_of_all(self._buffers, footprints), np.array([footprints.shape[0]], np.int32))
 
     def list_numbers(self, texels: IntArray) -> IntArray:
-        """Returns the index of each texel's list."""
+        """Returns the index of each texel's caster list: always 0."""
         return np.zeros(len(texels), np.int32)
 
 
 class TileLists:
-    """Culls casters for tiles of an atlas: a list for each tile of the casters that its rays may intersect.
+    """Culls casters by tiles of the atlas: lists the casters that light rays through each tile may intersect.
 
     Casters are culled for blocks of tiles first, then for the tiles of each block.
 
@@ -66,13 +68,13 @@ class TileLists:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         atlas: The atlas.
-        tiles: Indices of the tiles, ascending, shape (T,).
+        tiles: Indices of the tiles, ascending.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, atlas: Atlas, tiles: IntArray) -> None:
         self._launcher, self._buffers, self._atlas = launcher, buffers, atlas
         self.tiles = tiles
-        """Indices of the tiles, ascending, shape (T,)."""
+        """Indices of the tiles that get lists, ascending."""
         across = atlas.size // SHADOW_TILE
         face, y, x = tiles // across**2, tiles // across % across, tiles % across
         blocks = np.stack([face, x // SHADOW_BLOCK_TILES, y // SHADOW_BLOCK_TILES], axis=1)
@@ -84,17 +86,17 @@ class TileLists:
         self._tiles = self._cells("tiles", corners, SHADOW_TILE, parents.ravel())
 
     def cull(self, footprints: DeviceArray) -> CulledCasters:
-        """Finds the casters of each tile from rows of Footprint."""
+        """Returns the caster list of each tile; ``footprints`` holds a row of Footprint for each caster."""
         lists = list_of_all(self._buffers, footprints)
         of_blocks = self._narrow("blocks", self._blocks, footprints, lists)
         return self._narrow("tiles", self._tiles, footprints, of_blocks.lists)
 
     def list_numbers(self, texels: IntArray) -> IntArray:
-        """Returns the index of each texel's list; the texels must be in the tiles."""
+        """Returns the index of each texel's caster list; every texel must lie in one of ``tiles``."""
         return np.searchsorted(self.tiles, texels // TILE_TEXELS).astype(np.int32)
 
     def _narrow(self, name: str, cells: DeviceArray, footprints: DeviceArray, lists: CasterLists) -> CulledCasters:
-        """Returns the casters of each cell's parent list that may intersect the cell."""
+        """Returns, for each cell, the casters from its parent's list that light rays through the cell may intersect."""
         parts = max(PARALLEL_PARTS // max(cells.shape[0], 1), 1) if self._launcher.is_parallel else 1
         count, run = cells.shape[0] * parts, self._launcher.run_banded
         bands = BANDS_PER_THREAD * self._launcher.threads
@@ -116,7 +118,7 @@ class TileLists:
     def _cells(
         self, name: str, corners: npt.NDArray[np.integer], side: int, parents: npt.NDArray[np.integer]
     ) -> DeviceArray:
-        """Creates rows of Cell for squares of ``side`` texels from face, x and y of their first texels, (C, 3)."""
+        """Creates rows of Cell for C squares of ``side`` texels; rows of ``corners``: face, x, y of the first texel."""
         cells = self._buffers.get(f"{name}.cells", Cell, len(corners))
         uploaded = (
             self._buffers.upload(f"{name}.corners", wp.vec3i, corners.astype(np.int32)),
@@ -128,7 +130,7 @@ class TileLists:
 
 
 def list_of_all(buffers: Buffers, footprints: DeviceArray) -> CasterLists:
-    """Returns one list of all casters."""
+    """Returns one list with the indices of all casters."""
     lists = CasterLists()
     lists.items = buffers.upload("culling.items", wp.int32, np.arange(footprints.shape[0], dtype=np.int32))
     lists.ends = buffers.upload("culling.all", wp.int32, np.array([footprints.shape[0]], np.int32))

@@ -61,43 +61,44 @@ _MAPPING = {
 
 @dataclass(frozen=True, slots=True)
 class DeepShadowStats:
-    """Sizes and times of the last build."""
+    """Sizes and times of the last build of a deep shadow map."""
 
     casters: int
     """Number of Gaussians that block light."""
     texels: int
     """Number of texels that are tabulated."""
     voxels: int
-    """Number of bins over all tabulated texels."""
+    """Number of depth bins over all tabulated texels."""
     pairs: int
-    """Number of pairs of a texel and a caster whose optical depth was added to the texel."""
+    """Number of (texel, caster) pairs, summed over the caster lists that texels evaluated."""
     stage_ms: dict[str, float]
     """Wall time of each stage, milliseconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layout:
-    """The columns of a region on the device."""
+    """The columns of depth bins of a region, on the device."""
 
     region: Region
     texels: DeviceArray
-    """Indices of the texels with a column."""
+    """Index of each texel that has a column."""
     list_of_texel: DeviceArray
-    """Index of each texel's caster list."""
+    """Index of the caster list of each texel in ``texels``."""
     values: DeviceArray
-    """Values of ``table``."""
+    """Transmittance of all bins; the array that ``table`` refers to."""
     table: Table
 
 
 class DeepShadowMap:
-    """Deep shadow map of a light: its transmittance through casters by direction and distance, in closed form.
+    """Deep shadow map of a light: tabulates the light's transmittance through casters by direction and distance.
 
-    Gaussians absorb light along the whole ray, ``sigma(x) = sum beta exp(-1/2 d(x)^2)``. Shadows therefore have soft
-    edges and no tint, and each point behind or inside the casters is darkened by what lies between it and the light.
-    Create one with `build`. Source: docs/method/deep_shadow_maps.md.
+    Optical depth is integrated in closed form: Gaussians absorb light along the whole ray, ``sigma(x) = sum beta
+    exp(-1/2 d(x)^2)``. Shadows therefore have soft edges and no tint, and each point behind or inside the casters is
+    darkened by the Gaussians between the point and the light. Create a map with `build`. Source:
+    docs/method/deep_shadow_maps.md.
 
-    Transmittance is tabulated at the centres of texels and bins and interpolated. With ``receivers``, it is tabulated
-    only where they sample it, and 1 elsewhere.
+    Transmittance is tabulated at the centres of texels and bins and interpolated. With ``receivers``, only the texels
+    and bins that the receivers sample are tabulated, and the transmittance is 1 elsewhere.
     """
 
     def __init__(self, config: DeepShadowConfig, source: Source, launcher: Launcher) -> None:
@@ -105,16 +106,16 @@ class DeepShadowMap:
         """Settings."""
         self._source, self._launcher = source, launcher
         self._frame = LocalFrame(np.zeros(3))
-        """Local frame of the map, that of its first casters."""
+        """Local frame of the map, around the casters of the first build."""
         self._buffers = Buffers(launcher.device)
         self._meshes = MeshesAsGaussians()
         self._atlas = Atlas()
         self._fixed_region: Region | None = None
-        """Region that all builds tabulate; None: the region that the casters of each build can shadow."""
+        """Region that all builds tabulate; None: each build tabulates the region that its casters can shadow."""
         self._fixed_tiles: TileLists | None = None
-        """Culling for the fixed region, created when first needed."""
+        """Culling for the tiles of the fixed region, created when first needed."""
         self._layout: _Layout | None = None
-        """Columns of the last build."""
+        """Columns of the last build on the device; None before the first build."""
         self._bound = ShadowBound()
         self.stats = DeepShadowStats(0, 0, 0, 0, {})
         """Sizes and times of the last build."""
@@ -130,14 +131,14 @@ class DeepShadowMap:
         device: str = "auto",
         progress: Progress | None = None,
     ) -> DeepShadowMap:
-        """Tabulates the transmittance of a light through casters.
+        """Builds a deep shadow map: tabulates the transmittance of a light through casters.
 
         Args:
             casters: Gaussians, meshes (which are converted to Gaussians), instances, a scene, or several of these.
-            light_position: Position of the light, world space, shape (3,), or a light. Lights with an extent are
-                treated as points at their centre; the light of a `LightDirectional` is parallel.
-            receivers: Receivers that the map will be sampled for, in the same forms, or points, shape (N, 3). None: any
-                point behind the casters.
+            light_position: A light, or the position of a point light, world space, shape (3,). Lights with an extent
+                are treated as points at their centre. The rays of a `LightDirectional` are parallel.
+            receivers: Objects or points whose shadows will be looked up: the types allowed for ``casters``, or points
+                of shape (N, 3). None: any point behind the casters.
             config: Settings; None: the defaults.
             device: As for `create_renderer`.
             progress: Called with a label and a fraction 0..1 while kernels compile.
@@ -145,7 +146,7 @@ class DeepShadowMap:
         Raises:
             ConfigError: ``config`` is no DeepShadowConfig.
             DeviceError: There is no such device, or it is out of memory.
-            SceneError: There are no casters, an item is of another type, or a value is not finite.
+            SceneError: There are no casters, an argument is of another type, or a value is not finite.
         """
         config = DeepShadowConfig() if config is None else config
         check_kind("config", config, DeepShadowConfig)
@@ -163,7 +164,7 @@ class DeepShadowMap:
         return shadow
 
     def rebuild(self, casters: Content | Iterable[Content]) -> None:
-        """Tabulates other casters for the same light and receivers; memory is reused and grows only if needed.
+        """Tabulates other casters for the light and receivers of `build`; memory is reused, and grows only if needed.
 
         Args:
             casters: As for `build`.
@@ -176,39 +177,40 @@ class DeepShadowMap:
         self._tabulate(self._placed_casters(casters))
 
     def transmittance(self, points: npt.ArrayLike) -> FloatArray:
-        """Returns the transmittance from the light to points.
+        """Returns the transmittance from the light to N points.
 
         Args:
-            points: World-space points, shape (N, 3). A map built for receivers tabulates only those: other points may
-                get 1.
+            points: World-space points, shape (N, 3). A map built for receivers is tabulated only around them: the
+                transmittance at other points may be 1 although they are shadowed.
 
         Returns:
-            Transmittance, 0..1, shape (N,).
+            Transmittance at each point, 0..1, shape (N,).
 
         Raises:
-            SceneError: The shape does not fit, or values are not finite.
+            SceneError: The shape is not (N, 3), or values are not finite.
         """
         return self._sample(placed_points(points, self._frame.origin))
 
     def transmittance_of(self, receivers: Receiving) -> FloatArray:
-        """Returns the transmittance from the light to Gaussians, averaged over the samples of ``config.sampling``.
+        """Returns the transmittance from the light to receivers, averaged over samples in each receiver's footprint.
 
-        Source: docs/method/deep_shadow_maps.md#lookup.
+        Settings ``sampling`` and ``samples`` choose the samples. Source: docs/method/deep_shadow_maps.md#lookup.
 
         Args:
-            receivers: As for `build`: those that the map was built for, in the same order, or any others.
+            receivers: As for `build`. Give the receivers for which the map was built, in the same order; others may be
+                given, but the transmittance is 1 where the map is not tabulated.
 
         Returns:
-            Transmittance, 0..1, shape (N,), in order.
+            Transmittance of each Gaussian or point, in the order of the receivers, 0..1, shape (N,).
 
         Raises:
-            SceneError: An item is of another type, or a value is not finite.
+            SceneError: A receiver is of another type, or a value is not finite.
         """
         return self._sample(placed_receivers(receivers, self._frame.origin))
 
     @property
     def bytes(self) -> int:
-        """Device memory of the map, bytes."""
+        """Device memory that the map occupies, bytes."""
         return self._buffers.bytes
 
     @property
@@ -217,7 +219,7 @@ class DeepShadowMap:
         return self._launcher.device
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the map to an ``.npz`` file, without its casters.
+        """Writes the map to an ``.npz`` file. The casters are not stored.
 
         Raises:
             FormatError: The file cannot be written.
@@ -231,7 +233,7 @@ class DeepShadowMap:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
-        """Reads a map written by `save`; `rebuild` works as if the map had been built here.
+        """Reads a map written by `save`. `rebuild` works as on the map that was saved.
 
         Args:
             path: The ``.npz`` file.
@@ -259,7 +261,7 @@ class DeepShadowMap:
         return placed
 
     def _fix_region(self, receivers: PlacedGaussians, casters: PlacedGaussians) -> None:
-        """Fits the atlas to receivers, and fixes the region of all builds to what their lookups read."""
+        """Fits the atlas to receivers, and lets all builds tabulate only what lookups of these receivers read."""
         rows = np.arange(len(receivers.means), dtype=np.int32)
         if self.config.region_radius is not None:
             rows = rows[distance_from_body(receivers.means, casters) <= self.config.region_radius]
@@ -279,7 +281,7 @@ class DeepShadowMap:
             self._fixed_region = region_of_receivers(self._launcher, self._atlas, uploaded, rows, sampling)
 
     def _tabulate(self, casters: PlacedGaussians) -> None:
-        """Tabulates casters; without a fixed region, atlas and region are first fitted to them."""
+        """Tabulates casters. Without a fixed region, atlas and region are first fitted to the casters."""
         launcher = self._launcher
         if self._fixed_region is None:
             self._atlas = atlas_of(self._source, casters, self.config)
@@ -308,7 +310,7 @@ class DeepShadowMap:
         )
 
     def _occluders(self, placed: PlacedGaussians) -> tuple[DeviceArray, DeviceArray]:
-        """Prepares casters relative to the light: rows of Occluder and of Footprint."""
+        """Prepares casters for the light: returns rows of Occluder (absorption) and rows of Footprint (bounds)."""
         launcher, buffers, count = self._launcher, self._buffers, len(placed.means)
         casters = Casters()
         casters.means = buffers.upload("casters.means", wp.vec3, placed.means)
@@ -325,7 +327,7 @@ class DeepShadowMap:
         return occluders, footprints
 
     def _culling(self) -> TileLists | OneList:
-        """Returns the culling of casters that the settings ask for."""
+        """Returns the object that culls casters as the settings require."""
         if not self.config.culling:
             return OneList(self._buffers)
         if self._fixed_region is None:
@@ -335,7 +337,7 @@ class DeepShadowMap:
         return self._fixed_tiles
 
     def _layout_for(self, region: Region, culling: TileLists | OneList) -> _Layout:
-        """Returns the columns of a region on the device; those of the last build if the region is the same."""
+        """Returns the columns of a region on the device; reuses the last build's columns if the region is the same."""
         if self._layout is None or self._layout.region is not region:
             slots, columns = region.columns(self._atlas)
             values = self._buffers.get("table", wp.float32, region.voxel_count)
@@ -349,7 +351,7 @@ class DeepShadowMap:
         return self._layout
 
     def _sample(self, placed: PlacedGaussians) -> FloatArray:
-        """Returns the transmittance of receivers."""
+        """Returns the mean transmittance of each receiver."""
         assert self._layout is not None
         receivers, sampling = upload_receivers(self._buffers, placed), footprint_sampling(self.config, placed)
         transmittance = self._buffers.get("transmittance", wp.float32, len(placed.means))

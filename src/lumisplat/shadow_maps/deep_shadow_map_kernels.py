@@ -55,7 +55,7 @@ def prepare_occluders(
     occluders_out: wp.array[Occluder],
     footprints_out: wp.array[Footprint],
 ):
-    """Prepares casters relative to the light. One item is one caster."""
+    """Computes each caster's absorption and footprint as the light sees them. One item is one caster."""
     i = start + wp.tid()
     occluder = occluder_of(atlas, casters, i, mapping, strength)
     occluders_out[i] = occluder
@@ -71,7 +71,7 @@ def bound_cells(
     parents: wp.array[int],
     cells_out: wp.array[Cell],
 ):
-    """Bounds the rays through squares of ``side`` texels. One item is one cell.
+    """Bounds the light rays through squares of ``side`` texels. One item is one square, called a cell.
 
     ``corners`` holds face, x and y of the first texel of each square.
     """
@@ -89,7 +89,10 @@ def count_intersections(
     parts: int,
     counts_out: wp.array[int],
 ):
-    """Counts the casters of a cell's parent list that may intersect the cell. One item is one part of that list."""
+    """Counts the casters from a cell's parent list that rays through the cell may intersect.
+
+    Each parent list is split into ``parts``; one item is one part of one cell's parent list.
+    """
     i = start + wp.tid()
     cell = cells[i // parts]
     begin, end = part_of_list(lists, cell.parent, i % parts, parts)
@@ -111,7 +114,10 @@ def list_intersections(
     ends: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Lists the casters that `count_intersections` counts, in order; an item's list ends at its entry in ``ends``."""
+    """Lists the casters that `count_intersections` counted, in order. One item is one part of one cell's parent list.
+
+    ``ends`` holds the end of each item's list in ``items_out``.
+    """
     i = start + wp.tid()
     cell = cells[i // parts]
     begin, end = part_of_list(lists, cell.parent, i % parts, parts)
@@ -135,10 +141,10 @@ def tabulate(
     occluders: wp.array[Occluder],
     table: Table,
 ):
-    """Tabulates the transmittances of a texel's column. One item is one of the ``texels`` with a column.
+    """Tabulates the transmittance of a texel's column of depth bins. One item is one of ``texels``.
 
-    The table first holds each bin's optical depth beyond the previous bin, then the transmittance of the sum up to each
-    bin. Source: docs/method/deep_shadow_maps.md#optical-depth.
+    The table first holds the optical depth that each bin adds to the previous bin's, then exp(-sum) of the optical
+    depths up to each bin. Source: docs/method/deep_shadow_maps.md#optical-depth.
     """
     i = start + wp.tid()
     column = table.columns[column_number(table, texels[i])]
@@ -168,7 +174,10 @@ def mark_bins(
     firsts: wp.array[int],
     lasts: wp.array[int],
 ):
-    """Extends the columns of texels to the bins that lookups read. One item is one of ``rows``; not to be banded."""
+    """Extends texels' columns to the bins that lookups of a receiver read. One item is one of ``rows``.
+
+    Not to be launched in bands.
+    """
     i = rows[wp.tid()]
     for sample in range(sampling.count):
         lookup = atlas_from_world(atlas, sample_point(receivers, sampling, i, sample))
@@ -192,7 +201,7 @@ def average_transmittance(
     sampling: FootprintSampling,
     transmittance_out: wp.array[float],
 ):
-    """Returns the mean transmittance over a receiver's samples. One item is one receiver."""
+    """Computes the mean transmittance over the samples in a receiver's footprint. One item is one receiver."""
     i = start + wp.tid()
     transmittance_out[i] = 1.0
     if not may_be_shadowed(atlas, bound, receivers, i):

@@ -1,4 +1,4 @@
-"""Reads and writes deep shadow maps: an ``.npz`` of the tabulated values, with the settings as JSON."""
+"""Reads and writes deep shadow maps: an ``.npz`` file with the tabulated values, and the settings as JSON."""
 
 from __future__ import annotations
 
@@ -25,33 +25,34 @@ from lumisplat.shadow_maps.atlas import Region, Source, texel_count
 _VERSION = 1
 _ENUMS: dict[str, type[Enum]] = {"layout": AtlasLayout, "absorption": Absorption, "sampling": ReceiverSampling}
 _SCALARS = ("layout", "size", "texel_length", "bins", "bin_length")
-"""Fields of Atlas that are numbers."""
+"""Names of the fields of Atlas that are numbers."""
 _FOREIGN_FILE_ERRORS = (
     *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError),
     LumisplatError,
 )
-"""Errors that reading a foreign or damaged file as a map may raise."""
+"""Errors that may be raised when a foreign or damaged file is read as a deep shadow map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredMap:
-    """Content of a deep shadow map's file."""
+    """Content of a file that stores a deep shadow map."""
 
     config: DeepShadowConfig
     source: Source
-    """Position or direction of the light, relative to ``about``."""
+    """Position of the light relative to ``about``, or the directional light."""
     about: Doubles
     """World position of the map's origin, shape (3,)."""
     atlas: Atlas
     region: Region
     values: FloatArray
-    """Transmittance of each bin of the region, column by column, 0..1, shape (V,)."""
+    """Transmittance of each bin of the region, 0..1, column by column."""
     follows_casters: bool
-    """True if the region is that of the casters, so that a rebuild computes another one."""
+    """True if the region is what the casters can shadow, so that a rebuild with other casters tabulates another
+    region."""
 
 
 def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
-    """Writes a map; the file appears complete or not at all.
+    """Writes a deep shadow map; the file appears complete or not at all.
 
     Raises:
         FormatError: The name does not end in ``.npz``, or the file cannot be written.
@@ -82,7 +83,7 @@ def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
 
 
 def read_map(path: str | os.PathLike[str]) -> StoredMap:
-    """Reads a map written by `write_map`.
+    """Reads a deep shadow map written by `write_map`.
 
     Raises:
         FormatError: The file is not a deep shadow map, or cannot be read.
@@ -142,7 +143,7 @@ def _atlas(header: dict[str, Any]) -> Atlas:
 
 
 def _is_consistent(stored: StoredMap) -> bool:
-    """Returns whether the atlas is valid, columns are at its texels and bins, and each bin has a value."""
+    """Returns whether the atlas is valid, columns lie within the atlas's texels and bins, and every bin has a value."""
     return _is_sound(stored.atlas) and _fits(stored.region, stored.atlas) and _are_values(stored.values, stored.region)
 
 
