@@ -49,8 +49,7 @@ class DeepFrame:
         return flat.reshape(*self.size, 4).astype(np.float32)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes a deep EXR: premultiplied linear ``R G B A``, near depth ``Z`` and far depth ``ZBack`` of each
-        sample.
+        """Writes a deep EXR: premultiplied linear ``R G B A``, and depths ``Z`` (near) and ``ZBack`` (far) of samples.
 
         Raises:
             FormatError: The extension is not .exr, or the file cannot be written.

@@ -285,13 +285,15 @@ class _DeepTracer:
         """Returns the row of each sample's first hit. ``through`` is the transmittance in front of each hit."""
         is_other = np.diff(layers.pixel, prepend=-1) != 0
         farther = np.diff(layers.depth, prepend=np.float32(0.0))
-        is_apart = is_other | (farther > 0.0)
-        first = np.maximum.accumulate(np.where(is_apart, np.arange(len(is_apart)), 0))  # first layer of each depth
+        begins_depth = is_other | (farther > 0.0)
+        first = np.maximum.accumulate(
+            np.where(begins_depth, np.arange(len(begins_depth)), 0)
+        )  # first layer of each depth
         step = np.minimum((1.0 - through[first]) * _STEPS, _STEPS - 1).astype(np.int32)
         changes = np.diff(layers.is_mesh, prepend=False) | (np.diff(step, prepend=-1) != 0)
         continues = layers.is_mesh & ~np.diff(layers.is_mesh, prepend=False)
         ends_surface = farther > _SURFACE_PX * self._pixel_widths(layers.depth)
-        return np.flatnonzero(is_other | (is_apart & np.where(continues, ends_surface, changes)))
+        return np.flatnonzero(is_other | (begins_depth & np.where(continues, ends_surface, changes)))
 
     def _pixel_widths(self, depth: FloatArray) -> FloatArray:
         """Returns the width of a pixel at each view depth, scene units."""

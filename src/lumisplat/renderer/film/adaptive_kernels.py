@@ -1,6 +1,6 @@
-"""Kernels of adaptive sampling: which pixels take part in a sample, by their noise. One thread per ray or pixel.
+"""Kernels of adaptive sampling: they choose the pixels that get a ray in a sample. One thread per ray or pixel.
 
-The equations are in docs/method/samples.md#adaptive-sampling.
+Noisy pixels get rays in more samples. The equations are in docs/method/samples.md#adaptive-sampling.
 """
 
 import warp as wp
@@ -14,7 +14,7 @@ from lumisplat.device.structs.camera import FilmData, ListedRays
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NOISE_RADIUS_PX = 3
-"""Rows and columns to each side whose pixels estimate the noise of a pixel."""
+"""Pixels to each side, in rows and columns, whose mean noise determines the sampling rate of a pixel."""
 
 FIRST = wp.constant(NOISE_SAMPLES_MIN)
 RATES = wp.constant(SAMPLE_RATES)
@@ -25,7 +25,7 @@ STEP_Y = wp.constant(wp.float64(SUBPIXEL_STEPS[1]))
 
 @wp.func
 def samples_before(sample: int, rate: int) -> int:
-    """Returns the number of samples that a pixel of rate ``rate`` has before sample ``sample`` of full-rate pixels."""
+    """Returns how many samples a pixel of sampling rate ``rate`` has when full-rate pixels have ``sample`` samples."""
     if sample < FIRST:
         return sample
     return FIRST + (sample - FIRST) * rate // RATES
@@ -33,7 +33,7 @@ def samples_before(sample: int, rate: int) -> int:
 
 @wp.func
 def subpixel(sample: int) -> wp.vec2:
-    """Returns the position of a sample in its pixel, 0..1; the same as on the host."""
+    """Returns the position of a sample within its pixel, 0..1; equal to that of the host's function of this name."""
     n = wp.float64(sample)
     half = wp.float64(0.5)
     one = wp.float64(1.0)
@@ -42,7 +42,7 @@ def subpixel(sample: int) -> wp.vec2:
 
 @wp.kernel
 def mark_rays(start: int, sample: int, width: int, height: int, rates: wp.array[int], is_drawn_out: wp.array[int]):
-    """Per ray of the full frame: writes 1 if its pixel takes part in the sample, else 0."""
+    """Per ray of the full frame: writes 1 if the ray's pixel takes part in this sample, else 0."""
     ray = start + wp.tid()
     is_drawn_out[ray] = 0
     pixel = pixel_of_ray(width, ray)
@@ -62,7 +62,10 @@ def list_rays(
     ends: wp.array[int],
     listed_out: ListedRays,
 ):
-    """Per ray of the full frame: lists it if its pixel takes part. ``ends`` is the inclusive sum of ``is_drawn``."""
+    """Per ray of the full frame: lists the ray if its pixel takes part in this sample.
+
+    ``is_drawn`` is the output of `mark_rays`, and ``ends`` its inclusive prefix sum.
+    """
     ray = start + wp.tid()
     if is_drawn[ray] == 0:
         return
@@ -76,14 +79,14 @@ def list_rays(
 
 @wp.kernel
 def measure_noise(start: int, least: float, film: wp.array[FilmData], noise_out: wp.array[float]):
-    """Per pixel: writes the relative variance of one sample."""
+    """Per pixel: writes the pixel's noise, which is the variance of one sample relative to the squared luminance."""
     pixel = start + wp.tid()
     noise_out[pixel] = relative_variance(pixel, least, film)
 
 
 @wp.kernel
 def average_neighbors(start: int, width: int, height: int, noise: wp.array[float], mean_out: wp.array[float]):
-    """Per pixel: averages the noise of its neighbours, excluding itself and neighbours whose noise is not finite."""
+    """Per pixel: writes the mean noise of the pixels around, excluding itself and values that are not finite."""
     pixel = start + wp.tid()
     x = pixel % width
     y = pixel // width

@@ -19,12 +19,12 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 SAMPLE_RATE_MIN = 2
-"""Minimum rate of a pixel, in units of 1 / `SAMPLE_RATES`: an eighth of all samples reaches pixels that seem
-noise-free, where light may have been missed."""
+"""Lowest sampling rate of a pixel, in units of 1 / `SAMPLE_RATES`. Pixels that seem free of noise still take part in
+an eighth of all samples, because their few samples may have missed light."""
 
 NOISE_LUMINANCE_MIN = 0.01
-"""Linear luminance, after exposure, below which errors are absolute instead of relative. 2 % of it is a third of an
-8-bit step in display space."""
+"""Linear luminance after exposure below which errors are absolute instead of relative. An error of 2 % at this
+luminance is a third of an 8-bit step in display space."""
 
 
 class AdaptiveRays:
@@ -45,26 +45,26 @@ class AdaptiveRays:
         return [kernels]
 
     def begin(self, size: tuple[int, int]) -> None:
-        """Starts a frame of that width and height; all pixels take part in all samples."""
+        """Starts a frame of ``size`` (width, height); all pixels take part in all samples until `choose_rates`."""
         self._size = size
         self.rates.fill_(SAMPLE_RATES)
 
     @property
     def rates(self) -> DeviceArray:
-        """Number of samples, of every `SAMPLE_RATES`, in which each pixel takes part."""
+        """Sampling rate of each pixel: in how many of every `SAMPLE_RATES` samples the pixel takes part."""
         return self._buffers.get("film.rates", wp.int32, self._pixel_count)
 
     @property
     def listed(self) -> ListedRays:
-        """Arrays that can list the rays of all pixels."""
+        """Arrays with room for the rays of all pixels."""
         return self._listed(grown_capacity(ray_count(*self._size)))
 
     def list(self, sample: int, *, jitters: bool) -> ListedRays:
-        """Returns the rays of a sample, in arrays with some spare capacity.
+        """Returns the rays of the pixels that take part in a sample; unused entries at the end are -1.
 
         Args:
-            sample: Number of the sample in full-rate pixels.
-            jitters: Whether samples are spread over their pixels.
+            sample: Index of the sample, as pixels of full rate count samples.
+            jitters: Whether samples are spread over their pixels; False: all samples have the position of the first.
         """
         count, (width, height) = ray_count(*self._size), self._size
         is_drawn = self._buffers.get("film.is_drawn", wp.int32, count)
@@ -79,7 +79,7 @@ class AdaptiveRays:
         return listed
 
     def choose_rates(self, film: DeviceArray, least: float) -> None:
-        """Chooses the sampling rate of each pixel by the noise of its neighbours.
+        """Chooses each pixel's sampling rate from the mean noise of the pixels around.
 
         Args:
             film: The film, with the first `NOISE_SAMPLES_MIN` samples of all pixels.
@@ -93,7 +93,7 @@ class AdaptiveRays:
             self.rates.assign(rates_of(means.numpy()))
 
     def total_before(self, sample: int) -> int:
-        """Returns the number of samples of all pixels before sample ``sample``."""
+        """Returns the number of samples of all pixels together when a pixel of full rate has ``sample`` samples."""
         first = min(sample, NOISE_SAMPLES_MIN)
         rates = self.rates.numpy().astype(np.int64)
         return first * len(rates) + int(((sample - first) * rates // SAMPLE_RATES).sum())
@@ -107,9 +107,13 @@ class AdaptiveRays:
 
 
 def rates_of(noise: FloatArray) -> IntArray:
-    """Returns the sampling rates of pixels, in proportion to the relative variance of one sample, (N,).
+    """Returns the sampling rate of each of N pixels, in proportion to its noise, (N,).
 
-    That makes their errors equal. The noisiest pixels, beyond the quantile `NOISE_PIXELS`, have the full rate.
+    Pixels whose samples vary more need more samples for equal errors. Pixels noisier than the quantile `NOISE_PIXELS`
+    have the full rate.
+
+    Args:
+        noise: Relative variance of one sample of each pixel, (N,).
     """
     reference = quantile(noise, NOISE_PIXELS)
     if not reference > 0.0:
@@ -119,14 +123,14 @@ def rates_of(noise: FloatArray) -> IntArray:
 
 
 def least_luminance(exposure: float, *, is_lit: bool) -> float:
-    """Returns the luminance below which errors are absolute instead of relative, in the colour space of the frame."""
+    """Returns the luminance below which errors are absolute instead of relative: linear if lit, else sRGB-encoded."""
     if is_lit:
         return NOISE_LUMINANCE_MIN / exposure_gain(exposure)
     return float(encode_srgb(np.float32(NOISE_LUMINANCE_MIN)))
 
 
 def quantile(values: FloatArray, share: float) -> float:
-    """Returns the ``share`` quantile: the smallest value that this fraction of all does not exceed; NaN if empty."""
+    """Returns the ``share`` quantile: the smallest value not exceeded by this fraction of the values; NaN if empty."""
     if not values.size:
         return math.nan
     index = math.ceil(share * values.size) - 1

@@ -1,6 +1,7 @@
-"""Kernels that smooth the shadow ratios of catchers over the noise of their depths. One thread per pixel.
+"""Kernels that blur the shadow ratios of catchers where the depths of their surface are noisy. One thread per pixel.
 
-The equations are in docs/method/lighting.md#captures-without-a-surface.
+A shadow ratio is the captured colour with added objects and lights over the captured colour without them. The equations
+are in docs/method/lighting.md#captures-without-a-surface.
 """
 
 import math
@@ -15,36 +16,37 @@ from lumisplat.device.structs.shading import ShadingScene
 wp.set_module_options({"enable_backward": False})
 
 CATCHER_STEPS = 144
-"""Depth noise is measured between pixels a 144th of the full frame's longer side apart, about the size of Gaussians of
-short trainings. Depths of adjacent pixels are too smooth to show the noise."""
+"""Number of steps along the full frame's longer side; depth noise is measured between pixels one step apart. A step is
+about the size of Gaussians of short trainings. Depths of adjacent pixels are too smooth to show the noise."""
 
 CATCHER_BLUR = 2.0
-"""Standard deviation of the blur of a ratio over that of the surface height; that of one pixel is subtracted. With 2,
-the shadow on a wall of 12,000 Gaussians has one edge, and floors with a surface keep their bits."""
+"""Standard deviation of the blur of a shadow ratio, as a multiple of the noise of the surface height; the blur of one
+pixel is subtracted. With 2, the shadow on a wall of 12,000 Gaussians has one edge, and ratios on floors with a clear
+surface do not change at all."""
 
 CATCHER_BLUR_STEPS = 2
-"""Maximum standard deviation of the blur of a ratio, in tap distances (a 144th of the longer side, `CATCHER_STEPS`)."""
+"""Largest standard deviation of the blur of a shadow ratio, in steps of `CATCHER_STEPS`."""
 
 CATCHER_DEPTHS = 16.0
-"""Standard deviation of the depth weight of the blur over that of the surface height."""
+"""Standard deviation of the blur's weight by depth difference, as a multiple of the noise of the surface height."""
 
 STEPS = wp.constant(CATCHER_STEPS)
 BLUR = wp.constant(wp.float32(CATCHER_BLUR))
 BLUR_STEPS = wp.constant(CATCHER_BLUR_STEPS)
 DEPTHS = wp.constant(wp.float32(CATCHER_DEPTHS))
 DEVIATION = wp.constant(wp.float32(math.sqrt(math.pi / 2.0) / 6.0))
-"""Standard deviation of a pixel's noise over the mean absolute mixed second difference (Immerkær 1996)."""
+"""Factor from a pixel's absolute mixed second difference to the standard deviation of the noise (Immerkær 1996)."""
 
 
 @wp.func
 def stride_of(camera: CameraData) -> int:
-    """Returns the distance between the taps of differences, pixels; it scales with the full frame, as Gaussians do."""
+    """Returns the distance in pixels between the pixels whose depths are compared: one step of `CATCHER_STEPS`."""
     return wp.max((wp.max(camera.full_width, camera.full_height) + STEPS // 2) // STEPS, 2)
 
 
 @wp.func
 def catches(pixel: int, scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Returns whether the surface of a pixel is a shadow catcher."""
+    """Returns whether the surface that a pixel shows is a shadow catcher."""
     instance = film[0].pixels.instance[pixel]
     if instance < 0 or instance >= scene[0].splats.shape[0] or film[0].pixels.depth[pixel] >= wp.inf:
         return False
@@ -60,10 +62,11 @@ def store_ratios(
     depth_out: wp.array[float],
     ratio_out: wp.array[wp.vec3],
 ):
-    """Writes the ratio of a pixel's captured colour with and without added objects and lights, and the pixel's depth.
+    """Writes each pixel's shadow ratio and depth.
 
-    ``depth_out`` is 1 / depth, or the depth itself in orthographic projection: linear in the image on a plane. 0: the
-    pixel shows Gaussians too thin for a surface. -1: the pixel shows no shadow catcher.
+    ``depth_out`` is 1 / depth, or the depth itself in orthographic projection, because these are linear over the image
+    of a plane. Special values: 0, the pixel shows Gaussians too thin for a surface; -1, the pixel shows no shadow
+    catcher.
     """
     pixel = start + wp.tid()
     ratio_out[pixel] = captured_ratio(pixel, film)
@@ -77,7 +80,7 @@ def store_ratios(
 
 @wp.func
 def depth_at(x: int, y: int, camera: CameraData, depths: wp.array[float]) -> float:
-    """Returns the depth that ``store_ratios`` wrote for a pixel; -1 beyond the image."""
+    """Returns the depth that `store_ratios` wrote for a pixel; -1 outside the image."""
     if x < 0 or y < 0 or x >= camera.width or y >= camera.height:
         return float(-1.0)
     return depths[y * camera.width + x]
@@ -85,7 +88,7 @@ def depth_at(x: int, y: int, camera: CameraData, depths: wp.array[float]) -> flo
 
 @wp.func
 def per_pixel(value: float, camera: CameraData) -> float:
-    """Returns the factor that converts differences of depths around ``value`` to pixel sizes."""
+    """Returns the factor that converts small differences of depths near ``value`` to units of the pixel size there."""
     focal = wp.sqrt(camera.focal[0] * camera.focal[1])
     return wp.where(camera.model == ORTHOGRAPHIC, focal, focal / value)
 
@@ -97,7 +100,10 @@ def measure_depths(
     depths: wp.array[float],
     measured_out: wp.array[wp.vec4],
 ):
-    """Writes noise and slopes (right, down) of the depth around a pixel, in pixel sizes, and 1; all 0 if unknown."""
+    """Writes the depth noise at a pixel, the depth's slopes to the right and down, and 1; all in pixel sizes.
+
+    All four numbers are 0 if a compared pixel has no depth.
+    """
     pixel = start + wp.tid()
     measured_out[pixel] = wp.vec4(0.0)
     x = pixel % camera[0].width
@@ -127,7 +133,7 @@ def measure_depths(
 def sum_depths(
     start: int, down: bool, camera: wp.array[CameraData], values: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]
 ):
-    """Sums the measurements over the pixels up to one stride away, along rows or, with ``down``, columns."""
+    """Sums the output of `measure_depths` over pixels up to one stride away, along rows or, with ``down``, columns."""
     pixel = start + wp.tid()
     width = camera[0].width
     at = wp.where(down, pixel // width, pixel % width)
@@ -142,9 +148,10 @@ def sum_depths(
 
 @wp.kernel
 def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4], noise_out: wp.array[float]):
-    """Writes the noise of the surface height, in pixel sizes: the least of four squares diagonal to the pixel.
+    """Writes the noise of the surface height in pixel sizes: the lowest mean of four squares diagonal to the pixel.
 
-    Where the surface ends, one of the squares shows it alone. 0 if too few pixels are known.
+    At the edge of a surface, at least one square shows the surface only. The noise is 0 if no square has enough pixels
+    with a depth.
     """
     pixel = start + wp.tid()
     x = pixel % camera[0].width
@@ -166,7 +173,7 @@ def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4]
 
 @wp.func
 def blur_of(noise: float, stride: int) -> float:
-    """Returns the standard deviation of the blur of a ratio, pixels; exactly 0 for noise below half a pixel."""
+    """Returns the standard deviation of a shadow ratio's blur, pixels; exactly 0 for noise below half a pixel."""
     wide = BLUR * noise
     return wp.min(wp.sqrt(wp.max(wide * wide - 1.0, 0.0)), float(BLUR_STEPS * stride))
 
@@ -182,9 +189,10 @@ def smooth_ratios(
     ratio: wp.array[wp.vec3],
     ratio_out: wp.array[wp.vec3],
 ):
-    """Blurs the ratios along rows or, with ``down``, columns, over surfaces as deep as their noise allows.
+    """Blurs the shadow ratios along rows or, with ``down``, columns, over pixels of similar depth.
 
-    A pixel of Gaussians too thin for a surface takes the mean ratio of the surfaces around, in proportion to its alpha.
+    Depths are similar if they differ by no more than their noise explains. A pixel of Gaussians too thin for a surface
+    gets the mean ratio of the surfaces around, weighted by the pixel's alpha.
     """
     pixel = start + wp.tid()
     ratio_out[pixel] = ratio[pixel]
@@ -221,5 +229,5 @@ def smooth_ratios(
 
 @wp.kernel
 def develop_ratios(start: int, film_inout: wp.array[FilmData]):
-    """Writes the linear colour of a pixel from its captured colour, ratio and added light."""
+    """Writes each pixel's linear colour: its captured colour times the shadow ratio, plus the added light."""
     develop(start + wp.tid(), film_inout)

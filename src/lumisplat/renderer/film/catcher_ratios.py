@@ -1,6 +1,6 @@
-"""Host pass: shadow ratios of catchers, smoothed where captures have no clear surface.
+"""Host pass: computes the shadow ratios of catchers, and blurs them where captures have no clear surface.
 
-The ratio is the captured colour with added light and shadows over that without.
+A shadow ratio is the captured colour with added objects and lights over the captured colour without them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class CatcherRatios:
-    """Computes the ratios of shadow catchers (docs/method/lighting.md#captures-without-a-surface).
+    """Computes the shadow ratios of catchers (docs/method/lighting.md#captures-without-a-surface).
 
     Args:
         launcher: Runs the kernels.
@@ -30,11 +30,11 @@ class CatcherRatios:
         return [kernels]
 
     def ratios(self, count: int) -> DeviceArray:
-        """Returns the array of ``count`` ratios, for ``FilmData.ratio``."""
+        """Returns the array of ``count`` shadow ratios, one per pixel, for ``FilmData.ratio``."""
         return self._buffers.get("film.shadow_ratio", wp.vec3, count)
 
     def develop(self, scene: DeviceScene, film: DeviceArray, count: int) -> None:
-        """Computes the ratios from the means of samples, and the pixel colours that follow from them."""
+        """Computes the shadow ratios from the means of all samples, and the colours of all pixels from the ratios."""
         get, run = self._buffers.get, self._launcher.run_banded
         ratio, across = self.ratios(count), get("film.ratio_across", wp.vec3, count)
         measured, rows = (get(f"film.{name}", wp.vec4, count) for name in ("depth_noise_sums", "depth_noise_rows"))

@@ -41,7 +41,7 @@ CATCHER_LAYERS = {
     "captured_ambient": "ambient",
     "captured_open": "open",
 }
-"""Light that shadow catchers receive: fields of the film, and the fields of ray radiance that they average."""
+"""Light that shadow catchers receive: name of the film's field, and of the field of ray radiance that it averages."""
 
 
 class Film:
@@ -61,7 +61,7 @@ class Film:
         self._catchers = CatcherRatios(launcher, buffers)
 
     def modules(self, plan: FramePlan, *, encodes: bool) -> list[KernelModule]:
-        """Returns the kernel modules of a frame. On CUDA, a frame is always encoded to 8 bits."""
+        """Returns the kernel modules that the film needs for a frame. On CUDA, every frame is encoded to 8 bits."""
         modules: list[KernelModule] = []
         if encodes or self._launcher.is_cuda:
             modules += [picture_kernels.LIT if plan.is_lit else picture_kernels]
@@ -79,7 +79,7 @@ class Film:
             scene: The scene.
             plan: Plan of the frame.
             resume: The frame to resume.
-            part: The range of samples to render; samples that it holds already are restored.
+            part: The samples to render, if not all of the frame. Samples that the part already holds are restored.
 
         Raises:
             ConfigError: The frame to resume lacks accumulated images.
@@ -118,11 +118,11 @@ class Film:
             self._restore(part.count, part.accumulated, _images_of_part(part))
 
     def rays_of(self, sample: int, exposure: float) -> ListedRays | None:
-        """Returns the rays of the pixels that take part in a sample; None: all pixels do.
+        """Returns the rays of the pixels that take part in a sample; None: all pixels take part.
 
         Args:
-            sample: Number of the sample in full-rate pixels.
-            exposure: Exposure of the camera.
+            sample: Index of the sample, as pixels of full sampling rate count samples.
+            exposure: Exposure of the camera, stops.
         """
         self._samples += 1
         if not self._plan.adapts:
@@ -132,14 +132,14 @@ class Film:
         return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        """Adds the current sample: the first wave, with one ray a pixel; on CUDA by a captured graph."""
+        """Adds the current sample's radiance, which the first wave holds. CUDA replays a captured graph."""
         self._launcher.replay("store", (scene.graph_key, wave.count), lambda: self._store(scene, wave, lights))
 
     def noise(self, exposure: float) -> float:
         """Estimates the relative error that a fraction `NOISE_PIXELS` of the pixels does not exceed.
 
         Args:
-            exposure: Exposure of the camera, which decides how dark a pixel appears.
+            exposure: Exposure of the camera, stops; dark pixels count as less noisy.
         """
         errors = self._buffers.get("film.errors", wp.float32, self._pixel_count)
         with self._launcher.stage("noise"):
@@ -148,7 +148,7 @@ class Film:
             return quantile(errors.numpy(), NOISE_PIXELS)
 
     def finish(self, scene: DeviceScene) -> None:
-        """Computes the images from the sums and counts after the last sample; on CUDA by a captured graph."""
+        """Computes the images from sums and counts after the last sample. CUDA replays a captured graph."""
         self._launcher.replay("finish", (scene.graph_key, self._has_sums), lambda: self._finish(scene))
 
     def _finish(self, scene: DeviceScene) -> None:
@@ -163,8 +163,8 @@ class Film:
             elif "shadow_ratio" in self._plan.aovs:
                 self._ratio.fill_(1.0)
             if self._adds_captured:
-                is_apart = self._plan.traces_paths
-                inputs = is_apart, self._data, self._image("emission"), self._image("emission_total")
+                adds_color = self._plan.traces_paths
+                inputs = adds_color, self._data, self._image("emission"), self._image("emission_total")
                 self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
             if self._launcher.is_parallel:  # so that only one number has to be downloaded
                 self._count_total.zero_()
@@ -178,17 +178,17 @@ class Film:
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
 
     def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool, encodes: bool) -> dict[str, Any]:
-        """Returns the images as ``images``, for an unlit frame whose ``pixels`` were rasterised without the film."""
+        """Returns the images of an unlit frame rasterised to ``pixels`` without the film, by field name of `Frame`."""
         encode = partial(encoded_pixels, self._launcher, self._buffers, pixels, transparent=transparent)
         return self._copied(pixels, {}, encode, transparent=transparent, encodes=encodes)[1]
 
     def images(self, exposure: float, config: RenderConfig, *, encodes: bool) -> dict[str, Any]:
-        """Returns the images of the frame by field name of `Frame`; on CUDA as functions that download them.
+        """Returns the images of the frame by field name of `Frame`; on CUDA, functions that download the images.
 
         Args:
-            exposure: Exposure of the camera, for the 8-bit image.
+            exposure: Exposure of the camera for the 8-bit image, stops.
             config: Settings of the 8-bit image: background and tone map.
-            encodes: Whether to encode an 8-bit image; on CUDA there always is one.
+            encodes: Whether to encode an 8-bit image; on CUDA it is always encoded.
         """
         transparent = config.background is None
         arrays = self._accumulated()
@@ -210,12 +210,12 @@ class Film:
         return images | self._layer_images(copies) | {"accumulated": copies.lazy(partial(_words, copies, accumulated))}
 
     def picture(self, exposure: float, config: RenderConfig) -> ReadPicture:
-        """Encodes the 8-bit image again with another exposure or tone map; all other images are unchanged."""
+        """Encodes the 8-bit image again with another exposure or tone map, and returns the function that fetches it."""
         copies = self._buffers.downloads.copies({"picture": self._encoded(exposure, config)})
         return picture_of(copies, "picture", self._pixels.size, transparent=config.background is None)
 
     def _encoded(self, exposure: float, config: RenderConfig) -> DeviceArray:
-        """Returns the encoded bytes of the frame."""
+        """Encodes the frame to 8 bits, and returns the bytes on the device."""
         transparent = config.background is None
         if not self._plan.is_lit:
             return encoded_pixels(self._launcher, self._buffers, self._pixels, transparent=transparent)
@@ -223,7 +223,7 @@ class Film:
         return encoded_lit_pixels(self._launcher, self._buffers, self._pixels, self._lit, display)
 
     def _layer_images(self, copies: Copies) -> dict[str, Any]:
-        """Returns the layers (AOVs) that the frame requests."""
+        """Returns the layers that the frame's settings request (AOVs), by field name of `Frame`."""
         images: dict[str, Any] = {}
         size, light_count = self._size, self._light_count
         for name in ("albedo", "reflection", "variance", "shadow_ratio", *PATH_PARTS, "cache"):
@@ -262,7 +262,7 @@ class Film:
         return drawn - int(self._count.numpy().sum(dtype=np.int64))
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
-        """Returns the layers of the current sample, an array of wp.vec3 each."""
+        """Returns the layers of the current sample by name, each an array of wp.vec3."""
         images: dict[str, DeviceArray] = {
             name: getattr(wave.row.radiance, name)
             for name in ("albedo", "emission", "reflection")
@@ -280,7 +280,7 @@ class Film:
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)} | lights.layers
 
     def _accumulated(self) -> dict[str, DeviceArray]:
-        """Returns the arrays that samples are accumulated in, by name."""
+        """Returns the arrays in which samples are accumulated, by name."""
         names = [
             name for name in ("albedo", "reflection", "hits", *PATH_PARTS, *REALTIME_AOVS) if name in self._plan.aovs
         ]
@@ -304,7 +304,10 @@ class Film:
         transparent: bool,
         encodes: bool,
     ) -> tuple[Copies, dict[str, Any]]:
-        """Returns copies of pixels and other arrays, and the pixels' images; on CUDA or on request an 8-bit one."""
+        """Copies pixels and other arrays; returns the copies, and functions or arrays for the pixels' images.
+
+        An 8-bit image is added on CUDA, or if ``encodes``.
+        """
         arrays = {"pixels": pixels.block} | arrays
         encodes = encodes or self._buffers.downloads.is_lazy
         if encodes:
@@ -321,17 +324,17 @@ class Film:
 
     @classmethod
     def _channel(cls, size: tuple[int, int], copies: Copies, name: str) -> FloatArray:
-        """Returns the first channel of a layer."""
+        """Returns the first channel of a layer from copies, shape (H, W)."""
         return cls._layer(size, copies, name)[..., 0]
 
     @classmethod
     def _whole(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
-        """Returns the first channel of a layer as integers."""
+        """Returns the first channel of a layer from copies as integers, shape (H, W)."""
         return cls._channel(size, copies, name).astype(np.int32)
 
     @classmethod
     def _known(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
-        """Returns 1 where a layer is a number, 0 where it is NaN."""
+        """Returns 1 where a layer's first channel is a number and 0 where it is NaN, shape (H, W)."""
         return (~np.isnan(cls._channel(size, copies, name))).astype(np.int32)
 
     @classmethod
@@ -341,12 +344,12 @@ class Film:
 
     @classmethod
     def _shadow_shares(cls, size: tuple[int, int], copies: Copies, count: int) -> FloatArray:
-        """Returns the fraction of the direct light of each light that is not shadowed."""
+        """Returns the fraction of each light's direct light that no object shadows, shape (count, H, W, 3)."""
         direct, arrived = (cls._layers(size, copies, kind, count) for kind in ("direct", "arrived"))
         return np.clip(np.divide(arrived, direct, out=np.ones_like(arrived), where=direct > 0.0), 0.0, 1.0)
 
     def _restore(self, samples: int, held: Mapping[str, FloatArray], images: dict[str, npt.NDArray[Any]]) -> None:
-        """Uploads the accumulated arrays of ``samples`` samples, and images that further samples leave unchanged."""
+        """Uploads the accumulated arrays of ``samples`` samples, and the images that further samples do not change."""
         arrays = self._accumulated()
         implied = {"sums"} if samples == 1 else set[str]()  # a frame of one sample holds that sample in its images
         if missing := arrays.keys() - held.keys() - implied:
@@ -366,7 +369,7 @@ class Film:
 
     @property
     def _adds_captured(self) -> bool:
-        """True if the emission layer still lacks captured colours, which paths sum separately, or their changes."""
+        """True if captured colours, or changes of captured colours, must still be added to the emission layer."""
         return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_catchers)
 
     def _image(self, name: str) -> DeviceArray:
@@ -411,14 +414,14 @@ def has_catchers(plan: FramePlan) -> bool:
 
 
 def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
-    """Returns the images of ``pixels`` from their copies, by field name of `Frame`."""
+    """Returns the images of ``pixels`` from copies, by field name of `Frame`."""
     images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images
 
 
 def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
-    """Returns the images of a resumed frame, by buffer name."""
+    """Returns the images of the frame to resume, by the names of the film's buffers."""
     images = {
         "color": frame.color if frame.captured is None else frame.captured,
         "alpha": frame.alpha,
@@ -433,7 +436,7 @@ def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
 
 
 def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
-    """Returns the images of a part of a frame: surfaces of its first sample; its sums provide the others."""
+    """Returns the images of a part of a frame: its stored surfaces, and zeros for images that its sums determine."""
     width, height = part.size
     empty = np.zeros((height, width), np.float32)
     dark = np.zeros((height, width, 3), np.float32)
@@ -442,12 +445,12 @@ def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
 
 
 def _elements(words: FloatArray, array: DeviceArray) -> npt.NDArray[Any]:
-    """Reinterprets 32-bit words as the elements of an array."""
+    """Reinterprets downloaded 32-bit words as elements of the type of ``array``."""
     if array.dtype is wp.int32:
         return words.view(np.int32)
     return words.reshape(-1, 3) if array.dtype is wp.vec3 else words
 
 
 def _words(copies: Copies, names: list[str]) -> dict[str, FloatArray]:
-    """Returns copies of arrays as their 32-bit words."""
+    """Returns the copied arrays of these names as 32-bit words."""
     return {name: copies.words(name) for name in names}

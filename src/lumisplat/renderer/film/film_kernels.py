@@ -31,7 +31,7 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 @wp.func
 def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
-    """Returns the pixel of a ray; -1 for rays beyond the image or the list of rays."""
+    """Returns the index of a ray's pixel; -1 if the ray is outside the image, or beyond the end of the list of rays."""
     if film[0].in_blocks == 0:
         return ray
     frame_ray = ray
@@ -47,7 +47,7 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
 
 @wp.func
 def begins_frame(scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Returns whether the current sample is the first of its frame, or of its part of a frame."""
+    """Returns whether the current sample is the first of its frame, or of the part of a frame that is rendered."""
     return film[0].in_sequence == 1 or scene[0].sample[0].index == film[0].first_sample
 
 
@@ -94,7 +94,7 @@ def add_samples(
 
 @wp.kernel
 def restore_sums(start: int, film_inout: wp.array[FilmData]):
-    """Per pixel: restores the sums of a frame of one sample from its images."""
+    """Per pixel: restores the sums of a frame that has one sample from the frame's images."""
     pixel = start + wp.tid()
     if film_inout[0].count[pixel] == 1:
         add_to_sums(pixel, sample_of_pixel(pixel, film_inout), film_inout)
@@ -102,7 +102,7 @@ def restore_sums(start: int, film_inout: wp.array[FilmData]):
 
 @wp.kernel
 def average_samples(start: int, film_inout: wp.array[FilmData]):
-    """Per pixel: turns the sums into images. With shadow catchers, ``develop_ratios`` writes the colours later."""
+    """Per pixel: turns the sums into images. With shadow catchers, `develop_ratios` writes the colours afterwards."""
     pixel = start + wp.tid()
     store_sample(pixel, mean_sample(pixel, film_inout), film_inout)
     if film_inout[0].lit.light and not film_inout[0].ratio:
@@ -111,18 +111,21 @@ def average_samples(start: int, film_inout: wp.array[FilmData]):
 
 @wp.kernel
 def add_captured(
-    start: int, is_apart: bool, film: wp.array[FilmData], emission: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
+    start: int, adds_color: bool, film: wp.array[FilmData], emission: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
 ):
-    """Per pixel: adds changes of the captured colour to the emission and, if ``is_apart``, that colour itself."""
+    """Per pixel: adds the change of the captured colour by light to the emission.
+
+    If ``adds_color``, the captured colour itself is added, too.
+    """
     pixel = start + wp.tid()
     emission_out[pixel] = emission[pixel] + captured_change(pixel, film)
-    if is_apart:
+    if adds_color:
         emission_out[pixel] += captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
 
 
 @wp.kernel
 def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.array[wp.vec3]):
-    """Per pixel: writes the variance of the mean; inf for fewer than two samples."""
+    """Per pixel: writes the variance of the mean over samples; inf for fewer than two samples."""
     pixel = start + wp.tid()
     count = film[0].count[pixel]
     variance_out[pixel] = wp.vec3(wp.inf)
@@ -132,7 +135,7 @@ def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.arr
 
 @wp.kernel
 def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_out: wp.array[float]):
-    """Per pixel: writes the standard error of the mean over its luminance, or over ``least`` if that is larger."""
+    """Per pixel: writes the standard error of the mean, divided by the larger of its luminance and ``least``."""
     pixel = start + wp.tid()
     errors_out[pixel] = wp.inf
     if film[0].count[pixel] >= 2:
@@ -141,7 +144,7 @@ def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_o
 
 @wp.kernel
 def sum_counts(counts: wp.array[int], total_inout: wp.array[wp.int64]):
-    """Sums counts in 64 bits; each thread adds every 4096th. Must not be banded, as it uses atomics."""
+    """Sums counts in 64 bits, each thread every 4096th count. Not to be launched in bands, because it uses atomics."""
     total = wp.int64(0)
     i = wp.tid()
     while i < counts.shape[0]:
@@ -159,7 +162,7 @@ def add_image(
     values: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
 ):
-    """Adds a sample of any colour to the means of an image. Must run before ``add_samples`` counts the sample."""
+    """Adds a sample to the mean colours of an image. Must run before `add_samples` counts the sample."""
     i = start + wp.tid()
     pixel = pixel_index(i, film)
     if pixel < 0:
@@ -172,7 +175,7 @@ def add_image(
 
 @wp.kernel
 def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3]):
-    """Writes the number of Gaussians that each ray blended, the same in all channels."""
+    """Writes the number of Gaussians that each ray blended to all three channels."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)
     if wave[0].rays.is_active[i]:
@@ -181,7 +184,7 @@ def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3
 
 @wp.kernel
 def merge_captured(start: int, wave_inout: wp.array[WaveData]):
-    """Sets ``captured`` to the total linear radiance of lit rays, for queries that do not ask for its parts."""
+    """Sets ``captured`` of lit rays to their total linear radiance, for queries that need only the total."""
     i = start + wp.tid()
     captured = captured_color(wave_inout[0].radiance.captured[i], wave_inout[0].radiance.captured_weight[i])
     wave_inout[0].radiance.captured[i] = captured + wave_inout[0].radiance.light[i]

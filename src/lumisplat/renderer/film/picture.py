@@ -1,4 +1,4 @@
-"""Host pass: encodes frames to 8-bit images, so that display and saving download only 4 bytes a pixel."""
+"""Host pass: encodes frames to 8-bit images on the device, so that display and saving download only 4 bytes a pixel."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TONE_MAPS = {ToneMap.NONE: TONE_NONE, ToneMap.NEUTRAL: TONE_NEUTRAL, ToneMap.AG
 def encoded_pixels(
     launcher: Launcher, buffers: Buffers, pixels: PixelBuffers[PixelData], *, transparent: bool
 ) -> DeviceArray:
-    """Encodes an unlit frame to one RGBA word a pixel, plus a word for non-finite pixels (see the kernel)."""
+    """Encodes an unlit frame to one RGBA word a pixel, and a last word that is 1 if a pixel is not finite."""
     picture = _empty_picture(buffers, pixels)
     launcher.run_banded(picture_kernels.encode_pixels, len(picture) - 1, transparent, pixels.data, picture)
     return picture
@@ -35,7 +35,7 @@ def encoded_lit_pixels(
     lit: PixelBuffers[LitPixels],
     display: ToneMapData,
 ) -> DeviceArray:
-    """Encodes a lit frame as ``encoded_pixels``. Bytes equal the host's, except for rounding between two values."""
+    """Encodes a lit frame in the format of `encoded_pixels`. Bytes equal the host's, except for rounding at halves."""
     picture = _empty_picture(buffers, pixels)
     inputs = display, pixels.data, lit.data, picture
     launcher.run_banded(picture_kernels.encode_lit_pixels, len(picture) - 1, *inputs)
@@ -43,7 +43,7 @@ def encoded_lit_pixels(
 
 
 def picture_data(exposure: float, tone_map: ToneMap, *, transparent: bool) -> ToneMapData:
-    """Returns the display transform of a lit frame: exposure, tone map and alpha mode."""
+    """Returns the display transform of a lit frame for kernels: exposure, tone map and alpha mode."""
     data = ToneMapData()
     data.straight, data.tone_map, data.gain = int(transparent), _TONE_MAPS[tone_map], exposure_gain(exposure)
     data.agx_from_rec709 = wp.mat33(*AGX_FROM_REC709.ravel())
@@ -53,7 +53,7 @@ def picture_data(exposure: float, tone_map: ToneMap, *, transparent: bool) -> To
 
 
 def _empty_picture(buffers: Buffers, pixels: PixelBuffers[PixelData]) -> DeviceArray:
-    """Returns an array of one word a pixel, plus a last word of 0."""
+    """Returns an array of one word a pixel, and a last word set to 0 ("all pixels are finite")."""
     count = pixels.size[0] * pixels.size[1]
     picture = buffers.get("film.picture", wp.uint32, count + 1)
     picture[count:].zero_()
@@ -61,7 +61,10 @@ def _empty_picture(buffers: Buffers, pixels: PixelBuffers[PixelData]) -> DeviceA
 
 
 def picture_of(copies: Copies, name: str, size: tuple[int, int], *, transparent: bool) -> ReadPicture:
-    """Returns a function that fetches the 8-bit image from copies: (H, W, 3), or (H, W, 4) if ``transparent``."""
+    """Returns a function that fetches the 8-bit image from copies: (H, W, 3), or (H, W, 4) if ``transparent``.
+
+    The function returns None if a pixel is not finite.
+    """
 
     def read() -> npt.NDArray[np.uint8] | None:
         words = copies.words(name).view(np.uint32)

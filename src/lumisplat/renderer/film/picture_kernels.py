@@ -1,6 +1,6 @@
-"""Kernels that encode unlit and lit frames to 8 bits, and the pixels of rays through Gaussians.
+"""Kernels that encode unlit and lit frames to 8 bits, and that store the colours of rays through Gaussians.
 
-Each is in a Warp module of its own, as modules compile whole: a frame compiles only the one that it runs.
+Each kernel has its own Warp module, because modules are compiled as a whole: a frame compiles only the kernel it runs.
 """
 
 import warp as wp
@@ -24,7 +24,7 @@ wp.set_module_options({"enable_backward": False}, RAYS)
 def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp.array[wp.uint32]):
     """Per pixel: packs red, green, blue and alpha into one word; sets the last word to 1 if a pixel is not finite.
 
-    With ``straight``, colours are divided by alpha.
+    If ``straight``, colours are divided by alpha.
     """
     i = start + wp.tid()
     color = pixels.color[i]
@@ -41,7 +41,7 @@ def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp
 def encode_lit_pixels(
     start: int, picture: ToneMapData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]
 ):
-    """Per pixel: exposes and tone-maps a pixel of a lit frame, and packs it as ``encode_pixels``."""
+    """Per pixel: exposes and tone-maps a pixel of a lit frame, and packs it in the format of `encode_pixels`."""
     i = start + wp.tid()
     captured = pixels.color[i]
     alpha = pixels.alpha[i]
@@ -62,7 +62,7 @@ def encode_lit_pixels(
 def store_ray_colors(
     start: int, width: int, height: int, background: wp.vec3, hits: GaussianHits, pixels_out: PixelData
 ):
-    """Per ray: writes the colour of its pixel over the background, and alpha; the other images are unchanged."""
+    """Per ray: writes the ray's colour over the background, and its alpha, to its pixel; other images are unchanged."""
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)
     if at[0] < width and at[1] < height:

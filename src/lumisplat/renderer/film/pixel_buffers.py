@@ -25,58 +25,58 @@ FIELDS = (
     ("gaussian", wp.int32, 1),
     ("instance", wp.int32, 1),
 )
-"""Arrays of ``PixelData``: name, element type, 32-bit words an element."""
+"""Arrays of ``PixelData``: field name, element type, and 32-bit words per element."""
 
 LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color", wp.vec3, 3))
-"""Arrays of ``LitPixels``, in the format of ``FIELDS``."""
+"""Arrays of ``LitPixels``: field name, element type, and 32-bit words per element."""
 
 SUM_FIELDS = (("color", wp.vec3d, 6), ("alpha", wp.float64, 2), ("radiance", wp.vec3d, 6), ("squares", wp.vec3d, 6))
-"""Arrays of ``PixelSums``, in the format of ``FIELDS``."""
+"""Arrays of ``PixelSums`` in all frames: field name, element type, and 32-bit words per element."""
 
 LIT_SUM_FIELDS = (("captured_weight", wp.float64, 2), ("light", wp.vec3d, 6))
-"""Further arrays of ``PixelSums`` in lit frames."""
+"""Further arrays of ``PixelSums`` in lit frames: field name, element type, and 32-bit words per element."""
 
 
 @dataclass(frozen=True, slots=True)
 class PixelBuffers(Generic[Pixels]):
-    """Arrays of a frame's pixels, consecutive in one block of device memory."""
+    """Arrays of a frame's pixels, one after another in one block of device memory."""
 
     data: Pixels
-    """Struct of the arrays, for kernels."""
+    """Struct of the arrays that kernels get."""
     block: DeviceArray
-    """The memory block, as float32."""
+    """The memory block that holds all arrays, as float32."""
     size: tuple[int, int]
     """Width and height of the image."""
     fields: tuple[tuple[str, type[object], int], ...]
-    """Arrays of the block, in the format of ``FIELDS``."""
+    """Arrays in the block, in order: field name, element type, and 32-bit words per element."""
     downloads: Downloads
     """Downloads the block to the host."""
 
     @staticmethod
     def of(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[PixelData]:
-        """Returns the buffers of an image of that width and height; images of one size share their memory."""
+        """Returns buffers for an image of ``size`` (width, height); all images of one size share their memory."""
         return _split_block(buffers, "pixels", PixelData(), FIELDS, size)
 
     @staticmethod
     def of_light(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[LitPixels]:
-        """Returns the buffers of the further arrays of a lit image."""
+        """Returns buffers for the images that only lit frames have; ``size`` is width and height."""
         return _split_block(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, size)
 
     def upload(self, images: dict[str, npt.NDArray[Any]]) -> None:
-        """Uploads images, by field name."""
+        """Uploads images, given by field name."""
         self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in self.fields]))
 
     def download(self) -> dict[str, npt.NDArray[Any]]:
-        """Copies all images to the host; shapes (H, W) or (H, W, 3)."""
+        """Copies all images to the host, by field name; shapes (H, W) or (H, W, 3)."""
         copies = self.downloads.copies({"pixels": self.block})
         return {name: read() for name, read in self._reads(copies, "pixels").items()}
 
     def images(self, copies: Copies, name: str) -> dict[str, Any]:
-        """Returns the images in copies of the block, or functions that download them; shapes (H, W) or (H, W, 3).
+        """Returns the images in copies of ``block``, or functions that download them; shapes (H, W) or (H, W, 3).
 
         Args:
             copies: Copies of ``block`` and of other arrays.
-            name: Name of ``block`` among the copies.
+            name: Name under which ``copies`` holds ``block``.
         """
         return {field: copies.lazy(read) for field, read in self._reads(copies, name).items()}
 
@@ -94,7 +94,7 @@ class PixelBuffers(Generic[Pixels]):
 
 
 def pixel_sums(buffers: Buffers, count: int, *, is_lit: bool) -> tuple[PixelSums, DeviceArray]:
-    """Returns the sums of ``count`` pixels, and the memory block that holds them, as float32."""
+    """Returns the sums of ``count`` pixels, and the float32 memory block that holds them."""
     fields = SUM_FIELDS + (LIT_SUM_FIELDS if is_lit else ())
     block, arrays = buffers.split("pixel_sums", fields, count)
     sums = PixelSums()
@@ -106,7 +106,14 @@ def pixel_sums(buffers: Buffers, count: int, *, is_lit: bool) -> tuple[PixelSums
 def _image(
     copies: Copies, words: tuple[str, int, int], shape: tuple[int, ...], number: type[np.generic]
 ) -> npt.NDArray[Any]:
-    """Returns an image from copies; ``words`` is the name of the copy, its first word and the number of words."""
+    """Returns one image from copies.
+
+    Args:
+        copies: Copies of memory blocks.
+        words: Name of the copied block, the image's first word in the block, and its number of words.
+        shape: Shape of the image.
+        number: Type of the image's numbers.
+    """
     return copies.words(*words).view(number).reshape(shape)
 
 
@@ -117,7 +124,7 @@ def _split_block(
     fields: tuple[tuple[str, type[object], int], ...],
     size: tuple[int, int],
 ) -> PixelBuffers[Pixels]:
-    """Returns buffers whose arrays share one block, and sets them as the fields of ``data``."""
+    """Divides one block into the arrays of ``fields``, sets them as fields of ``data``, and returns the buffers."""
     block, arrays = buffers.split(name, fields, size[0] * size[1])
     for field, array in arrays.items():
         setattr(data, field, array)

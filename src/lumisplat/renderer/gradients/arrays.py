@@ -1,4 +1,4 @@
-"""Gradient arrays: upstream gradients from callers, gradients on the device, and the results that callers get."""
+"""Gradient arrays: upstream gradients that callers pass, gradients on the device, and the results that callers get."""
 
 from __future__ import annotations
 
@@ -20,63 +20,76 @@ DLPACK_CUDA = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetGradient:
-    """Gradients of the loss with respect to the stored parameters of one Gaussian set; 0 for Gaussians out of view."""
+    """Gradients of the loss with respect to the stored parameters of one Gaussian set with N Gaussians.
+
+    Gaussians out of view have gradients of 0.
+    """
 
     means: FloatArray
-    """Gradients with respect to the means, shape (N, 3)."""
+    """Gradients with respect to the means of N Gaussians, shape (N, 3)."""
     rotations_wxyz: FloatArray
-    """Gradients with respect to the quaternions, shape (N, 4). Quaternions are taken to be normalised after each
-    update, so each gradient is perpendicular to its quaternion."""
+    """Gradients with respect to the quaternions (w, x, y, z) of N Gaussians, shape (N, 4). Each gradient is
+    perpendicular to its quaternion, because quaternions are expected to be normalised after each update."""
     scales: FloatArray
-    """Gradients with respect to the standard deviations, not to their logarithms; shape (N, 3)."""
+    """Gradients with respect to the standard deviations of N Gaussians, not their logarithms; shape (N, 3)."""
     opacities: FloatArray
-    """Gradients with respect to the opacities in 0..1, not to their logits; shape (N,)."""
+    """Gradients with respect to the opacities of N Gaussians in 0..1, not their logits; shape (N,)."""
     sh: FloatArray
-    """Gradients with respect to the SH coefficients, shape (N, K, 3); 0 for degrees above the SH degree of the frame.
+    """Gradients with respect to the K SH coefficients of each of N Gaussians, shape (N, K, 3); 0 for degrees above the
+    SH degree of the frame.
     """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatGradients:
-    """Gradients of the loss with respect to the inputs of a frame: Gaussians, background, camera pose and features."""
+    """Gradients of the loss with respect to the inputs of a frame: Gaussians, background, camera pose and features.
+
+    Arrays for all Gaussians of the scene list them splat instance by splat instance, N in all.
+    """
 
     sets: tuple[SetGradient, ...]
-    """Gradients of the distinct Gaussian sets, in the order of their first instances; each is summed over all
-    instances of the set."""
+    """Gradients of the distinct Gaussian sets, in the order of their first instances. If several instances use a set,
+    their gradients are summed."""
     background: Doubles
     """Gradient with respect to the background colour, shape (3,)."""
     camera_from_world: Doubles | None
     """Gradient with respect to the elements of the camera pose, shape (4, 4), with a last row of 0; None if not
     requested. The chain rule turns it into gradients of small rotations and translations of the camera. With
-    ``Pipeline.TRACE`` and ``Projection.UNSCENTED`` it holds rigid motions of the camera only, and both poses of a
-    rolling shutter move together."""
+    ``Pipeline.TRACE`` and ``Projection.UNSCENTED`` the gradient is restricted to rigid motions of the camera, and both
+    poses of a rolling shutter move together."""
     centers: FloatArray
-    """Gradients with respect to the splat centres in the image, pixels, shape (N, 2), for all Gaussians of the scene,
-    instance by instance. Shape (0, 2) with ``Pipeline.TRACE`` and ``Projection.UNSCENTED``, which have no 2D splats."""
+    """Gradients with respect to the splat centres in the image, pixels, shape (N, 2), for all N Gaussians of the
+    scene, instance by instance. Shape (0, 2) with ``Pipeline.TRACE`` and ``Projection.UNSCENTED``, which have no 2D
+    splats."""
     centers_absolute: FloatArray
-    """Sums of the absolute per-pixel gradients with respect to the splat centres, by way of colour and alpha, shape
-    (N, 2) (AbsGS, Ye et al. 2024). Shape (0, 2) where ``centers`` is."""
+    """Sums over pixels of the absolute gradients with respect to the splat centres, through colour and alpha, shape
+    (N, 2) for all N Gaussians of the scene (AbsGS, Ye et al. 2024). Shape (0, 2) if the shape of ``centers`` is (0, 2).
+    """
     weights: FloatArray
-    """Sum over the pixels of each Gaussian's blending weight (alpha times transmittance), shape (N,)."""
+    """Sum over the pixels of each Gaussian's blending weight (alpha times transmittance), one per Gaussian of the
+    scene."""
     features: FloatArray | None = None
-    """Gradients with respect to the rendered features, shape (N, C); None if not requested."""
+    """Gradients with respect to the C rendered features of all N Gaussians of the scene, shape (N, C); None if not
+    requested."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayGradients:
-    """Gradients of the loss with respect to the Gaussians that given rays hit."""
+    """Gradients of the loss with respect to the Gaussians that a caller's rays hit."""
 
     sets: tuple[SetGradient, ...]
     """Gradients of the distinct Gaussian sets, ordered as in `SplatGradients`."""
     weights: FloatArray
-    """Sum over the rays of each Gaussian's blending weight (alpha times transmittance), shape (N,)."""
+    """Sum over the rays of each Gaussian's blending weight (alpha times transmittance), one per Gaussian of the scene.
+    """
 
 
 def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
-    """Converts a caller's array to C-contiguous float32, without a copy if possible; GPU arrays are downloaded.
+    """Returns a caller's array as C-contiguous float32, without a copy if possible; GPU arrays are downloaded.
 
     Raises:
-        SceneError: The array cannot be read, has another shape than ``shape``, or has values that are not finite.
+        SceneError: The array cannot be read, does not have ``shape``, or has values that are not finite. The message
+            contains ``name``.
     """
     try:
         array = _read(values)
@@ -112,10 +125,10 @@ def _is_on_gpu(values: Any) -> bool:
 
 
 def gradient_of_asset(buffers: Buffers, asset: SplatAsset, number: int) -> GaussianGradient:
-    """Returns uninitialised gradient arrays for one Gaussian asset.
+    """Returns uninitialised gradient arrays for the Gaussians of one asset.
 
     Args:
-        buffers: Hold the arrays.
+        buffers: Holds the arrays.
         asset: The Gaussians.
         number: Index of the asset in the scene.
     """
@@ -148,5 +161,5 @@ def host_values(array: wp.array[Any]) -> FloatArray:
 
 
 def by_background(by_color: FloatArray, transmittance: FloatArray) -> Doubles:
-    """Returns the gradient with respect to the background colour, given pixel gradients and pixel transmittances."""
+    """Returns the gradient with respect to the background colour, from gradients at pixels and pixel transmittances."""
     return np.asarray(transmittance.reshape(-1).astype(np.float64) @ by_color.reshape(-1, 3), np.float64)

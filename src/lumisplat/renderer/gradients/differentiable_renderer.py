@@ -1,4 +1,4 @@
-"""Gradients of a loss with respect to the inputs of an unlit frame or of unlit rays."""
+"""Gradients of a loss with respect to the inputs of an unlit frame, or to the Gaussians that unlit rays hit."""
 
 from __future__ import annotations
 
@@ -44,21 +44,21 @@ from lumisplat.scene.scene import Scene
 
 
 class DifferentiableRenderer(Renderer):
-    """Renders unlit, sorted frames and computes gradients of a loss from them. Not safe to share between threads.
+    """Renders unlit frames with sorted blending, and computes gradients of a loss through them. Not thread-safe.
 
-    ``render`` draws the same frame, to the bit, as any renderer with the same pipeline. ``gradients`` then traverses
-    the Gaussians of each pixel of the last frame once more, front to back (docs/method/gradients.md). The backward pass
-    uses no atomics: its result has the same bits for any number of threads.
+    ``render`` draws the same frame, to the bit, as `lumisplat.Renderer` with the same settings. ``gradients`` then
+    traverses the Gaussians of each pixel of the last frame once more, front to back (docs/method/gradients.md). The
+    backward pass uses no atomics: its results have the same bits for any number of threads.
 
-    With ``Pipeline.TRACE``, frames have one ray a pixel and any camera: fisheye, distorted lens or rolling shutter, and
-    Gaussian kernels of any degree. ``Projection.UNSCENTED`` needs kernels of degree 2. Neither supports
-    ``render_features``.
+    With ``Pipeline.TRACE``, frames have one ray a pixel; cameras may have a fisheye, a distorted lens or a rolling
+    shutter, and Gaussian kernels any degree. ``Projection.UNSCENTED`` needs kernels of degree 2. ``Pipeline.TRACE`` and
+    ``Projection.UNSCENTED`` do not support ``render_features``.
 
     Args:
         config: Settings; None: the defaults. Its pipeline is ``RASTER`` or ``TRACE``.
-        device: As of `lumisplat.create_renderer`.
-        threads: As of `lumisplat.create_renderer`.
-        progress: As of `lumisplat.create_renderer`.
+        device: As for `lumisplat.create_renderer`.
+        threads: As for `lumisplat.create_renderer`.
+        progress: As for `lumisplat.create_renderer`.
 
     Raises:
         ConfigError: The config asks for another pipeline or strategy, for more samples, or for lights.
@@ -77,16 +77,16 @@ class DifferentiableRenderer(Renderer):
         self._prepare()
 
     def reconfigure(self, config: RenderConfig) -> None:
-        """Changes the settings, as `lumisplat.Renderer.reconfigure`; gradients then need a new frame.
+        """Changes the settings, like `lumisplat.Renderer.reconfigure`; call `render` again before `gradients`.
 
         Raises:
-            ConfigError: As of the class; the renderer is unchanged.
+            ConfigError: As for `DifferentiableRenderer`; the renderer is unchanged.
         """
         super().reconfigure(_checked(checked_config(config)))
         self._prepare()
 
     def _prepare(self) -> None:
-        """Sets up the backward passes for the current settings."""
+        """Creates the backward passes for the current settings, and forgets the last frame."""
         self._traces = not self.config.pipeline.rasterises
         self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
         self._splat_backward = SplatBackward(self._launcher, self._buffers)
@@ -111,11 +111,12 @@ class DifferentiableRenderer(Renderer):
         return [*backward.modules(), *super()._modules(plan, **options)]
 
     def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
-        """Renders a frame, as `lumisplat.Renderer.render`, and keeps what its gradients need.
+        """Renders a frame like `lumisplat.Renderer.render`, and stores what `gradients` needs.
 
         Raises:
-            ConfigError: The lens distorts and the projection is not ``UNSCENTED``: such raster frames are resampled. Or
-                a mesh reflects, refracts or blends.
+            ConfigError: The camera has a distorted lens, but frames are rasterised without ``Projection.UNSCENTED``:
+                such frames are resampled and have no gradients. Or rays are traced and a mesh reflects, refracts or
+                blends.
         """
         self._forget()
         check_camera(camera)
@@ -145,21 +146,22 @@ class DifferentiableRenderer(Renderer):
         return frame
 
     def render_features(self, features: npt.ArrayLike) -> FloatArray:
-        """Blends arbitrary per-Gaussian features over the pixels of the last frame, with the weights of its colours.
+        """Blends arbitrary features of Gaussians over the pixels of the last frame, weighted as the colours are.
 
-        Divide by the same sums of ones to get means; without meshes these sums are ``frame.alpha``. Neither meshes nor
-        the background contribute. ``gradients`` accepts gradients with respect to the result.
+        The results are weighted sums. To get means, divide them by the sum of weights: ``frame.alpha`` in a scene
+        without meshes, else the result for a feature of ones. Meshes and background contribute nothing. ``gradients``
+        accepts gradients with respect to the result.
 
         Args:
-            features: Features of all Gaussians of the scene, instance by instance, of any sign, shape (N, C). For view
-                depths and normals see ``lumisplat.gradients.SurfaceFeatures``.
+            features: C numbers of any sign for each of the scene's N Gaussians, instance by instance, shape (N, C). For
+                view depths and normals see ``lumisplat.gradients.SurfaceFeatures``.
 
         Returns:
-            Premultiplied sums, float32, shape (H, W, C).
+            Weighted sums of the C features at each pixel, float32, shape (H, W, C).
 
         Raises:
-            ConfigError: No frame was rendered yet.
-            SceneError: The shape does not fit, or a value is not finite.
+            ConfigError: No frame was rendered yet, or the settings are ``Pipeline.TRACE`` or ``Projection.UNSCENTED``.
+            SceneError: The shape is not (N, C), or a value is not finite.
         """
         if self._traces or self._is_unscented:
             mode = "Pipeline.TRACE" if self._traces else "Projection.UNSCENTED"
@@ -186,13 +188,15 @@ class DifferentiableRenderer(Renderer):
                 sRGB, shape (H, W, 3). Arrays of other packages are read by ``__array_interface__``, ``__array__`` or
                 DLPack.
             dL_dalpha: Gradient of the loss with respect to ``frame.alpha``, shape (H, W); None: 0.
-            dL_dfeatures: Gradient of the loss with respect to the last result of ``render_features``, shape (H, W, C);
-                None: 0. It contributes to all results, with the features held constant. Where features depend on
-                Gaussians or on the camera, continue the chain rule from ``SplatGradients.features``.
+            dL_dfeatures: Gradient of the loss with respect to the last result of ``render_features``, shape (H, W, C)
+                for C features; None: 0. The features count as constants that are blended, so their gradient contributes
+                to all results. If the features depend on Gaussians or on the camera, continue the chain rule from
+                ``SplatGradients.features``.
             pose: Whether to differentiate with respect to the camera pose, too.
 
         Raises:
-            ConfigError: No frame was rendered yet, or no features of this frame.
+            ConfigError: No frame was rendered yet, or ``dL_dfeatures`` is given but no features of this frame were
+                rendered.
             SceneError: A shape does not fit, a value is not finite, or the scene is lit.
         """
         if (self._traces or self._is_unscented) and dL_dfeatures is not None:
@@ -235,7 +239,10 @@ class DifferentiableRenderer(Renderer):
         dL_dradiance: npt.ArrayLike,
         dL_dtransmittance: npt.ArrayLike | None = None,
     ) -> RayGradients:
-        """Computes gradients as the function `ray_gradients`, and reuses the BVHs. Needs ``Pipeline.TRACE``."""
+        """Computes gradients at rays like `lumisplat.gradients.ray_gradients`, but reuses BVHs of earlier calls.
+
+        The renderer's pipeline must be ``TRACE``. Arguments, result and errors are as for the function.
+        """
         if not self._traces:
             raise ConfigError("ray_gradients: needs a renderer with Pipeline.TRACE; this one rasterises")
         start, along = checked_rays(origins, directions)
@@ -245,12 +252,12 @@ class DifferentiableRenderer(Renderer):
         return self._ray_backward.of_rays(self._scene, self._tracer, (self._local(start), along), hits, given)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
-        """Finds the hits of the frame's only sample, and keeps them for the backward pass."""
+        """Finds the hits of the frame's only sample, and stores them for the backward pass."""
         self._hits = super()._find_hits(plan, listed)
         return self._hits
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
-        """Prepares given rays; they replace the last frame, which has no gradients afterwards."""
+        """Syncs the scene for a caller's rays. They replace the last frame, which then has no gradients any more."""
         self._forget()
         return super()._sync_rays(scene, camera)
 
@@ -260,7 +267,7 @@ class DifferentiableRenderer(Renderer):
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
     ) -> tuple[FloatArray, PixelGradient]:
-        """Returns the upstream gradients of the pixels, on the host (colour only) and on the device."""
+        """Checks the upstream gradients at pixels; returns the colour's on the host, and both on the device."""
         by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
         by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
         gradient = PixelGradient()
@@ -281,7 +288,7 @@ class DifferentiableRenderer(Renderer):
     def _by_features(
         self, drawn: DrawnSplats, dL_dfeatures: npt.ArrayLike, shape: tuple[int, int], by_splat: DeviceArray
     ) -> FloatArray:
-        """Returns the gradients with respect to the features, and adds their share to the splat gradients."""
+        """Returns the gradients with respect to the features, and adds those of the splats' shapes to ``by_splat``."""
         if self._rendered_features is None:
             raise ConfigError("gradients: call render_features for this frame before passing dL_dfeatures")
         count = self._rendered_features.count
@@ -306,7 +313,7 @@ def splat_gradients(
     pose: bool = False,
     device: str = "auto",
 ) -> SplatGradients:
-    """Computes gradients of a loss with respect to the Gaussians of a scene, given its gradients at an unlit frame.
+    """Computes gradients of a loss with respect to the Gaussians of a scene, from the loss's gradients at a frame.
 
     For more than one frame, reuse a `lumisplat.DifferentiableRenderer`::
 
@@ -314,22 +321,23 @@ def splat_gradients(
         gradients = ls.splat_gradients(scene, camera, 2.0 * (frame.color - image))
         gradients.sets[0].means  # of the first Gaussian set, shape (N, 3)
 
-    A Gaussian is cut off where its alpha falls below 1/255. As in gsplat, the gradients ignore that this edge moves
-    with opacities and scales; finite differences include it, some percent of the derivative.
+    The frame is unlit. A Gaussian is cut off where its alpha falls below 1/255. As in gsplat, the gradients ignore that
+    this edge moves with opacities and scales. Finite differences include the movement, which is some percent of the
+    derivative.
 
     Args:
         scene: The scene.
         camera: The camera.
-        dL_dcolor: As of `lumisplat.DifferentiableRenderer.gradients`.
-        dL_dalpha: As of `lumisplat.DifferentiableRenderer.gradients`.
+        dL_dcolor: As for `lumisplat.DifferentiableRenderer.gradients`.
+        dL_dalpha: As for `lumisplat.DifferentiableRenderer.gradients`.
         config: Settings; None: the defaults.
         pose: Whether to differentiate with respect to the camera pose, too.
-        device: As of `lumisplat.create_renderer`.
+        device: As for `lumisplat.create_renderer`.
 
     Raises:
         ConfigError: The config asks for another pipeline or strategy, or for lights.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: As of `lumisplat.Renderer.render`; or a shape does not fit, or a value is not finite.
+        SceneError: As for `lumisplat.Renderer.render`; or an array's shape does not fit, or a value is not finite.
     """
     renderer = DifferentiableRenderer(config, device)
     renderer.render(scene, camera)
@@ -346,38 +354,39 @@ def ray_gradients(
     config: RenderConfig | None = None,
     device: str = "auto",
 ) -> RayGradients:
-    """Computes the gradients of a loss with respect to the Gaussians of a scene, given its gradients at unlit rays.
+    """Computes gradients of a loss with respect to the Gaussians of a scene, from the loss's gradients at rays.
 
-    The rays are those of `lumisplat.trace_rays`. For more than one call, reuse a `lumisplat.DifferentiableRenderer`::
+    The rays are unlit, and equal those that `lumisplat.trace_rays` traces. For more than one call, reuse a
+    `lumisplat.DifferentiableRenderer`::
 
         hits = ls.trace_rays(scene, origins, directions, ls.RenderConfig(lighting=False))
         gradients = ls.gradients.ray_gradients(scene, origins, directions, 2.0 * (hits.radiance - colors))
 
     Args:
         scene: The scene.
-        origins: Ray origins, world space, shape (N, 3), or (3,) for all rays.
-        directions: Ray directions, world space, of any length, shape (N, 3).
+        origins: World-space origin of each of N rays, shape (N, 3), or one origin for all rays, shape (3,).
+        directions: World-space direction of each ray, of any length, shape (N, 3).
         dL_dradiance: Gradient of the loss with respect to ``RayHits.radiance``, display-referred sRGB, shape (N, 3);
-            arrays as of `lumisplat.DifferentiableRenderer.gradients`.
+            arrays as for `lumisplat.DifferentiableRenderer.gradients`.
         dL_dtransmittance: Gradient of the loss with respect to ``RayHits.transmittance``, shape (N,); None: 0.
         config: Settings; None: the defaults. The pipeline is always ``TRACE``.
-        device: As of `lumisplat.create_renderer`.
+        device: As for `lumisplat.create_renderer`.
 
     Raises:
         ConfigError: The config asks for another strategy, more samples or lights; or a mesh reflects, refracts or
             blends.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: As of `lumisplat.trace_rays`; or a shape does not fit, or a value is not finite.
+        SceneError: As for `lumisplat.trace_rays`; or an array's shape does not fit, or a value is not finite.
     """
     renderer = DifferentiableRenderer(tracing(config), device)
     return renderer.ray_gradients(scene, origins, directions, dL_dradiance, dL_dtransmittance)
 
 
 def _checked(config: RenderConfig) -> RenderConfig:
-    """Returns the settings without lighting, if frames rendered with them have gradients.
+    """Returns the settings with lighting switched off.
 
     Raises:
-        ConfigError: They have none.
+        ConfigError: Frames rendered with the settings have no gradients.
     """
     if not config.pipeline.is_differentiable:
         raise ConfigError(f"gradients need Pipeline.RASTER or Pipeline.TRACE, not Pipeline.{config.pipeline.name}")
@@ -394,7 +403,7 @@ def _checked(config: RenderConfig) -> RenderConfig:
 
 
 def _visible(splats: npt.NDArray[np.void], drawn: DrawnSplats) -> npt.NDArray[np.void]:
-    """Returns the splat gradients, set to 0 for splats that cover no tile."""
+    """Returns the splat gradients with zeros for splats that cover no tile, whose gradients are undefined."""
     rects = drawn.splats.rects.numpy()
     splats = splats.copy()
     splats[rects["x0"] >= rects["x1"]] = np.zeros(1, splats.dtype)

@@ -1,4 +1,4 @@
-"""Kernels of feature rendering: features take the place of splat colours and normals, and are summed per pixel.
+"""Kernels of feature rendering: features replace the colours and normals of splats, and are summed per pixel.
 
 The equations are in docs/method/gradients.md#features.
 """
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def three_of(values: wp.array2d[float], row: int, first: int) -> wp.vec3:
-    """Returns three numbers of a row from column ``first`` on; 0 beyond the last column."""
+    """Returns columns ``first`` to ``first + 2`` of a row; 0 for columns beyond the last one."""
     three = wp.vec3(0.0)
     for k in range(3):
         if first + k < values.shape[1]:
@@ -26,7 +26,7 @@ def three_of(values: wp.array2d[float], row: int, first: int) -> wp.vec3:
 
 @wp.func
 def store_three(values_out: wp.array2d[float], row: int, first: int, three: wp.vec3):
-    """Writes three numbers to a row from column ``first`` on, up to the last column."""
+    """Writes ``three`` to columns ``first`` to ``first + 2`` of a row; columns beyond the last one are dropped."""
     for k in range(3):
         if first + k < values_out.shape[1]:
             values_out[row, first + k] = three[k]
@@ -41,7 +41,7 @@ def replace_colors(
     splats: wp.array[Splat],
     splats_out: wp.array[Splat],
 ):
-    """Per splat: copies it with three features, from column ``first`` on, as its colour and three as its normal."""
+    """Per splat: copies the splat with six features, from column ``first`` on, as its colour and its normal."""
     i = start + wp.tid()
     if not is_listed(rects[i]):
         return
@@ -55,7 +55,7 @@ def replace_colors(
 def store_sums(
     start: int, camera: wp.array[CameraData], sums: GaussianHits, first: int, features_out: wp.array2d[float]
 ):
-    """Per pixel: writes its blended sums of six features to columns ``first`` to ``first + 5``."""
+    """Per pixel: writes the blended sums of six features to columns ``first`` to ``first + 5``."""
     i = start + wp.tid()
     width = camera[0].width
     ray = ray_of_pixel(width, i % width, i // width)
@@ -65,7 +65,7 @@ def store_sums(
 
 @wp.kernel
 def take_three(start: int, values: wp.array2d[float], first: int, three_out: wp.array[wp.vec3]):
-    """Per row: copies three of its columns to a vector."""
+    """Per row: copies columns ``first`` to ``first + 2`` to a vector."""
     i = start + wp.tid()
     three_out[i] = three_of(values, i, first)
 
@@ -78,9 +78,10 @@ def add_gradients(
     splats_inout: wp.array[SplatGradient],
     features_out: wp.array2d[float],
 ):
-    """Per splat: adds the shape gradients of a pass over three features, and stores the features' gradients.
+    """Per splat: adds the shape gradients of a backward pass over three features, and stores the features' gradients.
 
-    The pass's blending weights and absolute centre gradients are dropped: they count for the colour alone.
+    The backward pass's blending weights and absolute centre gradients are dropped, because only the pass over colours
+    may count them.
     """
     i = start + wp.tid()
     gradient = gradients[i]

@@ -1,7 +1,7 @@
-"""Rendering of arbitrary per-Gaussian features, such as depths and normals, in raster frames, and its gradients.
+"""Renders arbitrary features of Gaussians, such as depths and normals, in raster frames, and computes gradients.
 
-The kernels of frames are reused. Rendering replaces the colour and normal of splats by six features at a time; the
-backward pass replaces their colour by three at a time.
+The kernels that render frames are reused. Rendering replaces the colour and normal of splats by six features at a time;
+the backward pass replaces the colour of splats by three features at a time.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from lumisplat.scene.scene import Scene, SplatInstance
 
 @dataclass(frozen=True, slots=True)
 class RenderedFeatures:
-    """Features that were blended over the pixels of a frame."""
+    """Features of Gaussians that were blended over the pixels of a frame, C features each."""
 
     of_splats: DeviceArray
-    """Features of the splats, shape (N, C)."""
+    """C features of each of N splats, shape (N, C)."""
     of_pixels: DeviceArray
-    """Blended sums of the pixels, shape (H * W, C)."""
+    """Blended sums of C features at each pixel, shape (H * W, C)."""
 
     @property
     def count(self) -> int:
-        """Number of features C."""
+        """Number of features of each Gaussian."""
         return self.of_splats.shape[1]
 
 
 class FeatureChannels:
-    """Renders features of the splats of a frame, and computes the gradients of the result.
+    """Renders features of the splats of a frame, and computes gradients with respect to the features.
 
     Args:
         launcher: Runs the kernels.
@@ -65,12 +65,12 @@ class FeatureChannels:
         return [kernels]
 
     def render(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> RenderedFeatures:
-        """Blends features over the splats of each pixel, with the weights of their colours.
+        """Blends features of splats over the pixels, with the weights that blend colours.
 
         Args:
             scene: The scene on the device, as it was drawn.
             drawn: The splats of the frame.
-            features: Features of all Gaussians of the scene, shape (N, C).
+            features: C features of each of the scene's N Gaussians, shape (N, C).
         """
         pixels, columns = math.prod(scene.image_size), features.shape[1]
         rendered = RenderedFeatures(
@@ -91,14 +91,14 @@ class FeatureChannels:
         by_pixels: FloatArray | DeviceArray,
         by_splat: DeviceArray,
     ) -> DeviceArray:
-        """Returns the gradients with respect to the features, shape (N, C), and adds shape gradients to ``by_splat``.
+        """Returns the gradients with respect to C features of N Gaussians, (N, C), and adds to ``by_splat``.
 
         Args:
-            scene: As of ``render``.
-            drawn: As of ``render``.
+            scene: As for ``render``.
+            drawn: As for ``render``.
             rendered: The rendered features.
-            by_pixels: Gradients of the loss with respect to the blended sums of the pixels, shape (H * W, C).
-            by_splat: Receives the gradients with respect to the shapes of the splats.
+            by_pixels: Gradients of the loss with respect to the blended sums at the pixels, shape (H * W, C).
+            by_splat: Gradients with respect to the shapes of the splats, to which this pass adds.
         """
         count, get, run = by_pixels.shape[0], self._buffers.get, self._launcher.run_banded
         given = self._upload("features.by_pixels", by_pixels)
@@ -118,7 +118,7 @@ class FeatureChannels:
         return by_features[: drawn.splats.count]
 
     def _with_features(self, drawn: DrawnSplats, rendered: RenderedFeatures, first: int) -> DrawnSplats:
-        """Returns the drawn splats with six features, from column ``first`` on, as colours and normals."""
+        """Returns the drawn splats with features ``first`` to ``first + 5`` as their colours and normals."""
         splats = self._buffers.get("features.drawn_splats", Splat, drawn.splats.count)
         inputs = (rendered.of_splats, first, drawn.splats.rects, drawn.splats.data, splats)
         self._launcher.run_banded(kernels.replace_colors, drawn.splats.count, *inputs)
@@ -137,9 +137,9 @@ class FeatureChannels:
 class SurfaceFeatures:
     """Depths and normals of the Gaussians of a scene, as features for ``DifferentiableRenderer.render_features``.
 
-    The normal is the shortest axis of the Gaussian. For flat Gaussians that is the surface normal. It does not depend
-    on the scales, unlike the normal of the max-density plane, so a loss on normals rotates Gaussians and changes
-    nothing else::
+    The normal is the shortest axis of the Gaussian. For flat Gaussians it is the surface normal. Unlike the normal of
+    the max-density plane, the shortest axis does not depend on the scales, so a loss on normals rotates Gaussians and
+    changes nothing else::
 
         renderer.render(scene, camera)
         surface = ls.gradients.SurfaceFeatures.of(scene, camera)
@@ -151,12 +151,12 @@ class SurfaceFeatures:
     scene: Scene
     camera: Camera
     values: FloatArray
-    """View depth of the mean, scene units, and unit normal, world space, on the eye's side; for all Gaussians,
-    instance by instance, shape (N, 4)."""
+    """Four features of each of the scene's N Gaussians, instance by instance, shape (N, 4): view depth of the mean in
+    scene units, and world-space unit normal facing the eye."""
 
     @classmethod
     def of(cls, scene: Scene, camera: Camera) -> SurfaceFeatures:
-        """Computes the depths and normals of a scene for a camera.
+        """Computes the depths and normals of a scene's Gaussians for a camera.
 
         Args:
             scene: The scene.
@@ -174,7 +174,7 @@ class SurfaceFeatures:
 
         Args:
             gradients: Result of ``DifferentiableRenderer.gradients`` with ``dL_dfeatures``.
-            first: Column of the features that has the depths; the normals are in the next three.
+            first: Column of the rendered features that holds the depths; the next three columns hold the normals.
         """
         assert gradients.features is not None, "call gradients with dL_dfeatures first"
         by_values = gradients.features[:, first : first + 4].astype(np.float64)
@@ -192,17 +192,17 @@ class SurfaceFeatures:
 
 
 def _depths(instance: SplatInstance, camera: Camera) -> Doubles:
-    """Returns the view depths of the means, shape (N,)."""
+    """Returns the view depth of each of an instance's N means, scene units, shape (N,)."""
     return instance.world_means @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
 
 
 def _rotation(instance: SplatInstance) -> Doubles:
-    """Returns the rotation from object to world space, shape (3, 3)."""
+    """Returns the rotation of an instance from object to world space, shape (3, 3)."""
     return instance.transform[:3, :3] / instance.scale
 
 
 def _normals(instance: SplatInstance, camera: Camera) -> Doubles:
-    """Returns the shortest axes, flipped to the eye's side, in object space, shape (N, 3)."""
+    """Returns the shortest axis of each of an instance's N Gaussians, facing the eye, in object space, shape (N, 3)."""
     gaussians = instance.gaussians
     axes = matrices_from_quaternions(gaussians.rotations_wxyz)
     shortest = np.argmin(gaussians.scales, axis=1)
@@ -214,7 +214,7 @@ def _normals(instance: SplatInstance, camera: Camera) -> Doubles:
 def _added(
     gradient: SetGradient, instance: SplatInstance, camera: Camera, by_depth: Doubles, by_normal: Doubles
 ) -> SetGradient:
-    """Adds the gradients through depths, (N, 1), and world normals, (N, 3), of one instance to those of its set."""
+    """Adds one instance's gradients through depths, (N, 1), and world normals, (N, 3), to those of its Gaussian set."""
     by_mean = by_depth * (camera.camera_from_world[2, :3] @ instance.transform[:3, :3])
     by_rotation_vector = np.cross(_normals(instance, camera), by_normal @ _rotation(instance))
     by_rotation = _by_quaternion(instance.gaussians, by_rotation_vector)
@@ -226,9 +226,10 @@ def _added(
 
 
 def _by_quaternion(gaussians: Gaussians, by_rotation_vector: Doubles) -> Doubles:
-    """Converts gradients ``t`` of small object-space rotations to gradients of unit quaternions ``q``, shape (N, 4).
+    """Converts gradients ``t`` of small object-space rotations of N Gaussians to gradients of their quaternions ``q``.
 
-    A small rotation ``w`` moves ``q`` by half of ``(0, w) q``, so the gradient is ``2 (0, t) q``.
+    The result has shape (N, 4). A small rotation ``w`` moves ``q`` by half of ``(0, w) q``, so the gradient is
+    ``2 (0, t) q``.
     """
     w, v = np.split(gaussians.rotations_wxyz.astype(np.float64), [1], axis=1)
     scalar = -np.sum(by_rotation_vector * v, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Gradients with respect to the camera pose, from sums over splats or from rigid motions of rays.
+"""Gradients with respect to the camera pose, from sums over splats or from gradients of rigid ray motions.
 
 The equations are in docs/method/gradients.md.
 """
@@ -19,18 +19,18 @@ from lumisplat.scene.scene import SplatInstance
 
 @dataclass(frozen=True, slots=True)
 class PoseSums:
-    """Gradients with respect to the camera pose that one instance contributes; float64."""
+    """Contribution of one splat instance to the gradient with respect to the camera pose; float64."""
 
     camera_from_object: Doubles
-    """Gradient with respect to the linear part of camera-from-object, shape (3, 3)."""
+    """Gradient with respect to the linear part of the camera-from-object matrix, shape (3, 3)."""
     camera_from_object_offset: Doubles
-    """Gradient with respect to the translation of camera-from-object, shape (3,)."""
+    """Gradient with respect to the translation of the camera-from-object matrix, shape (3,)."""
     eye: Doubles
-    """Gradient with respect to the eye in object space, through view-dependent colour; shape (3,)."""
+    """Gradient with respect to the eye position in object space, through view-dependent colour; shape (3,)."""
 
 
 def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Doubles:
-    """Converts the sums of one instance to the gradient of the upper rows of ``camera_from_world``, shape (3, 4).
+    """Converts one instance's sums to the gradient of the upper three rows of ``camera_from_world``, shape (3, 4).
 
     The instance's camera-from-object matrix is ``camera_from_world @ world_from_object``. The eye is the point that
     ``camera_from_world`` maps to 0.
@@ -51,7 +51,7 @@ def pose_of_rays_gradient(motions: DeviceArray, instances: Sequence[SplatInstanc
     The rays move with their camera as a rigid body (docs/method/gradients.md#pose-of-rays).
 
     Args:
-        motions: Gradients with respect to rigid motions of the rays, one ``RayMotion`` a Gaussian of the scene.
+        motions: Gradients with respect to rigid motions of the rays, one ``RayMotion`` for each Gaussian of the scene.
         instances: Splat instances of the scene.
         camera: Camera of the rays.
     """

@@ -42,42 +42,44 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 BACKWARD_HITS = 2**22
-"""Hits whose gradients are on the device at once: 44 bytes each, some 180 MiB, unless a single ray packet has more."""
+"""Largest number of hits whose gradients are on the device at once: 44 bytes each, some 180 MiB; more only if a single
+ray packet has more hits."""
 
 Struct = TypeVar("Struct")
 
 
 @dataclass(frozen=True, slots=True)
 class RaySums:
-    """Gradients with respect to the Gaussians that rays have hit, accumulated on the device."""
+    """Gradients with respect to the Gaussians that rays hit, accumulated on the device over batches of rays."""
 
     gaussians: list[GaussianGradient]
-    """Gradients of each asset of the scene."""
+    """Gradients of the Gaussians of each asset of the scene."""
     weights: DeviceArray
-    """Sum of the blending weights of each Gaussian of the scene, instance by instance."""
+    """Sum over rays of the blending weight of each Gaussian of the scene, instance by instance."""
     largest: DeviceArray
-    """Largest blending weight of each Gaussian."""
+    """Largest blending weight over rays of each Gaussian of the scene, instance by instance."""
     motions: DeviceArray
-    """Gradient with respect to rigid motions of the rays that hit each Gaussian, ``RayMotion``."""
+    """For each Gaussian of the scene, the gradient (``RayMotion``) with respect to rigid motions of the rays that hit
+    it."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rays:
-    """A batch of rays, whole packets."""
+    """A batch of rays, consisting of whole ray packets."""
 
     rays: RayData
     limits: DeviceArray
     """Distance at which each ray ends."""
     gradient: RayGradient
     counts: DeviceArray
-    """Number of Gaussians that each ray has hit."""
+    """Number of Gaussians that each ray hits."""
     found: int
-    """Sum of ``counts``."""
+    """Number of Gaussians that all rays hit, the sum of ``counts``."""
 
 
 @dataclass(frozen=True, slots=True)
 class TracedFrame:
-    """Inputs and hits of a frame of one ray a pixel, as its backward pass needs them."""
+    """Inputs and primary hits of a traced frame with one ray a pixel, which its backward pass needs."""
 
     scene: Scene
     camera: Camera
@@ -91,16 +93,16 @@ class TracedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpstreamGradient:
-    """Gradients of the loss with respect to the radiance and transmittance of given rays."""
+    """Gradients of the loss with respect to the radiance and transmittance of a caller's rays."""
 
     radiance: FloatArray
-    """Shape (N, 3)."""
+    """Gradient with respect to the radiance of each of N rays, (N, 3)."""
     transmittance: FloatArray
-    """Shape (N,)."""
+    """Gradient with respect to the transmittance of each of N rays, (N,)."""
 
     @classmethod
     def of(cls, count: int, radiance: npt.ArrayLike, transmittance: npt.ArrayLike | None) -> UpstreamGradient:
-        """Checks and converts a caller's arrays; a transmittance of None is 0.
+        """Checks and converts a caller's gradients at ``count`` rays; None stands for gradients of 0.
 
         Raises:
             SceneError: A shape does not fit, or a value is not finite.
@@ -112,12 +114,12 @@ class UpstreamGradient:
 
 
 class RayBackward:
-    """Computes gradients of Gaussians from gradients at rays.
+    """Computes gradients of the loss with respect to Gaussians from its gradients at rays.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        config: Settings of sorted rays.
+        config: Settings of rays with sorted blending.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
@@ -141,7 +143,7 @@ class RayBackward:
             scene: The scene on the device, as it was drawn.
             frame: The frame.
             by_color: Gradients with respect to the colour of the frame, shape (H, W, 3).
-            gradient: The same on the device, and gradients with respect to its alpha.
+            gradient: Gradients with respect to colour and alpha of the frame, on the device.
             pose: Whether to differentiate with respect to the camera pose, too.
         """
         pixels = PixelBuffers.of(self._buffers, scene.image_size).data
@@ -168,14 +170,14 @@ class RayBackward:
         results: RayHits,
         given: UpstreamGradient,
     ) -> RayGradients:
-        """Returns the gradients with respect to the Gaussians that given rays hit.
+        """Returns the gradients with respect to the Gaussians that a caller's N rays hit.
 
         Args:
             scene: The scene on the device, as it was traced.
             tracer: Finds the hits of the rays once more.
-            rays: Origins and unit directions, world space, shape (N, 3) each.
+            rays: Local origins and unit directions of the rays, shape (N, 3) each.
             results: Radiance and transmittance of the rays.
-            given: Gradients with respect to that radiance and transmittance.
+            given: Gradients with respect to radiance and transmittance of the rays.
         """
         behind = (given.radiance * results.radiance).sum(axis=1) + given.transmittance * results.transmittance
         sums = self.begin(scene)
@@ -193,25 +195,25 @@ class RayBackward:
     def start_pixels(
         self, size: tuple[int, int], count: int, pixels: PixelData, gradient: PixelGradient
     ) -> RayGradient:
-        """Converts gradients at pixels to gradients at the rays of a camera.
+        """Converts gradients at pixels to gradients at a camera's rays.
 
         Args:
             size: Width and height of the image, pixels.
             count: Number of rays.
             pixels: Colours and alphas of the pixels.
-            gradient: Gradients with respect to these.
+            gradient: Gradients with respect to the colours and alphas of the pixels.
         """
         out = self._buffers.struct("backward.rays", RayGradient, count)
         self._launcher.run_banded(kernels.start_pixels, count, *size, pixels, gradient, out)
         return out
 
     def start_rays(self, count: int, color: FloatArray, behind: FloatArray) -> RayGradient:
-        """Uploads gradients at given rays.
+        """Uploads gradients at N rays of a caller, padded to ``count`` rays.
 
         Args:
-            count: Number of rays; rays beyond the given ones get gradients of 0.
+            count: Number of rays on the device; rays beyond the caller's get gradients of 0.
             color: Gradients with respect to the colours of the rays, shape (N, 3).
-            behind: Gradients dotted with radiance and transmittance of each ray, summed, shape (N,).
+            behind: For each ray, gradient times value, summed over radiance and transmittance, shape (N,).
         """
         out = self._buffers.struct("backward.rays", RayGradient, count)
         missing = count - len(color)
@@ -220,7 +222,7 @@ class RayBackward:
         return out
 
     def begin(self, scene: DeviceScene) -> RaySums:
-        """Returns gradients of all Gaussians of a scene, set to 0."""
+        """Returns gradients of all Gaussians of a scene, initialised to 0."""
         get, count = self._buffers.get, scene.gaussian_count
         sums = RaySums(
             [gradient_of_asset(self._buffers, asset, number) for number, asset in enumerate(scene.assets)],
@@ -300,7 +302,7 @@ class RayBackward:
                 )
 
     def _profiles(self, scene: DeviceScene, part: _Rays) -> HitProfiles:
-        """Traces the rays once more and lists their hits one by one."""
+        """Traces the rays of a batch once more, and lists their hits one by one."""
         profiles = self._buffers.struct("backward.profiles", HitProfiles, grown_capacity(part.found), ("first",))
         first = self._buffers.get("backward.first", wp.int32, len(part.counts) + 1)
         first[:1].zero_()
@@ -321,10 +323,10 @@ def _rows_of(struct_type: type[Struct], arrays: Struct, rows: slice) -> Struct:
 
 
 def check_traced(scene: Scene) -> None:
-    """Refuses scenes whose meshes reflect, refract or blend: the backward pass follows rays through Gaussians only.
+    """Refuses scenes with meshes that reflect, refract or blend: the backward pass follows only rays that meshes end.
 
     Raises:
-        ConfigError: A mesh's material sends rays on.
+        ConfigError: The material of a mesh reflects, refracts or blends.
     """
     for instance in scene.meshes:
         if instance.mesh.material.sends_rays_on:

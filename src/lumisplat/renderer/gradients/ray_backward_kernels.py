@@ -1,9 +1,9 @@
 """Kernels of the backward pass of ray tracing: gradients of Gaussians from gradients at rays.
 
-The frame's kernel traces the rays once more and writes their hits one by one. ``replay_rays`` blends each ray's hits
-again, front to back; one number a ray holds the loss terms of the hits still to come. The hits are then sorted by
-Gaussian with a stable sort, and ``gather_gaussians`` sums the hits of each Gaussian in ray order. No element has two
-writers. The equations are in docs/method/gradients.md.
+The forward kernel traces the rays once more and lists their hits one by one. ``replay_rays`` blends each ray's hits
+again, front to back; one number per ray holds the loss terms of the hits still to come. The hits are then sorted by
+Gaussian with a stable sort, and ``gather_gaussians`` sums the gradients of each Gaussian's hits in ray order. No array
+element has two writers. The equations are in docs/method/gradients.md.
 """
 
 import warp as wp
@@ -34,7 +34,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 def start_pixels(
     start: int, width: int, height: int, pixels: PixelData, gradient: PixelGradient, rays_out: RayGradient
 ):
-    """Per camera ray: takes the gradients of its pixel; 0 beyond the image. Pixels that show a mesh have alpha 1."""
+    """Per camera ray: copies the gradients at its pixel; 0 outside the image. Pixels that show a mesh have alpha 1."""
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)
     rays_out.color[ray] = wp.vec3(0.0)
@@ -61,7 +61,7 @@ def replay_rays(
     keys_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Per ray: blends its hits once more and writes their gradients, each with its Gaussian as sort key."""
+    """Per ray: blends the ray's hits once more, and writes each hit's gradients with its Gaussian as sort key."""
     i = start + wp.tid()
     if counts[i] == 0:
         return
@@ -90,7 +90,7 @@ def replay_rays(
 
 @wp.kernel
 def find_runs(start: int, count: int, keys: wp.array[int], begins_out: wp.array[int], ends_out: wp.array[int]):
-    """Per hit, sorted by Gaussian: writes where the hits of each Gaussian begin and end."""
+    """Per hit, in order of Gaussians: writes where the hits of each Gaussian begin and end."""
     entry = start + wp.tid()
     key = keys[entry]
     if entry == 0 or keys[wp.max(entry - 1, 0)] != key:
@@ -117,9 +117,10 @@ def gather_gaussians(
     motions_inout: wp.array[RayMotion],
     gaussians_inout: GaussianGradient,
 ):
-    """Per Gaussian of the asset: sums the gradients of its hits over its instances.
+    """Per Gaussian of an asset: sums the gradients of the Gaussian's hits over all instances of the asset.
 
-    Consecutive hits from one eye show one colour, so their colour gradients are summed before the SH backward pass.
+    Consecutive hits of rays from one eye have one colour, so their colour gradients are summed before the SH backward
+    pass.
     """
     i = start + wp.tid()
     view = settings[0]

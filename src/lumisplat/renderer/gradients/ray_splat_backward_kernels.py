@@ -1,6 +1,6 @@
 """Kernels of the backward pass of ``Projection.UNSCENTED``, which rasterises 3D Gaussians along pixel rays.
 
-``splat_backward_kernels`` does the same for 2D ellipses. The equations are in
+The kernels for 2D ellipses are in ``splat_backward_kernels``. The equations are in
 docs/method/gradients.md#rasterisation-along-rays.
 """
 
@@ -55,7 +55,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """Per tile: writes a gradient record for each Gaussian of the tile."""
+    """Per tile: writes a gradient record for each Gaussian that is listed for the tile."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -91,7 +91,10 @@ def backward_blocks(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """Writes the records of ``backward_tiles``. All threads of a thread block run all batches, as they synchronise."""
+    """Does the work of `backward_tiles` on CUDA, one thread block per tile.
+
+    All threads of a block run all batches, because they synchronise.
+    """
     tile, thread = wp.tid()
     around = PixelRays()
     around.rays = rays
@@ -115,7 +118,7 @@ def add_records(
     pairs: wp.array[RaySplatGradient],
     splats_out: wp.array[RaySplatGradient],
 ):
-    """Per Gaussian of the scene: sums its records in the order of its tiles."""
+    """Per Gaussian of the scene: sums the Gaussian's gradient records in the order of its tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_records(pairs, pair_starts[i], pair_starts[i + 1])
 
@@ -134,7 +137,7 @@ def backward_ray_gaussians(
     motions_out: wp.array[RayMotion],
     gaussians_out: GaussianGradient,
 ):
-    """Per Gaussian of the asset: sums its gradients over its instances, and writes each instance's ray gradients."""
+    """Per Gaussian of an asset: sums its gradients over all instances, and writes ray-motion gradients per instance."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]

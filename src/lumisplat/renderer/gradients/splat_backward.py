@@ -20,7 +20,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class SplatBackward:
-    """Computes gradients of splats from those at pixels, and of Gaussians and the camera pose from those of splats.
+    """Computes gradients of splats from gradients at pixels, then gradients of Gaussians and of the camera pose.
 
     Args:
         launcher: Runs the kernels.
@@ -42,14 +42,14 @@ class SplatBackward:
         gradient: PixelGradient,
         name: str = "backward.splats",
     ) -> DeviceArray:
-        """Returns the gradients of all splats of a frame, ``SplatGradient``; undefined for splats that were not drawn.
+        """Returns the gradients (``SplatGradient``) of all splats of a frame; undefined for splats that cover no tile.
 
         Args:
             scene: The scene on the device, as it was drawn.
             drawn: The splats of the frame.
             pixels: Colours and alphas of the pixels.
-            gradient: Gradients with respect to these.
-            name: Name of the array.
+            gradient: Gradients with respect to the colours and alphas of the pixels.
+            name: Name of the result's buffer.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count = drawn.splats.count
@@ -69,11 +69,11 @@ class SplatBackward:
         return sums
 
     def gaussians(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> GaussianGradient:
-        """Returns the gradients of the Gaussians of an asset; 0 for Gaussians that were not drawn.
+        """Returns the gradients of the Gaussians of an asset; 0 for Gaussians that cover no tile.
 
         Args:
-            scene: As of ``splats``.
-            drawn: As of ``splats``.
+            scene: As for ``splats``.
+            drawn: As for ``splats``.
             by_splat: Gradients of the splats.
             number: Index of the asset in the scene.
         """
@@ -86,11 +86,11 @@ class SplatBackward:
         return out
 
     def pose(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> PoseSums:
-        """Returns the gradients with respect to the camera pose that one instance contributes.
+        """Returns the contribution of one splat instance to the gradient with respect to the camera pose.
 
         Args:
-            scene: As of ``splats``.
-            drawn: As of ``splats``.
+            scene: As for ``splats``.
+            drawn: As for ``splats``.
             by_splat: Gradients of the splats.
             number: Index of the instance in the scene.
         """

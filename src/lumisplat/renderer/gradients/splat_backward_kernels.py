@@ -1,8 +1,8 @@
-"""Kernels of the rasteriser's backward pass: gradients of splats, the Gaussians of an asset, and the camera pose.
+"""Kernels of the rasteriser's backward pass: gradients of splats, of an asset's Gaussians, and of the camera pose.
 
-Each pixel is blended once more, front to back; one number a pixel holds the loss terms of the splats still to come.
-Each splat has one gradient record a tile, so no two tiles write to one element, and the records are summed
-afterwards. The equations are in docs/method/gradients.md.
+Each pixel is blended once more, front to back; one number per pixel holds the loss terms of the splats still to come.
+Each splat has one gradient record for each of its tiles, so no two tiles write to one element, and the records are
+summed afterwards. The equations are in docs/method/gradients.md.
 """
 
 import warp as wp
@@ -47,7 +47,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[SplatGradient],
 ):
-    """Per tile: writes a gradient record for each splat of the tile."""
+    """Per tile: writes a gradient record for each splat that is listed for the tile."""
     arrays = Arrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
@@ -79,7 +79,10 @@ def backward_blocks(
     gradient: PixelGradient,
     pairs_out: wp.array[SplatGradient],
 ):
-    """Writes the records of ``backward_tiles``. All threads of a thread block run all batches, as they synchronise."""
+    """Does the work of `backward_tiles` on CUDA, one thread block per tile.
+
+    All threads of a block run all batches, because they synchronise.
+    """
     tile, thread = wp.tid()
     arrays = Arrays()
     arrays.rects = rects
@@ -97,14 +100,14 @@ def backward_blocks(
 def add_pairs(
     start: int, pair_starts: wp.array[int], pairs: wp.array[SplatGradient], splats_out: wp.array[SplatGradient]
 ):
-    """Per splat: sums its records in the order of its tiles."""
+    """Per splat: sums the splat's gradient records in the order of its tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_pairs(pairs, pair_starts[i], pair_starts[i + 1])
 
 
 @wp.func
 def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count: int) -> int:
-    """Returns the SH degree at which the frame evaluates an instance."""
+    """Returns the SH degree at which the frame evaluates an instance: the lowest of settings, instance and asset."""
     stored = int(wp.sqrt(float(sh_count))) - 1
     return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
 
@@ -142,7 +145,7 @@ def backward_gaussians(
     gradients: wp.array[SplatGradient],
     gaussians_out: GaussianGradient,
 ):
-    """Per Gaussian of the asset: sums its gradients over its instances."""
+    """Per Gaussian of an asset: sums the Gaussian's gradients over all instances of the asset."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]
@@ -191,7 +194,7 @@ def backward_pose(
     gradients: wp.array[SplatGradient],
     chunks_out: wp.array[PoseGradient],
 ):
-    """Per chunk of the Gaussians of one instance: sums their gradients with respect to the camera pose."""
+    """Per chunk (range of Gaussians) of one instance: sums the Gaussians' gradients with respect to the camera pose."""
     chunk = start + wp.tid()
     view = camera[0]
     raster = settings[0]

@@ -1,4 +1,4 @@
-"""Host pass: backward pass of ``Projection.UNSCENTED``, from gradients at pixels to those of Gaussians and pose."""
+"""Host pass: backward pass of ``Projection.UNSCENTED``, from gradients at pixels to gradients of Gaussians and pose."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from lumisplat.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class UnscentedFrame:
-    """Inputs of a frame of ``Projection.UNSCENTED``, and the Gaussians on its pixel rays."""
+    """Inputs of a frame of ``Projection.UNSCENTED``, and the Gaussians that its pixel rays hit."""
 
     scene: Scene
     camera: Camera
@@ -41,7 +41,7 @@ class UnscentedFrame:
 
 
 class UnscentedBackward:
-    """Computes gradients of the Gaussians that pixel rays hit from gradients at the pixels.
+    """Computes gradients of the Gaussians that pixel rays hit, from gradients at the pixels.
 
     Args:
         launcher: Runs the kernels.
@@ -64,7 +64,7 @@ class UnscentedBackward:
             scene: The scene on the device, as it was drawn.
             frame: The frame.
             by_color: Gradients with respect to the colour of the frame, shape (H, W, 3).
-            gradient: The same on the device, and gradients with respect to its alpha.
+            gradient: Gradients with respect to colour and alpha of the frame, on the device.
             pose: Whether to differentiate with respect to the camera pose, too.
         """
         drawn = frame.drawn
@@ -89,13 +89,13 @@ class UnscentedBackward:
     def splats(
         self, scene: DeviceScene, drawn: DrawnRaySplats, pixels: PixelData, gradient: PixelGradient
     ) -> DeviceArray:
-        """Returns the gradients of all Gaussians of a frame, ``RaySplatGradient``.
+        """Returns the gradients (``RaySplatGradient``) of all Gaussians of a frame.
 
         Args:
             scene: The scene on the device, as it was drawn.
-            drawn: The Gaussians on the pixel rays.
+            drawn: The Gaussians that the pixel rays hit.
             pixels: Colours and alphas of the pixels.
-            gradient: Gradients with respect to these.
+            gradient: Gradients with respect to the colours and alphas of the pixels.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count, starts = drawn.splats.count, pair_starts(self._launcher, self._buffers, drawn.splats.rects)
@@ -116,11 +116,11 @@ class UnscentedBackward:
     def gaussians(
         self, scene: DeviceScene, drawn: DrawnRaySplats, by_splat: DeviceArray, number: int
     ) -> GaussianGradient:
-        """Returns the gradients of the Gaussians of an asset; 0 for Gaussians that no ray hit.
+        """Returns the gradients of the Gaussians of an asset; 0 for Gaussians that no ray hits.
 
         Args:
-            scene: As of ``splats``.
-            drawn: As of ``splats``.
+            scene: As for ``splats``.
+            drawn: As for ``splats``.
             by_splat: Result of ``splats``.
             number: Index of the asset in the scene.
         """
@@ -134,11 +134,11 @@ class UnscentedBackward:
         return out
 
     def motions(self, drawn: DrawnRaySplats) -> DeviceArray:
-        """Returns gradients with respect to rigid motions of the rays that hit each Gaussian, ``RayMotion``.
+        """Returns each Gaussian's gradient (``RayMotion``) with respect to rigid motions of the rays that hit it.
 
-        Valid after ``gaussians`` of all assets.
+        The result is valid after ``gaussians`` has run for all assets.
 
         Args:
-            drawn: As of ``splats``.
+            drawn: As for ``splats``.
         """
         return self._buffers.get("backward.motions", RayMotion, drawn.splats.count)

@@ -1,6 +1,7 @@
-"""Selects one of three integrators, which compute the radiance of rays, by the plan of the frame.
+"""Chooses the integrator that computes the radiance of a frame's rays: path tracing, Whitted ray tracing or real-time.
 
-Each is imported and created by the first frame that needs it: importing the kernels of all takes half a second.
+Each integrator is imported and created by the first frame that needs it, because importing the kernels of all three
+takes half a second.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Integrators:
-    """The integrators of a renderer.
+    """Creates a renderer's integrators when they are first needed.
 
     Args:
         launcher: Runs the kernels.
@@ -38,7 +39,7 @@ class Integrators:
         self._realtime: RealtimeIntegrator | None = None
 
     def of(self, plan: FramePlan) -> Integrator:
-        """Returns the integrator that a frame needs."""
+        """Returns the integrator that a frame of this plan needs."""
         if plan.has_history:
             from lumisplat.renderer.realtime.realtime import RealtimeIntegrator
 
@@ -55,6 +56,6 @@ class Integrators:
         return self._whitted
 
     def forget(self) -> None:
-        """Drops the real-time history."""
+        """Drops the history of the real-time integrator, if that integrator exists."""
         if self._realtime is not None:
             self._realtime.forget()

@@ -1,8 +1,8 @@
-"""Path tracing, wave by wave. One item is one ray of a wave, which belongs to at most one path.
+"""Path tracing, wave by wave: a wave is one ray each of all paths that are still alive. One item is one ray of a wave.
 
-``add_hit_radiance`` adds the emitted and environment radiance that the rays of a wave see. ``continue_paths`` samples a
-light and the next direction. ``add_sampled_light`` runs after the shadow rays, and ``spawn_paths`` starts the rays of
-the next wave. The equations are in docs/method/paths.md.
+``add_hit_radiance`` adds the emitted radiance at the rays' hits and the environment radiance behind. ``continue_paths``
+samples a light and the next direction. ``add_sampled_light`` runs after the shadow rays, and ``spawn_paths`` starts the
+rays of the next wave. The equations are in docs/method/paths.md.
 """
 
 import warp as wp
@@ -52,9 +52,9 @@ wp.set_module_options(SHADE_OPTIONS)
 # Branches of a ray's random key. 0 is the next ray; device/light/direct_light.py and device/path/contributions.py have
 # others.
 DIRECTION_BRANCH = wp.constant(6)
-"""Random key for the direction in which a path continues."""
+"""Random key for the direction in which a path continues from a surface."""
 SURFACE_BRANCH = wp.constant(7)
-"""Random key for the surface and the part of its BSDF by which a path continues."""
+"""Random key for the surface and the BSDF lobe by which a path continues."""
 ROULETTE_BRANCH = wp.constant(8)
 AMBIENT_BRANCH = wp.constant(9)
 """Random key for the stochastic shadow of Gaussians in ambient light on a shadow catcher."""
@@ -62,7 +62,7 @@ AMBIENT_BRANCH = wp.constant(9)
 
 @wp.kernel
 def begin_paths(start: int, paths_out: wp.array[PathData]):
-    """Item = ray of the first wave: starts a path with it."""
+    """Starts one path with each ray of the first wave."""
     i = start + wp.tid()
     paths_out[0].root[i] = i
     paths_out[0].throughput[i] = wp.vec3(1.0)
@@ -78,7 +78,10 @@ def begin_paths(start: int, paths_out: wp.array[PathData]):
 
 @wp.kernel
 def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathData], ends_out: wp.array[float]):
-    """Item = ray: writes the end of a second ray through captures only, if the ray leaves a shadow catcher; else -1."""
+    """Writes infinity for rays that leave a shadow catcher, else -1.
+
+    These are the ends of further rays, which are traced through captures only.
+    """
     i = start + wp.tid()
     ends_out[i] = -1.0
     if wave[0].rays.is_active[i] and leaves_catcher(i, paths):
@@ -87,7 +90,7 @@ def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathDa
 
 @wp.func
 def catcher_ambient(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the ambient irradiance of the shadow catcher that ray ``i`` of the first wave hits."""
+    """Returns the ambient irradiance on the shadow catcher that ray ``i`` of the first wave hits."""
     surface = splat_surface(i, is_over_light(i, scene, wave), scene, wave)
     return PI * scene[0].materials[surface.instance].ambient
 
@@ -101,7 +104,7 @@ def start_ambient_rays(
     rays_out: RayData,
     skips_out: wp.array[wp.bool],
 ):
-    """Item = ray: starts a shadow ray along it, if it leaves a shadow catcher with ambient light."""
+    """Starts a shadow ray along each ray that leaves a shadow catcher with ambient light."""
     i = start + wp.tid()
     skips_out[i] = True
     rays_out.is_active[i] = False
@@ -118,7 +121,7 @@ def add_ambient_visibility(
     paths: wp.array[PathData],
     images_inout: wp.array[PathImages],
 ):
-    """Item = ray: adds the ambient irradiance that no added object blocks."""
+    """Stores the ambient irradiance on each shadow catcher times the traced visibility past added objects."""
     i = start + wp.tid()
     if rays.is_active[i]:
         root = paths[0].root[i]
@@ -135,7 +138,10 @@ def add_captured_light(
     captured: GaussianHits,
     images_inout: wp.array[PathImages],
 ):
-    """Adds the irradiance of shadow catchers as captured: from shadow catchers, and from the environment behind them.
+    """Adds the irradiance on shadow catchers in the capture without added objects.
+
+    A path that leaves a shadow catcher estimates the irradiance: radiance from other shadow catchers, and from the
+    environment behind them.
 
     Args:
         start: First item: a ray.
@@ -143,7 +149,7 @@ def add_captured_light(
         scene: The scene.
         wave: The wave of the rays.
         paths: The paths of the rays.
-        captured: Radiance of shadow catchers only, on rays that leave such surfaces.
+        captured: Radiance from shadow catchers only, along the rays that leave shadow catchers.
         images_inout: Images that receive the light.
     """
     i = start + wp.tid()
@@ -166,7 +172,7 @@ def ray_escaped_radiance(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> wp.vec3:
-    """Returns the linear environment radiance behind ray ``i`` of wave ``number``; none behind meshes."""
+    """Returns the linear environment radiance behind ray ``i`` of wave ``number``; 0 if a mesh ends the ray."""
     if wave[0].meshes.face[i] >= 0:
         return wp.vec3(0.0)
     direction = wave[0].rays.direction[i]
@@ -188,7 +194,7 @@ def add_hit_radiance(
     shadows_out: wp.array[PathShadowRays],
     images_inout: wp.array[PathImages],
 ):
-    """Adds the emitted and environment radiance that the rays of a wave see.
+    """Adds the radiance emitted at the rays' hits, and the environment radiance behind them.
 
     Args:
         start: First item: a ray.
@@ -197,7 +203,7 @@ def add_hit_radiance(
         scene: The scene.
         wave_inout: The wave; in the first one, pixels of visible lights become opaque.
         paths: The paths of the wave.
-        shadows_out: Shadow rays of lights that are visible behind captures.
+        shadows_out: Receives shadow rays to lights that are visible behind captures.
         images_inout: Images that receive the radiance.
     """
     i = start + wp.tid()
@@ -233,7 +239,7 @@ def add_hit_radiance(
 
 @wp.func
 def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: wp.array[PathSteps]):
-    """Writes how path ``i`` continues, except for values that also depend on its past."""
+    """Writes the next ray of path ``i``, except for throughput and flags, which depend on the path's earlier steps."""
     steps[0].goes_on[i] = 1
     steps[0].rays.origin[i] = step.origin
     steps[0].rays.direction[i] = step.direction
@@ -334,7 +340,7 @@ def add_sampled_light(
     visibility: wp.array[wp.vec3],
     images_inout: wp.array[PathImages],
 ):
-    """Adds the shadowed contributions of sampled lights, and of lights that are visible behind captures."""
+    """Adds the contributions of sampled lights, and of lights visible behind captures, times their visibility."""
     i = start + wp.tid()
     count = wave[0].rays.is_active.shape[0]
     if not wave[0].rays.is_active[i]:
@@ -368,7 +374,7 @@ def spawn_paths(
     rays_out: RayData,
     paths_out: wp.array[PathData],
 ):
-    """Starts the rays of the next wave."""
+    """Writes the next ray of each path that continues to the next wave."""
     i = start + wp.tid()
     if steps[0].goes_on[i] == 0:
         return

@@ -23,11 +23,11 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 SPAWNED_FIELDS = frozenset({"is_active", "t_max", "sample_key", "pixel_key", "sample"})
-"""Ray fields that follow from the previous ray, so that steps do not store them."""
+"""Ray fields that `spawn_paths` computes from the previous ray, so that steps do not store them."""
 
 
 class PathIntegrator:
-    """Computes the radiance of rays by one path each.
+    """Computes the radiance of rays by path tracing, one path per ray.
 
     Args:
         launcher: Runs the kernels.
@@ -43,14 +43,14 @@ class PathIntegrator:
         self._layers = PathLayers(buffers)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame, without those of primary hits."""
+        """Returns the kernel modules of a frame, without the modules that find primary hits."""
         modules = [*self._surfaces.modules(), kernels, *self._tracer.modules(plan, bounced=True)]
         if plan.casts_shadows:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the first wave with the radiance of its rays over all bounces; on CUDA from a captured graph.
+        """Returns the wave of primary rays with their radiance over all bounces. CUDA replays a captured graph.
 
         Args:
             scene: The device scene, synced.
@@ -65,7 +65,7 @@ class PathIntegrator:
             )
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """Traces the paths of these hits wave by wave; returns the first wave."""
+        """Traces the paths that begin at these primary hits, wave by wave; returns the first wave."""
         paths = self._begin(plan, hits)
         first = wave = self._wave(scene, plan, hits, paths, 0)
         if first.count == 0:
@@ -88,7 +88,7 @@ class PathIntegrator:
         return first
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """Returns the layers of these hits that the frame asks for."""
+        """Returns the layers by light, bounce and BSDF lobe that the frame requests, from the last `shade`."""
         return self._layers.images(plan)
 
     def _begin(self, plan: FramePlan, hits: PrimaryHits) -> PathData:
@@ -98,7 +98,7 @@ class PathIntegrator:
         return paths
 
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
-        """Returns a wave with its radiance before lights, and its interactions."""
+        """Evaluates the surfaces that a wave's rays hit; returns the wave with emission, before lights are sampled."""
         # Two sets of buffers are enough: the first wave's are kept, and a later wave ends before the next begins.
         carried = CarriedState(media=device_array(paths.media) if plan.has_media and number > 0 else None)
         return self._surfaces.shade(
@@ -114,7 +114,7 @@ class PathIntegrator:
     def _add_captured(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, paths: PathData, images: PathImages
     ) -> None:
-        """Adds the irradiance of shadow catchers as captured, along the rays that leave them."""
+        """Adds the irradiance on shadow catchers in the capture without added objects, along rays that leave them."""
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         rows = self._row("paths1", PathData, paths), self._row("images", PathImages, images)
         ends = self._buffers.get("path.receiver_ends", wp.float32, count)
@@ -135,7 +135,7 @@ class PathIntegrator:
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages
     ) -> PathSteps:
-        """Adds the radiance that a wave's paths see and the lights that they sample; returns their next rays."""
+        """Adds the radiance at a wave's hits and from sampled lights; returns the next ray of each path."""
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         shadows, steps = self._shadow_rays(plan, count), self._steps(plan, count)
@@ -171,7 +171,7 @@ class PathIntegrator:
     def _spawn(
         self, wave: RayWave, paths: PathData, steps: PathSteps, number: int, *, rays: RayData, next_paths: PathData
     ) -> None:
-        """Writes the rays of wave ``number``, and their paths."""
+        """Writes the rays of wave ``number`` and the paths that they belong to."""
         rays.is_active.zero_()
         rows = (
             self._row(f"paths{(number - 1) % 2}", PathData, paths),
@@ -182,9 +182,9 @@ class PathIntegrator:
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
 
     def _row(self, name: str, struct: type[Struct], arrays: Struct) -> DeviceArray:
-        """Returns a 1-element table of path arrays; by value, each item would copy their descriptors.
+        """Returns a struct of path arrays as a table with one row; passed by value, each item would copy the struct.
 
-        Waves alternate between two sets of arrays with their own names, so that a captured graph writes no row.
+        Waves alternate between two sets of arrays with fixed names, so that a captured graph uploads no row.
         """
         return self._buffers.table(f"path.{name}.row", struct, [arrays])
 
@@ -198,7 +198,7 @@ class PathIntegrator:
         return steps
 
     def _shadow_rays(self, plan: FramePlan, count: int) -> PathShadowRays:
-        """Returns shadow rays to sampled lights and, where captures may hide visible lights, to these."""
+        """Returns arrays for shadow rays to sampled lights, and to visible lights if captures may hide them."""
         total = 2 * count if plan.shows_lights_in_haze else count
         without = {"rays", *unused_fields(plan)}
         if "lights" not in plan.aovs:
@@ -211,17 +211,17 @@ class PathIntegrator:
 
 
 def _buffer_index(number: int) -> int:
-    """Returns the index of a wave's set of arrays. The first wave has its own; later waves alternate between two."""
+    """Returns which set of arrays a wave uses: 0 for the first wave; later waves alternate between 1 and 2."""
     return 0 if number == 0 else 1 + number % 2
 
 
 def unused_fields(plan: FramePlan) -> list[str]:
-    """Returns the path fields that a frame does not need."""
+    """Returns the names of the path fields that a frame does not need."""
     return ["diffuse"] * (not plan.has_path_layers) + ["media"] * (not plan.has_media)
 
 
 class PathLayers:
-    """Radiance of a sample's paths, by layer.
+    """Images that the paths of a sample add to, such as radiance by light and by bounce.
 
     Args:
         buffers: Holds the arrays.
@@ -232,7 +232,9 @@ class PathLayers:
         self._images = PathImages()
 
     def begin(self, plan: FramePlan, first: RayWave, lights: int) -> PathImages:
-        """Returns zeroed images; ``light`` and the shadow catchers' images are the first wave's.
+        """Returns the images that paths add to; those that only `PathLayers` holds are set to 0.
+
+        ``light`` and the images of shadow catchers are arrays of the first wave.
 
         Args:
             plan: Plan of the frame, with its layers.
@@ -264,7 +266,7 @@ class PathLayers:
         return images
 
     def images(self, plan: FramePlan) -> LightImages:
-        """Returns the layers that the frame asks for, one array per image."""
+        """Returns the layers that the frame requests, one array per image."""
         images, layers = self._images, dict[str, DeviceArray]()
         if plan.has_path_layers:
             parts = dict(zip(PATH_PARTS, self._images_of(images.parts), strict=True))
@@ -277,12 +279,12 @@ class PathLayers:
         return LightImages(self._images_of(images.lights_unshadowed), self._images_of(images.lights_shadowed), layers)
 
     def _rows(self, name: str, rows: int, count: int) -> DeviceArray:
-        """Returns rows of zeros, end to end."""
+        """Returns an array of ``rows * count`` zeros, for ``rows`` images end to end."""
         array = self._buffers.get(f"path.{name}", wp.vec3, rows * count)
         array.zero_()
         return array
 
     def _images_of(self, rows: wp.array[wp.vec3]) -> list[DeviceArray]:
-        """Splits an array into its rows."""
+        """Splits an array of images end to end into one array per image."""
         count = len(self._images.light)
         return [device_array(rows)[first : first + count] for first in range(0, len(rows), count)]

@@ -18,7 +18,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class WhittedIntegrator:
-    """Computes the radiance of rays, lit or unlit, over all bounces.
+    """Computes the radiance of rays, lit or unlit, following reflection and refraction over all bounces.
 
     Args:
         launcher: Runs the kernels.
@@ -34,7 +34,7 @@ class WhittedIntegrator:
         self._specular = SpecularWaves(launcher, buffers)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame, without those of primary hits."""
+        """Returns the kernel modules of a frame, without the modules that find primary hits."""
         modules = self._surfaces.modules()
         if plan.is_lit:
             modules += self._direct_light.modules(plan)
@@ -43,9 +43,9 @@ class WhittedIntegrator:
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the first wave with the radiance of its rays over all bounces.
+        """Returns the wave of primary rays with their radiance over all bounces.
 
-        On CUDA, each wave is a captured graph. The host waits for the number of its rays, to allocate them.
+        On CUDA, each wave is a captured graph. The host waits for the number of rays of each wave, to allocate them.
 
         Args:
             scene: The device scene, synced.
@@ -64,23 +64,23 @@ class WhittedIntegrator:
         return waves[0]
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """Returns the direct light of each light at these hits, if the frame asks for it."""
+        """Returns the direct light of each light at the primary hits, if the frame requests it."""
         return self._direct_light.images(scene, plan, hits.count)
 
     def _first_wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """Returns the wave of these hits."""
+        """Returns the shaded wave of the primary hits."""
         return self._launcher.replay(
             "wave 0", (scene.graph_key, hits.count), lambda: self._shade_wave(scene, plan, hits, 0)
         )
 
     def _next_wave(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sizes: list[int]) -> RayWave:
-        """Returns the wave of rays that branch off another one.
+        """Returns the shaded wave of the reflected and refracted rays that branch off the last wave.
 
         Args:
             scene: The device scene.
             plan: Plan of the frame.
             wave: The last wave.
-            sizes: Allocated rays of each wave, up to the new one.
+            sizes: Number of rays allocated for each wave, up to the new one.
         """
         number = len(sizes) - 1
 
@@ -94,7 +94,7 @@ class WhittedIntegrator:
     def _shade_wave(
         self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, carried: CarriedState | None = None
     ) -> RayWave:
-        """Returns a wave with emission and direct light, and with numbered branches."""
+        """Returns a wave with its emission and direct light, and with numbers for the rays that branch off."""
         may_branch = number < plan.max_bounces and hits.count > 0
         wave = self._surfaces.shade(scene, plan, hits, number, carried=carried, may_branch=may_branch)
         if plan.is_lit:
@@ -104,10 +104,10 @@ class WhittedIntegrator:
         return wave
 
     def _branch_capacity(self, wave: RayWave) -> int:
-        """Returns the array size for the next wave's rays; 0 if there are none, or ``max_bounces`` is reached."""
+        """Returns how many rays to allocate for the next wave; 0 if none branches off or ``max_bounces`` is reached."""
         return self._specular.capacity(wave) if wave.row.may_branch else 0
 
     def _gather(self, scene: DeviceScene, waves: list[RayWave]) -> None:
-        """Adds up the radiance of waves, from the last one to the first."""
+        """Adds the radiance of each wave to the wave it branched off, from the last wave to the first."""
         for near, far in reversed(list(itertools.pairwise(waves))):
             self._specular.gather(scene, near, far)
