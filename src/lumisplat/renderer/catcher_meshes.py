@@ -126,7 +126,7 @@ def _added(scene: Scene) -> Scene:
     plate = [one for one in scene.splats if one.shadow_catcher]
     if not plate:
         plate = [one for one in scene.splats if not is_relit(one)]
-    splats: tuple[SplatInstance, ...] = tuple(one for one in scene.splats if not any(one is own for own in plate))
+    splats: tuple[SplatInstance, ...] = tuple(one for one in scene.splats if not any(one is other for other in plate))
     return replace(scene, splats=splats, meshes=tuple(one for one in scene.meshes if not one.shadow_catcher))
 
 

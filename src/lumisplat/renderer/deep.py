@@ -54,7 +54,7 @@ def render_deep(
 ) -> DeepFrame:
     """Renders depth samples of each pixel, between which compositors can insert smoke or people.
 
-    Traces the rays of the frame's own samples, up to 16 per pixel with equal weights; Gaussians are widened by the
+    Traces the rays of the frame's samples, up to 16 per pixel with equal weights; Gaussians are widened by the
     pixel's footprint. Hits are sorted by depth. Gaussians within a 16th of the pixel's transmittance form one sample,
     from the first one's depth to the last one's. Mesh hits on one surface form one sample, too.
 
@@ -313,9 +313,9 @@ def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
         columns = [np.bincount(layers.pixel, one, len(target)) for one in values.T]
         return np.stack(columns, axis=1, dtype=np.float64)
 
-    own, weight = layers.light.astype(np.float64), layers.weight[:, None].astype(np.float64)
-    area_lights = np.where(weight > 0.0, 0.0, own)
-    rest, shone, weights = own - area_lights, summed(area_lights), summed(weight)
+    radiance, weight = layers.light.astype(np.float64), layers.weight[:, None].astype(np.float64)
+    area_lights = np.where(weight > 0.0, 0.0, radiance)
+    rest, shone, weights = radiance - area_lights, summed(area_lights), summed(weight)
     factor = target / np.maximum(shone, _TINY)
     area_lights *= np.where(weights > 0.0, np.minimum(factor, 1.0), factor)[layers.pixel]
     sums = summed(rest)

@@ -120,10 +120,10 @@ def _bound_by_cone(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> None
     if np.linalg.norm(axis) <= SHADOW_BOUND_MARGIN:
         return
     axis /= np.linalg.norm(axis)
-    apart = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(directions - axis, axis=1), 1.0))
+    from_axis = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(directions - axis, axis=1), 1.0))
     angles = np.arctan2(footprints["sine"], footprints["cosine"])
     bound.extent, bound.axis = SOMETHING, wp.vec3(*axis)
-    bound.radius = float((apart + angles).max()) + SHADOW_BOUND_MARGIN
+    bound.radius = float((from_axis + angles).max()) + SHADOW_BOUND_MARGIN
 
 
 def face_count(atlas: Atlas) -> int:

@@ -1,1 +1,1 @@
-"""Interactions of a wave of rays with surfaces, and their direct light."""
+"""Computes how the rays of a wave interact with surfaces, and the direct light there."""

@@ -1,4 +1,4 @@
-"""Host pass: direct light at the interactions of a wave, with shadow rays to every light that casts shadows."""
+"""Host pass: direct light where a wave's rays hit surfaces, with shadow rays to every light that casts shadows."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from lumisplat.scene.lights import LightEnvironment
 
 
 class DirectLight:
-    """Adds direct light to waves of rays."""
+    """Adds direct light to waves of rays at their interactions: up to two points per ray, where it hits surfaces."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._shadows = ShadowRays(launcher, buffers, config)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame."""
+        """Returns the kernel modules that direct light needs in a frame."""
         modules: list[KernelModule] = [unshadowed_light_kernels] if plan.has_unshadowed else []
         if plan.casts_shadows or "lights" in plan.aovs:
             modules += [kernels]
@@ -39,7 +39,7 @@ class DirectLight:
         self._shadows.begin_sample(sample)
 
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds the radiance that a wave's interactions reflect of all lights."""
+        """Adds the radiance that surfaces reflect from all lights towards a wave's rays."""
         # Shadow catchers darken by the blocked fraction of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_catchers)
         if plan.has_unshadowed and not one_by_one:
@@ -49,7 +49,7 @@ class DirectLight:
             self._add_one_by_one(scene, plan, wave, also_unshadowed=one_by_one)
 
     def images(self, scene: DeviceScene, plan: FramePlan, count: int) -> LightImages:
-        """Returns images of each light for the ``count`` primary rays; empty unless ``aovs`` has ``lights``."""
+        """Returns images of each light's radiance for ``count`` primary rays; empty unless ``aovs`` has ``lights``."""
         if "lights" not in plan.aovs:
             return LightImages()
         numbers = range(len(scene.lights.names))
@@ -63,7 +63,7 @@ class DirectLight:
         return wave.is_primary and "lights" in plan.aovs
 
     def _add_unshadowed(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds the lights that cast no shadow; in frames without shadows, all lights."""
+        """Adds all lights that cast no shadow in one pass; these are all lights if the frame has no shadows."""
         no_shadows = not plan.casts_shadows
         lights = [light for light in scene.lights.lights if no_shadows or not light.casts_shadow]
         analytic = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
@@ -85,7 +85,10 @@ class DirectLight:
             )
 
     def _add_one_by_one(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, *, also_unshadowed: bool) -> None:
-        """Adds each shadowed light, and each unshadowed one if images of lights or shadow catchers need it."""
+        """Adds the lights that cast shadows one by one; with ``also_unshadowed``, all other lights, too.
+
+        Lights without shadows are added one by one if images of lights or shadow catchers need them.
+        """
         images = self.images(scene, plan, wave.count) if self._wants_images(plan, wave) else None
         arrivals = CatcherIrradiance()
         if plan.has_shadow_catchers:
@@ -124,11 +127,11 @@ class DirectLight:
                 self._launcher.run_banded(kernels.add_catcher_light, wave.count, *inputs)
 
     def _catcher_light(self, number: int, wave: RayWave) -> DeviceArray:
-        """Returns the buffer of one light at a wave's shadow catchers, first without, then with shadows."""
+        """Returns the buffer of one light's irradiance on a wave's shadow catchers, first unshadowed, then shadowed."""
         return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
     def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: CatcherIrradiance) -> None:
-        """Estimates the visibility of ambient light from shadow catchers."""
+        """Estimates the fraction of ambient light that reaches each shadow catcher, and adds it to ``arrivals``."""
         rays, media = self._shadow_rays(wave), self._media(plan, wave)
         for number in range(plan.ambient_rays):
             inputs = number, scene.shading, wave.data, rays, media
@@ -139,7 +142,7 @@ class DirectLight:
     def _contributions(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, number: int, samples_bsdf: bool
     ) -> DeviceArray:
-        """Returns a light's contributions at the interactions without shadows; also writes their shadow rays."""
+        """Returns a light's radiance contributions without shadows, two per ray; also writes their shadow rays."""
         contributions = self._buffers.get("light.contributions", wp.vec3, 2 * wave.count)
         with self._launcher.stage("shade"):
             self._launcher.run_banded(
@@ -152,7 +155,7 @@ class DirectLight:
         return contributions
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> DeviceArray:
-        """Returns the visibility of the contributions by tracing the shadow rays."""
+        """Traces the shadow rays, and returns the transmittance of each, which is the visibility of its light."""
         skips = wave.row.interactions.shadow_only
         with self._launcher.stage("shadow"):
             return self._shadows.trace(
@@ -168,5 +171,5 @@ class DirectLight:
         return self._buffers.struct("light.shadow_rays", RayData, 2 * wave.count)
 
     def _media(self, plan: FramePlan, wave: RayWave) -> DeviceArray | None:
-        """Returns the media at the origins of the shadow rays; None if no medium absorbs."""
+        """Returns the buffer for the media around the origins of shadow rays; None if no medium absorbs."""
         return self._buffers.get("light.shadow_media", wp.vec4i, 2 * wave.count) if plan.absorbs else None

@@ -1,7 +1,8 @@
-"""Direct light with shadow rays, light by light. One item is one ray of a wave, with its two interactions.
+"""Kernels of direct light with shadow rays, light by light. One item is one ray of a wave.
 
-``spawn_shadow_rays`` and ``add_light`` run before and after the shadow rays of each light are traced.
-``darken_captured`` runs after the last light, for shadow catchers.
+A ray has two interactions: with the surface of its Gaussians, and with the mesh behind. ``spawn_shadow_rays`` runs
+before the shadow rays of each light are traced, ``add_light`` afterwards. ``darken_captured`` runs after the last
+light, for shadow catchers.
 """
 
 import warp as wp
@@ -27,7 +28,7 @@ from lumisplat.device.structs.shading import CatcherIrradiance, CatcherLight, Co
 wp.set_module_options(SHADE_OPTIONS)
 
 AMBIENT_BRANCH = wp.constant(1 << 21)
-"""First branch of a ray's random key for ambient rays, after those for lights and specular lobes."""
+"""First branch number of a ray's random key for ambient rays; lights and specular lobes have lower branch numbers."""
 
 
 @wp.kernel
@@ -41,9 +42,9 @@ def spawn_shadow_rays(
     media_out: wp.array[wp.vec4i],
     contributions_out: wp.array[wp.vec3],
 ):
-    """Writes the contributions of light ``number`` without shadows, its shadow rays, and the media at their origins.
+    """Writes a light's contributions without shadows, its shadow rays, and the media around their origins.
 
-    ``media_out`` has no elements where no medium absorbs.
+    ``number`` is the index of the light. ``media_out`` is empty if no medium absorbs.
     """
     i = start + wp.tid()
     stride = contributions_out.shape[0] // 2
@@ -79,10 +80,10 @@ def add_light(
     arrived_inout: wp.array[wp.vec3],
     catcher_light_inout: wp.array[wp.vec3],
 ):
-    """Adds a light to the radiance of rays, times ``visibility`` if it is ``shadowed``.
+    """Adds one light's contributions to the radiance of rays, times ``visibility`` if ``shadowed``.
 
-    The last three arrays are images of this light, without and with shadows, and its light at shadow catchers. They
-    have no elements if the frame does not need them.
+    ``direct_inout`` and ``arrived_inout`` are images of the light without and with shadows; ``catcher_light_inout`` is
+    the light's irradiance on shadow catchers. They are empty if the frame does not need them.
     """
     i = start + wp.tid()
     stride = contributions.shape[0] // 2
@@ -115,9 +116,9 @@ def spawn_ambient_rays(
     rays_out: RayData,
     media_out: wp.array[wp.vec4i],
 ):
-    """Item = ray: starts a cosine-weighted shadow ray if the ray hits a shadow catcher; ``number`` counts per sample.
+    """Starts a cosine-weighted shadow ray from each shadow catcher that a ray hits.
 
-    ``media_out`` has no elements where no medium absorbs.
+    ``number`` is the index of the ambient ray within the sample. ``media_out`` is empty if no medium absorbs.
     """
     i = start + wp.tid()
     stride = wave[0].interactions.exists.shape[0] // 2
@@ -140,7 +141,7 @@ def spawn_ambient_rays(
 
 @wp.kernel
 def add_ambient_visibility(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: CatcherIrradiance):
-    """Item = ray: adds the visibility of ambient light along an ambient shadow ray."""
+    """Adds the traced visibility of each ambient shadow ray to the sum at its shadow catcher."""
     i = start + wp.tid()
     if rays.is_active[i]:
         arrivals_inout.open[i] += visibility[i]
@@ -154,15 +155,16 @@ def darken_captured(
     arrivals_inout: CatcherIrradiance,
     wave_inout: wp.array[WaveData],
 ):
-    """Item = ray: factor of captured colours in shadow (differential rendering, Debevec 1998).
+    """Writes the factor by which shadows darken a captured colour (differential rendering, Debevec 1998).
 
-    The part of a captured colour that comes from the scene's lights moves from the emission to the lights' own images.
+    The part of the captured colour that the scene's lights cause is subtracted from the emission; `add_catcher_light`
+    adds it to the lights' images.
 
     Args:
         start: First item.
-        ambient_rays: Ambient shadow rays per item; 0: ambient light is not blocked.
+        ambient_rays: Number of ambient shadow rays per item; 0: ambient light is not blocked.
         scene: The scene.
-        arrivals_inout: Light at the catchers without and with shadows; receives the reflectance.
+        arrivals_inout: Irradiance on the catchers without and with shadows; receives their reflectance.
         wave_inout: The wave.
     """
     i = start + wp.tid()
@@ -204,7 +206,7 @@ def add_catcher_light(
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: adds to a light's own images the part of a catcher's captured colour that comes from that light."""
+    """Adds the part of a catcher's captured colour that one light causes to the images of that light."""
     i = start + wp.tid()
     direct_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[i])
     arrived_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[catcher_light.shape[0] // 2 + i])

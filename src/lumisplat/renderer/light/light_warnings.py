@@ -16,13 +16,13 @@ _noise_log = logging.getLogger("lumisplat.noise")  # a separate logger, so that 
 
 
 class LightWarnings:
-    """Logs lights that are noisy for lack of samples, and refractive meshes that are not closed."""
+    """Warns once of lights that are noisy for lack of samples, and once of refractive meshes that are not closed."""
 
     def __init__(self) -> None:
         self._has_warned_of_noise = self._has_warned_of_media = False
 
     def warn_of_noise(self, plan: FramePlan, samples: int) -> None:
-        """Logs that the user's number of samples is too small for the random light of the frame."""
+        """Warns if the number of samples is lower than the frame's randomly sampled lights need."""
         if plan.noise_sources and samples < plan.samples_wanted and not self._has_warned_of_noise:
             self._has_warned_of_noise = True
             _noise_log.warning(
@@ -34,7 +34,7 @@ class LightWarnings:
             )
 
     def warn_of_media(self, plan: FramePlan, scene: Scene, buffers: Buffers) -> None:
-        """Logs a mesh whose inside rays of the last sample left without having entered it."""
+        """Warns if rays of the last sample left the inside of a mesh without having entered the mesh."""
         if not plan.has_media or self._has_warned_of_media:
             return
         is_left = buffers.get("wave.unentered", wp.int32, len(scene.meshes)).numpy()

@@ -1,4 +1,4 @@
-"""Radiance of rays before direct light, and their interactions with surfaces. One item is one ray."""
+"""Kernels that compute radiance before direct light, and interactions of rays with surfaces. One item is one ray."""
 
 import warp as wp
 
@@ -37,7 +37,8 @@ from lumisplat.device.structs.shading import (
 )
 
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
-"""Weight in a pixel below which a reflected or refracted ray is not traced: half a step of an 8-bit image."""
+"""Weight of a reflected or refracted ray in its pixel below which the ray is not traced: half a step of an 8-bit
+image."""
 
 LIT_WEIGHT_MIN = 1.0 / 512.0
 """Transmittance in front of a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque captures
@@ -51,7 +52,7 @@ LIT_MIN = wp.constant(wp.float32(LIT_WEIGHT_MIN))
 
 @wp.func
 def untraced_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the linear radiance of a ray that is not traced: the environment's, else the background's."""
+    """Returns the linear radiance assumed for a ray that is not traced: the environment's, else the background's."""
     if scene[0].environment.exists != 0:
         return environment_radiance(scene[0].environment, direction)
     return decode_srgb_color(scene[0].settings[0].background)
@@ -59,7 +60,7 @@ def untraced_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.v
 
 @wp.func
 def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Returns whether ray ``i`` adds environment radiance; paths add it when they continue."""
+    """Returns whether ray ``i`` gets environment radiance in this pass; rays of paths get it in a later kernel."""
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_NOTHING
     return wave[0].traces_paths == 0 and sees_environment(i, wave)
@@ -67,7 +68,7 @@ def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[Wave
 
 @wp.func
 def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.array[WaveData]) -> wp.vec2i:
-    """Returns whether the reflected and the refracted ray are worth tracing, 0 or 1 each."""
+    """Returns whether to trace the reflected ray and the refracted ray, 0 or 1 each; weak rays are not traced."""
     if wave[0].may_branch == 0:
         return wp.vec2i(0, 0)
     weight = transmittance * wave[0].path_weights[i]
@@ -78,7 +79,7 @@ def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.arr
 
 @wp.func
 def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
-    """Writes which branches of a ray continue, if the wave may branch."""
+    """Writes for each branch of ray ``i`` (reflection, refraction) whether it continues; nothing if none may branch."""
     if wave[0].may_branch != 0:
         wave[0].branches[i] = branches[0]
         wave[0].branches[wave[0].path_weights.shape[0] + i] = branches[1]
@@ -86,7 +87,7 @@ def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
 
 @wp.func
 def store_no_lobe(i: int, wave: wp.array[WaveData]):
-    """Marks a ray as having no specular-lobe branch, if the frame has such rays."""
+    """Writes that ray ``i`` has no branch by specular lobe, if the frame has such branches."""
     slot = 2 * wave[0].path_weights.shape[0] + i
     if wave[0].may_branch != 0 and slot < wave[0].branches.shape[0]:
         wave[0].branches[slot] = 0
@@ -109,7 +110,7 @@ def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 def shade_unlit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Writes the display-referred colour of an unlit ray.
 
-    Surfaces emit their own colour, and untraced branches see the background.
+    Surfaces emit their base or captured colour, and branches that are not traced show the background.
     """
     background = scene[0].settings[0].background
     transmittance = wave[0].gaussians.transmittance[i]
@@ -139,7 +140,7 @@ def store_layers(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ):
-    """Writes the albedo and emission images of the surfaces on a ray."""
+    """Adds up the albedo and the emission of the surfaces on a ray, and writes both to the images."""
     albedo = surface.share * surface.albedo
     emission = wp.vec3(0.0)
     shows_captured = surface.captured_share > 0.0
@@ -150,11 +151,11 @@ def store_layers(
         if material.shadow_only == 0:
             emission = wp.cw_mul(material.emissive + material.ambient, albedo)
     if shows_captured:
-        own = captured_color(surface.captured, surface.weight)
+        captured = captured_color(surface.captured, surface.weight)
         if not over_light:
-            own -= decode_srgb_color(surface.transmittance * scene[0].settings[0].background)
-        albedo += own
-        emission += own
+            captured -= decode_srgb_color(surface.transmittance * scene[0].settings[0].background)
+        albedo += captured
+        emission += captured
     if wave[0].meshes.face[i] >= 0:
         number = wave[0].meshes.instance[i]
         corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
@@ -198,7 +199,7 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
 def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Writes the radiance of a lit ray before direct light, and its interactions.
 
-    The radiance is the sum of captured colours, emission, and the radiance of untraced branches.
+    The radiance is the sum of captured colours, emission, and the radiance of branches that are not traced.
     """
     over_light = is_over_light(i, scene, wave)
     surface = splat_surface(i, over_light, scene, wave)
@@ -249,7 +250,7 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
 
 @wp.func
 def store_media(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Multiplies a ray's weight by the transmittance of its medium, and marks media left without being entered."""
+    """Multiplies a ray's weight by the transmittance of its medium, and marks meshes left without being entered."""
     if wave[0].weights and scene[0].settings[0].absorbs != 0:
         share = passed_by_ray(i, scene, wave)
         wave[0].path_weights[i] = wave[0].path_weights[i] * wp.max(share)
@@ -265,7 +266,7 @@ def store_media(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData])
 
 @wp.kernel
 def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes the radiance of rays before direct light and branches and, in a lit wave, their interactions."""
+    """Writes the radiance of rays without direct light and branches; in a lit wave, also their interactions."""
     i = start + wp.tid()
     store_branches(i, wp.vec2i(0, 0), wave)
     store_no_lobe(i, wave)

@@ -1,4 +1,4 @@
-"""Host pass: radiance of a wave before direct light, and its interactions, which all lights read."""
+"""Host pass: radiance of a wave before direct light, and its interactions with surfaces, which direct light reads."""
 
 from __future__ import annotations
 
@@ -36,16 +36,17 @@ RECEIVED_FIELDS = frozenset(
         "open",
     }
 )
-"""Radiance fields for the irradiance of shadow catchers, which paths measure."""
+"""Fields of ray radiance that hold the irradiance on shadow catchers, which paths estimate."""
 
 
 class Surfaces:
-    """Creates a wave of rays from their hits."""
+    """Evaluates the surfaces that rays hit, and makes a wave of the rays."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._unentered: DeviceArray
-        """Flags of mesh instances that rays left without having entered; written where there are media."""
+        """Flag for each mesh instance: 1 if a ray left its inside without having entered. Exists only in scenes with
+        media."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -64,18 +65,18 @@ class Surfaces:
         on_paths: bool = True,
         table: str | None = None,
     ) -> RayWave:
-        """Returns a wave of rays with its radiance before direct light and branches.
+        """Returns a wave of rays with their radiance, without direct light and without reflected and refracted rays.
 
         Args:
             scene: The device scene.
             plan: The plan of the frame.
             hits: The rays and their hits.
-            number: Specular bounces of the rays so far.
+            number: Number of specular bounces that the rays have behind them.
             carried: State of the rays from earlier waves; None in the primary wave.
             may_branch: Whether smooth meshes may reflect and refract rays.
-            on_paths: Whether the rays are those of paths, in path traced frames.
-            table: Name of the buffer with the row that kernels read, where waves of the same number need different
-                ones.
+            on_paths: In path-traced frames, whether the rays belong to paths.
+            table: Name of the buffer with the struct that kernels read; None: by ``number``. Needed where two waves of
+                one number exist at once.
         """
         with self._launcher.stage("shade"):
             if plan.has_media and number == 0:
@@ -136,7 +137,7 @@ class Surfaces:
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:
-        """Returns the radiance arrays that the frame needs; layers in the primary wave only."""
+        """Returns the radiance arrays that the frame needs. Only the primary wave has arrays for layers."""
         without: set[str] = set() if plan.has_shadow_catchers else {"capture_factor"}
         if number > 0 or not plan.has_receivers:
             without |= RECEIVED_FIELDS

@@ -1,4 +1,4 @@
-"""Unshadowed lights at the interactions of a wave. One item is one ray, with its two interactions."""
+"""Kernels that add unshadowed lights to a wave. One item is one ray, which interacts with up to two surfaces."""
 
 import warp as wp
 
@@ -22,7 +22,7 @@ def is_unshadowed(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) 
 
 @wp.func
 def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the contribution of all unshadowed lights except the environment, each sampled at its centre."""
+    """Returns the contribution of all unshadowed lights at their centres, without the environment."""
     total = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
         if is_unshadowed(number, no_shadows, scene) and scene[0].lights[number].kind != LIGHT_ENVIRONMENT:
@@ -34,7 +34,7 @@ def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[Shadi
 def sampled_light(
     interaction: Interaction, pixel_key: wp.uint32, sample: int, no_shadows: bool, scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Returns the contribution of the unshadowed lights that are sampled: the environment, and soft lights."""
+    """Returns the contribution of the unshadowed lights that are sampled at random: environment and soft lights."""
     total = wp.vec3(0.0)
     draws = 1 + scene[0].settings[0].more_draws
     share = 1.0 / float(draws)
@@ -57,7 +57,7 @@ def add_hard_lights(
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
 ):
-    """Adds unshadowed lights, each sampled at its centre.
+    """Adds all unshadowed lights at their centres, without the environment.
 
     Merging this kernel with ``add_sampled_lights`` makes a deferred frame an eighth slower.
     """
@@ -76,7 +76,7 @@ def add_sampled_lights(
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
 ):
-    """Adds the unshadowed lights that are sampled."""
+    """Adds the unshadowed lights that are sampled at random: the environment, and soft lights."""
     i = start + wp.tid()
     stride = wave_inout[0].interactions.exists.shape[0] // 2
     for slot in range(2):

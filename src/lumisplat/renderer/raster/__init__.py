@@ -1,1 +1,1 @@
-"""Primary hits by rasterisation: splats, triangles, tiles."""
+"""Finds primary hits by rasterisation: projects splats and triangles, lists them per tile, and composites them."""

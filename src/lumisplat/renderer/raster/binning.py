@@ -1,4 +1,7 @@
-"""Host passes that sort items by depth and list them per tile, in two schedules with the same result."""
+"""Host passes that sort items (splats or triangles) by depth and list them per tile.
+
+The CPU and CUDA have different schedules (orders of kernels), which give the same result.
+"""
 
 from __future__ import annotations
 
@@ -17,38 +20,38 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 SORT_DIGIT_BITS_MAX = 12
-"""Largest radix digit of the CPU's depth sort, bits: 4096 counters per chunk stay in the L1 cache, and two passes
-cover the usual 24 bits of key."""
+"""Largest number of bits per radix digit in the CPU's depth sort: 4096 counters per chunk stay in the L1 cache, and
+two passes cover the usual 24 bits of a key."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepthOrder:
-    """Items sorted front to back by a stable sort."""
+    """Items (splats or triangles) in front-to-back order, sorted stably."""
 
     order: DeviceArray
-    """Item indices; those after ``count`` are not visible."""
+    """Item indices in depth order; entries after the first ``count`` are culled items or undefined."""
     count: int
-    """Number of items to list. In the parallel schedule it is all of them, as the visible count stays on the device."""
+    """Number of items to list. On CUDA it includes culled items, because the visible count stays on the device."""
 
 
 @dataclass(frozen=True, slots=True)
 class BinningCounts:
-    """Counts of the last frame."""
+    """Counts of the last frame's items."""
 
     visible: int = 0
-    """Gaussians that can touch the image."""
+    """Number of Gaussians that may touch the image."""
     nonfinite: int = 0
-    """Gaussians dropped because a projected value was NaN or infinite."""
+    """Number of Gaussians dropped because a projected value was NaN or infinite."""
     pairs: int = 0
-    """(tile, Gaussian) pairs."""
+    """Number of (tile, Gaussian) pairs in the tile lists."""
 
 
 @dataclass(frozen=True, slots=True)
 class TileLists:
-    """Items that touch each tile, in depth order."""
+    """For each tile, the items that touch the tile, in depth order."""
 
     starts: DeviceArray
-    """First entry of each tile; the last element is the total."""
+    """Index in ``items`` of each tile's first entry; the last element is the total number of entries."""
     items: DeviceArray
     """Item indices, tile after tile."""
 
@@ -66,7 +69,8 @@ class Binning(ABC):
         self.counts = BinningCounts()
         """Counts of the last finished frame."""
         self.growth = 0
-        """Number of times a truncated list was enlarged: captured graphs are stale after a change."""
+        """Number of times that a truncated list was enlarged. A captured graph is stale if the number has changed
+        since."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -75,11 +79,11 @@ class Binning(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """Starts a frame."""
+        """Starts a frame: resets its counts."""
 
     @abstractmethod
     def finish(self) -> bool:
-        """Ends a frame. Returns False if a list was truncated: it is enlarged, and the frame must be drawn again."""
+        """Ends a frame; False if a list was truncated. The list is then enlarged, and the frame must be drawn again."""
 
     @abstractmethod
     def sort(self, keys: DeviceArray) -> DepthOrder:
@@ -91,24 +95,32 @@ class Binning(ABC):
 
     @abstractmethod
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the sorted items of each tile; ``name`` is ``raster`` or ``mesh``."""
+        """Lists the sorted items of each tile.
+
+        Args:
+            name: Name of the list: ``raster`` or ``mesh``.
+            depth_order: The items in depth order.
+            rects: Rectangle of tiles that each item touches.
+            tiles_x: Number of tiles across the image.
+            tile_count: Number of tiles.
+        """
 
 
 class BinningChunked(Binning):
-    """CPU schedule: counting sorts over one chunk per thread."""
+    """CPU schedule: counting sorts; each thread sorts one contiguous chunk of the items."""
 
     def begin(self) -> None:
-        """Starts a frame."""
+        """Starts a frame: resets its counts."""
         self._visible = self._nonfinite = 0
         self._pairs: dict[str, int] = {}
 
     def finish(self) -> bool:
-        """Ends a frame; its lists are complete, since counts are known before lists are written."""
+        """Ends a frame, and returns True: lists are always complete, as they are counted before they are written."""
         self.counts = BinningCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
         return True
 
     def sort(self, keys: DeviceArray) -> DepthOrder:
-        """Sorts the visible items by key: a radix sort whose first pass also drops the culled ones."""
+        """Sorts the visible items by key with a radix sort, whose first pass drops the culled items."""
         run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
         ranges = buffers.get("order.ranges", ChunkData, chunks)
         run(kernels.measure_keys, chunks, chunks, keys, ranges)
@@ -163,10 +175,14 @@ class BinningChunked(Binning):
 
 
 class BinningParallel(Binning):
-    """CUDA schedule: library radix sorts over capacities; nothing is read back while the frame runs."""
+    """CUDA schedule: radix sorts of Warp's library. No count is read back before the frame ends.
+
+    Sorts and scans therefore cover the capacities of lists instead of their lengths.
+    """
 
     _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
-    """Index of each list's total, after the visible and non-finite counts."""
+    """Index of each list's length in the array of totals, whose first two entries are the visible and non-finite
+    counts."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         super().__init__(launcher, buffers)
@@ -174,11 +190,11 @@ class BinningParallel(Binning):
         self._totals = buffers.get("order.totals", wp.int64, 2 + len(self._SLOTS))
 
     def begin(self) -> None:
-        """Starts a frame."""
+        """Starts a frame: resets its counts."""
         self._totals.zero_()
 
     def finish(self) -> bool:
-        """Waits for the frame. Returns False if a list was truncated; it is then enlarged, to draw the frame again.
+        """Waits for the frame; False if a list was truncated. It is then enlarged, and the frame must be drawn again.
 
         Raises:
             DeviceError: A list is longer than 32-bit indices reach.
@@ -194,7 +210,7 @@ class BinningParallel(Binning):
         return complete
 
     def sort(self, keys: DeviceArray) -> DepthOrder:
-        """Sorts all items by key; culled ones come last and have empty rectangles."""
+        """Sorts all items by key; culled items come last and touch no tile."""
         count = keys.shape[0]
         sorted_keys = self._buffers.get("order.keys", wp.uint32, 2 * count)
         order = self._buffers.get("order.indices", wp.int32, 2 * count)
@@ -211,7 +227,10 @@ class BinningParallel(Binning):
         return DepthOrder(order, count)
 
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the sorted items of each tile: (tile, item) pairs in depth order, stably sorted by tile."""
+        """Lists the sorted items of each tile: makes (tile, item) pairs in depth order, then sorts them by tile.
+
+        The sort by tile is stable.
+        """
         run, buffers, count = self._launcher.run, self._buffers, depth_order.count
         capacity = self._capacity.setdefault(name, grown_capacity(2 * count))
         counts = buffers.get(f"{name}.counts", wp.int32, count + 1)
@@ -231,17 +250,19 @@ class BinningParallel(Binning):
 
 
 def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
-    """Returns the schedule of a device."""
+    """Returns the binning of a device: chunked on the CPU, parallel on CUDA."""
     return (BinningParallel if launcher.is_parallel else BinningChunked)(launcher, buffers)
 
 
 def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> DeviceArray:
-    """Returns the index of each item's first (tile, item) pair; the last element is the number of pairs.
+    """Returns where the pairs of each item begin in a list of all (tile, item) pairs, item by item.
+
+    The last element is the number of pairs.
 
     Args:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
-        rects: Tiles of each item.
+        rects: Rectangle of tiles that each item touches.
     """
     count = rects.shape[0]
     counts, starts = (buffers.get(f"order.item_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
@@ -251,10 +272,10 @@ def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> Dev
 
 
 def check_pairs(count: int) -> int:
-    """Returns the number of (tile, item) pairs, if it fits 32-bit indices.
+    """Returns the number of (tile, item) pairs.
 
     Raises:
-        DeviceError: The number is too large.
+        DeviceError: The number does not fit 32-bit indices.
     """
     if count > ITEMS_MAX:
         raise DeviceError(f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: use fewer pixels")

@@ -1,11 +1,11 @@
-"""Depth order and tile lists, in two schedules.
+"""Kernels that sort items by depth and list them per tile, in two schedules.
 
 Chunked (CPU): one item is one contiguous chunk of the input, processed by one thread. A counting sort counts digits (or
-tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to its own positions. The
-sort is stable, writes each position once, and needs no atomics.
+tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to its positions. The sort is
+stable, writes each position once, and needs no atomics.
 
-Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair. The library's radix sort and scan do the rest, over
-capacities rather than counts, so that nothing is read back.
+Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair. Radix sort and scan are Warp's. They cover the
+capacities of lists instead of their lengths, so that no length is read back.
 """
 
 import warp as wp
@@ -25,13 +25,13 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 @wp.func
 def chunk_edge(chunk: int, chunks: int, count: int) -> int:
-    """Returns the first item of a chunk."""
+    """Returns the index of the first item of a chunk."""
     return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
 
 
 @wp.kernel
 def measure_keys(start: int, chunks: int, keys: wp.array[wp.uint32], chunk_out: wp.array[ChunkData]):
-    """Writes the number and range of a chunk's visible keys."""
+    """Writes how many keys of a chunk are visible, and the lowest and highest of them."""
     chunk = start + wp.tid()
     data = ChunkData()
     data.key_min = KEY_CULLED
@@ -57,7 +57,7 @@ def count_digits(
     keys: wp.array[wp.uint32],
     counts_out: wp.array2d[int],
 ):
-    """Writes the histogram of one digit over a chunk, without culled keys."""
+    """Writes, for one chunk, how often each value of a digit occurs among the keys that are not culled."""
     chunk = start + wp.tid()
     for digit in range(counts_out.shape[1]):
         counts_out[chunk, digit] = 0
@@ -83,7 +83,7 @@ def scatter_digits(
     keys_out: wp.array[wp.uint32],
     indices_out: wp.array[int],
 ):
-    """Moves a chunk's keys to their digit's positions; the first pass drops the culled ones."""
+    """Moves a chunk's keys to the positions of their digit; the first pass drops culled keys."""
     chunk = start + wp.tid()
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         key = keys[i]
@@ -100,9 +100,9 @@ def scatter_digits(
 
 @wp.kernel
 def scan_counts(chunks: int, counts: wp.array2d[int], starts_out: wp.array[int]):
-    """Scans counts exclusively over (column, chunk), in place.
+    """Turns counts into write positions, in place: an exclusive scan over columns, and over chunks within a column.
 
-    ``starts_out`` gets the start of each column and, last, the total.
+    ``starts_out`` receives the start of each column, and at the end the total.
     """
     total = int(0)
     for column in range(counts.shape[1]):
@@ -126,9 +126,9 @@ def count_tiles(
     ordered_rects_out: wp.array[TileRect],
     pairs_out: wp.array[wp.int64],
 ):
-    """Counts a chunk's items that touch each tile, and their sum, which may exceed 32 bits.
+    """Counts how many items of a chunk touch each tile, and the sum over tiles, which may exceed 32 bits.
 
-    Also writes the rectangles in order, for ``scatter_tiles``.
+    Also writes the items' rectangles in depth order, for ``scatter_tiles``.
     """
     chunk = start + wp.tid()
     pairs = wp.int64(0)
@@ -156,7 +156,7 @@ def scatter_tiles(
     positions: wp.array2d[int],
     items_out: wp.array[int],
 ):
-    """Appends a chunk's items to the lists of their tiles, in order."""
+    """Appends the items of a chunk to the lists of the tiles that they touch, in depth order."""
     chunk = start + wp.tid()
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         item = order[i]
@@ -186,7 +186,10 @@ def count_sorted_keys(count: int, sorted_keys: wp.array[wp.uint32], totals_out: 
 
 @wp.kernel
 def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.array[wp.int64]):
-    """Sums the pairs of all items in 64 bits; one item sums every 4096th count. Not to be banded: atomic."""
+    """Sums the pair counts of all items in 64 bits; each thread sums every 4096th count.
+
+    Not to be launched in bands, because it uses atomics.
+    """
     total = wp.int64(0)
     i = start + wp.tid()
     while i < counts.shape[0]:
@@ -197,9 +200,9 @@ def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.arr
 
 @wp.kernel
 def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Counts the tiles that the i-th item touches, in ``order`` if it is given.
+    """Counts the tiles that each item touches, in ``order`` if given.
 
-    There is one more count than items, so that their scan ends with the total.
+    There is one count more than items, so that an exclusive scan of the counts ends with the total.
     """
     i = start + wp.tid()
     counts_out[i] = 0
@@ -212,7 +215,7 @@ def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], cou
 
 @wp.kernel
 def clear_pairs(start: int, tile_count: int, tiles_out: wp.array[int]):
-    """Marks all pairs as unused: they sort behind every tile."""
+    """Marks all pairs as unused, so that they sort behind all tiles."""
     tiles_out[start + wp.tid()] = tile_count
 
 
@@ -227,7 +230,7 @@ def emit_pairs(
     tiles_out: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Writes the i-th item's (tile, item) pairs. Pairs beyond the capacity are dropped; the total reveals that.
+    """Writes the (tile, item) pairs of each item. Pairs beyond ``capacity`` are dropped; the total shows how many.
 
     If the offsets overflow, positions may be negative.
     """
@@ -245,6 +248,6 @@ def emit_pairs(
 
 @wp.kernel
 def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array[int], starts_out: wp.array[int]):
-    """Finds the first pair of each tile by binary search; there is one more element than tiles."""
+    """Finds the first pair of each tile by binary search; the last element is the number of pairs."""
     tile = start + wp.tid()
     starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)

@@ -1,4 +1,4 @@
-"""Rasterises triangles: projects them, finds the nearest one at each pixel's centre, and shades pixels or rays."""
+"""Kernels that rasterise triangles: they project triangles, find the nearest at each pixel's centre, and shade it."""
 
 import warp as wp
 
@@ -34,7 +34,7 @@ OPTIONS = {"enable_backward": False, "fuse_fp": False}
 wp.set_module_options(OPTIONS)
 
 NOTHING = wp.constant(wp.int64(2**63 - 1))
-"""Key of a pixel without a triangle."""
+"""Depth key of a pixel that no triangle covers."""
 INDEX_BITS = wp.constant(wp.int64(32))
 
 
@@ -48,7 +48,10 @@ def project_triangles(
     triangles_out: wp.array[Triangle],
     rects_out: wp.array[TileRect],
 ):
-    """Item = triangle of an instance: sets it up. Mesh instances are numbered after the splat instances."""
+    """Projects a triangle of a mesh instance to the image. One item is one triangle.
+
+    Mesh instances are numbered after the splat instances.
+    """
     i = start + wp.tid()
     view = camera[0]
     number = instance_of(instances, i)
@@ -103,7 +106,7 @@ def raster_tiles(
     depth_out: wp.array[float],
     triangle_out: wp.array[int],
 ):
-    """Depth-tests a tile's triangles in order; of equally near ones, the first wins."""
+    """Finds the nearest triangle at each pixel of a tile; of equally near triangles, the first wins."""
     tile = start + wp.tid()
     view = camera[0]
     corner = tile_corner(view, tile)
@@ -164,7 +167,7 @@ wp.set_module_options(OPTIONS, PAIRS)
 
 @wp.func
 def tile_of_pair(tile_starts: wp.array[int], pair: int) -> int:
-    """Returns the last tile whose list begins at or before a pair."""
+    """Returns the tile of a (tile, triangle) pair: the last tile whose list begins at or before the pair."""
     low = int(0)
     high = int(tile_starts.shape[0] - 1)
     while high - low > 1:
@@ -178,7 +181,7 @@ def tile_of_pair(tile_starts: wp.array[int], pair: int) -> int:
 
 @wp.kernel(module=PAIRS)
 def clear_nearest(start: int, nearest_out: wp.array[wp.int64]):
-    """Item = pixel: clears its nearest triangle."""
+    """Clears the nearest triangle of a pixel. One item is one pixel."""
     nearest_out[start + wp.tid()] = NOTHING
 
 
@@ -192,7 +195,7 @@ def raster_pairs(
     tile_triangles: wp.array[int],
     nearest_inout: wp.array[wp.int64],
 ):
-    """Item = pair of a tile and a triangle; unused pairs return at once. It computes the same as ``raster_tiles``."""
+    """Does the work of `raster_tiles` on CUDA. One item is one (tile, triangle) pair; unused pairs return at once."""
     pair = start + wp.tid()
     if pair >= tile_starts[tile_starts.shape[0] - 1]:
         return
@@ -219,7 +222,7 @@ def raster_pairs(
 
 @wp.kernel(module=PAIRS)
 def store_nearest(start: int, nearest: wp.array[wp.int64], depth_out: wp.array[float], triangle_out: wp.array[int]):
-    """Item = pixel: stores depth and index of its nearest triangle."""
+    """Stores depth and index of the nearest triangle at a pixel. One item is one pixel."""
     pixel = start + wp.tid()
     key = nearest[pixel]
     if key == NOTHING:
@@ -244,7 +247,7 @@ def find_ray_hits(
     rays: RayData,
     hits_out: MeshHits,
 ):
-    """Item = ray: finds its hit on the nearest triangle of its pixel."""
+    """Intersects a ray with the nearest triangle of its pixel. One item is one ray."""
     i = start + wp.tid()
     view = camera[0]
     hits_out.t[i] = rays.t_max[i]
@@ -278,7 +281,7 @@ def shade_pixels(
     triangle_of_pixel: wp.array[int],
     pixels_out: MeshPixels,
 ):
-    """Item = pixel: writes the unlit base colour, encoded for display, and the shading normal towards the viewer."""
+    """Writes the base colour (encoded for display) and the shading normal (facing the viewer) of a pixel's mesh."""
     i = start + wp.tid()
     pixels_out.instance[i] = -1
     pixels_out.color[i] = wp.vec3(0.0)

@@ -1,4 +1,4 @@
-"""Host pass: the nearest mesh surface at each pixel."""
+"""Host pass: finds the nearest mesh surface at each pixel by rasterisation."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 @dataclass(frozen=True, slots=True)
 class _NearestTriangles:
-    """The nearest triangle at each pixel; no triangles if the scene has no meshes."""
+    """The nearest triangle at each pixel."""
 
     depth: DeviceArray
-    """View depth; inf: no triangle."""
+    """View depth of the triangle at each pixel; inf: no triangle."""
     triangles: DeviceArray | None = None
-    """``Triangle`` of all mesh instances."""
+    """``Triangle`` structs of all mesh instances; None if the scene has no meshes."""
     winners: DeviceArray | None = None
-    """Index of the triangle; -1: none."""
+    """Index in ``triangles`` of the nearest triangle at each pixel, -1: none; None if the scene has no meshes."""
 
 
 class MeshRaster:
@@ -64,7 +64,7 @@ class MeshRaster:
         return pixels
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> tuple[MeshPixels, MeshHits]:
-        """Returns the depth of the meshes at each pixel, and their hits on the pixels' rays, without colours."""
+        """Returns the depth of meshes at each pixel, without colours, and the hits of the pixels' rays on meshes."""
         nearest = self._find(scene)
         count = len(rays.t_max)
         pixels = MeshPixels()
@@ -105,7 +105,7 @@ class MeshRaster:
         return _NearestTriangles(depth, triangles, winners)
 
     def _project(self, scene: DeviceScene) -> tuple[DeviceArray, DeviceArray]:
-        """Returns the triangles of all mesh instances, and the tiles that each may touch."""
+        """Returns the projected triangles of all mesh instances, and the rectangle of tiles that each may touch."""
         triangles = self._buffers.get("mesh.triangles", Triangle, scene.triangle_count)
         rects = self._buffers.get("mesh.rects", TileRect, scene.triangle_count)
         self._launcher.run_banded(
@@ -117,7 +117,7 @@ class MeshRaster:
 
 
 def raster_meshes(scene: DeviceScene) -> RasterMeshes:
-    """Returns the struct that kernels read where a triangle has alpha."""
+    """Returns the meshes in the struct from which the raster kernels read alpha."""
     row = RasterMeshes()
     row.instances, row.splat_instance_count = scene.mesh_instances, scene.splat_instances.shape[0]
     row.meshes, row.sample = scene.mesh_data, scene.sample

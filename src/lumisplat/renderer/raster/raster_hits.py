@@ -1,4 +1,4 @@
-"""Host pass: primary hits by rasterisation, in the form in which the ray tracer returns them."""
+"""Host pass: finds primary hits by rasterisation, and returns them in the ray tracer's format."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class RasterHits:
-    """Rasterises meshes and splats into the hits of camera rays.
+    """Rasterises meshes and splats, and stores what camera rays hit.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        binning: Sorts and bins.
+        binning: Sorts splats and lists them per tile.
         meshes: Rasterises meshes.
         splats: Rasterises splats.
     """
@@ -54,7 +54,7 @@ class RasterHits:
 
         Args:
             scene: The device scene at this sample, with a pinhole camera without aperture.
-            rays: The rays of its pixels.
+            rays: The camera rays of the sample, one for each pixel.
         """
         stage = self._launcher.stage
         gaussians = self._buffers.struct("raster.gaussians", GaussianHits, len(rays.t_max), EXTRA_FIELDS)

@@ -1,6 +1,7 @@
-"""Composites Gaussians along pixel rays: projects them to tiles, blends them, and finds the depth of their surface.
+"""Composites Gaussians along pixel rays: projects Gaussians to tiles, blends them, and finds their surface depth.
 
-Each schedule is a separate Warp module, as in ``splat_kernels``. The equations are in docs/method/unscented.md.
+The CPU's and CUDA's schedules are separate Warp modules, as in ``splat_kernels``. The equations are in
+docs/method/unscented.md.
 """
 
 import warp as wp
@@ -38,7 +39,7 @@ def project_gaussians(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Item = a Gaussian of an instance of one asset: projects it.
+    """Projects a Gaussian to the image. One item is one Gaussian of one instance of an asset.
 
     Its depth key is the bits of a positive float, which sort as the float does.
     """
@@ -67,7 +68,7 @@ def set_depth(
     limits: wp.array[float],
     hits_inout: GaussianHits,
 ):
-    """Item = pixel: sets the surface depth to the peak response of its undilated Gaussian on the ray."""
+    """Sets a pixel's surface depth to the peak response of its surface Gaussian, undilated, on the pixel's ray."""
     width = camera[0].width
     pixel = start + wp.tid()
     i = ray_of_pixel(width, pixel % width, pixel // width)
@@ -106,7 +107,7 @@ def composite_tiles(
     limits: wp.array[float],
     hits_out: GaussianHits,
 ):
-    """Blends the Gaussians of a tile into the hits of its rays."""
+    """Blends the Gaussians listed for a tile into the hits of the tile's rays."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -134,7 +135,10 @@ def composite_pixels(
     limits: wp.array[float],
     hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: blends its Gaussians. ``set_depth`` later replaces the surface depth 0."""
+    """Blends the Gaussians listed for a pixel's tile into the hit of the pixel's ray.
+
+    One item is tile * 256 + pixel of the tile. Surface depths are 0 until ``set_depth`` runs.
+    """
     i = start + wp.tid()
     view = camera[0]
     at = tile_pixel(view, i)

@@ -1,4 +1,4 @@
-"""Splats of relit sets: composited separately where mixed with others, and their weighted-mean surface.
+"""Kernels for relit splat sets: their contribution where tiles mix them with other sets, and their mean surface.
 
 Splats are composited a second time, with other values in place of their colours and normals. The equations are in
 docs/adr/0021-captured-or-relit-per-set.md and docs/method/rasterisation.md#weighted-mean-surface.
@@ -32,7 +32,7 @@ wp.set_module_options(OPTIONS)
 
 @wp.func
 def is_relit(instances: wp.array[SplatInstanceData], splat: int) -> bool:
-    """Returns whether a splat's set is relit."""
+    """Returns whether a splat belongs to a relit set."""
     return instances[instance_of(instances, splat)].relit != 0
 
 
@@ -44,7 +44,10 @@ def count_mixed(
     tile_splats: wp.array[int],
     counts_out: wp.array[int],
 ):
-    """Item = tile: counts its splats if they come from both relit and other sets, else 0."""
+    """Counts the splats of a mixed tile, which has splats of relit and of other sets; 0 for other tiles.
+
+    One item is one tile.
+    """
     tile = start + wp.tid()
     begin = tile_starts[tile]
     end = tile_starts[tile + 1]
@@ -70,10 +73,11 @@ def list_mixed(
     mixed_splats_out: wp.array[int],
     splats_out: wp.array[Splat],
 ):
-    """Item = tile: lists the splats of a mixed tile, and writes copies of them for compositing relit sets.
+    """Lists the splats of a mixed tile, and writes copies of the splats for compositing only relit sets.
 
-    A copy is black unless its set is relit. The first component of its normal is 1 if it is relit, else 0. Tiles that
-    share a splat write equal values.
+    One item is one tile. Copies of splats in relit sets have the normal (1, 0, 0), other copies are black with a normal
+    of
+    0. Tiles that share a splat write equal values.
     """
     tile = start + wp.tid()
     shift = tile_starts[tile] - mixed_starts[tile]
@@ -101,19 +105,19 @@ def find_relit(
     relit: GaussianHits,
     hits_inout: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: writes colour, weight and lit Gaussian of relit sets.
+    """Writes the colour, weight and surface Gaussian that relit sets contribute to a pixel's ray.
 
     Args:
-        start: First item.
+        start: First item; an item is tile * 256 + pixel of the tile.
         camera: The view.
         instances: Instances of the splats.
         splats: Splats as written by ``list_mixed``.
         tile_starts: First entry of each tile.
         tile_splats: Indices of splats, tile after tile.
         mixed_starts: First entry of each tile among the lists of mixed tiles.
-        meshes: Meshes, behind which nothing counts.
-        relit: Those splats, composited in the mixed tiles.
-        hits_inout: Hits of all splats; receives the result.
+        meshes: Meshes; splats behind them do not count.
+        relit: Result of compositing the copies from ``list_mixed`` in mixed tiles.
+        hits_inout: Hits of all splats; receives the contribution of relit sets.
     """
     i = start + wp.tid()
     view = camera[0]
@@ -165,9 +169,9 @@ def write_surface_attributes(
     rects: wp.array[TileRect],
     splats_inout: wp.array[Splat],
 ):
-    """Item = Gaussian: replaces its colour by its depth plane, and its normal by (roughness, metallic, 1).
+    """Replaces a splat's colour by its depth plane, and its normal by (roughness, metallic, 1), to average them.
 
-    Gaussians of sets that are not relit become black and do not count.
+    One item is one Gaussian. Gaussians of sets that are not relit become black and do not count.
     """
     i = start + wp.tid()
     if not is_listed(rects[i]):
@@ -193,13 +197,13 @@ def store_means(
     sums: GaussianHits,
     hits_inout: GaussianHits,
 ):
-    """Item = pixel: stores the weighted means of the values that ``write_surface_attributes`` wrote.
+    """Stores a pixel's weighted means of the values that ``write_surface_attributes`` wrote. One item is one pixel.
 
     Args:
         start: First item.
         camera: The view.
         meshes: Meshes, which bound the surface depth.
-        sums: Those splats, composited.
+        sums: Result of compositing the splats with these values.
         hits_inout: Hits of the rays; receives the means.
     """
     i = start + wp.tid()

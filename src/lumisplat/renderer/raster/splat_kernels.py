@@ -1,7 +1,7 @@
 """Composites projected ellipses: projects splats, blends or samples them per tile, and sets surface depths.
 
-Each schedule is a separate Warp module, since a module is compiled as a whole: a frame compiles only the one that it
-runs. The equations are in docs/method/rasterisation.md.
+The CPU's and CUDA's schedules are separate Warp modules, because modules are compiled as a whole: a frame compiles only
+the schedule that it runs. The equations are in docs/method/rasterisation.md.
 """
 
 import warp as wp
@@ -75,7 +75,7 @@ def project_splats(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Item = a Gaussian of an instance of one asset: projects it.
+    """Projects a Gaussian to an ellipse in the image. One item is one Gaussian of one instance of an asset.
 
     Its depth key is the bits of a positive float, which sort as the float does.
     """
@@ -107,7 +107,10 @@ def set_pixel_depth(
     meshes: MeshPixels,
     pixels_inout: PixelData,
 ):
-    """Item = pixel: moves the surface depth from the mean of its Gaussian to the Gaussian's peak on the ray."""
+    """Moves a pixel's surface depth from its Gaussian's mean to the peak of that Gaussian on the pixel's ray.
+
+    One item is one pixel.
+    """
     i = start + wp.tid()
     gaussian = pixels_inout.gaussian[i]
     if gaussian >= 0:
@@ -128,7 +131,10 @@ def set_hit_depth(
     meshes: MeshPixels,
     hits_inout: GaussianHits,
 ):
-    """Item = pixel: moves the surface depth of its ray's hit, like ``set_pixel_depth``."""
+    """Moves the depth of a ray's surface from its Gaussian's mean to the peak of that Gaussian on the ray.
+
+    One item is one pixel; the kernel does the same for ray hits as ``set_pixel_depth`` does for pixels.
+    """
     i = start + wp.tid()
     at = full_pixel_of_index(camera[0], i)
     hit = ray_index(camera[0], at[0], at[1])
@@ -166,7 +172,7 @@ def composite_tiles(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Blends the splats of a tile into its pixels or, if ``for_rays``, into the hits of their rays."""
+    """Blends the splats listed for a tile into its pixels or, if ``for_rays``, into the hits of the pixels' rays."""
     arrays = EllipseColors()
     arrays.instances = instances
     arrays.splats = splats
@@ -191,7 +197,7 @@ def sample_tiles(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Samples a splat for each pixel: the nearest whose alpha exceeds its random number."""
+    """Chooses one splat for each pixel of a tile: the nearest splat whose alpha exceeds its random number."""
     arrays = SampleArrays()
     arrays.splats = splats
     arrays.sample = samples[0]
@@ -218,11 +224,11 @@ def composite_blocks(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Blends as ``composite_tiles``; all threads of a block run through all batches, since they synchronise.
+    """Blends like ``composite_tiles``, one thread block per tile (CUDA).
 
-    The threads load a batch of the tile's splats into shared memory, one each. Each thread then blends the batch into
-    its pixel, so that a splat is loaded once per tile instead of once per pixel
-    (docs/adr/0025-shared-memory-compositing.md).
+    The threads of a block load a batch of the tile's splats into shared memory, one splat each. Each thread then blends
+    the batch into its pixel, so that a splat is loaded once per tile instead of once per pixel
+    (docs/adr/0025-shared-memory-compositing.md). All threads run through all batches, because they synchronise.
     """
     tile, lane = wp.tid()
     view = camera[0]
@@ -289,7 +295,10 @@ def composite_pixels(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: blends into the pixel or, if ``for_rays``, into the hits of its ray."""
+    """Blends the splats of a pixel's tile into the pixel or, if ``for_rays``, into the hit of its ray.
+
+    One item is tile * 256 + pixel of the tile.
+    """
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]
@@ -314,7 +323,10 @@ def sample_pixels(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: samples the nearest splat whose alpha exceeds its random number."""
+    """Chooses one splat for a pixel: the nearest splat of its tile whose alpha exceeds its random number.
+
+    One item is tile * 256 + pixel of the tile.
+    """
     i = start + wp.tid()
     view = camera[0]
     at = tile_pixel(view, i)

@@ -27,35 +27,35 @@ from lumisplat.runtime.struct_tables import table_dtype
 
 @dataclass(frozen=True, slots=True)
 class ProjectedSplats:
-    """Gaussians of a scene, projected to the image, one element each."""
+    """All Gaussians of a scene, projected to the image; arrays have one element for each Gaussian."""
 
     data: DeviceArray
-    """``Splat``; undefined if culled."""
+    """``Splat`` (projected ellipse) of each Gaussian; undefined if the Gaussian is culled."""
     keys: DeviceArray
-    """Depth keys by which splats are sorted."""
+    """Depth key of each Gaussian, by which splats are sorted."""
     rects: DeviceArray
-    """Tiles that each splat may touch."""
+    """Rectangle of tiles that each splat may touch."""
 
     @property
     def count(self) -> int:
-        """Number of Gaussians, culled or not."""
+        """Number of Gaussians, including culled ones."""
         return self.keys.shape[0]
 
 
 @dataclass(frozen=True, slots=True)
 class SplatTiles:
-    """Splats of each tile, in blending order."""
+    """Splats listed for each tile, in blending order."""
 
     splats: DeviceArray
-    """``Splat`` of all Gaussians of the scene."""
+    """``Splat`` structs of all Gaussians of the scene."""
     starts: DeviceArray
-    """First entry of each tile; the last element is the total."""
+    """Index in ``items`` of each tile's first entry; the last element is the total number of entries."""
     items: DeviceArray
-    """Indices of splats, tile after tile."""
+    """Indices in ``splats``, tile after tile."""
 
 
 class SplatRaster:
-    """Projects, bins and composites splats.
+    """Projects splats, lists them per tile and composites them.
 
     Args:
         launcher: Runs the kernels.
@@ -67,10 +67,13 @@ class SplatRaster:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning) -> None:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
         self.settings = buffers.upload("raster.settings", RasterData, raster_table(config))
-        """1-element ``RasterData`` array."""
+        """``RasterData`` array with one element: the settings for kernels."""
 
     def modules(self, *, is_sorted: bool = True, counts: bool = False) -> list[KernelModule]:
-        """Returns the kernel modules of blended or sampled splats; ``counts`` is as for `find_hits`."""
+        """Returns the kernel modules for blending splats or, unless ``is_sorted``, for sampling them.
+
+        ``counts`` is as for `find_hits`.
+        """
         by_pixel = splat_kernels.BLOCKS if is_sorted else splat_kernels.PIXELS
         by_tile = splat_kernels.TILES if is_sorted else splat_kernels.SAMPLE_TILES
         modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else by_tile]
@@ -95,7 +98,7 @@ class SplatRaster:
         return splats
 
     def bin(self, scene: DeviceScene, order: DepthOrder, splats: ProjectedSplats) -> SplatTiles:
-        """Lists the splats of each tile in the given order."""
+        """Lists the splats of each tile in the order of ``order``."""
         tiles_x, tiles_y = scene.tile_grid
         lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
         return SplatTiles(splats.data, lists.starts, lists.items)
@@ -111,7 +114,7 @@ class SplatRaster:
     ) -> None:
         """Blends each pixel's splats front to back over the mesh or the background.
 
-        Without ``finds_depth``, depths are those of the Gaussians' means.
+        Unless ``finds_depth``, the surface depth is that of the Gaussian's mean.
         """
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
@@ -129,8 +132,8 @@ class SplatRaster:
     ) -> None:
         """Blends the splats in front of meshes into the Gaussian hits of the pixels' rays.
 
-        The kernel of tiles does not count blended splats: with ``counts``, the kernel of pixels, which does, runs as
-        well.
+        If ``counts``, the number of blended splats is stored, too. Only the kernel with one item per pixel counts them,
+        and then runs in addition to the kernel with one item per tile.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))
@@ -141,9 +144,9 @@ class SplatRaster:
         self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def find_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
-        """Adds the contribution of relit sets to sorted hits.
+        """Adds the contribution of relit sets to hits of sorted splats.
 
-        Tiles that contain other sets, too, are composited a second time, with all other sets black.
+        Tiles that also contain other sets are composited a second time, with all other sets black.
         """
         count, get = len(hits.hits), self._buffers.get
         relit = self._buffers.struct("raster.relit", GaussianHits, count, EXTRA_FIELDS)
@@ -160,7 +163,7 @@ class SplatRaster:
         )
 
     def _mixed_tiles(self, scene: DeviceScene, tiles: SplatTiles) -> SplatTiles:
-        """Lists the splats of tiles that contain relit and other sets."""
+        """Lists the splats of mixed tiles, which contain both relit and other sets."""
         run, get, count = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         counts, starts = (get(f"raster.mixed_{name}", wp.int32, count + 1) for name in ("counts", "starts"))
         items = get("raster.mixed_items", wp.int32, tiles.items.shape[0])
@@ -175,9 +178,10 @@ class SplatRaster:
     def find_means(
         self, scene: DeviceScene, splats: ProjectedSplats, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits
     ) -> None:
-        """Adds the weighted-mean surface of relit sets to sorted hits; overwrites the splats, so it must run last.
+        """Adds the weighted-mean surface of relit sets to hits of sorted splats.
 
-        Splats are composited again, with the values to average in place of colours and normals.
+        Splats are composited again, with the values to average in place of colours and normals. The splats are
+        overwritten, so this must run last.
         """
         count, run = len(hits.hits), self._launcher.run_banded
         inputs = (scene.splat_camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
@@ -189,7 +193,7 @@ class SplatRaster:
         run(relit_kernels.store_means, math.prod(scene.image_size), scene.splat_camera, meshes, sums, hits)
 
     def sum_splats(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, sums: GaussianHits) -> None:
-        """Sums colours and normals of splats in front of meshes, with their blending weights, for all pixels' rays."""
+        """Sums colours and normals of splats in front of meshes, weighted as in blending, for each pixel's ray."""
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData(), sums))
 
     def sample_hits(
@@ -199,7 +203,7 @@ class SplatRaster:
         meshes: MeshPixels,
         hits: GaussianHits,
     ) -> None:
-        """Samples one splat per pixel with its blending weight as probability; the lists need no order."""
+        """Chooses one splat per pixel with its blending weight as probability. Tile lists may be in any order."""
         lists = (tiles.splats, tiles.starts, tiles.items)
         inputs = (scene.splat_camera, self.settings, scene.sample, *lists, meshes, hits)
         if self._launcher.is_parallel:
@@ -209,12 +213,12 @@ class SplatRaster:
         self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:
-        """Moves surfaces from the means of their Gaussians to the peak responses on the pixels' rays."""
+        """Moves surface depths from the means of Gaussians to their peak responses on the pixels' rays."""
         inputs = (scene.splat_camera, scene.splat_instances, scene.gaussians, meshes, surfaces)
         self._launcher.run_banded(kernel, math.prod(scene.image_size), *inputs)
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
-        """Runs one of three kernels with the same result."""
+        """Runs one of three compositing kernels with equal results: per tile, per pixel or per thread block."""
         inputs = (scene.splat_camera, self.settings, scene.splat_instances, *arguments)
         if by_pixel:
             self._run_pixels(scene, splat_kernels.composite_pixels, inputs)
@@ -234,7 +238,7 @@ class SplatRaster:
 
 
 def raster_table(config: RenderConfig) -> np.ndarray:
-    """Returns the 1-element table from which kernels read the rasteriser's settings."""
+    """Returns the rasteriser's settings as a table with one row, for kernels."""
     row = table = np.zeros(1, dtype=table_dtype(RasterData))
     row["dilation"] = config.raster.dilation
     row["sh_degree"] = config.raster.sh_degree

@@ -1,7 +1,7 @@
 """Host pass: a fast path that composites an unlit, sorted raster frame directly into its pixels.
 
-Through primary hits, such a frame takes 19 to 43 % longer: each pixel would start a ray, store its hits and shade
-them, while the compositor already has the result in registers.
+Going through primary hits, such a frame takes 19 to 43 % longer: each pixel would start a ray, store its hits and shade
+them, although the compositor already has the result in registers.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 @dataclass(frozen=True, slots=True)
 class DrawnSplats:
-    """Splats and meshes that a frame was composited from."""
+    """Splats and meshes from which a frame was composited."""
 
     splats: ProjectedSplats
     tiles: SplatTiles
     meshes: MeshPixels
     settings: DeviceArray
-    """1-element ``RasterData`` array."""
+    """``RasterData`` array with one element: the settings for kernels."""
 
 
 class UnlitRaster:
-    """Draws frames without samples; on CUDA as a captured graph.
+    """Draws frames that need no samples. CUDA replays a captured graph.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        binning: Sorts and bins.
+        binning: Sorts splats and triangles and lists them per tile.
         meshes: Rasterises meshes.
         splats: Rasterises splats.
-        finds_depth: Whether pixel depths are needed; otherwise they are meaningless.
+        finds_depth: Whether surface depths are needed; False: the depths of pixels are meaningless.
     """
 
     def __init__(
@@ -57,14 +57,14 @@ class UnlitRaster:
         self._binning, self._meshes, self._splats = binning, meshes, splats
         self._finds_depth = finds_depth
         self.drawn: DrawnSplats | None = None
-        """Splats and meshes of the last frame."""
+        """Splats and meshes of the last frame; None before the first frame."""
 
     def modules(self, *, has_meshes: bool) -> list[KernelModule]:
         """Returns the kernel modules of scenes with or without meshes."""
         return [*self._splats.modules(), *self._meshes.modules(has_meshes=has_meshes)]
 
     def draw(self, scene: DeviceScene) -> PixelBuffers[PixelData]:
-        """Draws the pixels of a frame.
+        """Draws a frame and returns its pixels.
 
         Args:
             scene: The device scene, synced, with a pinhole camera without aperture.
@@ -76,7 +76,7 @@ class UnlitRaster:
         return pixels
 
     def sum_splats(self, scene: DeviceScene, drawn: DrawnSplats, sums: GaussianHits) -> None:
-        """Sums the drawn splats, as `SplatRaster.sum_splats`."""
+        """Sums values of the drawn splats per pixel, like `SplatRaster.sum_splats`."""
         self._splats.sum_splats(scene, drawn.tiles, drawn.meshes, sums)
 
     def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:

@@ -1,4 +1,7 @@
-"""Host pass: primary hits for any lens: Gaussians by tiles and along rays, meshes by rays (Wu et al. 2025, 3DGUT)."""
+"""Host pass: primary hits for any lens, with Gaussians listed per tile but evaluated along rays, and traced meshes.
+
+The method is 3DGUT (Wu et al. 2025).
+"""
 
 from __future__ import annotations
 
@@ -28,21 +31,21 @@ from lumisplat.scene.camera import Camera
 
 @dataclass(frozen=True, slots=True)
 class DrawnRaySplats:
-    """Rays of a frame's pixels, and the Gaussians composited along them."""
+    """Rays of a frame's pixels, and the Gaussians that were composited along the rays."""
 
     splats: ProjectedSplats
-    """Projected Gaussians, as ``RaySplat``."""
+    """Projected Gaussians; ``data`` holds ``RaySplat`` structs."""
     tiles: SplatTiles
     rays: RayData
     limits: wp.array[float]
-    """Distances at which the rays end."""
+    """Distance at which each ray ends, scene units."""
     hits: GaussianHits
     settings: DeviceArray
-    """1-element ``RayRasterData`` array."""
+    """``RayRasterData`` array with one element: the settings for kernels."""
 
 
 class UnscentedRaster:
-    """Finds the hits of camera rays: those on Gaussians by tile lists, those on meshes by tracing.
+    """Finds the hits of camera rays: on Gaussians by tile lists, on meshes by ray tracing.
 
     Args:
         launcher: Runs the kernels.
@@ -57,7 +60,7 @@ class UnscentedRaster:
         self._table = settings_table(config)
         self._settings = buffers.get("unscented.settings", RayRasterData, 1)
         self.drawn: DrawnRaySplats | None = None
-        """Rays and Gaussians of the last frame."""
+        """Rays and Gaussians of the last frame; None before the first frame."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules of a frame."""
@@ -75,8 +78,8 @@ class UnscentedRaster:
 
         Args:
             scene: The device scene, at this sample.
-            rays: The rays of its pixels.
-            centers: Rays along which Gaussians are evaluated; None: the same rays.
+            rays: The camera rays of the sample, one for each pixel.
+            centers: Rays through the pixels' centres, along which Gaussians are evaluated; None: along ``rays``.
         """
         stage = self._launcher.stage
         self._binning.begin()
@@ -96,7 +99,10 @@ class UnscentedRaster:
         return PrimaryHits(rays, meshes, hits)
 
     def _is_by_pixel(self, *, mixes_sets: bool) -> bool:
-        """Returns whether an item is one pixel: the kernel of tiles neither counts hits nor separates relit sets."""
+        """Returns whether to composite with one item per pixel instead of one per tile.
+
+        The kernel with one item per tile cannot count hits or separate relit sets from other sets.
+        """
         return self._launcher.is_parallel or mixes_sets or "hits" in self._config.aovs
 
     def _project(self, scene: DeviceScene) -> ProjectedSplats:
@@ -133,7 +139,7 @@ class UnscentedRaster:
 
 
 def settings_table(config: RenderConfig) -> np.ndarray:
-    """Returns the 1-element table of the rasteriser's settings, except for the camera's field."""
+    """Returns the rasteriser's settings as a table with one row, for kernels, without the field for the camera."""
     row = table = np.zeros(1, dtype=table_dtype(RayRasterData))
     for name in ("dilation", "sh_degree", "transmittance_min", "depth_iso_transmittance"):
         row[name] = getattr(config.raster, name)

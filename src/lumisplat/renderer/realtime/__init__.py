@@ -1,1 +1,1 @@
-"""Real-time global illumination over sequences of frames: one host pass a stage, with its kernels beside it."""
+"""Real-time global illumination over sequences of frames: each stage is a host pass with its kernels beside it."""

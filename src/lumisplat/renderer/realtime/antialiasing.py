@@ -15,7 +15,7 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Antialiasing:
-    """Averages the colours and layers of pixels over frames, reprojected along their motion."""
+    """Averages each pixel's colours and layers over frames, which are reprojected along the pixel's motion."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -27,7 +27,7 @@ class Antialiasing:
         return [kernels]
 
     def reset(self) -> None:
-        """Drops the history."""
+        """Drops the means of earlier frames."""
         self._has_history = False
 
     def average(
@@ -35,7 +35,7 @@ class Antialiasing:
     ) -> None:
         """Replaces the radiance of the first wave, and the layers that the plan requests, by means over frames.
 
-        All of them use the same history weights.
+        Radiance and layers are averaged with equal weights.
         """
         width, height = scene.image_size
         size, radiance = wp.vec2i(width, height), wave.row.radiance

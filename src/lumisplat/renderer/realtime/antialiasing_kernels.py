@@ -24,20 +24,22 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 wp.set_module_options({"enable_backward": False})
 
 ANTIALIASING_FRAMES = 32.0
-"""Maximum number of frames that a still pixel averages, each with another subpixel sample."""
+"""Largest number of frames that a still pixel averages, each with another sub-pixel sample."""
 
 ANTIALIASING_MOVING = 3.0
-"""Maximum number of frames where the history is interpolated between pixels, as each interpolation blurs it."""
+"""Largest number of frames that a pixel averages if its history is interpolated between pixels, since each
+interpolation blurs the history."""
 
 ANTIALIASING_SIGMAS = 3.0
-"""Standard deviations by which the samples of a still pixel may differ from their mean and still count as noise."""
+"""Number of standard deviations by which samples of a still pixel may differ from their mean and still count as noise.
+"""
 
 ANTIALIASING_LEAST = 0.05
-"""Tolerance of colour clamping: the history may lie outside the colours of the 3 x 3 pixels by this fraction of their
-luminance."""
+"""Tolerance of colour clamping: a pixel's history may lie outside the colour range of the 3 x 3 pixels around by this
+fraction of their luminance."""
 
 FAR_AWAY = 1e6
-"""Distance at which the background is placed to compute its motion, scene units."""
+"""Distance, in scene units, at which the background is assumed when its motion is computed."""
 
 FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
@@ -60,9 +62,9 @@ def store_pixels(
     pixels_out: TemporalPixels,
     shares_out: wp.array[wp.vec3],
 ):
-    """Per ray: writes colour, surface and motion of its pixel, and captured weight and alpha to ``shares_out``.
+    """Per ray: writes colour, surface and motion of the ray's pixel, and captured weight and alpha to ``shares_out``.
 
-    The third component of the motion is the distance of the surface.
+    The third component of ``pixels_out.motion`` is the distance of the surface.
     """
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
@@ -111,7 +113,7 @@ def is_still(motion: wp.vec3) -> bool:
 
 @wp.func
 def cubic(share: float) -> wp.vec4:
-    """Returns the weights of four neighbours for a point between the middle two (Catmull and Rom 1974)."""
+    """Returns Catmull-Rom weights (1974) of four neighbours in a row, at fraction ``share`` between the middle two."""
     s = share
     r = 1.0 - share
     return wp.vec4(-0.5 * s * r * r, 1.0 + s * s * (1.5 * s - 2.5), 1.0 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s)
@@ -119,7 +121,7 @@ def cubic(share: float) -> wp.vec4:
 
 @wp.func
 def image_at(image: wp.array[wp.vec3], size: wp.vec2i, position: wp.vec2) -> wp.vec3:
-    """Interpolates an image by Catmull-Rom cubics; ``position`` is in pixels from the centre of the first pixel."""
+    """Interpolates an image by Catmull-Rom cubics at ``position``, in pixels from the centre of the first pixel."""
     left = int(wp.floor(position[0]))
     top = int(wp.floor(position[1]))
     across = position[0] - float(left)
@@ -139,7 +141,7 @@ def image_at(image: wp.array[wp.vec3], size: wp.vec2i, position: wp.vec2) -> wp.
 
 @wp.func
 def nearest_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -> int:
-    """Returns the pixel with the nearest surface among the 3 x 3 around; the pixel itself if its motion is unknown."""
+    """Returns the pixel with the nearest surface among 3 x 3 pixels; the middle pixel if its motion is unknown."""
     nearest = y * size[0] + x
     if wp.isnan(motions[nearest][0]):
         return nearest
@@ -160,7 +162,7 @@ def is_noise(
     motions: wp.array[wp.vec3],
     history: TemporalHistory,
 ) -> bool:
-    """Returns whether the 3 x 3 pixels around stand still and their samples differ from their means only by noise."""
+    """Returns whether the samples of 3 x 3 still pixels differ from the pixels' means only as much as noise does."""
     means = history.color
     frames = history.frames
     changes = history.change
@@ -181,7 +183,8 @@ def is_noise(
 def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
     """Returns the fraction of its history that a pixel retains: 1 if ``mean`` is in the colour range of 3 x 3 pixels.
 
-    Farther outside than a tolerance, it is the fourth power of tolerance over distance (soft colour clamping).
+    If ``mean`` lies outside the range by more than a tolerance, the fraction is (tolerance / distance)^4 (soft
+    clamping).
     """
     low = colors[y * size[0] + x]
     high = low
@@ -213,15 +216,15 @@ def weight_history(
     pixels_inout: TemporalPixels,
     history_out: TemporalHistory,
 ):
-    """Per pixel: computes its position in the previous frame and the weight of the new sample against its history.
+    """Per pixel: computes the pixel's position in the previous frame, and the weight of its new sample in the mean.
 
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
         history_weight: Factor on the length of every history; 1 unless lights or objects have changed.
-        moved_to: Current numbers of the previous frame's instances, as of ``has_left``.
+        moved_to: Current index of each instance of the previous frame, as for ``has_left``.
         history: History of the previous frame.
-        pixels_inout: The pixels; receive position and weight.
+        pixels_inout: The pixels; receive the position in the previous frame and the weight.
         history_out: History of this frame.
     """
     pixel = start + wp.tid()
@@ -288,7 +291,10 @@ def blend(
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
 ):
-    """Per ray: replaces its image value by the mean over frames, stored in ``after_out`` for the next frame."""
+    """Per ray: replaces the ray's image value by its mean over frames, which is also stored in ``after_out``.
+
+    The next frame reads ``after_out`` as ``before``.
+    """
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

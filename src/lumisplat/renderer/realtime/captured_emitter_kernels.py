@@ -1,4 +1,4 @@
-"""Kernels that sample captures as area lights for the surfaces of pixels. One thread per ray.
+"""Kernels that sample captures as area lights for the surfaces of pixels. One thread per camera ray.
 
 The method is in docs/method/realtime.md#captured-emitters.
 """
@@ -21,11 +21,11 @@ from lumisplat.device.structs.shading import LightSample, ShadingScene, WaveData
 wp.set_module_options(SHADE_OPTIONS)
 
 POINT_BRANCH = wp.constant(9)
-"""Branch of a ray's random key for the point in a box."""
+"""Branch of a ray's random key for choosing a point in a box around a capture."""
 BOX_BRANCH = wp.constant(10)
-"""Branch of a ray's random key for the choice of a box and the depth in the box."""
+"""Branch of a ray's random key for choosing a box around a capture, and the depth within the box."""
 RAY_BRANCH = wp.constant(11)
-"""Branch of a ray's random key for the hits of the ray towards the captures."""
+"""Branch of a ray's random key for the hits of its ray towards captures."""
 OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 
@@ -41,15 +41,16 @@ def start_captured_rays(
     light_out: PixelLight,
     rays_out: RayData,
 ):
-    """Starts a ray from one surface of a pixel towards the captures.
+    """Starts a ray from one surface of a pixel towards a random point in the boxes around captures.
 
     Args:
         start: Offset added to the thread index.
-        follows_lobes: Whether highlight rays hit captures, too; then only the rest of the highlight is sampled here.
+        follows_lobes: Whether separate rays within highlights hit captures. This kernel then samples only the fraction
+            of each highlight that those rays do not cover.
         boxes: Boxes around the captures.
         scene: The scene.
         wave: The first wave, with numbered samples.
-        slots: Surface slot of each ray that has a light sample; -1: no sample.
+        slots: For each camera ray, which of its two surfaces has a light sample; -1: none.
         light_out: Reflected radiance for incoming radiance 1, over the pdf of the direction.
         rays_out: The rays; they end behind the boxes.
     """
@@ -99,7 +100,7 @@ def end_behind_glass(
     ends_out: wp.array[float],
     is_glass_out: wp.array[int],
 ):
-    """Ends a ray at the mesh that it hits, unless that is glass."""
+    """Writes the distance of the mesh that a ray hits as the ray's end, unless the mesh is glass."""
     i = start + wp.tid()
     is_glass_out[i] = 0
     ends_out[i] = 0.0
@@ -115,7 +116,7 @@ def end_behind_glass(
 
 @wp.kernel
 def start_through_glass(start: int, is_glass: wp.array[int], emitted: GaussianHits, rays_inout: RayData):
-    """Keeps only the rays that hit glass active, and ends them at the captures behind the glass."""
+    """Deactivates rays that do not hit glass, and ends the other rays at the captures behind the glass."""
     i = start + wp.tid()
     if is_glass[i] == 0:
         rays_inout.is_active[i] = False
@@ -134,16 +135,16 @@ def add_captured_light(
     light_inout: PixelLight,
     rays_inout: RayData,
 ):
-    """Adds the light of captures to a light sample, and multiplies the sample by its own shadow ray.
+    """Multiplies a light sample by the visibility of its shadow ray, and adds the light of captures.
 
     Args:
         start: Offset added to the thread index.
         scene: The scene.
-        emitted: Captured radiance on the rays towards captures, apart from other radiance.
+        emitted: Hits of the rays towards captures; their ``relit_color`` is the radiance of captures.
         reflected: Reflected radiance for incoming radiance 1, written by ``start_captured_rays``.
         is_glass: 1: the ray hits glass first.
         passed: Transmittance of the glass.
-        visibility: Visibility along the sample's shadow ray, if that is active.
+        visibility: Visibility along the sample's shadow ray, if the shadow ray is active.
         light_inout: The light samples.
         rays_inout: Shadow rays of the samples; none is active afterwards.
     """

@@ -1,4 +1,4 @@
-"""Kernels of debug layers: motion of surfaces, and the state that real time carries from frame to frame."""
+"""Kernels of debug layers, which show the motion of surfaces and the state that is reused from frame to frame."""
 
 import warp as wp
 
@@ -13,9 +13,9 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def larger_kind(pixel: int, splats: SurfacePixels, meshes: SurfacePixels) -> int:
-    """Returns the kind of surface that covers more of a pixel: 0 for splats, 1 for meshes, -1 without a surface.
+    """Returns the kind of the surface that covers more of a pixel: 0 splats, 1 meshes, -1 if the pixel has no surface.
 
-    Either kind may have empty arrays.
+    The arrays of one kind may be empty.
     """
     kind = int(-1)
     share = float(0.0)
@@ -38,7 +38,7 @@ def draw_motion(
     meshes: SurfacePixels,
     image_inout: wp.array[wp.vec3],
 ):
-    """Per ray: writes the motion of its pixel's larger surface."""
+    """Per ray: writes the motion of the surface that covers most of the ray's pixel."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -61,7 +61,7 @@ def draw_history(
     mesh_frames: wp.array[float],
     image_inout: wp.array[wp.vec3],
 ):
-    """Per ray: writes the length of the history of its pixel's larger surface, in frames."""
+    """Per ray: writes the number of frames in the history of the surface that covers most of the ray's pixel."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -75,7 +75,7 @@ def draw_history(
 
 @wp.kernel
 def draw_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, image_inout: wp.array[wp.vec3]):
-    """Per probe: writes its number of refreshes at its pixel; no two probes share a pixel."""
+    """Per probe: writes the probe's number of updates to its pixel; no two probes share a pixel."""
     i = start + wp.tid()
     if probes.is_placed[i] == 0:
         return
@@ -88,7 +88,7 @@ def draw_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, ima
 def list_surfaces(
     start: int, camera: wp.array[CameraData], splats: SurfacePixels, meshes: SurfacePixels, samples_out: CacheSamples
 ):
-    """Per ray: writes its pixel's larger surface as a query of the radiance cache."""
+    """Per ray: writes the surface that covers most of the ray's pixel as a query of the radiance cache."""
     i = start + wp.tid()
     samples_out.is_active[i] = False
     pixel = pixel_number(i, camera)
@@ -115,6 +115,6 @@ def list_surfaces(
 
 @wp.kernel
 def draw_cells(start: int, numbers: wp.array[int], image_out: wp.array[wp.vec3]):
-    """Per ray: writes the number of its cache cell."""
+    """Per ray: writes the number of the cache cell at the ray's pixel."""
     i = start + wp.tid()
     image_out[i] = wp.vec3(float(numbers[i]))

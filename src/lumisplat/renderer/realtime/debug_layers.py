@@ -1,6 +1,6 @@
-"""Host pass: debug layers, which draw the motion of surfaces and the state that real time carries between frames.
+"""Host pass: draws debug layers, which show the motion of surfaces and the state reused from frame to frame.
 
-Each layer is an image of one vec3 a camera ray (docs/guide/image_layers.md).
+Each layer is an image with one vec3 for each camera ray (docs/guide/image_layers.md).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 _EMPTY = {"motion": math.nan, "history": 0.0, "cache": 0.0}
-"""Value of pixels without data; -1 in layers not listed."""
+"""Value of pixels without data in each layer; -1 in layers that are not listed."""
 
 
 class DebugLayers:
@@ -41,7 +41,7 @@ class DebugLayers:
         return image
 
     def motion(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Draws the motion of each pixel's larger surface since the previous frame, pixels; NaN if unknown."""
+        """Draws the motion since the previous frame, pixels, of each pixel's larger surface; NaN if unknown."""
         image = self.empty("motion", count)
         inputs = scene.camera, scene.motion.camera, *_kinds(surfaces), image
         self._launcher.run_banded(kernels.draw_motion, count, *inputs)
@@ -50,20 +50,23 @@ class DebugLayers:
     def history(
         self, scene: DeviceScene, surfaces: list[PixelSurfaces], frames: dict[int, DeviceArray], count: int
     ) -> DeviceArray:
-        """Draws the history length of direct light at each pixel's larger surface, from ``frames`` of each kind."""
+        """Draws the number of frames averaged into direct light at each pixel's larger surface.
+
+        ``frames`` holds these numbers for each kind of surfaces.
+        """
         image = self.empty("history", count)
         inputs = scene.camera, *_kinds(surfaces), frames.get(SPLATS), frames.get(MESHES), image
         self._launcher.run_banded(kernels.draw_history, count, *inputs)
         return image
 
     def probes(self, scene: DeviceScene, probes: ScreenProbes, count: int) -> DeviceArray:
-        """Draws the number of refreshes of the probe at a pixel; -1 where there is no probe."""
+        """Draws the number of updates of the screen probe at a pixel; -1 where a pixel has no probe."""
         image = self.empty("probes", count)
         self._launcher.run_banded(kernels.draw_probes, probes.count, scene.camera, probes.probes, image)
         return image
 
     def cache(self, scene: DeviceScene, cache: RadianceCache, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Draws the cached radiance at each pixel's larger surface."""
+        """Draws the radiance that the radiance cache holds at each pixel's larger surface."""
         image = self._image("cache", count)
         image.assign(cache.look_up(self._samples(scene, surfaces, count)))
         return image
@@ -71,13 +74,13 @@ class DebugLayers:
     def cache_cells(
         self, scene: DeviceScene, cache: RadianceCache, surfaces: list[PixelSurfaces], count: int
     ) -> DeviceArray:
-        """Draws the number of the cache cell at each pixel's larger surface."""
+        """Draws the identifying number of the radiance-cache cell at each pixel's larger surface."""
         image, numbers = self._image("cache_cells", count), cache.cell_numbers(self._samples(scene, surfaces, count))
         self._launcher.run_banded(kernels.draw_cells, count, numbers, image)
         return image
 
     def _samples(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> CacheSamples:
-        """Returns each pixel's larger surface as a query of the radiance cache."""
+        """Returns each pixel's larger surface (which covers more of the pixel) as a query of the radiance cache."""
         samples = self._buffers.struct("debug.samples", CacheSamples, count)
         self._launcher.run_banded(kernels.list_surfaces, count, scene.camera, *_kinds(surfaces), samples)
         return samples
@@ -87,6 +90,6 @@ class DebugLayers:
 
 
 def _kinds(surfaces: list[PixelSurfaces]) -> tuple[SurfacePixels, SurfacePixels]:
-    """Returns the splat and the mesh surfaces; empty arrays for a kind that the scene lacks."""
+    """Returns the splat surfaces and the mesh surfaces; a kind that the scene lacks has empty arrays."""
     of_kind = {each.kind: each.now for each in surfaces}
     return of_kind.get(SPLATS, SurfacePixels()), of_kind.get(MESHES, SurfacePixels())

@@ -1,4 +1,4 @@
-"""Host pass: the G-buffer, surfaces of the pixels of this frame and of the previous one."""
+"""Host pass: the G-buffer, which holds the surfaces at the pixels of this frame and of the previous one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SPLATS, MESHES = 0, 1
-"""Kinds of surfaces that a pixel may show, which are also the slots of its ray's interactions."""
+"""Kinds of surfaces at a pixel, SPLATS and MESHES; also the slots of a ray's two interactions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,14 +20,14 @@ class PixelSurfaces:
     """Surfaces of one kind at the pixels of this frame and of the previous one."""
 
     kind: int
-    """SPLATS or MESHES."""
+    """Kind of the surfaces, SPLATS or MESHES."""
     now: SurfacePixels
     before: SurfacePixels
     """Surfaces of the previous frame."""
 
 
 class GBuffer:
-    """Holds the surfaces of two frames."""
+    """Stores the surfaces at the pixels of two frames."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -39,11 +39,11 @@ class GBuffer:
         return [kernels]
 
     def reset(self) -> None:
-        """Begins a new sequence of frames."""
+        """Begins a new sequence of frames, which has no previous frame."""
         self._kinds_before = ()
 
     def store(self, scene: DeviceScene, wave: RayWave, frame: int) -> list[PixelSurfaces]:
-        """Stores the surfaces that the first wave hits, one ray a pixel; returns one element a kind in the scene."""
+        """Stores the surfaces that the first wave hits; returns the pixels' surfaces for each kind in the scene."""
         kinds = (SPLATS,) * (scene.gaussian_count > 0) + (MESHES,) * (scene.triangle_count > 0)
         with self._launcher.stage("gbuffer"):
             surfaces = [self._store(scene, wave, frame, kind) for kind in kinds]

@@ -1,4 +1,4 @@
-"""Kernels that write the G-buffer: the surfaces of the first wave for filters and probes.
+"""Kernels that write the G-buffer: the surfaces that the first wave hits, for filters and probes.
 
 The fields are described in docs/method/realtime.md#surfaces.
 """
@@ -26,7 +26,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def store_surface(j: int, pixel: int, camera: wp.array[CameraData], wave: wp.array[WaveData], out: SurfacePixels):
-    """Writes the fields that splat and mesh surfaces share, from interaction ``j``."""
+    """Writes the fields that splat and mesh surfaces have in common, from interaction ``j`` of a ray."""
     position = wave[0].interactions.position[j]
     out.share[pixel] = wave[0].interactions.weight[j]
     out.position[pixel] = position
@@ -49,7 +49,7 @@ def store_splat_surfaces(
     wave: wp.array[WaveData],
     surfaces_out: SurfacePixels,
 ):
-    """Per ray: writes the surface of the Gaussians at its pixel."""
+    """Per ray: writes the surface of the Gaussians that the ray's pixel shows."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -76,7 +76,7 @@ def store_mesh_surfaces(
     wave: wp.array[WaveData],
     surfaces_out: SurfacePixels,
 ):
-    """Per ray: writes the surface of the mesh at its pixel."""
+    """Per ray: writes the surface of the mesh that the ray's pixel shows."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

@@ -1,6 +1,6 @@
 """Host pass: indirect light at the surfaces of pixels, from screen probes and the radiance cache.
 
-Secondary rays leave probes, cache cells and highlights (docs/method/realtime.md#rays).
+Secondary rays start at probes, at cache cells and within highlights (docs/method/realtime.md#rays).
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 SPECULAR_WAVES = 8
-"""Maximum number of smooth surfaces that reflect or transmit a secondary ray in a row; two panes are four surfaces."""
+"""Largest number of smooth surfaces in a row that reflect or transmit a secondary ray; two panes are four surfaces."""
 
 
 class IndirectLight:
-    """Computes the indirect light of the surfaces of pixels.
+    """Computes the indirect light at the surfaces of pixels.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         tracer: Finds the hits of rays.
-        shadows: Traces shadow rays; its sample has begun.
+        shadows: Traces shadow rays; ``begin_sample`` has been called.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class IndirectLight:
         """Starts rays within the highlights of the first wave, before later waves overwrite its surfaces.
 
         Returns:
-            Which pixels have a ray, and the rays; None if there are no rays.
+            The struct that stores which pixels have a ray; the rays, or None if no pixel has one.
         """
         width, height = scene.image_size
         squares = -(-width // 2) * -(-height // 2)
@@ -97,13 +97,13 @@ class IndirectLight:
         lobes: tuple[LobeRays, RayData | None],
         frame: int,
     ) -> list[SurfaceLight]:
-        """Computes the indirect light of a frame, for the surfaces of each kind.
+        """Computes the indirect light of a frame, for each kind of surfaces.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
-            surfaces: Surfaces of the pixels.
-            lobes: Rays within the highlights of these surfaces, from `start_lobes`.
+            surfaces: Surfaces of the pixels, by kind.
+            lobes: Result of `start_lobes`: rays within the highlights of the surfaces.
             frame: Number of the frame.
         """
         with self._launcher.stage("probes"):
@@ -128,9 +128,9 @@ class IndirectLight:
     def _follow_lobes(
         self, scene: DeviceScene, plan: FramePlan, lobes: LobeRays, rays: RayData | None, frame: int
     ) -> LobeRays:
-        """Finds the radiance of rays within highlights.
+        """Finds the radiance of the rays within highlights.
 
-        Direct light at their hits is sampled instead of read from the cache, whose cells would show in narrow
+        Direct light at the rays' hits is sampled instead of read from the cache, whose cells would be visible in narrow
         highlights.
         """
         if rays is not None:
@@ -142,7 +142,7 @@ class IndirectLight:
         return lobes
 
     def _bounce(self, scene: DeviceScene, plan: FramePlan, frame: int) -> None:
-        """Traces rays between cells of the cache, so that light bounces from cell to cell."""
+        """Traces rays from cells of the radiance cache to others, so that light bounces from cell to cell."""
         points = self.cache.bounce_points(frame)
         count = len(device_array(points.is_active))
         rays = self._buffers.struct("cache.rays", RayData, -(-count // PACKET_RAYS) * PACKET_RAYS)
@@ -155,7 +155,7 @@ class IndirectLight:
         )
 
     def _larger(self, surfaces: list[PixelSurfaces]) -> SurfacePixels:
-        """Returns for each pixel the surface that covers more of it."""
+        """Returns, for each pixel, the surface that covers more of the pixel."""
         if len(surfaces) == 1:
             return surfaces[0].now
         count = len(device_array(surfaces[0].now.share))
@@ -176,11 +176,11 @@ class IndirectLight:
 
 @dataclass(frozen=True, slots=True)
 class SecondaryHits:
-    """Hits of secondary rays, shaded by direct light."""
+    """Hits of secondary rays, with their direct light."""
 
     rays: BouncedRays
     samples: CacheSamples
-    """Surfaces at the hits, and the radiance that they reflect of lights and the environment."""
+    """Surfaces at the hits, and the direct light and environment light that they reflect."""
 
 
 class SecondaryRays:
@@ -202,7 +202,7 @@ class SecondaryRays:
     def trace(
         self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str, *, hits_emitters: bool = True
     ) -> SecondaryHits:
-        """Finds the surfaces that rays hit and samples direct light there; at smooth surfaces, rays continue.
+        """Finds the surfaces that rays hit, and samples direct light there. Smooth surfaces reflect or transmit rays.
 
         Args:
             scene: The scene on the device.
@@ -210,7 +210,7 @@ class SecondaryRays:
             rays: The rays, a multiple of ``PACKET_RAYS``.
             name: Name of the buffers that hold the result.
             hits_emitters: Whether the rays hit captures that are sampled as lights. False for rays from surfaces that
-                receive the light of these captures by other samples.
+                already sample these captures.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         samples = self._buffers.struct(f"{name}.samples", CacheSamples, count)
@@ -244,11 +244,11 @@ class SecondaryRays:
         return SecondaryHits(bounced, samples)
 
     def radiance(self, hits: SecondaryHits, reflected: DeviceArray, name: str) -> tuple[DeviceArray, DeviceArray]:
-        """Returns the radiance of the rays, linear, and the distances of their hits; inf without a hit.
+        """Returns the linear radiance of the rays, and the distances of their hits (inf without a hit).
 
         Args:
             hits: Hits of the rays.
-            reflected: Radiance that the surfaces at the hits reflect in total, linear.
+            reflected: Linear radiance that the surfaces at the hits reflect from all light.
             name: Name of the buffers that hold the result.
         """
         count = len(reflected)
@@ -259,7 +259,7 @@ class SecondaryRays:
         return radiance, distance
 
     def _onward(self, plan: FramePlan, count: int) -> OnwardRays:
-        """Returns the initial state of rays that may continue at smooth surfaces."""
+        """Returns the initial state of rays that smooth surfaces may reflect or transmit."""
         onward, get = OnwardRays(), self._buffers.get
         onward.rays = self._buffers.struct("bounced.onward", RayData, count)
         onward.goes_on = get("bounced.goes_on", wp.int32, count)
@@ -274,7 +274,7 @@ class SecondaryRays:
         return onward
 
     def _any_continues(self, onward: OnwardRays) -> bool:
-        """Returns whether any ray continues. The host waits for the answer, as most scenes need few of the waves."""
+        """Returns whether any ray continues. The host waits for the answer, because most scenes need few waves."""
         goes_on = device_array(onward.goes_on)
         ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))
         prefix_sum(goes_on, ends, inclusive=True)

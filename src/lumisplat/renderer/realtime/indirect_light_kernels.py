@@ -19,17 +19,17 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 RAY_LIFT = 1e-4
-"""Distance by which rays start above a mesh whose triangle is no longer known, as a fraction of the largest
-coordinate: rounding must not put the origin below the surface."""
+"""Height above a mesh from which rays start if the mesh's triangle is not stored, as a fraction of the largest
+coordinate. Without it, rounding could put the origin below the surface."""
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
-"""Mixed into the seed, so that random numbers differ from other look-ups."""
+"""Number mixed into the seed, so that random numbers for highlights differ from those of other look-ups."""
 
 
 @wp.kernel
 def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, larger_out: SurfacePixels):
-    """Per pixel: copies the surface that covers more of it."""
+    """Per pixel: copies the surface that covers more of the pixel."""
     pixel = start + wp.tid()
     chosen = splats
     if meshes.share[pixel] > splats.share[pixel]:
@@ -44,7 +44,7 @@ def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, la
 
 @wp.kernel
 def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: RayData):
-    """Per ray: leaves a cache point in a cosine-weighted direction; rays without a point are inactive.
+    """Per ray: starts the ray at a point of the radiance cache in a cosine-weighted direction; inactive if no point.
 
     Gaussians within ``offset`` times the scale of the point's Gaussian do not block the ray.
     """
@@ -76,7 +76,7 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
 
 @wp.kernel
 def add_direct(start: int, samples: CacheSamples, reflected_inout: wp.array[wp.vec3]):
-    """Per ray: adds the sampled direct light that the surface at its hit reflects."""
+    """Per ray: adds the sampled direct light that the surface at the ray's hit reflects to ``reflected_inout``."""
     i = start + wp.tid()
     if samples.is_active[i]:
         reflected_inout[i] += samples.radiance[i]
@@ -104,7 +104,7 @@ def radiance_of_probes(
     adaptive_of: wp.array[int],
     probe_light: ProbeLight,
 ) -> wp.vec3:
-    """Returns the radiance of the probes along a random direction within a pixel's highlight."""
+    """Returns the radiance of the screen probes from a random direction within the highlight of a pixel's surface."""
     view = wp.normalize(camera[0].eye - surfaces.position[pixel])
     key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
     direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)
@@ -129,11 +129,11 @@ def gather_light(
     interval: int,
     light_out: SurfaceLight,
 ):
-    """Per pixel: computes the light that its surface reflects, from probes and rays within highlights.
+    """Per pixel: computes the indirect light that its surface reflects, from probes and from rays within highlights.
 
     Args:
         start: Offset added to the thread index.
-        slot: Kind of the surfaces.
+        slot: Kind of the surfaces, 0 splats or 1 meshes.
         grids: Layout of the probes.
         camera: Camera of the frame.
         surfaces: Surfaces of the pixels.
@@ -142,8 +142,8 @@ def gather_light(
         probe_light: Radiance of the probes.
         irradiance: Irradiance of the surfaces, from the probes.
         lobes: Rays within highlights.
-        interval: Every how many frames a pixel gets samples, 1 or 2.
-        light_out: Diffuse light over the albedo, and glossy light.
+        interval: Number of frames from one sample of a pixel to the next, 1 or 2.
+        light_out: Diffuse light divided by the albedo, and glossy light.
     """
     pixel = start + wp.tid()
     width = grids[0].width

@@ -1,4 +1,4 @@
-"""Host pass: spatiotemporal denoiser of the light of surfaces (SVGF, Schied et al. 2017)."""
+"""Host pass: spatiotemporal denoiser of the light at surfaces (SVGF, Schied et al. 2017)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class LightFilter:
-    """Denoises the light of the surfaces of one kind, frame by frame.
+    """Denoises the light at the surfaces of one kind, frame by frame.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         name: Name of the buffers that hold the history.
-        shared: Number of pixels that share each light sample and hence its noise.
+        shared: Number of pixels that share each light sample, and therefore its noise.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str, shared: int) -> None:
@@ -36,22 +36,22 @@ class LightFilter:
         return [kernels]
 
     def reset(self) -> None:
-        """Drops the history."""
+        """Drops the means of earlier frames."""
         self._has_history = False
 
     def filter(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> FilteredLight:
-        """Denoises the light samples of a frame for the surfaces of their kind."""
+        """Denoises a frame's light samples at the surfaces of this filter's kind, and returns the denoised light."""
         with self._launcher.stage("accumulate"):
             history = self._accumulate(scene, surfaces, light, frame)
         with self._launcher.stage("filter"):
             return self._smooth(scene, surfaces, history)
 
     def frames(self, scene: DeviceScene, frame: int) -> DeviceArray:
-        """Returns the history length of each pixel in a frame, as float."""
+        """Returns, for each pixel, the number of frames in its mean, as float."""
         return device_array(self._history(scene, frame).frames)
 
     def _accumulate(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> LightHistory:
-        """Reprojects the history and adds the samples of the frame."""
+        """Reprojects the means of earlier frames, and adds the light samples of this frame."""
         before, now = self._history(scene, frame - 1), self._history(scene, frame)
         if not self._has_history:
             device_array(before.frames).zero_()
@@ -65,7 +65,7 @@ class LightFilter:
         return now
 
     def _smooth(self, scene: DeviceScene, surfaces: PixelSurfaces, history: LightHistory) -> FilteredLight:
-        """Averages over neighbours in passes whose step doubles each time."""
+        """Averages each pixel's light with that of neighbours, in passes of doubling distance."""
         light = FilteredLight()
         light.diffuse, light.glossy = history.diffuse, history.glossy
         light.variance = self._buffers.get("filter.variance", wp.vec2, len(history.frames))

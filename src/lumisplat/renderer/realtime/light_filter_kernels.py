@@ -1,7 +1,7 @@
-"""Kernels of the light denoiser: means over frames, then over neighbouring pixels.
+"""Kernels of the light denoiser: they average light over frames, then over neighbouring pixels.
 
-Histories follow Schied et al. 2017. The spatial passes are edge-avoiding wavelets (Dammertz et al. 2010) with weights
-of compact support (docs/method/realtime.md#filters).
+The history of a pixel is its mean over earlier frames (Schied et al. 2017). The spatial passes are edge-avoiding
+wavelets (Dammertz et al. 2010) with weights of compact support (docs/method/realtime.md#filters).
 """
 
 import warp as wp
@@ -27,28 +27,29 @@ wp.set_module_options({"enable_backward": False})
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_PIXEL_PX = 2.0
-"""Maximum distance between a point and the plane of a previous pixel's surface, and vice versa, for reprojection; in
-pixel widths at that distance. It keeps contact shadows from taking the history of the object on the surface."""
+"""Largest distance between a point and the plane of a previous pixel's surface, and vice versa, at which the pixel's
+history is reused; in pixel widths at that distance. The limit keeps contact shadows from taking the history of the
+object that stands on the surface."""
 
 CHANGE_SIGMAS = 3.0
-"""Standard deviations beyond which samples around a pixel count as a change of light. Noise alone exceeds them in one
-of some hundred pixels and frames."""
+"""Number of standard deviations beyond which samples around a pixel count as a change of light. Noise alone exceeds it
+in one of some hundred pixels and frames."""
 
 CHANGE_LEAST = 0.02
-"""Fraction of the light below which no difference counts as a change."""
+"""Fraction of the light below which a difference never counts as a change of light."""
 
 MOMENT_FRAMES = 8
-"""Minimum number of frames over which the moments of luminance, and hence its variance, are averaged."""
+"""Smallest number of frames over which moments of the luminance, and hence its variance, are averaged."""
 
 LUMINANCE_SIGMAS = 4.0
-"""Standard deviations of noise that scale a neighbour's weight by its luminance difference, as in SVGF."""
+"""Difference in luminance, in standard deviations of the noise, that scales a neighbour's weight, as in SVGF."""
 
 YOUNG_FRAMES = 3.5
-"""History length below which the variance comes from the neighbourhood. SVGF uses 4; means of equal histories are
-whole numbers up to rounding, so 3.5 is safe."""
+"""Number of frames below which a pixel's variance is estimated from neighbouring pixels. SVGF uses 4; numbers of
+frames are whole up to rounding, so 3.5 is safe."""
 
 WEIGHT_LEAST = 1e-8
-"""Minimum weight by position and normal with which a neighbour counts, so that surfaces at an angle give no light to
+"""Smallest weight by position and normal with which a neighbour counts, so that surfaces at an angle give no light to
 pixels without samples."""
 
 PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
@@ -63,7 +64,7 @@ TINY = wp.constant(wp.float32(1e-8))
 
 @struct
 class PixelHistory:
-    """History of one pixel, an element of `LightHistory`."""
+    """Mean light of one pixel over earlier frames, an element of `LightHistory`."""
 
     frames: float
     diffuse: wp.vec3
@@ -73,27 +74,27 @@ class PixelHistory:
 
 @struct
 class LightChange:
-    """Statistics of how the light samples of neighbouring pixels differ from their histories."""
+    """Statistics of how the light samples of neighbouring pixels differ from the pixels' means over earlier frames."""
 
     sampled: float
     """Sum of the luminances of the samples."""
     expected: float
-    """Sum of the luminances of the histories."""
+    """Sum of the luminances of the means over earlier frames."""
     variance: float
-    """Variance of ``sampled``."""
+    """Variance of ``sampled``, the sum of the variances of the samples."""
     brighter: float
-    """Number of pixels whose sample is brighter than their history."""
+    """Number of pixels whose sample is brighter than their mean over earlier frames."""
     count: float
-    """Number of pixels."""
+    """Number of pixels in the sums."""
     lowest: float
-    """Luminance of the darkest sample, including pixels with short histories; inf without samples."""
+    """Luminance of the darkest sample, including samples of pixels with few frames; inf without samples."""
     highest: float
-    """Luminance of the brightest sample, including pixels with short histories."""
+    """Luminance of the brightest sample, including samples of pixels with few frames."""
 
 
 @wp.func
 def with_tap(history: PixelHistory, weight: float, pixel: int, image: LightHistory) -> PixelHistory:
-    """Adds the weighted history of one more pixel to a history."""
+    """Adds the history of pixel ``pixel`` of ``image``, times ``weight``, to a history."""
     history.frames += weight * image.frames[pixel]
     history.diffuse += weight * image.diffuse[pixel]
     history.glossy += weight * image.glossy[pixel]
@@ -103,7 +104,7 @@ def with_tap(history: PixelHistory, weight: float, pixel: int, image: LightHisto
 
 @wp.func
 def scaled(history: PixelHistory, factor: float) -> PixelHistory:
-    """Multiplies a history by a factor."""
+    """Multiplies all values of a history by a factor."""
     history.frames *= factor
     history.diffuse *= factor
     history.glossy *= factor
@@ -130,10 +131,10 @@ def history_of(
     camera_before: wp.array[CameraData],
     image: LightHistory,
 ) -> PixelHistory:
-    """Interpolates a surface's history among the four previous pixels around its reprojection that show that surface.
+    """Interpolates the history of a pixel's surface between the previous pixels around its reprojected position.
 
-    If none of them does and the surface stands still, the history is the mean over 3 x 3 pixels: jittered samples may
-    see past edges.
+    Only those of the four pixels that show the same surface count. If none does and the surface stands still, the
+    history is the mean over 3 x 3 pixels, because jittered samples may see past edges.
     """
     history = PixelHistory()
     position = surfaces.previous[pixel]
@@ -198,7 +199,7 @@ def reproject(
     history: LightHistory,
     history_out: LightHistory,
 ):
-    """Per pixel: fetches the history of its surface from the surface's position in the previous frame."""
+    """Per pixel: fetches the history of the pixel's surface from where the surface was in the previous frame."""
     pixel = start + wp.tid()
     pixel_history = PixelHistory()
     if surfaces.share[pixel] > 0.0:
@@ -210,7 +211,7 @@ def reproject(
 def with_pixel(
     change: LightChange, is_old: bool, sampled: float, expected: float, mean: float, square: float
 ) -> LightChange:
-    """Adds one more pixel to the statistics; a pixel with a short history only widens the luminance range."""
+    """Adds one more pixel to the statistics; one with few frames (not ``is_old``) only widens the luminance range."""
     change.lowest = wp.min(change.lowest, sampled)
     change.highest = wp.max(change.highest, sampled)
     if not is_old:
@@ -225,11 +226,14 @@ def with_pixel(
 
 @wp.func
 def retained_share(change: LightChange, shared: float) -> float:
-    """Returns the fraction of its history that a pixel retains: 1 unless the light around it has changed.
+    """Returns the fraction of its history that a pixel retains: 1 unless the light around the pixel has changed.
 
-    Light has become darker if the sum of the samples is too low for noise. It has become brighter if that sum is too
-    high and most samples are brighter, as noise alone may make a few far brighter. ``shared`` pixels have the same
-    noise.
+    Light has become darker if the sum of the samples is lower than noise explains. Light has become brighter if the sum
+    is higher than noise explains and most samples are brighter; noise alone may make a few samples far brighter.
+
+    Args:
+        change: Statistics of the pixels around.
+        shared: Number of pixels that share each sample, and therefore its noise.
     """
     difference = change.sampled - change.expected
     if difference > 0.0 and change.brighter < 0.5 * change.count:
@@ -244,7 +248,10 @@ def retained_share(change: LightChange, shared: float) -> float:
 
 @wp.func
 def share_inside(change: LightChange, held: float) -> float:
-    """Returns the fraction of its history that a pixel keeps when objects move: 1 in the range of nearby samples."""
+    """Returns the fraction of its history that a pixel retains when objects move: 1 in the range of nearby samples.
+
+    ``held`` is the luminance of the pixel's history.
+    """
     outside = wp.max(change.lowest - held, held - change.highest)
     tolerated = CHANGED_LEAST * held
     if outside <= tolerated:
@@ -255,7 +262,7 @@ def share_inside(change: LightChange, held: float) -> float:
 
 @wp.func
 def no_change() -> LightChange:
-    """Returns the statistics of no pixels."""
+    """Returns statistics that contain no pixel yet."""
     change = LightChange()
     change.lowest = wp.inf
     return change
@@ -274,17 +281,17 @@ def accumulate(
     history: LightHistory,
     history_out: LightHistory,
 ):
-    """Per pixel: adds its sample to its history, which is shortened the more the light has changed.
+    """Per pixel: adds the pixel's sample to its history, which counts for fewer frames the more the light has changed.
 
-    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Short histories are shortened
-    only when objects move, if they are outside the range of the samples there.
+    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Histories of few frames are
+    shortened only when objects move, and only if they are outside the range of the samples around.
 
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
-        frames_max: Frames after which old samples fade.
-        history_weight: Factor on the length of a short history; 1 unless lights or objects have changed.
-        shared: Number of pixels that share each sample and hence its noise.
+        frames_max: Largest number of frames for which a history counts; older samples then fade.
+        history_weight: Factor on the number of frames of a short history; 1 unless lights or objects have changed.
+        shared: Number of pixels that share each sample, and therefore its noise.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         light: Samples of the frame.
@@ -342,7 +349,7 @@ def accumulate(
 
 @wp.func
 def variance_of(moments: wp.vec4) -> wp.vec2:
-    """Returns the variances of the diffuse and the glossy luminance."""
+    """Returns the variances of the diffuse and the glossy luminance from their first and second moments."""
     diffuse = moments[1] - moments[0] * moments[0]
     glossy = moments[3] - moments[2] * moments[2]
     return wp.vec2(wp.max(diffuse, 0.0), wp.max(glossy, 0.0))
@@ -357,10 +364,10 @@ def estimate_variance(
     history: LightHistory,
     variance_out: wp.array[wp.vec2],
 ):
-    """Per pixel: estimates the variance of its mean over frames.
+    """Per pixel: estimates the variance of the pixel's mean over frames.
 
-    Long histories average the temporal variances of the 3 x 3 pixels, as a single pixel may have missed rare samples.
-    Short ones use the variance over pixels and frames in 7 x 7.
+    For many frames, the temporal variances of the 3 x 3 pixels are averaged, because one pixel may have missed rare
+    samples. For few frames, the variance over pixels and frames of 7 x 7 pixels is used.
     """
     pixel = start + wp.tid()
     variance_out[pixel] = wp.vec2(0.0)
@@ -401,20 +408,26 @@ def estimate_variance(
 
 @wp.func
 def falloff(x: float) -> float:
-    """Returns about exp(-x^2 / 3), but 0 from 3 on."""
+    """Returns a smooth approximation of exp(-x^2 / 3) that is exactly 0 from x = 3 on."""
     rest = wp.max(1.0 - x * x / 9.0, 0.0)
     return rest * rest * rest
 
 
 @wp.func
-def luminance_weight(apart: float, variance: float, other: float) -> float:
-    """Returns a neighbour's weight by luminance difference over the geometric mean of both standard deviations."""
-    return falloff(apart / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
+def luminance_weight(difference: float, variance: float, other: float) -> float:
+    """Returns a neighbour's weight by luminance difference, relative to the geometric mean of two standard deviations.
+
+    Args:
+        difference: Difference between the luminances of pixel and neighbour.
+        variance: Variance of the pixel's luminance.
+        other: Variance of the neighbour's luminance.
+    """
+    return falloff(difference / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
 
 
 @wp.func
 def normal_weight(cosine: float, extent: float) -> float:
-    """Returns a neighbour's weight: the cosine between the normals to the power of 8 (Gaussians) or 64 (meshes)."""
+    """Returns a neighbour's weight: the cosine between the two normals to the power of 8 (Gaussians) or 64 (meshes)."""
     power = wp.max(cosine, 0.0)
     power *= power
     power *= power
@@ -438,16 +451,16 @@ def filter_pass(
     light: FilteredLight,
     light_out: FilteredLight,
 ):
-    """Per pixel: averages its light with that of neighbours on the same surface.
+    """Per pixel: averages the pixel's light with the light of neighbours on the same surface.
 
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
-        radius: Neighbours to each side, 1 or 2.
-        step: Distance between them, pixels.
+        radius: Number of neighbours to each side, 1 or 2.
+        step: Distance between neighbours, pixels.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
-        frames: History length of each pixel; a pixel without history takes the light of its neighbours.
+        frames: Number of frames in each pixel's mean; a pixel with 0 takes the light of its neighbours.
         light: Light with its variances.
         light_out: Filtered light.
     """
@@ -494,12 +507,12 @@ def filter_pass(
             weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
             tap_variance = variances[tap]
             tap_diffuse = of_diffuses[tap]
-            apart = self_weight * (luminance(tap_diffuse) - bright[0])
-            of_diffuse = weight * luminance_weight(apart, variance[0], tap_variance[0])
+            difference = self_weight * (luminance(tap_diffuse) - bright[0])
+            of_diffuse = weight * luminance_weight(difference, variance[0], tap_variance[0])
             diffuse += of_diffuse * tap_diffuse
             tap_glossy = of_glossies[tap]
-            apart = self_weight * (luminance(tap_glossy) - bright[1])
-            of_glossy = weight * luminance_weight(apart, variance[1], tap_variance[1])
+            difference = self_weight * (luminance(tap_glossy) - bright[1])
+            of_glossy = weight * luminance_weight(difference, variance[1], tap_variance[1])
             glossy += of_glossy * tap_glossy
             weights += wp.vec2(of_diffuse, of_glossy)
             squares += wp.vec2(of_diffuse * of_diffuse * tap_variance[0], of_glossy * of_glossy * tap_variance[1])

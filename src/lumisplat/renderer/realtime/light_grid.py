@@ -1,4 +1,4 @@
-"""Host pass: for scenes with many lights, chooses a few lights for each cell (docs/method/realtime.md#light-grid)."""
+"""Host pass: with many lights, chooses a few lights for each grid cell (docs/method/realtime.md#light-grid)."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class LightGrids:
         return [kernels]
 
     def is_needed(self, scene: DeviceScene) -> bool:
-        """Returns whether there are more lights than each surface chooses among; if not, grids have empty arrays."""
+        """Returns whether the scene has more lights than each surface chooses from; otherwise grids are empty."""
         return scene.lights.choice_count > GRID_LIGHTS
 
     def of_wave(self, scene: DeviceScene, wave: RayWave) -> LightGrid:
-        """Chooses lights for the cells of a wave's surfaces; the next wave overwrites the result."""
+        """Chooses lights for the grid cells that contain a wave's surfaces. The next call overwrites the result."""
         grid = LightGrid()
         if not self.is_needed(scene):
             return grid
@@ -48,7 +48,7 @@ class LightGrids:
         return grid
 
     def _sorted(self, scene: DeviceScene, wave: RayWave) -> tuple[DeviceArray, DeviceArray]:
-        """Returns the keys of the surfaces' cells, ascending, and the running count of distinct cells."""
+        """Returns the keys of the surfaces' cells, ascending, and for each key the count of distinct cells up to it."""
         count, run = wave.count, self._launcher.run_banded
         keys, order = self._get("keys", wp.int64, 2 * count), self._order(count)
         run(kernels.find_cells, count, scene.camera, wave.data, keys, order)
@@ -59,7 +59,7 @@ class LightGrids:
         return keys, device_array(ends)
 
     def _order(self, count: int) -> DeviceArray:
-        """Returns the array with the ray of each key."""
+        """Returns the array that holds the ray index of each sorted key."""
         return self._get("order", wp.int32, 2 * count)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:

@@ -1,6 +1,7 @@
-"""Kernels of the light grid: cells of surfaces, and lights of cells (docs/method/realtime.md#light-grid).
+"""Kernels of the light grid: they find the cells of surfaces and choose lights for cells.
 
-Each element is written once and depends on its cell alone, so the result is the same for any schedule.
+Each array element is written once and depends on its cell alone, so the result is the same for any schedule. The method
+is in docs/method/realtime.md#light-grid.
 """
 
 import warp as wp
@@ -38,7 +39,7 @@ def find_cells(
     keys_out: wp.array[wp.int64],
     order_out: wp.array[int],
 ):
-    """Per ray: writes the cell key of the surface that receives its light sample."""
+    """Per ray: writes the key of the cell that contains the surface with the ray's light sample."""
     i = start + wp.tid()
     order_out[i] = i
     keys_out[i] = NO_CELL
@@ -57,7 +58,7 @@ def find_cells(
 
 @wp.kernel
 def mark_cells(start: int, keys: wp.array[wp.int64], is_first_out: wp.array[int]):
-    """Per ray in key order: marks the first ray of each cell."""
+    """Per ray, in order of keys: marks the first ray of each cell."""
     i = start + wp.tid()
     is_first = keys[i] != NO_CELL
     if i > 0 and is_first:
@@ -75,9 +76,9 @@ def list_cells(
     cell_of_out: wp.array[int],
     cells_out: wp.array[wp.int64],
 ):
-    """Per ray in key order: writes the number of its cell; the first ray of a cell also writes the cell's key.
+    """Per ray, in order of keys: writes the number of the ray's cell. A cell's first ray also writes the cell's key.
 
-    Surfaces beyond ``cells_max`` cells choose among all lights.
+    Surfaces in cells beyond the first ``cells_max`` choose from all lights.
     """
     i = start + wp.tid()
     number = ends[i] - 1
@@ -92,7 +93,7 @@ def list_cells(
 
 @wp.func
 def weight_of(number: int, cell: GridCell, scene: wp.array[ShadingScene]) -> float:
-    """Returns the sampling weight of light ``number`` in a cell; the emissive meshes count as the last light."""
+    """Returns the sampling weight of light ``number`` in a cell; all emissive meshes together are the last light."""
     if number == scene[0].settings[0].light_count:
         return bounded(emitter_weight(scene[0].emitters, cell))
     return bounded(light_weight(scene[0].lights[number], scene[0].environment.mean, cell))
@@ -100,7 +101,7 @@ def weight_of(number: int, cell: GridCell, scene: wp.array[ShadingScene]) -> flo
 
 @wp.func
 def largest_rank(ranks: wp.array[float], first: int) -> int:
-    """Returns the index of the light with the largest rank in a cell."""
+    """Returns the index of the light with the largest rank among the lights stored for a cell."""
     largest = first
     for slot in range(1, SLOTS):
         if ranks[first + slot] > ranks[largest]:
@@ -112,9 +113,9 @@ def largest_rank(ranks: wp.array[float], first: int) -> int:
 def choose_lights(
     start: int, cells: wp.array[wp.int64], ends: wp.array[int], scene: wp.array[ShadingScene], grid_out: LightGrid
 ):
-    """Per cell: chooses the lights with the smallest ranks; a rank is an exponential draw over the light's weight.
+    """Per cell: stores the lights of smallest rank. A rank is an exponential random number over the light's weight.
 
-    The largest of the stored ranks yields the probability with which each of the other lights is chosen.
+    From the largest stored rank follows the probability with which each of the other stored lights is chosen.
     """
     c = start + wp.tid()
     if c >= ends[ends.shape[0] - 1]:

@@ -1,4 +1,4 @@
-"""Kernels that light the hits of reflected and refracted rays in real time (docs/method/realtime.md#mirrors)."""
+"""Kernels that add light at the hits of reflected and refracted rays in real time (docs/method/realtime.md#mirrors)."""
 
 import warp as wp
 
@@ -19,7 +19,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def jittered_point(j: int, ray: int, width: float, interaction: Interaction, wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns a random point within ``width`` in an interaction's plane; averaged over frames, it hides cell edges."""
+    """Returns a random point within ``width`` of an interaction, in its plane; over frames this hides cell edges."""
     key = branch_key(wave[0].rays.sample_key[ray], CELL_BRANCH + j // wave[0].rays.is_active.shape[0])
     u = sobol_2d(key, 0)
     return interaction.position + (width * wp.sqrt(u[0])) * around(interaction.normal, 0.0, 1.0, u[1])
@@ -36,7 +36,8 @@ def list_surfaces(
 ):
     """Per interaction: writes its surface as a query of the radiance cache, and a point in its plane to look up.
 
-    The point is random within ``cell_size``, the width of cells as a fraction of their distance; 0: the hit itself.
+    The point is random within half of ``cell_size`` (the width of cells as a fraction of their distance); 0: the hit
+    itself.
     """
     j = start + wp.tid()
     ray = j % wave[0].rays.is_active.shape[0]
@@ -59,7 +60,7 @@ def list_surfaces(
 
 @wp.kernel
 def add_cached(start: int, indirect: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
-    """Per ray: adds the indirect light that its surfaces reflect, one element of ``indirect`` an interaction."""
+    """Per ray: adds the indirect light that its surfaces reflect. ``indirect`` has one element for each interaction."""
     i = start + wp.tid()
     count = wave_inout[0].rays.is_active.shape[0]
     if not wave_inout[0].rays.is_active[i]:
@@ -81,7 +82,10 @@ def sample_surface(
     wave: wp.array[WaveData],
     rays_out: RayData,
 ) -> wp.vec3:
-    """Samples light ``number``, chosen with probability ``chance``, at a surface of ray ``i``; starts a shadow ray."""
+    """Samples light ``number``, chosen with probability ``chance``, at a surface of ray ``i``; starts a shadow ray.
+
+    Returns the contribution without shadow.
+    """
     choice = LightChoice()
     choice.number = number
     choice.probability = surface.probability * chance
@@ -99,7 +103,7 @@ def sample_emitters(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Per ray: samples a point of the emissive triangles for one of its surfaces, and starts the shadow ray."""
+    """Per ray: samples a point on the emissive triangles for one of the ray's surfaces, and starts the shadow ray."""
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
     rays_out.is_active[i] = False
@@ -122,9 +126,10 @@ def sample_light_of_cells(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Per ray: samples the light in ``slot`` of its grid cell, over its probability, and starts the shadow ray.
+    """Per ray: samples the light in ``slot`` of the surface's grid cell, and starts the shadow ray.
 
-    Surfaces that choose among all lights have one sample, in slot 0.
+    The contribution is divided by the light's probability. Surfaces that choose from all lights have one sample, in
+    slot 0.
     """
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
@@ -151,7 +156,7 @@ def add_samples(
     visibility: wp.array[wp.vec3],
     wave_inout: wp.array[WaveData],
 ):
-    """Per ray: adds a light sample times its visibility."""
+    """Per ray: adds a light sample, times its visibility, to the ray's radiance."""
     i = start + wp.tid()
     light = contributions[i]
     if rays.is_active[i]:
@@ -161,6 +166,6 @@ def add_samples(
 
 @wp.kernel
 def subtract(start: int, wave: wp.array[WaveData], before: wp.array[wp.vec3], difference_out: wp.array[wp.vec3]):
-    """Per ray: writes its radiance minus ``before``."""
+    """Per ray: writes the ray's radiance minus ``before``."""
     i = start + wp.tid()
     difference_out[i] = wave[0].radiance.light[i] - before[i]

@@ -33,8 +33,8 @@ class Mirrors:
         buffers: Holds the arrays.
         config: Settings.
         tracer: Finds the hits of rays.
-        shadows: Traces shadow rays; its sample has begun.
-        cache: Provides indirect light.
+        shadows: Traces shadow rays; ``begin_sample`` has been called.
+        cache: Radiance cache that provides the indirect light.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Mirrors:
         return modules
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
-        """Adds reflections and refractions to the first wave, which may branch.
+        """Adds reflections and refractions to the first wave, whose rays may branch.
 
         Returns:
-            Their radiance alone, linear, one vec3 a ray.
+            The added radiance alone, linear, one vec3 for each ray.
         """
         added = self._buffers.get("mirrors.added", wp.vec3, first.count)
         before = self._buffers.get("mirrors.before", wp.vec3, first.count)
@@ -104,7 +104,7 @@ class Mirrors:
         return waves
 
     def _add_lights(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds direct light: of all lights one by one or, with many lights, of those that the light grid chooses."""
+        """Adds direct light: from all lights one by one or, with many lights, from those in the light grid's cells."""
         if self._grids.is_needed(scene) and not plan.has_shadow_catchers:
             grid = self._grids.of_wave(scene, wave)
             for slot in range(GRID_LIGHTS + 1):
@@ -115,7 +115,7 @@ class Mirrors:
             self._add_samples(scene, plan, wave, kernels.sample_emitters)
 
     def _add_samples(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: Kernel, *inputs: object) -> None:
-        """Adds one light sample a ray, by kernel ``sample`` with ``inputs``."""
+        """Adds one light sample for each ray; ``sample`` is the kernel that samples, with arguments ``inputs``."""
         count, get, run = wave.count, self._buffers.get, self._launcher.run_banded
         sampled = get("mirrors.sampled", wp.vec3, count)
         rays = self._buffers.struct("mirrors.shadow_rays", RayData, count)
@@ -128,7 +128,7 @@ class Mirrors:
         run(kernels.add_samples, count, sampled, rays, visibility, wave.data)
 
     def _add_cached(self, scene: DeviceScene, wave: RayWave) -> None:
-        """Adds the indirect light of the surfaces that a wave hits, from the radiance cache."""
+        """Adds the indirect light at the surfaces that a wave hits, read from the radiance cache."""
         samples = self._buffers.struct("mirrors.samples", CacheSamples, 2 * wave.count)
         points = self._buffers.get("mirrors.points", wp.vec3, 2 * wave.count)
         inputs = self._jitter_width, scene.camera, wave.data, samples, points

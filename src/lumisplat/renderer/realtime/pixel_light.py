@@ -1,4 +1,4 @@
-"""Host pass: direct light at the surfaces of pixels, with one shadow ray a pixel.
+"""Host pass: direct light at the surfaces of pixels, with one shadow ray for each pixel.
 
 The method is in docs/method/realtime.md#direct and #captured-emitters.
 """
@@ -27,13 +27,13 @@ _OF_MESHES = SplatShadows(on_reflecting=False, on_shadow_catchers=False)
 
 
 class PixelLights:
-    """Samples direct light from lights, emissive meshes, and captures that are sampled as lights.
+    """Samples direct light from lights, from emissive meshes, and from captures that count as lights.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        shadows: Traces shadow rays; its sample has begun.
+        shadows: Traces shadow rays; ``begin_sample`` has been called.
         tracer: Finds the hits of rays towards captures.
     """
 
@@ -60,7 +60,7 @@ class PixelLights:
     def sample(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[PixelSurfaces], frame: int
     ) -> list[SurfaceLight]:
-        """Samples a light for one surface of each pixel that has a sample in this frame; returns the samples by kind.
+        """Samples a light for one surface of each pixel that has a sample in this frame; returns samples by kind.
 
         Args:
             scene: The scene on the device.
@@ -88,7 +88,7 @@ class PixelLights:
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
     def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: int) -> None:
-        """Darkens shadow catchers; afterwards, only their interactions exist in the wave."""
+        """Darkens shadow catchers where lights are blocked; then deletes all interactions that are not on catchers."""
         self._launcher.run_banded(pixel_light_kernels.select_shadow_catchers, 2 * wave.count, wave.data)
         self._direct_light.begin_sample(sample)
         self._direct_light.add(scene, plan, wave)
@@ -106,9 +106,9 @@ class PixelLights:
         Args:
             scene: The scene on the device.
             wave: The first wave.
-            kind: The surfaces.
-            light: Light that they reflect.
-            layers: Diffuse and glossy, one element a ray.
+            kind: The surfaces of one kind.
+            light: Filtered light that these surfaces reflect.
+            layers: Layer of diffuse light and layer of glossy light, one element for each ray.
         """
         inputs = scene.camera, wave.data, kind.now, light, *layers
         self._launcher.run_banded(pixel_light_kernels.add_surface_light, wave.count, *inputs)
@@ -129,7 +129,7 @@ class PixelLights:
         *,
         visibility: DeviceArray,
     ) -> None:
-        """Adds the light of captures that are sampled as lights, with one ray a sample.
+        """Adds the light of captures that count as lights, with one ray for each light sample.
 
         Afterwards, the samples include the ``visibility`` of their shadow rays, and no shadow ray is active.
         """

@@ -1,4 +1,7 @@
-"""Kernels of direct light at the surfaces of pixels, one light sample a pixel (docs/method/realtime.md#direct)."""
+"""Kernels of direct light at the surfaces of pixels, one light sample for each pixel.
+
+The method is in docs/method/realtime.md#direct.
+"""
 
 import warp as wp
 
@@ -13,7 +16,8 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 ALBEDO_MIN = 1e-3
-"""Minimum diffuse albedo by which reflected light is divided to get irradiance; darker surfaces show no diffuse light.
+"""Smallest diffuse albedo by which reflected light is divided to get irradiance; darker surfaces show no diffuse
+light.
 """
 
 wp.set_module_options(SHADE_OPTIONS)
@@ -23,7 +27,10 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 @wp.kernel
 def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
-    """Per ray: numbers its light sample if its pixel has one, without gaps, as low-discrepancy sequences need."""
+    """Per ray: numbers the light sample of the ray's pixel, if the pixel has one in this frame.
+
+    Numbers have no gaps, as low-discrepancy sequences require.
+    """
     i = start + wp.tid()
     at = pixel_of_ray(camera[0].width, i)
     if wave_inout[0].rays.is_active[i] and is_sampled_in_frame(at[0], at[1], interval, frame):
@@ -43,12 +50,12 @@ def sample_lights(
     light_out: PixelLight,
     rays_out: RayData,
 ):
-    """Per ray: chooses one of its surfaces and a light, and starts the shadow ray.
+    """Per ray: chooses one of the ray's surfaces and a light, and starts the shadow ray.
 
     Args:
         start: Offset added to the thread index.
-        no_shadows: Whether nothing blocks light.
-        interval: Every how many frames a pixel gets a sample, 1 or 2.
+        no_shadows: Whether light passes through everything.
+        interval: Number of frames from one sample of a pixel to the next, 1 or 2.
         frame: Number of the frame.
         grid: Light grid of the wave.
         camera: Camera of the frame.
@@ -91,7 +98,7 @@ def store_light(
     albedo: wp.array[wp.vec3],
     light_out: SurfaceLight,
 ):
-    """Per ray: writes the shadowed sample of its pixel over the albedo, if it is for surfaces of kind ``slot``."""
+    """Per ray: writes the shadowed light sample, divided by the albedo, if it is for a surface of kind ``slot``."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -112,7 +119,7 @@ def store_light(
 
 @wp.kernel
 def select_shadow_catchers(start: int, wave_inout: wp.array[WaveData]):
-    """Per interaction: removes it unless it is on a shadow catcher."""
+    """Per interaction: deletes the interaction unless it is on a shadow catcher."""
     j = start + wp.tid()
     if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
         wave_inout[0].interactions.exists[j] = False
@@ -128,7 +135,7 @@ def add_surface_light(
     diffuse_inout: wp.array[wp.vec3],
     glossy_inout: wp.array[wp.vec3],
 ):
-    """Per ray: adds the light of its pixel's surface of one kind to its radiance, and to two layers."""
+    """Per ray: adds the light at its pixel's surface of one kind to the ray's radiance, and to two layers."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

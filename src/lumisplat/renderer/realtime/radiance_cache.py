@@ -1,7 +1,7 @@
-"""Host pass: world-space radiance cache of reflected radiance (docs/method/realtime.md#radiance-cache).
+"""Host pass: world-space cache of reflected radiance (docs/method/realtime.md#radiance-cache).
 
-A frame calls `RadianceCache.insert` with the hits of rays and `look_up` for the radiance there. It traces a ray from
-each of `bounce_points`, inserts its hit and calls `add_bounces`. Finally, it calls `evict`.
+In each frame, call `RadianceCache.insert` with the hits of rays, and `look_up` for the radiance at hits. Trace a ray
+from each of `bounce_points`, insert its hit and call `add_bounces`. At the end of the frame, call `evict`.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 BOUNCES_PER_RAY = 4
-"""Number of times a frame that each cell gathers along its rays. Each time, the cells that they hit have gathered one
-more bounce; a look-up costs much less than a ray."""
+"""Number of times per frame that each cell gathers radiance along its rays. Each time, the cells hit by these rays
+hold one more bounce of light; a look-up costs much less than a ray."""
 
 _log = logging.getLogger("lumisplat")
 
 HISTORY_CUDA, HISTORY_CPU = 16, 32
-"""Default number of frames that a mean covers."""
+"""Default number of frames over which a cell averages, on CUDA and on the CPU."""
 
 _STAGE = "cache"
 
 
 class RadianceCache:
-    """World-space cells with means of the radiance that surfaces reflect.
+    """Cells in world space that store the mean radiance that surfaces in them reflect.
 
-    Frame numbers never decrease. Array sizes depend on the settings and the samples of a frame; nothing grows with the
-    number of frames.
+    A tile is a square of 8 x 8 cells that are stored together. Frame numbers never decrease. Array sizes depend on the
+    settings and the samples of a frame; nothing grows with the number of frames.
 
     Args:
         launcher: Runs the kernels.
@@ -65,7 +65,7 @@ class RadianceCache:
         self._grid.history, self._grid.samples_min = float(history), float(min(config.samples_min, history))
         self._grid.bounce_history = float(config.bounce_history)
         self.tiles = _allocated_tiles(buffers, config.tiles)
-        """Live tiles, in arrays with room for as many as the settings allow."""
+        """Tiles in use; the arrays have room for as many tiles as the settings allow."""
         self._has_warned = False
 
     @staticmethod
@@ -74,12 +74,12 @@ class RadianceCache:
         return [kernels]
 
     def reset(self) -> None:
-        """Empties the cache; required before its first frame."""
+        """Empties the cache; must be called before the first frame."""
         self._launcher.run_banded(kernels.clear_tiles, self._config.tiles, self.tiles)
         self._has_warned = False
 
     def outdate(self, share: float) -> None:
-        """Multiplies the weight of all means by ``share``, because the light has changed."""
+        """Multiplies the weight of all stored means by ``share``, because the light has changed."""
         with self._launcher.stage(_STAGE):
             self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, share, self.tiles)
 
@@ -98,19 +98,19 @@ class RadianceCache:
                 run(kernels.update_tiles, count, sorted_samples, tiles)
 
     def look_up(self, samples: CacheSamples) -> DeviceArray:
-        """Returns the radiance that each sample's surface reflects, all bounces included; linear vec3, 0 if inactive.
+        """Returns the linear radiance, of all bounces, that each sample's surface reflects; vec3, 0 if inactive.
 
         The next look-up of the same number of samples overwrites the result.
         """
         return self._look_up("radiance", samples)
 
     def look_up_indirect(self, samples: CacheSamples, points: DeviceArray | None = None) -> DeviceArray:
-        """Returns the radiance of ``look_up`` that comes from other surfaces.
+        """Returns the radiance that each sample's surface reflects of light from other surfaces; linear vec3.
 
         Args:
             samples: The surfaces.
-            points: Points in the surfaces' planes that are looked up instead, random to hide the edges of cells. The
-                sample's own position is used if the point's cell is empty, or with None.
+            points: Points in the planes of the surfaces at which to look up instead; random points hide the edges of
+                cells. The sample's position is used where the point's cell is empty, or if ``points`` is None.
         """
         count = len(device_array(samples.is_active))
         radiance = self._get("indirect", wp.vec3, count)
@@ -120,7 +120,7 @@ class RadianceCache:
         return radiance
 
     def cell_numbers(self, samples: CacheSamples) -> DeviceArray:
-        """Returns a hash of each sample's cell, 0..2^24 - 1; -1 without a cell."""
+        """Returns an identifying hash of each sample's cell, 0..2^24 - 1; -1 if the sample has no cell."""
         count = len(device_array(samples.is_active))
         numbers = self._get("cell_numbers", wp.int32, count)
         with self._launcher.stage(_STAGE):
@@ -128,11 +128,12 @@ class RadianceCache:
         return numbers
 
     def bounce_points(self, frame: int) -> CachePoints:
-        """Returns points of the cells whose last ray is longest ago, one ray each, or several rays if cells are few.
+        """Returns ray origins in the cells that have waited longest since their last ray.
 
-        The caller traces a cosine-weighted ray from each point, inserts the hits, and passes them to `add_bounces`.
-        There are as many points as the settings allow; half of them go to cells of long rays if there are enough of
-        those. Only whole tiles of either kind are listed; the remaining points are inactive.
+        Each cell gets one ray, or several if cells are few. The caller traces a cosine-weighted ray from each point,
+        inserts the hits, and passes them to `add_bounces`. The number of points is fixed by the settings. Up to half of
+        the points go to cells whose rays are long. Only whole tiles of cells with short or with long rays are listed;
+        the remaining points are inactive.
         """
         run, buffers, tiles = self._launcher.run_banded, self._buffers, self.tiles
         points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)
@@ -148,13 +149,13 @@ class RadianceCache:
     def add_bounces(
         self, points: CachePoints, hits: CacheSamples, radiance_of: Callable[[DeviceArray], DeviceArray] | None = None
     ) -> None:
-        """Adds the radiance that cells receive from others, repeatedly, so that each ray carries several bounces.
+        """Adds the radiance that cells receive along their rays, repeatedly, so that each ray carries several bounces.
 
         Args:
             points: Result of the last `bounce_points`; points of evicted tiles are ignored.
-            hits: Hit of the ray from each point, already inserted; inactive: no light arrives.
-            radiance_of: Maps the radiance that the hits reflect to the radiance of the rays, linear, vec3; None:
-                identity.
+            hits: Hit of the ray from each point, already inserted; inactive: no light arrives along the ray.
+            radiance_of: Converts radiance reflected at the hits to the radiance of the rays, linear, vec3; None: they
+                are equal.
         """
         run, count, tiles = self._launcher.run_banded, self._config.bounces, self.tiles
         means = self._get("means_before", wp.vec4, count)
@@ -168,7 +169,7 @@ class RadianceCache:
                 run(kernels.update_bounced_tiles, count, points, tiles)
 
     def evict(self, frame: int) -> None:
-        """Ends a frame: evicts tiles that no ray has hit for the number of frames in the settings."""
+        """Ends a frame: evicts the tiles that no ray has hit for ``unused_frames`` of the settings."""
         oldest = frame - self._config.unused_frames + 1
         with self._launcher.stage(_STAGE):
             stays = self._per_tile("stays")
@@ -191,7 +192,7 @@ class RadianceCache:
         return result
 
     def _make_tiles(self, samples: SortedSamples, count: int, frame: int) -> None:
-        """Creates the tiles that samples need; if the cache is full, they replace the tiles unused for longest."""
+        """Creates the tiles that samples need; if the cache is full, new tiles replace the tiles unused for longest."""
         run, tiles, capacity = self._launcher.run_banded, self.tiles, self._config.tiles
         is_new, ends = self._get("is_new", wp.int32, count), self._get("new_ends", wp.int32, count)
         run(kernels.find_new_tiles, count, frame, samples, tiles, is_new)
@@ -220,7 +221,7 @@ class RadianceCache:
         self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self._grid, ends, self.tiles)
 
     def _look_up(self, name: str, samples: CacheSamples) -> DeviceArray:
-        """Looks samples up as ``look_up``, into the array called ``name``."""
+        """Looks samples up like ``look_up``, and returns the radiance in the array called ``name``."""
         count = len(device_array(samples.is_active))
         radiance = self._get(name, wp.vec3, count)
         with self._launcher.stage(_STAGE):
@@ -228,7 +229,7 @@ class RadianceCache:
         return radiance
 
     def _ranks(self, key_tiles: Kernel) -> DeviceArray:
-        """Ranks the tiles by the number that kernel ``key_tiles`` writes for each, ties by key."""
+        """Ranks the tiles by a number that kernel ``key_tiles`` writes for each tile; equal tiles by their key."""
         count = self._config.tiles
         ages, ranks = (self._get(name, wp.int32, 2 * count) for name in ("ages", "ranks"))
         self._launcher.run_banded(key_tiles, count, self.tiles, ages, ranks)
@@ -236,20 +237,20 @@ class RadianceCache:
         return ranks
 
     def _spare_lists(self) -> tuple[DeviceArray, DeviceArray]:
-        """Returns the spare arrays for the next lists of keys and slots."""
+        """Returns the spare arrays into which the next lists of tile keys and slots are written."""
         return self._get("other_keys", wp.int64, self._config.tiles), self._per_tile("other_slots")
 
     def _replace_lists(self, keys: DeviceArray, slots: DeviceArray) -> None:
-        """Replaces the keys and slots of the tiles."""
+        """Copies the new lists of tile keys and slots over the current ones."""
         copy_elements(keys, device_array(self.tiles.keys), self._config.tiles)
         copy_elements(slots, device_array(self.tiles.slots), self._config.tiles)
 
     def _may_count(self, index: int) -> bool:
-        """Returns whether a count is above 0; always True on a GPU, where empty passes cost less than the download."""
+        """Returns whether a counter is above 0; always True on a GPU, where empty passes cost less than a download."""
         return self._launcher.is_parallel or bool(device_array(self.tiles.counts).numpy()[index] > 0)
 
     def _warn_of_overflow(self) -> None:
-        """Logs once that the cache was full."""
+        """Warns once if the cache was full, so that tiles were evicted early or could not be added."""
         if not self._has_warned:
             counts = device_array(self.tiles.counts).numpy()
             if np.any(counts[[COUNT_EVICTED, COUNT_DROPPED]] > 0):
@@ -261,7 +262,7 @@ class RadianceCache:
                 )
 
     def _per_tile(self, name: str) -> DeviceArray:
-        """Returns an array of integers, one a tile."""
+        """Returns an array with one integer for each tile."""
         return self._get(name, wp.int32, self._config.tiles)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:
@@ -269,14 +270,14 @@ class RadianceCache:
 
 
 _CELL_FIELDS = ("frames", "updated", "position", "normal", "extent")
-"""Names of the tile arrays with one element a cell."""
+"""Names of the tile arrays that have one element for each cell."""
 
 _LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_FIELDS, TILE_CELLS)
-"""Number of elements a tile in each array; 1 if not listed."""
+"""Number of elements per tile in each array; 1 for arrays that are not listed."""
 
 
 def _allocated_tiles(buffers: Buffers, capacity: int) -> CacheTiles:
-    """Allocates arrays for ``capacity`` tiles. On CPUs, the system commits the memory on first write."""
+    """Allocates arrays for ``capacity`` tiles. On CPUs, the operating system commits the memory on first write."""
     struct_type: Any = CacheTiles
     tiles = CacheTiles()
     for field, variable in struct_type.vars.items():

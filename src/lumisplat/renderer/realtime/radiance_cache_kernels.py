@@ -1,7 +1,7 @@
-"""Kernels of the radiance cache: samples sorted into cells, light between cells, and insertion and eviction of tiles.
+"""Kernels of the radiance cache: they sort samples into cells, pass light between cells, and insert and evict tiles.
 
-Each element has one writer: of the sorted samples of a cell or tile, the first one does the work of all. Tiles are
-sorted keys; new keys are merged into them and old ones removed (docs/method/realtime.md#radiance-cache).
+Each array element has one writer: the first of a cell's or tile's sorted samples does the work of all. Tiles are stored
+as a sorted list of keys, into which new keys are merged (docs/method/realtime.md#radiance-cache).
 """
 
 import warp as wp
@@ -43,7 +43,7 @@ from lumisplat.device.math.sorting import first_not_below
 wp.set_module_options({"enable_backward": False})
 
 CELL_RAYS_MAX = 16
-"""Maximum number of rays a frame from a cell of long rays, where few cells share the rays of a frame."""
+"""Largest number of rays per frame from a cell whose rays are long, if few cells share the rays of a frame."""
 
 RAYS_MAX = wp.constant(CELL_RAYS_MAX)
 
@@ -58,7 +58,7 @@ def find_cells(
     sort_cells_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Per sample: writes its tile and cell; no tile if the sample is not finite."""
+    """Per sample: writes the sample's tile and cell; "no tile" if the sample is not finite."""
     i = start + wp.tid()
     keys_out[i] = NO_TILE
     cells_out[i] = 0
@@ -74,14 +74,14 @@ def find_cells(
 
 @wp.kernel
 def gather_keys(start: int, keys: wp.array[wp.int64], order: wp.array[int], keys_out: wp.array[wp.int64]):
-    """Writes the keys of samples in sorted order."""
+    """Writes the tile keys of samples in sorted order."""
     i = start + wp.tid()
     keys_out[i] = keys[order[i]]
 
 
 @wp.func
 def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.vec4:
-    """Adds ``count`` samples with sum ``total`` to a mean that counts for ``weight`` samples."""
+    """Adds ``count`` samples with sum ``total`` to a mean that counts for ``weight`` samples; returns the new mean."""
     before = wp.float64(weight)
     all = before + wp.float64(count)
     color = (wp.vec3d(color_of(mean)) * before + total) / all
@@ -92,7 +92,7 @@ def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.v
 def add_samples(
     start: int, frame: int, grid: CacheGrid, samples: CacheSamples, sorted_samples: SortedSamples, tiles: CacheTiles
 ):
-    """Adds the samples of each cell to its mean, and stores a random one of them as the origin of its bounce ray."""
+    """Adds each cell's samples to the cell's mean, and stores one of them at random as the origin of its bounce ray."""
     i = start + wp.tid()
     if not is_first_of_cell(sorted_samples, i):
         return
@@ -127,7 +127,7 @@ def add_samples(
 
 @wp.func
 def average_mips(means: wp.array[wp.vec4], slot: int):
-    """Writes the mip levels of a tile: each is the sample-weighted mean of 2 x 2 elements of the finer level."""
+    """Writes the mip levels of a tile's means: each element is the sample-weighted mean of 2 x 2 finer elements."""
     for mip in range(1, TILE_MIPS):
         side = 8 >> mip
         for square in range(side * side):
@@ -147,7 +147,7 @@ def average_mips(means: wp.array[wp.vec4], slot: int):
 
 @wp.kernel
 def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
-    """Updates the mip levels of the tiles that received samples, and their numbers of filled cells."""
+    """Updates the mip levels and the number of filled cells of tiles that received samples."""
     i = start + wp.tid()
     if is_first_of_tile(samples, i):
         slot = slot_of(tiles, samples.keys[i])
@@ -161,7 +161,7 @@ def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
 
 @wp.kernel
 def outdate_means(start: int, share: float, tiles: CacheTiles):
-    """Per mean of a tile: multiplies its weight by ``share``, in samples and in frames."""
+    """Per mean of a tile: multiplies the mean's weight by ``share``, both in samples and in frames."""
     i = start + wp.tid()
     tile = i // TILE_MEANS
     if tile >= tiles.counts[COUNT_LIVE]:
@@ -180,7 +180,7 @@ def outdate_means(start: int, share: float, tiles: CacheTiles):
 def look_up_samples(
     start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, radiance_out: wp.array[wp.vec3]
 ):
-    """Writes the radiance that each sample's surface reflects, linear; 0 for inactive samples."""
+    """Writes the linear radiance that each sample's surface reflects; 0 for inactive samples."""
     i = start + wp.tid()
     radiance_out[i] = wp.vec3()
     if samples.is_active[i]:
@@ -196,9 +196,10 @@ def look_up_indirect(
     tiles: CacheTiles,
     radiance_out: wp.array[wp.vec3],
 ):
-    """Writes the radiance that each sample's surface reflects of light from other surfaces, linear; 0 if unknown.
+    """Writes the linear radiance that each sample's surface reflects of light from other surfaces; 0 if not stored.
 
-    The look-up is at the sample's point if its cell has data, otherwise, and without points, at its position.
+    The cell is looked up at ``points`` if that cell has data; otherwise, or if ``points`` is empty, at the sample's
+    position.
     """
     i = start + wp.tid()
     radiance_out[i] = wp.vec3()
@@ -214,7 +215,7 @@ def look_up_indirect(
 
 @wp.kernel
 def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, numbers_out: wp.array[int]):
-    """Per sample: writes a 24-bit hash of its cell; -1 without a cell."""
+    """Per sample: writes a 24-bit hash of the sample's cell; -1 if the sample has no cell."""
     i = start + wp.tid()
     numbers_out[i] = -1
     if samples.is_active[i]:
@@ -225,7 +226,7 @@ def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: Cach
 
 @wp.kernel
 def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], ranks_out: wp.array[int]):
-    """Writes the frame of the last bounce rays of each tile, the sort key that puts the longest wait first."""
+    """Writes the frame of each tile's last bounce rays, a sort key that puts the longest wait first."""
     rank = start + wp.tid()
     ranks_out[rank] = rank
     ages_out[rank] = AGE_LAST
@@ -235,7 +236,7 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
 
 @wp.kernel
 def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]):
-    """Writes the number of filled cells of each tile, in rank order, separately for tiles of short and of long rays."""
+    """Writes the number of filled cells of each tile in rank order, separately for tiles of short and of long rays."""
     i = start + wp.tid()
     near_out[i] = 0
     far_out[i] = 0
@@ -249,13 +250,13 @@ def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: w
 
 @wp.func
 def near_rays(budget: int, near: int, far: int) -> int:
-    """Returns the number of rays for cells of short rays: one each, at most half if long-ray cells need the rest."""
+    """Returns how many of ``budget`` rays go to cells of short rays: one each, but half if long-ray cells need more."""
     return wp.min(near, wp.max(budget - RAYS_MAX * far, budget // 2))
 
 
 @wp.func
 def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
-    """Returns the rank of the tile whose cells, with ``rays`` rays each, send ``ray``; -1 if no whole tile fits."""
+    """Returns the rank of the tile where ``ray`` starts, if each cell has ``rays`` rays; -1 after the last tile."""
     tile = first_not_below(ends, ends.shape[0], ray // rays + 1)
     if tile < ends.shape[0]:
         if ends[tile] * rays <= budget:
@@ -284,16 +285,16 @@ def list_points(
     far_ends: wp.array[int],
     points: CachePoints,
 ):
-    """Per ray: writes the point of its cell, from the tiles that wait longest; as many whole tiles as fit.
+    """Per ray: writes the ray's origin in a cell. Tiles that waited longest come first; only whole tiles are listed.
 
     Args:
         start: Offset added to the thread index.
         frame: Number of the frame.
         tiles: Tiles of the cache.
         ranks: Ranks of the tiles, longest wait first.
-        near_ends: Running sum of the cells of short rays over the ranks.
-        far_ends: Running sum of the cells of long rays over the ranks.
-        points: Points of the rays; those of short-ray cells come first.
+        near_ends: Running sum over the ranks of cells with short rays.
+        far_ends: Running sum over the ranks of cells with long rays.
+        points: Origins of the rays; those of cells with short rays come first.
     """
     i = start + wp.tid()
     points.is_active[i] = False
@@ -334,7 +335,7 @@ def list_points(
 
 @wp.kernel
 def copy_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
-    """Per ray: copies the mean of its cell before the bounces of the frame."""
+    """Per ray: copies the mean of the ray's cell as it was before this frame's bounces."""
     i = start + wp.tid()
     if points.is_active[i]:
         means_out[i] = tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]]
@@ -349,10 +350,10 @@ def add_bounces(
     radiance: wp.array[wp.vec3],
     tiles: CacheTiles,
 ):
-    """Adds the radiance of the rays of a cell to its previous mean; the first ray does the work of all.
+    """Adds the radiance of a cell's rays to its previous mean; the first ray of the cell does the work of all.
 
-    The mean over cosine-weighted rays is the irradiance over pi. A slot that another tile has taken since is skipped:
-    it has sent no rays.
+    The mean over cosine-weighted rays is the irradiance divided by pi. Rays are skipped if another tile has taken the
+    slot of their tile since they started.
     """
     i = start + wp.tid()
     if points.is_active[i] and points.ray[i] == 0 and tiles.bounced[points.slot[i]] > 0:
@@ -371,7 +372,7 @@ def add_bounces(
 
 @wp.kernel
 def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
-    """Updates the mip levels of the tiles that sent rays; the first point of each tile does the work."""
+    """Updates the mip levels of tiles whose cells sent rays; the first point of each tile does the work."""
     i = start + wp.tid()
     if points.is_active[i]:
         if i == 0 or points.slot[wp.max(i - 1, 0)] != points.slot[i]:
@@ -380,7 +381,7 @@ def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
 
 @wp.kernel
 def clear_tiles(start: int, tiles: CacheTiles):
-    """Per tile: frees its slot."""
+    """Per tile: frees the tile's slot."""
     rank = start + wp.tid()
     tiles.keys[rank] = NO_TILE
     tiles.slots[rank] = rank
@@ -390,7 +391,7 @@ def clear_tiles(start: int, tiles: CacheTiles):
 
 @wp.kernel
 def find_new_tiles(start: int, frame: int, samples: SortedSamples, tiles: CacheTiles, is_new_out: wp.array[int]):
-    """Marks the first sample of each tile that does not exist yet, and existing tiles as used in this frame."""
+    """Marks the first sample of each tile that does not exist yet; marks existing tiles as used in this frame."""
     i = start + wp.tid()
     is_new_out[i] = 0
     if is_first_of_tile(samples, i):
@@ -430,7 +431,7 @@ def key_tiles_by_use(start: int, tiles: CacheTiles, ages_out: wp.array[int], ran
 
 @wp.kernel
 def mark_all_but_excess(start: int, frame: int, tiles: CacheTiles, ranks: wp.array[int], stays_out: wp.array[int]):
-    """Marks the tiles that stay when new ones need space; tiles of this frame always stay."""
+    """Marks the tiles that remain when new tiles need space. Tiles used in this frame always remain."""
     i = start + wp.tid()
     rank = ranks[i]
     stays = int(rank < tiles.counts[COUNT_LIVE])
@@ -457,7 +458,7 @@ def compact_tiles(
     keys_out: wp.array[wp.int64],
     slots_out: wp.array[int],
 ):
-    """Moves the marked tiles to the front, in order; the slots of the others become free."""
+    """Moves the tiles marked in ``stays`` to the front, in order, and frees the slots of all other tiles."""
     rank = start + wp.tid()
     target = ends[ends.shape[0] - 1] + rank - ends[rank]
     key = NO_TILE
@@ -470,7 +471,7 @@ def compact_tiles(
 
 @wp.kernel
 def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
-    """Counts the tiles that stayed, and the new tiles that fit beside them. Runs as one thread."""
+    """Counts the tiles that remained, and the new tiles for which there is space. Runs as one thread."""
     remaining = ends[ends.shape[0] - 1]
     if is_early:
         room = wp.min(tiles.counts[COUNT_NEW], grid.tiles - remaining)
@@ -482,7 +483,7 @@ def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], 
 
 @wp.func
 def clear_slot(tiles: CacheTiles, slot: int):
-    """Resets a slot to that of a tile without samples."""
+    """Resets a slot, so that it holds a tile without samples."""
     tiles.bounced[slot] = 0
     tiles.filled[slot] = 0
     for i in range(slot * TILE_MEANS, (slot + 1) * TILE_MEANS):
@@ -501,7 +502,7 @@ def merge_tiles(
     keys_out: wp.array[wp.int64],
     slots_out: wp.array[int],
 ):
-    """Merges the new keys into the sorted ones: each key moves by the number of smaller keys in the other list."""
+    """Merges the new keys into the sorted keys: each key moves by the number of smaller keys in the other list."""
     rank = start + wp.tid()
     live = tiles.counts[COUNT_LIVE]
     new = tiles.counts[COUNT_NEW]
@@ -522,6 +523,6 @@ def merge_tiles(
 
 @wp.kernel
 def count_merged_tiles(tiles: CacheTiles):
-    """Updates the number of live tiles after a merge. Runs as one thread."""
+    """Updates the number of tiles in use after a merge. Runs as one thread."""
     tiles.counts[COUNT_LIVE] += tiles.counts[COUNT_NEW]
     tiles.counts[COUNT_NEW] = 0

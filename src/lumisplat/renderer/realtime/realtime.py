@@ -1,4 +1,7 @@
-"""Host pass: real-time integrator, which shades frame sequences with global illumination (docs/method/realtime.md)."""
+"""Host pass: real-time integrator, which lights sequences of frames with global illumination.
+
+The method is in docs/method/realtime.md.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +30,18 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 INDIRECT_SHARED = 4
-"""Number of pixels that share a sample of indirect light and hence its noise: 2 x 2 pixels share a highlight ray."""
+"""Number of pixels that share a sample of indirect light, and therefore its noise: 2 x 2 pixels share a highlight ray.
+"""
 
 _log = logging.getLogger("lumisplat")
 
 
 class RealtimeIntegrator:
-    """Computes the radiance of a camera's rays, frame after frame, with reused histories.
+    """Computes the radiance of a camera's rays frame after frame, reusing the lighting of earlier frames.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays, and the histories from frame to frame.
+        buffers: Holds the arrays, and the lighting that is reused from frame to frame.
         config: Settings.
         tracer: Finds the hits of rays.
     """
@@ -69,7 +73,7 @@ class RealtimeIntegrator:
         self._layers: dict[str, DeviceArray] = {}
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame, except those of primary hits."""
+        """Returns the kernel modules of a frame, without the modules that find primary hits."""
         modules = [*self._indirect.modules(plan), *self._surfaces.modules(), *self._gbuffer.modules()]
         modules += [*self._lights.modules(plan), *LightFilter.modules()]
         modules += self._mirrors.modules(plan) if plan.max_bounces > 0 else []
@@ -77,17 +81,17 @@ class RealtimeIntegrator:
         return [*modules, *self._debug_layers.modules()] if plan.aovs & {*REALTIME_AOVS} else modules
 
     def forget(self) -> None:
-        """Drops all histories: the next frame begins a new sequence."""
+        """Drops the lighting of earlier frames: the next frame begins a new sequence."""
         self._size = None
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the first wave, with the radiance of its rays.
+        """Returns the wave of camera rays with their radiance.
 
         Args:
             scene: The scene on the device, synced.
             plan: Plan of the frame.
             hits: The rays and their hits.
-            sample: Number of the frame.
+            sample: Number of the frame in the sequence.
         """
         self._begin(scene.image_size)
         self._shadows.begin_sample(sample)
@@ -127,11 +131,11 @@ class RealtimeIntegrator:
         return wave
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """Returns the layers of light that the frame requests."""
+        """Returns the layers of light that the frame requests, from the last `shade`."""
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
 
     def _begin(self, size: tuple[int, int]) -> None:
-        """Begins a frame. A new image size begins a new sequence, which is logged once."""
+        """Begins a frame of ``size`` (width, height). A new image size begins a new sequence, which is logged once."""
         if self._size == size:
             return
         if self._size is not None and not self._has_warned_of_size:
@@ -145,7 +149,7 @@ class RealtimeIntegrator:
     def _debug_images(
         self, names: list[str], scene: DeviceScene, surfaces: list[PixelSurfaces], count: int, frame: int
     ) -> dict[str, DeviceArray]:
-        """Draws the debug layers in ``names``."""
+        """Draws the debug layers whose names are in ``names``, and returns them by name."""
         debug, images, indirect = self._debug_layers, dict[str, DeviceArray](), self._indirect
         for name in names:
             if name == "motion":

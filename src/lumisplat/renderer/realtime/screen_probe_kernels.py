@@ -1,6 +1,6 @@
-"""Kernels of screen probes: their placement, one a tile plus adaptive ones, and the light that they gather.
+"""Kernels of screen probes: they place one probe per tile plus adaptive probes, and gather light at probes.
 
-The method is in docs/method/realtime.md#screen-probes. Each element has one writer.
+The method is in docs/method/realtime.md#screen-probes. Each array element has one writer.
 """
 
 import warp as wp
@@ -37,14 +37,15 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 PROBE_STAYS_PX = 2.0
-"""A probe keeps its position if a pixel of its tile shows the probe's surface within this many pixels."""
+"""Largest distance in pixels between a probe and a pixel of its tile that shows the probe's surface, at which the
+probe does not move."""
 
 STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
 
 @wp.kernel
 def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
-    """Per probe: copies the fields that the next frame reads."""
+    """Per probe: copies the fields that the next frame reads as those of the previous frame."""
     i = start + wp.tid()
     probes_out.is_placed[i] = probes.is_placed[i]
     probes_out.position[i] = probes.position[i]
@@ -56,7 +57,7 @@ def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
 
 @wp.kernel
 def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
-    """Per cell: copies it."""
+    """Per probe cell (one direction of a probe): copies the cell for the next frame."""
     i = start + wp.tid()
     cells_out.radiance[i] = cells.radiance[i]
     cells_out.nearness[i] = cells.nearness[i]
@@ -67,9 +68,9 @@ def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
 def is_as_before(
     pixel: int, source: int, grid: ProbeGrid, camera: CameraData, surfaces: SurfacePixels, before: ProbeData
 ) -> bool:
-    """Returns whether probe ``source`` of the previous frame may keep its position, as its surface is still there.
+    """Returns whether probe ``source`` of the previous frame may stay where it is, because its surface is still there.
 
-    A probe that followed the jitter of samples would lose its radiance of near surfaces.
+    A probe that followed the jitter of samples would lose the radiance of near surfaces.
     """
     if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: the surface is new
         return False
@@ -88,7 +89,7 @@ def set_probe(
     before: ProbeData,
     probes_out: ProbeData,
 ):
-    """Places probe ``i`` on the surface of ``pixel``, or keeps its position near there; ``pixel`` -1: no probe."""
+    """Places probe ``i`` on the surface of ``pixel``, or leaves it where it was near there; ``pixel`` -1: no probe."""
     probes_out.is_placed[i] = 0
     probes_out.source[i] = -1
     probes_out.refresh_count[i] = 0
@@ -122,7 +123,7 @@ def place_in_tiles(
     adaptive_before: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Per tile: places its probe."""
+    """Per tile: places the tile's first probe."""
     tile = start + wp.tid()
     place = choose_pixel_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
     set_probe(tile, place.pixel, place.source, grids[0], cameras[0], surfaces, before, probes_out)
@@ -166,7 +167,7 @@ def place_adaptive(
     adaptive_of_out: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Per tile in sorted order: places an adaptive probe if it needs one and one is left."""
+    """Per tile, in sorted order: places an adaptive probe if the tile needs one and not all are used."""
     rank = start + wp.tid()
     tile = order[rank]
     adaptive_of_out[tile] = -1
@@ -189,7 +190,7 @@ def carry_cells(
 ):
     """Per probe: reprojects the cells of the probe that it continues to their directions from the new position.
 
-    A cell whose hit is nearer than the probe has moved keeps its direction.
+    A cell whose hit is nearer than the distance that the probe has moved keeps its direction.
     """
     i = start + wp.tid()
     side = grids[0].cells
@@ -236,19 +237,19 @@ def carry_cells(
 NORMALS = wp.constant(PROBE_NORMALS)
 CHUNK = wp.constant(MEANS_CHUNK)
 AROUND = wp.constant(2)
-"""Pixels to each side from which pixels without probe light are filled."""
+"""Distance in pixels to each side from which pixels without light of probes are filled."""
 JITTER_X = wp.constant(wp.uint32(0))
-"""Random dimensions of a pixel's jittered look-up of probes."""
+"""Dimensions of the random numbers by which a pixel's look-up of probes is jittered."""
 JITTER_Y = wp.constant(wp.uint32(1))
 LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
-"""Mixed into the seed, so that random numbers differ from those of rays."""
+"""Number mixed into the seed, so that random numbers for look-ups differ from those of rays."""
 
 
 @wp.kernel
 def rank_probes(
     start: int, grids: wp.array[ProbeGrid], probes: ProbeData, keys_out: wp.array[int], order_out: wp.array[int]
 ):
-    """Per probe: writes a sort key that puts the probes that most need a refresh first."""
+    """Per probe: writes a sort key that puts first the probes that most need new rays."""
     i = start + wp.tid()
     keys_out[i] = refresh_key(i, grids[0], probes)
     order_out[i] = i
@@ -258,7 +259,7 @@ def rank_probes(
 def start_probe_rays(
     start: int, grids: wp.array[ProbeGrid], order: wp.array[int], probes: ProbeData, rays_out: RayData
 ):
-    """Per ray: starts it; there is one ray for each cell of the first probes in sorted order."""
+    """Per ray: starts the ray. There is one ray for each cell of the first probes in sorted order."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     i = order[ray // count]
@@ -278,7 +279,7 @@ def add_samples(
     probes_out: ProbeData,
     cells_out: ProbeCells,
 ):
-    """Per ray: adds its radiance to the mean of its cell, unless it is not finite."""
+    """Per ray: adds the ray's radiance to the mean of its probe cell, unless the radiance is not finite."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     cell = ray % count
@@ -302,7 +303,7 @@ def add_samples(
 
 @wp.kernel
 def outdate_cells(start: int, share: float, cells_inout: ProbeCells):
-    """Per cell: multiplies the weight of its means by ``share``."""
+    """Per probe cell: multiplies the weight of the cell's means by ``share``."""
     k = start + wp.tid()
     cells_inout.samples[k] = share * cells_inout.samples[k]
 
@@ -319,7 +320,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Per cell: averages it over its probe, the other probe of its tile, and those of the four adjacent tiles."""
+    """Per probe cell: averages it over its probe, the tile's other probe, and the probes of four adjacent tiles."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells
@@ -368,14 +369,14 @@ def project_probes(
     weights: wp.array[float],
     light_inout: ProbeLight,
 ):
-    """Per probe: fills its empty cells with the mean of the others, and projects all cells to SH.
+    """Per probe: fills the probe's empty cells with the mean of its other cells, and projects all cells to SH.
 
     Args:
         start: Offset added to the thread index.
         grids: Layout of the probes.
         probes: The probes.
         fit: Contribution of each cell to the SH coefficients.
-        beyond: Contribution of each cell to the irradiance above the SH degree, by the normal of the surface.
+        beyond: Contribution of each cell to the irradiance that the SH degree cannot represent, by surface normal.
         weights: Weights of the cells; 0: empty.
         light_inout: Radiance of the cells; receives the SH coefficients.
     """
@@ -419,7 +420,7 @@ def find_irradiance(
     irradiance_out: wp.array[wp.vec3],
     is_known_out: wp.array[int],
 ):
-    """Per pixel: computes the irradiance of its surface from the probes around it, if any of them has light."""
+    """Per pixel: computes the irradiance on the pixel's surface from the probes around, if any of them has light."""
     pixel = start + wp.tid()
     grid = grids[0]
     irradiance_out[pixel] = wp.vec3(0.0)
@@ -444,7 +445,7 @@ def tile_means(
     is_known: wp.array[int],
     means_out: wp.array[wp.vec4],
 ):
-    """Per tile: sums the irradiance over its pixels with known irradiance, and counts them."""
+    """Per tile: sums the irradiance of the pixels whose irradiance is known (``is_known``), and counts these pixels."""
     tile = start + wp.tid()
     grid = grids[0]
     total = wp.vec4(0.0)
@@ -461,7 +462,7 @@ def tile_means(
 
 @wp.kernel
 def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]):
-    """Per chunk: sums a chunk of tile sums."""
+    """Per chunk: sums the output of `tile_means` over a chunk (range) of tiles."""
     chunk = start + wp.tid()
     total = wp.vec4(0.0)
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, means.shape[0])):
@@ -471,7 +472,7 @@ def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4])
 
 @wp.func
 def known_around(x: int, y: int, grid: ProbeGrid, irradiance: wp.array[wp.vec3], is_known: wp.array[int]) -> wp.vec4:
-    """Sums the irradiance over the nearby pixels with known irradiance, and counts them."""
+    """Sums the irradiance of the nearby pixels whose irradiance is known, and counts these pixels."""
     total = wp.vec4(0.0)
     for v in range(wp.max(y - AROUND, 0), wp.min(y + AROUND + 1, grid.height)):
         for u in range(wp.max(x - AROUND, 0), wp.min(x + AROUND + 1, grid.width)):
@@ -504,7 +505,7 @@ def fill_pixels(
     mean: wp.array[wp.vec4],
     irradiance_out: wp.array[wp.vec3],
 ):
-    """Per pixel: writes its irradiance or, if no probe has light, the mean of the nearest neighbourhood that has."""
+    """Per pixel: writes the irradiance; if no probe around has light, the mean of the nearest pixels with light."""
     pixel = start + wp.tid()
     irradiance_out[pixel] = irradiance[pixel]
     if is_known[pixel] != 0 or not surfaces.share[pixel] > 0.0:

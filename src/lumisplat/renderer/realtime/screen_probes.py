@@ -20,21 +20,21 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, sort_pairs
 
 _DEGREE = 2
-"""SH degree of the probes, sufficient for irradiance (Ramamoorthi and Hanrahan 2001)."""
+"""SH degree in which probes store radiance, sufficient for irradiance (Ramamoorthi and Hanrahan 2001)."""
 
 
 class ScreenProbes:
-    """Probes on the surfaces of a frame, with the radiance that they have gathered over frames.
+    """Probes on the surfaces that a frame shows, with the radiance that they have gathered over frames.
 
-    A frame calls ``place`` and ``rays``, traces the rays, and calls ``update``, then ``irradiance``. Each element of a
-    kernel has one writer, so the bits are the same for any number of threads.
+    In each frame, call ``place`` and ``rays``, trace the rays, and call ``update``, then ``irradiance``. Each array
+    element has one writer, so the bits are the same for any number of threads.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         seed: Seed of random numbers.
-        offset: Gaussians within this many scales of a probe's Gaussian do not block the probe's rays.
+        offset: Number of scales of a probe's Gaussian within which Gaussians do not block the probe's rays.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class ScreenProbes:
         return [kernels]
 
     def reset(self) -> None:
-        """Drops all radiance: the next frame begins a new sequence."""
+        """Drops all gathered radiance: the next frame begins a new sequence."""
         self._has_history = False
 
     def place(
@@ -69,7 +69,7 @@ class ScreenProbes:
         """Places the probes of a frame.
 
         Args:
-            surfaces: Surfaces of its pixels.
+            surfaces: Surfaces of the frame's pixels.
             camera: Camera of the frame, shape (1,).
             camera_before: Camera of the previous frame, shape (1,).
             size: Width and height, pixels; a new size begins a new sequence.
@@ -97,14 +97,14 @@ class ScreenProbes:
         self._has_history = True
 
     def outdate(self, share: float) -> None:
-        """Multiplies the weight of all radiance by ``share`` when the light has changed; call it after ``place``."""
+        """Multiplies the weight of all gathered radiance by ``share`` if light has changed; call it after ``place``."""
         self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, share, self.cells)
 
     def rays(self, frame: int) -> RayData:
-        """Returns one ray for each cell of the probes that this frame refreshes; rays into their mesh are inactive.
+        """Returns one ray for each cell of the probes that this frame updates; rays into a probe's mesh are inactive.
 
-        Probes that were never refreshed come first, then those whose last refresh is longest ago. ``refreshed`` of the
-        settings fixes their number.
+        Probes that were never updated come first, then those whose last update is longest ago. ``refreshed`` of the
+        settings fixes the number of probes to update.
         """
         self._write_grid(frame)
         run, order = self._launcher.run_banded, self._refresh_order
@@ -118,8 +118,8 @@ class ScreenProbes:
         """Adds the radiance of the rays to their cells, and filters all cells for look-ups by pixels.
 
         Args:
-            radiance: Linear, one element a ray; values that are not finite are dropped.
-            hit_distance: Distance of the hits, scene units; inf: no hit.
+            radiance: Linear radiance of each ray; values that are not finite are dropped.
+            hit_distance: Distance of each ray's hit, scene units; inf: no hit.
         """
         run, cells = self._launcher.run_banded, self.cells
         inputs = self._refresh_order, self._rays, radiance, hit_distance, self.probes, cells
@@ -131,7 +131,7 @@ class ScreenProbes:
         run(kernels.project_probes, self.count, self._grids, self.probes, *tables, weights, self.light)
 
     def irradiance(self, surfaces: SurfacePixels) -> DeviceArray:
-        """Returns the irradiance of surfaces from the probes, linear, one vec3 a pixel; 0 without a surface."""
+        """Returns the linear irradiance on each pixel's surface from the probes, vec3; 0 where there is no surface."""
         run, get, grids = self._launcher.run_banded, self._buffers.get, self._grids
         assert self._size is not None, "call place before irradiance"
         pixels, tiles = self._size[0] * self._size[1], self._tiles
@@ -150,16 +150,16 @@ class ScreenProbes:
 
     @property
     def grid(self) -> wp.array[ProbeGrid]:
-        """Layout of the probes, for look-ups by ``lumisplat.device.gi.screen_probes``; shape (1,)."""
+        """Layout of the probes for ``lumisplat.device.gi.screen_probes``, a table with one row."""
         return self._grids
 
     @property
     def ray_count(self) -> int:
-        """Number of rays a frame."""
+        """Number of rays that probes send per frame."""
         return self._refreshed * self._cell_count
 
     def _allocate(self, size: tuple[int, int]) -> None:
-        """Allocates the arrays for an image size; a new size has no history."""
+        """Allocates the arrays for an image size; a new size drops all gathered radiance."""
         if size == self._size:
             return
         self._size, self._has_history = size, False
@@ -186,7 +186,7 @@ class ScreenProbes:
         self.light.sh = buffers.get("probes.light.sh", wp.vec3, self.count * (_DEGREE + 1) ** 2)
 
     def _list(self, name: str, count: int) -> DeviceArray:
-        """Returns an array of integers with the scratch space that sorts need."""
+        """Returns an array of ``count`` integers, with the scratch space that sorting needs behind them."""
         return self._buffers.get(name, wp.int32, 2 * count)
 
     def _write_grid(self, frame: int) -> None:
@@ -203,7 +203,7 @@ class ScreenProbes:
         self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])
 
     def _store_history(self) -> None:
-        """Copies the probes of the last frame, as history of the new one."""
+        """Copies the probes of the last frame, so that the new frame can read them as the previous ones."""
         if not self._has_history:
             return
         run = self._launcher.run_banded

@@ -34,7 +34,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the linear emitted radiance on ray ``i``, without the meshes that are sampled as lights."""
+    """Returns the linear radiance emitted along ray ``i``, without meshes that are sampled as lights."""
     radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     radiance *= scene[0].settings[0].capture_gain
     radiance += wave[0].radiance.light[i]
@@ -46,7 +46,7 @@ def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 @wp.func
 def matte(interaction: Interaction) -> Interaction:
-    """Replaces the BSDF of an interaction by a diffuse one whose albedo includes all that it reflects and transmits."""
+    """Replaces the BSDF of an interaction by a diffuse one, whose albedo is all light reflected and transmitted."""
     albedo = matte_albedo(interaction.bsdf, wp.max(wp.dot(interaction.normal, interaction.wo), 0.0))
     interaction.bsdf = Bsdf()
     interaction.bsdf.model = BSDF_SIMPLE
@@ -57,7 +57,7 @@ def matte(interaction: Interaction) -> Interaction:
 
 @wp.kernel
 def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, rays_out: RayData):
-    """Per ray: sets its radiance to black, without a hit."""
+    """Per ray: sets the ray's radiance to black, and its hit to none."""
     i = start + wp.tid()
     rays_out.is_active[i] = False
     samples_out.is_active[i] = False
@@ -68,7 +68,7 @@ def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, 
 
 @wp.kernel
 def begin_onward(start: int, onward_out: OnwardRays):
-    """Per ray: sets its initial state: in air, not continued, weight 1."""
+    """Per ray: sets the initial state of a ray that may continue: in air, weight 1, not continued yet."""
     i = start + wp.tid()
     onward_out.rays.is_active[i] = False
     onward_out.length_before[i] = 0.0
@@ -91,7 +91,7 @@ def shade_hits(
     rays_out: RayData,
     onward_inout: OnwardRays,
 ):
-    """Per ray: writes its radiance, its surface, and one light sample with a shadow ray; or the ray continues.
+    """Per ray: writes radiance, hit surface and a light sample with its shadow ray; or continues at a smooth surface.
 
     Args:
         start: Offset added to the thread index.
@@ -101,7 +101,7 @@ def shade_hits(
         scene: The scene.
         wave: Wave of the rays.
         samples_out: The surfaces, without reflected radiance.
-        bounced_out: Radiance of the rays, without what the surfaces reflect.
+        bounced_out: Radiance of the rays, without the light that the surfaces reflect.
         rays_out: Shadow rays.
         onward_inout: Rays that continue at smooth surfaces; from the second wave on, these are the wave's rays.
     """
@@ -162,7 +162,7 @@ def shade_hits(
 def apply_visibility(
     start: int, bounced: BouncedRays, rays: RayData, visibility: wp.array[wp.vec3], samples_inout: CacheSamples
 ):
-    """Per ray: writes the sampled light that the surface at its hit reflects, times the shadow ray's visibility."""
+    """Per ray: writes the light sample that the surface at its hit reflects, times the shadow ray's visibility."""
     i = start + wp.tid()
     radiance = bounced.sampled[i]
     if rays.is_active[i]:
@@ -189,7 +189,7 @@ def add_reflected(
 
 
 CHOICE_BRANCH = wp.constant((1 << 20) + 3)
-"""Branch of a ray's random key for the choice of the surface that sends a ray within its highlight."""
+"""Branch of a ray's random key for choosing the surface that sends a ray within its highlight."""
 
 
 @wp.func
@@ -210,9 +210,9 @@ def choose_lobes(
     lobes_out: LobeRays,
     follows_out: wp.array[int],
 ):
-    """Per square of pixels: chooses the surface that sends a ray, by how much the pixel's two highlights reflect.
+    """Per square of pixels: chooses which surface sends a ray within its highlight, in proportion to reflectance.
 
-    ``follows_out`` is 1 for each square with a ray.
+    ``follows_out`` is 1 for each square that sends a ray.
     """
     square = start + wp.tid()
     width = camera[0].width
@@ -243,9 +243,9 @@ def start_lobes(
     lobes_inout: LobeRays,
     rays_out: RayData,
 ):
-    """Per square of pixels: starts its ray, whose number follows from ``ends``, the running count of rays.
+    """Per square of pixels: starts the square's ray, whose index follows from ``ends``, the running count of rays.
 
-    All rays are inactive before.
+    All rays must be inactive before.
     """
     square = start + wp.tid()
     slot = lobes_inout.slot[square]

@@ -1,1 +1,1 @@
-"""The plan of a frame, and the scene on the device: assets, instances, lights, materials, BVHs."""
+"""The plan of a frame, and the scene on the device: assets, instances, lights, materials and BVHs."""

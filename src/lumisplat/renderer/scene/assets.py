@@ -1,4 +1,4 @@
-"""Gaussian sets and meshes on the device: uploaded once, and reused while scenes contain the same objects."""
+"""Gaussian sets and meshes on the device, uploaded once and reused as long as scenes contain the same objects."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ TextureKey = tuple[int, tuple[int, ...]]
 
 @dataclass(frozen=True, slots=True)
 class SplatAsset:
-    """A Gaussian set on the device, and its instances."""
+    """A Gaussian set on the device, and the splat instances that use the set."""
 
     gaussians: Gaussians
     data: GaussianData
     attributes: SplatAttributes
     instances: tuple[int, ...]
-    """Indices of its splat instances."""
+    """Indices of the splat instances that use the set."""
     instance_ids: DeviceArray
-    """Indices of its splat instances, on the device."""
+    """Indices of the splat instances that use the set, on the device."""
 
     @property
     def instanced_count(self) -> int:
-        """Gaussians over all of its instances."""
+        """Number of Gaussians over all instances of the set."""
         return self.gaussians.count * self.instance_ids.shape[0]
 
     @property
     def bytes(self) -> int:
-        """Device memory of its arrays, bytes."""
+        """Device memory of the set's arrays, bytes."""
         d = self.data
         return bytes_of(d.means, d.rotations, d.scales, d.opacities, d.sh)
 
 
 def sync_splat_assets(scene: Scene, cached: list[SplatAsset], device: str) -> list[SplatAsset]:
-    """Returns the assets of a scene, in the order of their first instances.
+    """Returns the assets of a scene, in the order of their first instances; uploads sets that are not cached.
 
-    A set that replaces one with the same array sizes, as in animations, is copied into its memory; not on the CPU,
-    which shares the host's arrays.
+    A new set may replace a cached set with arrays of equal sizes, as in animations: its values are then copied into the
+    old arrays. On the CPU this does not happen, because kernels read the host's arrays.
 
     Args:
         scene: The scene with the instances.
-        cached: Assets on the device. Assets without an instance are removed from the list, and their memory is freed or
-            written again, before others are uploaded: the peak is one scene, not both.
+        cached: Assets on the device. Assets without an instance are removed from this list first, and their memory is
+            freed or reused, so that the device never holds two scenes.
         device: Warp device name.
     """
     numbers: dict[int, list[int]] = {}
@@ -86,7 +86,7 @@ def sync_splat_assets(scene: Scene, cached: list[SplatAsset], device: str) -> li
 
 
 def _on_device(gaussians: Gaussians, asset: SplatAsset | None, device: str) -> tuple[GaussianData, SplatAttributes]:
-    """Returns a set's device arrays: the cached ones, those of the replaced asset overwritten, or new ones."""
+    """Returns a set's device arrays: its cached arrays, the replaced asset's arrays with new values, or new arrays."""
     if asset is None:
         data = upload_gaussians(gaussians, device)
         return data, upload_attributes(gaussians, data, device)
@@ -96,7 +96,7 @@ def _on_device(gaussians: Gaussians, asset: SplatAsset | None, device: str) -> t
 
 
 def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
-    """Copies a Gaussian set to the device; on the CPU its arrays are shared where their layout allows."""
+    """Copies a Gaussian set to the device. On the CPU, kernels share the host's arrays where the layout allows."""
     data = GaussianData()
     data.sh_count = gaussians.sh.shape[1]
     for name, dtype, values in _arrays_of(gaussians):
@@ -105,7 +105,7 @@ def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
 
 
 def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> SplatAttributes:
-    """Returns the Gaussian attributes that shading reads; some of them share the arrays of ``data``."""
+    """Returns the attributes of Gaussians that shading reads; some of the arrays are shared with ``data``."""
     row = SplatAttributes()
     row.means, row.scales, row.normals = data.means, data.scales, data.normals
     for name, dtype, values in _materials_of(gaussians):
@@ -114,21 +114,21 @@ def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> 
 
 
 def are_alike(one: Gaussians, other: Gaussians) -> bool:
-    """Returns whether two sets have the same attributes with the same numbers of Gaussians and SH coefficients."""
+    """Returns whether two sets have the same attributes, and equal numbers of Gaussians and SH coefficients."""
     names = ("normals", "albedo", "roughness", "metallic")
     absent = [[getattr(gaussians, name) is None for name in names] for gaussians in (one, other)]
     return one.sh.shape == other.sh.shape and absent[0] == absent[1]
 
 
 def overwrite_gaussians(data: GaussianData, attributes: SplatAttributes, gaussians: Gaussians) -> None:
-    """Copies a set into the arrays of one with the same sizes; kernels find it at the same addresses."""
+    """Copies a set into the device arrays of a set with equal sizes, so that the addresses in kernels remain valid."""
     for owner, arrays in ((data, _arrays_of(gaussians)), (attributes, _materials_of(gaussians))):
         for name, _, values in arrays:
             device_array(getattr(owner, name)).assign(values)
 
 
 def shares_memory(device: str) -> bool:
-    """Returns whether kernels read the host's arrays directly; the arrays must then not be overwritten."""
+    """Returns whether kernels on the device read the host's arrays directly, which must then not be overwritten."""
     return device == "cpu"
 
 
@@ -155,7 +155,7 @@ def _materials_of(gaussians: Gaussians) -> list[tuple[str, type[object], np.ndar
 
 
 class MeshAssets:
-    """The distinct meshes of a scene, end to end in one set of arrays.
+    """The distinct meshes of a scene, one after another in shared device arrays.
 
     Args:
         device: Warp device name.
@@ -170,7 +170,7 @@ class MeshAssets:
         self.data = MeshData()
 
     def sync(self, scene: Scene) -> None:
-        """Uploads the meshes if they have changed."""
+        """Uploads the scene's meshes if they are not those of the last call."""
         meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
         if list(meshes) == list(self._meshes):
             return
@@ -181,7 +181,7 @@ class MeshAssets:
         self._meshes = meshes
 
     def _upload_varied(self, meshes: dict[int, Mesh]) -> None:
-        """Uploads the transmission and layers of meshes that textures vary."""
+        """Uploads the materials of meshes whose transmission or layers (clearcoat, sheen) vary by textures."""
         materials = {key: mesh.material for key, mesh in meshes.items() if varies(mesh)}
         self._varied = {key: 1 + number for number, key in enumerate(materials)}
         found = [material for material in materials.values() if isinstance(material, MaterialPbr)]
@@ -190,15 +190,15 @@ class MeshAssets:
             self.data.sheen_curves = DeviceArray(albedo_curves().astype(np.float32), dtype=wp.vec4, device=self._device)
 
     def face_first(self, mesh: Mesh) -> int:
-        """Returns the index of a mesh's first face in the data."""
+        """Returns the index of a mesh's first face in the shared arrays."""
         return self._face_first[id(mesh)]
 
     def varied(self, mesh: Mesh) -> int:
-        """Returns a mesh's index in ``data.varied``; 0: no texture varies its transmission or layers."""
+        """Returns a mesh's index in ``data.varied``; 0: no texture varies the mesh's transmission or layers."""
         return self._varied.get(id(mesh), 0)
 
     def texture_first(self, texture: np.ndarray) -> int:
-        """Returns the index of a texture's first texel in the data."""
+        """Returns the index of a texture's first texel in the shared arrays."""
         return self._texture_first[texture_key(texture)]
 
     @property
@@ -209,7 +209,7 @@ class MeshAssets:
 
 
 def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict[TextureKey, int]]:
-    """Uploads meshes and their textures end to end; also returns the index of each texture's first texel."""
+    """Uploads meshes and their textures one after another; also returns the index of each texture's first texel."""
     data = MeshData()
     if not meshes:
         return data, {}
@@ -235,12 +235,12 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
 
 
 def textures_of(material: Material) -> list[Any]:
-    """Returns the material's textures, None for each that it does not have."""
+    """Returns the material's textures; None for each texture that the material lacks."""
     return [getattr(material, name) for name in texture_names(material)]
 
 
 def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:
-    """Returns RGBA8 texels of all textures end to end, without None, and the index of each texture's first texel."""
+    """Returns the RGBA8 texels of all textures that are not None, one after another, and the first index of each."""
     distinct = {texture_key(texture): texture for texture in textures if texture is not None}
     texels = [np.zeros(1, np.uint32)]  # an array without elements has no address
     for texture in distinct.values():
@@ -252,17 +252,17 @@ def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int
 
 
 def texture_key(texture: np.ndarray) -> TextureKey:
-    """Returns an identity for a texture that is equal for two views of one image."""
+    """Returns a key that identifies a texture; equal for two array views of one image."""
     return texture.ctypes.data, texture.shape
 
 
 def first_of(counts: dict[Key, int]) -> dict[Key, int]:
-    """Returns the start index of each entry if all are stored end to end."""
+    """Returns the start index of each entry when entries of these lengths are stored one after another."""
     return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
 
 
 def as_device_array(values: np.ndarray, dtype: type[object], device: str) -> DeviceArray:
-    """Returns an asset's array on the device; on the CPU it shares memory with the host array."""
+    """Returns an array of an asset on the device; on the CPU, the result shares the host array's memory."""
     # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
     if not shares_memory(device):
         return DeviceArray(values, dtype=dtype, device=device)

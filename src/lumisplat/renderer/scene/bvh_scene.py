@@ -1,4 +1,4 @@
-"""BVHs of the scene's Gaussians: one for each asset, and top levels over the instances."""
+"""BVHs of the scene's Gaussians: one for each asset, and top levels over the splat instances."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 
 COHERENT_RADIUS = 0.03
-"""Largest distance between ray origins of a packet, as a fraction of the scene's largest capture. Rays that start
-farther from the packet's first ray are traced separately."""
+"""Largest distance of a ray's origin from the origin of its packet's first ray, as a fraction of the scene's largest
+capture. Rays that start farther away are traced separately."""
 
 
 class SplatSets(Enum):
-    """Subsets of a scene's splat sets that rays can be restricted to."""
+    """Subsets of a scene's splat sets, to which the hits of rays can be restricted."""
 
     ALL = "all"
     CAPTURED = "captured"
     """Sets that emit their captured colours."""
     RELIT = "relit"
-    """Sets that are relit: all that do not emit their captured colours."""
+    """Sets that are relit: all sets that do not emit their captured colours."""
     SHADOW_CATCHERS = "shadow_catchers"
     """Shadow catchers, a subset of the captured sets."""
 
@@ -48,11 +48,11 @@ class SplatSets(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CachedBvh:
-    """The BVH of an asset."""
+    """The BVH of an asset, and the data from which it was built."""
 
     gaussians: Gaussians
     data: GaussianData
-    """Device arrays of the asset, which differ after it is uploaded again."""
+    """Device arrays of the asset; another object if the asset has been uploaded again."""
     kernel: KernelData
     bvh: GaussianBvh
 
@@ -69,20 +69,22 @@ class BvhScene:
         self._buffers = Buffers(launcher.device)
         self._cached: list[CachedBvh] = []
         self.assets: DeviceArray | None = None
-        """AssetBvh of each asset."""
+        """``AssetBvh`` of each asset, as a table for kernels; None before the first ``sync``."""
         self._tlas_nodes: dict[SplatSets, DeviceArray] = {}
-        """Top levels: trees over the instances' world boxes, whose leaves are ~instance."""
+        """Top-level trees over the world boxes of the instances in each subset; a leaf is stored as ``~instance``."""
         self._synced: tuple[list[int], list[bytes], dict[SplatSets, list[bool]]] | None = None
         self.footprint = 0.0
-        """Widest footprint of the instances, in pixel widths."""
+        """Largest standard deviation by which rays widen Gaussians, over all instances, in pixel widths."""
         self.hit_distance = HIT_PEAK
-        """Hit distance of the instances: HIT_MEAN if any has it, else the one that all have."""
+        """Hit distance that kernels compute: HIT_MEAN if any instance has it, else the hit distance of all instances.
+        """
         self.stack = TRAVERSE_STACK_SMALL
-        """Stack entries that CUDA kernels need to traverse the trees, rounded up to one of two sizes."""
+        """Number of stack entries that CUDA kernels need to traverse the trees, rounded up to one of two sizes."""
         self.extent = 0.0
         """Size of the largest instance, world space."""
         self.packet_radius = 0.0
-        """Largest distance between ray origins of a packet, world space; rays farther apart are traced separately."""
+        """Largest distance of a ray's origin from its packet's first ray, world space; rays farther away are traced
+        separately."""
 
     @property
     def bytes(self) -> int:
@@ -94,7 +96,7 @@ class BvhScene:
 
         Args:
             instances: The scene's splat instances, an array of SplatInstanceData.
-            sets: Splat sets that rays can hit; only path traced frames have subsets.
+            sets: Splat sets that rays can hit; only path-traced frames have other subsets than ``ALL``.
         """
         row = SceneBvh()
         row.tlas_nodes, row.instances = self._tlas_nodes[sets], instances
@@ -105,7 +107,7 @@ class BvhScene:
 
     @property
     def graph_key(self) -> object:
-        """Values that captured graphs freeze: a graph is stale after any of them changes."""
+        """Values that a captured graph contains: the graph is stale once any of them changes."""
         if self.assets is None:
             return None
         # `stack` depends on the builds and on the top level, whose array may keep its address.
@@ -115,18 +117,18 @@ class BvhScene:
 
     @property
     def cached(self) -> list[CachedBvh]:
-        """BVHs of the assets, in their order."""
+        """BVHs of the assets, in the order of the assets."""
         return self._cached
 
     def sync(
         self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool, has_subsets: bool
     ) -> None:
-        """Builds or refits BVHs that changed, and the top levels if an instance has moved.
+        """Builds or refits BVHs whose Gaussians changed, and rebuilds the top levels if an instance has moved.
 
         Args:
             scene: The scene with the instances.
             assets: The scene's Gaussian sets on the device.
-            config: Settings; its kernel response determines the bounds.
+            config: Settings; its kernel response determines the bounds of Gaussians.
             is_lit: Whether the frame is lit.
             has_subsets: Whether rays may be restricted to subsets of the splat sets.
 
@@ -174,12 +176,12 @@ class BvhScene:
         self._build_top_levels(scene, asset_indices, members)
 
     def _build_top_levels(self, scene: Scene, asset_indices: list[int], members: dict[SplatSets, list[bool]]) -> None:
-        """Builds the top levels.
+        """Builds the top-level tree of each subset over its instances.
 
         Args:
             scene: The scene with the instances.
-            asset_indices: Asset of each instance.
-            members: Whether each instance is in each subset.
+            asset_indices: Index of the asset of each instance.
+            members: For each subset, whether each instance belongs to it.
         """
         extents = (self._cached[p].bvh.extent * i.scale for i, p in zip(scene.splats, asset_indices, strict=True))
         self.extent = max(extents, default=0.0)
@@ -196,7 +198,7 @@ class BvhScene:
             assign_table(self._tlas_nodes[kind], nodes)
 
     def _bvh_of(self, index: int, assets: list[SplatAsset], before: list[CachedBvh], config: RenderConfig) -> CachedBvh:
-        """Returns the cached BVH, the refitted BVH of the asset that this one replaces, or a new one."""
+        """Returns the BVH of asset ``index``: the cached one, a refit of the replaced asset's BVH, or a new one."""
         gaussians, data = assets[index].gaussians, assets[index].data
         cached = next((cached for cached in before if cached.gaussians is gaussians), None)
         if cached is not None:
@@ -236,7 +238,7 @@ class BvhScene:
 
 
 def boxes_of_members(boxes: tuple[np.ndarray, np.ndarray], members: list[bool]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the boxes for ``tree_of_boxes``, inverted where an instance is not a member."""
+    """Returns the instances' boxes, inverted for instances that are not members, which ``tree_of_boxes`` leaves out."""
     chosen = np.array(members, bool)[:, None]
     return np.where(chosen, boxes[0], FAR), np.where(chosen, boxes[1], -FAR)
 
@@ -245,11 +247,11 @@ def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
     """Builds a small tree on the host by halving groups of boxes along their longest axis until nodes are full.
 
     Args:
-        lows: Lower corners, shape (M, 3).
-        highs: Upper corners, shape (M, 3); inverted boxes are left out.
+        lows: Lower corners of M boxes, shape (M, 3).
+        highs: Upper corners of the boxes, shape (M, 3); inverted boxes are left out.
 
     Returns:
-        Nodes, the root first; leaves are ~index of the box.
+        Nodes, the root first; a leaf is stored as ``~index`` of its box.
     """
     rows: list[np.ndarray] = []
 
@@ -269,7 +271,7 @@ def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
 
 
 def waiting_in_tree(nodes: np.ndarray) -> int:
-    """Returns the largest number of nodes and leaves on the traversal stack of a small tree, in any order of visits."""
+    """Returns the largest number of entries on the stack of a small tree's traversal, whatever the order of visits."""
     waiting = np.ones(len(nodes), dtype=np.int64)
     for number in reversed(range(len(nodes))):  # children come after their parents
         links: list[int] = nodes["link"][number].tolist()
@@ -279,7 +281,7 @@ def waiting_in_tree(nodes: np.ndarray) -> int:
 
 
 def empty_node() -> np.ndarray:
-    """Returns a 1-element table of a node without children."""
+    """Returns a node without children, as a table with one row."""
     row = np.zeros(1, dtype=table_dtype(Node))
     for axis in "xyz":
         row[f"low_{axis}"], row[f"high_{axis}"] = FAR, -FAR
@@ -288,7 +290,7 @@ def empty_node() -> np.ndarray:
 
 
 def _split(items: np.ndarray, centers: np.ndarray) -> list[np.ndarray]:
-    """Splits items into at most as many groups as a node has children."""
+    """Splits items into groups, at most as many as a node has children."""
     groups = [items] if len(items) else []
     while len(groups) < NODE_WIDTH:
         largest = max(range(len(groups)), key=lambda g: len(groups[g]), default=0)

@@ -1,4 +1,4 @@
-"""The camera's checks, and its table on the device, which is rewritten for each sample."""
+"""Checks of the camera, and its table on the device, which is rewritten for each sample."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 
 IMAGE_PIXELS_MAX = 200_000_000
-"""Largest number of pixels of a frame: its buffers take ten words per pixel and use signed 32-bit indices."""
+"""Largest number of pixels of a frame, because its buffers take ten words per pixel and have signed 32-bit indices."""
 
 FULL_IMAGE_PIXELS_MAX = 2**31 - 1
-"""Largest number of pixels of a full image that is rendered in windows: signed 32-bit integers count them."""
+"""Largest number of pixels of a full image that is rendered in windows, because pixels are counted in signed 32 bits.
+"""
 
 FIELD_MARGIN = 0.1
-"""Angle beyond a pinhole's widest ray, radians, up to which points are projected by their tangent. Beyond it,
-projected points move outwards with their angle, since tangents would diverge."""
+"""Angle in radians beyond a pinhole's widest ray up to which points are projected by the tangent of their angle.
+Farther out, where tangents would diverge, the projected distance from the centre grows in proportion to the angle."""
 
 FIELD_MAX = 1.56
-"""Largest angle from the axis that is projected by its tangent, radians."""
+"""Largest angle from the optical axis, radians, at which points are projected by the tangent of their angle."""
 
 CENTER = (0.5, 0.5)
-"""Centre of a pixel."""
+"""Position of a pixel's centre within the pixel."""
 
 _MODELS = {
     CameraModel.PINHOLE: PINHOLE,
@@ -37,7 +38,7 @@ _MODELS = {
 
 
 def check_camera(camera: object) -> None:
-    """Raises SceneError unless the argument is a Camera whose pixels fit 32-bit indices."""
+    """Raises SceneError unless the argument is a Camera with few enough pixels for 32-bit indices."""
     if not isinstance(camera, Camera):
         raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
     width, height = camera.image_size
@@ -53,7 +54,7 @@ def check_camera(camera: object) -> None:
 
 
 def refuse_window(camera: Camera, what: str) -> None:
-    """Raises SceneError for a camera with a window where the full image is needed."""
+    """Raises SceneError if the camera renders only a window; ``what`` names the feature that needs the full image."""
     if camera.window is not None:
         raise SceneError(f"{what} need the whole image: use a camera without a window")
 
@@ -61,8 +62,8 @@ def refuse_window(camera: Camera, what: str) -> None:
 def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Projection.EWA) -> None:
     """Raises SceneError for a camera that the rasteriser cannot draw.
 
-    The rasteriser needs a pinhole without aperture or rolling shutter; with sigma points, any perspective or fisheye
-    lens without aperture.
+    The rasteriser needs a pinhole without aperture or rolling shutter. With ``Projection.UNSCENTED``, it can draw any
+    perspective or fisheye lens without aperture.
     """
     problem, remedy = None, ""
     if not pipeline.is_sequence:
@@ -85,11 +86,11 @@ def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Pro
 
 
 def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.ndarray:
-    """Returns the 1-element table from which kernels read the camera.
+    """Returns the camera as a table with one row, for kernels.
 
     Args:
         camera: The camera.
-        offset: Position of the sample in each pixel, 0..1.
+        offset: Position of the sample within each pixel, 0..1.
     """
     row = table = np.zeros(1, dtype=table_dtype(CameraData))
     size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
@@ -122,9 +123,9 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
 
 
 def image_field(camera: Camera) -> float:
-    """Returns the tangent of the largest angle from the axis at which sigma points are projected by their tangent.
+    """Returns the tangent of the largest angle from the optical axis at which a pinhole projects points by tangents.
 
-    The angle is ``FIELD_MARGIN`` beyond the rays of all pixels. The limit applies to pinholes only.
+    The angle is ``FIELD_MARGIN`` wider than the rays of all pixels; it limits the projection of sigma points.
     """
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1)
@@ -139,6 +140,6 @@ def tile_grid(width: int, height: int) -> tuple[int, int]:
 
 
 def subpixel(sample: int) -> tuple[float, float]:
-    """Returns a sample's position in its pixel, 0..1: the centre, then the R2 sequence from there (Roberts 2018)."""
+    """Returns a sample's position within its pixel, 0..1: the centre first, then the R2 sequence (Roberts 2018)."""
     x, y = SUBPIXEL_STEPS
     return (0.5 + sample * x) % 1.0, (0.5 + sample * y) % 1.0

@@ -22,39 +22,40 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene, SplatInstance
 
 EMITTER_BOXES = 16
-"""Boxes around parts of a capture that is sampled as a light."""
+"""Number of boxes around parts of a capture that is sampled as a light."""
 
 EMITTER_REACH = 3.0
-"""Extent of Gaussians inside the boxes, standard deviations."""
+"""Number of standard deviations around Gaussians that the boxes enclose."""
 
 EMITTER_FLAT = 1e-3
 """Shortest edge of a box as a fraction of its longest, so that the volume of a flat box exceeds rounding errors."""
 
 EMITTER_FLOOR = 0.05
-"""Fraction of the total power that the box around the whole capture gets, and lowest luminance of a Gaussian as a
-fraction of the mean."""
+"""Fraction of the total power that the box around the whole capture gets; also the lowest luminance of a Gaussian, as
+a fraction of the mean."""
 
 EMITTER_GAUSSIANS = 16_384
-"""Largest number of a capture's Gaussians that are used to find boxes."""
+"""Largest number of a capture's Gaussians from which boxes are computed."""
 
 EMITTER_RECEIVERS = 1024
-"""Triangles or Gaussians that represent an instance when captures are classified as lights or as surrounding scenery.
+"""Number of triangles or Gaussians that represent an instance when captures are classified as lights or as surrounding
+scenery.
 """
 
 Result = TypeVar("Result")
 
 
 class Boxes(NamedTuple):
-    """Boxes around parts of a capture, object space."""
+    """K boxes around parts of a capture, in object space."""
 
     centers: Doubles
-    """Centres, shape (K, 3)."""
+    """Centre of each of K boxes, shape (K, 3)."""
     axes: Doubles
-    """Unit axes in rows, shape (K, 3, 3)."""
+    """Unit axes of each of K boxes, in rows, shape (K, 3, 3)."""
     halves: Doubles
-    """Half edge lengths, shape (K, 3)."""
+    """Half edge lengths of each of K boxes, shape (K, 3)."""
     powers: Doubles
-    """Approximate luminance times area, shape (K,)."""
+    """Approximate luminance times area of each of K boxes, shape (K,)."""
 
 
 class CapturedEmitters:
@@ -62,22 +63,24 @@ class CapturedEmitters:
 
     def __init__(self) -> None:
         self.boxes: DeviceArray | None = None
-        """EmitterBox table of these captures; None: no capture is sampled as a light."""
+        """Table of the boxes (EmitterBox) around captures that are sampled as lights; None: there are no such
+        captures."""
         self.marked: DeviceArray | None = None
-        """Copy of the scene's splat instances in which only these captures are marked as relit."""
+        """Copy of the scene's splat instances in which only captures that are sampled as lights have the relit flag;
+        None: there are no such captures."""
         self.instances: tuple[int, ...] = ()
-        """Indices of their splat instances."""
+        """Indices of the splat instances that are sampled as lights."""
         self._boxes: _AssetCache[Boxes] = _AssetCache(boxes_of)
         self._bounds: _AssetCache[Doubles] = _AssetCache(_bounds_of)
         self._points: _AssetCache[Doubles] = _AssetCache(_sample_points)
 
     def sync(self, scene: Scene, splats: np.ndarray, buffers: Buffers) -> None:
-        """Writes the tables of a scene; ``splats`` are its splat instances, as SplatInstanceData."""
+        """Writes the tables of a scene; ``splats`` holds its splat instances as rows of SplatInstanceData."""
         emissive = [number for number, instance in enumerate(scene.splats) if not is_relit(instance)]
         receivers = self._receivers(scene) if emissive else np.zeros((0, 4))
         bounds = self._bounds.of([scene.splats[number].gaussians for number in emissive])
-        apart = zip(emissive, bounds, strict=True)
-        lights = [number for number, box in apart if is_separate_emitter(scene.splats[number], box, receivers)]
+        candidates = zip(emissive, bounds, strict=True)
+        lights = [number for number, box in candidates if is_separate_emitter(scene.splats[number], box, receivers)]
         self.instances = tuple(lights)
         emitters = [scene.splats[number] for number in lights]
         boxes = self._boxes.of([emitter.gaussians for emitter in emitters])
@@ -91,7 +94,7 @@ class CapturedEmitters:
         self.marked = buffers.upload("captured_emitters.marked", SplatInstanceData, marked)
 
     def _receivers(self, scene: Scene) -> Doubles:
-        """Returns sample points on lit surfaces in world space, and the area that each represents, shape (N, 4)."""
+        """Returns world-space sample points on lit surfaces, and the area that each of N points stands for, (N, 4)."""
         assets = [(instance.mesh, instance.transform) for instance in scene.meshes]
         assets += [(instance.gaussians, instance.transform) for instance in scene.splats if is_relit(instance)]
         points = self._points.of([asset for asset, _ in assets])
@@ -104,14 +107,14 @@ class CapturedEmitters:
 
 
 class _AssetCache(Generic[Result]):
-    """Caches a function's results for assets as long as they are requested in every call."""
+    """Caches a function's result for each asset, until a call does not request the asset."""
 
     def __init__(self, find: Callable[[Any], Result]) -> None:
         self._find = find
         self._cached: list[tuple[object, Result]] = []
 
     def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Result]:
-        """Returns the result for each asset."""
+        """Returns the function's result for each asset, computed only if not cached."""
         known = {id(asset): found for asset, found in self._cached}
         for asset in assets:
             if id(asset) not in known:
@@ -121,12 +124,14 @@ class _AssetCache(Generic[Result]):
 
 
 def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Doubles) -> bool:
-    """Returns whether most lit surface area is outside of a capture: it is then a light, else surrounding scenery.
+    """Returns whether a capture counts as a light: most lit surface area is outside the capture.
+
+    Otherwise the capture counts as scenery that surrounds the lit surfaces.
 
     Args:
         instance: The capture.
-        bounds: Two corners of a box around it, object space, shape (2, 3).
-        receivers: Sample points on lit surfaces, world space, and the area that each represents, shape (N, 4).
+        bounds: Lower and upper corner of a box around the capture, object space, shape (2, 3).
+        receivers: World-space sample points on lit surfaces, and the area that each represents, shape (N, 4).
     """
     if not len(receivers):
         return False
@@ -137,7 +142,7 @@ def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Dou
 
 
 def boxes_of(gaussians: Gaussians) -> Boxes:
-    """Returns boxes around parts of a capture, the first around all of it so that no direction to it is left out.
+    """Returns boxes around parts of a capture; the first box encloses all of it, so that no direction is left out.
 
     The part with the largest luminance times area is split first, at the median of its power.
     """
@@ -176,16 +181,16 @@ class _Box(NamedTuple):
 
 
 class _GaussianBoxes(NamedTuple):
-    """Gaussians of a capture, and methods that bound subsets of them by oriented boxes."""
+    """Gaussians of a capture, and methods that enclose subsets of the Gaussians in oriented boxes."""
 
     means: Doubles
     spread: Doubles
-    """Principal axes as columns, as long as the standard deviations, shape (N, 3, 3)."""
+    """Principal axes of each of N Gaussians as columns whose length is the standard deviation, shape (N, 3, 3)."""
     luminance: Doubles
     areas: Doubles
 
     def box(self, members: npt.NDArray[np.integer]) -> _Box:
-        """Returns the box along the principal axes of some Gaussians."""
+        """Returns a box around the Gaussians with indices ``members``, along the principal axes of their means."""
         means, weights = self.means[members], self.areas[members]
         offsets = means - np.average(means, axis=0, weights=weights)
         axes = np.linalg.eigh(np.einsum("n,nx,ny->xy", weights / weights.sum(), offsets, offsets))[1].T
@@ -200,7 +205,7 @@ class _GaussianBoxes(NamedTuple):
         return _Box(0.5 * (low + high) @ axes, axes, half, power, members)
 
     def halves(self, box: _Box) -> list[_Box]:
-        """Splits a box across its longest axis, and returns the boxes of both halves."""
+        """Splits a box across its longest axis at the median power, and returns the boxes of both halves."""
         along = self.means[box.members] @ box.axes[int(box.half.argmax())]
         order = np.argsort(along, kind="stable")
         power: Doubles = np.cumsum((self.luminance * self.areas)[box.members][order])
@@ -218,14 +223,14 @@ def _bounds_of(gaussians: Gaussians) -> Doubles:
 
 
 def _bounds(gaussians: Gaussians, step: int) -> Doubles:
-    """Returns two corners of a box around every ``step``-th Gaussian, shape (2, 3)."""
+    """Returns lower and upper corner of a box around every ``step``-th Gaussian, shape (2, 3)."""
     means = gaussians.means[::step]
     reach = EMITTER_REACH * gaussians.scales[::step].max(axis=1, keepdims=True)
     return np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)]).astype(np.float64)
 
 
 def _world_rows(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
-    """Returns the table rows of a capture's boxes, world space."""
+    """Returns the table rows of a capture's boxes, transformed to world space."""
     rows = np.zeros(len(boxes.powers), table_dtype(EmitterBox))
     linear = instance.transform[:3, :3]
     rows["center"] = boxes.centers @ linear.T + instance.transform[:3, 3]
@@ -236,11 +241,11 @@ def _world_rows(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
 
 
 _TRIANGLE_POINTS = np.array([[1.0, 1.0, 1.0], [2.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5, 0.5, 2.0]]) / 3.0
-"""Barycentric weights of four sample points in a triangle, which represent equal areas."""
+"""Barycentric coordinates of four sample points in a triangle; each point represents a quarter of the area."""
 
 
 def _sample_points(asset: Mesh | Gaussians) -> Doubles:
-    """Returns sample points on a mesh or Gaussians, object space, and the area that each represents, (N, 4)."""
+    """Returns N sample points on a mesh or Gaussians, object space, and the area that each represents, (N, 4)."""
     if isinstance(asset, Mesh):
         step = max(1, -(-asset.face_count // EMITTER_RECEIVERS))
         corners = asset.positions.astype(np.float64)[asset.indices[::step]]

@@ -1,4 +1,4 @@
-"""The scene on the device: all tables that kernels read, synced once per frame."""
+"""The scene on the device: all tables that kernels read, synchronised once per frame."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class DeviceScene:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._structure: tuple[list[int], list[int]] | None = None
         self._layout: list[object] | None = None
-        """Objects that hold the assets' arrays, compared by identity."""
+        """Objects that hold the assets' arrays, in order; compared by identity with those of the next upload."""
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
@@ -57,60 +57,60 @@ class DeviceScene:
         self._shading = ShadingTables(buffers, config, launcher.device)
         self._mesh_bvh = MeshBvhScene(launcher)
         self.bvh = BvhScene(launcher)
-        """BVHs of the Gaussians; synced if rays of the frame traverse them."""
+        """BVHs of the Gaussians, synchronised in frames whose rays traverse them."""
         self.motion = Motion(buffers, launcher.device)
-        """Transforms of the previous frame; synced for real-time frames."""
+        """Transforms of the previous frame, synchronised in real-time frames."""
         self.assets: list[SplatAsset] = []
-        """The distinct Gaussian sets."""
+        """The distinct Gaussian sets of the scene."""
         self.gaussians: DeviceArray
-        """GaussianData of each distinct set; written by ``sync``."""
+        """``GaussianData`` of each distinct set; written by ``sync``."""
         self.camera, self.splat_camera = (buffers.get(f"camera{name}", CameraData, 1) for name in ("", ".splats"))
-        """Camera table for meshes, and camera table for Gaussians, which stays at pixel centres if only meshes are
+        """Camera table for meshes, and camera table for Gaussians. The latter has no jitter if only meshes are
         jittered."""
         self.sample = self._buffers.get("sample", SampleData, 1)
         self.splat_instances: DeviceArray
-        """SplatInstanceData of each instance; written by ``sync``."""
+        """``SplatInstanceData`` of each splat instance; written by ``sync``."""
         self.mesh_instances: DeviceArray
-        """MeshInstanceData of each instance; written by ``sync``."""
+        """``MeshInstanceData`` of each mesh instance; written by ``sync``."""
         self.captured_emitters = CapturedEmitters()
-        """Captures that are sampled as lights; synced for real-time frames."""
+        """Captures that are sampled as lights, synchronised in real-time frames."""
         self.image_size = (0, 0)
-        """Width and height, pixels."""
+        """Width and height of the image, pixels."""
         self.gaussian_count = 0
-        """Gaussians over all instances."""
+        """Number of Gaussians over all instances."""
         self.triangle_count = 0
-        """Triangles over all instances."""
+        """Number of triangles over all instances."""
         self.plan: FramePlan
         """Plan of the frame; written by ``sync``."""
         self.version = 0
-        """Counter that changes with the arrays of assets."""
+        """Counter that changes when the device arrays of assets are replaced."""
         self.frame = LocalFrame(np.zeros(3))
-        """Local coordinate frame of all device data, geometry and camera alike."""
+        """Local coordinate frame in which all device data is stored, geometry as well as camera."""
         self._synced: object = None
-        """`graph_key` of the last frame."""
+        """Value of `graph_key` after the last ``sync``."""
 
     @staticmethod
     def modules(plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules that build BVHs."""
+        """Returns the kernel modules that build the BVHs of a frame."""
         if plan.follows_rays:
             return [*GaussianBvh.MODULES]
         return [*HostBoxTree.MODULES] if plan.is_sampled and plan.has_meshes else []
 
     @property
     def mesh_data(self) -> MeshData:
-        """Data of all meshes, end to end."""
+        """Arrays of all meshes, one mesh after another."""
         return self._meshes.data
 
     @property
     def mesh_bvh(self) -> MeshBvh:
-        """BVH of the meshes for kernels; synced if the frame is sampled."""
+        """BVH of the meshes, in the struct for kernels; synchronised in sampled frames."""
         row = self._mesh_bvh.data
         row.instances, row.meshes = self.mesh_instances, self.mesh_data
         return row
 
     @property
     def shading(self) -> DeviceArray:
-        """1-element ShadingScene array with all shading data; synced if the frame is sampled."""
+        """All shading data, as a ShadingScene table with one row; synchronised in sampled frames."""
         return self._shading.data
 
     @property
@@ -125,9 +125,9 @@ class DeviceScene:
 
     @property
     def graph_key(self) -> object:
-        """Values that captured graphs of the frame's passes freeze: a graph is stale after any of them changes.
+        """Values that captured graphs of the frame's passes contain: a graph is stale once any of them changes.
 
-        Data that changes with frames and samples is in arrays, whose addresses stay.
+        Data that changes from frame to frame or sample to sample is in arrays whose addresses stay the same.
         """
         tables = self.bvh.graph_key, self._mesh_bvh.graph_key, self._shading.graph_key
         return self.image_size, self.plan, self.version, tables, self._buffers.allocations
@@ -181,7 +181,7 @@ class DeviceScene:
             self._synced = self.graph_key
 
     def take_assets(self, other: DeviceScene) -> None:
-        """Takes over the assets of another device scene, and its BVHs if they fit this one's settings.
+        """Takes over the assets of another device scene; also its BVHs, if its kernel response equals this scene's.
 
         Args:
             other: A device scene of the same launcher, which is not used any more.
@@ -194,7 +194,7 @@ class DeviceScene:
             self.bvh = other.bvh
 
     def _localised(self, scene: Scene, camera: Camera) -> tuple[Scene, Camera]:
-        """Returns the scene and camera about a nearby origin, for float32, with a near plane that fits the scene."""
+        """Returns scene and camera relative to a nearby origin, as float32 needs; the near plane fits the scene."""
         frame, near = rendered_frame(scene)
         if not np.array_equal(frame.origin, self.frame.origin):
             self.motion.forget()
@@ -204,7 +204,7 @@ class DeviceScene:
         return frame.scene(scene), frame.camera(camera)
 
     def release(self) -> None:
-        """Drops all assets; the next ``sync`` uploads its own."""
+        """Frees all assets on the device; the next ``sync`` uploads its scene anew."""
         self.sync(Scene(), _ANY_CAMERA, FramePlan.of(self._config, Scene()))
         # That frame may need no lights or rays, whose tables and BVHs also hold assets.
         self._shading = ShadingTables(self._buffers, self._config, self._launcher.device)
@@ -212,7 +212,7 @@ class DeviceScene:
         self.captured_emitters = CapturedEmitters()
 
     def begin_sample(self, index: int) -> None:
-        """Starts sample ``index`` of each pixel: moves the camera's rays to the sample's position in the pixel."""
+        """Starts sample ``index`` of each pixel: sets the camera's sub-pixel offset to that sample's position."""
         self._sample["index"] = index
         assign_table(self.sample, self._sample)
         for table, jitters in ((self.camera, self._jitters_meshes), (self.splat_camera, self._jitters)):
@@ -220,11 +220,11 @@ class DeviceScene:
 
     @property
     def tile_grid(self) -> tuple[int, int]:
-        """Tiles across and down the image."""
+        """Number of tiles across and down the image."""
         return tile_grid(*self.image_size)
 
     def _shading_row(self) -> ShadingScene:
-        """Returns the shading struct with the sample and all instances filled in."""
+        """Returns the shading struct with sample, instances and meshes filled in."""
         row = ShadingScene()
         row.sample = self.sample
         row.splats, row.mesh_instances, row.meshes = self.splat_instances, self.mesh_instances, self.mesh_data
@@ -249,7 +249,7 @@ class DeviceScene:
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
 
     def _note_layout(self, *, same_meshes: bool) -> None:
-        """Updates the version after uploads. A set copied into the memory of another leaves all addresses unchanged."""
+        """Increases the version if an upload changed addresses; copying a set over another leaves them unchanged."""
         layout: list[object] = [part for asset in self.assets for part in (asset.data, asset.instance_ids)]
         before = self._layout
         same_splats = before is not None and len(layout) == len(before) and all(map(operator.is_, layout, before))

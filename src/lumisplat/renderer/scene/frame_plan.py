@@ -1,4 +1,4 @@
-"""The plan of a frame: which passes run. It is computed once; how the passes work is in the settings."""
+"""The plan of a frame: which passes run. The plan is computed once; how the passes work is in the settings."""
 
 from __future__ import annotations
 
@@ -34,38 +34,40 @@ from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
 
 SAMPLES_UNLIMITED = 1_000_000
-"""Largest number of samples of a frame that ends by time or noise; no scene needs as many."""
+"""Largest number of samples of a frame that ends by time or noise; no scene needs so many."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
-"""Default samples per pixel where light directions or alpha are random: the remaining noise is fine."""
+"""Default samples per pixel if light directions or alpha are sampled at random; the remaining noise is fine-grained."""
 
 SAMPLES_OF_ENVIRONMENT_ON_SPLATS = 8
-"""Default samples per pixel where an environment lights splat sets only. Captures are rough: 8 samples of them are as
-close to many (41 dB on the biker) as 16 of meshes are (42 dB on a duck), but cost more, as each ray crosses Gaussians.
+"""Default samples per pixel if an environment lights only splat sets. Captures are rough, so 8 samples are as close to
+the converged image (41 dB on the biker) as 16 samples are for meshes (42 dB on a duck). Samples of captures cost more,
+because each ray crosses Gaussians.
 """
 
 METAL_MIN = 0.5
-"""Factor ``metallic`` from which a rough material counts as a metal. A metal is black without reflections."""
+"""Factor ``metallic`` from which a rough material counts as a metal, which would be black without reflections."""
 
 AMBIENT_RAYS_OF_FRAMES = 2
-"""Ambient shadow rays per frame and pixel on shadow catchers in real time; frames are averaged."""
+"""Ambient shadow rays per frame and pixel on shadow catchers in real time. Few are enough, because frames are
+averaged."""
 
 SPECULAR_BOUNCES = 3
-"""Default number of reflections and refractions of a ray."""
+"""Default largest number of reflections and refractions of a ray."""
 
 PATH_BOUNCES = 8
-"""Default number of bounces of a path."""
+"""Default largest number of bounces of a path."""
 
 SAMPLES_OF_PATHS = 64
 """Default number of paths per pixel."""
 
 CAPTURED_LIGHT_DRAWS = 32
-"""Directions in which each mesh pixel samples the light of a capture, over all samples of a frame. They cost little,
-since they need no shadow rays, and one sample per pixel is then enough.
-docs/adr/0093-meshes-in-captures-are-placed-automatically.md."""
+"""Number of directions in which each mesh pixel samples the light of a capture, over all samples of a frame.
+Directions need no shadow rays and cost little, and one sample per pixel is then enough.
+docs/adr/0093-meshes-in-captures-are-placed-automatically.md explains the choice."""
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
-"""Images in ``aovs`` that unlit frames support, too."""
+"""Images in ``aovs`` that unlit frames support as well as lit frames."""
 
 ENVIRONMENT = "the environment"
 SOFT_LIGHTS = "lights with a size"
@@ -79,12 +81,12 @@ class CapturedLight(LightEnvironment):
 
 @dataclass(frozen=True, slots=True)
 class SplatShadows:
-    """Surfaces on which splat sets may cast shadows."""
+    """Kinds of surfaces on which splat sets may cast shadows."""
 
     on_reflecting: bool
-    """True if splat sets cast shadows on surfaces that reflect light; all sets do."""
+    """True if splat sets cast shadows on surfaces that reflect light. All splat sets cast such shadows."""
     on_shadow_catchers: bool
-    """True if splat sets cast shadows on shadow catchers; only sets that are no catchers do."""
+    """True if splat sets cast shadows on shadow catchers. Only splat sets that are no catchers cast such shadows."""
 
     @classmethod
     def of(cls, scene: Scene) -> SplatShadows:
@@ -94,70 +96,73 @@ class SplatShadows:
 
     @property
     def exist(self) -> bool:
-        """True if splat sets may cast shadows at all."""
+        """True if splat sets may cast shadows on any surface."""
         return self.on_reflecting or self.on_shadow_catchers
 
 
 ON_ALL = SplatShadows(on_reflecting=True, on_shadow_catchers=True)
-"""Splat shadows for rays whose receivers are unknown."""
+"""Splat shadows on all kinds of surfaces, for rays from unknown surfaces."""
 
 
 @dataclass(frozen=True, slots=True)
 class FramePlan:
-    """The passes of a frame."""
+    """Which passes a frame runs, computed from settings and scene."""
 
     is_lit: bool
     """True if lights illuminate reflecting surfaces."""
     visibility: Visibility
     """Method that finds primary hits."""
     is_unscented: bool
-    """True if Gaussians are rasterised along the rays of any lens, by sigma points; primary hits on meshes are then
+    """True if Gaussians are rasterised along the rays of any lens, by sigma points. Primary hits on meshes are then
     traced."""
     integrator: Integrator
-    """Integrator of the frame; never a path integrator for unlit frames."""
+    """Integrator of the frame. Unlit frames never have a path-tracing integrator."""
     has_unshadowed: bool
-    """True if some light reaches a reflecting surface without a shadow test: the light or the frame has no shadows, or
-    the light is the headlight."""
+    """True if some light reaches a reflecting surface without a shadow test: the light or the whole frame casts no
+    shadows, or the light is the headlight."""
     casts_shadows: bool
-    """True if shadow rays are traced: some light casts shadows, and something can block it."""
+    """True if shadow rays are traced: some light casts shadows, and some object can block it."""
     splat_shadows: SplatShadows
-    """Shadow rays that splat sets may block, by the surface they start from."""
+    """Kinds of surfaces whose shadow rays splat sets may block."""
     is_sampled: bool
-    """True if images are means of samples of primary hits; otherwise `UnlitRaster` draws them without samples."""
+    """True if images are means of samples, which start at primary hits; otherwise `UnlitRaster` draws images directly.
+    """
     samples: int
     """Largest number of samples per pixel; meaningless unless the frame is sampled."""
     adapts: bool
     """True if noisy pixels get more samples than others."""
     jitters: bool
-    """True if samples are jittered in their pixel. Default samples are not if the scene has emissive captures: pixels
-    that show only such a capture stay as captured."""
+    """True if samples are jittered within their pixel. By default they are not jittered if the scene has emissive
+    captures, so that pixels showing only such a capture stay as captured."""
     jitters_meshes: bool
-    """True if samples are jittered for meshes only: default samples are if the scene has emissive captures."""
+    """True if samples of meshes, but not of Gaussians, are jittered within their pixel: the default if the scene has
+    emissive captures."""
     samples_wanted: int
-    """Samples per pixel at which the light of the frame is not noisy."""
+    """Number of samples per pixel from which on the light of the frame is not visibly noisy."""
     noise_sources: tuple[str, ...]
-    """Descriptions of light from random directions, which is noisy with too few samples."""
+    """Descriptions of the lights that are sampled in random directions, and are noisy with too few samples."""
     has_lobes: bool
-    """True if rough surfaces reflect their environment by one ray sampled from their specular lobe."""
+    """True if rough surfaces reflect the scene by one ray, sampled from their specular lobe."""
     max_bounces: int
-    """Largest number of bounces. For rays: reflections, refractions and passes through blended meshes, 0 without any.
-    For paths: scattering events at any surface."""
+    """Largest number of bounces. For Whitted rays: reflections, refractions and passes through blended meshes; 0 if
+    the scene has no such surfaces. For paths: scattering events at any surface."""
     has_headlight: bool
-    """True if a headlight at the camera replaces missing lights."""
+    """True if a headlight at the camera lights the scene, because it has no lights."""
     has_meshes: bool
     """True if the scene has mesh instances."""
     has_media: bool
-    """True if rays are refracted into meshes and track the media that they are in."""
+    """True if rays refract into meshes, and track the media that they are in."""
     absorbs: bool
-    """True if the medium inside some mesh absorbs light."""
+    """True if the medium inside a mesh absorbs light."""
     has_coatings: bool
-    """True if interactions may have clearcoat, sheen, or multiple-scattering compensation."""
+    """True if surfaces may have clearcoat, sheen, or compensation of multiple scattering."""
     has_rough_glass: bool
     """True if paths scatter through rough transmissive surfaces."""
     has_shadow_catchers: bool
     """True if some splat set is a shadow catcher that lights darken without path tracing."""
     ambient_rays: int
-    """Ambient shadow rays per sample from shadow catchers with ambient light, in random directions."""
+    """Number of ambient shadow rays per sample from each visible shadow catcher, in random directions; 0 without
+    ambient light."""
     has_emissive_captures: bool
     """True if some splat set emits its captured colours."""
     relights: bool
@@ -165,15 +170,15 @@ class FramePlan:
     mixes_sets: bool
     """True if the scene has both emissive captures and relit sets, whose radiance is accumulated separately."""
     has_mean_surface: bool
-    """True if the rasterised surface of relit Gaussians is their weighted mean."""
+    """True if the rasteriser finds the surface of relit Gaussians as a weighted mean."""
     has_receivers: bool
-    """True if paths measure the irradiance of shadow catchers, since added objects may block or add light."""
+    """True if paths estimate the irradiance on shadow catchers, because added objects may block or add light."""
     shows_lights_in_haze: bool
-    """True if paths may see lights through blended Gaussians, such as emissive captures."""
+    """True if camera rays or paths may hit lights behind blended Gaussians, such as emissive captures."""
     aovs: frozenset[str]
-    """Additional images of the frame."""
+    """Names of the additional images (AOVs) of the frame."""
     for_camera: bool
-    """True if the rays are those of a camera's pixels, which see a background."""
+    """True for the rays of a camera's pixels, which show a background; False for rays from a caller."""
 
     @property
     def rasterises(self) -> bool:
@@ -182,7 +187,7 @@ class FramePlan:
 
     @property
     def traces_paths(self) -> bool:
-        """True if light bounces in all directions, by path tracing, offline or in real time."""
+        """True if light bounces in all directions, as in path tracing, offline or in real time."""
         return self.integrator in (Integrator.PATH, Integrator.REALTIME)
 
     @property
@@ -197,26 +202,26 @@ class FramePlan:
 
     @property
     def spawns_shadow_rays(self) -> bool:
-        """True if rays start at interactions: for shadows, for images of each light, or in specular lobes."""
+        """True if rays start at surfaces: shadow rays, rays for images of each light, or rays in specular lobes."""
         return self.casts_shadows or self.traces_paths or self.has_lobes or "lights" in self.aovs
 
     @property
     def draws_alpha(self) -> bool:
-        """True if surfaces with alpha are hit at random with probability alpha: in paths and in raster-only frames.
+        """True if rays hit translucent surfaces at random with probability alpha: in paths and in raster-only frames.
 
-        Otherwise rays continue behind such surfaces with weight 1 - alpha. Media are always hit, so that a ray that
-        enters one also leaves it.
+        Otherwise rays continue behind such surfaces with weight 1 - alpha. Surfaces of media are always hit, so that a
+        ray that enters a medium also leaves it.
         """
         return self.traces_paths or self.integrator is Integrator.DIRECT
 
     @property
     def has_path_layers(self) -> bool:
-        """True if paths record if their first surface scattered the light diffusely."""
+        """True if paths record whether their first surface scattered the light diffusely or specularly."""
         return self.traces_paths and bool(self.aovs & set(PATH_PARTS))
 
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
-        """Returns the plan of a frame of a scene."""
+        """Returns the plan for a frame of a scene."""
         pipeline = config.pipeline
         bounces, is_path, is_realtime = pipeline.bounces_light, pipeline.traces_paths, pipeline.is_sequence
         is_lit = config.is_lit(by_default=scene.is_lit_by_default)
@@ -287,7 +292,7 @@ class FramePlan:
 
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
-        """Returns the plan of rays from a caller: no camera, headlight, background or additional images."""
+        """Returns the plan for rays from a caller: without camera, headlight, background and additional images."""
         is_path = config.pipeline.traces_paths
         pipeline = Pipeline.PATH if is_path else Pipeline.TRACE
         lighting = config.lighting
@@ -300,28 +305,28 @@ class FramePlan:
 
 
 def may_jitter(config: RenderConfig, *, is_lit: bool) -> bool:
-    """Returns whether samples may be jittered in their pixels; in real time, if antialiasing averages frames."""
+    """Returns whether samples may be jittered within pixels; in real time, only if antialiasing averages frames."""
     if config.pipeline.is_sequence:
         return config.jitter and is_lit and config.realtime.of_quality.antialiasing
     return config.jitter
 
 
 def blends_first(config: RenderConfig) -> bool:
-    """Returns whether Gaussians on camera rays are blended; otherwise one of them is hit at random."""
+    """Returns whether the Gaussians on a camera ray are blended; otherwise the ray hits one of them at random."""
     return not config.pipeline.traces_paths or config.path.primary is PathPrimary.ISO
 
 
 def may_adapt(config: RenderConfig) -> bool:
     """Returns whether pixels may have different numbers of samples.
 
-    They may if camera rays are traced and have independent random numbers.
+    They may if camera rays are traced and the pixels have independent random numbers.
     """
     shadows = config.shadow_rays
     return not config.pipeline.rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
 
 
 def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
-    """Returns whether some light, or in path tracing some emissive surface, casts shadows."""
+    """Returns whether some light casts shadows or, in path tracing, some emissive surface."""
     if config.shadows is Shadows.OFF:
         return False
     casts = any(light.enabled and light.casts_shadow for light in scene.lights)
@@ -329,22 +334,22 @@ def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
 
 
 def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
-    """Returns whether paths may see lights through blended Gaussians, which then need shadow rays."""
+    """Returns whether paths may hit lights behind blended Gaussians; such lights need shadow rays."""
     if not config.pipeline.bounces_light or config.shadows is Shadows.OFF:
         return False
     return (has_emissive_captures(scene) or blends_first(config)) and any(map(is_visible, scene.lights))
 
 
 def adds_to_captures(scene: Scene) -> bool:
-    """Returns whether there are shadow catchers, and other objects that may block or add light on them."""
+    """Returns whether there are shadow catchers, and other objects that may block or add light on the catchers."""
     captured = [instance.shadow_catcher for instance in scene.splats]
     return any(captured) and (bool(scene.meshes) or not all(captured))
 
 
 def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> int:
-    """Returns the number of ambient shadow rays per sample from shadow catchers, 0 without ambient light on them.
+    """Returns the number of ambient shadow rays per sample from shadow catchers; 0 if they receive no ambient light.
 
-    A default frame of one sample gets as many rays as its ambient light needs.
+    A frame whose default is one sample gets as many rays as its ambient light needs.
     """
     catchers = [instance for instance in scene.splats if instance.shadow_catcher]
     if not (adds_to_captures(scene) and any(any(catcher_ambient(one, scene)) for one in catchers)):
@@ -355,12 +360,12 @@ def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> 
 
 
 def is_visible(light: Light) -> bool:
-    """Returns whether paths can hit a light as a body."""
+    """Returns whether paths can hit a light as an object of the scene."""
     return isinstance(light, AreaLight) and light.enabled and light.visible
 
 
 def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lobes: bool) -> int:
-    """Returns the largest number of bounces; in real time, of bounces off smooth surfaces."""
+    """Returns the largest number of bounces; in real time, only bounces off smooth surfaces count."""
     if config.pipeline.traces_paths and is_lit:
         return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
     if not has_mirrors or not config.pipeline.spawns_rays:
@@ -369,23 +374,23 @@ def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lob
 
 
 def has_emitters(scene: Scene) -> bool:
-    """Returns whether captures or meshes of a scene emit light, so that paths find light without any light source."""
+    """Returns whether captures or meshes of a scene emit light, so that the scene is lit even without lights."""
     return has_emissive_captures(scene) or any(material.is_emissive for material in materials_of(scene))
 
 
 def materials_of(scene: Scene) -> list[Material]:
-    """Returns the materials of meshes, and those that splat sets have."""
+    """Returns the materials of all meshes, and of all splat sets that have one."""
     materials: list[Material] = [instance.mesh.material for instance in scene.meshes]
     return materials + [instance.material for instance in scene.splats if instance.material is not None]
 
 
 def reflects_light(scene: Scene) -> bool:
-    """Returns whether some surface reflects light: a mesh, or a splat set whose material does."""
+    """Returns whether some surface reflects light: a mesh, or a splat set whose material reflects."""
     return bool(scene.meshes) or not all(i.shadow_catcher or emits_capture_only(i) for i in scene.splats)
 
 
 def finds_mean_surface(raster: RasterConfig) -> bool:
-    """Returns whether the rasteriser finds weighted-mean surfaces; its stochastic samples have one Gaussian each."""
+    """Returns whether the rasteriser finds weighted-mean surfaces; stochastic samples have one Gaussian, hence none."""
     return raster.surface is GaussianSurface.MEAN and raster.strategy is RasterStrategy.SORTED
 
 
@@ -395,7 +400,7 @@ def has_emissive_captures(scene: Scene) -> bool:
 
 
 def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
-    """Returns descriptions of the lights whose sampled direction differs between samples."""
+    """Returns descriptions of the lights that are sampled in another direction for each sample."""
     lights = [light for light in scene.lights if light.enabled]
     environment = any(isinstance(light, LightEnvironment) for light in lights)
     environment = environment and not draws_captured_light(config.aovs, scene)
@@ -404,27 +409,27 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
 
 
 def draws_captured_light(aovs: Collection[str], scene: Scene) -> bool:
-    """Returns whether each sample looks in many directions for the light of captures, so that one sample is smooth.
+    """Returns whether each sample takes the light of captures from many directions, so that one sample is smooth.
 
-    Images of single lights (``lights``) are added up by passes that look in one direction.
+    The images of single lights (``lights``) are computed in passes that sample one direction.
     """
     return "lights" not in aovs and any(isinstance(light, CapturedLight) for light in scene.lights)
 
 
 def environment_draws(plan: FramePlan, scene: Scene) -> int:
-    """Returns the number of directions per interaction and sample that sample an unshadowed environment."""
+    """Returns in how many directions an unshadowed environment is sampled per surface point and sample."""
     return math.ceil(CAPTURED_LIGHT_DRAWS / plan.samples) if draws_captured_light(plan.aovs, scene) else 1
 
 
 def samples_of(noise_sources: tuple[str, ...], scene: Scene) -> int:
-    """Returns the samples per pixel that these noise sources need; one if there are none."""
+    """Returns the number of samples per pixel that lights with these descriptions need; 1 if there are none."""
     if not noise_sources:
         return 1
     return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in noise_sources else SAMPLES_OF_ENVIRONMENT_ON_SPLATS
 
 
 def has_rough_metal(scene: Scene) -> bool:
-    """Returns whether a scene has a rough metal, whose look is all reflections, and something for it to reflect."""
+    """Returns whether a scene has a rough metal, which shows only reflections, and an object for it to reflect."""
     rough = (
         isinstance(one, MaterialPbr) and one.metallic >= METAL_MIN and not one.is_smooth for one in materials_of(scene)
     )
@@ -432,7 +437,7 @@ def has_rough_metal(scene: Scene) -> bool:
 
 
 def has_size(light: Light) -> bool:
-    """Returns whether soft shadows sample a light over its extent; environments have none."""
+    """Returns whether soft shadows sample a light over its area or angle; False for environments."""
     if isinstance(light, LightEnvironment):
         return False
     return isinstance(light, AreaLight) or (light.angle if isinstance(light, LightDirectional) else light.radius) > 0.0

@@ -27,7 +27,8 @@ from lumisplat.scene.materials import AlphaMode, MaterialPbr, wraps_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 KERNEL_LINEAR_SLOPE = 0.329630334487
-"""Slope of the degree-0 kernel max(1 - slope * d, 0), which equals exp(-4.5) at d = 3. NVIDIA's value."""
+"""Slope of the kernel of degree 0, max(1 - slope * d, 0), chosen so that it equals exp(-4.5) at d = 3; NVIDIA's value.
+"""
 
 _ALPHA_MODES = {AlphaMode.OPAQUE: ALPHA_OPAQUE, AlphaMode.MASK: ALPHA_MASK, AlphaMode.BLEND: ALPHA_BLEND}
 _HIT_DISTANCES = {HitDistance.MEAN: HIT_MEAN, HitDistance.PEAK: HIT_PEAK, HitDistance.HULL: HIT_HULL}
@@ -40,7 +41,7 @@ def splat_instance_table(
 
     Args:
         scene: The scene with the instances.
-        assets: The distinct Gaussian sets, in the order of those on the device.
+        assets: The distinct Gaussian sets, in the order of the device's assets.
         camera: The camera of the frame.
         config: Settings of the frame.
         is_lit: Whether the frame is lit; then sets that reflect light use the albedo and normals stored with them.
@@ -79,9 +80,9 @@ def splat_instance_table(
 
 
 def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bool) -> int:
-    """Returns where rays hit the Gaussians of an instance: HIT_PEAK, HIT_HULL or HIT_MEAN.
+    """Returns at which point rays hit the Gaussians of an instance: HIT_PEAK, HIT_HULL or HIT_MEAN.
 
-    Unless the settings choose one, captures are ordered as in training, by mean, and relit sets by peak response.
+    If the settings do not choose, captures are ordered by their means, as in training, and relit sets by peak response.
     """
     if config.trace.hit_distance is not None:
         return _HIT_DISTANCES[config.trace.hit_distance]
@@ -89,19 +90,22 @@ def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bo
 
 
 def is_antialiased(gaussians: Gaussians, antialiasing: Antialiasing) -> bool:
-    """Returns whether the Gaussians of a set are antialiased under a setting."""
+    """Returns whether a set's Gaussians are antialiased, given the setting."""
     return antialiasing is Antialiasing.ON or (antialiasing is Antialiasing.AUTO and gaussians.antialiased)
 
 
 def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
-    """Returns the standard deviation by which rays widen the Gaussians of a set, in pixel widths."""
+    """Returns the standard deviation by which rays widen a set's Gaussians, in pixel widths."""
     return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 
 
 def mesh_instance_table(
     scene: Scene, assets: MeshAssets, boxes: InstanceBoxes, camera: Camera, plan: FramePlan
 ) -> np.ndarray:
-    """Returns the table of a scene's mesh instances; ``boxes`` has their BVH roots and bounds if rays may hit them."""
+    """Returns the table of a scene's mesh instances.
+
+    ``boxes`` holds the instances' BVH roots and bounds, if rays may hit meshes.
+    """
     table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
     if not scene.meshes:
         return table
@@ -154,13 +158,13 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, pla
 
 
 def absorption_of(material: MaterialPbr) -> np.ndarray:
-    """Returns the absorption coefficient inside a mesh, per scene unit, shape (3,)."""
+    """Returns the absorption coefficient inside a mesh of this material, per scene unit, by channel, shape (3,)."""
     left = np.maximum(material.attenuation_color, np.finfo(np.float32).tiny)
     return -np.log(left) / material.attenuation_distance
 
 
 def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:
-    """Returns the kernel response of a capture's Gaussians; the settings may replace the capture's own degree."""
+    """Returns the kernel response of a capture's Gaussians. The settings may replace the capture's kernel degree."""
     response = config.response
     kernel = KernelData()
     kernel.degree = gaussians.kernel_degree if response.kernel_degree is None else response.kernel_degree

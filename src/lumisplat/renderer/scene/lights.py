@@ -1,4 +1,4 @@
-"""Light tables on the device: written every frame, except for the environment map, which is cached."""
+"""Light tables on the device, written every frame; only the environment map is cached."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from lumisplat.scene.scene import MeshInstance, Scene
 
 ENVIRONMENT_SHARE_MIN = 4
 """Smallest probability of a row or texel that is not black, in units of 1 / `ENVIRONMENT_SHARE_STEPS`, so that every
-one can be sampled."""
+such row and texel can be sampled."""
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
 """Image of an environment of constant colour."""
@@ -65,20 +65,21 @@ _KINDS: dict[type, int] = {
     LightRect: LIGHT_RECT,
     LightDisk: LIGHT_DISK,
 }
-"""Light kinds in kernels by class; all other classes are environments."""
+"""Number of each light class in kernels; classes that are not listed are environments."""
 
 
 class LightTable:
-    """The lights that kernels read."""
+    """The scene's lights as kernels read them."""
 
     def __init__(self) -> None:
         self.lights: DeviceArray
-        """`LightData` of the enabled lights in the scene's order, at least one element; written by ``sync``."""
+        """`LightData` of the enabled lights in the scene's order; at least one row, even without lights. Written by
+        ``sync``."""
         self.count = 0
-        """Number of these lights."""
+        """Number of enabled lights."""
         self.environment = EnvironmentData()
         self.names: tuple[str, ...] = ()
-        """Distinct names of the lights: their own, else ``light`` and their index in the scene."""
+        """Distinct names of the enabled lights: the name in the scene, else ``light`` and the index in the scene."""
         self._image: FloatArray | None = None
         self._brightest = 1.0
         self._mean = np.ones(3)
@@ -93,8 +94,8 @@ class LightTable:
             camera: The camera, at whose eye the headlight is.
             buffers: Holds the arrays; the same object in every call.
             is_lit: Whether the frame is lit; if not, no lights are written.
-            has_headlight: Whether a headlight replaces the lights; None: if the frame is lit and the scene has no
-                lights.
+            has_headlight: Whether to write a headlight instead of the lights; None: yes if the frame is lit and the
+                scene has no lights.
         """
         lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled and is_lit]
         self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
@@ -138,12 +139,12 @@ class LightTable:
 
 
 def power_of(light: Light) -> Doubles:
-    """Returns colour times intensity, in the light's own unit, shape (3,)."""
+    """Returns the light's colour times intensity, in the unit of its type, by channel, shape (3,)."""
     return np.minimum(np.array(light.color) * light.intensity, LIGHT_POWER_MAX)
 
 
 def light_table(lights: list[Light]) -> np.ndarray:
-    """Returns one row of LightData per light."""
+    """Returns one row of LightData for each light."""
     table = np.zeros(len(lights), dtype=table_dtype(LightData))
     for row, light in zip(np.split(table, len(lights)) if lights else [], lights, strict=True):
         row["kind"] = _KINDS.get(type(light), LIGHT_ENVIRONMENT)
@@ -181,7 +182,7 @@ def light_table(lights: list[Light]) -> np.ndarray:
 
 
 def headlight_table(camera: Camera) -> np.ndarray:
-    """Returns the row of a light at the camera's eye under which a white surface that faces it looks white."""
+    """Returns the LightData row of a light at the camera's eye that makes a white surface facing it look white."""
     table = np.zeros(1, dtype=table_dtype(LightData))
     table["kind"] = LIGHT_HEADLIGHT
     table["position"] = camera.eye
@@ -191,17 +192,17 @@ def headlight_table(camera: Camera) -> np.ndarray:
 
 
 def mean_radiance(image: npt.NDArray[np.floating]) -> Doubles:
-    """Returns the mean radiance of an environment map over all directions, shape (3,)."""
+    """Returns the mean radiance of an environment map over all directions, by channel, shape (3,)."""
     edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
     means: Doubles = 0.5 * ((edges[:-1] - edges[1:]) @ image.mean(axis=1, dtype=np.float64))
     return means
 
 
 def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Returns the CDF of an environment map's rows, shape (H,), and of the texels in each row, shape (H, W).
+    """Returns the CDF over the rows of an environment map, (H,), and over the texels within each row, (H, W).
 
-    A texel's probability is the mean luminance of the interpolated image in its cell, times the cell's solid angle.
-    Black rows have probability 0; in a black image, all rows do.
+    A texel's probability is the mean luminance of the interpolated image over the texel, times the texel's solid angle.
+    Black rows have probability 0, so in a black image all rows have.
     """
     luminance = image @ np.array(LUMINANCE, dtype=np.float32)
     across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
@@ -212,17 +213,16 @@ def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
 
 
 def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Returns half the means of cells, interpolated along the first axis.
+    """Returns half the means of an interpolated image over its texels, along the first axis.
 
-    A mean has weight 3/4 of the cell's value and 1/8 of each neighbour's. It is halved so that no float32 sum
-    overflows.
+    A mean is 3/4 of the texel's value and 1/8 of each neighbour's. Halving avoids overflow of float32 sums.
     """
     parts = padded * np.float32(1.0 / 16.0)
     return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
 
 
 def cumulative_distribution(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
-    """Returns a CDF whose steps are exact in float32; every weight above 0 gets a positive probability."""
+    """Returns a CDF whose steps are exact in float32; every weight above 0 gets a probability above 0."""
     total = float(weights.sum(dtype=np.float64))
     if total == 0.0:
         return np.zeros(len(weights), dtype=np.float32)
@@ -244,20 +244,20 @@ def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
 
 
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
-"""Barycentric weights of the points at which emissive textures are averaged."""
+"""Barycentric coordinates of the points of a triangle at which emissive textures are averaged."""
 _DARK_FRACTION = 0.05
-"""Lowest luminance of a textured triangle, as a fraction of the brightest triangle of the texture."""
+"""Lowest luminance assumed for a textured triangle, as a fraction of that of the texture's brightest triangle."""
 
 
 class Emitters:
-    """The emissive triangles, uploaded when they change."""
+    """The emissive triangles of a scene on the device, uploaded when they change."""
 
     def __init__(self) -> None:
         self.data = EmitterData()
         self._key: object = None
 
     def sync(self, scene: Scene, buffers: Buffers) -> None:
-        """Writes the table of a scene."""
+        """Writes the table of a scene's emissive triangles."""
         emitters = [(number, instance) for number, instance in enumerate(scene.meshes) if is_emitter(instance)]
         transforms = [(number, id(instance.mesh), instance.transform.tobytes()) for number, instance in emitters]
         key = transforms, len(scene.meshes)
@@ -295,7 +295,7 @@ def is_emitter(instance: MeshInstance) -> bool:
 
 
 def powers_of(instance: MeshInstance) -> Doubles:
-    """Returns the approximate luminance times area of an instance's triangles, shape (F,)."""
+    """Returns the approximate luminance times area of each of an instance's F triangles, shape (F,)."""
     mesh, material = instance.mesh, instance.mesh.material
     emitted = np.array(material.emissive, np.float64)
     if not isinstance(material, MaterialPbr):
@@ -308,7 +308,7 @@ def powers_of(instance: MeshInstance) -> Doubles:
 
 
 def triangles_of(instance: MeshInstance) -> npt.NDArray[np.void]:
-    """Returns an instance's triangles for light sampling, with bounds of their rounding errors, shape (F,)."""
+    """Returns an instance's F triangles for light sampling, with bounds of their rounding errors, shape (F,)."""
     corners = _corners(instance)
     edges = corners[:, 1:] - corners[:, :1]
     across = np.cross(edges[:, 0], edges[:, 1])
@@ -328,7 +328,7 @@ def triangles_of(instance: MeshInstance) -> npt.NDArray[np.void]:
 
 
 def _rounding_error(instance: MeshInstance, normals: Doubles) -> Doubles:
-    """Returns the largest distance of hits from their triangle's plane by rounding, (F,); see ``spawn_point``."""
+    """Returns how far rounding may move a hit off each of F triangles' planes, (F,); see ``spawn_point``."""
     world_from_object = instance.transform[:3, :3]
     local = instance.mesh.positions.astype(np.float64)[instance.mesh.indices]
     offsets = local @ world_from_object.T
@@ -344,7 +344,7 @@ def _rounding_error(instance: MeshInstance, normals: Doubles) -> Doubles:
 
 
 def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: WrapPair) -> Doubles:
-    """Returns the luminance of a texture, averaged over some points of each triangle, shape (F,)."""
+    """Returns the luminance of a texture, averaged over some points of each of F triangles, shape (F,)."""
     assert mesh.uvs is not None
     points = np.einsum("pc,fcx->fpx", _INSIDE, mesh.uvs[mesh.indices])
     height, width = texture.shape[:2]
@@ -358,7 +358,7 @@ def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: WrapPair) 
 
 
 def _corners(instance: MeshInstance) -> Doubles:
-    """Returns the world-space corners of the triangles, shape (F, 3, 3)."""
+    """Returns the world-space corners of an instance's F triangles, shape (F, 3, 3)."""
     world = instance.mesh.positions.astype(np.float64) @ instance.transform[:3, :3].T + instance.transform[:3, 3]
     corners: Doubles = world[instance.mesh.indices]
     return corners
@@ -375,5 +375,5 @@ def _centers(instance: MeshInstance) -> Doubles:
 
 
 def _mean_area(emitters: list[tuple[int, MeshInstance]]) -> float:
-    """Returns the mean area of the emitters' triangles."""
+    """Returns the mean area of all triangles of emissive mesh instances."""
     return float(np.concatenate([_areas(instance) for _, instance in emitters]).mean())

@@ -28,7 +28,7 @@ _VARIED = {
     "sheen_color_texture": "sheen_texture",
     "sheen_roughness_texture": "sheen_roughness_texture",
 }
-"""Texture fields of VariedData by their name in materials."""
+"""Names of the texture fields of VariedData, by the name of the field in materials."""
 _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
 
 
@@ -44,10 +44,10 @@ def emits_capture_only(instance: SplatInstance) -> bool:
 
 
 def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
-    """Returns the ambient light on a shadow catcher, as radiance over albedo, from its material.
+    """Returns the ambient light on a shadow catcher from its material: ambient radiance divided by albedo.
 
-    Without a material, a default is used if the scene has lights but no environment, which would itself be the ambient
-    light. Scenes without lights get none: paths light them by captures alone.
+    A catcher without a material gets a default if the scene has lights but no environment, because an environment is
+    already ambient light. In scenes without lights the result is 0: paths light catchers by captures alone.
     """
     if instance.material is not None:
         return instance.material.ambient if isinstance(instance.material, MaterialSimple) else _GUESSED
@@ -58,14 +58,14 @@ def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
 
 
 def is_relit(instance: SplatInstance) -> bool:
-    """Returns whether a splat set's look in lit frames comes from lights only, without its captured colours."""
+    """Returns whether a splat set is relit: in lit frames it shows only light, not its captured colours."""
     material = material_of(instance)
     ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
     return not instance.shadow_catcher and min(np.add(material.emissive, ambient)) < 1.0
 
 
 def is_medium(instance: MeshInstance, *, traces_paths: bool) -> bool:
-    """Returns whether rays refract into a mesh; into a rough one, only paths do."""
+    """Returns whether rays refract into a mesh. Only paths refract into rough meshes."""
     material = instance.mesh.material
     return (material.is_smooth or traces_paths) and isinstance(material, MaterialPbr) and material.is_solid
 
@@ -77,24 +77,24 @@ def is_rough_glass(instance: MeshInstance) -> bool:
 
 
 def absorbs(instance: MeshInstance) -> bool:
-    """Returns whether the inside of a mesh absorbs light."""
+    """Returns whether the medium inside a mesh absorbs light."""
     material = instance.mesh.material
     return isinstance(material, MaterialPbr) and math.isfinite(material.attenuation_distance)
 
 
 _AS_CAPTURED = MaterialSimple()
-"""Material of a splat set without one."""
+"""Material assumed for a splat set that has none."""
 
 
 def material_of(instance: SplatInstance) -> Material:
-    """Returns the material of a splat set, or the default one."""
+    """Returns the material of a splat set, or `_AS_CAPTURED` if it has none."""
     return instance.material or _AS_CAPTURED
 
 
 def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
-    """Returns which splat instances use the normals, and which the albedo, that are stored with their Gaussians.
+    """Returns which splat instances use the normals, and which the albedo, stored with their Gaussians.
 
-    Instances that reflect light use the normals. Those that also emit no captured colours use the albedo.
+    Instances that reflect light use the normals. Instances that also emit no captured colours use the albedo.
     """
     reflects = [lit and not emits_capture_only(instance) for instance in scene.splats]
     return {
@@ -113,7 +113,7 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
         scene: The scene with the instances.
         texture_first: Returns the index of a texture's first texel.
         is_lit: Whether the frame is lit; if not, all splats only emit their captured colours.
-        compensates: Whether to compensate the energy that single scattering loses in rough metals.
+        compensates: Whether to add the energy that rough metals lose if only single scattering is computed.
     """
     table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=table_dtype(MaterialData))
     table["compensates"] = compensates
@@ -162,13 +162,13 @@ def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:
 
 
 def varies(mesh: Mesh) -> bool:
-    """Returns whether textures vary transmission or layers over a mesh."""
+    """Returns whether textures vary a mesh's transmission, clearcoat or sheen."""
     has_any = any(getattr(mesh.material, name, None) is not None for name in _VARIED)
     return has_any and mesh.uvs is not None
 
 
 def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) -> np.ndarray:
-    """Returns the rows of VariedData: an empty one, then one per material."""
+    """Returns the rows of VariedData: an empty row for "not varied", then one row for each material."""
     table = np.zeros(1 + len(materials), dtype=table_dtype(VariedData))
     for row, material in zip(list[Any](table)[1:], materials, strict=True):
         row["transmission"], row["coat"], row["sheen"] = material.transmission, material.clearcoat, material.sheen_color
@@ -183,7 +183,7 @@ def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) 
 
 
 def fill_layers(row: Any, material: MaterialPbr) -> None:
-    """Fills the clearcoat and sheen fields that all material structs share."""
+    """Fills the fields for clearcoat and sheen, which all material structs have."""
     row["coat"] = material.clearcoat
     row["coat_alpha"] = max(material.clearcoat_roughness, COAT_ROUGHNESS_MIN) ** 2
     if any(material.sheen_color):
@@ -196,7 +196,7 @@ def has_layers(material: Material | None) -> bool:
 
 
 def write_texture(row: Any, texture: np.ndarray, wraps: WrapPair, texture_first: TextureFirst) -> None:
-    """Fills a row of TextureData."""
+    """Fills a row of TextureData with a texture's first texel, size and wrap modes."""
     row["first"] = texture_first(texture)
     row["height"], row["width"] = texture.shape[:2]
     row["wrap_u"], row["wrap_v"] = (_WRAPS[wrap] for wrap in wraps)

@@ -1,6 +1,6 @@
-"""Compares each frame with the previous one: motion of instances and camera, and how far cached lighting stays valid.
+"""Compares each frame with the previous one: motion of instances and camera, and how far cached lighting is valid.
 
-The latter is described in docs/method/realtime.md#light-that-changes.
+How lighting changes are handled is described in docs/method/realtime.md#light-that-changes.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 OUTDATED_HISTORY_WEIGHT = 1e-4
-"""Weight that history keeps when a light appears or disappears. New samples replace it at once; until then it is
-better than nothing. Many outdated cells of a tile together weigh less than one new sample."""
+"""Weight of cached lighting after a light appears or disappears. New samples replace the cached lighting at once;
+until they arrive it is better than nothing. Many outdated cells of a tile together weigh less than one new sample."""
 
 CHANGED_HISTORY_WEIGHT = 0.7
-"""Weight that history keeps per frame after lights move or change a little: means then cover about three frames."""
+"""Weight of cached lighting per frame after lights move or change a little: means then cover about three frames."""
 
 CHANGED_FRAMES = 8
-"""Frames in which history fades after lights change."""
+"""Number of frames for which cached lighting fades after lights change."""
 
 MOVED_HISTORY_WEIGHT = 0.8
-"""Weight that history keeps per frame after lit objects move."""
+"""Weight of cached lighting per frame after lit objects move."""
 
 MOVED_FRAMES = 16
-"""Frames in which history fades after objects move."""
+"""Number of frames for which cached lighting fades after objects move."""
 
 CHANGED_STRENGTH = 2.0
-"""Ratio of strengths between two frames above which a light counts as another light."""
+"""Ratio between a light's strengths in two frames above which it counts as another light."""
 
 SMALL = 16
-"""Largest number of elements of an array that is compared by value."""
+"""Largest number of elements of arrays that are compared by value; larger arrays are compared by identity."""
 
 Instance = TypeVar("Instance", SplatInstance, MeshInstance)
 
@@ -64,14 +64,14 @@ class Motion:
         self._positions: wp.array[wp.vec3] | None = None
         self._changes = LightChanges()
         self.history_weight = 1.0
-        """Weight that cached lighting keeps in this frame, 0..1; 1 unless lighting has changed."""
+        """Factor on the weight of cached lighting in this frame, 0..1; 1 unless lighting has changed."""
         self.camera = buffers.get("motion.camera", CameraData, 1)
         """Camera of the previous frame; written by ``sync``."""
         self.splats: DeviceArray
-        """``InstanceMotion`` of each splat instance; like ``meshes``, written by ``sync``."""
+        """``InstanceMotion`` of each splat instance; ``meshes`` holds those of mesh instances. Written by ``sync``."""
         self.meshes: DeviceArray
         self.moved_to: wp.array[int]
-        """New index of each instance of the previous frame, splats first, as in ``has_left``."""
+        """New index of each instance of the previous frame, splats first, encoded as for ``has_left``."""
 
     def sync(
         self,
@@ -82,12 +82,12 @@ class Motion:
         has_headlight: bool,
         captures: Sequence[int] = (),
     ) -> None:
-        """Writes the tables of a frame, and stores its scene and camera for the next one.
+        """Writes the motion tables of a frame, and stores its scene and camera for the next frame.
 
         Args:
             scene: Scene of the frame.
             camera: Camera of the frame.
-            positions: Vertices of all its meshes on the device; later frames do not overwrite them.
+            positions: Vertices of all meshes on the device; later frames must not overwrite the array.
             has_headlight: Whether a headlight replaces missing lights.
             captures: Indices of the splat instances that are sampled as lights.
         """
@@ -105,7 +105,7 @@ class Motion:
         self._positions = positions
 
     def forget(self) -> None:
-        """Drops the previous frame: nothing has moved, nothing has a history."""
+        """Forgets the previous frame: in the next frame, nothing has moved and nothing has a history."""
         self._scene = self._camera = self._positions = None
         self._changes.forget()
 
@@ -146,10 +146,10 @@ def previous_indices(
     asset_of: Callable[[Instance], object],
     is_same: Callable[[Instance, Instance], bool],
 ) -> list[int | None]:
-    """Returns the index of each instance in the previous frame; None: it is new.
+    """Returns the index that each instance had in the previous frame; None: the instance is new.
 
-    Instances of one asset correspond in order. An instance of a new asset corresponds to the one at the same index, if
-    ``is_same`` accepts it.
+    Instances of one asset correspond in order. An instance of a new asset corresponds to the previous instance with the
+    same index, if ``is_same`` accepts the pair.
     """
     candidates: dict[int, list[int]] = {}
     for number, instance in enumerate(before):
@@ -163,12 +163,12 @@ def previous_indices(
 
 
 def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numbers: list[int | None]) -> list[int]:
-    """Returns the new index of each instance of the previous frame, ``UNMOVED`` if it has not moved, or ``GONE``.
+    """Returns the new index of each instance of the previous frame; ``UNMOVED`` if it stands still, or ``GONE``.
 
     Args:
-        now: Asset and transform of the instances.
-        before: Asset and transform of the previous frame's instances.
-        numbers: Index of each instance in the previous frame; None: it is new.
+        now: Asset and transform of each instance.
+        before: Asset and transform of each instance of the previous frame.
+        numbers: Index of each instance in the previous frame; None: the instance is new.
     """
     moved = [GONE] * len(before)
     for number, old in enumerate(numbers):
@@ -178,23 +178,23 @@ def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numb
 
 
 def is_same_capture(now: SplatInstance, before: SplatInstance) -> bool:
-    """Returns whether two Gaussian sets may be one capture whose Gaussians have moved."""
+    """Returns whether two Gaussian sets may be one capture whose Gaussians have moved: both have equally many."""
     return now.gaussians.count == before.gaussians.count
 
 
 def is_same_mesh(now: MeshInstance, before: MeshInstance) -> bool:
-    """Returns whether two meshes may be one mesh whose vertices have moved."""
+    """Returns whether two meshes may be one mesh whose vertices have moved: vertex and face counts are equal."""
     return now.mesh.vertex_count == before.mesh.vertex_count and now.mesh.face_count == before.mesh.face_count
 
 
 def first_vertices(scene: Scene) -> dict[int, int]:
-    """Returns the index of each mesh's first vertex on the device, by the mesh's id."""
+    """Returns the index of each mesh's first vertex in the device arrays, by ``id`` of the mesh."""
     counts = {id(instance.mesh): instance.mesh.vertex_count for instance in scene.meshes}
     return first_of(counts)
 
 
 def write_motion(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> None:
-    """Writes an instance's motion from its transforms, shape (4, 4) each."""
+    """Writes an instance's motion from its transforms in this and the previous frame, shape (4, 4) each."""
     row.existed = 1
     # An unmoved instance gets the exact identity.
     from_now = np.eye(4) if np.array_equal(now, before) else before @ np.linalg.inv(now)
@@ -212,13 +212,13 @@ class LightState:
     """
 
     sources: Sequence[object]
-    """Types of the lights, and the emissive meshes with their emission."""
+    """Types of the lights, and for each emissive mesh its size and emission."""
     strengths: list[npt.NDArray[np.float64]]
-    """Strength of each light, by channel."""
+    """Strength of each light by channel, shape (3,) each."""
     rest: Sequence[object]
-    """Other values of lights, emissive objects with their transforms, and materials."""
+    """All other values of lights, transforms of emissive objects, and materials."""
     objects: Sequence[object]
-    """Sets and meshes with their transforms: the objects that reflect light and cast shadows."""
+    """Gaussian sets and meshes with their transforms: the objects that reflect light and cast shadows."""
 
 
 class LightChanges:
@@ -229,15 +229,15 @@ class LightChanges:
         self._changed_ago, self._moved_ago = CHANGED_FRAMES, MOVED_FRAMES
 
     def forget(self) -> None:
-        """Drops the previous frame."""
+        """Forgets the previous frame: in the next frame, no light has changed."""
         self._before, self._changed_ago, self._moved_ago = None, CHANGED_FRAMES, MOVED_FRAMES
 
     def history_weight(self, scene: Scene, has_headlight: bool, captures: Sequence[int] = ()) -> float:
-        """Returns the weight that cached lighting keeps in this frame, 0..1.
+        """Returns the factor on the weight of cached lighting in this frame, 0..1; 1 unless lighting has changed.
 
-        It is nearly 0 if a light appears, disappears or abruptly changes its strength. After any other change of
-        lights, cached lighting fades over several frames. It fades more slowly after objects move, whose shadows and
-        reflections are only a part of the light.
+        The factor is nearly 0 if a light appears, disappears or abruptly changes its strength. After any other change
+        of lights, cached lighting fades over several frames. After objects move, cached lighting fades more slowly,
+        because their shadows and reflections are only a part of the light.
 
         Args:
             scene: Scene of the frame.
@@ -274,7 +274,7 @@ def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> L
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
-    """Returns asset and transform of each instance for comparison, splats first."""
+    """Returns the asset's id and the transform's bytes of each instance, to compare frames; splats first."""
     splats = [(id(instance.gaussians), instance.transform.tobytes()) for instance in scene.splats]
     return splats + [(id(instance.mesh), instance.transform.tobytes()) for instance in scene.meshes]
 
@@ -311,7 +311,7 @@ def values_of(light: Light) -> list[object]:
 
 
 def comparable(value: object) -> object:
-    """Returns a comparable value: the identity of a large array, the bytes of a small one, else the value."""
+    """Returns a value to compare with ``==``: a large array's identity, a small array's bytes, else the value."""
     if not isinstance(value, np.ndarray):
         return value
     numbers = cast(npt.NDArray[Any], value)

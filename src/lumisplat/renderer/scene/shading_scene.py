@@ -1,4 +1,4 @@
-"""Tables that shading reads: materials, attributes of Gaussians, lights and settings."""
+"""Tables that shading kernels read: materials, attributes of Gaussians, lights and settings."""
 
 from __future__ import annotations
 
@@ -43,20 +43,20 @@ class ShadingTables:
         self._attributes: DeviceArray
         self._version: int | None = None
         self.data: Any = None
-        """1-element ShadingScene array for kernels; written by ``sync``."""
+        """All shading data as a ShadingScene table with one row, for kernels; written by ``sync``."""
         self.lights: tuple[Light, ...] = ()
-        """Enabled lights, without the headlight."""
+        """Enabled lights of the scene, without the headlight."""
         self.has_headlight = False
         """True if a headlight replaces missing lights."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the enabled lights, in order."""
+        """Names of the enabled lights, in the scene's order."""
         return self._table.names
 
     @property
     def has_emitters(self) -> bool:
-        """True if there are emissive triangles to sample; only in path traced frames."""
+        """True if emissive triangles are sampled as lights, which only path-traced frames do."""
         return len(self._emitters.data.ends) > 0
 
     @property
@@ -66,7 +66,7 @@ class ShadingTables:
 
     @property
     def graph_key(self) -> object:
-        """Values of lights that decide which kernels run, and for which light."""
+        """Values of lights that determine which kernels run, and for which lights."""
         return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]
 
     def sync(
@@ -86,10 +86,10 @@ class ShadingTables:
             scene: The scene with materials and lights.
             camera: The camera of the frame.
             plan: The plan of the frame.
-            row: Struct with the camera's sample, the instances and the meshes; the other fields are filled in.
+            row: Struct with the camera's sample, the instances and the meshes; this method fills in the other fields.
             assets: The distinct Gaussian sets.
             texture_first: Returns the index of a texture's first texel among those of all meshes.
-            version: Counter that changes with the arrays of assets.
+            version: Counter that changes when the device arrays of assets are replaced.
         """
         self._table.sync(scene, camera, self._buffers, is_lit=plan.is_lit, has_headlight=plan.has_headlight)
         self.lights = tuple(light for light in scene.lights if light.enabled) if plan.is_lit else ()

@@ -1,1 +1,1 @@
-"""Shadow rays: transmittance through Gaussians and meshes."""
+"""Traces shadow rays: their transmittance through Gaussians and meshes."""

@@ -1,10 +1,10 @@
 """Kernels of shadow rays through Gaussians: their transmittance (docs/method/shadows.md).
 
-Transmittances multiply in any order, so the BVHs are traversed once. ``shadow_by_all`` and ``shadow_by_first_hits``
-trace packets of consecutive rays with similar origins and directions, as ``gaussian_trace_kernels``. The first visits
-the farthest children first: Gaussians at the far end absorb more than those around the origins, so rays end sooner. The
-second visits the nearest children first and keeps lists of the nearest hits. ``shadow_ray_by_ray`` traces incoherent
-rays one by one; its result equals that of ``shadow_by_all`` up to rounding.
+Transmittances may be multiplied in any order, so BVHs are traversed only once. ``shadow_by_all`` and
+``shadow_by_first_hits`` trace packets of consecutive rays with similar origins and directions. ``shadow_by_all`` visits
+the farthest children first, because Gaussians far from the rays' origins absorb more than those around the origins, so
+that rays end sooner. ``shadow_by_first_hits`` visits the nearest children first and lists the nearest hits.
+``shadow_ray_by_ray`` traces incoherent rays one by one; its result equals that of ``shadow_by_all`` up to rounding.
 """
 
 import functools
@@ -70,19 +70,19 @@ wp.set_module_options(PACKET_OPTIONS)
 
 @struct
 class RayAbsorption:
-    """Absorption along a shadow ray so far."""
+    """Light that a shadow ray has lost so far."""
 
     transmittance: float
-    """Product of 1 - alpha; 0: the ray is blocked."""
+    """Product of 1 - alpha over the Gaussians hit so far; 0: the ray is blocked."""
     floor: float
-    """The ray counts as blocked once its transmittance falls to this value."""
+    """Transmittance at or below which the ray counts as blocked."""
     tint: wp.vec3
-    """Sum of linear colours, weighted by alpha."""
+    """Sum of the linear colours of the Gaussians hit so far, weighted by alpha."""
 
 
 @functools.cache
 def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
-    """Returns the kernel of shadows by all Gaussians, for packets of ``lanes`` rays and ``entries`` stack nodes."""
+    """Returns the kernel of shadows by all Gaussians, for packets of ``lanes`` rays and stacks of ``entries`` nodes."""
     LANES = lanes
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
@@ -150,7 +150,7 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
 
 @functools.cache
 def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
-    """Returns the kernel of shadows by the nearest Gaussians; arguments as of `shadow_kernel`."""
+    """Returns the kernel of shadows by the nearest Gaussians; arguments are as for `shadow_kernel`."""
     LANES = lanes
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
@@ -224,7 +224,7 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
 
 @wp.func
 def absorbed_share(alpha: float, index: int, config: ShadowData, key: wp.uint32) -> float:
-    """Returns the fraction of a ray that a Gaussian with ``alpha`` absorbs, by the random draws of the settings."""
+    """Returns the fraction of a ray's light that a Gaussian of this ``alpha`` absorbs; stochastic shadows: 0 or 1."""
     if config.draws == DRAWS_SHARED:
         return wp.where(config.acceptance_scale * draw_stratified(key, config.sample, index) < alpha, 1.0, 0.0)
     if config.draws == DRAWS_PER_RAY:
@@ -244,7 +244,7 @@ def absorb_in_instance(
     rays: RayData,
     light: wp.ref[RayAbsorption],
 ):
-    """Traces ray ``i`` through the Gaussians of instance ``number``, with the stack above ``top``."""
+    """Traces ray ``i`` through the Gaussians of instance ``number``; traversal uses ``stack`` above entry ``top``."""
     instance = scene.instances[number]
     ray = ray_in_instance(i, instance, HIT_PEAK, rays)
     key = shadow_key(config)
@@ -290,7 +290,7 @@ def shadow_ray_by_ray(
     skips: wp.array[wp.bool],
     light_inout: wp.array[wp.vec3],
 ):
-    """Per ray in ``order``: multiplies its light by the transmittance of the Gaussians up to its limit."""
+    """Per ray in ``order``: multiplies the light by the transmittance of the Gaussians up to the ray's limit."""
     i = order[start + wp.tid()]
     if not rays.is_active[i] or not limits[i] > 0.0:
         return

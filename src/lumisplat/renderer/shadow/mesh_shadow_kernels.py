@@ -1,4 +1,4 @@
-"""Kernel of shadow rays through meshes: their transmittance. One thread per ray."""
+"""Kernel of shadow rays through meshes: computes their transmittance. One thread per ray."""
 
 import warp as wp
 
@@ -31,34 +31,37 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 4})
 
 EDGE_WEIGHT_MAX = 1e-5
-"""Barycentric weight above which a ray through glass is certainly not on a triangle's edge; it exceeds all rounding."""
+"""Barycentric weight above which a ray through glass certainly misses the triangle's edges; larger than all rounding.
+"""
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 
 
 @struct
 class MeshShadowRay:
-    """A shadow ray through meshes, world space."""
+    """A shadow ray through meshes, in world space."""
 
     origin: wp.vec3
     direction: wp.vec3
     t_max: float
     is_opaque: bool
-    """True if glass blocks the ray."""
+    """True if glass blocks the ray instead of transmitting it."""
     media: wp.vec4i
-    """Participating media around the origin, as ``Boundary``."""
+    """Participating media around the ray's origin, encoded as in ``Boundary``."""
 
 
 @struct
 class MeshPassage:
-    """State of a shadow ray on its path through one instance."""
+    """Running results while a shadow ray crosses the triangles of one instance."""
 
     light: wp.vec3
-    """Transmittance so far, linear."""
+    """Transmittance of the triangles so far, linear, per channel."""
     inside: float
-    """Signed sum of the crossing distances: exits minus entries. ``length_inside`` completes it."""
+    """Sum of the distances at which the ray exits, minus the distances at which it enters. ``length_inside`` completes
+    the sum to a length."""
     entries: int
-    """Entries minus exits so far. Each open entry adds the ray's ``t_max`` to the length inside."""
+    """Number of entries minus number of exits so far. Each entry without an exit adds the ray's ``t_max`` to the
+    length inside."""
 
 
 @wp.func
@@ -70,7 +73,7 @@ def pass_triangle(
     scene: MeshBvh,
     passage: wp.ref[MeshPassage],
 ):
-    """Multiplies the transmittance by that of a triangle of instance ``number``; ``ray`` is the ray in mesh space."""
+    """Multiplies the transmittance by that of a triangle of instance ``number``; ``ray`` is in the mesh's space."""
     hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
     if not (t > 0.0 and t < shadow.t_max):
@@ -100,7 +103,7 @@ def pass_triangle(
 
 @wp.func
 def length_inside(passage: MeshPassage, shadow: MeshShadowRay, number: int) -> float:
-    """Returns the length of a shadow ray inside instance ``number``, after all triangles of the instance."""
+    """Returns the length of a shadow ray inside instance ``number``, once all triangles have been crossed."""
     entries = passage.entries
     if is_in(shadow.media, number):
         entries += 1
@@ -119,7 +122,7 @@ def pass_instance(
     scene: MeshBvh,
     light: wp.ref[wp.vec3],
 ):
-    """Multiplies the light by the transmittance of instance ``number``, with the stack above ``top``."""
+    """Multiplies the light by the transmittance of instance ``number``; the traversal uses ``stack`` above ``top``."""
     outer = inverse_or_large(shadow.direction)
     span = box_span(shadow.origin, outer, scene.instances[number].low, scene.instances[number].high)
     if not (span[0] <= span[1] and span[1] > 0.0 and span[0] < shadow.t_max):
@@ -149,7 +152,7 @@ def pass_instance(
 
 @wp.func
 def light_past_meshes(shadow: MeshShadowRay, scene: MeshBvh) -> wp.vec3:
-    """Returns the transmittance of all meshes on a shadow ray."""
+    """Returns the product of the transmittances of all meshes on a shadow ray, linear, per channel."""
     light = wp.vec3(1.0)
     inverse = inverse_or_large(shadow.direction)
     storage = LinkStackStorage()
@@ -182,9 +185,10 @@ def shadow_by_meshes(
 ):
     """Writes the transmittance of all meshes between the ray's origin and ``t_max``.
 
-    Glass blocks rays that are ``opaque``; with an empty array, it blocks none. Origins are in ``media``; with an empty
-    array, in air. ``limit_out`` is the distance up to which Gaussians may block the remaining light. It is 0 if no
-    light remains, and for rays that skip shadow catchers if only meshes block these (``meshes_only``).
+    Glass blocks a ray if its ``opaque`` is True; with an empty ``opaque``, glass blocks no ray. ``media`` are the media
+    around the origins; if empty, all origins are in air. ``limit_out`` is the distance up to which Gaussians may block
+    the remaining light: 0 if no light remains, and for rays that skip shadow catchers if only meshes may block those
+    rays (``meshes_only``).
     """
     i = start + wp.tid()
     t_max = rays.t_max[i]

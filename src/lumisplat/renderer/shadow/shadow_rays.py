@@ -1,4 +1,4 @@
-"""Host pass: shadow rays, their transmittance through Gaussians and meshes (docs/method/shadows.md)."""
+"""Host pass: traces shadow rays for their transmittance through Gaussians and meshes (docs/method/shadows.md)."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
-"""Shadow rays of a stochastic sample per Gaussian, inactive rays included, above which the BVHs are shrunk. Shrinking
-costs what one ray per Gaussian saves in a capture that is all surface; it pays off far earlier if rays cross much of
-it."""
+"""Number of shadow rays per Gaussian in one stochastic sample, counting inactive rays, above which BVHs are shrunk.
+Shrinking costs as much as one ray per Gaussian saves in a capture that is all surface. It pays off far earlier if rays
+cross many Gaussians."""
 
 SHRINK_INSTANCES_MAX = 8
-"""Maximum number of instances of an asset whose BVH is shrunk, as the BVH has to be valid for all of them."""
+"""Largest number of instances of an asset whose BVH is shrunk, because the shrunk BVH must be valid for all instances.
+"""
 
 
 class ShadowRays:
@@ -58,7 +59,7 @@ class ShadowRays:
         assign_table(self._settings, self._table)
 
     def modules(self, splat_shadows: SplatShadows, *, has_meshes: bool, incoherent: bool = False) -> list[KernelModule]:
-        """Returns the kernel modules of shadow rays; arguments as of `trace`."""
+        """Returns the kernel modules of shadow rays; arguments are as for `trace`."""
         modules: list[KernelModule] = [mesh_shadow_kernels] if has_meshes else []
         if not splat_shadows.exist:
             return modules
@@ -96,9 +97,10 @@ class ShadowRays:
                 of inactive rays is undefined.
             skips: Whether each ray passes through shadow catchers. None: no ray does.
             name: Name of the buffer that holds the result.
-            opaque: Whether glass blocks each ray. None: it blocks no ray.
-            media: Media at the origins, wp.vec4i as of ``Boundary``. None: all origins are in air.
-            incoherent: Whether rays are incoherent and hence traced one by one through Gaussians.
+            opaque: Whether glass blocks each ray. None: glass blocks no ray.
+            media: Media around the origins, wp.vec4i encoded as in ``Boundary``. None: all origins are in air.
+            incoherent: Whether rays have unrelated origins and directions, and are therefore traced one by one through
+                Gaussians.
             splat_shadows: Which surfaces Gaussians may cast shadows on. If none, the scene needs no BVHs of Gaussians.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
@@ -125,7 +127,7 @@ class ShadowRays:
         return light
 
     def _traces_one_by_one(self, *, incoherent: bool) -> bool:
-        """Returns whether rays are traced one by one through Gaussians."""
+        """Returns whether rays are traced through Gaussians one by one instead of in packets."""
         return incoherent and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS
 
     def _past_meshes(
@@ -139,7 +141,7 @@ class ShadowRays:
         media: wp.array[wp.vec4i] | None,
         splat_shadows: SplatShadows,
     ) -> wp.array[Any]:
-        """Writes the transmittance of meshes to ``light``; returns the distance up to which Gaussians may block."""
+        """Writes the transmittance of meshes to ``light``; returns how far along each ray Gaussians may block light."""
         count = len(rays.t_max)
         if scene.mesh_instances.shape[0] == 0:
             light.fill_(1.0)
@@ -156,7 +158,7 @@ class ShadowRays:
 
 
 def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:
-    """Returns a device's kernel of coherent shadow rays through Gaussians, with at least ``stack`` stack nodes."""
+    """Returns a device's kernel of coherent shadow rays through Gaussians, with stacks of at least ``stack`` nodes."""
     kernel_of = gaussian_shadow_kernels.shadow_kernel
     if config.shadow_rays.method is ShadowMethod.FIRST_HITS:
         kernel_of = gaussian_shadow_kernels.first_hits_shadow_kernel
@@ -164,14 +166,14 @@ def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = T
 
 
 def draws_of(config: RenderConfig) -> int:
-    """Returns which random numbers shadows use: DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
+    """Returns which random numbers shadows use, as a constant: DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
     if config.shadow_rays.method is not ShadowMethod.STOCHASTIC:
         return DRAWS_NONE
     return DRAWS_SHARED if config.shadow_rays.shared_draws else DRAWS_PER_RAY
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:
-    """Returns the settings of shadow rays as a table of 1 element, for kernels."""
+    """Returns the settings of shadow rays as a table with one row, for kernels."""
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
     row["draws"] = draws_of(config)
     row["acceptance_scale"] = config.shadow_rays.acceptance_scale
@@ -188,28 +190,28 @@ def shadow_table(config: RenderConfig) -> np.ndarray:
 
 
 class StochasticBvh:
-    """BVHs shrunk for one stochastic sample of shadows, whose rays share one random number per Gaussian.
+    """BVHs that are shrunk for one stochastic sample of shadows, whose rays share one random number per Gaussian.
 
-    In such a sample, each Gaussian either does not exist or is an opaque ellipsoid. The ellipsoid ends where alpha
-    falls below the Gaussian's random number, mostly far inside its hull, so only a fraction of the rays hit its shrunk
-    box. The boxes only save time: hits are decided by the random numbers.
+    In such a sample, each Gaussian is either absent or an opaque ellipsoid. The ellipsoid ends where alpha falls below
+    the Gaussian's random number, mostly far inside the Gaussian's hull, so only a fraction of the rays hit its shrunk
+    box. Shrinking only saves time: hits are decided by the random numbers.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, name: str) -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._whole: DeviceArray | None = None
-        """Assets whose BVHs were shrunk."""
+        """Assets with the original BVHs from which the shrunk ones were made."""
         self._assets: DeviceArray | None = None
         self._is_fresh = False
         self._rays = 0
-        """Number of rays of the sample so far."""
+        """Number of rays traced in the current sample so far."""
 
     def begin_sample(self) -> None:
-        """Begins another sample."""
+        """Begins another sample: BVHs shrunk for the previous sample are no longer used."""
         self._is_fresh, self._rays = False, 0
 
     def assets(self, scene: DeviceScene, settings: DeviceArray, *, ray_count: int) -> DeviceArray | None:
-        """Returns the assets for the sample in ``settings``, shrunk once that saves more than it costs."""
+        """Returns the assets to trace in the current sample; their BVHs are shrunk once enough rays are traced."""
         whole = scene.bvh.assets
         if whole is self._whole and self._is_fresh:
             return self._assets

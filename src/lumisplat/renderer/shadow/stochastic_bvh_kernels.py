@@ -1,4 +1,4 @@
-"""Kernel that shrinks BVHs for one stochastic sample of shadows. One thread per node of a level."""
+"""Kernel that shrinks BVHs for one stochastic sample of shadows. One thread per node of a BVH level."""
 
 import warp as wp
 
@@ -27,10 +27,10 @@ def shrink_nodes(
     nodes: wp.array[Node],
     nodes_out: wp.array[Node],
 ):
-    """Shrinks the boxes of a level's nodes to the parts of their Gaussians that block light in a stochastic sample.
+    """Shrinks the boxes of a level's nodes to the part of each Gaussian that blocks light in a stochastic sample.
 
-    A Gaussian blocks light where its alpha exceeds its random number. With several instances (``owners``), the smallest
-    of their numbers counts, which gives the largest box.
+    A Gaussian blocks light where its alpha exceeds its random number. If the asset has several instances (``owners``),
+    the lowest of their random numbers counts, which gives the largest box.
     """
     n = node_first + start + wp.tid()
     view = settings[0]

@@ -1,1 +1,1 @@
-"""Rays and their hits: primary hits, tracing through Gaussians and to meshes, and waves of rays."""
+"""Finds the hits of rays: primary hits, traced hits on Gaussians and meshes, and the waves of reflected rays."""

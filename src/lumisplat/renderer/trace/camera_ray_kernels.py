@@ -1,4 +1,4 @@
-"""Starts the rays of a sample. One item is one ray; camera rays are stored in square blocks of pixels."""
+"""Kernels that start the rays of a sample. One item is one ray; camera rays are stored in square blocks of pixels."""
 
 import warp as wp
 
@@ -19,9 +19,9 @@ def start_rays(
     listed: ListedRays,
     rays_out: RayData,
 ):
-    """Starts the rays of a camera's pixels, or of listed pixels only.
+    """Starts the rays of a camera's pixels, or only of the pixels in ``listed``.
 
-    Rays are inactive outside of the window, after the end of the list, and outside of a fisheye's image circle.
+    Rays outside the window, after the end of the list, or outside a fisheye's image circle are inactive.
     """
     i = start + wp.tid()
     camera = cameras[0]
@@ -66,9 +66,9 @@ def load_rays(
     starts: wp.array[float],
     rays_out: RayData,
 ):
-    """Starts ``count`` rays of a caller; other elements are inactive.
+    """Starts ``count`` rays of a caller; further elements of ``rays_out`` are inactive.
 
-    ``first`` is the index of the first ray in its query.
+    ``first`` is the index, within the caller's query, of the first ray.
     """
     i = start + wp.tid()
     rays_out.is_active[i] = False

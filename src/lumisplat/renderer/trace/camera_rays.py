@@ -32,9 +32,9 @@ class CameraRays:
 
         Args:
             scene: The device scene with the camera.
-            listed: Pixels whose rays are started; None: all pixels.
-            of_splats: Whether the rays are those for Gaussians, which may stay at pixel centres when meshes are
-                jittered.
+            listed: Rays to start; None: one ray for each pixel.
+            of_splats: Whether the rays are for Gaussians. Such rays may pass through pixel centres although rays for
+                meshes are jittered.
         """
         count = ray_count(*scene.image_size) if listed is None else len(listed.ray)
         rays = self._buffers.struct("camera.splat_rays" if of_splats else "camera.rays", RayData, count)
@@ -45,5 +45,5 @@ class CameraRays:
 
 
 def ray_count(width: int, height: int) -> int:
-    """Returns the number of rays of an image, rounded up to whole blocks."""
+    """Returns the number of rays of an image, rounded up to whole square blocks of pixels."""
     return PACKET_RAYS * (-(-width // RAY_BLOCK_PX)) * (-(-height // RAY_BLOCK_PX))

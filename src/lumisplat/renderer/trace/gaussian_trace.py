@@ -43,7 +43,7 @@ class GaussianTracer:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
         config: Settings; they do not change.
-        name: Prefix of the buffers that hold these settings.
+        name: Prefix of the names of the buffers that hold the settings.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, name: str = "trace") -> None:
@@ -61,7 +61,7 @@ class GaussianTracer:
         assign_table(self._settings_bounced, table)
 
     def modules(self, *, bounced: bool) -> list[KernelModule]:
-        """Returns the kernel modules; ``bounced`` is as for `find`."""
+        """Returns the kernel modules; ``bounced`` is as in `find`."""
         by_ray = [stochastic_hit_kernels, *RAY_ORDER_MODULES] if bounced and self._is_stochastic_hit else []
         return [self._kernels[TRAVERSE_STACK_SMALL].module, *by_ray]
 
@@ -77,18 +77,19 @@ class GaussianTracer:
         profiles: DeviceArray | None = None,
         marked: DeviceArray | None = None,
     ) -> GaussianHits:
-        """Returns the Gaussian hits of each ray up to its limit, in buffers of the given name.
+        """Returns the Gaussian hits of each ray up to its limit.
 
         Args:
             scene: The device scene, synced for rays.
-            rays: Rays, a multiple of ``PACKET_RAYS``.
+            rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             limits: Distances at which rays end, such as those of the nearest meshes.
             name: Name of the buffers that hold the result.
-            bounced: Whether the rays start at surfaces, whose own Gaussians they skip as shadow rays do.
+            bounced: Whether the rays start at surfaces. They then skip the Gaussians of that surface, as shadow rays
+                do.
             sets: Splat sets that the rays can hit.
-            profiles: Receives every hit, as HitProfiles; None: hits are only blended.
-            marked: Splat instances of the scene with other relit flags, whose radiance is accumulated separately; None:
-                the scene's own flags.
+            profiles: ``HitProfiles`` that receive every single hit; None: hits are only blended.
+            marked: The scene's splat instances with changed relit flags; radiance of flagged instances is accumulated
+                separately. None: the scene's instances unchanged.
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
@@ -122,7 +123,7 @@ class GaussianTracer:
 
 
 def without_hits(hits: GaussianHits) -> GaussianHits:
-    """Fills the hits of rays through a scene without Gaussians."""
+    """Fills the hits of rays through a scene without Gaussians: no hits, full transmittance."""
     for field in (hits.color, hits.normal, hits.hits):
         device_array(field).zero_()
     device_array(hits.transmittance).fill_(1.0)
@@ -132,14 +133,14 @@ def without_hits(hits: GaussianHits) -> GaussianHits:
 
 
 def trace_kernel_of(launcher: Launcher, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:
-    """Returns the tracing kernel of a device, with a stack of at least this many nodes."""
+    """Returns the tracing kernel for a device, with a stack of at least ``stack`` nodes."""
     if launcher.is_parallel:
         return gaussian_trace_kernels.gaussian_trace_kernel(1, stack)
     return gaussian_trace_kernels.gaussian_trace_kernel(PACKET_RAYS)
 
 
 def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
-    """Returns the 1-element table from which kernels read the tracer's settings."""
+    """Returns the tracer's settings as a table with one row, for kernels."""
     row = table = np.zeros(1, dtype=table_dtype(TraceData))
     is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
     hit_buffer_size = HIT_BUFFER_CUDA if launcher.is_parallel else HIT_BUFFER_CPU
@@ -159,12 +160,13 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
 
 
 def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:
-    """Yields ranges of rays with their number of hits, at most ``most`` unless the smallest possible range has more.
+    """Yields ranges of rays and the number of hits in each range.
 
-    Ranges consist of whole packets on CPUs and whole warps on CUDA, so that rays traced together stay together.
+    A range has at most ``most`` hits, unless the smallest possible range has more. Ranges consist of whole packets on
+    CPUs and whole warps on CUDA, so that rays traced together stay together.
 
     Args:
-        counts: Hits of each ray.
+        counts: Number of hits of each ray.
         most: Largest number of hits of a range.
     """
     edges = np.append(np.arange(0, len(counts), 2 * PACKET_RAYS), len(counts))

@@ -1,10 +1,10 @@
-"""Traces Gaussians along rays: packets of neighbouring rays traverse the BVHs together.
+"""Kernels that trace rays through Gaussians; packets of neighbouring rays traverse the BVHs together.
 
 One item is ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes compiles to vector instructions, and
 1 on CUDA, where the threads of a warp run in step. Rays with similar origins and directions form a packet. The packet
 visits the nearest child first, and each ray keeps its nearest hits sorted by (t, index). Hits nearer than all nodes on
-the stack are final and are blended at once. A ray whose list overflows drops its farthest hit, and starts another
-traversal, a pass, behind the last blended hit. The result therefore equals sorting all hits.
+the stack are final and are blended at once. A ray whose list overflows drops its farthest hit, and later starts another
+traversal (pass) behind the last blended hit. The result therefore equals sorting all hits.
 
 The equations are in docs/method/ray_tracing.md.
 """
@@ -52,13 +52,13 @@ from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData
 wp.set_module_options(PACKET_OPTIONS)
 
 TRACE_THREADS = 128
-"""CUDA threads per block. Four blocks at once leave each thread 128 registers, half of what it would use, but hide
-more latency (H200, a million Gaussians: 86 ms instead of 103)."""
+"""CUDA threads per block. With four blocks at once, each thread has 128 registers. That is half of what it would use,
+but hides more latency (H200, a million Gaussians: 86 ms instead of 103)."""
 
 
 @functools.cache
 def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
-    """Returns the kernel for items of ``lanes`` rays, with a stack of ``entries`` nodes."""
+    """Returns the kernel whose items are ``lanes`` rays each, with a stack of ``entries`` nodes."""
     LANES = lanes
     options = {**PACKET_OPTIONS, "block_dim": TRACE_THREADS}
     stacks = node_stack_of(entries)
@@ -79,9 +79,9 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         radiance_out: GaussianHits,
         profiles_out: wp.array[HitProfiles],
     ):
-        """Blends the Gaussians on each ray up to its end.
+        """Blends the Gaussians on each ray up to the ray's limit.
 
-        ``profiles_out`` has no element unless every hit is to be written.
+        ``profiles_out`` is empty unless every single hit is to be written.
         """
         first = (start + wp.tid()) * LANES
         config = settings[0]

@@ -1,4 +1,4 @@
-"""Finds the nearest triangle on each ray. One item is one ray."""
+"""Kernel that finds the nearest triangle on each ray. One item is one ray."""
 
 import warp as wp
 
@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 @wp.kernel
 def find_mesh_hits(start: int, bounced: bool, scene: MeshBvh, rays: RayData, hits_out: MeshHits):
-    """Finds the nearest triangle between ``t_min``, or the origin of a ``bounced`` ray, and ``t_max``."""
+    """Finds the nearest triangle between ``t_min`` and ``t_max``; ``bounced`` rays begin at their origin instead."""
     i = start + wp.tid()
     t_min = wp.where(bounced, 0.0, rays.t_min[i])
     t_max = rays.t_max[i]

@@ -20,16 +20,17 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class DarkenedCaptures(NamedTuple):
-    """Captures that rays see as black, because surfaces sample them as lights."""
+    """Captures that appear black to rays, because surfaces already sample them as lights."""
 
     marked: DeviceArray
-    """Splat instances of the scene, in which these captures are marked as relit."""
+    """The scene's splat instances, in which the darkened captures have the relit flag."""
     mirrored: wp.array[int] | None
-    """1 for each ray that came from a mirror, which sees the captures undarkened; None: no ray did."""
+    """1 for each ray that comes from a mirror, to which the captures do not appear black; None: there is no such ray.
+    """
 
 
 class PathGaussians:
-    """Traces rays of paths through Gaussians: relit Gaussians are hit one at a time, emissive captures are blended.
+    """Traces rays of paths through Gaussians. Relit Gaussians are hit one at a time, emissive captures are blended.
 
     Args:
         launcher: Runs the kernels.
@@ -49,7 +50,7 @@ class PathGaussians:
         self._emitted = GaussianTracer(launcher, buffers, ended, "trace.emitted")
 
     def modules(self, plan: FramePlan, *, bounced: bool) -> list[KernelModule]:
-        """Returns the kernel modules of a frame, with those of secondary rays if ``bounced``."""
+        """Returns the kernel modules of a frame; if ``bounced``, including those for secondary rays."""
         if not plan.traces_paths:
             return self._blended.modules(bounced=bounced)
         modules = self._blended.modules(bounced=bounced)
@@ -67,15 +68,16 @@ class PathGaussians:
         bounced: bool,
         dark: DarkenedCaptures | None = None,
     ) -> GaussianHits:
-        """Returns Gaussian hits, as `GaussianTracer.find`; a ray that hits a relit Gaussian has transmittance 0.
+        """Returns Gaussian hits like `GaussianTracer.find`; a ray that hits a relit Gaussian has transmittance 0.
 
         Args:
             scene: The device scene, synced for rays.
-            rays: Rays, a multiple of ``PACKET_RAYS``.
+            rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             limits: Distances at which rays end, such as those of the nearest meshes.
             name: Name of the buffers that hold the result.
-            bounced: Whether the rays start at surfaces, whose own Gaussians they skip as shadow rays do.
-            dark: Captures that the rays see as black; None: none.
+            bounced: Whether the rays start at surfaces. They then skip the Gaussians of that surface, as shadow rays
+                do.
+            dark: Captures that appear black to the rays; None: none.
         """
         if not scene.plan.traces_paths or (self._is_blended_first and not bounced):
             return self._blended.find(scene, rays, limits, name, bounced=bounced)
@@ -91,15 +93,15 @@ class PathGaussians:
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], marked: DeviceArray, name: str
     ) -> GaussianHits:
-        """Returns the radiance of emissive captures on secondary rays, that of marked ones separately.
+        """Returns the radiance of emissive captures on secondary rays, separately for captures with the relit flag.
 
         Rays end at relit surfaces, and where their transmittance falls to `EMITTER_OPAQUE`.
 
         Args:
             scene: The device scene, synced for rays.
-            rays: Rays, a multiple of ``PACKET_RAYS``.
+            rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             limits: Distances at which rays end, such as those of the nearest meshes.
-            marked: The splat instances, as for `GaussianTracer.find`.
+            marked: The scene's splat instances with changed relit flags, as for `GaussianTracer.find`.
             name: Name of the buffers that hold the result.
         """
         if scene.plan.relights:
@@ -109,7 +111,7 @@ class PathGaussians:
     def _find_relit(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
     ) -> tuple[GaussianHits, DeviceArray]:
-        """Returns the relit Gaussian that each ray hits, and the distance of that hit or else the ray's limit."""
+        """Returns each ray's hit on a relit Gaussian, and the distance of that hit, or else the ray's limit."""
         relit = self._stochastic.find(scene, rays, limits, f"{name}.relit", bounced=bounced, sets=SplatSets.RELIT)
         ends = self._buffers.get(f"{name}.ends", wp.float32, len(rays.t_max))
         self._launcher.run_banded(kernels.end_at_surfaces, len(rays.t_max), limits, relit, ends)
@@ -125,7 +127,7 @@ class PathGaussians:
         bounced: bool,
         dark: DarkenedCaptures | None,
     ) -> GaussianHits:
-        """Returns the blended radiance of emissive captures on rays."""
+        """Returns the blended radiance of emissive captures on each ray up to its limit."""
         marked = dark.marked if dark else None
         hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.CAPTURED, marked=marked)
         if dark is None:
@@ -134,7 +136,7 @@ class PathGaussians:
         return self._buffers.struct(name, GaussianHits, len(rays.t_max), EXTRA_FIELDS)
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
-        """Returns the radiance of shadow catchers only on secondary rays, as `RayTracer.find_captured`."""
+        """Returns the radiance of shadow catchers alone on secondary rays; see `RayTracer.find_captured`."""
         return self._blended.find(scene, rays, ends, name, bounced=True, sets=SplatSets.SHADOW_CATCHERS)
 
 

@@ -1,4 +1,4 @@
-"""Joins the hits of emissive captures and relit sets on rays of paths: each ray ends with one of them.
+"""Kernels that join the hits of emissive captures and relit sets on rays of paths: one of them ends each ray.
 
 One item is one ray.
 """
@@ -13,16 +13,16 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def end_at_surfaces(start: int, limits: wp.array[float], surfaces: GaussianHits, ends_out: wp.array[float]):
-    """Ends rays at the relit Gaussian that they hit, or at their limit."""
+    """Writes each ray's end: the distance of the relit Gaussian that it hits, or else its limit."""
     i = start + wp.tid()
     ends_out[i] = wp.min(limits[i], surfaces.depth[i])
 
 
 @wp.kernel
 def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inout: GaussianHits):
-    """Selects a relit hit with the transmittance of the capture in front as its probability, else the capture.
+    """Chooses the relit hit with probability equal to the capture's transmittance in front of it, else the capture.
 
-    The expected value is that of compositing the capture over the relit Gaussian.
+    The expected value equals compositing the capture over the relit Gaussian.
     """
     i = start + wp.tid()
     if not (rays.is_active[i] and surfaces.depth[i] < wp.inf):
@@ -43,7 +43,7 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inou
 
 @wp.kernel
 def darken(start: int, rays: RayData, mirrored: wp.array[int], hits_inout: GaussianHits):
-    """Subtracts the radiance of darkened captures, except on rays that come from a mirror."""
+    """Subtracts the radiance of darkened captures from each ray's, except on rays that come from a mirror."""
     i = start + wp.tid()
     if not rays.is_active[i]:
         return

@@ -1,8 +1,4 @@
-"""Primary hits: the interface between visibility and integrators.
-
-The rasteriser and the ray tracer both produce these hits, and every integrator starts from them, whichever produced
-them.
-"""
+"""Primary hits: the common result of rasteriser and ray tracer, from which every integrator starts."""
 
 from __future__ import annotations
 
@@ -14,24 +10,24 @@ from lumisplat.runtime.buffers import device_array
 
 @dataclass(frozen=True, slots=True)
 class PrimaryHits:
-    """Rays, a multiple of the packet size, and their hits."""
+    """Rays, whose number is a multiple of the packet size, and what they hit."""
 
     rays: RayData
     meshes: MeshHits
-    """Nearest triangle on each ray."""
+    """Nearest triangle that each ray hits."""
     gaussians: GaussianHits
-    """Gaussians in front of that triangle, blended or sampled."""
+    """Gaussians in front of each ray's nearest triangle, blended or sampled."""
 
     @property
     def count(self) -> int:
-        """Number of rays, active or not."""
+        """Number of rays, including inactive ones."""
         return len(self.rays.t_max)
 
     @property
     def graph_key(self) -> object:
-        """Addresses of the hits' arrays: a captured graph with other addresses is stale.
+        """Addresses of the arrays of hits: a captured graph is stale if it contains other addresses.
 
-        Rays that leave surfaces may have separate arrays for relit sets where camera rays have none.
+        Rays that leave surfaces may have separate arrays for relit sets, although camera rays have none.
         """
         arrays = self.rays.is_active, self.meshes.t, self.gaussians.color, self.gaussians.relit_weight
         return self.count, [device_array(array).ptr if array else 0 for array in arrays]

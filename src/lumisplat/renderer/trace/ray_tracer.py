@@ -33,7 +33,7 @@ class RayTracer:
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
     def modules(self, plan: FramePlan, *, bounced: bool = False) -> list[KernelModule]:
-        """Returns the kernel modules of a frame, with those of secondary rays if ``bounced``."""
+        """Returns the kernel modules of a frame; if ``bounced``, including those for secondary rays."""
         meshes = self._meshes.modules(has_meshes=plan.has_meshes)
         if isinstance(self._gaussians, PathGaussians):
             return [*self._gaussians.modules(plan, bounced=bounced), *meshes]
@@ -53,11 +53,12 @@ class RayTracer:
 
         Args:
             scene: The device scene, synced for rays.
-            rays: Rays, a multiple of ``PACKET_RAYS``.
+            rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             name: Prefix of the buffers that hold the result.
-            bounced: Whether the rays start at surfaces, whose own Gaussians they skip as shadow rays do.
-            centers: Rays on which Gaussians are evaluated; None: the same rays.
-            dark: Captures that rays of paths see as black; None: none.
+            bounced: Whether the rays start at surfaces. They then skip the Gaussians of that surface, as shadow rays
+                do.
+            centers: Rays through pixel centres, along which Gaussians are evaluated; None: along ``rays``.
+            dark: Captures that appear black to rays of paths; None: none.
         """
         with self._launcher.stage("mesh"):
             meshes = self._meshes.find(scene, rays, f"{name}.meshes", bounced=bounced)
@@ -71,20 +72,20 @@ class RayTracer:
         return PrimaryHits(rays, meshes, gaussians)
 
     def find_meshes(self, scene: DeviceScene, rays: RayData, name: str) -> MeshHits:
-        """Returns the nearest mesh on each ray that leaves a surface, as `find_hits`."""
+        """Returns the nearest mesh on each ray that leaves a surface; arguments as for `find_hits`."""
         with self._launcher.stage("mesh"):
             return self._meshes.find(scene, rays, name, bounced=True)
 
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, ends: wp.array[float], marked: DeviceArray, name: str
     ) -> GaussianHits:
-        """Returns the radiance of emissive captures on secondary rays of paths, that of marked ones separately.
+        """Returns the radiance of emissive captures on secondary rays of paths, separately for flagged captures.
 
         Args:
             scene: The device scene, synced for rays.
-            rays: Rays, a multiple of ``PACKET_RAYS``.
+            rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             ends: Distance at which each ray ends.
-            marked: Splat instances of the scene, some of them marked as relit.
+            marked: The scene's splat instances, in which the relit flag marks captures to accumulate separately.
             name: Name of the buffers that hold the result.
         """
         assert isinstance(self._gaussians, PathGaussians)
@@ -92,11 +93,11 @@ class RayTracer:
             return self._gaussians.find_emitted(scene, rays, ends, marked, name)
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
-        """Returns the radiance of shadow catchers only on rays of paths that leave them.
+        """Returns the radiance of shadow catchers alone on rays of paths that leave shadow catchers.
 
         Args:
             scene: The device scene, synced for rays.
-            rays: Rays, a multiple of ``PACKET_RAYS``.
+            rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             ends: Distance at which each ray ends; <= 0: the ray is not traced.
             name: Name of the buffers that hold the result.
         """
@@ -128,7 +129,8 @@ class MeshTracer:
             scene: The device scene, synced for rays.
             rays: Rays to trace.
             name: Name of the buffers that hold the result.
-            bounced: Whether the rays start at surfaces: meshes then count from the rays' origins on.
+            bounced: Whether the rays start at surfaces. Meshes then count from the rays' origins on, instead of from
+                ``t_min`` on.
         """
         count = len(rays.t_max)
         hits = self._buffers.struct(name, MeshHits, count)

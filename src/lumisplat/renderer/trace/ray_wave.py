@@ -1,4 +1,4 @@
-"""Waves: rays after the same number of reflections and refractions, and images of the first wave's light."""
+"""Waves (all rays after a given number of reflections and refractions), and images of the first wave's light."""
 
 from __future__ import annotations
 
@@ -11,49 +11,50 @@ from lumisplat.runtime.buffers import DeviceArray
 
 @dataclass(frozen=True, slots=True)
 class CarriedState:
-    """State that the rays of a later wave inherit."""
+    """State that the rays of a later wave inherit from the rays that they branch off."""
 
     weights: DeviceArray | None = None
     """Weight of each ray in the colour of its parent ray, as in `WaveData`."""
     media: DeviceArray | None = None
-    """Media that each ray is in; None: no media in the scene."""
+    """Media that each ray is in; None: the scene has no media."""
     sees_environment: DeviceArray | None = None
-    """True for each ray that adds environment radiance if it escapes; None: all do."""
+    """True for each ray that gets environment radiance if it escapes; None: all rays get it."""
 
 
 @dataclass(frozen=True, slots=True)
 class RayWave:
-    """Rays, their hits, and their radiance.
+    """Rays after a given number of reflections and refractions, with their hits and radiance.
 
-    Later waves overwrite its interactions and path weights, and its rays and hits unless they are the primary ones.
+    Later waves overwrite the interactions and path weights. They also overwrite rays and hits, except those of the
+    primary wave.
     """
 
     number: int
-    """Number of reflections or refractions so far; 0: rays from the camera or from a caller."""
+    """Number of reflections or refractions that the rays have behind them; 0: rays from the camera or from a caller."""
     hits: PrimaryHits
     row: WaveData
-    """Arrays of the wave, for host code."""
+    """Arrays of the wave in a struct, for host code."""
     data: DeviceArray
-    """Arrays of the wave for kernels, 1 element."""
+    """Arrays of the wave as a table with one row, for kernels."""
 
     @property
     def count(self) -> int:
-        """Number of rays, active or not."""
+        """Number of rays, including inactive ones."""
         return self.hits.count
 
     @property
     def is_primary(self) -> bool:
-        """True if its rays are primary rays."""
+        """True if the wave's rays come from the camera or from a caller."""
         return self.number == 0
 
 
 @dataclass(frozen=True, slots=True)
 class LightImages:
-    """Parts of the first wave's light, linear, one vec3 array each."""
+    """Images of the first wave's light by cause, linear; each is an array of one vec3 per ray."""
 
     direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """Direct light of each light, without shadows."""
+    """Direct light of each light without shadows."""
     arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """Direct light of each light, with shadows."""
+    """Direct light of each light with shadows."""
     layers: dict[str, DeviceArray] = field(default_factory=dict[str, DeviceArray])
-    """Further layers, by name."""
+    """Further layers by name."""

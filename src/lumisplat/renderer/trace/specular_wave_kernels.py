@@ -1,9 +1,9 @@
-"""Reflection and refraction, wave by wave. One item is one ray, or one branch of a ray.
+"""Kernels of reflection and refraction, wave by wave. One item is one ray, or one branch of a ray.
 
 A ray has two branches, with indices ``ray`` (reflected) and ``stride + ray`` (refracted). Frames with glossy
-reflections have a third one, ``2 stride + ray`` (sampled from a specular lobe). Most branches are empty. An inclusive
-prefix sum over the branch counts, 0 or 1, gives the indices of the next wave's rays: reflected rays first, then
-refracted, then lobe rays, each in the order of the previous wave, so that neighbours stay neighbours.
+reflections have a third branch, ``2 stride + ray`` (sampled from a specular lobe). Most branches are empty. An
+inclusive prefix sum over the branch counts, 0 or 1, gives the indices of the next wave's rays: reflected rays first,
+then refracted rays, then lobe rays, each in the order of the previous wave, so that neighbours stay neighbours.
 """
 
 import warp as wp
@@ -28,12 +28,12 @@ LOBES = wp.constant(2)
 
 @wp.func
 def start_ray(child: int, parent: int, branch: int, path_length: float, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts ray ``child``, a branch of ``parent``, except for its origin, direction, ``t_min`` and footprint.
+    """Starts ray ``child``, a branch of ray ``parent``, except for its origin, direction, ``t_min`` and footprint.
 
     Args:
-        child: Ray of the next wave.
-        parent: Ray of this wave.
-        branch: Branch of the parent's random keys.
+        child: Index of the new ray in the next wave.
+        parent: Index of the parent ray in this wave.
+        branch: Branch of the parent's random keys that the child gets.
         path_length: Length of the unfolded path from the eye to the child's origin.
         wave: Wave of the parent.
         rays_out: Rays of the next wave.
@@ -55,9 +55,9 @@ def spawn_lobe_ray(
     weights_out: wp.array[wp.vec3],
     path_weights_out: wp.array[float],
     media_out: wp.array[wp.vec4i],
-    sees_far_out: wp.array[wp.bool],
+    sees_environment_out: wp.array[wp.bool],
 ):
-    """Starts the ray sampled from the specular lobe at ray ``i``'s hit; below the horizon its weight is 0."""
+    """Starts a ray sampled from the specular lobe at the hit of ray ``i``; its weight is 0 below the horizon."""
     lobe = lobe_ray(i, wave)
     # Scattered rays have no footprint: their length to the eye does not count.
     start_ray(child, i, LOBE_BRANCH, 0.0, wave, rays_out)
@@ -69,7 +69,7 @@ def spawn_lobe_ray(
     rays_out.spread[child] = 0.0
     weights_out[child] = lobe.weight
     path_weights_out[child] = wave[0].path_weights[i] * wp.max(lobe.weight)
-    sees_far_out[child] = False
+    sees_environment_out[child] = False
     if media_out:
         media_out[child] = media_of_ray(i, wave)
 
@@ -83,11 +83,12 @@ def spawn_rays(
     weights_out: wp.array[wp.vec3],
     path_weights_out: wp.array[float],
     media_out: wp.array[wp.vec4i],
-    sees_far_out: wp.array[wp.bool],
+    sees_environment_out: wp.array[wp.bool],
 ):
-    """Item = branch: starts its ray at the surface, on the side that the ray leaves to.
+    """Starts the ray of each branch at the parent's hit, on the side of the surface to which the ray leaves.
 
-    The last two arrays have no elements in scenes without media, and where all rays add environment radiance.
+    One item is one branch. ``media_out`` is empty in scenes without media, and ``sees_environment_out`` where all rays
+    get environment radiance.
     """
     j = start + wp.tid()
     if wave[0].branches[j] == 0:
@@ -97,7 +98,7 @@ def spawn_rays(
     i = j % stride
     child = wave[0].branch_ends[j] - 1
     if refracted == 2:
-        spawn_lobe_ray(i, child, wave, rays_out, weights_out, path_weights_out, media_out, sees_far_out)
+        spawn_lobe_ray(i, child, wave, rays_out, weights_out, path_weights_out, media_out, sees_environment_out)
         return
     is_lit = scene[0].settings[0].is_lit != 0
     bounce = bounce_of_ray(i, is_lit, scene, wave)
@@ -125,9 +126,9 @@ def spawn_rays(
     path_weights_out[child] = wave[0].path_weights[i] * wp.max(weight)
     if media_out:
         media_out[child] = media
-    if sees_far_out:
+    if sees_environment_out:
         # Surfaces that shadow rays pass, such as glass, do not hide environment light, which was added as direct light.
-        sees_far_out[child] = refracted == 0 or sees_environment(i, wave)
+        sees_environment_out[child] = refracted == 0 or sees_environment(i, wave)
 
 
 @wp.kernel
@@ -137,7 +138,7 @@ def gather_branches(
     far: wp.array[WaveData],
     near_inout: wp.array[WaveData],
 ):
-    """Adds the radiance of a ray's branches to its own: display-referred colours if unlit, else linear light."""
+    """Adds the radiance of each ray's branches to the ray: display-referred colours if unlit, else linear radiance."""
     i = start + wp.tid()
     stride = near_inout[0].path_weights.shape[0]
     is_lit = scene[0].settings[0].is_lit != 0

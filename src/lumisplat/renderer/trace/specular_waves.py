@@ -1,7 +1,7 @@
 """Host pass: waves of reflected and refracted rays.
 
 Rays that leave the smooth surfaces of one wave form the next wave. Radiance is gathered from the last wave to the
-first, so that each element is written by one item, and the result does not depend on the number of threads.
+first, so that each array element is written by one item, and the result does not depend on the number of threads.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -21,7 +21,7 @@ from lumisplat.runtime.primitives import prefix_sum
 
 
 class SpecularWaves:
-    """Starts the rays of the next wave, and gathers their radiance.
+    """Starts the rays of the next wave, and adds their radiance to the rays that they branched off.
 
     Args:
         launcher: Runs the kernels.
@@ -37,11 +37,11 @@ class SpecularWaves:
         return [kernels]
 
     def number(self, wave: RayWave) -> None:
-        """Numbers the branches of a wave, which are the rays of the next one."""
+        """Numbers the non-empty branches of a wave; the numbers are the indices of the next wave's rays."""
         prefix_sum(device_array(wave.row.branches), device_array(wave.row.branch_ends), inclusive=True)
 
     def capacity(self, wave: RayWave) -> int:
-        """Returns the array size for the next wave's rays, 0 if there are none; waits for their number.
+        """Returns how many rays to allocate for the next wave, 0 if it has none; waits for the number of rays.
 
         Sizes are rounded up to a few capacities, so that buffers are reused.
         """
@@ -49,7 +49,7 @@ class SpecularWaves:
         return grown_capacity(count)
 
     def spawn(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, capacity: int) -> tuple[RayData, CarriedState]:
-        """Returns the rays of the next wave and their inherited state; also writes their path weights."""
+        """Returns the rays of the next wave and the state that they inherit; also writes their path weights."""
         number = wave.number + 1
         rays = self._buffers.struct(f"wave.rays{number % 2}", RayData, capacity)
         rays.is_active.zero_()

@@ -1,6 +1,6 @@
-"""Stochastic hits of incoherent rays. One item is one ray, which traverses the BVHs on its own.
+"""Kernel of stochastic hits of incoherent rays. One item is one ray, which traverses the BVHs alone.
 
-The hit is the same as that of ``gaussian_trace_kernels`` with ``STRATEGY_HIT``: the nearest of the Gaussians that are
+A ray's hit equals that of ``gaussian_trace_kernels`` with ``STRATEGY_HIT``: the nearest of the Gaussians that are
 accepted with probability alpha. The equations are in docs/method/ray_tracing.md.
 """
 
@@ -47,7 +47,10 @@ def find_hit_in_instance(
     rays: RayData,
     nearest: wp.ref[Hit],
 ):
-    """Replaces the nearest hit of ray ``i`` by a nearer Gaussian of instance ``number``, on the stack above ``top``."""
+    """Replaces the nearest hit of ray ``i`` if a Gaussian of instance ``number`` is nearer.
+
+    The traversal uses ``stack`` above entry ``top``.
+    """
     instance = scene.instances[number]
     ray = ray_in_instance(i, instance, instance.hit_distance, rays)
     t_min = rays.t_min[i]
@@ -91,7 +94,7 @@ def find_stochastic_hits(
     limits: wp.array[float],
     hits_out: GaussianHits,
 ):
-    """Finds the Gaussian that each ray hits before its limit; rays are processed in ``order``."""
+    """Finds the Gaussian that each ray hits before its limit; rays are processed in the order of ``order``."""
     i = order[start + wp.tid()]
     config = settings[0]
     pixel = empty_pixel()

@@ -1,4 +1,4 @@
-"""Host pass: bounding volume hierarchies (BVHs) over boxes, and their refit when the boxes change.
+"""Host pass: builds bounding volume hierarchies (BVHs) over boxes, and refits them when the boxes change.
 
 Nodes have eight children, leaves one item. A BVH is built level by level from the root, so children come after their
 parents, and a refit runs backwards through the levels. Several BVHs are built at once; their roots are the first level.
@@ -28,8 +28,8 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.ops.neighbours import morton_codes
 
 TREE_SURFACE_LEVELS = 10
-"""Levels of a BVH that are split by the surface area heuristic. Deeper levels are split in the middle, which bounds
-the depth for any input."""
+"""Number of levels of a BVH that are split by the surface area heuristic. Deeper levels are split in the middle, which
+bounds the depth for any input."""
 
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 _BUILDS = itertools.count()
@@ -37,71 +37,71 @@ _BUILDS = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A level of the BVH whose nodes are being split."""
+    """A level of the BVHs whose nodes are being split."""
 
     depth: int
     """Depth of the level; 0: the root."""
     first: int
-    """Number of the level's first node."""
+    """Index of the level's first node."""
     nodes: int
     begins: DeviceArray
-    """First item of each node of the BVH."""
+    """Index of the first item of each node of the BVHs."""
     ends: DeviceArray
-    """One past the last item of each node of the BVH."""
+    """Index after the last item of each node of the BVHs."""
     edges: DeviceArray
-    """First items of the children of each node of the level, and the end of the last child; written by the split."""
+    """For each node of the level, the first item of each child, and the end of the last child; output of the split."""
     inner: DeviceArray
-    """Number of inner children of each node of the level; written by the split."""
+    """For each node of the level, the number of children that are inner nodes; output of the split."""
 
 
 Split = Callable[[Level], None]
 
 
 class BoxTree:
-    """BVHs over boxes. A subclass builds them and defines their items.
+    """Several BVHs over boxes. A subclass defines the items and builds the BVHs.
 
     Args:
         launcher: Runs the kernels.
     """
 
     nodes: DeviceArray
-    """Nodes of the BVHs, roots first."""
+    """Nodes of all BVHs, roots first."""
 
     MODULES: ClassVar[tuple[KernelModule, ...]] = (kernels,)
-    """Kernel modules of the build and refit."""
+    """Kernel modules that build and refit BVHs."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
         self.levels: list[tuple[int, int]] = []
-        """First node and number of nodes of each level, from the roots on."""
+        """Index of the first node, and number of nodes, of each level, beginning with the roots."""
         self.stack_size = 1
-        """Maximum number of nodes on the stack of a traversal, in any order."""
+        """Largest number of nodes on the stack of a traversal, whatever the order in which it visits children."""
         self.build = -1
-        """Unique number of the build; levels and node addresses stay the same until the next build."""
+        """Unique number of the last build; levels and addresses of nodes stay the same until the next build."""
 
     @property
     def bytes(self) -> int:
-        """Memory in use, bytes."""
+        """Device memory of the BVHs, bytes."""
         return self._buffers.bytes
 
     @property
     def cost(self) -> float:
-        """Total surface area of all nodes over that of the root.
+        """Total surface area of all nodes, divided by that of the root.
 
-        It is the expected number of nodes hit by a random ray that hits the root. 1 if the root has no area, or an area
-        beyond float32.
+        The quotient is the expected number of nodes that a random ray hits if it hits the root. 1 if the root has no
+        area, or an area beyond float32.
         """
         areas = self._areas.numpy().astype(np.float64)
         return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
 
     def link(self, scratch: Buffers, counts: npt.NDArray[np.int64], split: Split) -> None:
-        """Builds the topology of the BVHs: nodes and links, without boxes.
+        """Builds the topology of the BVHs: nodes and their links to children, without boxes.
 
         Args:
             scratch: Holds arrays that only the build needs.
             counts: Number of items of each BVH, in item order.
-            split: Splits the nodes of a level.
+            split: Function that splits the nodes of a level.
         """
         self.build = next(_BUILDS)
         links = self._link_levels(split, scratch, counts)
@@ -111,7 +111,7 @@ class BoxTree:
         self._launcher.run_banded(kernels.write_links, count, links, self.nodes)
 
     def fit(self, boxes: DeviceArray) -> None:
-        """Sets the boxes of the nodes.
+        """Sets the boxes of the nodes, from the leaves to the roots.
 
         Args:
             boxes: Boxes of the items, in BVH order.
@@ -120,7 +120,7 @@ class BoxTree:
             self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
 
     def by_area(self, boxes: DeviceArray, items: DeviceArray) -> Split:
-        """Returns the CPU's split, by the surface area heuristic; it reorders ``boxes`` and ``items``."""
+        """Returns the CPU's split function (surface area heuristic), which reorders ``boxes`` and ``items``."""
 
         def split(level: Level) -> None:
             self._launcher.run_banded(
@@ -134,7 +134,7 @@ class BoxTree:
         return split
 
     def by_code(self, codes: DeviceArray) -> Split:
-        """Returns CUDA's split, by sorted Morton codes."""
+        """Returns CUDA's split function, which splits sorted Morton codes."""
 
         def split(level: Level) -> None:
             self._launcher.run_banded(
@@ -146,7 +146,7 @@ class BoxTree:
         return split
 
     def _link_levels(self, split: Split, scratch: Buffers, counts: npt.NDArray[np.int64]) -> DeviceArray:
-        """Splits level after level; returns the child links of all nodes."""
+        """Splits the nodes level by level; returns the links of all nodes to their children."""
         room = len(counts) + int(counts.sum())
         begins, ends = (scratch.get(name, wp.int32, room) for name in ("begins", "ends"))
         links = scratch.get("links", ChildLinks, room)
@@ -172,12 +172,12 @@ class BoxTree:
 
 
 class HostBoxTree(BoxTree):
-    """BVHs over boxes in host memory.
+    """BVHs over boxes whose corners are in host memory.
 
     Args:
         launcher: Runs the kernels.
-        lows: Lower corners, shape (N, 3), BVH after BVH.
-        highs: Upper corners, shape (N, 3).
+        lows: Lower corners of N boxes, shape (N, 3), BVH after BVH.
+        highs: Upper corners of the boxes, shape (N, 3).
         counts: Number of boxes of each BVH.
     """
 
@@ -200,7 +200,7 @@ class HostBoxTree(BoxTree):
         self.cost_built = self.cost
 
     def refit(self, lows: Doubles, highs: Doubles) -> None:
-        """Sets new boxes, in the number and order of those that the BVHs were built over."""
+        """Sets new boxes; number and order must be as when the BVHs were built."""
         self.fit(upload_boxes(self._buffers, lows[self.order], highs[self.order]))
 
 
@@ -215,7 +215,7 @@ def upload_boxes(buffers: Buffers, lows: Doubles, highs: Doubles) -> DeviceArray
 def coded_order(
     lows: Doubles, highs: Doubles, counts: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Sorts boxes along a Morton curve of 1024 cells an axis, BVH after BVH; returns their indices and codes."""
+    """Sorts boxes along a Morton curve of 1024 cells per axis, BVH after BVH; returns sorted indices and codes."""
     middles = lows + highs
     tree = np.repeat(np.arange(len(counts)), counts)
     filled = np.flatnonzero(counts)
@@ -230,10 +230,12 @@ def coded_order(
 
 
 def traversal_stack_size(inner_counts: list[npt.NDArray[np.int32]]) -> int:
-    """Returns the maximum number of nodes on the stack of a traversal: siblings along a path plus the last children.
+    """Returns the largest number of nodes on a traversal's stack.
+
+    The stack holds the siblings along a path, plus the children of the last node.
 
     Args:
-        inner_counts: Number of inner children of all nodes, one array a level, root first. The children of a level's
+        inner_counts: Number of inner children of all nodes, one array per level, root first. The children of a level's
             nodes are the next level's nodes, in order.
     """
     below = np.zeros(0, np.int64)

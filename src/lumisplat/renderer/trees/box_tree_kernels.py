@@ -1,7 +1,7 @@
 """Kernels that build BVHs over boxes level by level from the root, and refit their boxes.
 
-``split_by_area`` (CPU), ``split_by_code`` (CUDA): one thread per node of a level; its items are ordered child by
-child. ``link_nodes``, ``refit_nodes``: one thread per node of a level. ``write_links``: one thread per node.
+``split_by_area`` (CPU) and ``split_by_code`` (CUDA) have one thread per node of a level, and order the node's items
+child by child. ``link_nodes`` and ``refit_nodes`` have one thread per node of a level, ``write_links`` one per node.
 """
 
 import warp as wp
@@ -12,7 +12,7 @@ from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Childre
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 SAH_BINS = 16
-"""Bins per axis at whose edges the build tries to split a node (Wald 2007)."""
+"""Number of bins per axis. The build tries to split a node at the edges of the bins (Wald 2007)."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 BINS = wp.constant(SAH_BINS)
@@ -33,7 +33,7 @@ def empty_box() -> Box:
 
 @wp.func
 def union(a: Box, b: Box) -> Box:
-    """Returns the box around two boxes."""
+    """Returns the smallest box that contains two boxes."""
     box = Box()
     box.low = wp.min(a.low, b.low)
     box.high = wp.max(a.high, b.high)
@@ -49,7 +49,7 @@ def half_area(low: wp.vec3, high: wp.vec3) -> float:
 
 @wp.func
 def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, axis: int, middle2: float) -> int:
-    """Moves items whose doubled centre is below ``middle2`` to the front, and returns one past the last of them."""
+    """Moves items with doubled centres below ``middle2`` along ``axis`` to the front; returns the index after them."""
     low = int(begin)
     high = int(end)
     while low < high:
@@ -70,8 +70,8 @@ def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end:
 def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int) -> int:
     """Splits items in two at the lowest cost of the surface area heuristic (Wald 2007), and returns the split index.
 
-    The split is in the middle if all centres coincide. The function is not divided further: its three loops share the
-    bins, and function calls would copy them.
+    If all centres coincide, the split is in the middle. The code is not divided into functions, because its three loops
+    share the bins, which calls would copy.
     """
     center_low = wp.vec3(wp.inf)
     center_high = wp.vec3(-wp.inf)
@@ -144,7 +144,7 @@ def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int
 
 @wp.func
 def range_area(boxes: wp.array[Box], begin: int, end: int) -> float:
-    """Returns half the surface area of the box around a range of boxes."""
+    """Returns half the surface area of the smallest box that contains a range of boxes."""
     low = wp.vec3(FAR)
     high = wp.vec3(-FAR)
     for i in range(begin, end):
@@ -165,10 +165,10 @@ def split_by_area(
     edges_out: wp.array[Edges],
     inner_counts_out: wp.array[int],
 ):
-    """Splits the child with the largest area by the surface area heuristic until all eight children are in use.
+    """Splits a node's items into up to eight children: splits the child of largest area until eight exist.
 
-    The children are the items between consecutive edges. With ``by_area`` 0, the child with the most items is split in
-    the middle instead.
+    ``edges_out`` holds the first item of each child. Each split minimises the surface area heuristic. If ``by_area`` is
+    0, the child with the most items is split in the middle instead.
     """
     node = start + wp.tid()
     begin = begins[node_first + node]
@@ -216,7 +216,10 @@ def split_by_area(
 
 @wp.func
 def first_with_digit(codes: wp.array[int], begin: int, end: int, shift: int, digit: int) -> int:
-    """Returns the first sorted code whose octal digit at ``shift`` is at least ``digit``; higher digits are equal."""
+    """Returns the index of the first sorted code whose octal digit at ``shift`` is at least ``digit``.
+
+    All codes in the range agree in the higher digits.
+    """
     low = int(begin)
     high = int(end)
     while low < high:
@@ -238,9 +241,9 @@ def split_by_code(
     edges_out: wp.array[Edges],
     inner_counts_out: wp.array[int],
 ):
-    """Splits a node by the first octal digit that differs: three levels of a binary radix tree (Karras 2012).
+    """Splits a node's items by the first octal digit in which their codes differ (Karras 2012).
 
-    Items with equal codes are distributed evenly.
+    One octal digit is three levels of a binary radix tree. Items with equal codes are distributed evenly.
     """
     node = start + wp.tid()
     begin = begins[node_first + node]
@@ -278,7 +281,7 @@ def link_nodes(
     ends_out: wp.array[int],
     links_out: wp.array[ChildLinks],
 ):
-    """Numbers the inner children of a level, and writes their ranges of items."""
+    """Assigns node indices to the inner children of a level's nodes, and writes the range of items of each."""
     n = start + wp.tid()
     ranges = edges[n]
     child = child_first + inner_ends[n] - inner_counts[n]
@@ -298,7 +301,7 @@ def link_nodes(
 
 @wp.kernel
 def write_links(start: int, links: wp.array[ChildLinks], nodes_out: wp.array[Node]):
-    """Writes nodes with their links; ``refit_nodes`` adds the boxes."""
+    """Writes all nodes with their links to children; ``refit_nodes`` adds the boxes."""
     n = start + wp.tid()
     node = Node()
     node.link = links[n]
@@ -313,7 +316,7 @@ def refit_nodes(
     nodes_inout: wp.array[Node],
     areas_out: wp.array[float],
 ):
-    """Writes the boxes of the children of a level's nodes; deeper levels must be refitted before."""
+    """Writes the boxes of the children of a level's nodes; deeper levels must be refitted earlier."""
     n = node_first + start + wp.tid()
     node = nodes_inout[n]
     whole = empty_box()

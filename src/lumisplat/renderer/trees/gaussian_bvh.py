@@ -1,4 +1,4 @@
-"""Host pass: BVH over the Gaussians of an asset, and its refit when they move."""
+"""Host pass: builds a BVH over the Gaussians of an asset, and refits it when they move."""
 
 # Warp creates its vector types at run time, so type checkers know neither them nor the kernels that take them.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
@@ -24,16 +24,16 @@ BOUNDS_SAMPLES = 65536
 
 
 class GaussianBvh(BoxTree):
-    """BVH over one Gaussian set, in object space.
+    """BVH over the Gaussians of one set, in object space.
 
     Args:
         launcher: Runs the kernels.
-        gaussians: The set on the device.
+        gaussians: The Gaussians on the device.
         kernel: Response function of the Gaussians, which determines their bounds.
     """
 
     MODULES: ClassVar[tuple[KernelModule, ...]] = (kernels, *BoxTree.MODULES)
-    """Kernel modules of the build and refit."""
+    """Kernel modules that build and refit the BVH."""
 
     def __init__(self, launcher: Launcher, gaussians: GaussianData, kernel: KernelData) -> None:
         super().__init__(launcher)
@@ -51,7 +51,10 @@ class GaussianBvh(BoxTree):
             self._build(gaussians)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Returns corners (min, max) of a box around all Gaussians, object space, (3,) each; inverted if empty."""
+        """Returns lower and upper corner of a box around all Gaussians, object space, (3,) each.
+
+        The box is inverted (lower above upper) if there are no Gaussians.
+        """
         root = self.nodes[:1].numpy()[0]
         low, high = ([root[f"{side}_{axis}"] for axis in "xyz"] for side in ("low", "high"))
         return np.min(low, axis=1).astype(np.float64), np.max(high, axis=1).astype(np.float64)
@@ -66,7 +69,7 @@ class GaussianBvh(BoxTree):
         self.cost_built = self.cost
         low, high = sampled_bounds(gaussians)
         self.extent = float(np.linalg.norm(high - low))
-        """Diagonal of a box around nearly all means, object space."""
+        """Diagonal of a box around nearly all means, object-space units."""
 
     def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Split:
         boxes = scratch.get("boxes", Box, count)
@@ -96,7 +99,10 @@ class GaussianBvh(BoxTree):
 
 
 def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
-    """Returns corners (min, max) of a box around a sample of the means without outliers, object space, (3,) each."""
+    """Returns lower and upper corner of a box around most means, object space, (3,) each.
+
+    The box is computed from a sample of the means, without outliers.
+    """
     means = device_array(gaussians.means)[:: -(-len(gaussians.means) // BOUNDS_SAMPLES)].numpy()
     low, high = np.quantile(means, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
     return low, high

@@ -1,7 +1,7 @@
-"""Kernels of BVHs over Gaussians: boxes, Morton codes, and the particle records that rays read.
+"""Kernels of BVHs over Gaussians: they compute boxes, Morton codes, and the particle records that rays read.
 
-``box_gaussians``, ``code_gaussians``: one thread per Gaussian. ``gather_particles``: one thread per particle, in BVH
-order.
+``box_gaussians`` and ``code_gaussians`` have one thread per Gaussian, ``gather_particles`` one per particle in BVH
+order. A particle is the record of one Gaussian.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 @wp.kernel
 def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array[Box]):
-    """Writes tight boxes of the Gaussians of an asset."""
+    """Writes the tight bounding box of each Gaussian of an asset."""
     i = start + wp.tid()
     boxes_out[i] = particle_box(kernel, gaussians, i)
 
@@ -30,7 +30,7 @@ def code_gaussians(
     codes_out: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Writes Morton codes of the means on a grid of 1024^3 cells; means outside take the nearest cell."""
+    """Writes the Morton code of each mean on a grid of 1024^3 cells; means outside the grid take the nearest cell."""
     i = start + wp.tid()
     codes_out[i] = morton_code(gaussians.means[i], low, per_cell)
     items_out[i] = i
@@ -45,7 +45,7 @@ def gather_particles(
     particles_out: wp.array[Particle],
     boxes_out: wp.array[Box],
 ):
-    """Writes particles and their boxes in BVH order."""
+    """Writes the Gaussians' particle records and boxes in BVH order."""
     i = start + wp.tid()
     particles_out[i] = particle_of(kernel, gaussians, items[i])
     boxes_out[i] = particle_box(kernel, gaussians, items[i])

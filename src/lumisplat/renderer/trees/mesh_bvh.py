@@ -1,4 +1,4 @@
-"""BVHs of the scene's meshes: one over the triangles of each mesh, and one over the instances."""
+"""BVHs of the scene's meshes: one over the triangles of each mesh, and one over the mesh instances."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
 TRIANGLE_BOX_MARGIN = 2.0**-19
-"""Margin of triangle boxes as a fraction of the mesh's size: 32 roundings of a coordinate. Without it, 2 % of the rays
-aimed at the edges of a cube from inside leave the cube."""
+"""Margin around triangle boxes as a fraction of the mesh's size: 32 roundings of a coordinate. Without the margin, 2 %
+of the rays aimed at the edges of a cube from inside leave the cube."""
 
 INSTANCE_BOX_MARGIN = 1e-3
-"""Margin of mesh instance boxes as a fraction of their diagonal. For accuracy, distant rays start at the box; the
-rounding error of that start, from a thousand diagonals away, is well below the margin."""
+"""Margin around the boxes of mesh instances as a fraction of their diagonal. Distant rays start at the box for
+accuracy; the rounding error of that start, from a thousand diagonals away, is well below the margin."""
 
 
 class TriangleTrees(HostBoxTree):
-    """BVHs over the triangles of several meshes, each in object space, built together.
+    """BVHs over the triangles of several meshes, built together, each in its mesh's object space.
 
     Args:
         launcher: Runs the kernels.
-        meshes: The meshes; the index of a mesh is the root node of its BVH.
+        meshes: The meshes; the index of a mesh is the index of its BVH's root node.
     """
 
     def __init__(self, launcher: Launcher, meshes: list[Mesh]) -> None:
@@ -41,7 +41,7 @@ class TriangleTrees(HostBoxTree):
         counts = np.array([mesh.face_count for mesh in meshes])
         boxes = [list(itertools.product(*zip(*mesh.bounds(), strict=True))) for mesh in meshes]
         self.corners: Doubles = np.array(boxes, np.float64)
-        """Corners of the boxes around the meshes, shape (M, 8, 3)."""
+        """Eight corners of the bounding box of each of M meshes, object space, shape (M, 8, 3)."""
         margins = TRIANGLE_BOX_MARGIN * np.linalg.norm(self.corners[:, -1] - self.corners[:, 0], axis=1)
         around = np.repeat(margins, counts)[:, None]
         faces: Doubles = np.concatenate([mesh.positions[mesh.indices].astype(np.float64) for mesh in meshes])
@@ -56,7 +56,7 @@ class TriangleTrees(HostBoxTree):
 class MeshBvhScene:
     """BVHs of a scene's meshes, built when rays first need them.
 
-    The BVH over the instances is refitted when they move.
+    The BVH over the instances is refitted when instances move.
 
     Args:
         launcher: Runs the kernels.
@@ -68,24 +68,24 @@ class MeshBvhScene:
         self._instances: HostBoxTree | None = None
         self._synced: object = None
         self.data = MeshBvh()
-        """BVHs for kernels; must not be traversed if the scene has no meshes."""
+        """The BVHs in the struct that kernels get. Must not be traversed if the scene has no meshes."""
         self.boxes = InstanceBoxes.none()
-        """World-space boxes of the instances, and their BVHs."""
+        """World-space box and BVH root of each mesh instance."""
 
     @property
     def bytes(self) -> int:
-        """Memory of the BVHs, bytes."""
+        """Device memory of the BVHs, bytes."""
         above = [self._instances] if self._instances else []
         table = bytes_of(self.data.assets) if self._trees else 0
         return table + sum(tree.bytes for tree in (*self._trees, *above))
 
     @property
     def graph_key(self) -> object:
-        """Key of the addresses that kernels get by value; captured graphs are stale when it changes."""
+        """Key of the device addresses that kernels get by value. A captured graph is stale once the key changes."""
         return [trees.build for trees in self._trees], self._instances and self._instances.build
 
     def sync(self, scene: Scene) -> None:
-        """Builds BVHs of new meshes, and refits or rebuilds the BVH over the instances if they have moved."""
+        """Builds BVHs of new meshes; refits or rebuilds the BVH over the instances if they have moved."""
         if not scene.meshes:
             self._trees, self._instances, self._synced = [], None, None
             self.boxes = InstanceBoxes.none()
@@ -108,7 +108,7 @@ class MeshBvhScene:
         self._synced = synced
 
     def _sync_trees(self, meshes: dict[int, Mesh]) -> None:
-        """Drops BVHs whose meshes are all unused, and builds those of new meshes."""
+        """Drops BVHs built together if all their meshes are unused, and builds BVHs of new meshes."""
         used = [trees for trees in self._trees if trees.root_of.keys() & meshes.keys()]
         held = {key for trees in used for key in trees.root_of}
         missing = [mesh for key, mesh in meshes.items() if key not in held]
@@ -136,14 +136,14 @@ class MeshBvhScene:
 
 @dataclass(frozen=True, slots=True)
 class InstanceBoxes:
-    """Boxes and BVH roots of a scene's mesh instances, one element each."""
+    """World-space boxes and BVH roots of a scene's mesh instances; one element for each instance."""
 
     assets: npt.NDArray[np.int64]
-    """Index of the TriangleBvh that has the mesh's triangles."""
+    """Index of the TriangleBvh that contains each instance's triangles."""
     roots: npt.NDArray[np.int64]
-    """Root node of the mesh in that TriangleBvh."""
+    """Index of each mesh's root node in its TriangleBvh."""
     low: Doubles
-    """Lower corner of a world-space box around the instance, shape (N, 3)."""
+    """Lower corner of each of N instances' world-space box, shape (N, 3)."""
     high: Doubles
 
     @classmethod
@@ -153,14 +153,14 @@ class InstanceBoxes:
 
 
 def world_boxes(corners: Doubles, transforms: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns world-space boxes around mesh instances, with a margin for rounding errors of rays.
+    """Returns world-space boxes around N mesh instances, with a margin for rounding errors of rays.
 
     Args:
         corners: Corners of the boxes around the meshes, object space, shape (N, 8, 3).
-        transforms: World-from-object transforms, shape (N, 4, 4).
+        transforms: World-from-object transforms of the instances, shape (N, 4, 4).
 
     Returns:
-        Corners (min, max), shape (N, 3) each.
+        Lower and upper corner of each box, shape (N, 3) each.
     """
     world = corners @ transforms[:, :3, :3].transpose(0, 2, 1) + transforms[:, None, :3, 3]
     low, high = world.min(axis=1), world.max(axis=1)

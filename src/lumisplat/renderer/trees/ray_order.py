@@ -1,6 +1,6 @@
-"""Host pass: sorts incoherent rays so that neighbours have similar origins and directions.
+"""Host pass: sorts incoherent rays so that neighbours in the order have similar origins and directions.
 
-Rays are traced one by one, but find the BVH nodes of their predecessors in the caches.
+Rays are still traced one by one, but find BVH nodes in the caches that preceding rays have read.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import sort_pairs
 
 _CELLS = 8.0
-"""Number of sort cells along the extent of the scene."""
+"""Number of sorting cells along the extent of the scene."""
 
 _LAST = 8 * 16**3
-"""Sort key of inactive rays, above the keys of all others."""
+"""Sort key of inactive rays; larger than the keys of active rays."""
 
 RAY_ORDER_MODULES: tuple[KernelModule, ...] = (kernels,)
-"""Kernel modules of `ray_order`."""
+"""Kernel modules that `ray_order` needs."""
 
 
 def ray_order(launcher: Launcher, buffers: Buffers, rays: RayData, extent: float) -> DeviceArray:
-    """Returns ray indices sorted by the cell of the origin and the octant of the direction; inactive rays last.
+    """Returns ray indices sorted by cell of the origin, then octant of the direction; inactive rays come last.
 
     Args:
         launcher: Runs the kernel.
-        buffers: Holds the arrays; the next order overwrites this one.
+        buffers: Holds the arrays; the next call overwrites the result.
         rays: The rays.
         extent: Size of the scene, scene units.
     """

@@ -1,4 +1,4 @@
-"""Kernel of the sort keys of incoherent rays. One thread per ray."""
+"""Kernel that computes the sort keys of incoherent rays. One thread per ray."""
 
 import warp as wp
 
@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def key_rays(start: int, per_cell: float, last: int, rays: RayData, keys_out: wp.array[int], order_out: wp.array[int]):
-    """Writes the Morton code of the cell of a ray's origin, then the octant of its direction; ``last`` if inactive.
+    """Writes a ray's sort key: Morton code of its origin's cell, then octant of its direction; ``last`` if inactive.
 
     The grid of 16^3 cells repeats in all directions, so it needs no bounds.
     """
