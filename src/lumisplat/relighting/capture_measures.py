@@ -1,6 +1,6 @@
 """Measures whether a capture's Gaussians form a surface, and estimates the gain of its light on objects.
 
-The methods are in docs/method/delighting.md#surfaces and docs/guide/paths.md#capture-gain.
+The methods are in docs/method/delighting.md#surfaces and docs/guide/lit_by_capture.md#capture-gain.
 """
 
 from __future__ import annotations
