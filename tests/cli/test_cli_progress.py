@@ -70,7 +70,10 @@ def test_frames_limited_by_time_or_noise_print_their_samples(work, caplog) -> No
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*path, "--set=noise=0.0001", "--samples", "18").status == 0
     (line,) = [record.getMessage() for record in caplog.records if "noise" in record.getMessage()]
-    assert re.fullmatch(r"the noise is 0\.\d{3} after 18 samples a pixel, where --set noise is 0\.0001", line)
+    expected = (
+        r"the noise is 0\.\d{3} after 18 samples a pixel, where --set noise is 0\.0001: allow more samples or time"
+    )
+    assert re.fullmatch(expected, line)
 
 
 def announced(caplog: pytest.LogCaptureFixture) -> list[str]:

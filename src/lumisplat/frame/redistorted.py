@@ -60,7 +60,7 @@ def undistorted_camera(camera: Camera) -> Camera:
     name = f" '{camera.name}'" if camera.name else ""
     advice = "use Pipeline.TRACE, whose rays follow the lens"
     if not (low <= high).all():
-        raise SceneError(f"camera{name} has a distortion under which no pixel sees anything: {advice}")
+        raise SceneError(f"camera{name} has a distortion that maps no pixel to a ray: {advice}")
     scale = float(np.clip(_magnifications(camera).max(), 1.0, UNDISTORTED_SCALE_MAX))
     focal = scale * np.array([camera.fx, camera.fy])
     # Two pixels of margin for the filter.

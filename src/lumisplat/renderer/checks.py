@@ -118,13 +118,16 @@ def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
 def check_blocks(config: RenderConfig, plan: FramePlan, camera: Camera | None = None) -> None:
     """Raises ConfigError unless all pixels have one fixed number of samples, as splitting over processes requires."""
     if camera is not None and plan.rasterises and not plan.is_unscented and camera.is_distorted:
-        raise ConfigError("rasterised frames with lens distortion are resampled: their samples cannot be split")
+        raise ConfigError(
+            "rasterised frames with lens distortion are resampled: their samples cannot be split; use Pipeline.TRACE"
+        )
     if plan.has_history or not plan.is_sampled:
         what = "Pipeline.REALTIME" if plan.has_history else "an unlit frame of the sorted rasteriser"
         raise ConfigError(f"{what} is drawn in one go: it has no samples to split")
     if plan.adapts or config.noise is not None or config.time_limit is not None:
         raise ConfigError(
-            "noise, time_limit and adaptive choose samples by the frame so far: to split them, set samples"
+            "noise, time_limit and adaptive choose the number of samples during rendering: to split a frame, "
+            "set only samples"
         )
 
 
@@ -149,7 +152,7 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
     if frame.color.shape[:2] != camera.image_size[::-1] or frame.background != config.background:
         height, width = frame.color.shape[:2]
         raise ConfigError(
-            f"cannot resume a frame of {width} x {height} over {frame.background}: this one is "
+            f"cannot resume a frame of {width} x {height} pixels over background {frame.background}: the new one is "
             f"{camera.image_size[0]} x {camera.image_size[1]} over {config.background}"
         )
     other = differing(frame.camera, replace(camera, name=frame.camera.name))
@@ -170,7 +173,7 @@ def check_resumed_scene(frame: Frame, scene: Scene) -> None:
     if before is not None and (before.gaussian_count, before.triangle_count) != now:
         raise ConfigError(
             f"cannot resume a frame of another scene: it has {before.gaussian_count:,} Gaussians and "
-            f"{before.triangle_count:,} triangles, this one {now[0]:,} and {now[1]:,}"
+            f"{before.triangle_count:,} triangles, the given scene {now[0]:,} and {now[1]:,}"
         )
 
 

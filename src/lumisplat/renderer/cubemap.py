@@ -100,10 +100,12 @@ def render_cube(
     radiance, alpha = render_faces(scene, position, render, face_px, near)
     if np.nanmax(alpha) == 0.0:
         where = ", ".join(f"{x:g}" for x in position)
-        _log.warning("a probe at (%s) sees nothing of the scene, only the background", where)
+        _log.warning(
+            "a probe at (%s) sees nothing of the scene, only the background: move the probe into the scene", where
+        )
     finite = np.isfinite(radiance).all(axis=1)
     if not finite.any():
-        raise SceneError("a probe has no pixel that is finite: colours or lights of the scene are too large")
+        raise SceneError("all pixels of a probe are infinite or NaN: make colours and lights of the scene smaller")
     if not finite.all():
         _log.warning("%d pixels of a probe's faces are not finite and are left out", np.count_nonzero(~finite))
         return CubeSamples(cube.directions[finite], radiance[finite], cube.weights[finite])

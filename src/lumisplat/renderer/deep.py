@@ -80,7 +80,7 @@ def render_deep(
     width, height = camera.image_size
     size = height, width
     if frame is not None and frame.alpha.shape != size:
-        raise SceneError(f"the frame has {frame.alpha.shape} rows and columns, the camera {size}")
+        raise SceneError(f"the frame has {frame.alpha.shape} rows and columns, expected the camera's {size}")
     config = checked_config(config)
     if frame is not None and frame.config is not None:
         config = replace(config, seed=frame.config.seed)  # the seed determines where rays pass the lens

@@ -185,7 +185,9 @@ def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Dou
     start, along = _numbers("origins", origins), _rows("directions", directions)
     start = np.broadcast_to(start, along.shape) if start.shape == (3,) else _rows("origins", start)
     if start.shape != along.shape:
-        raise SceneError(f"{len(start)} origins and {len(along)} directions: a ray has one of each")
+        raise SceneError(
+            f"{len(start)} origins and {len(along)} directions, expected one origin and one direction for each ray"
+        )
     limit = float(np.finfo(np.float32).max)
     for name, values, largest in (("origins", start, limit), ("directions", along, np.inf)):
         bad = int(np.count_nonzero(~(np.isfinite(values) & (np.abs(values) <= largest)).all(axis=1)))
@@ -212,7 +214,7 @@ def checked_distances(distances: npt.ArrayLike, count: int) -> FloatArray:
         raise SceneError(f"max_distance has shape {values.shape}, expected one number or ({count},), one a ray")
     bad = int(np.count_nonzero(~(values >= 0.0)))
     if bad:
-        raise SceneError(f"{bad} of {values.size} values of max_distance are negative or NaN")
+        raise SceneError(f"{bad} of {values.size} values of max_distance are negative or NaN, expected numbers >= 0")
     return np.broadcast_to(values, (count,)).astype(np.float32)
 
 
@@ -230,7 +232,9 @@ def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
             raise TypeError
         return np.asarray(read, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"{name} are not numbers: {type(values).__name__}") from None
+        raise SceneError(
+            f"{name} are not numbers (got {type(values).__name__}), expected an array of numbers"
+        ) from None
 
 
 class RayQueries:

@@ -213,14 +213,18 @@ class Renderer:
         check_camera(camera)
         if has_catcher_meshes(scene):
             if resume is not None:
-                raise ConfigError("a frame with meshes that are shadow catchers cannot be resumed")
+                raise ConfigError(
+                    "a frame with meshes that are shadow catchers cannot be resumed: render all samples at once"
+                )
             return self._with_caught_shadows(scene, camera, progress, stop)
         scene = self._with_captured_light(scene)
         plan = FramePlan.of(self.config, scene)
         if plan.rasterises and not plan.is_unscented and camera.is_distorted:
             refuse_lens(camera, self.config.pipeline)
             if resume is not None:
-                raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
+                raise ConfigError(
+                    "a rasterised frame of a distorting lens is resampled and cannot be resumed: use Pipeline.TRACE"
+                )
             pinhole = self.render(scene, pinhole_of(camera), progress=progress)
             self._developed = None
             return redistorted(pinhole, camera)
@@ -270,7 +274,9 @@ class Renderer:
         check_scene(scene)
         check_camera(camera)
         if has_catcher_meshes(scene):
-            raise ConfigError("samples of a frame with meshes that are shadow catchers cannot be split")
+            raise ConfigError(
+                "samples of a frame with meshes that are shadow catchers cannot be split: render it in one process"
+            )
         scene = self._with_captured_light(scene)
         plan = FramePlan.of(self.config, scene)
         check_blocks(self.config, plan, camera)

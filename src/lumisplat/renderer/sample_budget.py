@@ -67,7 +67,12 @@ class SampleBudget:
         wanted = self._config.noise
         if wanted is not None and (is_rough or self.noise is None or self.noise > wanted):
             found = "too few samples to estimate the noise" if is_rough else f"the noise is {self.noise:.3f}"
-            _log.warning("%s after %s samples a pixel, where RenderConfig.noise is %g", found, f"{self.done:,}", wanted)
+            _log.warning(
+                "%s after %s samples a pixel, where RenderConfig.noise is %g: allow more samples or time",
+                found,
+                f"{self.done:,}",
+                wanted,
+            )
 
     def _update(self) -> None:
         """Estimates the noise if an estimate is due at this number of samples, and updates ``fraction``."""

@@ -199,7 +199,8 @@ class Region:
         """
         if self.voxel_count >= 2**31:
             raise SceneError(
-                f"a deep shadow map of {self.voxel_count:,} bins is too large: give receivers, or lower its resolution"
+                f"a deep shadow map of {self.voxel_count:,} bins is too large: pass receivers, "
+                "or lower DeepShadowConfig.resolution"
             )
         tiles = self.tiles
         slots = np.full(texel_count(atlas) // TILE_TEXELS, -1, np.int32)

@@ -106,7 +106,7 @@ class TileLists:
         counts = counts_out.numpy()
         total = int(counts.sum(dtype=np.int64))
         if total >= 2**31:
-            raise SceneError(f"{total:,} pairs of casters and tiles are too many: move the light off the casters")
+            raise SceneError(f"{total:,} pairs of casters and tiles are too many: move the light away from casters")
         ends = np.cumsum(counts, dtype=np.int32)
         narrowed = CasterLists()
         narrowed.items = self._buffers.get(f"{name}.items", wp.int32, total)

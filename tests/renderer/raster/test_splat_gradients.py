@@ -181,7 +181,7 @@ def test_splats_behind_a_mesh_have_zero_raster_gradients() -> None:
     [
         ((np.zeros((3, 3, 3)), None), r"^dL_dcolor has shape \(3, 3, 3\), expected \(30, 36, 3\)$"),
         ((np.zeros((30, 36, 3)), np.zeros(4)), r"^dL_dalpha has shape \(4,\), expected \(30, 36\)$"),
-        ((np.full((30, 36, 3), np.nan), None), r"^dL_dcolor: 3,240 of 3,240 values are not finite$"),
+        ((np.full((30, 36, 3), np.nan), None), r"^dL_dcolor: 3,240 of 3,240 values are not finite, expected finite numbers$"),
     ],
 )
 def test_splat_gradients_refuse_image_gradients_of_wrong_shape_or_not_finite(

@@ -102,7 +102,7 @@ def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
         raise SceneError(f"{name} has shape {array.shape}, expected {shape}")
     bad = array.size - int(np.isfinite(array).sum())
     if bad:
-        raise SceneError(f"{name}: {bad:,} of {array.size:,} values are not finite")
+        raise SceneError(f"{name}: {bad:,} of {array.size:,} values are not finite, expected finite numbers")
     return array
 
 

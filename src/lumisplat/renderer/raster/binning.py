@@ -278,5 +278,7 @@ def check_pairs(count: int) -> int:
         DeviceError: The number does not fit 32-bit indices.
     """
     if count > ITEMS_MAX:
-        raise DeviceError(f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: use fewer pixels")
+        raise DeviceError(
+            f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: render a smaller image"
+        )
     return count
