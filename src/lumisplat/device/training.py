@@ -57,7 +57,8 @@ class SplatRecord:
     """Statistics of each Gaussian collected between two densification steps."""
 
     motion: wp.array[float]
-    """Sum over frames of the magnitude of the gradient by the splat's image position, in units of half the image size.
+    """Sum over frames of the magnitude of the loss gradient by the splat's image position, in units of half the image
+    size.
     """
     turns: wp.array[float]
     """Sum over frames of the gradient of the surface losses by rotation of the Gaussian's normal.
@@ -108,7 +109,7 @@ class SurfaceTerms:
     middle: float
     """View depth that the depth feature encodes as 0, scene units."""
     per_unit: float
-    """Depth feature units per scene unit."""
+    """Change of the depth feature for one scene unit of view depth."""
 
 
 @struct

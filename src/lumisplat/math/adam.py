@@ -24,7 +24,7 @@ class Adam:
 
     @classmethod
     def still(cls, shape: tuple[int, ...], *, by_rows: bool = False) -> Adam:
-        """Returns the moments of an array before its first update.
+        """Returns zero moments, for an array before its first update.
 
         Args:
             shape: Shape of the array.
@@ -33,7 +33,7 @@ class Adam:
         return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape[:1] if by_rows else ()))
 
     def state(self, name: str) -> dict[str, Doubles]:
-        """Returns the moments and step counts as arrays, whose names begin with ``name``."""
+        """Returns the moments and step counts as arrays by name, for saving; each name begins with ``name``."""
         return {f"{name}.first": self.first, f"{name}.second": self.second, f"{name}.turns": self.steps}
 
     def step(self, gradient: Doubles, rate: float = 1.0, row: int | EllipsisType = ...) -> Doubles:

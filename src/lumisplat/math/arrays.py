@@ -93,7 +93,7 @@ def host_array(values: Any) -> Any:
 
 
 def finite_numbers(values: object, shape: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
-    """Returns ``values`` as a float64 array of the given shape; None unless they are that many finite numbers."""
+    """Returns ``values`` as a float64 array; None if they are not finite numbers or do not have the given shape."""
     try:
         numbers = np.array(host_array(values), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -127,15 +127,15 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     if matrix.shape != (4, 4):
         raise SceneError(f"{name} has shape {matrix.shape}, expected (4, 4)")
     if not np.isfinite(matrix).all():
-        raise SceneError(f"{name} has non-finite values")
+        raise SceneError(f"{name} has non-finite values, expected 4x4 finite numbers")
     if (np.abs(matrix[3] - _LAST_ROW) > _LAST_ROW_ERROR).any():  # np.allclose takes longer than all other checks
         raise SceneError(f"{name} has last row {matrix[3].tolist()}, expected [0, 0, 0, 1]")
     scale = np.linalg.norm(matrix[:3, :3])
     if scale == 0.0 or abs(np.linalg.det(matrix[:3, :3] / scale)) < 1e-9:
-        raise SceneError(f"{name} is singular")
+        raise SceneError(f"{name} is singular, expected an invertible transform: no axis may be scaled to 0")
     # Kernels use the matrix and its inverse in float32.
     if max(np.abs(matrix).max(), np.abs(np.linalg.inv(matrix)).max()) > TRANSFORM_MAX:
-        raise SceneError(f"{name} scales or moves by more than {TRANSFORM_MAX:g}, or by as much in its inverse")
+        raise SceneError(f"{name} scales or moves by more than {TRANSFORM_MAX:g}, or its inverse does: use other units")
     matrix.flags.writeable = False
     return matrix
 
@@ -206,8 +206,9 @@ def weighted_quantile(values: Doubles, weights: Doubles, share: float) -> float:
     With equal weights it is NumPy's quantile.
 
     Args:
-        values: Shape (N,).
-        weights: Non-negative, at least one of them positive, shape (N,); values of weight 0 are ignored.
+        values: N values, shape (N,).
+        weights: Weights of the values, non-negative, at least one of them positive, shape (N,); values of weight 0 are
+            ignored.
         share: Fraction 0..1; 0 gives the smallest value, 1 the largest.
     """
     kept = weights > 0.0

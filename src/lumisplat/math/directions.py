@@ -124,7 +124,7 @@ def irradiance_residual(cells: int, degree: int, normals: int) -> Doubles:
 
 
 def _points(cells: int, count: int) -> Doubles:
-    """Returns a regular grid of ``count`` x ``count`` points in each cell of the unit square.
+    """Returns ``count`` x ``count`` points on a regular grid in each of the unit square's ``cells`` x ``cells`` cells.
 
     The shape is (cells^2, count^2, 2).
     """

@@ -87,7 +87,7 @@ def _radial(points: Doubles, coefficients: Coefficients) -> tuple[Doubles, Doubl
 
 
 def _solved(matrices: Doubles, vectors: Doubles) -> Doubles:
-    """Solves 2 x 2 systems by Cramer's rule."""
+    """Solves systems of two linear equations, ``matrices`` (..., 2, 2) and ``vectors`` (..., 2), by Cramer's rule."""
     a, b, c, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1]
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[..., None]

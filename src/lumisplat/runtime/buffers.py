@@ -91,7 +91,7 @@ def grown_capacity(count: int) -> int:
 class Buffers:
     """Device arrays by name, which are allocated once and reused.
 
-    A request that is no larger than an earlier one of its name returns a view of the same memory, so that nothing is
+    A request that is no larger than an earlier one with the same name returns a view of the same memory. Nothing is
     allocated after the first frame of a size.
 
     Args:
@@ -103,10 +103,11 @@ class Buffers:
         self._arrays: dict[str, DeviceArray] = {}
         self._views: dict[tuple[str, tuple[int, ...]], DeviceArray] = {}
         self.downloads = Downloads(is_lazy=device != "cpu")
-        """Pool of memory that arrays are copied to the host with."""
+        """Memory pool for copying arrays to the host."""
         self._rows: dict[str, bytes] = {}
         self.allocations = 0
-        """Number of allocations so far; captured CUDA graphs of an earlier number use memory that was freed."""
+        """Number of allocations so far; if it has changed since a CUDA graph was captured, the graph must be captured
+        again."""
 
     def get(self, name: str, dtype: type[object], shape: int | tuple[int, ...]) -> DeviceArray:
         """Returns an array of ``shape`` with undefined contents.

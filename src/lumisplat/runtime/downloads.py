@@ -99,7 +99,7 @@ class DeviceCopies:
         return read
 
     def _download(self, target: DeviceArray, target_first: int, first: int, count: int) -> None:
-        """Copies words to the host, and waits for them."""
+        """Copies ``count`` words of the block, from ``first`` on, to the host array ``target``, and waits for them."""
         stream = self._downloads.stream_of(self._block.device)
         if stream is not None:
             stream.wait_event(self._copied_event)

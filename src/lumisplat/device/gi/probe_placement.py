@@ -57,7 +57,7 @@ class ProbeData:
     extent: wp.array[float]
     """Position uncertainty of the probe's surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
     source: wp.array[int]
-    """Index of the previous frame's probe that the probe continues; -1: the probe is new."""
+    """Index of the probe of the previous frame that this probe continues; -1: this probe is new."""
     refresh_count: wp.array[int]
     """Number of times the probe was refreshed."""
     refreshed: wp.array[int]
@@ -95,9 +95,9 @@ class TileNeeds:
     uncovered: wp.array[int]
     """Number of pixels without a suitable probe, among those tested."""
     pixel: wp.array[int]
-    """Pixel for the adaptive probe."""
+    """Index of the pixel at which the tile's adaptive probe should be placed."""
     source: wp.array[int]
-    """Index of the previous frame's probe that the adaptive probe is to continue; -1: none."""
+    """Index of the probe of the previous frame that the tile's adaptive probe should continue; -1: none."""
 
 
 @struct
@@ -107,7 +107,7 @@ class ProbePlacement:
     pixel: int
     """Index of the pixel; -1: none."""
     source: int
-    """Index of the previous frame's probe that the probe is to continue; -1: none."""
+    """Index of the probe of the previous frame that the placed probe should continue; -1: none."""
     uncovered: int
     """Number of pixels at which the probe could be placed; for adaptive probes, pixels that no other probe covers."""
 
@@ -137,7 +137,7 @@ LOW_COVERAGE_PENALTY = wp.constant(wp.float32(1e12))
 """Penalty that makes pixels covered by less than ``SHARE_MIN`` the last choice for a probe."""
 
 ADAPTIVE_PENALTY = wp.constant(wp.float32(1e6))
-"""Penalty for a tile's own probe that would continue an adaptive probe, so that the two probes do not swap."""
+"""Penalty, pixels, for a tile's own probe that would continue an adaptive probe, so that the two probes do not swap."""
 
 CUT_OFF_STEPS = wp.constant(4)
 """Number of steps in the image from a pixel to a probe; after each step, an occluding surface is looked for."""

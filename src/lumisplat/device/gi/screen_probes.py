@@ -241,7 +241,7 @@ BAYER = wp.constant(wp.types.vector(length=16, dtype=wp.int32)(0, 8, 2, 10, 12, 
 ANGLE_MAX = wp.constant(wp.float32(0.2))
 """Largest angle at which cells of two probes are averaged, in cell widths.
 
-It is the angle between the directions from both probes to the hit of one of the cells."""
+It is the angle between a cell's direction and the direction from one probe to the hit of the other probe's cell."""
 
 PROBE_SEED = wp.constant(wp.uint32(0x70726F62))
 """Value mixed into the seed so that probe rays use other random numbers than camera rays."""

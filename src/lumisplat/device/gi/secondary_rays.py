@@ -77,7 +77,7 @@ class OnwardRays:
     weights: wp.array[wp.vec3]
     """Factor of the ray's radiance in the radiance of the secondary ray that it continues."""
     media: wp.array[wp.vec4i]
-    """Media that the ray is inside of, as in ``Boundary``; empty: no ray is in a medium."""
+    """Media that the ray is inside of: mesh instance indices plus one; empty: no ray is in a medium."""
 
 
 # --- Rays within highlights, one for four pixels (docs/method/realtime.md#glossy) ---

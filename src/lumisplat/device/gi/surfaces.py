@@ -148,7 +148,7 @@ class TemporalPixels:
 
     It is the motion of the surface at which the pixel's ray ends, or of the background."""
     instance: wp.array[int]
-    """Instance of the surface at which the pixel's ray ends, as in ``FirstSurface``; -1: the background."""
+    """Index of the instance at which the pixel's ray ends, splat instances first; -1: the background."""
     previous_pixel: wp.array[wp.vec2]
     """Position of the pixel in the previous frame; (0, 0) is the centre of the first pixel."""
     weight: wp.array[float]
@@ -168,7 +168,7 @@ class TemporalHistory:
     change: wp.array[float]
     """Mean squared difference between the luminances of successive frames."""
     instance: wp.array[int]
-    """Instance of the nearest surface in the surrounding 3 x 3 pixels of the last frame, as in ``FirstSurface``; -1:
+    """Index of the nearest instance in the surrounding 3 x 3 pixels of the last frame, splat instances first; -1:
     none."""
 
 

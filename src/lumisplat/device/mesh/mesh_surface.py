@@ -120,7 +120,7 @@ def hit_weights(weights: wp.vec2) -> wp.vec3:
 
 @wp.func
 def hit_uv(meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec2:
-    """Returns the texture coordinates at barycentric ``weights``."""
+    """Returns the texture coordinates at barycentric ``weights`` of the triangle with vertex indices ``corners``."""
     return (
         weights[0] * meshes.uvs[corners[0]] + weights[1] * meshes.uvs[corners[1]] + weights[2] * meshes.uvs[corners[2]]
     )
@@ -143,7 +143,7 @@ def surface_color(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
 
 @wp.func
 def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> float:
-    """Returns the alpha of the surface at barycentric ``weights``, 0..1; an alpha mask gives 0 or 1."""
+    """Returns the alpha of a triangle's surface at barycentric ``weights``, 0..1; an alpha mask gives 0 or 1."""
     if instance.alpha.mode == ALPHA_OPAQUE:
         return 1.0
     alpha = instance.alpha.factor
@@ -270,7 +270,7 @@ def with_layers(bsdf: Bsdf, layers: Layers) -> Bsdf:
 
 @wp.func
 def material_at(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> SmoothData:
-    """Returns a mesh's specular reflection and transmission parameters at a point."""
+    """Returns a mesh's specular reflection and transmission parameters at barycentric ``weights`` of a triangle."""
     material = instance.material
     if material.varied == 0:
         return material

@@ -49,7 +49,9 @@ class PathShadowRays:
     skips: wp.array[wp.bool]
     """True if shadow catchers do not block the ray, because it starts at one."""
     media: wp.array[wp.vec4i]
-    """Media at the ray's origin, as in ``Boundary``, unless glass blocks the ray; empty if no medium absorbs."""
+    """Media that the ray is inside of at its origin, mesh instance indices plus one, unless glass blocks the ray.
+
+    The array is empty if no medium absorbs."""
     lights: wp.array[int]
     """Index of the light that each ray leads to."""
     diffuse: wp.array[wp.vec3]

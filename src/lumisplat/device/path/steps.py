@@ -53,7 +53,7 @@ class PathData:
     diffuse: wp.array[wp.vec3]
     """Fraction of the path's light that its first surface scattered diffusely; empty in frames without light layers."""
     media: wp.array[wp.vec4i]
-    """Media that the ray is inside of, as in ``Boundary``; empty in scenes without media."""
+    """Media that the ray is inside of: mesh instance indices plus one; empty in scenes without media."""
 
 
 @struct
@@ -91,7 +91,7 @@ class PathStep:
     diffuse: wp.vec3
     """Fraction of ``weight`` that the diffuse lobe contributes, for each channel."""
     media: wp.vec4i
-    """Media that the ray is inside of after the step, as in ``Boundary``."""
+    """Media that the ray is inside of after the step: mesh instance indices plus one."""
 
 
 @struct

@@ -37,7 +37,7 @@ class Atlas:
     """Side of a texel for parallel light, scene units."""
     bins: int
     bin_length: float
-    """Length of a bin, scene units."""
+    """Length along a ray from the light of each distance bin, scene units."""
 
 
 @struct

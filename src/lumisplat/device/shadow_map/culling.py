@@ -226,13 +226,13 @@ def may_intersect(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
 
 @wp.func
 def list_begin(lists: CasterLists, i: int) -> int:
-    """Returns the begin of list ``i``."""
+    """Returns the index in ``CasterLists.items`` of the first caster of list ``i``."""
     return wp.where(i > 0, lists.ends[wp.max(i - 1, 0)], 0)
 
 
 @wp.func
 def part_of_list(lists: CasterLists, i: int, part: int, parts: int):
-    """Returns begin and end of part number ``part`` of list ``i``, which is divided into ``parts`` equal parts."""
+    """Returns begin and end, in ``CasterLists.items``, of part ``part`` of list ``i``, divided into ``parts`` parts."""
     begin = list_begin(lists, i)
     end = lists.ends[i]
     size = (end - begin + parts - 1) // parts

@@ -40,7 +40,7 @@ class Occluder:
     offset: wp.vec3
     """Vector from the light to the mean, world space."""
     canonical_from_world: wp.mat33
-    """Inverse of rotation times scale; the precision A is its transpose times itself."""
+    """Inverse of rotation times scale; the precision matrix A is this matrix's transpose times the matrix."""
     absorption: float
     """Absorption at the mean (amplitude beta), per scene unit; 0: the caster absorbs nothing."""
     radius2: float
@@ -102,9 +102,10 @@ SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
 def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3) -> float:
     """Returns the absorption at a Gaussian's mean (amplitude beta), per scene unit, that corresponds to its opacity.
 
-    Mapping AVERAGE gives the opacity to the mean over directions, by the precision matrix
-    (docs/method/deep_shadow_maps.md#absorption). Mapping MASS divides by the volume, as Mir et al.'s ``diag`` does: the
-    product of the scales is the root of the covariance's determinant.
+    AVERAGE gives a ray through the mean the opacity if the Gaussian is as thick along the ray as the root mean square
+    of its inverse scales says (docs/method/deep_shadow_maps.md#absorption). MASS divides by the volume, as Mir et al.'s
+    ``diag`` does: the product of the scales is the root of the covariance's determinant. Otherwise, beta is the optical
+    depth that belongs to the opacity.
     """
     depth = -strength * wp.log(1.0 - wp.min(opacity, OPACITY_MAX))
     if mapping == AVERAGE:
@@ -208,7 +209,10 @@ def start_of(atlas: Atlas, profile: DepthProfile) -> float:
 
 @wp.func
 def bin_below(atlas: Atlas, distance: float) -> float:
-    """Converts a distance to bins, whose centres are whole numbers, clamped to -1 and the last bin."""
+    """Converts a distance from the light to a position in bins, whose centres are whole numbers.
+
+    The position is clamped to -1 and the last bin.
+    """
     return wp.clamp(distance / atlas.bin_length - 0.5, -1.0, float(atlas.bins - 1))
 
 

@@ -137,7 +137,7 @@ class Bounce:
     eta: float
     """Index of refraction on the ray's side over the index behind the surface, used for refraction."""
     media: wp.vec4i
-    """Media that the arriving ray is inside of: mesh instance indices plus one, as in ``Boundary``."""
+    """Media that the arriving ray is inside of: mesh instance indices plus one, in the order of entry."""
     media_behind: wp.vec4i
 
 

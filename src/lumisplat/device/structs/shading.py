@@ -475,7 +475,7 @@ class WaveData:
     weights: wp.array[wp.vec3]
     """Weight of each ray in the colour of its parent ray; empty in the first wave."""
     media: wp.array[wp.vec4i]
-    """Media that each ray is inside of, as in ``Boundary``; empty: no ray is in a medium."""
+    """Media that each ray is inside of: mesh instance indices plus one; empty: no ray is in a medium."""
     unentered: wp.array[int]
     """1 for mesh instances that a camera ray leaves without having entered them.
 
