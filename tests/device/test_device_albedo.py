@@ -27,7 +27,7 @@ MATERIALS = {
 
 
 def albedos(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np.float64]:
-    """Returns the device's diffuse, glossy and transmitted albedos, shape (3, 3), for a cosine of view and normal."""
+    """Returns the device's albedos at a cosine of view and normal: rows diffuse, glossy, transmitted; columns RGB."""
     found = wp.zeros((1, 3), dtype=wp.vec3, device="cpu")
     inputs = wp.array(row, dtype=Bsdf, device="cpu"), wp.array([cosine], dtype=float, device="cpu")
     Launcher("cpu", threads=1).run(probe_light_kernels.probe_albedos, 1, *inputs, found)
@@ -48,7 +48,7 @@ def furnace_integral(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np
 @pytest.mark.parametrize("cosine", [0.95, 0.5, 0.2])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_denoising_albedo_equals_the_bsdf_integral_in_a_constant_environment(name: str, cosine: float) -> None:
-    """Diffuse plus glossy albedo equals the reflected integral, the transmitted albedo the transmitted integral.
+    """Diffuse plus glossy albedo equals the integral of reflected light, transmitted albedo that of transmitted light.
 
     The tolerance covers the curve fit of the energy that microfacets lose. The fit is worst for rough metals and at
     grazing angles.

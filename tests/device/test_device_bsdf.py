@@ -98,7 +98,7 @@ def unit(vectors: Array) -> Array:
 
 
 def direction(cos: npt.ArrayLike, azimuth: npt.ArrayLike) -> Array:
-    """Returns directions by the cosine of the angle to ``NORMAL`` and the azimuth in radians."""
+    """Returns directions at the given cosine of the angle to ``NORMAL`` and the given azimuth in radians."""
     cos, azimuth = np.asarray(cos)[..., None], np.asarray(azimuth)[..., None]
     return cos * NORMAL + np.sqrt(1.0 - cos * cos) * (np.cos(azimuth) * ALONG + np.sin(azimuth) * ACROSS)
 
@@ -165,7 +165,7 @@ def test_bsdf_values_and_pdfs_match_the_float64_oracle(number: int, device: str)
 
 
 def test_bsdf_values_at_normal_incidence_match_closed_forms() -> None:
-    """The forms are albedo / pi, the GGX highlight F0 / (4 pi alpha^2) and Phong's (n + 2) / (2 pi)."""
+    """The closed forms are albedo / pi, the GGX highlight F0 / (4 pi alpha^2) and Phong's (n + 2) / (2 pi)."""
     straight = NORMAL[None]
     matte, _ = on_device(pbr(0.5, diffuse=0.6, specular=0.0, grazing=0.0), NORMAL, straight, straight)
     np.testing.assert_allclose(matte[0], 0.6 / math.pi, rtol=1e-6)
@@ -191,7 +191,7 @@ def test_bsdf_values_are_reciprocal_in_view_and_light_direction(number: int) -> 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
 def test_bsdf_values_and_pdfs_are_zero_below_the_horizon(number: int) -> None:
-    """A view below the surface yields no samples either."""
+    """The BSDF returns no samples for a view below the surface either."""
     material = MATERIALS[number]
     normals, views, lights = pairs(6000, material["alpha"], 8)
     values, pdfs = on_device(material, normals, views, lights)
@@ -233,7 +233,8 @@ def test_bsdf_values_and_samples_are_finite_for_extreme_directions(number: int) 
 def reflected(material: Material, view: Array, steps: int = 96) -> float:
     """Returns the fraction of a constant environment's light that is reflected to ``view`` (middle channel).
 
-    Quadrature over the hemisphere of lights. GGX highlights are left out: they may be narrower than the steps.
+    Integrates by quadrature over the hemisphere of lights, without GGX highlights, which may be narrower than the
+    steps.
     """
     centers = (np.arange(steps) + 0.5) / steps
     cos, azimuth = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
@@ -245,9 +246,9 @@ def reflected(material: Material, view: Array, steps: int = 96) -> float:
 
 
 def highlighted(material: Material, view: Array, steps: int = 96) -> float:
-    """Returns the fraction that the GGX highlight alone reflects to ``view`` (middle channel).
+    """Returns the fraction of light that the GGX highlight alone reflects to ``view`` (middle channel).
 
-    Quadrature over the microfacet normals, which resolves highlights of any width.
+    Integrates by quadrature over the microfacet normals, which resolves highlights of any width.
     """
     alpha = material["alpha"]
     centers = (np.arange(steps) + 0.5) / steps
@@ -309,7 +310,7 @@ def test_albedo_of_a_partial_metal_is_linear_in_the_metallic_factor(alpha: float
 
 
 def test_diffuse_bsdf_reflects_exactly_its_albedo() -> None:
-    """Both models reflect their diffuse colour when they have no highlight."""
+    """The PBR and the simple model reflect their diffuse colour when they have no highlight."""
     for material in (pbr(0.3, 0.7, 0.0, 0.0), simple(8.0, 0.7, 0.0)):
         for cos in COSINES:
             assert reflected(material, direction(cos, 0.1), 8) == pytest.approx(0.7, abs=1e-6)
@@ -317,7 +318,7 @@ def test_diffuse_bsdf_reflects_exactly_its_albedo() -> None:
 
 @pytest.mark.parametrize("shininess", [0.0, 1.0, 10.0, 60.0])
 def test_simple_material_bsdf_conserves_energy(shininess: float) -> None:
-    """The highlight reflects its full strength at normal incidence; the total never exceeds 1."""
+    """The highlight of the simple model reflects its full strength at normal incidence; the total never exceeds 1."""
     for cos in COSINES:
         view = direction(cos, 0.3)
         assert reflected(simple(shininess, 0.4, 0.6), view, 200) <= 1.001
@@ -329,10 +330,10 @@ def test_simple_material_bsdf_conserves_energy(shininess: float) -> None:
 
 
 def bins(axis: Array, alpha: float, rings: int, sectors: int, fine: int) -> tuple[Array, Array]:
-    """Returns directions over the sphere around ``axis`` and the solid angle of each.
+    """Returns fine^2 directions in each of rings * sectors bins around ``axis``, and each direction's solid angle.
 
-    The bins are narrower near the axis to resolve a lobe of width ``alpha``. Shapes (rings * sectors, fine^2, 3) and
-    (rings * sectors, fine^2).
+    The shapes are (rings * sectors, fine^2, 3) and (rings * sectors, fine^2). Bins near the axis are narrower, to
+    resolve a lobe of width ``alpha``.
     """
     count = rings * fine
     s = ((np.arange(count) + 0.5) / count).reshape(rings, 1, fine, 1)
@@ -393,7 +394,7 @@ def chi_square_of_samples(material: Material, assumed: Material, cos: float, alp
     ids=lambda m: f"{m['model']}-{m['alpha']:.2g}-{m['shininess']:.0f}-{max(m['diffuse']):.1f}",
 )
 def test_directions_sampled_from_the_bsdf_follow_its_pdf(material: Material, cos: float) -> None:
-    """A chi-square test over the whole sphere, with rejected samples as one more bin."""
+    """The chi-square test covers the whole sphere and counts rejected samples as one more bin."""
     narrow = material["alpha"] if material["model"] == "pbr" else 1.0 / math.sqrt(material["shininess"] + 1.0)
     alpha = float(np.clip(2.0 * narrow, 0.02, 1.0)) if narrow > 0.0 else 1.0
     assert abs(chi_square_of_samples(material, material, cos, alpha)) < LIMIT

@@ -17,7 +17,7 @@ AXES += [v / np.linalg.norm(v) for v in np.array([(1e-6, 2e-6, -1.0), (1e-6, -2e
 
 @pytest.mark.parametrize("axis", AXES)
 def test_directions_around_an_axis_are_unit_vectors_at_the_given_angles(axis: np.ndarray) -> None:
-    """The azimuth runs counterclockwise about every axis, by the fraction of a full rotation that is passed."""
+    """The azimuth runs counterclockwise about every axis; its argument is a fraction of a full rotation."""
     angle = 0.7
     found = [
         np.array(around(wp.vec3(*axis), math.cos(angle), math.sin(angle), azimuth))

@@ -39,7 +39,7 @@ class DeviceEnvironment:
         self.data: EnvironmentData = self.table.environment
 
     def evaluate(self, directions: Array) -> tuple[Array, Array]:
-        """Returns the radiance, shape (N, 3), and the pdf, shape (N,), of directions."""
+        """Returns the radiance and the pdf of each direction, shapes (N, 3) and (N,)."""
         count = len(directions)
         given = wp.array(directions.astype(np.float32), dtype=wp.vec3, device=self.device)
         radiances, pdfs = (wp.zeros(count, dtype=dtype, device=self.device) for dtype in (wp.vec3, float))
@@ -49,7 +49,7 @@ class DeviceEnvironment:
         return radiances.numpy().astype(np.float64), pdfs.numpy().astype(np.float64)
 
     def sample(self, u: npt.NDArray[Any]) -> Any:
-        """Samples the environment with random numbers, shape (N, 2); returns a structured array of ``LightSample``."""
+        """Samples the environment with N pairs of random numbers; returns a structured array of ``LightSample``."""
         given = wp.array(u.astype(np.float32), dtype=wp.vec2, device=self.device)
         samples = wp.zeros(len(u), dtype=LightSample, device=self.device)
         Launcher(self.device, threads=1).run(
@@ -173,7 +173,7 @@ def test_environment_pdf_is_proportional_to_the_mean_brightness_of_the_cell(
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 2), (5, 8), (16, 32), (64, 128)])
 @pytest.mark.parametrize("wxyz", [UPRIGHT, ROTATED])
 def test_directions_sampled_from_an_environment_follow_its_pdf(height: int, width: int, wxyz: Any) -> None:
-    """A chi-square test with bins of half a texel, poles and black regions included."""
+    """The chi-square test has bins of half a texel, poles and black regions included."""
     environment = DeviceEnvironment(random_image(height, width), rotation_wxyz=wxyz)
     count = 400_000
     samples = environment.sample(np.random.default_rng(6).random((count, 2), dtype=np.float32))
@@ -207,7 +207,7 @@ def test_mean_of_environment_samples_is_the_total_irradiance() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_environment_pdf_is_positive_wherever_radiance_is(seed: int) -> None:
-    """The pdf is above 0 next to black texels too, and for texels that a sun outshines by many decades."""
+    """The pdf is above 0 next to black texels, and for texels that a sun outshines by many decades."""
     rng = np.random.default_rng(seed)
     image = np.zeros((12, 24, 3), dtype=np.float32)
     for i in range(8):

@@ -75,7 +75,7 @@ def test_bsdf_with_clearcoat_and_sheen_is_reciprocal(layers: dict[str, Any]) -> 
 def test_directions_sampled_from_layered_materials_follow_the_pdf(
     layers: dict[str, Any] | None, base: ls.MaterialPbr
 ) -> None:
-    """A chi-square test over the hemisphere, with rejected samples as one more bin."""
+    """The chi-square test covers the hemisphere and counts rejected samples as one more bin."""
     row = bsdf_row(replace(base, **(layers or {})), compensates=layers is None)
     view, rows, columns, fine, count = direction(0.6, 1.0), 12, 12, 24, 100_000
     found = samples_of(row, view, count)

@@ -50,7 +50,7 @@ def light(kind: Any, **values: Any) -> npt.NDArray[Any]:
 def sample_lights(
     lights: npt.NDArray[Any], points: npt.ArrayLike, soft: bool = False, u: Array | None = None, device: str = "cpu"
 ) -> Any:
-    """Samples one light, or one light per point, at points; returns a structured array of ``LightSample``."""
+    """Samples one light, or one light per point, from ``points``; returns a structured array of ``LightSample``."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     count = max(len(points), 1 if u is None else len(u))
     u = np.zeros((count, 2)) if u is None else u
@@ -66,7 +66,7 @@ def sample_lights(
 
 
 def intersect(table: npt.NDArray[Any], origin: Array, directions: npt.NDArray[Any]) -> Any:
-    """Intersects rays from one point with a light; returns a structured array of ``LightCrossing``."""
+    """Intersects rays from one origin with a light; returns a structured array of ``LightCrossing``."""
     vectors = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
     crossings = wp.zeros(len(directions), dtype=LightCrossing, device="cpu")
     inputs = wp.array(table, dtype=LightData, device="cpu"), wp.vec3(*origin), vectors
@@ -81,7 +81,7 @@ def grid(steps: int) -> Array:
 
 
 def mean_irradiance(samples: Any, normal: Array) -> Array:
-    """Returns the mean irradiance of a surface with that normal, shape (3,)."""
+    """Returns the mean irradiance, shape (3,), that light samples give a surface with the given normal."""
     cosines = np.maximum(samples["direction"].astype(np.float64) @ normal, 0.0)
     return (samples["irradiance"] * cosines[:, None]).mean(axis=0)
 
@@ -100,7 +100,7 @@ def test_point_light_samples_follow_the_inverse_square_law() -> None:
 
 
 def test_range_window_of_a_point_light_matches_the_closed_form() -> None:
-    """The window is 15/16 at half the range, 0.3439 at 0.9 of it, and 0 from the range on."""
+    """The window is 15/16 at half the range, 0.3439 at 0.9 times the range, and 0 from the range on."""
     table = light(LIGHT_POINT, range=4.0, position=(0.0, 0.0, 0.0), power=(16.0, 16.0, 16.0))
     samples = sample_lights(table, [(2.0, 0.0, 0.0), (3.6, 0.0, 0.0), (4.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
     np.testing.assert_allclose(samples["irradiance"][:, 0], (3.75, 0.3439 * 16.0 / 12.96, 0.0, 0.0), rtol=1e-5)
@@ -143,7 +143,7 @@ def test_spot_light_with_equal_cone_angles_has_a_sharp_edge() -> None:
 
 
 def test_directional_light_and_headlight_do_not_fall_off_with_distance() -> None:
-    """Both have the same irradiance at every point; a directional light is infinitely far, a headlight at the eye."""
+    """The irradiance is the same at every point; a directional light is infinitely far, a headlight at the eye."""
     points = [(0.0, 0.0, 0.0), (1.0, 2.0, 3.5)]
     samples = sample_lights(light(LIGHT_DIRECTIONAL), points)
     np.testing.assert_allclose(samples["direction"], np.tile(-AXIS, (2, 1)), atol=1e-7)
@@ -188,7 +188,7 @@ def test_sample_light_returns_zero_irradiance_for_environments() -> None:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("ratio", [1e-5, 1e-3, 0.05, 0.5, 0.9, 0.999])
 def test_sphere_light_samples_end_on_the_near_side_of_the_sphere(ratio: float, device: str) -> None:
-    """Samples end on the near side of the sphere, with pdf 1 / solid angle and the irradiance of its radiance."""
+    """Each sample has the pdf 1 / solid angle, and the irradiance that the radiance of the sphere gives."""
     rng = np.random.default_rng(2)
     distance = 3.0
     point = np.array(POSITION) + distance * AXIS

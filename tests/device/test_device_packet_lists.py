@@ -22,7 +22,7 @@ BEGIN = 3  # the first slot of the lists
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("slots", [1, *HIT_COUNTS, HIT_BUFFER_CPU])
 def test_packet_hit_list_holds_the_nearest_hits_in_order(slots: int, device: str) -> None:
-    """The list sorts by distance, then by index, drops the farthest hit when full, and writes to its own slots only."""
+    """The list sorts by distance, then by index, drops the farthest hit when full, and writes to no other slots."""
     random = np.random.default_rng(slots)
     count, steps = 50, 150
     added: np.ndarray = np.zeros((count, steps), table_dtype(Hit))
@@ -63,7 +63,7 @@ def test_packet_hit_list_holds_the_nearest_hits_in_order(slots: int, device: str
 @pytest.mark.parametrize("order", [NEAR_FIRST, FAR_FIRST])
 @pytest.mark.parametrize("instance", [WORLD, 5])
 def test_packet_node_stack_pops_children_in_visiting_order(instance: int, order: float, device: str) -> None:
-    """The stack holds children within reach, the next one to visit on top, with the least entry distance below each.
+    """The stack holds the children within reach, the next to visit on top, with the least entry distance below each.
 
     Leaves of instance trees are returned instead of pushed.
     """

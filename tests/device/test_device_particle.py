@@ -41,7 +41,7 @@ def response(degree: int, distance: np.ndarray | float) -> np.ndarray:
 
 
 def probe(kernel: KernelData, opacities: np.ndarray, distances: np.ndarray, device: str) -> tuple[np.ndarray, ...]:
-    """Returns the device's squared reaches and its alphas at the distances."""
+    """Returns the device's squared reach of each opacity and alpha at each distance."""
     count = len(opacities)
     table = np.zeros(count, table_dtype(KernelData))
     for name in present(table.dtype.names):
@@ -68,7 +68,7 @@ def probe_gaussians(
 
 
 def frames(gaussians: ls.Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Returns rotations, shape (N, 3, 3), and scales, shape (N, 3), in float64."""
+    """Returns the rotations, shape (N, 3, 3), and scales, shape (N, 3), of N Gaussians in float64."""
     quaternions = gaussians.rotations_wxyz.astype(np.float64)
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     return oracles.rotation_from_quaternion(quaternions), gaussians.scales.astype(np.float64)
@@ -79,7 +79,7 @@ def frames(gaussians: ls.Gaussians) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("degree", DEGREES)
 def test_all_kernel_degrees_respond_equally_at_three_standard_deviations(degree: int) -> None:
-    """Every degree responds by exp(-4.5) there; NVIDIA's linear kernel deviates by 0.1 %."""
+    """At three standard deviations, every degree responds by exp(-4.5); NVIDIA's linear kernel deviates by 0.1 %."""
     _, alphas = probe(kernel_of(degree), np.array([0.9]), np.array([3.0]), "cpu")
     assert alphas[0] == pytest.approx(0.9 * math.exp(-4.5), rel=1e-3 if degree == 0 else 1e-5)
 
@@ -132,7 +132,7 @@ def test_gaussians_below_an_opacity_of_1_255_have_no_reach(degree: int) -> None:
 
 @pytest.mark.parametrize("adaptive", [True, False])
 def test_adaptive_minimum_response_drops_transparent_gaussians(adaptive: bool) -> None:
-    """With a minimum of 0.5, adaptive clamping drops an opacity of 0.4; fixed clamping gives all the same reach."""
+    """With a minimum of 0.5, adaptive clamping drops an opacity of 0.4; fixed clamping changes no reach by opacity."""
     reaches, _ = probe(kernel_of(2, 0.5, adaptive), np.array([0.4, 0.8, 1.0]), np.ones(3), "cpu")
     half = 2.0 * math.log(2.0)
     expected = [-1.0, 2.0 * math.log(1.6), half] if adaptive else [half] * 3
@@ -143,7 +143,7 @@ def test_adaptive_minimum_response_drops_transparent_gaussians(adaptive: bool) -
 
 
 def test_object_to_canonical_matrix_inverts_rotation_and_scale() -> None:
-    """The product W R S is the identity for flat and round Gaussians of scales from 1e-4 to 1e4."""
+    """The product with rotation and scale is the identity, for flat and round Gaussians with scales of 1e-4 to 1e4."""
     gaussians = random_gaussians(1, 60, scale_range=(1e-4, 1e4))
     rotations, scales = frames(gaussians)
     for quaternion, rotation, scale in zip(gaussians.rotations_wxyz, rotations, scales, strict=True):
@@ -208,7 +208,7 @@ def test_gaussians_without_reach_have_inverted_bounding_boxes() -> None:
 
 
 def test_ellipsoid_normal_is_the_density_gradient_at_the_entry_point() -> None:
-    """The entry point is where |W (x - mean)| equals the reach; the gradient, by central differences, faces the ray."""
+    """The entry point lies at the reach, in canonical distance; the gradient, by central differences, faces the ray."""
     count = 300
     gaussians = random_gaussians(4, count, scale_range=(0.02, 2.0))
     random = np.random.default_rng(5)

@@ -17,10 +17,10 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 PIXELS = np.arange(1 << 18, dtype=np.uint32)
 LAST = 2**32 - 1
 LIMIT = 5.0
-"""Largest absolute z-score.
+"""Largest absolute z-score that passes.
 
-Good generators exceed it once in 1.7 million comparisons, so all 500 pass with probability 0.9997. The seeds are fixed,
-so the result never changes."""
+Good generators exceed the limit once in 1.7 million comparisons, so all 500 pass with probability 0.9997. The seeds
+are fixed, so the result never changes."""
 
 
 # --- Statistics ---
@@ -64,7 +64,7 @@ def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
     ],
 )
 def test_random_sample_keys_match_stored_values(pixel: int, sample: int, seed: int, sample_key: int) -> None:
-    """The values were computed once with Python's integers; they keep frames of a seed unchanged."""
+    """The stored keys were computed once with Python's integers; other keys would change every frame of a seed."""
     assert int(random.sample_key_of(pixel, sample, wp.uint32(seed))) == sample_key
 
 
@@ -79,12 +79,12 @@ def test_random_sample_keys_match_stored_values(pixel: int, sample: int, seed: i
     ],
 )
 def test_random_draws_match_stored_values(sample_key: int, dimension: int, value: int) -> None:
-    """Draws are multiples of 2^-24."""
+    """All draws are multiples of 2^-24."""
     assert random.draw(wp.uint32(sample_key), wp.uint32(dimension)) == value * 2.0**-24
 
 
 def test_random_permutation_matches_its_publication() -> None:
-    """The published permutation is written here with Python's integers."""
+    """The test contains the published permutation, written with Python's integers."""
     for word in (1, 2, 0xDEADBEEF, LAST, 0x80000000):
         x = word
         x = ((x ^ x >> 16) * 0x21F0AAAD) % 2**32
@@ -94,7 +94,7 @@ def test_random_permutation_matches_its_publication() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_random_numbers_of_kernels_numpy_and_python_have_equal_bits(device: str) -> None:
-    """The law holds for the largest counters too."""
+    """The bits are equal for the largest counters, too."""
     rng = np.random.default_rng(1)
     count = 20_000
     pixels, samples = rng.integers(0, 2**31, count, dtype=np.int32), rng.integers(0, 2**24, count, dtype=np.int32)
@@ -131,7 +131,7 @@ def test_random_draws_stay_below_one_for_the_largest_word() -> None:
 
 
 def test_random_dimensions_of_lens_and_branches_do_not_overlap_gaussian_indices() -> None:
-    """These dimensions count down from the largest, and Gaussians count up by index."""
+    """Dimensions of lens and branches count down from the largest number; those of Gaussians count up by index."""
     taken = [int(value) for value in (random.LENS_RADIUS, random.LENS_ANGLE, random.BRANCH_LAST)]
     assert taken == [LENS_RADIUS, LENS_ANGLE, BRANCH_LAST] == [LAST, LAST - 1, LAST - 2]
 
@@ -141,7 +141,7 @@ def test_random_dimensions_of_lens_and_branches_do_not_overlap_gaussian_indices(
 
 @pytest.mark.parametrize("dimension", [0, 1, 7, 152_745, 2**31 - 1, LAST - 3, LAST - 1, LAST])
 def test_random_draws_are_uniform_over_pixels_samples_and_seeds(dimension: int) -> None:
-    """The first 12 bits and the next 12 are uniform over pixels, over samples and over seeds."""
+    """The first 12 bits of the draws, and the next 12, are uniform over pixels, over samples and over seeds."""
     for key in (sample_keys(PIXELS), sample_keys(77, PIXELS), sample_keys(77, 5, PIXELS)):
         words = absorbed(key, dimension)
         for bits in (words >> 20, (words >> 8) & 0xFFF):
@@ -150,7 +150,7 @@ def test_random_draws_are_uniform_over_pixels_samples_and_seeds(dimension: int) 
 
 @pytest.mark.parametrize("key", [0, 1, 12345, LAST])
 def test_random_dimensions_of_one_key_are_uniform_and_independent(key: int) -> None:
-    """One ray's draws for all Gaussians are uniform, and Gaussians of neighbouring index are independent."""
+    """The draws of one ray for all Gaussians are uniform, and Gaussians of neighbouring index draw independently."""
     words = absorbed(np.uint32(key), PIXELS)
     assert abs(chi_square_z(np.bincount(words >> 20, minlength=4096))) < LIMIT
     assert np.abs(pair_z(words[:-1], words[1:])).max() < LIMIT
@@ -167,7 +167,7 @@ def test_random_draws_of_different_gaussians_are_independent(step: int) -> None:
 
 @pytest.mark.parametrize("offset", [1, 2, 16, 640, 1920, 65_536])
 def test_random_draws_of_different_pixels_are_independent(offset: int) -> None:
-    """Neighbours within a row and between rows are independent, for Gaussians and for lens points."""
+    """Draws of neighbours within a row and between rows are independent, for Gaussians and for lens points."""
     key = sample_keys(PIXELS)
     for dimension in (0, 12345, LAST):
         words = absorbed(key, dimension)
@@ -195,13 +195,13 @@ def test_random_draws_of_lens_coordinates_and_of_branches_are_independent() -> N
 
 
 def test_all_pixels_and_samples_have_distinct_random_keys() -> None:
-    """The mixing is one-to-one, so no two pixels of a sample and no two samples of a pixel share a key."""
+    """The mixing function is one-to-one, so no two pixels of a sample and no two samples of a pixel share a key."""
     assert np.unique(sample_keys(PIXELS)).size == PIXELS.size
     assert np.unique(sample_keys(7, PIXELS)).size == PIXELS.size
 
 
 def test_randomness_statistics_reject_weak_generators() -> None:
-    """The tests reject an unmixed counter and the low bits of a multiplication."""
+    """The statistical tests reject an unmixed counter and the low bits of a multiplication."""
     key = sample_keys(PIXELS)
     with np.errstate(over="ignore"):
         first, second = mix(key + np.uint32(5)), mix(key + np.uint32(5) + np.uint32(1 << 29))
@@ -242,7 +242,7 @@ def test_sobol_points_are_stratified_in_elementary_intervals(key: int) -> None:
 
 
 def test_sobol_points_of_different_keys_are_independent() -> None:
-    """Equal samples of many keys are uniform in x and y, and independent of those of the previous key."""
+    """Points of one sample number are uniform in x and y over many keys, and independent between successive keys."""
     count = 800
     points = sobol_points(np.arange(count), np.array([0, 3])).reshape(count, 4)
     assert np.abs(points.mean(axis=0) - 0.5).max() < 4.5 / np.sqrt(12 * count)

@@ -56,7 +56,7 @@ def moved_pose(angle: float = 0.7, eye: tuple[float, float, float] = (0.5, -1.0,
 def lens_camera(model: ls.CameraModel, **changes: object) -> ls.Camera:
     """Returns a camera with aperture, rolling shutter and offset principal point.
 
-    Its fisheye has rays pointing backwards and corners without rays.
+    A fisheye camera has rays that point backwards, and corners without rays.
     """
     features = {
         "camera_from_world": moved_pose(),
@@ -192,7 +192,7 @@ def test_camera_scaled_threefold_keeps_the_rays_of_the_original_pixels(model: ls
 
 
 def test_sub_pixel_sample_positions_follow_the_r2_sequence() -> None:
-    """Sample 0 is the pixel centre, and all pixels share the offsets; without jitter every sample is the centre."""
+    """Sample 0 is the pixel centre; all pixels share the sample offsets. Without jitter, all samples are sample 0."""
     assert subpixel(0) == (0.5, 0.5)
     np.testing.assert_allclose(subpixel(1), (0.2548776662466927, 0.0698402909980532), atol=1e-15)
     np.testing.assert_allclose(subpixel(2), (0.0097553324933854, 0.6396805819961064), atol=1e-15)
@@ -285,7 +285,7 @@ def test_circle_of_confusion_matches_the_thin_lens_formula(model: ls.CameraModel
 
 
 def test_fisheye_aperture_is_perpendicular_to_each_ray() -> None:
-    """The blur has the same size across the image, also for rays that point sideways or backwards."""
+    """The blur has the same size across the image, for rays that point sideways or backwards, too."""
     camera = front_camera(40, 40, 9.0, model=FISHEYE, aperture=0.3, focus_distance=2.0)
     rays, center = device_rays(camera, 1, jitter=False), device_rays(replace(camera, aperture=0.0))
     assert center["direction"][..., 2].min() < -0.5

@@ -81,7 +81,7 @@ def walter(alpha: float, eta: float, view: Doubles, light: Doubles) -> float:
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [0.1, 0.5])
 def test_rough_glass_values_match_walter_2007(alpha: float, eta: float) -> None:
-    """Reflection and transmission match, for light that arrives from outside and from inside."""
+    """Reflection and transmission match the paper's equations for light that arrives from outside and from inside."""
     view, (lights, _) = direction(0.7, 0.4), sphere(24, 24)
     lights = lights.reshape(-1, 3).astype(np.float32).astype(np.float64)
     values, _ = on_device(glass(alpha, eta), view, lights)
@@ -93,7 +93,7 @@ def test_rough_glass_values_match_walter_2007(alpha: float, eta: float) -> None:
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.parametrize("inside", [False, True])
 def test_rough_glass_values_match_mitsuba(number: int, inside: bool) -> None:
-    """The tool make_mitsuba_glass_reference stored the values; Mitsuba's radiance is not over the squared index."""
+    """The tool make_mitsuba_glass_reference stored them; Mitsuba does not divide radiance by the squared index."""
     with np.load(REFERENCE / "mitsuba_rough_dielectric.npz") as stored:
         views, lights, expected = stored["views"], stored["lights"], stored["values"][number, int(inside)]
         alpha, ior = float(stored["alphas"][number]), float(stored["ior"])
@@ -110,7 +110,7 @@ def test_rough_glass_values_match_mitsuba(number: int, inside: bool) -> None:
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [0.2, 0.6])
 def test_rough_glass_bsdf_is_reciprocal(alpha: float, eta: float, thin: bool) -> None:
-    """Reflection is symmetric in view and light; transmission is so after division by the squared index behind."""
+    """Reflection is symmetric in view and light; so is transmission divided by the squared index behind the surface."""
     rng = np.random.default_rng(2)
     for _ in range(40):
         one, other = (direction(rng.uniform(0.2, 1.0), rng.uniform(0.0, 6.0)) for _ in range(2))
@@ -174,7 +174,7 @@ def chi_square(sampled: npt.NDArray[Any], assumed: npt.NDArray[Any], view: Doubl
 def test_directions_sampled_from_rough_glass_follow_the_pdf(
     alpha: float, cosine: float, eta: float, thin: bool
 ) -> None:
-    """A chi-square test over the sphere, with and without a diffuse part, with rejected samples as one more bin."""
+    """The chi-square test covers the sphere, with and without a diffuse part; rejected samples are one more bin."""
     for diffuse in (0.0, 0.5):
         table = glass(alpha, eta, thin=thin, diffuse=diffuse)
         assert abs(chi_square(table, table, direction(cosine, 2.0))) < LIMIT

@@ -11,7 +11,7 @@ from support.probes.probe_sh_kernels import probe_sh_colors
 
 
 def colors(sh: np.ndarray, degree: int, directions: np.ndarray) -> np.ndarray:
-    """Returns the device's colours in the directions, shape (N, 3)."""
+    """Returns the device's colours of SH coefficients in N directions, shape (N, 3)."""
     result = wp.zeros(len(directions), dtype=wp.vec3, device="cpu")
     arrays = [wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu") for values in (sh, directions)]
     wp.launch(probe_sh_colors, len(directions), inputs=[arrays[0], degree, arrays[1], result], device="cpu")
@@ -29,9 +29,9 @@ def sphere() -> tuple[np.ndarray, np.ndarray]:
 
 
 def device_basis() -> np.ndarray:
-    """Returns the 16 SH basis functions at the quadrature's directions, shape (N, 16).
+    """Returns the 16 SH basis functions at the N directions of the quadrature, shape (N, 16).
 
-    They are evaluated with one-hot coefficients that are small enough not to be clamped at 0.
+    The functions are evaluated with one-hot coefficients that are small enough not to be clamped at 0.
     """
     directions, _ = sphere()
     one_hot = 0.1 * np.eye(16)

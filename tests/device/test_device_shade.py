@@ -13,11 +13,11 @@ from support.probes import probe_shade_kernels as probes
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 LIMIT = 5.0
-"""Largest absolute z-score; the seeds are fixed, so the result never changes."""
+"""Largest absolute z-score that passes; the seeds are fixed, so the result never changes."""
 
 
 def numbers(device: str, dimensions: int, samples: int, seed: int = 0) -> np.ndarray:
-    """Returns the draws of each dimension and sample, shape (D, S)."""
+    """Returns the draws, shape (dimensions, samples)."""
     out = wp.zeros((dimensions, samples), dtype=float, device=device)
     wp.launch(probes.draw_all, (dimensions, samples), [wp.uint32(seed), samples, out], device=device)
     return out.numpy().astype(float)
@@ -33,7 +33,7 @@ def z_of_counts(values: np.ndarray, bins: int) -> float:
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_sixteen_stochastic_samples_draw_one_number_in_each_sixteenth(device: str) -> None:
-    """Each aligned run of 16 samples has one draw per stratum in every dimension; draws are k 2^-24 in [0, 1)."""
+    """Each aligned run of 16 samples has one draw per stratum in every dimension; draws are multiples of 2^-24."""
     drawn = numbers(device, 500, 64)
     assert (drawn >= 0.0).all() and (drawn < 1.0).all()
     np.testing.assert_array_equal(drawn * 2.0**24 % 1.0, 0.0)
@@ -44,7 +44,7 @@ def test_sixteen_stochastic_samples_draw_one_number_in_each_sixteenth(device: st
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_stratified_draws_of_stochastic_samples_are_uniform_and_independent(device: str) -> None:
-    """Every sample is uniform over Gaussians; pairs of Gaussians, of samples and of seeds are independent."""
+    """Draws of one sample are uniform over Gaussians; draws of two Gaussians, samples or seeds are independent."""
     drawn = numbers(device, 1 << 16, 32)
     cells = (16.0 * drawn).astype(int)
     fine = (4096.0 * drawn).astype(int) % 256

@@ -40,7 +40,7 @@ def mirrored(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> t
 def scattered(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> float:
     """Returns the fraction of a constant environment's light that the diffuse part reflects (middle channel).
 
-    Gauss-Legendre quadrature with nodes concentrated at grazing angles or, inside, at the critical angle.
+    Integrates by Gauss-Legendre quadrature with nodes concentrated at grazing angles or, inside, at the critical angle.
     """
     mesh = ls.Mesh(np.eye(3), [[0, 1, 2]], material=material)
     table = material_table(ls.Scene(meshes=[mesh]), lambda _: 0, is_lit=True)
@@ -65,7 +65,7 @@ def scattered(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> 
 @pytest.mark.parametrize("degrees", DEGREES)
 @pytest.mark.parametrize("ior", [1.0, 1.05, 1.2, 1.5, 2.0, 3.0, 20.0])
 def test_smooth_white_material_reflects_all_light(ior: float, degrees: float) -> None:
-    """The law holds at all angles and indices, for partial metals and for reduced specular reflection."""
+    """All light is reflected at all angles and indices, for partial metals and for reduced specular reflection."""
     cosine = float(np.cos(np.radians(degrees)))
     for metallic, specular in ((0.0, 1.0), (0.5, 1.0), (0.0, 0.4), (0.3, 0.7)):
         material = ls.MaterialPbr(base_color=WHITE, roughness=0.0, metallic=metallic, specular=specular, ior=ior)

@@ -142,7 +142,7 @@ def test_fresnel_reflectance_is_equal_for_the_reversed_path(cosine: float, eta: 
 
 @given(st.floats(0.0, 1.0))
 def test_interface_between_equal_indices_reflects_nothing(cosine: float) -> None:
-    """The reflectance is 0 at grazing angles too."""
+    """The reflectance is 0 at grazing angles, too."""
     assume(cosine > 1e-12)
     assert fresnel(cosine, 1.0) == pytest.approx(0.0, abs=1e-12)
 
@@ -239,7 +239,7 @@ def test_reflections_and_refractions_stay_on_their_side_of_the_triangle(
 
 
 def test_mirror_reflection_uses_the_shading_normal_of_either_sign() -> None:
-    """A tilted shading normal bends the reflection; its sign does not matter."""
+    """A tilted shading normal bends the reflection; the sign of the normal does not matter."""
     d, n, s = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.6, 0.8])
     for normal in (s, -s):
         np.testing.assert_allclose(np.array(bounce(smooth(), d, n, normal).normal), s, atol=1e-7)

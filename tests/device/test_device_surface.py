@@ -21,7 +21,7 @@ points = st.tuples(unit, unit, st.floats(0.5, 3.0))
 
 
 def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0.7) -> BlendState:
-    """Returns a pixel after blending splats with these alphas; splat i has colour (i, 1, 0)."""
+    """Returns a pixel after blending splats with the given alphas; splat i has colour (i, 1, 0)."""
     pixel = empty_pixel()
     for i, alpha in enumerate(alphas):
         splat = Splat()
@@ -113,5 +113,5 @@ def test_shared_edges_of_two_triangles_have_opposite_edge_functions(a: tuple[flo
 
 @given(st.floats(0.0, 4.0))
 def test_device_srgb_encoding_matches_the_host(value: float) -> None:
-    """The law holds for values from 0 to 4."""
+    """Device and host agree for values from 0 to 4."""
     assert encode_srgb(value) == pytest.approx(float(encode_srgb_host(np.float64(value))), abs=1e-5)

@@ -39,7 +39,7 @@ def expected(image: np.ndarray, uvs: np.ndarray, modes: tuple[Any, Any]) -> np.n
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("modes", list(itertools.product(MODES, MODES)), ids="-".join)
 def test_device_texture_wrapping_matches_numpy_padding(modes: tuple[str, str], device: str) -> None:
-    """The law holds for each wrap mode on each axis, and for alpha as for colours."""
+    """Lookups match for each wrap mode on each axis, in alpha as in colours."""
     rng = np.random.default_rng(4)
     image = rng.integers(0, 256, (3, 5, 4)).astype(np.uint8)
     uvs = rng.uniform(-2.9, 3.9, (400, 2)).astype(np.float32)

@@ -1,6 +1,6 @@
 """Tests of the distances at which ray packets enter boxes, against float64 for each ray.
 
-The bounds must hold for the rays that are traced, which are rounded to float32 in the instance's space.
+The distances must be bounds for the traced rays, which are rounded to float32 in the instance's space.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Found:
 
 
 def instance_rows(world_from_object: np.ndarray) -> np.ndarray:
-    """Returns rows of ``SplatInstanceData`` for world_from_object transforms, shape (B,)."""
+    """Returns one row of ``SplatInstanceData`` for each of B world_from_object transforms, shape (B,)."""
     table = np.zeros(len(world_from_object), table_dtype(SplatInstanceData))
     object_from_world = np.linalg.inv(world_from_object)
     table["object_from_world"] = object_from_world[:, :3, :3]
@@ -148,7 +148,7 @@ def probe(packets: Packets, nodes: np.ndarray, device: str = "cpu") -> Found:
 def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, ...]:
     """Returns the first and last distance at which each line is inside each box, in float64.
 
-    The last distance is below the first for lines that miss the box and for inverted boxes.
+    For lines that miss the box, and for inverted boxes, the last distance is below the first.
     """
     origins, directions = origins.astype(np.float64), directions.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -163,7 +163,7 @@ def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high
 
 
 def corners(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the lower and upper corners of the children's boxes, float64, shape (B, 1, C, 3)."""
+    """Returns the lower and upper corners of the C child boxes of B nodes, float64, shape (B, 1, C, 3)."""
     low, high = (np.stack([nodes[f"{side}_{axis}"] for axis in "xyz"], axis=-1) for side in ("low", "high"))
     return low[:, None].astype(np.float64), high[:, None].astype(np.float64)
 
@@ -204,7 +204,7 @@ def test_slabs_of_a_ray_packet_contain_its_rays(spread: float, far: float) -> No
 @pytest.mark.parametrize("far", [0.0, 1e3])
 @pytest.mark.parametrize("spread", SPREADS)
 def test_box_entry_distance_of_a_packet_is_a_lower_bound_for_every_ray(spread: float, far: float, device: str) -> None:
-    """The law holds for rays that start outside and inside a box, and no box that a ray hits is missed."""
+    """The bound holds for rays that start outside and inside a box, and no box that a ray hits is missed."""
     packets, nodes, found = setting(spread, far, device)
     low, high = corners(nodes)
     first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
@@ -222,7 +222,7 @@ def test_box_entry_distance_of_a_packet_is_a_lower_bound_for_every_ray(spread: f
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_box_entry_distances_of_single_rays_are_tight(device: str) -> None:
-    """Entry distances are too small by a few roundings at most; boxes that are missed by more are not entered."""
+    """Entry distances are at most a few roundings too small; boxes that a ray misses by more are not entered."""
     packets, nodes, found = setting(0.0, device=device)
     low, high = corners(nodes)
     origins, directions = found.origins[:, :1, None], found.directions[:, :1, None]
@@ -319,7 +319,7 @@ def test_ray_packets_miss_boxes_off_their_direction() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_ray_packet_takes_rays_close_to_the_first_waiting_ray(device: str) -> None:
-    """A packet takes the first waiting ray and those within the radius and the angular spread of it, from any lane."""
+    """The packet takes the first waiting ray, and rays of any lane within the radius and angular spread around it."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1
     origins = random.normal(0.0, 0.06, (count, LANES, 3)).astype(np.float32)

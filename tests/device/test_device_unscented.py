@@ -34,7 +34,7 @@ def moments_of(camera: ls.Camera, points: np.ndarray, axes: np.ndarray, scales: 
 
 
 def pixels_of(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
-    """Projects points relative to the eye; returns x, y and the change of the last iteration, shape (N, 3)."""
+    """Projects N points relative to the eye; returns x, y and the change of the last iteration, shape (N, 3)."""
     found = wp.zeros(len(points), dtype=wp.vec3, device="cpu")
     given = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
     wp.launch(probes.probe_points, len(points), [image_field(camera), camera_rows(camera), given, found], device="cpu")
@@ -54,7 +54,7 @@ def gaussians_in_view(camera: ls.Camera, seed: int, count: int = 200) -> tuple[n
 
 @pytest.mark.parametrize("spread", [(1.0, 2.0, 0.0), (0.1, 2.0, 0.0), (1.0, 0.0, 1.0), (0.5, 2.0, -1.0)])
 def test_unscented_oracle_moments_are_exact_for_linear_maps(spread: tuple[float, float, float]) -> None:
-    """The law holds for every spread of the sigma points, also if the mean's weight is negative."""
+    """The moments are exact for every spread of the sigma points, even if the weight of the mean is negative."""
     rng = np.random.default_rng(1)
     matrix, offset = rng.normal(size=(2, 3)), rng.normal(size=2)
     axes = rotation_from_quaternion((q := rng.normal(size=(1, 4))) / np.linalg.norm(q))[0]
@@ -85,7 +85,7 @@ def test_unscented_moments_are_exact_for_disks_facing_a_pinhole() -> None:
 
 @pytest.mark.parametrize("name", STILL)
 def test_unscented_moments_match_the_oracle_for_every_lens(name: str) -> None:
-    """The law holds for every lens."""
+    """Means and covariances of projected Gaussians are compared for every lens."""
     camera = LENSES[name]
     points, axes, scales = gaussians_in_view(camera, 3)
     found = moments_of(camera, points, axes, scales)
@@ -127,7 +127,7 @@ def test_rolling_shutter_projection_inverts_the_rays_of_each_row(camera: ls.Came
 
 @pytest.mark.parametrize("name", STILL)
 def test_points_outside_the_view_of_a_lens_do_not_project_into_the_image(name: str) -> None:
-    """The points lie behind a pinhole, beside the image or beyond the monotonic radius of a lens."""
+    """The points lie behind a pinhole, beside the image, or beyond the monotonic radius of a lens."""
     camera = LENSES[name]
     rng = np.random.default_rng(5)
     random_directions = rng.normal(size=(4000, 3))

@@ -24,7 +24,7 @@ from lumisplat.frame.mattes import id_floats, matte_channels, matte_metadata, mu
     ],
 )
 def test_cryptomatte_hashes_are_murmur3(name: str, expected: int) -> None:
-    """Matches the package mmh3 5.2 with seed 0, for all lengths of the last block."""
+    """The hashes match the package mmh3 5.2 with seed 0, for all lengths of the last block."""
     assert murmur3_32(name) == expected
 
 

@@ -22,7 +22,7 @@ SIZE = (128, 72)
 
 @pytest.fixture(scope="module")
 def denoiser() -> None:
-    """Skips the test if the extra is not installed."""
+    """Skips the test if the optional denoiser package is not installed."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
 
 
@@ -34,14 +34,14 @@ def noisy(frame: ls.Frame, seed: int = 0) -> ls.Frame:
 
 
 def with_light(frame: ls.Frame, light: np.ndarray) -> ls.Frame:
-    """Returns the frame with other light."""
+    """Returns the frame with its light replaced by ``light``."""
     light = light.astype(np.float32)
     assert frame.captured is not None and frame.captured_weight is not None
     return replace(frame, light=light, color=captured_radiance(frame.captured, frame.captured_weight) + light)
 
 
 def shadowed(frame: ls.Frame, share: np.ndarray) -> ls.Frame:
-    """Returns the frame with shadows only, which leave a given fraction of the captured light."""
+    """Returns the frame with shadows only: ``share`` of the captured light remains."""
     assert frame.captured is not None and frame.captured_weight is not None
     captured = captured_radiance(frame.captured, frame.captured_weight)
     return with_light(frame, (share[..., None] - 1.0) * captured)
@@ -50,7 +50,7 @@ def shadowed(frame: ls.Frame, share: np.ndarray) -> ls.Frame:
 @needs_denoiser
 @pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
 def test_denoising_a_frame_lowers_noise_and_preserves_the_mean(background: tuple | None) -> None:
-    """The error of noisy light falls to less than a quarter, and its mean stays within 5 %."""
+    """The error of the noisy light falls to less than a quarter, and the mean stays within 5 %."""
     truth = ball_frame(*SIZE, background=background)
     before = noisy(truth)
     after = before.denoised()
@@ -117,7 +117,7 @@ def test_denoising_a_denoised_frame_changes_nothing() -> None:
 
 @needs_denoiser
 def test_denoiser_gets_no_guides_if_the_first_surface_is_random() -> None:
-    """If the first surface is chosen at random, the denoiser gets no guides."""
+    """A random first surface belongs to stochastic frames; the denoiser then gets neither albedo nor normals."""
     frame = replace(noisy(ball_frame(*SIZE)), albedo=None)
     for settings in (
         ls.RenderConfig(pipeline=ls.Pipeline.PATH),
@@ -160,13 +160,13 @@ def test_denoiser_guides_are_noisy_only_with_stochastic_mesh_alpha(
     ],
 )
 def test_denoising_unlit_frames_or_frames_without_albedo_is_refused(frame: ls.Frame, message: str) -> None:
-    """The error is one line that says what to do."""
+    """The error says in one line what to do."""
     with pytest.raises(ls.ConfigError, match=message):
         frame.denoised()
 
 
 def test_denoising_without_the_denoiser_package_names_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error appears before a frame is rendered, and also for an existing frame."""
+    """The error is raised before a frame is rendered, and also for an existing frame."""
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     for ask in (ls.Frame.check_denoiser, ball_frame().denoised):
         with pytest.raises(ls.errors.MissingExtraError, match=r"denoising needs .* pip install 'lumisplat\[denoise\]'"):
@@ -175,7 +175,7 @@ def test_denoising_without_the_denoiser_package_names_the_pip_command(monkeypatc
 
 @needs_denoiser
 def test_denoised_frames_cannot_be_resumed() -> None:
-    """The accumulated mean no longer exists."""
+    """A denoised frame no longer contains the accumulated mean of its samples."""
     camera = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
     scene = ls.Scene(meshes=[ls.MeshInstance(ls.box())])
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=1, aovs=("albedo",)), "cpu")

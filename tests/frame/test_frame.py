@@ -17,7 +17,7 @@ from support.scenes.trace_scenes import GLASS, slab
 
 @pytest.fixture(scope="module")
 def frame() -> ls.Frame:
-    """A frame of splats and a mesh over a grey background."""
+    """Returns a frame of splats and a mesh over a grey background."""
     scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
     return ls.render(
         scene, scenes.front_camera(40, 30), ls.RenderConfig(background=(0.5, 0.25, 0.125), lighting=False), device="cpu"
@@ -123,7 +123,7 @@ def test_npz_files_store_every_image_of_a_frame(frame: ls.Frame, tmp_path: Path)
 
 
 def test_rendering_an_object_that_is_not_a_scene_is_refused() -> None:
-    """A bare capture is refused, with how to make a scene of it."""
+    """A capture in place of a scene is refused with a line that shows how to make a scene of the capture."""
     with pytest.raises(ls.SceneError, match=r"expected a Scene, got Gaussians: ls\.Scene\(splats="):
         ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # pyright: ignore[reportArgumentType]
 
@@ -150,7 +150,7 @@ def test_rendering_with_an_object_that_is_not_a_config_is_refused(config: Any) -
 
 
 def test_clear_glass_has_alpha_1_without_a_background() -> None:
-    """Clear glass has alpha 1 although its rays go through; without a background it shows black."""
+    """Clear glass has alpha 1 although its rays pass through; without a background, clear glass is black."""
     scene = ls.Scene(meshes=[slab(3.0, 0.5, GLASS, half=9.0)])
     camera = scenes.front_camera(8, 8)
     clear, red = (

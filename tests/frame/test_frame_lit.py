@@ -20,7 +20,7 @@ MAPS = list(ls.ToneMap)
 
 
 def untouched(frame: ls.Frame) -> np.ndarray:
-    """Returns where the formulas put a capture or the background, and no light."""
+    """Returns the mask of pixels to which the formulas give a capture or the background, and no light."""
     assert frame.light is not None
     return ~frame.light.any(axis=2) & (frame.instance_index != 1)
 
@@ -79,7 +79,7 @@ def test_premultiplied_colours_of_a_lit_frame_are_linear_without_background() ->
 
 
 def test_capture_of_partial_alpha_without_background_keeps_colour_times_alpha() -> None:
-    """A capture of alpha 0.6 over a background keeps 0.6 of its radiance, and its colour."""
+    """A capture of alpha 0.6 over a background keeps its colour, and 0.6 of its radiance."""
     frame = ball_frame(1, 1)
     captured = np.array([[[0.9, 0.2, 0.4]]], np.float32)
     thin = replace(
@@ -157,7 +157,7 @@ def test_saving_or_viewing_layers_that_were_not_rendered_is_refused(tmp_path: Pa
 
 
 def test_labels_of_lights_in_files_are_unique_and_valid() -> None:
-    """Light names become unique labels that are valid in channel and file names."""
+    """Names of lights become unique labels that are valid in channel and file names."""
     frame = ball_frame()
     direct, shadow = np.zeros((6, 27, 48, 3), np.float32), np.ones((6, 27, 48, 3), np.float32)
     names = ("sun", "Sun", "", "a.b/../c", "\u592a\u967d", "x" * 300)
@@ -171,7 +171,7 @@ def test_labels_of_lights_in_files_are_unique_and_valid() -> None:
 def test_saving_non_finite_radiance_writes_black_and_logs_a_warning(
     value: float, field: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A warning counts non-finite pixels; PNG and EXR hold 0 there, and all other pixels are unchanged."""
+    """The warning counts non-finite pixels; PNG and EXR contain 0 for these pixels, and all others are unchanged."""
     good = ball_frame(tone_map=ls.ToneMap.AGX)
     image = np.array(getattr(good, field))
     image[20, 10:13] = value

@@ -22,7 +22,7 @@ def shown(color: tuple[float, float, float] = (0.8, 0.4, 0.2), size: int = 32, *
 
 
 def pixels_of(data: str) -> Image.Image:
-    """Decodes the image of a bundle."""
+    """Decodes the image of a notebook's MIME bundle."""
     return Image.open(io.BytesIO(base64.b64decode(data)))
 
 
@@ -51,7 +51,7 @@ def test_frames_convert_to_numpy_arrays_of_the_requested_dtype() -> None:
 
 
 def test_notebook_output_of_a_frame_is_a_png_with_its_size_and_repr() -> None:
-    """The bundle holds a PNG of the pixels with its size, and the repr."""
+    """The MIME bundle contains a PNG of the pixels with its size, and the repr of the frame."""
     frame = shown()
     data, about = frame._repr_mimebundle_()
     assert set(data) == {"image/png", "text/plain"} and data["text/plain"] == repr(frame)
@@ -62,7 +62,7 @@ def test_notebook_output_of_a_frame_is_a_png_with_its_size_and_repr() -> None:
 
 
 def test_notebook_output_of_a_frame_has_only_the_requested_mime_types() -> None:
-    """MIME types that are not included, or are excluded, are left out."""
+    """MIME types that the notebook does not include, or that it excludes, are left out."""
     frame = shown()
     assert set(frame._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
     assert set(frame._repr_mimebundle_(exclude={"text/plain"})[0]) == {"image/png"}

@@ -52,7 +52,7 @@ def test_rasterised_meshes_through_distorted_lenses_equal_traced_meshes(lens):
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_depth_of_rasterised_distorted_frames_equals_the_depth_of_rays(lens: Any, pipeline: ls.Pipeline) -> None:
-    """A floor's depth agrees with rays up to rounding, even beside the edge of a ball, and the ball's within 1e-3."""
+    """A floor's depth agrees with rays up to rounding, even beside the edge of a ball; a ball's depth within 1e-3."""
     floor = quad(8.0, 6.0, tilt=1.2)
     ball = ls.MeshInstance(sphere(0.9, rows=64), position=(0.3, 0.2, 4.0))
     scene = ls.Scene([], [floor, ball], [ls.LightPoint((0.0, -4.0, 0.0), intensity=9.0)])
@@ -74,13 +74,13 @@ def test_depth_of_rasterised_distorted_frames_equals_the_depth_of_rays(lens: Any
     [pytest.param(lens, id=name, marks=[] if name == "barrel" else pytest.mark.deep) for name, lens in LENSES.items()],
 )
 def test_depth_of_realtime_distorted_frames_equals_the_depth_of_rays(lens: Any) -> None:
-    """Real-time frames have the first hits of the other pipelines."""
+    """Real-time frames hit the same first surfaces as the other pipelines."""
     test_depth_of_rasterised_distorted_frames_equals_the_depth_of_rays(lens, ls.Pipeline.REALTIME)
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_lens_distortion_adds_no_difference_between_raster_and_rays(lens):
-    """With a lens, raster and rays without a footprint differ no more than without."""
+    """With lens distortion, raster and rays without a footprint differ no more than without distortion."""
     scene = ls.Scene([random_gaussians(5, count=400, center=(0, 0, 5), extent=(2.5, 2.0, 0.5))])
     difference = []
     for one in (NONE, lens):

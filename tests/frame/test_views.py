@@ -19,12 +19,12 @@ BLUE = (0.09, 0.13, 0.32)
 
 
 OF_ALL_PIPELINES = ("normal", "depth", "index", "shadow", "hits", "transmittance")
-"""Views that are tested here; tests of real-time frames test the others."""
+"""Views that this file tests in all pipelines; tests of real-time frames cover the other views."""
 
 
 @pytest.fixture(scope="module")
 def frame() -> ls.Frame:
-    """A frame of the ball on the floor, with all its images."""
+    """Returns a frame of the ball on the floor with all images."""
     return ball_frame()
 
 
@@ -61,7 +61,7 @@ def test_heat_map_of_the_transmittance_view_is_perceptually_uniform(frame: ls.Fr
 
 
 def test_depth_view_runs_from_red_to_blue_over_the_depth_range(frame: ls.Frame) -> None:
-    """The default range is the frame's own; with the same limits, equal depths have equal colours in all frames."""
+    """The default range is that of the frame; with one range, equal depths have equal colours in all frames."""
     near, far = frame.view_limits("depth")
     surface = np.isfinite(frame.depth)
     assert frame.depth[surface].min() <= near < far <= frame.depth[surface].max()
@@ -96,7 +96,7 @@ def test_frames_without_a_surface_have_views(frame: ls.Frame) -> None:
 
 
 def test_shadow_view_weights_lights_by_their_brightness(frame: ls.Frame) -> None:
-    """With lights of 3 and 1 units, a half shadow of the first leaves five eighths; no light at all is blue."""
+    """For lights of brightness 3 and 1, a half shadow of the brighter one leaves five eighths; no light is blue."""
     direct = np.zeros((2, 1, 4, 3), np.float32)
     shadow = np.ones_like(direct)
     direct[0, 0, :2], direct[1, 0, :2] = 3.0, 1.0
@@ -122,7 +122,7 @@ def test_hits_view_is_logarithmic_on_a_fixed_scale(frame: ls.Frame) -> None:
 
 
 def test_index_views_have_distinct_and_stable_colours(frame: ls.Frame) -> None:
-    """Neighbouring indices differ in colour, a Gaussian looks the same in every frame, and meshes differ, too."""
+    """Neighbouring indices differ in colour, a Gaussian has one colour in every frame, and meshes differ as well."""
     gaussian = np.array([[0, 1, 0, -1, -1, -1]], np.int32)
     instance = np.array([[0, 0, 1, 2, 3, -1]], np.int32)
     picture = replace(frame, gaussian_index=gaussian, instance_index=instance).view("index")[0]
@@ -169,7 +169,7 @@ def test_every_layer_of_a_frame_can_be_viewed(frame: ls.Frame) -> None:
 
 
 def test_saving_unknown_views_or_extensions_is_refused(frame: ls.Frame, tmp_path: Path) -> None:
-    """An unknown view lists the choices, another extension names the right one, and no file is written."""
+    """The error for an unknown view lists the views, that for an extension the right one; no file is written."""
     with pytest.raises(ls.ConfigError, match="unknown view 'shadows', expected one of normal, depth"):
         frame.view("shadows")
     with pytest.raises(ls.ConfigError, match="unknown view 'x'"):

@@ -26,7 +26,7 @@ def test_nonnegative_least_squares_matches_scipy(seed):
 
 
 def test_duplicate_columns_do_not_change_a_nonnegative_least_squares_fit():
-    """Three copies of a column explain as much as one."""
+    """A matrix with three copies of a column gives the same fitted values as with one."""
     column = np.random.default_rng(1).random(30)
     matrix = np.stack([column] * 3, axis=1)
     found = nonnegative_least_squares(matrix.T @ matrix, matrix.T @ (2.0 * column))
@@ -44,8 +44,8 @@ def test_empty_nonnegative_least_squares_problems_have_zero_solutions():
 def test_bounded_least_squares_minimum_satisfies_the_kkt_conditions(seed):
     """All constraints hold, and only active ones carry the gradient.
 
-    These are the Karush-Kuhn-Tucker conditions, which the unique minimum of a convex problem satisfies;
-    SciPy's `nnls` finds the multipliers.
+    The Karush-Kuhn-Tucker conditions hold at the unique minimum of a convex problem; SciPy's `nnls` finds the
+    multipliers.
     """
     rng = np.random.default_rng(seed)
     matrix, target = rng.normal(size=(40, 6)), rng.normal(size=40)
@@ -64,7 +64,7 @@ def test_bounded_least_squares_minimum_satisfies_the_kkt_conditions(seed):
 
 
 def test_inactive_bounds_do_not_change_the_least_squares_minimum():
-    """If the unconstrained minimum satisfies the constraints, it is returned."""
+    """If the unconstrained minimum satisfies the bounds, the bounded minimum equals it."""
     gram, moments = np.diag([2.0, 4.0]), np.array([2.0, 4.0])
     found = bounded_least_squares(gram, moments, np.eye(2), np.zeros(2))
     np.testing.assert_allclose(found, [1.0, 1.0])

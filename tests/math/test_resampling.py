@@ -11,7 +11,7 @@ from lumisplat.math.resampling import area_mean, cubic_samples
 
 
 def overlaps(size: int, count: int) -> np.ndarray:
-    """Returns how much of each band lies in each pixel, shape (count, size); rows sum to 1."""
+    """Returns how much of each of ``count`` output pixels lies in each of ``size`` input pixels; rows sum to 1."""
     edges = np.arange(count + 1) * size / count
     pixels = np.arange(size)
     low, high = np.maximum(edges[:-1, None], pixels), np.minimum(edges[1:, None], pixels + 1)

@@ -19,14 +19,14 @@ def test_sh_basis_functions_are_orthonormal_up_to_degree_8() -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_sh_basis_has_the_order_signs_and_scale_of_captures(degree: int) -> None:
-    """Order, signs and scale match captures, so that their coefficients and those of probes mean the same."""
+    """Order, signs and scale match captures, so that coefficients of captures and of probes have the same meaning."""
     directions = unit(0, 100)
     expected = twin_basis(directions)[:, : (degree + 1) ** 2]
     np.testing.assert_allclose(sh_basis(directions, degree), expected, atol=1e-12)
 
 
 def test_sh_basis_of_lower_degree_is_a_prefix_of_higher_degrees() -> None:
-    """A function has the same bits whatever the highest degree is."""
+    """Each basis function has the same bits whatever the highest degree is."""
     directions = unit(0, 100)
     highest = sh_basis(directions, 8)
     for degree in range(8):

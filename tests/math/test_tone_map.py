@@ -14,13 +14,13 @@ MAPS = list(ToneMap)
 
 
 def random_colors(count: int, seed: int = 1) -> np.ndarray:
-    """Returns radiance over twelve stops, (N, 3): saturated, grey, dark and far brighter than white."""
+    """Returns N radiance values over twelve stops, shape (N, 3): saturated, grey, dark and far brighter than white."""
     rng = np.random.default_rng(seed)
     return (2.0 ** rng.uniform(-8.0, 4.0, (count, 1)) * rng.uniform(0.0, 1.0, (count, 3))).astype(np.float32)
 
 
 def neutral_inverse(mapped: np.ndarray) -> np.ndarray:
-    """Inverts the function in Khronos PBR Neutral's specification, derived by hand, in float64."""
+    """Inverts the tone mapping function of Khronos PBR Neutral's specification, derived by hand, in float64."""
     f90, start, fade = 0.04, 0.76, 0.15
     peak_out = mapped.max(axis=-1, keepdims=True)
     bright = peak_out > start
@@ -84,14 +84,14 @@ def test_neutral_tone_map_matches_values_computed_by_hand(
 
 
 def test_agx_tone_map_is_within_0_006_of_the_published_polynomial() -> None:
-    """The result differs by no more than the published polynomial from the curve, 0.006 before the 2.2 power."""
+    """The published polynomial deviates from the exact curve by up to 0.006, measured before the power of 2.2."""
     colors = random_colors(4000)
     error = np.abs(decode_srgb(apply_tone_map(colors, ToneMap.AGX)) - decode_srgb(agx_with_polynomial(colors)))
     assert error.max() < 0.018 and error.mean() < 0.003
 
 
 def test_agx_tone_map_matches_values_computed_by_hand() -> None:
-    """Middle grey maps to 0.5 before the display's 2.2 power; 6.5 stops above is white, 10 below is black."""
+    """Middle grey maps to 0.5 before the display's power of 2.2; 6.5 stops above is white, 10 below is black."""
     grey = np.array([0.18 * 2.0**-10, 0.18, 0.18 * 2.0**6.5])[:, None] * np.ones(3)
     expected = encode_srgb(np.array([0.0, 0.5**2.2, 1.0]))
     np.testing.assert_allclose(apply_tone_map(grey, ToneMap.AGX), expected[:, None] * np.ones(3), atol=2e-3)
@@ -127,7 +127,7 @@ def test_no_tone_map_encodes_colours_by_the_srgb_curve() -> None:
 
 
 def pixels(count: int, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns premultiplied captured colours, their weights, and light of up to half of their radiance."""
+    """Returns premultiplied captured colours, their weights, and light of up to half of the captured radiance."""
     rng = np.random.default_rng(seed)
     weight = rng.uniform(0.0, 1.0, count)
     weight[: count // 2] = 1.0
@@ -146,7 +146,7 @@ def test_tone_mapping_leaves_captures_without_light_unchanged_to_the_bit(tone_ma
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_tone_mapped_image_is_continuous_as_light_on_a_capture_tends_to_zero(tone_map: ToneMap) -> None:
-    """As light tends to zero, the image tends to the captured one, so that lit regions have no seam."""
+    """As light tends to zero, the image tends to the captured one, so that lit regions have no visible border."""
     captured, weight, light = pixels(2000)
     dark = captured_radiance(captured, weight)
     before = encode_srgb(dark)
@@ -160,7 +160,7 @@ def test_tone_mapped_image_is_continuous_as_light_on_a_capture_tends_to_zero(ton
 def test_added_light_never_darkens_a_tone_mapped_capture(tone_map: ToneMap) -> None:
     """Channels that gain light are never darker than captured, channels that lose light never brighter.
 
-    This includes white, which every tone mapper shows darker than the capture.
+    The law holds for white, too, which every tone mapper maps darker than a capture shows it.
     """
     captured, weight, light = pixels(4000)
     before = encode_srgb(captured_radiance(captured, weight))
@@ -196,7 +196,7 @@ def test_more_light_on_a_grey_capture_is_never_darker_after_tone_mapping(tone_ma
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_exposure_of_one_stop_doubles_light_before_the_tone_map(tone_map: ToneMap) -> None:
-    """One stop doubles light before the tone mapper; captures brighten along their own curve."""
+    """One stop doubles light before the tone mapper; captures brighten along a curve of display values."""
     light = random_colors(500)
     none = np.zeros_like(light)
     shown = lit_picture(none, none[:, 0], light, 1.0, tone_map)

@@ -10,11 +10,11 @@ from support.compare.backends import BACKENDS, renderer_of
 
 @pytest.fixture(params=BACKENDS)
 def backend(request: pytest.FixtureRequest) -> str:
-    """One backend: device, schedule and graph capture with which a frame is computed."""
+    """Yields each backend in turn: the device, launch schedule and graph capture with which a frame is computed."""
     return request.param
 
 
 @pytest.fixture
 def renderer(backend: str) -> ls.Renderer:
-    """A renderer with default settings on one backend."""
+    """Returns a renderer with default settings on one backend."""
     return renderer_of(backend)

@@ -42,7 +42,7 @@ def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settin
 
 @PIPELINES
 def test_mesh_catcher_has_the_shadow_ratio_of_a_captured_floor(pipeline: ls.Pipeline) -> None:
-    """Below a disc, the ratio is the unoccluded ambient light over ambient light plus sun."""
+    """Below a disc, the ratio is the unoccluded ambient light over the sum of ambient light and sun."""
     scene = ls.Scene([], [plane(), disc()], [SUN])
     frame = rendered(scene, below(), pipeline, background=None)
     given = 0.5 * np.pi
@@ -57,7 +57,7 @@ def test_mesh_catcher_has_the_shadow_ratio_of_a_captured_floor(pipeline: ls.Pipe
 
 @PIPELINES
 def test_mesh_catcher_is_invisible_away_from_added_objects(pipeline: ls.Pipeline) -> None:
-    """Away from added objects, captures and indices keep their bits, and the proxy hides nothing."""
+    """Away from added objects, captures and indices keep their bits, and the catcher hides nothing."""
     camera = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=96, height=48, fov_y=0.5)
     ball = ls.MeshInstance(replace(sphere(0.2, rows=16), material=diffuse(0.5)), position=(0, 0.2, 0))
     light = ls.LightPoint((0, 1.0, 0), intensity=3.0)
@@ -73,7 +73,7 @@ def test_mesh_catcher_is_invisible_away_from_added_objects(pipeline: ls.Pipeline
 
 @pytest.mark.parametrize("albedo", [0.2, 0.7])
 def test_mesh_catcher_receives_light_bounced_by_its_albedo(albedo: float) -> None:
-    """Light bounces between a white lid and the floor: a proxy has the ratio of a real floor."""
+    """Light bounces between a white lid and the floor; a mesh catcher has the ratio of a captured floor."""
     constant = ls.LightEnvironment(color=(1.0, 1.0, 1.0), visible=False)
     settings = {"background": (0.0, 0.0, 0.0), "samples": 64, "max_bounces": 6}
     lid = disc(0.9)
@@ -88,7 +88,7 @@ def test_mesh_catcher_receives_light_bounced_by_its_albedo(albedo: float) -> Non
 
 
 def test_shadow_ratio_of_colour_channels_without_light_is_one() -> None:
-    """The ratio is 1 in channels without light."""
+    """Below a disc, the light has no blue, so that the ratio of the blue channel is 1."""
     yellow = ls.LightEnvironment(color=(0.3, 0.4, 0.0), visible=False)
     frame = rendered(ls.Scene([], [plane(), disc()], [yellow]), below(), ls.Pipeline.HYBRID, samples=16)
     assert frame.shadow_ratio is not None
@@ -98,7 +98,7 @@ def test_shadow_ratio_of_colour_channels_without_light_is_one() -> None:
 
 @PIPELINES
 def test_mesh_catcher_darkens_the_visible_environment_behind_it(pipeline: ls.Pipeline) -> None:
-    """The environment map is the backplate where nothing was captured."""
+    """The environment map is the background photograph where nothing was captured."""
     constant = ls.LightEnvironment(color=(0.3, 0.4, 0.9))
     scene = ls.Scene([], [plane(), disc()], [constant])
     frame = rendered(scene, below(), pipeline)
@@ -107,7 +107,7 @@ def test_mesh_catcher_darkens_the_visible_environment_behind_it(pipeline: ls.Pip
 
 
 def test_mesh_catcher_below_floaters_shows_a_smooth_shadow() -> None:
-    """Shadows on the floaters themselves are blotchy; on the plane through them they are clean."""
+    """Shadows on the floaters are blotchy; on the mesh through them they are smooth."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=64, height=64, fov_y=0.5)
     lid = replace(disc(), positions=disc().positions * np.array([0.9, 2.0, 0.9]) + np.array([0.0, 0.6, 0.9]))
     sun = ls.LightDirectional((0.0, -1.0, -0.64), intensity=3.0)
@@ -155,7 +155,7 @@ def test_gltf_usd_and_scene_files_store_the_shadow_catcher_flag_of_meshes(tmp_pa
 
 
 def test_unlit_frames_and_mattes_leave_out_mesh_catchers() -> None:
-    """Instances behind them in the list keep their index."""
+    """Instances behind catchers in the list keep their index."""
     camera = ls.Camera.look_at((0, 0.8, 3.0), (0, 0.2, 0), (0, 1, 0), width=32, height=24, fov_y=0.6)
     box = ls.MeshInstance(ls.box((0.5, 0.5, 0.5)), name="box")
     scene = ls.Scene([floaters()], [plane(), box])

@@ -1,6 +1,6 @@
 """Every CUDA kernel compiles without a GPU, by the NVRTC that Warp contains.
 
-The results are stored in the kernel cache under a hash of the sources, so only changed modules are compiled.
+The results are stored in the kernel cache under a hash of the sources, so that only changed modules are compiled.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ARCHITECTURES = pytest.mark.parametrize(
 
 
 def test_cuda_compile_test_finds_the_expected_kernel_modules() -> None:
-    """The lists of modules contain the expected kernels."""
+    """The test checks the lists of modules that the other tests compile."""
     raster = {
         "splat_kernels",
         "splat_kernels.blocks",

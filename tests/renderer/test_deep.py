@@ -17,7 +17,7 @@ TRACED = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False)
 
 
 def card(depth: float, color: float = 0.3) -> ls.MeshInstance:
-    """A grey wall across the view."""
+    """Returns a grey wall across the view."""
     corners = np.array([(-50, -50, depth), (50, -50, depth), (50, 50, depth), (-50, 50, depth)], dtype=float)
     mesh = ls.Mesh(corners, np.array([(0, 1, 2), (0, 2, 3)]), material=ls.MaterialPbr(base_color=(color, color, color)))
     return ls.MeshInstance(mesh)
@@ -25,19 +25,19 @@ def card(depth: float, color: float = 0.3) -> ls.MeshInstance:
 
 @pytest.fixture(scope="module")
 def cloud() -> ls.Gaussians:
-    """Gaussians of all opacities at depths of about 3 to 7."""
+    """Returns Gaussians of all opacities at depths of about 3 to 7."""
     return random_gaussians(3, count=400)
 
 
 def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
-    """Premultiplied linear colour and alpha, as in an EXR."""
+    """Returns premultiplied linear colour and alpha, as in an EXR."""
     channels = frame.layers([])
     return np.stack([channels[name] for name in "RGBA"], axis=-1)
 
 
 @pytest.mark.parametrize("wall", [(), (6.0,)])
 def test_deep_samples_composite_to_the_traced_frame(cloud: ls.Gaussians, wall: tuple[float, ...]) -> None:
-    """Holds without a wall and with a wall among the Gaussians."""
+    """The scene is a cloud of Gaussians, with and without a wall among them."""
     scene = ls.Scene(splats=[cloud], meshes=[card(depth) for depth in wall])
     deep = ls.layers.render_deep(scene, front_camera(), device="cpu")
     np.testing.assert_allclose(
@@ -64,7 +64,7 @@ def test_deep_samples_of_a_given_lit_frame_composite_to_that_frame(cloud: ls.Gau
 
 
 def test_objects_can_be_inserted_in_depth_between_deep_samples(cloud: ls.Gaussians) -> None:
-    """The transmittance in front of an inserted wall equals that of a frame rendered with the wall, within one step."""
+    """The transmittance before an inserted wall is that of a frame rendered with the wall, within one 8-bit step."""
     config = replace(TRACED, trace=ls.TraceConfig(hit_distance=ls.config.HitDistance.PEAK))
     deep = ls.layers.render_deep(ls.Scene(splats=[cloud]), front_camera(), config=config, device="cpu")
     through = np.ones(len(deep.first) - 1)
@@ -79,7 +79,7 @@ def test_objects_can_be_inserted_in_depth_between_deep_samples(cloud: ls.Gaussia
 
 
 def test_pixels_without_rays_have_no_deep_samples(cloud: ls.Gaussians) -> None:
-    """Corners outside of a fisheye's image circle have no samples."""
+    """The pixels are corners outside a fisheye's image circle."""
     camera = ls.Camera.look_at(
         (0, 0, 0), (0, 0, 1), (0, -1, 0), width=24, height=24, fov_y=np.pi, model=ls.CameraModel.FISHEYE
     )

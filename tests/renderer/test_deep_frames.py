@@ -1,6 +1,6 @@
 """Deep frames of a realistic capture: large Gaussians, many far smaller than a pixel, and meshes.
 
-Their samples composite to the frame in every pixel, for each pipeline, camera model and number of samples.
+Samples composite to the frame in every pixel, for each pipeline, camera model and number of samples.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ TOLERANCE = 1e-6
 
 
 def capture() -> list[ls.Gaussians]:
-    """200 Gaussians a few pixels wide, and 3,000 of a few hundredths of a pixel."""
+    """Returns 200 Gaussians a few pixels wide, and 3,000 of a few hundredths of a pixel."""
     large, small = random_gaussians(5, count=200), random_gaussians(6, count=3000)
     tiny = replace(small, scales=np.full_like(small.scales, 1e-3))
     return [large, tiny]
 
 
 def triangle(depth: float) -> ls.MeshInstance:
-    """A slanted triangle whose edges cross pixels."""
+    """Returns a slanted triangle whose edges cross pixels."""
     corners = np.array([(-1.2, -1.0, depth), (1.3, -0.4, depth + 0.7), (0.1, 1.1, depth - 0.5)])
     material = ls.MaterialPbr(base_color=(0.7, 0.2, 0.1))
     return ls.MeshInstance(ls.Mesh(corners, np.array([(0, 1, 2)]), material=material))
@@ -34,13 +34,13 @@ def triangle(depth: float) -> ls.MeshInstance:
 
 @pytest.fixture(scope="module")
 def scene() -> ls.Scene:
-    """An emissive capture around two triangles, with a point light."""
+    """Returns an emissive capture around two triangles, with a point light."""
     light = ls.LightPoint((1.0, -2.0, 0.0), intensity=30.0)
     return ls.Scene(splats=capture(), meshes=[triangle(4.0), triangle(4.6)], lights=[light])
 
 
 def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
-    """Premultiplied linear colour and alpha, as in an EXR."""
+    """Returns premultiplied linear colour and alpha, as in an EXR."""
     channels = frame.layers([])
     return np.stack([channels[name] for name in "RGBA"], axis=-1)
 
@@ -74,7 +74,7 @@ CONFIGS = {
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_deep_samples_composite_to_frames_of_every_pipeline(scene: ls.Scene, name: str) -> None:
-    """Covers lit and unlit frames with one and several samples per pixel."""
+    """The frames are lit and unlit, with one and several samples per pixel."""
     config, camera = CONFIGS[name], front_camera()
     frame = ls.render(scene, camera, config, device="cpu")
     check(ls.layers.render_deep(scene, camera, frame, config, device="cpu"), frame)
@@ -82,7 +82,7 @@ def test_deep_samples_composite_to_frames_of_every_pipeline(scene: ls.Scene, nam
 
 @pytest.mark.parametrize("model", ["lens", "wide lens", "fisheye", "orthographic", "window"])
 def test_deep_samples_composite_to_frames_of_every_camera_model(scene: ls.Scene, model: str) -> None:
-    """Covers a thin lens, too, whose blur the samples reproduce."""
+    """The samples reproduce the blur of a thin lens, too."""
     front = front_camera()
     around: Any = {"width": front.width, "height": front.height}
     cameras = {
@@ -102,7 +102,7 @@ def test_deep_samples_composite_to_frames_of_every_camera_model(scene: ls.Scene,
 
 
 def test_deep_samples_at_mesh_edges_cover_the_fraction_of_rays_that_hit(scene: ls.Scene) -> None:
-    """The fraction is that of the pixel's rays that hit the mesh; surfaces behind get the rest."""
+    """Surfaces behind the mesh get the rest of the pixel."""
     meshes = ls.Scene(meshes=scene.meshes)
     config = ls.RenderConfig(lighting=True, samples=4)
     frame = ls.render(meshes, front_camera(), config, device="cpu")
@@ -115,7 +115,7 @@ def test_deep_samples_at_mesh_edges_cover_the_fraction_of_rays_that_hit(scene: l
 
 
 def test_deep_samples_of_sub_pixel_gaussians_have_the_depth_of_the_gaussians() -> None:
-    """Sub-pixel Gaussians at one depth: samples lie there, within their footprint, wherever the frame shows them."""
+    """The Gaussians lie at one depth; samples lie within their footprint of it, wherever the frame shows a Gaussian."""
     tiny = random_gaussians(6, count=300)
     flat = replace(tiny, means=tiny.means * (1, 1, 0) + (0, 0, 4), scales=np.full_like(tiny.scales, 1e-3))
     for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE):
@@ -126,7 +126,7 @@ def test_deep_samples_of_sub_pixel_gaussians_have_the_depth_of_the_gaussians() -
 
 
 def test_deep_sample_of_the_environment_is_behind_all_other_samples(scene: ls.Scene) -> None:
-    """The environment's sample gets the remaining transmittance, and its own colour where nothing is in front."""
+    """The sample gets the remaining transmittance, and the environment's colour where nothing is in front."""
     environment = ls.LightEnvironment(np.full((4, 8, 3), 0.5, np.float32))
     lit = ls.Scene(splats=scene.splats, meshes=scene.meshes, lights=[environment])
     for pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH):
@@ -145,7 +145,7 @@ def test_deep_sample_of_the_environment_is_behind_all_other_samples(scene: ls.Sc
 
 
 def test_bright_environment_does_not_change_nearer_deep_samples() -> None:
-    """Under a sun far brighter than the background, nearer samples equal those of the frame without an environment."""
+    """Under a sun far brighter than the background, nearer samples equal those of a frame without environment."""
     image = np.full((16, 32, 3), 0.2, np.float32)
     image[2, 3] = 5000.0
     scene = ls.Scene(splats=capture(), lights=[ls.LightEnvironment(image)])
@@ -175,7 +175,7 @@ LIGHTS = {
 
 @pytest.mark.parametrize("name", LIGHTS)
 def test_deep_samples_of_visible_lights_have_alpha_zero_at_the_lights_depth(name: str) -> None:
-    """They lie at the light's depth and block nothing: an object inserted behind them does not remove their light."""
+    """The samples block nothing: an object inserted behind a light does not remove the light."""
     light, camera = LIGHTS[name], front_camera()
     wall = ls.MeshInstance(ls.Mesh([(-9, -9, 6), (9, -9, 6), (0, 9, 6)], [(0, 1, 2)]))
     scene = ls.Scene(meshes=[wall], lights=[light])
@@ -206,7 +206,7 @@ def test_deep_samples_of_visible_lights_have_alpha_zero_at_the_lights_depth(name
 def test_deep_samples_composite_to_frames_with_visible_lights(
     scene: ls.Scene, name: str, pipeline: ls.Pipeline
 ) -> None:
-    """Lights stand among Gaussians and meshes, and in front of an empty background."""
+    """Lights are among Gaussians and meshes, and in front of an empty background."""
     lit = replace(scene, lights=[LIGHTS[name], replace(LIGHTS["sphere"], position=(-1.0, -0.8, 2.5), radius=0.2)])
     for background in ((0.0, 0.0, 0.0), None):
         config = ls.RenderConfig(
@@ -217,7 +217,7 @@ def test_deep_samples_composite_to_frames_with_visible_lights(
 
 
 def test_deep_rays_use_the_seed_of_the_given_frame(scene: ls.Scene) -> None:
-    """Lens samples follow the frame's seed, whatever other settings are given."""
+    """Lens samples follow the seed of the frame, whatever other settings are given."""
     camera = replace(front_camera(), aperture=0.2, focus_distance=4.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, samples=2, seed=7)
     frame = ls.render(scene, camera, config, device="cpu")

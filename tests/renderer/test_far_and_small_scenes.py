@@ -19,7 +19,7 @@ TRIANGLES = np.array([[0, 2, 1], [0, 3, 2]])
 
 
 def ball(unit: float = 1.0) -> ls.Gaussians:
-    """Coloured Gaussians on a sphere."""
+    """Returns coloured Gaussians on a sphere."""
     count = len(DIRECTIONS)
     return ls.Gaussians(
         means=0.5 * unit * DIRECTIONS,
@@ -32,7 +32,7 @@ def ball(unit: float = 1.0) -> ls.Gaussians:
 
 
 def lit(place: Any = (0.0, 0.0, 0.0), unit: float = 1.0, *, in_mesh: bool = False) -> tuple[ls.Scene, ls.Camera]:
-    """A lit ball and its shadow on a floor, at a position and in a unit; the floor's own corners may be far away."""
+    """Returns a lit ball and its shadow on a floor at ``place``, in a unit; the floor's corners may be far away."""
     at = np.asarray(place, float)
     floor = ls.Mesh(unit * FLOOR + (at if in_mesh else 0.0), TRIANGLES)
     scene = ls.Scene(
@@ -45,21 +45,21 @@ def lit(place: Any = (0.0, 0.0, 0.0), unit: float = 1.0, *, in_mesh: bool = Fals
 
 
 def shown(pipeline: ls.Pipeline, scene: ls.Scene, camera: ls.Camera) -> np.ndarray:
-    """Colours of a frame."""
+    """Returns the colours of a frame."""
     config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.SOFT, samples=2)
     return ls.render(scene, camera, config, device="cpu").color
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_lit_frame_does_not_depend_on_the_distance_from_the_origin(pipeline: ls.Pipeline) -> None:
-    """Includes shadows; only rounding in penumbrae may differ."""
+    """The frame includes shadows, in whose penumbrae rounding may differ."""
     expected = shown(pipeline, *lit())
     for place in FAR:
         np.testing.assert_allclose(shown(pipeline, *lit(place)), expected, atol=2e-3)
 
 
 def test_mesh_with_far_object_coordinates_looks_like_one_at_the_origin() -> None:
-    """The corners are far away in object space, at integers that float32 represents."""
+    """The corners are far away in object space, at integers that float32 represents exactly."""
     place = (2.0**20, -(2.0**20), 2.0**19)
     scene, camera = lit()
     low = np.round(8.0 * FLOOR) / 8.0  # eighths stay exact at 2^20
@@ -71,7 +71,7 @@ def test_mesh_with_far_object_coordinates_looks_like_one_at_the_origin() -> None
 
 
 def test_realtime_frame_far_from_the_origin_is_as_bright() -> None:
-    """Cells and noise differ, but means agree, and an unmoved scene keeps its history."""
+    """Cells of the cache and noise differ, but means agree, and an unmoved scene keeps its history."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, shadows=ls.Shadows.SOFT)
     means = []
     for place in ((0.0, 0.0, 0.0), *FAR):
@@ -89,7 +89,7 @@ def test_frames_do_not_depend_on_the_unit_of_length_in_all_pipelines(pipeline: l
 
 
 def test_scaling_the_scene_by_a_power_of_two_changes_no_bit_of_the_frame() -> None:
-    """All thresholds are relative to the scene's size, so only exponents change."""
+    """All thresholds are relative to the size of the scene, so that only exponents change."""
     for pipeline in PIPELINES:
         np.testing.assert_array_equal(shown(pipeline, *lit(unit=2.0**10)), shown(pipeline, *lit(unit=2.0**5)))
 
@@ -113,7 +113,7 @@ def test_ray_queries_keep_the_precision_of_float64_origins() -> None:
 
 
 def test_focus_distance_does_not_depend_on_the_distance_from_the_origin() -> None:
-    """The focus distance at a pixel equals that of the scene at the origin."""
+    """The focus distance at a pixel equals that of the same scene at the origin."""
     near, far = (
         ls.rays.focused(*lit(place), 16, 12, device="cpu").focus_distance for place in ((0.0, 0.0, 0.0), FAR[0])
     )
@@ -121,7 +121,7 @@ def test_focus_distance_does_not_depend_on_the_distance_from_the_origin() -> Non
 
 
 def test_deep_sample_depths_do_not_depend_on_the_distance_from_the_origin() -> None:
-    """Depths are distances from the camera, wherever it is."""
+    """Depths are distances from the camera, wherever the camera is."""
     frames = [ls.layers.render_deep(*lit(place), device="cpu") for place in ((0.0, 0.0, 0.0), FAR[0])]
     np.testing.assert_array_equal(frames[0].first, frames[1].first)
     np.testing.assert_allclose(frames[1].near, frames[0].near, atol=1e-3)
@@ -132,7 +132,7 @@ def test_deep_sample_depths_do_not_depend_on_the_distance_from_the_origin() -> N
 def test_deep_shadow_maps_do_not_depend_on_the_distance_from_the_origin(
     light: str, receives: bool, tmp_path: Any
 ) -> None:
-    """Holds for points, Gaussians and meshes, also after saving and loading."""
+    """The maps of points, Gaussians and meshes are compared, also after saving and loading."""
     points = np.random.default_rng(4).uniform(-1.0, 1.0, (60, 3)) + np.array([0.0, -1.2, 0.0])
     found = []
     for place in ((0.0, 0.0, 0.0), *FAR):

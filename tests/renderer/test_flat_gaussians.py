@@ -17,7 +17,7 @@ OPACITY = 0.8
 
 
 def tilted(folder: Path, degrees: float) -> tuple[ls.Gaussians, np.ndarray]:
-    """A 2D Gaussian rotated about x, loaded from a file, and its axes as columns."""
+    """Returns a 2D Gaussian rotated about x, loaded from a file, and its axes as columns."""
     half = np.radians(degrees) / 2
     row = [
         *CENTRE,
@@ -38,7 +38,7 @@ def tilted(folder: Path, degrees: float) -> tuple[ls.Gaussians, np.ndarray]:
 
 
 def surfel_alpha(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Alpha along rays from the origin: opacity exp(-(u^2 + v^2) / 2) at the plane (equation 3)."""
+    """Returns alpha of rays from the origin: opacity exp(-(u^2 + v^2) / 2) at the Gaussian's plane (equation 3)."""
     distance = (CENTRE @ axes[:, 2]) / (directions @ axes[:, 2])
     offset = directions * distance[:, None] - CENTRE
     u, v = (offset @ axes[:, :2] / SCALES).T
@@ -48,7 +48,7 @@ def surfel_alpha(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 75.0])
 def test_ray_traced_flat_gaussian_equals_the_2d_surfel_of_its_trainer(tmp_path: Path, degrees: float) -> None:
-    """A ray hits a flat Gaussian at its plane, seen frontally and at an angle."""
+    """The ray hits the plane of the Gaussian, seen frontally and at an angle."""
     gaussians, axes = tilted(tmp_path, degrees)
     x, y = np.meshgrid(np.linspace(-0.05, 0.1, 40), np.linspace(-0.12, 0.0, 40))
     directions = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
@@ -64,7 +64,7 @@ def test_ray_traced_flat_gaussian_equals_the_2d_surfel_of_its_trainer(tmp_path: 
 
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 75.0])
 def test_rasterised_flat_gaussian_is_close_to_the_2d_surfel_of_its_trainer(tmp_path: Path, degrees: float) -> None:
-    """The linearised projection with its half-pixel blur is nearly the same image."""
+    """The linearised projection with its blur of half a pixel gives nearly the same image."""
     gaussians, axes = tilted(tmp_path, degrees)
     camera = ls.Camera.look_at((0, 0, 0), tuple(CENTRE), (0, -1, 0), width=240, height=180, fov_y=0.15)
     frame = ls.render(ls.Scene(splats=[gaussians]), camera, device="cpu")

@@ -33,7 +33,7 @@ def test_raster_frames_of_cuda_and_cpu_are_equal(case: scenes.Case) -> None:
 
 @pytest.mark.parametrize("case", trace_scenes.cases(), ids=lambda case: case.name)
 def test_traced_frames_of_cuda_and_cpu_are_equal(case: scenes.Case) -> None:
-    """Pixels may differ where a decision is within rounding."""
+    """Pixels may differ where rounding decides which surface is hit."""
     cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
     cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
     for name in NAMES:
@@ -44,7 +44,7 @@ def test_traced_frames_of_cuda_and_cpu_are_equal(case: scenes.Case) -> None:
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 def test_lit_frames_of_cuda_and_cpu_are_equal(pipeline: ls.Pipeline) -> None:
-    """Covers soft shadows, mirrors and glass; pixels may differ where a decision is within rounding."""
+    """The frame has soft shadows, mirrors and glass; pixels may differ where rounding decides which surface is hit."""
     samples = 1 if pipeline is ls.Pipeline.REALTIME else 2
     config = lit_scene.config(pipeline, shadows=ls.Shadows.SOFT, samples=samples)
     scene, camera = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT), lit_scene.camera()
@@ -57,7 +57,7 @@ def test_lit_frames_of_cuda_and_cpu_are_equal(pipeline: ls.Pipeline) -> None:
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
 def test_lighting_on_cuda_leaves_captures_unchanged(pipeline: ls.Pipeline) -> None:
-    """Without reflecting surfaces, a lit frame equals the unlit one up to rounding of separately compiled kernels."""
+    """Without reflecting surfaces, lit and unlit frames differ by the rounding of separately compiled kernels."""
     scene, camera = ls.Scene([scenes.random_gaussians(71, 300, degree=2)], (), lit_scene.LIGHTS), lit_scene.camera()
     config = ls.RenderConfig(pipeline=pipeline, background=(0.2, 0.3, 0.4), lighting=True)
     frame = ls.render(scene, camera, config, device="cuda")
@@ -69,7 +69,7 @@ def test_lighting_on_cuda_leaves_captures_unchanged(pipeline: ls.Pipeline) -> No
 
 @pytest.mark.parametrize("degree", [2, 4])
 def test_ray_gradients_of_cuda_and_cpu_are_equal(degree: int) -> None:
-    """Covers all parameters and the pose; repeated gradients are equal to the bit."""
+    """All parameters and the pose are compared; repeated gradients are equal to the bit."""
     scene, camera = ls.Scene([replace(gradient_scenes.cloud(count=60), kernel_degree=degree)]), gradient_scenes.view()
     found: list[ls.gradients.SplatGradients] = []
     for device in ("cpu", "cuda", "cuda"):
@@ -88,7 +88,7 @@ def test_ray_gradients_of_cuda_and_cpu_are_equal(degree: int) -> None:
 
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
 def test_unscented_frames_and_gradients_of_cuda_and_cpu_are_equal(name: str) -> None:
-    """Covers frames of all lenses and their gradients, up to the order of sums."""
+    """Frames and gradients of all lenses are equal up to the order of sums."""
     camera = lenses.LENSES[name]
     scene = ls.Scene([scenes.random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
     found: list[ls.gradients.SplatGradients] = []
@@ -110,7 +110,7 @@ def test_unscented_frames_and_gradients_of_cuda_and_cpu_are_equal(name: str) -> 
 
 
 def test_replayed_cuda_graph_gives_the_bits_of_a_direct_frame() -> None:
-    """The third frame, replayed as a graph, equals the first to the bit, and follows a moved camera."""
+    """The third frame is a replay, equals the first to the bit, and follows a moved camera."""
     case = scenes.cases()[3]
     renderer = ls.create_renderer(case.config, "cuda")
     first = renderer.render(case.scene, case.camera)
@@ -123,7 +123,7 @@ def test_replayed_cuda_graph_gives_the_bits_of_a_direct_frame() -> None:
 
 
 def test_profiling_on_cuda_times_every_stage_and_changes_no_pixel() -> None:
-    """Profiling reports every stage and changes no pixel."""
+    """The profile contains every stage of the frame."""
     case = scenes.cases()[3]
     plain = ls.create_renderer(case.config, "cuda").render(case.scene, case.camera)
     profiled = ls.create_renderer(case.config, "cuda", profile=True).render(case.scene, case.camera)
@@ -134,7 +134,7 @@ def test_profiling_on_cuda_times_every_stage_and_changes_no_pixel() -> None:
 
 @pytest.mark.parametrize("light", [(0.5, -3.0, 1.0), ls.LightDirectional((0.2, 1.0, 0.1))], ids=["point", "parallel"])
 def test_deep_shadow_maps_of_cuda_and_cpu_are_equal(light: object) -> None:
-    """A deep shadow map on CUDA equals the CPU's up to float32 rounding."""
+    """The transmittances agree up to float32 rounding."""
     casters, receivers = scenes.random_gaussians(1, 200), scenes.random_gaussians(2, 2000, extent=(4.0, 4.0, 4.0))
     seen = [
         ls.DeepShadowMap.build(casters, light, receivers, device=device).transmittance_of(receivers)
@@ -145,7 +145,7 @@ def test_deep_shadow_maps_of_cuda_and_cpu_are_equal(light: object) -> None:
 
 
 def test_gradient_functions_accept_arrays_on_the_gpu() -> None:
-    """Arrays on the GPU are read by DLPack, like tensors of other packages."""
+    """The arrays are read by DLPack, like tensors of other packages."""
     scene, camera = ls.Scene([scenes.random_gaussians(3, 60)]), scenes.front_camera()
     pull = np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
     there: Any = wp.array(pull, dtype=wp.float32, device="cuda:0")  # pyright: ignore[reportArgumentType]

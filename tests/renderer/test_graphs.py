@@ -1,4 +1,4 @@
-"""Frames from captured graphs with CUDA's schedule on the CPU: which graphs are reused, and when they are stale."""
+"""Frames from captured graphs, with CUDA's schedule on the CPU: reuse of graphs, and when they are stale."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "captured", "li
 LAYERS = ("albedo", "reflection", "hits", "light_direct", "light_shadow", "light_total", "direct_diffuse", "bounces")
 ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
 WARM_FRAMES = 3
-"""Frames until graphs are replayed: direct with new buffers, direct, captured."""
+"""Frames until graphs are replayed: one direct with new buffers, one direct, one captured."""
 STOCHASTIC = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
 SHARED = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
 
@@ -41,11 +41,11 @@ class Pair:
 
     @property
     def buffers(self) -> Buffers:
-        """Buffers of the renderer with graphs."""
+        """Returns the buffers of the renderer with graphs."""
         return self._graphs._buffers
 
     def launches_of(self, shown: ls.Scene, view: ls.Camera) -> int:
-        """Renders a frame with both, asserts bit-equality, and returns the number of kernel launches with graphs."""
+        """Renders a frame with both renderers, asserts equal bits, and returns the kernel launches with graphs."""
         before = self.launcher.launches
         frame = self._graphs.render(shown, view)
         launches = self.launcher.launches - before
@@ -86,7 +86,7 @@ def test_steady_frame_launches_only_captured_graphs_and_no_single_kernel(setting
 
 
 def moved(shown: ls.Scene) -> ls.Scene:
-    """The scene with all instances and lights moved, and other light colours."""
+    """Returns the scene with all instances and lights moved, and other light colours."""
     shift = similarity(offset=(0.1, 0.05, 0.0))
     return replace(
         shown,
@@ -96,7 +96,7 @@ def moved(shown: ls.Scene) -> ls.Scene:
 
 
 def rotated_environment(shown: ls.Scene) -> ls.Scene:
-    """The scene with its environment visible and rotated."""
+    """Returns the scene with its environment visible and rotated."""
     turned = replace(ENVIRONMENT, visible=True, rotation_wxyz=(0.6, 0.0, 0.8, 0.0))
     return replace(shown, lights=[turned if light is ENVIRONMENT else light for light in shown.lights])
 
@@ -112,36 +112,36 @@ def test_captured_graphs_are_reused_when_cameras_objects_or_lights_move(change: 
 
 
 def without_shadow(shown: ls.Scene) -> ls.Scene:
-    """The scene with shadows of its first light disabled."""
+    """Returns the scene with shadows of its first light disabled."""
     return replace(shown, lights=[replace(shown.lights[0], casts_shadow=False), *shown.lights[1:]])
 
 
 def of_another_kind(shown: ls.Scene) -> ls.Scene:
-    """The scene with its first and last light swapped, one of which is an environment."""
+    """Returns the scene with its first and last light swapped, one of which is an environment."""
     return replace(shown, lights=[shown.lights[-1], *shown.lights[1:-1], shown.lights[0]])
 
 
 def with_one_light_less(shown: ls.Scene) -> ls.Scene:
-    """The scene without its first light."""
+    """Returns the scene without its first light."""
     return replace(shown, lights=shown.lights[1:])
 
 
 def with_more(shown: ls.Scene) -> ls.Scene:
-    """The scene with another mesh and another set."""
+    """Returns the scene with another mesh and another set."""
     place = similarity(offset=(0.4, 0.6, 0.3), scale=0.5)
     more = ls.MeshInstance(shown.meshes[0].mesh, place), ls.SplatInstance(shown.splats[1].gaussians, place)
     return replace(shown, meshes=[*shown.meshes, more[0]], splats=[*shown.splats, more[1]])
 
 
 def larger(shown: ls.Scene) -> ls.Scene:
-    """The scene with its largest set twice the size, so that ray packets are wider."""
+    """Returns the scene with its largest set twice the size, so that ray packets are wider."""
     ground = shown.splats[0]
     grown = replace(ground, world_from_object=ground.transform @ similarity(scale=2.0))
     return replace(shown, splats=[grown, *shown.splats[1:]])
 
 
 def partly_relit(shown: ls.Scene) -> ls.Scene:
-    """The scene with both sets relit, one of which was an emissive capture."""
+    """Returns the scene with both sets relit, one of which was an emissive capture."""
     material = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))
     return replace(shown, splats=[shown.splats[0], replace(shown.splats[1], material=material)])
 
@@ -154,7 +154,7 @@ FROZEN = [*((change, ls.Pipeline.HYBRID) for change in CHANGES), (partly_relit, 
 def test_captured_graphs_are_stale_after_lights_or_objects_are_replaced(
     change: Callable[[ls.Scene], ls.Scene], pipeline: ls.Pipeline
 ) -> None:
-    """Other lights or objects are drawn directly, then captured again; so is the first scene afterwards."""
+    """A changed scene is drawn directly, then captured again; so is the first scene afterwards."""
     pair, shown = Pair(config(pipeline, samples=1, max_bounces=2, aovs=("lights",))), scene(*LIGHTS, ENVIRONMENT)
     pair.warm_up(shown, camera())
     other = change(shown)
@@ -166,7 +166,7 @@ def test_captured_graphs_are_stale_after_lights_or_objects_are_replaced(
 
 
 def test_captured_graphs_are_stale_after_buffers_grow() -> None:
-    """Graphs hold addresses, so that memory that was freed must not be written."""
+    """Graphs contain addresses, and must not write to freed memory."""
     pair, shown = Pair(config(shadows=ls.Shadows.SOFT, samples=1)), scene(*LIGHTS)
     pair.warm_up(shown, camera())
     pair.buffers.get("light.contributions", wp.vec3, 100_000)
@@ -192,7 +192,7 @@ def test_ray_queries_do_not_change_frames_replayed_from_graphs(pipeline: ls.Pipe
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_camera_rays_and_rays_leaving_gaussians_use_different_graphs(pipeline: ls.Pipeline) -> None:
-    """With equal counts, camera rays and rays that leave Gaussians need different graphs."""
+    """Equal numbers of camera rays and of rays that leave Gaussians must not share a graph."""
     settings = config(pipeline, samples=2, max_bounces=1, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
     graphs, direct = (
         ls.Renderer(settings, launcher) for launcher in (GraphLauncher(), Launcher("cpu", threads=1, parallel=True))
@@ -221,7 +221,7 @@ def test_captured_graph_is_enlarged_when_glass_fills_the_view() -> None:
 
 
 def refusing(work: Callable[..., object], *refused: tuple[object, str]) -> Callable[..., object]:
-    """A context in which calls of the given functions fail."""
+    """Returns a context in which calls of the given functions fail."""
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("the host waits for the device within a sample")
@@ -243,7 +243,7 @@ NEVER_CAPTURED = (READ_BACK, (Buffers, "_allocate"), (buffers, "assign_table"))
 def test_path_tracing_of_a_sample_reads_back_allocates_and_uploads_nothing(
     adaptive: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once buffers have grown, the waves of a sample read back, allocate and upload nothing."""
+    """Once buffers have grown, the ray waves of a sample only launch kernels."""
     settings = config(ls.Pipeline.PATH, samples=NOISE_SAMPLES_MIN + 2, max_bounces=2, adaptive=adaptive)
     renderer, shown = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)), scene(*LIGHTS, ENVIRONMENT)
     expected = renderer.render(shown, camera().scaled(24, 16))

@@ -1,4 +1,4 @@
-"""The kernel modules that passes list are those that their frames launch."""
+"""Render passes list exactly the kernel modules that their frames launch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIRROR = ls.MaterialPbr(metallic=1.0, roughness=0.0)
 
 
 class Recorder(Launcher):
-    """A launcher that records loaded modules, and the modules of launched kernels."""
+    """Launcher that records loaded modules, and the modules of launched kernels."""
 
     def __init__(self, parallel: bool) -> None:
         super().__init__("cpu", threads=1, parallel=parallel)
@@ -28,28 +28,28 @@ class Recorder(Launcher):
         self.launched: set[str] = set()
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
-        """Records modules; launches load what they need."""
+        """Records the modules; launches load the modules that they need."""
         self.loaded |= {name_of(module) for module in modules}
 
     def run(self, kernel: Any, count: int, *inputs: object) -> None:
-        """Records the kernel's module."""
+        """Records the module of the kernel."""
         if count:
             self.launched.add(name_of(kernel.module))
         super().run(kernel, count, *inputs)
 
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
-        """Records the kernel's module."""
+        """Records the module of the kernel."""
         self.launched.add(name_of(kernel.module))
         super().run_blocks(kernel, blocks, *inputs)
 
 
 def name_of(module: Any) -> str:
-    """Name of a Python module, or of the Warp module of a single kernel."""
+    """Returns the name of a Python module, or of the Warp module of a single kernel."""
     return module.__name__ if hasattr(module, "__name__") else module.name
 
 
 def scene(meshes: Sequence[ls.Mesh], *lights: Any, shadow_catcher: bool = False) -> ls.Scene:
-    """A capture, relit or only a shadow catcher, with meshes."""
+    """Returns a scene with a capture, relit or only a shadow catcher, and meshes."""
     material = None if shadow_catcher else ls.MaterialPbr()
     capture = ls.SplatInstance(random_gaussians(3, count=60), material=material, shadow_catcher=shadow_catcher)
     return ls.Scene([capture], list(meshes), lights)
@@ -90,7 +90,7 @@ def test_first_frame_of_a_prepared_renderer_compiles_no_kernels(
 ) -> None:
     """A kernel that compiles during a frame would block one thread without progress.
 
-    Covers each scene with default settings, and each setting with a scene that has all kinds of objects.
+    The test covers each scene with default settings, and each setting with a scene that has all kinds of objects.
     """
     for name, content in SCENES.items():
         for kind, settings in SETTINGS.items():
@@ -108,14 +108,14 @@ def test_first_frame_of_a_prepared_renderer_compiles_no_kernels(
 
 
 def test_rendering_a_capture_without_lights_loads_only_raster_kernels() -> None:
-    """The first frame does not wait for kernels of meshes, mirrors, lights, or of the other schedule."""
+    """The first frame does not wait for kernels of meshes, mirrors and lights, or of the CUDA schedule."""
     launcher = Recorder(parallel=False)
     Renderer(ls.RenderConfig(), launcher).render(ls.Scene([random_gaussians(3)]), front_camera(16, 16))
     assert launcher.loaded == launcher.launched
 
 
 def names_of(content: ls.Scene, **settings: Any) -> set[str]:
-    """Names of the kernel modules that a rasterised frame launches, without their package."""
+    """Returns the names of the kernel modules that a rasterised frame launches, without their package."""
     launcher = Recorder(parallel=False)
     Renderer(ls.RenderConfig(**settings), launcher).render(content, front_camera(16, 16))
     assert launcher.launched <= launcher.loaded
@@ -144,7 +144,7 @@ def test_mesh_shadows_load_no_kernels_for_gaussians() -> None:
 
 
 def test_invalid_settings_are_refused_before_any_kernel_is_compiled() -> None:
-    """Kernels of a real-time frame take half a minute to compile."""
+    """Compiling the kernels of a real-time frame takes half a minute."""
     launcher = Recorder(parallel=False)
     with pytest.raises(ls.ConfigError, match="one sample a pixel"):
         Renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, samples=8), launcher)
@@ -152,7 +152,7 @@ def test_invalid_settings_are_refused_before_any_kernel_is_compiled() -> None:
 
 
 def test_renderers_with_one_launcher_load_each_kernel_once() -> None:
-    """Renderers with the same launcher share kernels, also after a change of settings."""
+    """Renderers with one launcher share kernels, also after a change of settings."""
     reported: list[str] = []
     launcher = Launcher("cpu", threads=1)
     Renderer(ls.RenderConfig(), launcher, lambda label, done: reported.append(label))

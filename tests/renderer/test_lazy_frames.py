@@ -1,4 +1,4 @@
-"""Lazy frames, whose images are downloaded on first read as on a GPU, simulated on the CPU."""
+"""Lazy frames, whose images are downloaded when first read as on a GPU, simulated on the CPU."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def assert_same(frame: Any, expected: ls.Frame) -> None:
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
 def test_unread_frame_is_not_changed_by_later_frames(settings: ls.RenderConfig) -> None:
-    """Frames are read after later frames were rendered, whether their images waited on the device or were evicted."""
+    """The images of the frame waited on the device or were downloaded when later frames needed the memory."""
     renderer, shown = lazy_renderer(settings), scene(*LIGHTS, ENVIRONMENT)
     views = [camera(), other_camera()] * 3
     frames = [renderer.render(shown, view) for view in views]
@@ -83,7 +83,7 @@ def test_unread_frame_is_not_changed_by_later_frames(settings: ls.RenderConfig) 
 
 
 def test_unread_images_of_a_frame_stay_on_the_device() -> None:
-    """The frame's repr and list of layers do not download images, either."""
+    """The repr and the list of layers of the frame do not download images, either."""
     frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     everything = unread(frame)
     assert {"color", "depth", "albedo", "light_shadow", "captured", "hits"} <= everything
@@ -96,7 +96,7 @@ def test_unread_images_of_a_frame_stay_on_the_device() -> None:
 
 
 def test_copied_and_pickled_lazy_frames_have_all_images() -> None:
-    """Frames are pickled, copied and deep-copied."""
+    """Frames are pickled, copied and deep-copied before their images are read."""
     expected = eager_frame(SETTINGS["lit"], camera())
     for duplicate in (lambda frame: pickle.loads(pickle.dumps(frame)), copy.copy, copy.deepcopy):
         frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
@@ -104,14 +104,14 @@ def test_copied_and_pickled_lazy_frames_have_all_images() -> None:
 
 
 def test_unknown_attributes_of_lazy_frames_raise_attribute_errors() -> None:
-    """The error is that of any object, for lazy and eager frames."""
+    """Lazy and eager frames raise the error of any Python object."""
     for frame in (lazy_renderer(SETTINGS["unlit"]).render(scene(), camera()), eager_frame(SETTINGS["unlit"], camera())):
         with pytest.raises(AttributeError, match=r"'Frame' object has no attribute 'colour'"):
             frame.colour  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]  # noqa: B018
 
 
 def test_device_memory_of_read_or_dropped_lazy_frames_is_reused() -> None:
-    """Memory is returned when a frame is dropped, or when all of its images are read."""
+    """Memory is returned when a frame is dropped, or when all of its images have been read."""
     renderer = lazy_renderer(SETTINGS["lit"])
     downloads = renderer._buffers.downloads
     frame = renderer.render(scene(*LIGHTS), camera())
@@ -127,7 +127,7 @@ def test_device_memory_of_read_or_dropped_lazy_frames_is_reused() -> None:
 
 
 def test_lazy_frames_with_unread_images_can_be_resumed() -> None:
-    """Their images are uploaded again."""
+    """The images are uploaded again."""
     settings = config(ls.Pipeline.HYBRID, samples=2)
     renderer, shown = lazy_renderer(settings), scene(*LIGHTS, ENVIRONMENT)
     resumed = renderer.render(shown, camera(), resume=renderer.render(shown, camera()))
@@ -136,7 +136,7 @@ def test_lazy_frames_with_unread_images_can_be_resumed() -> None:
 
 
 def test_several_threads_can_read_a_lazy_frame_concurrently() -> None:
-    """Six threads read all images concurrently."""
+    """Six threads read all images."""
     frame, expected = (
         lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera()),
         eager_frame(SETTINGS["lit"], camera()),
@@ -179,7 +179,7 @@ def pictures(color: np.ndarray, alpha: np.ndarray, *, transparent: bool) -> tupl
 
 @pytest.mark.parametrize("transparent", [False, True])
 def test_device_and_host_encode_a_frame_to_the_same_8_bit_image(transparent: bool) -> None:
-    """Bytes are equal next to rounding edges, beyond 0..1, and for alpha of 0 or nearly 0."""
+    """The bytes are equal next to rounding edges, beyond 0..1, and for alpha of 0 or nearly 0."""
     rng = np.random.default_rng(4)
     edges = ((np.arange(256) + 0.5) / 255.0).astype(np.float32)
     for _ in range(3):
@@ -194,7 +194,7 @@ def test_device_and_host_encode_a_frame_to_the_same_8_bit_image(transparent: boo
 
 
 def test_device_leaves_8_bit_encoding_of_non_finite_frames_to_the_host() -> None:
-    """One non-finite colour or alpha suffices; the host draws it black and counts it when saving."""
+    """One non-finite colour or alpha suffices; the host draws the pixel black and counts it when saving."""
     for channel, value in ((0, np.nan), (1, np.inf), (2, -np.inf)):
         color = np.full((4, 5, 3), 0.5, np.float32)
         color[2, 3, channel] = value
@@ -203,7 +203,7 @@ def test_device_leaves_8_bit_encoding_of_non_finite_frames_to_the_host() -> None
 
 
 def lit_bytes(images: dict[str, np.ndarray], exposure: float, tone_map: ls.ToneMap, *, transparent: bool) -> Any:
-    """Encodes a lit frame on the device; None if a pixel is not finite."""
+    """Encodes a lit frame on the device; returns None if a pixel is not finite."""
     launcher, buffers = Launcher("cpu", parallel=True), Buffers("cpu")
     alpha = images["alpha"]
     size, index = (alpha.shape[1], alpha.shape[0]), np.zeros(alpha.shape, np.int32)
@@ -255,7 +255,7 @@ def test_device_and_host_encode_lit_frames_to_8_bit_within_one_step(
 
 @pytest.mark.parametrize("name", ["captured", "captured_weight", "light", "alpha"])
 def test_device_leaves_8_bit_encoding_of_non_finite_lit_frames_to_the_host(name: str) -> None:
-    """One non-finite value in any part suffices."""
+    """One non-finite value in any image of the frame suffices."""
     images = random_lit_images(np.random.default_rng(3))
     assert lit_bytes(images, 0.0, ls.ToneMap.NEUTRAL, transparent=False) is not None
     images[name][5, 7] = np.nan
@@ -295,7 +295,7 @@ def assert_same_picture(picture: np.ndarray, expected: np.ndarray, name: str) ->
 
 
 def test_writing_to_the_colours_of_a_lazy_frame_changes_its_8_bit_image() -> None:
-    """Writing to a frame's colours changes its 8-bit image, though the device has encoded one."""
+    """The bytes that the device encoded earlier are discarded."""
     frame = lazy_renderer(SETTINGS["unlit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     before = np.asarray(frame, dtype=np.uint8)
     frame.color[...] = 0.25
@@ -308,7 +308,7 @@ def test_writing_to_the_colours_of_a_lazy_frame_changes_its_8_bit_image() -> Non
 @pytest.mark.parametrize("kind", ["png", "exr", "npz"])
 @pytest.mark.parametrize("name", SETTINGS.keys())
 def test_lazy_and_eager_frames_save_equal_files(name: str, kind: str, tmp_path: Path) -> None:
-    """Files are equal byte by byte; 8-bit lit images differ by at most 1."""
+    """Files are equal byte by byte; 8-bit images of lit frames differ by at most 1."""
     frame = lazy_renderer(SETTINGS[name]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     lazy, eager = tmp_path / f"lazy.{kind}", tmp_path / f"eager.{kind}"
     frame.save(lazy)
@@ -320,7 +320,7 @@ def test_lazy_and_eager_frames_save_equal_files(name: str, kind: str, tmp_path: 
 
 
 def test_writing_to_the_light_of_a_lazy_frame_changes_its_8_bit_image() -> None:
-    """Writing to the light of a lit frame changes its 8-bit image."""
+    """The bytes that the device encoded earlier are discarded."""
     frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     before = np.asarray(frame, dtype=np.uint8)
     assert frame.light is not None
@@ -330,7 +330,7 @@ def test_writing_to_the_light_of_a_lazy_frame_changes_its_8_bit_image() -> None:
 
 @pytest.mark.parametrize("name", ["unlit", "unlit rays", "lit", "transparent"])
 def test_cpu_renderer_encodes_the_8_bit_image_with_the_frame_on_request(name: str) -> None:
-    """With ``encode``, the frame comes with its bytes, which equal those encoded later."""
+    """With ``encode``, the frame contains its bytes, which equal those encoded later."""
     renderer = ls.Renderer(SETTINGS[name], Launcher("cpu", threads=3))
     plain = renderer.render(scene(*LIGHTS, ENVIRONMENT), camera())
     encoded = renderer.render(scene(*LIGHTS, ENVIRONMENT), camera(), encode=True)

@@ -16,7 +16,7 @@ from lumisplat.io.images.exr import read_exr
 
 
 def card(name: str, left: float, right: float, depth: float = 4.0, material: str = "") -> ls.MeshInstance:
-    """A rectangle over the whole height of the image, from one x to another."""
+    """Returns a rectangle over the whole height of the image, from one x to another."""
     corners = np.array([(left, -9, depth), (right, -9, depth), (right, 9, depth), (left, 9, depth)], dtype=float)
     mesh = ls.Mesh(corners, np.array([(0, 1, 2), (0, 2, 3)]), material=ls.MaterialPbr(name=material))
     return ls.MeshInstance(mesh, name=name)
@@ -24,13 +24,13 @@ def card(name: str, left: float, right: float, depth: float = 4.0, material: str
 
 @pytest.fixture
 def camera() -> ls.Camera:
-    """A camera of 8 x 6 pixels, each half a unit wide at depth 4; its axis is between two columns."""
+    """Returns a camera of 8 x 6 pixels, each half a unit wide at depth 4; its axis is between two columns."""
     return ls.Camera.look_at((0, 0, 0), (0, 0, 1), (0, -1, 0), width=8, height=6, fov_y=2 * np.arctan(1.5 / 4))
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.PATH])
 def test_matte_of_a_mesh_edge_covers_the_fraction_of_the_pixel(camera: ls.Camera, pipeline: ls.Pipeline) -> None:
-    """A card that ends a quarter into a column, in front of another, covers a quarter of it."""
+    """A card that ends a quarter into a column, in front of another card, covers a quarter of the column."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125), card("back", -9.0, 9.0, depth=8.0)])
     objects = ls.layers.render_mattes(scene, camera, ls.RenderConfig(pipeline=pipeline), device="cpu").objects
     expected = np.array([1, 1, 1, 1, 0.25, 0, 0, 0])
@@ -42,7 +42,7 @@ def test_matte_of_a_mesh_edge_covers_the_fraction_of_the_pixel(camera: ls.Camera
 
 
 def test_matte_of_a_gaussian_covers_as_much_as_its_alpha(camera: ls.Camera) -> None:
-    """A half-opaque Gaussian covers half; one too thin to be a surface covers nothing."""
+    """A half-opaque Gaussian covers half of the pixel; a Gaussian too thin to be a surface covers nothing."""
     ball = ls.Gaussians([(0, 0, 4)], [(1, 0, 0, 0)], [(5.0, 5.0, 5.0)], [0.5], [[(0.0, 0.0, 0.0)]])
     mattes = ls.layers.render_mattes(ls.Scene(splats=[ls.SplatInstance(ball, name="fog")]), camera, device="cpu")
     frame = ls.render(ls.Scene(splats=[ball]), camera, device="cpu")
@@ -70,7 +70,7 @@ def test_instances_of_one_name_share_one_matte(camera: ls.Camera) -> None:
 
 
 def test_exr_files_store_mattes_as_separate_parts(tmp_path: Path, camera: ls.Camera) -> None:
-    """The image is the first part, unchanged; ids and coverage are read back, with the manifest in each header."""
+    """The first part is the unchanged image; ids and coverage are read back, with the manifest in each header."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125, material="oak"), card("back", -9.0, 9.0, depth=8.0)])
     frame, mattes = ls.render(scene, camera, device="cpu"), ls.layers.render_mattes(scene, camera, device="cpu")
     frame.save(tmp_path / "with.exr", ["depth"], mattes)
@@ -90,7 +90,7 @@ def test_exr_files_store_mattes_as_separate_parts(tmp_path: Path, camera: ls.Cam
 
 
 def test_saving_mattes_of_another_size_or_in_another_format_is_refused(tmp_path: Path, camera: ls.Camera) -> None:
-    """Mattes of another size, or for a format without them, raise an error and write nothing."""
+    """No file is written."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125)])
     mattes = ls.layers.render_mattes(scene, camera, device="cpu")
     frame = ls.render(scene, camera.scaled(16), device="cpu")

@@ -23,7 +23,7 @@ CAMERA = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=192, hei
 
 
 def floor(level: float, *, catches: bool) -> ls.SplatInstance:
-    """A level sheet at y = 0, 8 units wide, that emits a captured grey."""
+    """Returns a level sheet at y = 0, 8 units wide, that emits a captured grey."""
     plane = ls.Mesh([[-4, 0, 4], [4, 0, 4], [4, 0, -4], [-4, 0, -4]], [[0, 1, 2], [0, 2, 3]])
     sheet = ls.gaussians_from_mesh(plane, 6000)
     sh = np.full((6000, 1, 3), (level - 0.5) / 0.28209479177387814, np.float32)
@@ -33,7 +33,7 @@ def floor(level: float, *, catches: bool) -> ls.SplatInstance:
 
 @cache
 def scene(level: float, *, catches: bool) -> ls.Scene:
-    """Four balls on the floor, in sunlight from the upper left."""
+    """Returns four balls on the floor, in sunlight from the upper left."""
     balls = [
         ls.MeshInstance(replace(sphere(0.35, rows=48, columns=96), material=material), position=(x, 0.35, 0.0))
         for x, material in zip((-1.7, -0.45, 0.45, 1.35), MATERIALS.values(), strict=True)
@@ -42,7 +42,7 @@ def scene(level: float, *, catches: bool) -> ls.Scene:
 
 
 def within(mask: npt.NDArray[np.bool_], reach: int = 2) -> npt.NDArray[np.bool_]:
-    """Pixels of a mask that are farther than ``reach`` from all other pixels."""
+    """Returns the pixels of a mask that are farther than ``reach`` from all other pixels."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(~mask, reach), (2 * reach + 1, 2 * reach + 1))
     return np.logical_not(around.any(axis=(2, 3)))
 
@@ -61,12 +61,12 @@ def rendered(pipeline: ls.Pipeline, level: float, *, catches: bool, lights_only:
 
 @pytest.fixture(scope="module")
 def dark() -> dict[ls.Pipeline, ls.Frame]:
-    """Frames of objects so dark that bounced light, which only paths and real time follow, is small."""
+    """Returns frames of objects so dark that bounced light, which only paths and real time trace, is small."""
     return {pipeline: rendered(pipeline, 0.2, catches=True) for pipeline in ls.Pipeline}
 
 
 def test_matte_ball_and_its_shadow_agree_in_five_pipelines(dark: dict[ls.Pipeline, ls.Frame]) -> None:
-    """Within 5 %: the lit side of the ball, and the floor in full shadow, half shadow and light."""
+    """The lit side of the ball, and the floor in full shadow, half shadow and light agree within 5 %."""
     truth = dark[ls.Pipeline.PATH]
     assert truth.shadow_ratio is not None
     on_floor = within(truth.instance_index == 0)
@@ -86,7 +86,7 @@ def test_matte_ball_and_its_shadow_agree_in_five_pipelines(dark: dict[ls.Pipelin
 
 @pytest.mark.deep
 def test_direct_light_on_a_bright_floor_agrees_in_five_pipelines() -> None:
-    """Within 5 %, without bounces and captured light: the lit side of the matte ball, its shadow, and the lit floor."""
+    """Without bounces and captured light, the lit side of a ball, its shadow and the lit floor agree within 5 %."""
     frames = {pipeline: rendered(pipeline, 0.75, catches=True, lights_only=True) for pipeline in ls.Pipeline}
     truth = frames[ls.Pipeline.HYBRID]
     assert truth.shadow_ratio is not None
@@ -104,7 +104,7 @@ def test_direct_light_on_a_bright_floor_agrees_in_five_pipelines() -> None:
 
 
 def test_bounced_light_agrees_in_the_pipelines_that_trace_bounces() -> None:
-    """Within 5 %: the matte ball, which a bright floor lights from below."""
+    """A matte ball that a bright floor lights from below agrees within 5 %."""
     with_bounces = [rendered(pipeline, 0.75, catches=True) for pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)]
     without = rendered(ls.Pipeline.HYBRID, 0.75, catches=True)
     ball = within(without.instance_index == 1)
@@ -116,7 +116,7 @@ def test_bounced_light_agrees_in_the_pipelines_that_trace_bounces() -> None:
 
 @pytest.mark.parametrize("number", [2, 3, 4], ids=["rough metal", "mirror", "glass"])
 def test_reflections_agree_in_the_pipelines_that_trace_rays(number: int) -> None:
-    """Within 5 %, with default settings, on a capture that catches no shadows.
+    """With default settings, reflections of a capture that catches no shadows agree within 5 %.
 
     Real-time mirrors are left out: they show rough metals without their reflections.
     """
@@ -133,7 +133,7 @@ def test_reflections_agree_in_the_pipelines_that_trace_rays(number: int) -> None
     "pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda one: one.value
 )
 def test_default_samples_antialias_meshes_and_leave_captures_unchanged(pipeline: ls.Pipeline) -> None:
-    """The ball's edges have intermediate values; pixels of the capture only equal the unlit frame's to the bit."""
+    """Edges of a ball have intermediate values; pixels that show only the capture have the bits of the unlit frame."""
     environment = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
     lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [environment])
     camera = CAMERA.scaled(240)

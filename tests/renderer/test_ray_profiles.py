@@ -21,14 +21,14 @@ MIXED = ls.Scene([random_gaussians(2, count=150), PLACED], [quad(4.6, tilt=0.3)]
 
 
 def some_rays(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from around the origin to around the scenes."""
+    """Returns rays from around the origin to around the scenes."""
     rng = np.random.default_rng(seed)
     origins = rng.normal(scale=0.2, size=(count, 3))
     return origins, rng.normal((0.0, 0.0, 4.0), (1.0, 0.7, 0.3), (count, 3)) - origins
 
 
 def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **trace: Any) -> ls.rays.RayProfile:
-    """The profile of rays, with settings of the tracer."""
+    """Returns the profile of rays, with settings of the tracer."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(**trace))
     profile = ls.trace_rays(scene, origins, directions, config, profile=True, device="cpu").profile
     assert profile is not None
@@ -37,7 +37,7 @@ def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **tra
 
 @pytest.mark.parametrize("order", ["peak", "mean", "hull"])
 def test_ray_profiles_equal_the_float64_twin(order: str) -> None:
-    """Index, distance, alpha and transmittance of each Gaussian are equal, except within float32 rounding."""
+    """Index, distance, alpha and transmittance of each Gaussian are equal up to float32 rounding."""
     origins, directions = some_rays(150)
     profile = profiled(MIXED, origins, directions, hit_distance=order)
     world = world_of(MIXED, ls.RenderConfig(trace=ls.TraceConfig(hit_distance=ls.config.HitDistance(order))))
@@ -76,7 +76,7 @@ def test_transmittances_of_a_ray_profile_are_products_of_its_alphas() -> None:
 
 
 def test_ray_profiles_do_not_depend_on_the_trace_strategy() -> None:
-    """Stochastic strategies and path tracing give the same profiles."""
+    """Stochastic strategies and path tracing give the profiles of the sorted strategy."""
     origins, directions = some_rays(50)
     exact = profiled(MIXED, origins, directions)
     for strategy in ("stochastic-hit", "stochastic-pass"):
@@ -89,7 +89,7 @@ def test_ray_profiles_do_not_depend_on_the_trace_strategy() -> None:
 
 
 def test_ray_profiles_do_not_depend_on_the_size_of_the_hit_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Holds even if one ray has more hits than the buffer."""
+    """The profiles are equal even if one ray has more hits than the buffer."""
     origins, directions = some_rays(60)
     whole = profiled(MIXED, origins, directions)
     monkeypatch.setattr(rays_module, "PROFILE_ROWS", 5)
@@ -116,7 +116,7 @@ def test_ray_ranges_of_profiles_respect_the_limit_of_hits(monkeypatch: pytest.Mo
 
 
 def test_rays_without_hits_have_empty_profiles() -> None:
-    """Covers an empty scene, rays beside a Gaussian, and no rays at all."""
+    """The scene is empty, the rays miss a Gaussian, or there are no rays."""
     away = np.array([[0.0, 1.0, 0.0]])
     for scene in (ls.Scene(), ls.Scene([one_gaussian()]), ls.Scene([], [quad(3.0)])):
         assert profiled(scene, np.zeros((1, 3)), away).first.tolist() == [0, 0]
@@ -139,7 +139,7 @@ CAMERAS = {
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_camera_can_be_focused_on_the_surface_at_a_pixel(name: str) -> None:
-    """The focus distance is the frame's view depth, or the distance for a fisheye, on Gaussians and meshes."""
+    """On Gaussians and meshes, the focus distance is the frame's view depth, or the distance for a fisheye."""
     scene, camera = ls.Scene([one_gaussian((-0.6, 0.0, 3.0), opacity=0.9)], [quad(4.0, tilt=0.2)]), CAMERAS[name]
     frame = ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
     depth = frame.depth if name == "fisheye" else frame.depth_z
@@ -153,7 +153,7 @@ def test_camera_can_be_focused_on_the_surface_at_a_pixel(name: str) -> None:
 
 
 def test_surface_in_focus_is_as_sharp_as_with_a_pinhole() -> None:
-    """With a wide aperture, the texture at the pixel is as sharp as with a pinhole, and nearer objects are not."""
+    """The aperture is wide; nearer objects are blurred."""
     rng = np.random.default_rng(2)
     texture = rng.integers(0, 2, (16, 16, 3), np.uint8) * 255
     uvs = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
@@ -187,6 +187,6 @@ def test_focusing_on_a_pixel_without_a_surface_is_refused(pixel: tuple[Any, Any]
 
 
 def test_renderer_of_the_raster_pipeline_refuses_to_focus_a_camera() -> None:
-    """A rasterised pipeline has no lens to focus."""
+    """Rasterised frames have no lens to focus."""
     with pytest.raises(ls.ConfigError, match="this one rasterises"):
         ls.create_renderer(device="cpu").focused(ls.Scene([one_gaussian()]), front_camera(), 32, 24)

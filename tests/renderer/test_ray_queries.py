@@ -20,19 +20,19 @@ ORIGIN = np.zeros((1, 3))
 
 
 def tracer(**trace: object) -> ls.Renderer:
-    """A renderer that traces on the CPU."""
+    """Returns a renderer that traces on the CPU."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=replace(ls.TraceConfig(), **trace))
     return ls.create_renderer(config, "cpu")
 
 
 def stack(*opacities: float) -> ls.Gaussians:
-    """Gaussians centred on the axis at z = 3, 4, 5 and so on."""
+    """Returns Gaussians centred on the axis at z = 3, 4, 5 and so on."""
     return joined(*(one_gaussian((0.0, 0.0, 3.0 + i), opacity=opacity) for i, opacity in enumerate(opacities)))
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_query_of_zero_rays_in_a_lit_scene_returns_empty_arrays(pipeline: ls.Pipeline) -> None:
-    """Zero rays in any scene give arrays without rows."""
+    """Arrays of radiance and hits have no rows."""
     scene = ls.Scene([stack(0.5)], [quad(4.0)], [ls.LightPoint((0.0, 0.0, 0.0))])
     none = np.zeros((0, 3))
     hits = ls.trace_rays(scene, none, none, ls.RenderConfig(pipeline=pipeline), device="cpu")
@@ -40,7 +40,7 @@ def test_query_of_zero_rays_in_a_lit_scene_returns_empty_arrays(pipeline: ls.Pip
 
 
 def test_transmittance_query_is_the_product_over_gaussians_before_the_ray_end() -> None:
-    """The product is over the Gaussians whose mean is in front of the ray's end."""
+    """The product is over the Gaussians whose mean is in front of the end of the ray."""
     scene = ls.Scene([stack(0.5, 0.8, 0.3)])
     distances = np.array([2.5, 3.5, 4.5, 5.5, math.inf])
     through = ls.transmittance(scene, np.zeros((5, 3)), np.repeat(AHEAD, 5, axis=0), distances, device="cpu")
@@ -49,7 +49,7 @@ def test_transmittance_query_is_the_product_over_gaussians_before_the_ray_end() 
 
 
 def test_transmittance_query_equals_the_transmittance_of_sorted_rays() -> None:
-    """In any order, the product equals the transmittance of sorted rays, except below the threshold."""
+    """The product in any order equals the transmittance of sorted rays, except below the minimum transmittance."""
     rng = np.random.default_rng(5)
     scene = ls.Scene([random_gaussians(70, count=400)])
     origins, directions = rng.normal((0.0, 0.0, 4.0), 2.0, (500, 3)), rng.normal(size=(500, 3))
@@ -60,7 +60,7 @@ def test_transmittance_query_equals_the_transmittance_of_sorted_rays() -> None:
 
 
 def test_meshes_block_all_transmittance_of_a_query() -> None:
-    """A mesh of any material blocks; a segment that ends in front of it is not blocked."""
+    """A mesh of any material blocks; a segment that ends in front of the mesh is not blocked."""
     glass = ls.MaterialPbr(transmission=1.0, roughness=0.0)
     scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass)])
     aside = np.array([0.3, 0.2, 0.0])
@@ -71,7 +71,7 @@ def test_meshes_block_all_transmittance_of_a_query() -> None:
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_gaussian_whose_peak_is_behind_a_wall_adds_no_colour_and_no_shadow(hit_distance: ls.config.HitDistance) -> None:
-    """Even if its hull reaches through the wall, the Gaussian adds no colour and no shadow in front."""
+    """The hull of the Gaussian reaches through the wall."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 5.0), 0.5, opacity=0.95)], [quad(4.0, material=ls.MaterialPbr())])
     renderer = tracer(hit_distance=hit_distance)
     hits = renderer.trace_rays(behind, [[0.1, 0.05, 0.0]], AHEAD)
@@ -83,7 +83,7 @@ def test_gaussian_whose_peak_is_behind_a_wall_adds_no_colour_and_no_shadow(hit_d
 
 
 def test_queried_rays_through_pixels_have_the_colours_of_a_frame() -> None:
-    """Rays through pixels give the colours of a frame without footprint, whatever their lengths and order."""
+    """The frame is traced without footprint; the rays have any length and order."""
     scene, camera = ls.Scene([random_gaussians(71)], [quad(4.0, 0.6, tilt=0.3)]), front_camera()
     frame = tracer(dilation=0.0).render(scene, camera)
     directions = camera.ray_directions().reshape(-1, 3) @ camera.camera_from_world[:3, :3]
@@ -110,7 +110,7 @@ def test_results_of_ray_queries_do_not_depend_on_the_batch_size(monkeypatch: pyt
 
 
 def test_ray_queries_of_many_sizes_share_buffers() -> None:
-    """Queries with ever other numbers of rays use a few buffers."""
+    """Queries of many different numbers of rays use the buffers of the largest."""
     renderer, scene = tracer(), ls.Scene([stack(0.5)])
     renderer.trace_rays(scene, np.zeros((900, 3)), np.repeat(AHEAD, 900, axis=0))
     allocations, views = renderer._buffers.allocations, len(renderer._buffers._views)
@@ -121,21 +121,21 @@ def test_ray_queries_of_many_sizes_share_buffers() -> None:
 
 
 def test_ray_query_uses_a_single_origin_for_all_directions() -> None:
-    """The result equals that of a repeated origin."""
+    """The result equals that of an origin repeated for each ray."""
     scene, directions = ls.Scene([random_gaussians(73)]), np.random.default_rng(9).normal((0, 0, 3), 1.0, (50, 3))
     one, many = (ls.trace_rays(scene, o, directions, device="cpu") for o in ((0, 0, 1), np.tile((0, 0, 1), (50, 1))))
     np.testing.assert_array_equal(one.radiance, many.radiance)
 
 
 def test_queries_of_zero_rays_and_zero_transmittances_raise_no_error() -> None:
-    """Zero rays give empty arrays."""
+    """The functions return empty arrays."""
     hits = ls.trace_rays(ls.Scene([stack(0.5)]), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu")
     assert len(hits) == 0 and hits.radiance.shape == (0, 3)
     assert ls.transmittance(ls.Scene(), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu").shape == (0,)
 
 
 def test_ray_whose_colour_overflows_is_black_and_logged(caplog: pytest.LogCaptureFixture) -> None:
-    """A ray whose colour overflows is black; a log line counts such rays."""
+    """A log line counts such rays."""
     wild = ls.Gaussians([[0.0, 0.0, 3.0]], [[1, 0, 0, 0]], [[0.2] * 3], [0.9], np.full((1, 16, 3), 3e38))
     hits = ls.trace_rays(ls.Scene([wild]), np.zeros((2, 3)), [[0, 0, 1], [0, 0, -1]], device="cpu")
     np.testing.assert_array_equal(hits.radiance, 0.0)
@@ -157,7 +157,7 @@ def test_ray_whose_colour_overflows_is_black_and_logged(caplog: pytest.LogCaptur
     ],
 )
 def test_ray_queries_refuse_invalid_origins_and_directions(origins: Any, directions: Any, message: str) -> None:
-    """One message counts them, without NumPy warnings."""
+    """One message counts the invalid rays, without NumPy warnings."""
     with warnings.catch_warnings(), pytest.raises(ls.SceneError, match=message):
         warnings.simplefilter("error")
         ls.trace_rays(ls.Scene([stack(0.5)]), origins, directions, device="cpu")
@@ -173,7 +173,7 @@ def test_ray_queries_refuse_invalid_origins_and_directions(origins: Any, directi
     ],
 )
 def test_ray_queries_refuse_invalid_maximum_distances(distance: Any, message: str) -> None:
-    """One message counts them, without NumPy warnings."""
+    """One message counts the invalid distances, without NumPy warnings."""
     with pytest.raises(ls.SceneError, match=message):
         ls.transmittance(ls.Scene([stack(0.5)]), ORIGIN, AHEAD, distance, device="cpu")
 
@@ -186,7 +186,7 @@ def test_renderer_of_the_raster_pipeline_refuses_ray_queries() -> None:
 
 @pytest.mark.data
 def test_result_of_a_queried_ray_does_not_depend_on_other_rays(data_dir: Path) -> None:
-    """Parallel rays from all directions have the same result alone and in any company."""
+    """Parallel rays through a capture have equal results alone and together."""
     capture = ls.load(data_dir / "splats" / "biker.compressed.ply")
     assert isinstance(capture, ls.Gaussians)
     rng = np.random.default_rng(9)

@@ -1,4 +1,4 @@
-"""Renderers whose settings change: frames equal those of a new renderer, on assets that stay on the device."""
+"""Renderers whose settings change: frames equal those of a new renderer, and assets stay on the device."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 def images_of(renderer: ls.Renderer) -> list[np.ndarray]:
-    """All images of the second frame, which depends on the first in real time."""
+    """Returns all images of the second frame, which depends on the first in real time."""
     renderer.render(LIT, CAMERA)
     frame = renderer.render(LIT, CAMERA)
     return [np.array(getattr(frame, name)) for name in IMAGES]
 
 
 def test_reconfigured_renderer_equals_a_new_renderer() -> None:
-    """Bit-equal, there and back through settings of all pipelines."""
+    """The bits are equal, there and back through settings of all pipelines."""
     renderer = ls.create_renderer(BASE, "cpu")
     expected: dict[str, list[np.ndarray]] = {}
     for name in [*SETTINGS, *reversed(SETTINGS)]:
@@ -106,7 +106,7 @@ def test_refused_settings_leave_a_reconfigured_renderer_unchanged() -> None:
 
 
 def test_reconfiguring_a_differentiable_renderer_updates_its_gradients() -> None:
-    """Gradients equal those of a new renderer; settings that the class refuses change nothing."""
+    """Gradients equal those of a new renderer; settings without gradients are refused and change nothing."""
     scene = ls.Scene([random_gaussians(1, count=60)])
     raster, trace = (ls.RenderConfig(pipeline=pipeline) for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE))
     given = np.ones((CAMERA.height, CAMERA.width, 3))
@@ -128,7 +128,7 @@ def test_reconfiguring_a_differentiable_renderer_updates_its_gradients() -> None
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
 def test_developing_a_frame_with_another_tone_map_takes_no_new_samples(pipeline: str) -> None:
-    """The last frame gets another tone map and exposure, on the device or from its arrays."""
+    """The last frame gets another tone map and exposure, from the film on the device or from the frame's arrays."""
     config = replace(BASE, pipeline=ls.Pipeline(pipeline))
     shown = replace(config, tone_map=ls.ToneMap.AGX)
     expected = ls.create_renderer(shown, "cpu").render(LIT, replace(CAMERA, exposure=1.0), encode=True)
@@ -146,7 +146,7 @@ def test_developing_a_frame_with_another_tone_map_takes_no_new_samples(pipeline:
 
 
 def test_changing_the_tone_map_keeps_the_history_of_a_realtime_sequence() -> None:
-    """The history of a real-time sequence is kept to the bit."""
+    """The next frame has the bits of a sequence whose tone map was never changed."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     changed, same = (ls.create_renderer(config, "cpu") for _ in range(2))
     for renderer in (changed, same):
@@ -156,7 +156,7 @@ def test_changing_the_tone_map_keeps_the_history_of_a_realtime_sequence() -> Non
 
 
 def test_frame_with_mesh_catchers_is_developed_from_its_images_not_the_film() -> None:
-    """A frame with shadows on catcher meshes is developed from its arrays, as the film does not contain them."""
+    """The film does not contain the shadows on mesh catchers."""
     catcher = ls.MeshInstance(ls.box(4.0), position=(0.0, 3.0, 4.0), shadow_catcher=True)
     scene = replace(LIT, meshes=(*LIT.meshes, catcher))
     renderer = ls.create_renderer(BASE, "cpu")

@@ -24,7 +24,7 @@ def settings(pipeline: ls.Pipeline = ls.Pipeline.PATH, samples: int = 38, **chan
 
 
 def part_of(values: np.ndarray, first: int, layer: np.ndarray) -> SamplePart:
-    """Returns a part of a frame of one pixel with these sample values; NaN samples are dropped."""
+    """Returns a part of a frame of one pixel with the given sample values; NaN samples are dropped."""
     valid = values[~np.isnan(values)].astype(np.float64)
     count = len(valid)
     mean = valid.mean() if count else 0.0
@@ -58,7 +58,7 @@ def test_merged_sample_sums_equal_the_sums_over_all_samples() -> None:
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.HYBRID])
 def test_frame_merged_from_two_renderers_has_the_bits_of_one_renderer(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """Two renderers in any order, through files, give the bits of one; a frame rendered at once is nearly equal."""
+    """The parts are rendered in any order and stored in files; a frame rendered at once is nearly equal."""
     config = settings(pipeline, shadows=ls.Shadows.SOFT, aovs=("albedo", "lights", "variance", "sample_count"))
     scene = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT)
     one, other = (ls.create_renderer(config, "cpu") for _ in range(2))
@@ -84,7 +84,7 @@ def test_frame_merged_from_two_renderers_has_the_bits_of_one_renderer(pipeline: 
 
 
 def test_merging_sample_parts_that_do_not_fit_is_refused() -> None:
-    """Each error is one line."""
+    """The parts overlap, leave a gap, belong to other frames, or are missing; each error is one line."""
     scene, renderer = lit_scene.scene(), ls.create_renderer(settings(samples=2), "cpu")
     part = ls.farm.render_samples(renderer, scene, CAMERA, range(2))
     with pytest.raises(ls.ConfigError, match="begins at sample 2, expected 0"):
@@ -111,7 +111,7 @@ def test_merging_sample_parts_that_do_not_fit_is_refused() -> None:
     ],
 )
 def test_frames_that_cannot_be_split_into_sample_parts_are_refused(config: ls.RenderConfig, message: str) -> None:
-    """Such frames are refused in one line."""
+    """Rasterised, real-time, and noise- or time-limited frames are refused in one line."""
     renderer = ls.create_renderer(config, "cpu")
     scene = ls.Scene() if config.pipeline is ls.Pipeline.RASTER else lit_scene.scene()
     with pytest.raises(ls.ConfigError, match=message):
@@ -119,7 +119,7 @@ def test_frames_that_cannot_be_split_into_sample_parts_are_refused(config: ls.Re
 
 
 def test_rasterised_frames_of_distorted_lenses_cannot_be_split_into_parts() -> None:
-    """Rasterised frames of distorted lenses are resampled, and hence refused."""
+    """Such frames are resampled, so that their samples cannot be merged."""
     renderer = ls.create_renderer(settings(ls.Pipeline.HYBRID), "cpu")
     with pytest.raises(ls.ConfigError, match="lens distortion"):
         ls.farm.render_samples(

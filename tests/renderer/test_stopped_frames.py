@@ -1,4 +1,4 @@
-"""Frames that are stopped at any time leave no trace in later frames."""
+"""Frames that are stopped at any time do not change later frames."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ CAMERA = front_camera(width=96, height=64)
 
 
 def after(count: int) -> Callable[[], bool]:
-    """A stop function that returns True from the given call on."""
+    """Returns a stop function that returns True from the given call on."""
     asked = itertools.count(1)
     return lambda: next(asked) >= count
 
 
 def renderer(pipeline: ls.Pipeline) -> ls.Renderer:
-    """A renderer with soft shadows on two threads, so that work is split into bands."""
+    """Returns a renderer with soft shadows on two threads, so that work is split into ranges."""
     config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.SOFT, samples=2)
     return ls.create_renderer(config, "cpu", threads=2)
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_stopped_frame_does_not_change_later_frames(pipeline: ls.Pipeline) -> None:
-    """Wherever it stopped, the next frame and a resumed frame equal those of a new renderer to the bit."""
+    """Wherever a frame was stopped, the next frame and a resumed frame have the bits of a new renderer."""
     expected = renderer(pipeline).render(LIT, CAMERA)
     for count in (1, 2, 7, 30, 90):
         used = renderer(pipeline)
@@ -47,7 +47,7 @@ def test_stopped_frame_does_not_change_later_frames(pipeline: ls.Pipeline) -> No
 
 
 def test_frame_is_complete_if_the_stop_function_returns_false() -> None:
-    """The stop function is polled throughout and returns False."""
+    """The stop function is called many times during the frame."""
     asked: list[bool] = []
     frame = renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA, stop=lambda: bool(asked.append(True)))
     assert len(asked) > 20
@@ -55,7 +55,7 @@ def test_frame_is_complete_if_the_stop_function_returns_false() -> None:
 
 
 def test_realtime_frames_ignore_the_stop_function() -> None:
-    """Real-time frames depend on each other and are always finished."""
+    """Real-time frames depend on one another and are always finished."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     frames = [ls.create_renderer(config, "cpu").render(LIT, CAMERA, stop=stop) for stop in (None, lambda: True)]
     np.testing.assert_array_equal(frames[0].color, frames[1].color)

@@ -1,4 +1,4 @@
-"""Frames of windows equal crops of the full image to the bit, including random numbers."""
+"""Frames of camera windows equal crops of the full image to the bit, including random numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from support.scenes.pipelines import SAMPLED
 from support.scenes.raster_scenes import checker_quad, front_camera, random_gaussians, similarity
 
 SCHEDULES = [backend for backend in BACKENDS if backend != "cpu as graph"]
-"""Both schedules on the CPU, and every GPU."""
+"""CPU schedule and CUDA schedule on the CPU, and every GPU."""
 DEVICES = [backend for backend in BACKENDS if not backend.startswith("cpu as")]
 WINDOWS = [(16, 0, 32, 16), (48, 32, 23, 21), (0, 16, 16, 37)]
 """Windows in an image of 71 x 53: at the upper edge, in the lower right corner, at the left and lower edge."""
@@ -51,7 +51,7 @@ def assert_crop(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> No
 def test_unlit_frame_of_a_window_equals_the_crop_of_the_full_image(
     strategy: ls.config.RasterStrategy, backend: str
 ) -> None:
-    """Sorted and stochastic, in both schedules, with Gaussians larger than windows and meshes with alpha."""
+    """Splats are sorted and stochastic, in both schedules; some are larger than the window, and meshes have alpha."""
     sheet = checker_quad(0.0)
     seen_through = replace(sheet.material, alpha=0.5, alpha_mode="blend")
     scene = ls.Scene(
@@ -69,7 +69,7 @@ def test_unlit_frame_of_a_window_equals_the_crop_of_the_full_image(
 @pytest.mark.parametrize("backend", DEVICES)
 @pytest.mark.parametrize("pipeline", SAMPLED)
 def test_lit_frame_of_a_window_equals_the_crop_of_the_full_image(pipeline: ls.Pipeline, backend: str) -> None:
-    """Covers soft shadows, mirrors, glass, captures and relit sets, with light layers."""
+    """The scene has soft shadows, mirrors, glass, captures and relit sets, and the frame has light layers."""
     aovs = ("albedo", "lights", "variance", "sample_count")
     if pipeline is ls.Pipeline.PATH:
         aovs += ("direct_diffuse", "indirect_diffuse", "indirect_glossy")
@@ -80,7 +80,7 @@ def test_lit_frame_of_a_window_equals_the_crop_of_the_full_image(pipeline: ls.Pi
 
 @pytest.mark.parametrize("name", RAY_CAMERAS)
 def test_traced_frame_of_a_window_equals_the_crop_for_all_lenses(name: str) -> None:
-    """Covers fisheye, thin lens, orthographic and rolling shutter."""
+    """The lenses are fisheye, thin lens, orthographic and rolling shutter."""
     camera = RAY_CAMERAS[name]
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
     assert_crop(ls.create_renderer(config, "cpu"), ls.Scene([layers(camera)]), camera)
@@ -89,7 +89,7 @@ def test_traced_frame_of_a_window_equals_the_crop_for_all_lenses(name: str) -> N
 @pytest.mark.parametrize("backend", SCHEDULES)
 @pytest.mark.parametrize("name", ["distorted fisheye", "rolling shutter"])
 def test_unscented_frame_of_a_window_equals_the_crop_of_the_full_image(name: str, backend: str) -> None:
-    """Covers sigma-point projection and pixel rays."""
+    """The unscented projection uses sigma points for bounds, and pixel rays."""
     camera = RAY_CAMERAS[name]
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     assert_crop(renderer_of(backend, config), ls.Scene([layers(camera)]), camera)
@@ -97,13 +97,13 @@ def test_unscented_frame_of_a_window_equals_the_crop_of_the_full_image(name: str
 
 @pytest.mark.parametrize("name", ["phone", "barrel"])
 def test_resampled_frame_of_a_window_equals_the_crop_of_the_full_image(name: str) -> None:
-    """Covers rasterised frames with lens distortion, resampled from a larger pinhole frame."""
+    """Rasterised frames with lens distortion are resampled from a larger pinhole frame."""
     camera = replace(LENSES[name], width=71, height=53, cx=36.0, cy=25.0, fx=60.0, fy=63.0)
     assert_crop(ls.create_renderer(None, "cpu"), ls.Scene([layers(camera)]), camera)
 
 
 def test_focus_pixel_of_a_windowed_camera_is_in_full_image_coordinates() -> None:
-    """The pixel to focus on is given in full-image coordinates, and host-side depth fits a window's frame."""
+    """The depth at a pixel of the window is that of the full image; so is the coverage of mattes."""
     camera = lens(60.0, SIZE, aperture=0.1)
     scene = ls.Scene([layers(camera)])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
@@ -127,7 +127,7 @@ def test_focus_pixel_of_a_windowed_camera_is_in_full_image_coordinates() -> None
     ],
 )
 def test_camera_refuses_invalid_windows(window: tuple[float, ...], message: str) -> None:
-    """The camera's constructor refuses them."""
+    """The constructor of the camera refuses windows outside the image or without pixels."""
     with pytest.raises(ls.SceneError, match=message):
         lens(60.0, SIZE, window=window)
 
@@ -144,14 +144,14 @@ def test_camera_refuses_invalid_windows(window: tuple[float, ...], message: str)
 def test_windowed_camera_is_refused_by_settings_that_need_the_full_image(
     settings: dict[str, Any], message: str
 ) -> None:
-    """One message instead of pixels that differ from the full image."""
+    """One message replaces pixels that would differ from the full image."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.ConfigError, match=message):
         ls.render(lit_scene.scene(), camera, ls.RenderConfig(**settings), device="cpu")
 
 
 def test_gradients_and_scaling_refuse_windowed_cameras() -> None:
-    """Gradients need the full image, and a camera with a window cannot be scaled."""
+    """Gradients need the full image, and a camera must be scaled before its window is set."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.SceneError, match="need the whole image"):
         ls.splat_gradients(ls.Scene([layers(camera)]), camera, dL_dcolor=np.ones((53, 71, 3)), device="cpu")

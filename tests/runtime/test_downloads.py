@@ -26,7 +26,7 @@ def vectors_of(*rows: tuple[float, float, float]) -> DeviceArray:
 
 @pytest.mark.parametrize("is_lazy", [False, True])
 def test_writes_after_copying_do_not_change_a_device_copy(is_lazy: bool) -> None:
-    """Copies hold the values at the time of copying, whenever and however they are read."""
+    """The copy has the values at the time of copying, whenever and however it is read."""
     lender, color, alpha = Downloads(is_lazy=is_lazy), vectors_of((1, 2, 3), (4, 5, 6)), array_of(0.5, 0.25)
     copies = lender.copies({"color": color, "alpha": alpha})
     color.fill_(7.0)
@@ -41,7 +41,7 @@ def test_writes_after_copying_do_not_change_a_device_copy(is_lazy: bool) -> None
 
 
 def test_reading_part_of_a_device_copy_downloads_only_that_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each read downloads just the words that it asks for."""
+    """Each read downloads only the 32-bit words that it asks for."""
     lender = Downloads(is_lazy=True)
     copies = lender.copies({"color": vectors_of((1, 2, 3), (4, 5, 6)), "alpha": array_of(0.5, 0.25)})
     copied: list[int] = []
@@ -59,7 +59,7 @@ def test_reading_part_of_a_device_copy_downloads_only_that_part(monkeypatch: pyt
 
 
 def test_host_blocks_with_a_live_view_are_not_reused() -> None:
-    """A single view keeps the host block in use; the next copies use other memory."""
+    """A single NumPy view keeps the host block in use; the next copies use other memory."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0, 3.0, 4.0)
     part = lender.copies({"a": source}).words("a", 1, 2).reshape(2, 1)
     assert lender.lent == {"host": 1, "device": 0}
@@ -73,7 +73,7 @@ def test_host_blocks_with_a_live_view_are_not_reused() -> None:
 
 
 def test_host_block_of_a_dropped_frame_is_reused_by_the_next_frame() -> None:
-    """Once nobody holds a frame, the next frame of its size reuses its block; another size gets a new one."""
+    """A frame of another size gets a new block."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0)
     first = lender.copies({"a": source}).words("a")
     address = first.ctypes.data
@@ -88,7 +88,7 @@ def test_host_block_of_a_dropped_frame_is_reused_by_the_next_frame() -> None:
 
 
 def test_number_of_frames_that_wait_on_the_device_is_limited() -> None:
-    """When a program holds many frames, the first few stay on the device and the others are downloaded at once."""
+    """If a program keeps many frames, the first few stay on the device, and the others are downloaded at once."""
     lender = Downloads(is_lazy=True)
     kept = [lender.copies({"a": array_of(float(number))}) for number in range(FRAME_BLOCKS_MAX + 2)]
     lazy = [isinstance(copies, DeviceCopies) for copies in kept]
@@ -99,7 +99,7 @@ def test_number_of_frames_that_wait_on_the_device_is_limited() -> None:
 
 
 def test_number_of_frames_in_page_locked_memory_is_limited() -> None:
-    """When a program holds many images, a few frames use page-locked memory and the others ordinary memory."""
+    """If a program keeps many images, a few use page-locked memory, and the others ordinary memory."""
     lender = Downloads(is_lazy=True)
     kept = [lender.copies({"a": array_of(number, 9.0)}).words("a", 0, 1) for number in range(FRAME_BLOCKS_MAX + 2)]
     assert lender.lent == {"host": FRAME_BLOCKS_MAX, "device": 0}
@@ -121,7 +121,7 @@ def test_frames_are_downloaded_at_once_if_the_device_memory_is_full(monkeypatch:
 
 
 def test_memory_block_may_be_returned_while_another_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A garbage collection on the same thread may return a block at that moment, without deadlock or loss."""
+    """A garbage collection on the same thread may return a block while one is taken, without deadlock or loss."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)})]
     make = downloads._empty  # pyright: ignore[reportPrivateUsage]
@@ -138,7 +138,7 @@ def test_memory_block_may_be_returned_while_another_is_taken(monkeypatch: pytest
 
 
 def test_concurrent_threads_respect_the_limit_of_memory_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two threads compete for the last block while the first is still allocating; only one gets it."""
+    """Two threads compete for the last block while the first thread is still allocating; only one gets the block."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)}) for _ in range(FRAME_BLOCKS_MAX - 1)]
     make = downloads._empty  # pyright: ignore[reportPrivateUsage]

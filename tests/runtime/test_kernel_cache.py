@@ -20,7 +20,7 @@ from lumisplat.runtime.kernel_cache import load_module, remove_abandoned_headers
 
 @pytest.fixture
 def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A kernel in a module and cache of its own, compiled but not loaded."""
+    """Returns a kernel in a separate module and cache, compiled but not loaded."""
     wp.init()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path))
 
@@ -67,7 +67,7 @@ def test_damaged_modules_in_the_kernel_cache_are_recompiled(kernel, tmp_path, ca
 
 
 def test_intact_kernel_cache_is_left_unchanged_without_warning(kernel, tmp_path, caplog) -> None:
-    """No warning, and the same files."""
+    """The files keep their contents."""
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     load_module(kernel.module, "cpu", 1)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
@@ -75,14 +75,14 @@ def test_intact_kernel_cache_is_left_unchanged_without_warning(kernel, tmp_path,
 
 
 def test_kernel_cache_folders_with_names_not_in_utf8_are_refused(kernel, tmp_path, monkeypatch) -> None:
-    """Warp passes names as UTF-8, so any other folder name is one clear error."""
+    """Warp passes names as UTF-8, so that any other folder name raises one clear error."""
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / os.fsdecode(b"fa\xe7ade")))
     with pytest.raises(DeviceError, match="WARP_CACHE_PATH to another folder"):
         load_module(kernel.module, "cpu", 1)
 
 
 def test_kernel_cache_folder_inside_a_file_raises_an_error_with_the_reason(kernel, tmp_path, monkeypatch) -> None:
-    """A cache folder inside a file is reported with place, reason and advice, to programs and commands alike."""
+    """The error names the folder, the reason and the environment variable to set."""
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / "file" / "kernels"))
     with pytest.raises(DeviceError, match=r"file.*cannot be stored here \(Not a directory\).*WARP_CACHE_PATH"):
@@ -109,6 +109,6 @@ def test_header_folders_of_killed_compilations_are_removed(tmp_path, monkeypatch
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
 def test_compilation_writes_its_process_id_to_its_header_folder(kernel) -> None:
-    """The header folder of Warp's compiler holds this process's id."""
+    """The header folder of Warp's compiler contains the id of the compiling process."""
     folder = wp._src.context.runtime.get_clang_pch_dir()  # pyright: ignore[reportPrivateUsage, reportAttributeAccessIssue]
     assert Path(cast(str, folder), "lumisplat.pid").read_text() == f"{os.getpid()}"

@@ -1,4 +1,4 @@
-"""Launches, bands and buffers."""
+"""Launches of kernels, ranges of threads, and buffers."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from support.kernels import package_modules
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
 @pytest.mark.parametrize("bands", [None, 1, 7])
 def test_thread_ranges_of_a_launch_cover_every_item_once(count: int, bands: int | None) -> None:
-    """However a launch is cut into bands, each item runs exactly once."""
+    """Each item runs exactly once, however a launch is cut into ranges."""
     order = wp.array(np.full(count, -1, np.int32), dtype=wp.int32, device="cpu")
     Launcher("cpu", threads=3).run_banded(binning_kernels.fill_identity, count, order, bands=bands)
     np.testing.assert_array_equal(order.numpy(), np.arange(count))
 
 
 def test_stage_times_accumulate_under_the_name_of_the_stage() -> None:
-    """A stage that runs twice is reported once, with the sum of both times."""
+    """A stage that runs twice is reported once, with the sum of its times."""
     launcher = Launcher("cpu")
     for _ in range(2):
         with launcher.stage("work"):
@@ -46,21 +46,21 @@ def test_stage_times_accumulate_under_the_name_of_the_stage() -> None:
 
 @pytest.mark.parametrize("name", ["cuda:99", "tpu", "", "cpu:1"])
 def test_error_for_a_missing_device_lists_the_available_devices(name: str) -> None:
-    """A missing device is refused with a list of the available ones."""
+    """The name of the device is unknown, or its number does not exist."""
     with pytest.raises(DeviceError, match=r"use auto or one of cpu"):
         resolve_device(name)
 
 
 @pytest.mark.parametrize("threads", [0, -1])
 def test_launcher_with_zero_threads_is_refused(threads: int) -> None:
-    """Zero threads are an error, and do not mean all cores."""
+    """Zero threads do not mean all cores."""
     with pytest.raises(ConfigError, match="threads is"):
         Launcher("cpu", threads=threads)
 
 
 @pytest.fixture
 def joining(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """An event that is set once the launcher waits for its jobs, after it has cancelled pending ones."""
+    """Returns an event that is set once the launcher waits for its jobs, after it has cancelled pending ones."""
     event = threading.Event()
 
     def waited(jobs: Sequence[Future[None]], *how: Any) -> Any:
@@ -73,7 +73,7 @@ def joining(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 
 
 def test_failed_launch_waits_for_the_threads_that_still_run(joining: threading.Event) -> None:
-    """When one band fails, no other starts, and none still writes to the arrays once the error is raised."""
+    """When one range of items fails, no other starts, and none still writes to arrays once the error is raised."""
     started = threading.Event()
     begun: list[int] = []
     finished: list[int] = []
@@ -123,13 +123,13 @@ def test_memory_limits_are_read_only_before_allocating_large_arrays(monkeypatch:
 
 @pytest.mark.parametrize("size", [2**40, 2**55])
 def test_out_of_memory_raises_an_error_that_names_device_and_buffer(size: int) -> None:
-    """An impossible allocation names the device and the buffer, before the system kills the process."""
+    """An impossible allocation raises the error before the system kills the process."""
     with pytest.raises(DeviceError, match=r"cpu.*'huge'"):
         Buffers("cpu").get("huge", wp.float64, size)
 
 
 def test_time_of_nested_stages_is_not_counted_twice() -> None:
-    """The outer stage gets the time that its inner stages leave; together they are the elapsed time."""
+    """The outer stage gets the time outside its inner stages; the sum of all is the elapsed time."""
     launcher, now = Launcher("cpu"), [5.0]
     launcher.clock = lambda: now[0]
     with launcher.stage("outer"):
@@ -140,7 +140,7 @@ def test_time_of_nested_stages_is_not_counted_twice() -> None:
 
 
 def test_stages_are_timed_separately_for_each_pass():
-    """The same stage in two passes has two times; time outside stages counts for the pass."""
+    """A stage that runs in two passes has two times; time outside stages counts for the pass."""
     launcher, now = Launcher("cpu", threads=1), [5.0]
     launcher.clock = lambda: now[0]
     for name in ("first", "second"):
@@ -153,7 +153,7 @@ def test_stages_are_timed_separately_for_each_pass():
 
 
 def test_devices_without_memory_pools_capture_no_graphs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A device that cannot allocate during capture runs the work every time; the third frame equals the first."""
+    """A device that cannot allocate during capture launches each kernel every time; frame three equals the first."""
     launcher, runs = Launcher("cpu"), []
     launcher.is_cuda = True
     monkeypatch.setattr(wp, "get_device", lambda _: SimpleNamespace(is_mempool_enabled=False))
@@ -166,7 +166,7 @@ def test_devices_without_memory_pools_capture_no_graphs(monkeypatch: pytest.Monk
 def test_memory_pool_of_a_gpu_retains_scratch_memory(
     monkeypatch: pytest.MonkeyPatch, enabled: bool, before: int, after: int
 ) -> None:
-    """A GPU's memory pool retains memory across waits, and never less than the program has set."""
+    """The pool retains memory across waits, and never less than the program has set."""
     thresholds = {"cuda:0": before}
     monkeypatch.setattr(wp, "get_device", lambda _: SimpleNamespace(is_mempool_enabled=enabled))
     monkeypatch.setattr(wp, "get_mempool_release_threshold", thresholds.__getitem__)
@@ -180,7 +180,7 @@ def test_memory_pool_of_a_gpu_retains_scratch_memory(
 
 
 def test_loading_kernels_reports_progress_after_every_module() -> None:
-    """The reported fraction grows module by module, on the caller's thread."""
+    """The reported fraction grows module by module, on the thread of the caller."""
     heard: list[tuple[float, threading.Thread]] = []
     modules = [binning_kernels, camera_ray_kernels, film_kernels]
     Launcher("cpu", threads=2).load(modules, lambda _, share: heard.append((share, threading.current_thread())))
@@ -231,7 +231,7 @@ def test_kernels_of_a_first_frame_compile_without_warnings(names: list[str], tmp
 
 
 def test_warp_prints_nothing_on_standard_output() -> None:
-    """Standard output has neither Warp's banner nor its module lines, so that programs can be piped."""
+    """Neither Warp's banner nor its module lines appear, so that output of programs can be piped."""
     program = (
         "import lumisplat as ls; ls.create_renderer(device='cpu'); print('mine'); help(ls.render); "
         "assert callable(ls.render), 'a module hides the function'"
@@ -243,7 +243,7 @@ def test_warp_prints_nothing_on_standard_output() -> None:
 def test_slow_kernel_compilation_is_announced_once_in_the_log(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One log line announces compilation; modules that load quickly are not announced."""
+    """Modules that load quickly are not announced."""
     said = threading.Event()
     monkeypatch.setattr(wp, "load_module", lambda *_, **__: None)
     monkeypatch.setattr("lumisplat.runtime.launcher.COMPILING_ANNOUNCED_S", 60.0)

@@ -18,7 +18,7 @@ UNLIMITED = 9223372036854771712
 
 @pytest.fixture
 def system(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """Returns a function that writes the process's membership, its mounts and the limits of groups."""
+    """Returns a function that writes the control groups of a process, its mounts and their limits."""
     monkeypatch.setattr(os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1000}.__getitem__)
     monkeypatch.setattr(memory, "_PROCESS", tmp_path)
 
@@ -63,7 +63,7 @@ V1 = [("/", "cpu", "cgroup", "rw,cpu"), ("/", "fs", "cgroup", "rw,memory"), ("/"
 def test_usable_memory_is_the_smallest_limit_of_machine_and_control_groups(
     system, cgroup, mounts, limits, expected
 ) -> None:
-    """Limits of parent groups count, limits of other groups and controllers do not."""
+    """Limits of parent groups count; limits of other groups and of other controllers do not."""
     system(cgroup, mounts, limits)
     assert memory.usable_memory() == expected
 

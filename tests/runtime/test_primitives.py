@@ -27,7 +27,7 @@ def test_device_sort_is_stable_and_compares_only_the_given_bits() -> None:
 
 
 def test_device_sort_that_fails_silently_raises_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without scratch memory the library returns normally and leaves a message, which is raised once per failure."""
+    """Without scratch memory, the library returns normally and leaves a message, which is raised once per failure."""
     message = b"Warp sort error: Failed to acquire radix sort buffer"
     sort = wp.utils.radix_sort_pairs
 
@@ -45,7 +45,7 @@ def test_device_sort_that_fails_silently_raises_a_device_error(monkeypatch: pyte
 
 
 def test_device_sort_is_retried_once_after_a_failed_allocation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After a failed allocation on a GPU, CUB's next sort reports that failure without sorting."""
+    """After a failed allocation on a GPU, CUB's next sort reports the old failure without sorting."""
     sort, tries = wp.utils.radix_sort_pairs, []
 
     def fail_once(*given: Any, **options: Any) -> None:
@@ -62,7 +62,7 @@ def test_device_sort_is_retried_once_after_a_failed_allocation(monkeypatch: pyte
 
 
 def test_device_sum_that_fails_raises_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library's error becomes one line, like that of any other allocation."""
+    """The error of the library becomes one line, like that of any other allocation."""
 
     def fail(*_: Any, **__: Any) -> None:
         raise RuntimeError("Warp CUDA error 2: out of memory\n(in function wp_alloc_device)")
@@ -74,7 +74,7 @@ def test_device_sum_that_fails_raises_a_device_error(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("name", ["array_scan", "radix_sort_pairs"])
 def test_device_sums_and_sorts_run_on_the_device_of_their_arrays(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library uses the thread's current CUDA context, which may belong to another GPU."""
+    """The library uses the current CUDA context of the thread, which may belong to another GPU."""
     entered: list[str] = []
     scoped = wp.ScopedDevice
 

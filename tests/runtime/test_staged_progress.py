@@ -1,4 +1,4 @@
-"""Staged progress, from the costs of finished pieces."""
+"""Progress over stages of work, from the costs of finished pieces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from lumisplat.progress import StagedProgress
 
 
 def test_staged_progress_follows_the_expected_costs_of_the_stages() -> None:
-    """Pieces before the first stage are not reported; progress waits at a stage's end, or jumps to it."""
+    """Pieces before the first stage are not reported; progress waits at the end of a stage, or jumps to it."""
     told: list[tuple[str, float]] = []
     pace = StagedProgress(lambda *now: told.append(now), "work")
     pace.plan({"cheap": 2.0, "free": 0.0, "dear": 8.0})

@@ -1,4 +1,4 @@
-"""Tables of structs on the device."""
+"""Tables of structs in device memory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_empty_struct_table_has_a_valid_address() -> None:
 
 
 def test_struct_tables_keep_the_arrays_of_their_rows_alive() -> None:
-    """A table holds addresses, so that the arrays must not be freed before it."""
+    """The table contains addresses, so that the arrays must not be freed before the table."""
     row = attributes(4)
     array = weakref.ref(row.scales)
     table = upload_structs([row], SplatAttributes, "cpu")

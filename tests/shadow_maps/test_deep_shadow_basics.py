@@ -25,12 +25,12 @@ SMALL = ls.config.DeepShadowConfig(resolution=256, bins=64)
 
 
 def ball(**changes: Any) -> ls.Gaussians:
-    """One wide, dense Gaussian at the origin."""
+    """Returns one wide, dense Gaussian at the origin."""
     return one_gaussian((0.0, 0.0, 0.0), scale=0.3, opacity=0.95, **changes)
 
 
 def behind(casters: Any, light: Any = LIGHT, config: ls.config.DeepShadowConfig = SMALL, **options: Any) -> np.ndarray:
-    """Transmittance to the point `BEHIND`."""
+    """Returns the transmittance to the points `BEHIND`."""
     return ls.DeepShadowMap.build(casters, light, BEHIND, config, device="cpu", **options).transmittance(BEHIND)
 
 
@@ -56,7 +56,7 @@ def test_deep_shadow_map_shadows_points_behind_the_caster_and_not_beside_it() ->
     ids=lambda light: type(light).__name__,
 )
 def test_deep_shadow_maps_of_all_light_types_at_one_position_are_equal(light: Any) -> None:
-    """Lights of any kind are treated as points."""
+    """All lights are treated as points."""
     np.testing.assert_array_equal(behind(ball(), light), behind(ball()))
 
 
@@ -72,13 +72,13 @@ def test_deep_shadow_maps_accept_sets_instances_scenes_and_lists_as_casters() ->
 
 
 def test_scaled_instance_casts_the_deep_shadow_of_its_size() -> None:
-    """A set of half the size, scaled by two, casts the shadow of the set itself."""
+    """A set of half the size, scaled by two, casts the shadow of the original set."""
     half = replace(ball(), scales=ball().scales * np.float32(0.5))
     np.testing.assert_allclose(behind(ls.SplatInstance(half, np.diag([2.0, 2.0, 2.0, 1.0]))), behind(ball()), atol=1e-6)
 
 
 def test_transmittances_of_two_casters_multiply_in_a_deep_shadow_map() -> None:
-    """Optical depths add."""
+    """The optical depths of the casters add up."""
     other = one_gaussian((0.1, 0.0, 1.0), scale=0.4, opacity=0.5)
     np.testing.assert_allclose(behind([ball(), other]), behind(ball()) * behind(other), rtol=1e-4)
     np.testing.assert_array_equal(behind([ball(), other]), behind(joined(ball(), other)))
@@ -86,7 +86,7 @@ def test_transmittances_of_two_casters_multiply_in_a_deep_shadow_map() -> None:
 
 @pytest.fixture
 def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
-    """Counts meshes converted to Gaussians, with fewer Gaussians than usual to save time."""
+    """Returns a counter of meshes converted to Gaussians; conversions use fewer Gaussians than usual, to save time."""
     calls: list[ls.Mesh] = []
     monkeypatch.setattr(
         casters_and_receivers, "sample_surface", lambda mesh: calls.append(mesh) or sample_surface(mesh, 4000)
@@ -95,7 +95,7 @@ def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
 
 
 def test_meshes_are_opaque_casters_of_deep_shadow_maps(sampled: list[ls.Mesh], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mesh is opaque in its middle, also one that an instance stretches or mirrors."""
+    """A mesh is opaque in its middle, also if an instance stretches or mirrors it."""
     sphere = icosphere(radius=0.5)
     with monkeypatch.context() as plain:
         plain.setattr(casters_and_receivers, "sample_surface", sample_surface)
@@ -117,7 +117,7 @@ def test_deep_shadow_map_converts_a_moving_mesh_to_gaussians_once(sampled: list[
 
 
 def test_deep_shadow_map_keeps_the_gaussians_of_a_deforming_mesh(sampled: list[ls.Mesh]) -> None:
-    """Poses of the same triangles are one surface, whose Gaussians follow the pose."""
+    """Poses with the same triangles are one surface, whose Gaussians follow the pose."""
     sphere = icosphere(radius=0.5)
     moved = replace(sphere, positions=sphere.positions * np.array([8.0, 1.0, 1.0], np.float32), normals=None)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
@@ -143,7 +143,7 @@ def test_mesh_that_reappears_casts_the_same_deep_shadow(sampled: list[ls.Mesh]) 
 
 
 def test_deep_shadow_map_caches_a_bounded_number_of_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The most recently used ones are cached."""
+    """The most recently used meshes are cached."""
     assert casters_and_receivers.SURFACES_HELD < 1000
     monkeypatch.setattr(casters_and_receivers, "SURFACES_HELD", 3)
     monkeypatch.setattr(casters_and_receivers, "sample_surface", partial(sample_surface, count=10))
@@ -156,7 +156,7 @@ def test_deep_shadow_map_caches_a_bounded_number_of_meshes(monkeypatch: pytest.M
 
 
 def test_light_at_the_centre_of_a_caster_passes_half_its_optical_depth() -> None:
-    """The direction does not matter."""
+    """The transmittance is equal in all directions."""
     points = np.array([[3.0, 0.0, 0.0], [0.0, -3.0, 0.0], [-1.0, 2.0, 1.5]], np.float32)
     config = replace(SMALL, bins=256)
     seen = ls.DeepShadowMap.build(ball(), (0.0, 0.0, 0.0), points, config, device="cpu").transmittance(points)
@@ -164,7 +164,7 @@ def test_light_at_the_centre_of_a_caster_passes_half_its_optical_depth() -> None
 
 
 def test_deep_shadow_map_of_a_sun_includes_casters_at_any_distance() -> None:
-    """A caster far towards the sun casts a shadow; one behind the receivers casts none."""
+    """A caster far towards the sun casts a shadow; a caster behind the receivers casts none."""
     sun = ls.LightDirectional((0.0, 0.0, 1.0))
     for z, expected in ((-50.0, 0.05), (0.0, 0.05), (60.0, 1.0)):
         caster = replace(ball(), means=np.array([[0.0, 0.0, z]], np.float32))
@@ -186,7 +186,7 @@ def test_deep_shadow_map_with_empty_receivers_warns_and_is_lit(
 
 
 def test_region_radius_of_a_deep_shadow_map_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
-    """A log line reports if no receiver is within the radius."""
+    """A warning is logged if no receiver is within the radius."""
     points = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 4.0]], np.float32)
     config = replace(SMALL, region_radius=2.0)
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, points, config, device="cpu")
@@ -198,7 +198,7 @@ def test_region_radius_of_a_deep_shadow_map_leaves_far_receivers_lit(caplog: pyt
 
 
 def test_region_radius_of_a_deep_shadow_map_keeps_ground_under_tall_casters() -> None:
-    """A column of 8 units casts its shadow on the floor at its foot, with a radius of 1.5."""
+    """With a radius of 1.5, a column of 8 units casts its shadow on the floor at its foot."""
     heights = np.linspace(0.0, 8.0, 81)
     means = np.stack([np.zeros(81), np.zeros(81), heights], axis=1)
     column = replace(random_gaussians(0, 81), means=means, scales=np.full((81, 3), 0.1), opacities=np.full(81, 0.95))
@@ -233,7 +233,7 @@ def test_deep_shadow_map_without_receivers_covers_all_points_behind_casters() ->
 
 
 def test_sample_points_of_a_deep_shadow_map_receiver_are_repeatable() -> None:
-    """A receiver has its own sample points, so that nothing flickers; another seed gives others."""
+    """Equal sample points in each frame avoid flicker; another seed gives other points."""
     casters, receivers = random_gaussians(3, 40), random_gaussians(4, 200)
     config = replace(SMALL, max_distance=20.0, region=False)
     shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, config, device="cpu")
@@ -245,7 +245,7 @@ def test_sample_points_of_a_deep_shadow_map_receiver_are_repeatable() -> None:
 
 
 def test_rebuilding_a_deep_shadow_map_of_the_same_size_allocates_nothing() -> None:
-    """Device memory stays the same from frame to frame."""
+    """The device memory stays constant from frame to frame."""
     casters, receivers = random_gaussians(3, 60), random_gaussians(4, 300)
     shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, SMALL, device="cpu")
     shadow.rebuild(casters)
@@ -258,7 +258,7 @@ def test_rebuilding_a_deep_shadow_map_of_the_same_size_allocates_nothing() -> No
 
 @pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.1, 0.0, 1.0))], ids=["point", "parallel"])
 def test_saved_deep_shadow_map_equals_the_original_and_can_be_rebuilt(light: Any, tmp_path: Path) -> None:
-    """Transmittances of the loaded map are the same."""
+    """Transmittances of the loaded map are equal."""
     config = replace(
         SMALL, absorption=ls.config.Absorption.MASS, strength=0.01, sampling=ls.config.ReceiverSampling.STENCIL
     )
@@ -333,7 +333,7 @@ def _tampered(header: dict[str, Any], **changes: Any) -> np.ndarray:
 
 
 def test_deep_shadow_map_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
-    """No foreign exception escapes."""
+    """No exception other than Lumisplat's is raised."""
     path, rng = tmp_path / "map.npz", np.random.default_rng(0)
     ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu").save(path)
     good = np.frombuffer(path.read_bytes(), np.uint8)

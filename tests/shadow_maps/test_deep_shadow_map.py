@@ -1,4 +1,4 @@
-"""Deep shadow maps against their float64 twin: closed form, table, and changes that must change nothing."""
+"""Deep shadow maps against their float64 twin: closed form, table, and changes that must not change the map."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians,
 
 LIGHT = np.array([0.3, -0.4, 0.2])
 INSIDE = one_gaussian((0.35, -0.4, 0.3), (0.5, 0.2, 0.3), 0.6, rotation=(0.9, 0.3, -0.2, 0.1))
-"""A Gaussian around the light."""
+"""Gaussian around the light."""
 AROUND = joined(random_gaussians(1, 60, center=(0.0, 0.0, 0.0), extent=(2.5, 2.5, 2.5), scale_range=(0.1, 0.5)), INSIDE)
-"""Casters in all directions."""
+"""Casters in all directions around the light."""
 T_MAX = 5.0
 WHOLE = ls.config.DeepShadowConfig(resolution=128, bins=64, max_distance=T_MAX, region=False)
 
@@ -31,7 +31,7 @@ def build(
 
 
 def scattered(count: int, seed: int = 0, radius: float = 3.0) -> np.ndarray:
-    """Points in all directions from the light, none very near."""
+    """Returns points in all directions from the light, none very near."""
     rng = np.random.default_rng(seed)
     away = rng.normal(size=(count, 3))
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -39,12 +39,12 @@ def scattered(count: int, seed: int = 0, radius: float = 3.0) -> np.ndarray:
 
 
 def exact(points: np.ndarray, casters: Any = AROUND, light: np.ndarray = LIGHT, **options: Any) -> np.ndarray:
-    """Transmittance to points by the closed form."""
+    """Returns the transmittance to points by the closed form."""
     return oracle.transmittance(oracle.absorbers(casters, **options), light, points)
 
 
 def texel_directions(layout: ls.config.AtlasLayout, resolution: int) -> np.ndarray:
-    """Directions of all texels, shape (N, 3)."""
+    """Returns the directions of all N texels, shape (N, 3)."""
     if layout is ls.config.AtlasLayout.OCTAHEDRAL:
         return oracle.decode_octahedral(oracle.texel_centers(resolution)).reshape(-1, 3)
     size = round(resolution / np.sqrt(6.0) / 8) * 8
@@ -62,7 +62,7 @@ def texel_directions(layout: ls.config.AtlasLayout, resolution: int) -> np.ndarr
 def test_bins_of_a_deep_shadow_map_match_the_closed_form(
     layout: ls.config.AtlasLayout, absorption: ls.config.Absorption
 ) -> None:
-    """T is within 1e-3 at the centres of bins along texels' rays, for any absorption and layout."""
+    """Transmittance is within 1e-3 at the centres of bins along texels' rays, for any absorption and layout."""
     config = replace(WHOLE, layout=layout, absorption=absorption, strength=0.7)
     rng = np.random.default_rng(0)
     directions = texel_directions(layout, config.resolution)
@@ -83,7 +83,7 @@ def test_bins_of_a_deep_shadow_map_match_the_closed_form(
 def test_deep_shadow_of_thin_and_far_casters_matches_the_closed_form(
     scale: tuple[float, float, float], distance: float
 ) -> None:
-    """T is within 1e-3 before, within and behind the caster, where float32 could cancel."""
+    """Transmittance is within 1e-3 before, within and behind the caster, where float32 could cancel."""
     caster = one_gaussian((0.0, 0.0, distance), scale, 0.9, rotation=(0.999, 0.03, -0.02, 0.01))
     reach = 2.0 * distance
     config = replace(WHOLE, resolution=512, bins=32, max_distance=reach)
@@ -96,7 +96,7 @@ def test_deep_shadow_of_thin_and_far_casters_matches_the_closed_form(
 
 
 def test_deep_shadow_map_lookups_match_the_float64_twin() -> None:
-    """Trilinear lookups: over the fold and the square's corners, before the first bin and past the last."""
+    """Trilinear lookups cover the fold and corners of the square map, and points outside the first and last bin."""
     config = replace(WHOLE, resolution=16, bins=8, max_distance=3.0)
     points = scattered(3000, radius=4.0)
     points[:50] = LIGHT + (points[:50] - LIGHT) * 0.05
@@ -120,7 +120,7 @@ def test_error_of_a_deep_shadow_map_decreases_with_resolution(layout: ls.config.
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
 def test_errors_of_a_deep_shadow_map_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> None:
-    """Along circles over the square's rim, or the cube's edges, errors are as small as elsewhere."""
+    """Errors on circles over the rim of the square map, or over edges of the cube, are as small as elsewhere."""
     rotation = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
     circles = [
         np.stack(
@@ -152,7 +152,7 @@ def test_errors_of_a_deep_shadow_map_at_atlas_seams_are_no_larger(layout: ls.con
 def test_tile_culling_does_not_change_a_deep_shadow_map(
     resolution: int, layout: ls.config.AtlasLayout, light: Any
 ) -> None:
-    """Culled by tiles of any size or not at all, the result is the same to float precision."""
+    """Culled by tiles of any size or not at all, transmittances are equal up to float32 rounding."""
     casters = joined(AROUND, random_gaussians(2, 200, center=(0.0, 0.0, 2.0), scale_range=(0.003, 0.3)))
     points = scattered(2000)
     config = replace(WHOLE, layout=layout, resolution=resolution, bins=16, max_distance=None)
@@ -162,7 +162,7 @@ def test_tile_culling_does_not_change_a_deep_shadow_map(
 
 
 def test_caster_lists_summed_in_parts_equal_whole_lists_in_a_deep_shadow_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Several CUDA items share the casters of a cell, in the same order."""
+    """Several CUDA threads sum parts of a cell's casters in the order of the list."""
     config = replace(WHOLE, bins=16, max_distance=None)
     whole = build(config=config)
     launcher = deep_shadow_map.Launcher
@@ -207,7 +207,7 @@ def test_deep_shadow_culling_keeps_receivers_shadowed_only_at_outer_samples(ligh
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
 def test_deep_shadow_map_of_the_receivers_region_equals_the_whole_map(sampling: ls.config.ReceiverSampling) -> None:
-    """Results agree to rounding, because bins are summed from where columns begin."""
+    """Results agree to rounding, because bins are summed from the begin of their column."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0), scale_range=(0.01, 0.2))
     part, whole = (
         build(config=replace(WHOLE, region=region, sampling=sampling), receivers=receivers) for region in (True, False)
@@ -217,7 +217,7 @@ def test_deep_shadow_map_of_the_receivers_region_equals_the_whole_map(sampling: 
 
 
 def test_rebuilt_deep_shadow_map_equals_a_new_map() -> None:
-    """Other casters, then the first ones again, give the bits of new maps in the same memory."""
+    """A rebuild for other casters, then for the first ones, gives the bits of new maps in the same memory."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0))
     moved = ls.SplatInstance(AROUND, similarity((0.0, 1.0, 0.0), 0.2, 1.0, (0.1, 0.0, 0.1)))
     shadow = build(receivers=receivers)
@@ -235,7 +235,7 @@ def test_rebuilt_deep_shadow_map_equals_a_new_map() -> None:
 
 
 def test_average_absorption_of_a_deep_shadow_map_is_scale_invariant() -> None:
-    """Everything ten times as large has the same `avg` shadows."""
+    """Casters, light and receivers ten times as large have the same shadows with the absorption `avg`."""
     points = scattered(500)
     ten = np.diag([10.0, 10.0, 10.0, 1.0])
     config = replace(WHOLE, max_distance=10.0 * T_MAX)
@@ -244,14 +244,14 @@ def test_average_absorption_of_a_deep_shadow_map_is_scale_invariant() -> None:
 
 
 def test_deep_shadow_map_does_not_depend_on_the_order_of_casters() -> None:
-    """Optical depth is a sum."""
+    """The optical depth is a sum over casters."""
     points = scattered(500)
     turned = AROUND.subset(np.arange(len(AROUND))[::-1])
     np.testing.assert_allclose(build(turned).transmittance(points), build().transmittance(points), atol=1e-5)
 
 
 def test_casters_behind_the_light_or_the_receivers_change_no_deep_shadow_bit() -> None:
-    """No ray reaches them before it ends."""
+    """The rays from the light to the receivers end before they reach such casters."""
     points = LIGHT + np.random.default_rng(0).uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 2.0], (500, 3))
     expected = build(receivers=points).transmittance(points)
     for position in ((0.3, -0.4, -1.2), (0.3, -0.4, 4.5)):
@@ -263,7 +263,7 @@ def test_casters_behind_the_light_or_the_receivers_change_no_deep_shadow_bit() -
 
 
 def test_deep_shadow_map_of_a_sun_is_the_limit_of_far_point_lights() -> None:
-    """The map converges to the closed form of lights so far away that nothing is behind them."""
+    """The map converges to the closed form of lights so far away that no caster is behind them."""
     sun = ls.LightDirectional((0.3, -0.5, 1.0))
     points = np.random.default_rng(3).uniform(-2.5, 2.5, (1000, 3)).astype(np.float32)
     direction = np.array(sun.direction) / np.linalg.norm(sun.direction)
@@ -281,19 +281,19 @@ def test_deep_shadow_map_of_a_sun_is_the_limit_of_far_point_lights() -> None:
 
 
 def receivers_of(count: int = 40) -> ls.Gaussians:
-    """Rotated, anisotropic receivers."""
+    """Returns rotated, anisotropic receivers."""
     return random_gaussians(7, count, center=(0.5, 0.5, 1.0), extent=(1.5, 1.5, 1.5), scale_range=(0.05, 0.6))
 
 
 def test_center_sampling_of_a_deep_shadow_map_reads_the_receivers_mean() -> None:
-    """The sample is at the Gaussian's mean."""
+    """The single sample is at the mean of the receiver."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.CENTER))
     receivers = receivers_of()
     np.testing.assert_array_equal(shadow.transmittance_of(receivers), shadow.transmittance(receivers.means))
 
 
 def test_stencil_sampling_of_a_deep_shadow_map_averages_seven_points() -> None:
-    """The weighted mean of the map at the twin's seven points."""
+    """The result is the weighted mean of the map at the twin's seven points."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.STENCIL))
     receivers = receivers_of()
     points = oracle.footprint_points(receivers, oracle.STENCIL)
@@ -317,7 +317,7 @@ def test_monte_carlo_sampling_of_a_deep_shadow_map_converges_to_the_mean() -> No
 
 
 def test_sample_points_of_a_deep_shadow_map_rotate_with_the_receiver() -> None:
-    """The extent of a flat receiver along the edge of a shadow does not matter; across it does."""
+    """The extent of a flat receiver along the edge of a shadow does not matter; across the edge it does."""
     wall = one_gaussian((-2.0, 0.0, 2.0), (0.5, 3.0, 0.01), 0.99)
     shadow = build(wall, np.zeros(3), replace(WHOLE, resolution=256, samples=256))
     spot = (-1.0, 0.0, 3.0)

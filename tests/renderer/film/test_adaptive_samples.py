@@ -38,19 +38,19 @@ def adaptive() -> ls.Frame:
 
 
 def image(frame: ls.Frame, name: str) -> np.ndarray:
-    """Returns an image of the frame, which must exist."""
+    """Returns the image of the frame with the given name, which must exist."""
     assert getattr(frame, name) is not None
     return getattr(frame, name)
 
 
 def assert_equal(found: ls.Frame, expected: ls.Frame) -> None:
-    """Checks that all images have the same bits."""
+    """Checks that all images of two frames have the same bits."""
     for name in IMAGES:
         np.testing.assert_array_equal(image(found, name), image(expected, name), name)
 
 
 def test_adaptively_sampled_pixels_equal_frames_of_the_same_fixed_sample_count() -> None:
-    """Bits are equal, as samples, subpixel positions and low-discrepancy points are numbered without gaps."""
+    """The bits are equal, because samples, sub-pixel positions and low-discrepancy points are numbered without gaps."""
     found, counts = adaptive(), image(adaptive(), "sample_count")
     assert counts.min() == 16 + 24 * SAMPLE_RATE_MIN // SAMPLE_RATES and counts.max() == 40
     assert len(np.unique(counts)) > 8
@@ -66,7 +66,7 @@ def test_adaptively_sampled_pixels_equal_frames_of_the_same_fixed_sample_count()
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_adaptive_frames_do_not_depend_on_interruptions_or_thread_count(threads: int) -> None:
-    """Frames are interrupted before, at and after the sample that sets the rates, and while pixels pause."""
+    """Frames are interrupted before, at and after the sample that sets the sampling rates, and while pixels pause."""
     frame = None
     renderers = {n: ls.create_renderer(replace(PATHS, samples=n), "cpu", threads=threads) for n in (1, 7, 9, 11)}
     for n in (7, 9, 1, 1, 11, 11):
@@ -77,7 +77,7 @@ def test_adaptive_frames_do_not_depend_on_interruptions_or_thread_count(threads:
 
 @pytest.mark.parametrize("schedule", BACKENDS[1:])
 def test_cpu_and_cuda_schedules_choose_the_same_adaptive_sample_counts(schedule: str) -> None:
-    """CUDA's schedule, with and without graphs, gives the same sample counts up to rounding."""
+    """CUDA's schedule runs on the CPU, with and without graphs; rounding may change a few counts."""
     frame = renderer_of(schedule, PATHS).render(lit_room(), view())
     counts = image(frame, "sample_count"), image(adaptive(), "sample_count")
     assert np.mean(counts[0] != counts[1]) < 0.02, "rounding may change a rate by one step"
@@ -103,7 +103,7 @@ def test_frame_with_a_noise_target_ends_at_the_same_sample_when_interrupted() ->
 
 
 def test_frame_with_a_time_limit_renders_at_least_one_sample_and_stops() -> None:
-    """At least one sample is rendered; a resumed frame equals one with the same number of samples."""
+    """A resumed frame equals a frame with the same number of samples."""
     settings = replace(PATHS, samples=None, adaptive=None, aovs=LAYERS)
     short = ls.create_renderer(replace(settings, time_limit=1e-6), "cpu")
     frame = short.render(lit_room(), view(), resume=short.render(lit_room(), view()))
@@ -130,7 +130,7 @@ def score(means: np.ndarray, counts: np.ndarray, truth: np.ndarray) -> float:
 
 
 def test_adaptive_sampling_does_not_bias_the_mean_brightness() -> None:
-    """Rare samples are bright, so stopping pixels by their own samples would darken the frame."""
+    """Rare samples are bright, so that a rule that stops each pixel by its samples' error would darken the frame."""
     gaussian, camera, settings = veil()
     steady = replace(settings, trace=ls.TraceConfig(), aovs=())
     truth = ls.render(gaussian, camera, steady, device="cpu").alpha.astype(np.float64)
@@ -149,7 +149,7 @@ def test_adaptive_sampling_does_not_bias_the_mean_brightness() -> None:
 
 
 def naive_counts(draws: np.ndarray) -> np.ndarray:
-    """Returns sample counts of pixels that stop, after 16 or more, once their own relative error is below 20 %."""
+    """Returns sample counts of pixels that stop, after 16 samples, once their relative error is below 20 %."""
     numbers = np.arange(1, len(draws) + 1)[:, None, None]
     means = np.cumsum(draws, axis=0) / numbers
     errors = np.sqrt(means * (1.0 - means) / (numbers - 1).clip(1)) / np.maximum(means, 0.1)
@@ -158,7 +158,7 @@ def naive_counts(draws: np.ndarray) -> np.ndarray:
 
 
 def test_adaptive_sampling_rate_of_a_pixel_rises_with_its_noise() -> None:
-    """Rates rise in steps from an eighth for quiet pixels to 1 for the noisiest; frames without noise have rate 1."""
+    """The rate rises in steps from 1/8 for quiet pixels to 1 for the noisiest; frames without noise have rate 1."""
     noise = np.linspace(0.0, 1.0, 1001, dtype=np.float32)
     rates = rates_of(noise)
     assert (np.diff(rates) >= 0).all() and set(rates) == set(range(SAMPLE_RATE_MIN, SAMPLE_RATES + 1))
@@ -197,13 +197,13 @@ def test_path_tracer_drops_and_counts_non_finite_samples() -> None:
 def test_invalid_noise_targets_and_time_limits_are_refused_with_their_range(
     changes: dict[str, Any], message: str
 ) -> None:
-    """The error names the setting and its range."""
+    """The error names the setting and its valid range."""
     with pytest.raises(ls.ConfigError, match=message):
         ls.RenderConfig(**changes)
 
 
 def test_adaptive_sampling_of_rasterised_frames_is_refused() -> None:
-    """Rasterised frames and shared random numbers cannot be adaptive; by default, they sample all pixels equally."""
+    """Shared random numbers are refused, too; by default, rasterised frames sample all pixels equally."""
     gaussian, camera, settings = veil()
     shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
     for changes, message in (
@@ -223,7 +223,7 @@ def test_adaptive_sampling_of_rasterised_frames_is_refused() -> None:
     [({"noise": 0.1}, "noise"), ({"adaptive": False}, "adaptive"), ({"aovs": ("albedo",)}, "aovs")],
 )
 def test_adaptive_frames_resume_only_with_equal_noise_target_and_layers(changes: dict[str, Any], names: str) -> None:
-    """Another noise target or other layers are refused in one line."""
+    """A frame with another noise target or with other layers is refused in one line."""
     renderer = ls.create_renderer(replace(PATHS, **changes), "cpu")
     with pytest.raises(ls.ConfigError, match=rf"other settings: they differ in {names}$"):
         renderer.render(lit_room(), view(), resume=adaptive())

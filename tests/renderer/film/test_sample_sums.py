@@ -15,7 +15,7 @@ from support.probes.probe_film_kernels import add_stream, read_pixel
 
 
 def statistics(values: np.ndarray, least: float = 0.01) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Returns mean, variance, mean alpha and relative variance of samples, (N, 3), from the film of an unlit frame."""
+    """Returns mean, variance, mean alpha and relative variance of N samples, shape (N, 3), of an unlit frame's film."""
     buffers = Buffers("cpu")
     row = FilmData()
     row.width, row.height = 1, 1
@@ -43,7 +43,7 @@ STREAMS = {
 
 @pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS.keys())
 def test_film_mean_and_variance_of_100000_samples_match_float64(stream) -> None:
-    """Mean and variance match float64 up to float32 rounding, which running means in float32 would not."""
+    """Running means in float32 would fail; the film's sums agree with float64 up to rounding of the result."""
     values = stream(np.random.default_rng(5), 100_000).astype(np.float32)
     mean, variance, alpha, _ = statistics(values)
     exact = values.astype(np.float64)
@@ -53,7 +53,7 @@ def test_film_mean_and_variance_of_100000_samples_match_float64(stream) -> None:
 
 
 def test_relative_variance_is_luminance_variance_over_squared_mean_luminance() -> None:
-    """Luminance of the variances over the squared luminance of the mean, or of the minimum; inf for one sample."""
+    """If the mean is darker than the minimum, the minimum replaces it; the relative variance of one sample is inf."""
     values = np.random.default_rng(6).random((64, 3)) * (0.2, 1.0, 3.0)
     exact = values.astype(np.float32).astype(np.float64)
     weights = np.array([0.2126, 0.7152, 0.0722])
@@ -73,7 +73,7 @@ def test_film_measures_no_variance_among_equal_samples() -> None:
 
 
 def test_noise_estimates_count_darker_pixels_at_higher_exposure() -> None:
-    """An exposure of two stops makes darker pixels visible; unlit frames are in display space."""
+    """Two stops of exposure quarter the minimum luminance of lit frames; unlit frames use a display value."""
     assert least_luminance(0.0, is_lit=True) == pytest.approx(0.01)
     assert least_luminance(2.0, is_lit=True) == pytest.approx(0.0025)
     assert least_luminance(2.0, is_lit=False) == pytest.approx(0.0998, abs=1e-4)
@@ -90,7 +90,7 @@ def test_noise_quantile_is_an_element_of_the_data() -> None:
 
 
 def test_noise_is_estimated_eight_times_while_the_sample_count_doubles() -> None:
-    """Estimates begin at 16 samples."""
+    """The first estimate is made at 16 samples."""
     checks = [n for n in range(1000) if is_noise_checked(n)]
     assert checks[:9] == [16, 18, 20, 22, 24, 26, 28, 30, 32]
     assert [n for n in checks if 256 <= n < 512] == list(range(256, 512, 32))

@@ -17,23 +17,23 @@ VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), (0, -1, 0), width=32, height=16,
 GREEN, RED = (0.1, 0.8, 0.1), (0.7, 0.1, 0.1)
 HALVES = np.zeros((1, 16, 4), np.uint8)
 HALVES[..., :3], HALVES[:, 8:, 3] = 255, 255
-"""A texture that is there in its right half only."""
+"""Texture with alpha 0 in its left half and 1 in its right half."""
 
 
 def board(z: float, material: ls.MaterialSimple | ls.MaterialPbr, size: float = 2.0) -> ls.Mesh:
-    """An upright square around the view axis, with u to the right."""
+    """Returns an upright square around the view axis, with u to the right."""
     corners = size * np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]]) + [0, 0, z]
     uvs = np.array([[0, 1], [1, 1], [1, 0], [0, 0]])
     return ls.Mesh(corners, [[0, 2, 1], [0, 3, 2]], uvs=uvs, material=material)
 
 
 def emitting(color: tuple[float, float, float], **alpha: Any) -> ls.MaterialSimple:
-    """A material that shows its colour without light."""
+    """Returns a material that shows its colour without light."""
     return ls.MaterialSimple(base_color=color, wrap_u=ls.TextureWrap.CLAMP, **alpha)
 
 
 def render(scene: ls.Scene, pipeline: ls.Pipeline, samples: int | None = None, **changes: Any) -> ls.Frame:
-    """A frame on the CPU."""
+    """Renders a frame on the CPU."""
     settings = ls.RenderConfig(pipeline=pipeline, samples=samples, **changes)
     return ls.render(scene, VIEW, settings, device="cpu")
 
@@ -41,7 +41,7 @@ def render(scene: ls.Scene, pipeline: ls.Pipeline, samples: int | None = None, *
 @PIPELINES
 @pytest.mark.parametrize("lighting", [True, False])
 def test_surface_below_its_alpha_mask_cutoff_is_invisible(pipeline: ls.Pipeline, lighting: bool) -> None:
-    """Below the cutoff, the camera sees exactly what is behind."""
+    """Where alpha is below the cutoff, the camera sees exactly the surface behind."""
     masked = emitting(GREEN, base_color_texture=HALVES, alpha_mode="mask")
     scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, emitting(RED), 4.0)])
     frame = render(scene, pipeline, 1, lighting=lighting, jitter=False)
@@ -51,7 +51,7 @@ def test_surface_below_its_alpha_mask_cutoff_is_invisible(pipeline: ls.Pipeline,
 
 
 def test_masked_surface_whose_alpha_equals_its_cutoff_is_opaque() -> None:
-    """Texture alpha times the factor is opaque from the cutoff on; with a cutoff above 1, nothing is."""
+    """Alpha is texture times factor; with a cutoff above 1, no part of the surface is opaque."""
     for alpha, cutoff, is_there in ((0.6, 0.5, True), (0.5, 0.5, True), (0.4, 0.5, False), (1.0, 1.5, False)):
         masked = emitting(GREEN, alpha_mode="mask", alpha=alpha, alpha_cutoff=cutoff)
         scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, emitting(RED), 4.0)])
@@ -61,7 +61,7 @@ def test_masked_surface_whose_alpha_equals_its_cutoff_is_opaque() -> None:
 
 @PIPELINES
 def test_alpha_blended_surfaces_weight_their_colours_front_to_back(pipeline: ls.Pipeline) -> None:
-    """0.25 of one surface, 0.5 of the next, and the rest of the last: exact by continued rays, else in the mean."""
+    """The first surface has weight 0.25 and the next 0.5 of the rest: exact with continued rays, else in the mean."""
     thin, thick = (emitting(c, alpha_mode="blend", alpha=a) for c, a in ((GREEN, 0.25), (RED, 0.5)))
     last = emitting((0.0, 0.0, 1.0))
     scene = ls.Scene(meshes=[board(0.0, thin), board(0.5, thick, 3.0), board(1.0, last, 4.0)])
@@ -80,7 +80,7 @@ def test_alpha_blended_surfaces_weight_their_colours_front_to_back(pipeline: ls.
 
 
 def test_alpha_blending_of_unlit_surfaces_mixes_display_encoded_colours() -> None:
-    """Encoded colours are blended, as for captures, in traced frames and, by samples, in rasterised ones."""
+    """As for captures, encoded colours are blended: exactly in traced frames, by samples in rasterised ones."""
     scene = ls.Scene(
         meshes=[board(0.0, emitting(GREEN, alpha_mode="blend", alpha=0.3)), board(1.0, emitting(RED), 4.0)]
     )
@@ -95,7 +95,7 @@ def test_alpha_blending_of_unlit_surfaces_mixes_display_encoded_colours() -> Non
 @pytest.mark.parametrize("pipeline", SAMPLED)
 @pytest.mark.parametrize(("alpha", "mode"), [(0.25, ls.AlphaMode.BLEND), (1.0, ls.AlphaMode.MASK)])
 def test_surface_with_alpha_blocks_light_by_its_alpha(pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode) -> None:
-    """Behind the right half of a screen, light is reduced by alpha; behind its left half it is not."""
+    """Light is reduced behind the right half of a screen, which has alpha, and not behind its left half."""
     shade = replace(
         emitting((1.0, 1.0, 1.0), base_color_texture=HALVES, alpha_mode=mode, alpha=alpha), emissive=(0.0,) * 3
     )
@@ -112,7 +112,7 @@ def test_surface_with_alpha_blocks_light_by_its_alpha(pipeline: ls.Pipeline, alp
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
 def test_mirrors_reflect_alpha_masked_and_alpha_blended_surfaces(pipeline: ls.Pipeline) -> None:
-    """A mask and a blended surface, seen in a mirror behind the camera."""
+    """The mirror is in front of the camera, the masked and the blended surface behind it."""
     mirror = board(0.0, ls.MaterialPbr(base_color=(1,) * 3, metallic=1.0, roughness=0.0), 4.0)
     masked = board(-3.0, emitting(GREEN, base_color_texture=HALVES, alpha_mode="mask"), 4.0)
     blended = board(-4.0, emitting(RED, alpha_mode="blend", alpha=0.5), 9.0)
@@ -124,7 +124,7 @@ def test_mirrors_reflect_alpha_masked_and_alpha_blended_surfaces(pipeline: ls.Pi
 
 
 def test_emitter_with_alpha_emits_as_much_as_an_opaque_one_dimmed_by_alpha() -> None:
-    """An emitting square with alpha lights as much as an opaque one that is darker by alpha."""
+    """The light on a floor is the same for an emitting square with alpha and for an opaque, darker one."""
     floor = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
     settings: dict[str, Any] = {"max_bounces": 1, "background": None}
     means = []

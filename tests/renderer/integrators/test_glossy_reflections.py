@@ -1,4 +1,4 @@
-"""Rough surfaces that reflect their environment: as one-bounce paths do, and without counting light twice."""
+"""Reflections in rough surfaces: equal to one-bounce paths, and without counting light twice."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ MATERIALS: dict[str, Material] = {
         emissive=(0, 0, 0), ambient=(0, 0, 0), diffuse=(0, 0, 0), specular=(0.9, 0.5, 0.2), shininess=20.0
     ),
 }
-"""Materials without a diffuse part, so that one bounce of a path is all in the highlight."""
+"""Materials without a diffuse part, so that all light of a one-bounce path is in the highlight."""
 
 
 def floor_and_box(material: Material, *lights: ls.LightPoint | ls.LightEnvironment, splats: bool = False) -> ls.Scene:
-    """A grey box on a floor, which is a mesh or a set of Gaussians."""
+    """Returns a grey box on a floor of the given material; the floor is a mesh or a set of Gaussians."""
     floor, box = (replace(mesh, material=of) for mesh, of in ((ls.plane(4.0), material), (ls.box(0.8), diffuse(0.6))))
     placed = ls.MeshInstance(box, position=(0.0, 0.41, -0.4))
     if splats:
@@ -42,7 +42,7 @@ def floor_and_box(material: Material, *lights: ls.LightPoint | ls.LightEnvironme
 
 
 def floors_mean(shown: ls.Scene, settings: ls.RenderConfig, seeds: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean light of the floor where the box does not cover it, and its standard error over seeds; (3,) each."""
+    """Returns the mean light of the floor beside the box, and its standard error over seeds, shape (3,) each."""
     frames = [ls.render(shown, CAMERA, replace(settings, seed=seed), device="cpu") for seed in range(seeds)]
     beside = ndimage.binary_dilation(frames[0].instance_index == 1, np.ones((3, 3)))
     floor = (frames[0].instance_index == 0) & (np.asarray(beside) == 0)
@@ -51,7 +51,7 @@ def floors_mean(shown: ls.Scene, settings: ls.RenderConfig, seeds: int) -> tuple
 
 
 def agree(settings: ls.RenderConfig, shown: ls.Scene, bounces: int = 1) -> None:
-    """Asserts agreement with path tracing within four standard errors, below 1 %, and more light than without."""
+    """Asserts that glossy reflections add light and agree with path tracing within four standard errors, below 1 %."""
     first = ls.PathConfig(primary=ls.config.PathPrimary.ISO)
     pathed = replace(settings, pipeline=ls.Pipeline.PATH, samples=10, max_bounces=bounces, path=first)
     (found, error), (expected, off) = floors_mean(shown, settings, 6), floors_mean(shown, pathed, 6)
@@ -67,17 +67,17 @@ GLOSSY = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=6, glossy_reflectio
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_glossy_reflections_on_meshes_equal_one_bounce_path_tracing(name: str) -> None:
-    """Under a point light and an environment, neither of which is counted twice."""
+    """The scene has a point light and an environment; neither is counted twice."""
     agree(GLOSSY, floor_and_box(MATERIALS[name], LIGHT, DAYLIGHT))
 
 
 def test_glossy_reflections_on_gaussians_equal_one_bounce_path_tracing() -> None:
-    """A floor of Gaussians does not reflect itself."""
+    """The floor consists of Gaussians, which must not reflect one another."""
     agree(GLOSSY, floor_and_box(METAL, LIGHT, splats=True))
 
 
 def test_hybrid_and_trace_pipelines_give_equal_glossy_reflections_on_meshes() -> None:
-    """Compares meshes, whose first hit is the same."""
+    """The floor is a mesh, so that both pipelines have the same first hits."""
     shown = floor_and_box(METAL, LIGHT, DAYLIGHT)
     traced = ls.render(shown, CAMERA, replace(GLOSSY, samples=2), device="cpu")
     hybrid = ls.render(shown, CAMERA, replace(GLOSSY, samples=2, pipeline=ls.Pipeline.HYBRID), device="cpu")
@@ -85,7 +85,7 @@ def test_hybrid_and_trace_pipelines_give_equal_glossy_reflections_on_meshes() ->
 
 
 def test_glossy_reflections_of_a_mirror_include_the_environment_it_reflects() -> None:
-    """With a mirror as the box, only reflection rays reach the environment by it; shadow rays do not."""
+    """The box is a mirror: only reflection rays reach the environment by way of the box, shadow rays do not."""
     shown = floor_and_box(METAL, DAYLIGHT)
     mirror = ls.MaterialPbr(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.0)
     (floor, box) = shown.meshes
@@ -97,7 +97,7 @@ def test_glossy_reflections_of_a_mirror_include_the_environment_it_reflects() ->
 def test_glossy_reflection_rays_do_not_count_environment_light_twice(
     light: tuple[ls.LightEnvironment, ...], pane: bool
 ) -> None:
-    """Without other emitters around, rough metals are bit-equal with and without reflection rays.
+    """Without other emitters, rough metals have equal bits with and without reflection rays.
 
     A pane of glass that neither reflects nor refracts passes all environment light, and hides nothing else.
     """
@@ -112,7 +112,7 @@ def test_glossy_reflection_rays_do_not_count_environment_light_twice(
 
 
 def test_rough_floor_reflects_an_emissive_capture() -> None:
-    """A rough floor reflects an emissive capture, over no background."""
+    """The frame has no background, so that all light in the reflection comes from the capture."""
     box = ls.gaussians_from_mesh(replace(ls.box(0.8), material=diffuse(0.6)), 3000)
     kept = ls.SplatInstance(box, position=(0.0, 0.41, -0.4))
     shown = ls.Scene([kept], [replace(ls.plane(4.0), material=METAL)], [replace(LIGHT, intensity=0.0)])
@@ -125,7 +125,7 @@ def test_rough_floor_reflects_an_emissive_capture() -> None:
 
 
 def test_glossy_reflections_are_off_by_default_and_without_bounces() -> None:
-    """There are none with max_bounces 0, in rasterised frames, or by default."""
+    """Glossy reflections are also off in rasterised frames, which trace no rays."""
     shown = floor_and_box(METAL, LIGHT)
     plain = ls.render(shown, CAMERA, replace(GLOSSY, glossy_reflections=False), device="cpu")
     none = ls.render(shown, CAMERA, replace(GLOSSY, max_bounces=0), device="cpu")
@@ -135,14 +135,14 @@ def test_glossy_reflections_are_off_by_default_and_without_bounces() -> None:
 
 
 def test_default_sample_count_with_glossy_reflections_is_16() -> None:
-    """The default is sixteen, also with only a point light."""
+    """The default is 16 even if a point light is the only light."""
     shown = floor_and_box(METAL, LIGHT)
     assert FramePlan.of(replace(GLOSSY, samples=None), shown).samples == 16
     assert FramePlan.of(replace(GLOSSY, samples=None, glossy_reflections=False), shown).samples == 1
 
 
 def test_reflection_layer_contains_the_light_of_glossy_reflection_rays() -> None:
-    """The image ``reflection`` contains the light of reflection rays."""
+    """The layer is the image ``reflection`` of the frame."""
     shown = floor_and_box(METAL, LIGHT)
     settings = replace(GLOSSY, samples=4, aovs=("reflection",))
     glossy = ls.render(shown, CAMERA, settings, device="cpu")
@@ -153,7 +153,7 @@ def test_reflection_layer_contains_the_light_of_glossy_reflection_rays() -> None
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
 def test_glossy_reflections_do_not_depend_on_thread_count_or_cuda_schedule(pipeline: ls.Pipeline) -> None:
-    """Bit-equal for any number of threads, and nearly equal in CUDA's schedule with graphs."""
+    """The bits are equal for any number of threads; CUDA's schedule with graphs agrees up to rounding."""
     settings = config(pipeline, samples=2, glossy_reflections=True)
     shown = scene(*LIGHTS, ENVIRONMENT)
     frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (1, 2, 5)]

@@ -1,4 +1,4 @@
-"""Lights in, through and around absorbing bodies, by Beer's law, on the paths to the eye and to the light."""
+"""Lights in, behind and beside absorbing bodies: Beer's law on the paths to the eye and to the light."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SLANT = np.array([0.6, 0.0, -0.8])
 
 @dataclass(frozen=True)
 class Case:
-    """One body of slabs across the z axis, a surface at 0 and a light along `SLANT`, with the path lengths inside."""
+    """Layout of a test: a body of slabs across the z axis, a surface at z = 0, a light along `SLANT`, path lengths."""
 
     slabs: tuple[tuple[float, float], ...]
     light: float
@@ -38,14 +38,14 @@ CASES = {
 
 
 def body(slabs: tuple[tuple[float, float], ...], material: ls.MaterialPbr) -> ls.Mesh:
-    """One mesh of several slabs."""
+    """Returns one mesh of several slabs."""
     parts = [slab(front, back, material) for front, back in slabs]
     indices = [part.indices + 24 * k for k, part in enumerate(parts)]
     return ls.Mesh(np.concatenate([part.positions for part in parts]), np.concatenate(indices), material=material)
 
 
 def assert_absorbed(case: Case, light: ls.LightPoint | ls.LightSphere, pipeline: ls.Pipeline) -> None:
-    """Asserts that a mesh has the brightness without the body, times the transmittance of both paths."""
+    """Asserts that the body dims the surface by the transmittance of the paths to the light and to the eye."""
     floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), diffuse(0.8))
     camera = ls.Camera.look_at((0, 0, case.eye), (0, 0, 0), width=16, height=8, fov_y=0.002)
     without, within = (
@@ -58,20 +58,20 @@ def assert_absorbed(case: Case, light: ls.LightPoint | ls.LightSphere, pipeline:
 @TRACED
 @pytest.mark.parametrize("name", CASES)
 def test_absorbing_body_attenuates_paths_to_the_light_and_to_the_camera(pipeline: ls.Pipeline, name: str) -> None:
-    """The light cannot be hit, so that its shadow rays pass glass."""
+    """The light is a point, which rays cannot hit, so that its shadow rays pass through the body."""
     assert_absorbed(CASES[name], ls.LightPoint(CASES[name].light * SLANT, intensity=50.0), pipeline)
 
 
 @TRACED
 def test_absorbing_body_attenuates_visible_sphere_lights_inside_it(pipeline: ls.Pipeline) -> None:
-    """A sphere light nearly as small: glass blocks the shadow rays of paths towards it."""
+    """Rays can hit the small sphere light, so that the body blocks shadow rays, and refracted rays find the light."""
     case = CASES["both are inside"]
     assert_absorbed(case, ls.LightSphere(case.light * SLANT, 0.001, intensity=2e7), pipeline)
 
 
 @TRACED
 def test_gaussians_inside_an_absorbing_body_are_lit_like_meshes(pipeline: ls.Pipeline) -> None:
-    """Gaussians inside of the body are lit like meshes."""
+    """The Gaussians inside the body are dimmed by the same transmittance as a mesh."""
     case = CASES["both are inside"]
     without, within = (
         color(
@@ -87,7 +87,7 @@ def test_gaussians_inside_an_absorbing_body_are_lit_like_meshes(pipeline: ls.Pip
 
 @pytest.mark.parametrize("visible", [False, True])
 def test_absorbing_rough_glass_attenuates_a_light_inside_it(visible: bool) -> None:
-    """The light is sampled through the surface, whether or not rays can hit it; its path inside is absorbed."""
+    """The light is sampled through the rough surface, whether or not rays can hit the light."""
     light = ls.LightSphere((0.0, 0.0, 1.0), 0.001, intensity=1e6, visible=visible)
     clear, dim = (
         color(

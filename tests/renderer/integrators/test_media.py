@@ -22,14 +22,14 @@ ENVIRONMENT = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 
 
 def reflectance(before: float, behind: float) -> float:
-    """Fresnel reflectance at normal incidence between two media."""
+    """Returns the Fresnel reflectance at normal incidence between two media."""
     return ((before - behind) / (before + behind)) ** 2
 
 
 @TRACED
 @pytest.mark.parametrize("behind", ["sky", "mesh"])
 def test_transmittance_of_a_glass_slab_follows_beers_law(pipeline: ls.Pipeline, behind: str) -> None:
-    """Transmittance is the colour to the power of thickness over distance, for an environment or an emitter."""
+    """Transmittance is colour^(thickness / distance), for light of an environment or an emitter."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=0.7)
     if behind == "sky":
         scene = ls.Scene(meshes=[slab(0.0, 1.0, inside)], lights=[ENVIRONMENT])
@@ -42,7 +42,7 @@ def test_transmittance_of_a_glass_slab_follows_beers_law(pipeline: ls.Pipeline, 
 
 
 def test_absorption_in_unlit_frames_multiplies_display_values() -> None:
-    """The transmittance is encoded before it multiplies displayed colours, like tints."""
+    """The transmittance is sRGB-encoded before it multiplies displayed colours, as tints are."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     settings = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=(0.5, 0.5, 0.5), lighting=False)
     frame = ls.render(ls.Scene(meshes=[slab(0.0, 1.0, inside)]), AHEAD, settings, device="cpu")
@@ -53,7 +53,7 @@ def test_absorption_in_unlit_frames_multiplies_display_values() -> None:
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 @pytest.mark.parametrize("place", ["beyond", "within"])
 def test_shadow_rays_through_absorbing_glass_are_tinted_by_its_transmittance(pipeline: ls.Pipeline, place: str) -> None:
-    """With a light behind it, in it, or far away, shadow rays get the transmittance of their path."""
+    """The light is behind the glass or inside it."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
     light = ls.LightPoint((0.0, 0.0, -6.0 if place == "beyond" else -4.5), intensity=50.0)
@@ -68,7 +68,7 @@ def test_shadow_rays_through_absorbing_glass_are_tinted_by_its_transmittance(pip
 
 @TRACED
 def test_thin_walled_pane_reflects_once_and_does_not_refract(pipeline: ls.Pipeline) -> None:
-    """One pane reflects like one surface, and transmits the tinted rest straight, whatever the index."""
+    """One pane reflects like one surface, and transmits the tinted rest straight, for any index of refraction."""
     pane = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=1.0, ior=1.8, thin_walled=True)
     meshes = [
         quad((-9, -9, 0.0), (18, 0, 0), (0, 18, 0), pane),
@@ -104,9 +104,9 @@ def test_thin_walled_pane_does_not_shift_objects_behind_it(pipeline: ls.Pipeline
 def test_overlap_of_two_media_is_the_medium_of_higher_priority(
     pipeline: ls.Pipeline, water_priority: int, ice_priority: int, in_ice: float
 ) -> None:
-    """Ice half in water: the overlap is the medium of higher priority, or the one entered last.
+    """Ice is half in water: the overlap is the medium of higher priority or, at equal priority, the one entered last.
 
-    The absorption shows which medium is used over which path; a specular strength of 0 removes reflections.
+    The absorption shows which medium applies to which path; a specular strength of 0 removes reflections.
     """
     water = replace(CLEAR, ior=1.33, specular=0.0, attenuation_color=(0.5, 1.0, 1.0), attenuation_distance=1.0)
     ice = replace(CLEAR, ior=1.31, specular=0.0, attenuation_color=(1.0, 0.25, 1.0), attenuation_distance=1.0)
@@ -122,7 +122,8 @@ def test_overlap_of_two_media_is_the_medium_of_higher_priority(
 def test_surface_between_two_media_reflects_by_the_indices_of_both(pipeline: ls.Pipeline, priority: int) -> None:
     """Two overlapping bodies have three surfaces, each with the Fresnel reflectance of the media on both sides.
 
-    For multiple reflections between parallel surfaces, 1 over the transmitted fraction is 1 + sum R / (1 - R).
+    For multiple reflections between parallel surfaces, 1 over the transmitted fraction is 1 + sum R / (1 - R) over the
+    reflectances R.
     """
     indices = (1.0, 1.31, 1.6, 1.0)
     bodies = [slab(-1.0, 1.0, replace(CLEAR, ior=1.31, priority=priority)), slab(0.0, 2.0, replace(CLEAR, ior=1.6))]
@@ -136,7 +137,7 @@ def test_surface_between_two_media_reflects_by_the_indices_of_both(pipeline: ls.
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
 def test_glass_ball_inside_a_ball_of_equal_glass_is_invisible(pipeline: ls.Pipeline) -> None:
-    """A ball of glass in a ball of the same glass neither reflects nor refracts; one of air does."""
+    """A ball of air inside the glass ball is visible."""
     glass = replace(CLEAR, ior=1.5)
     view = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=24, height=24, fov_y=0.5)
     environment = np.zeros((16, 32, 3), np.float32)
@@ -162,7 +163,7 @@ def test_glass_ball_inside_a_ball_of_equal_glass_is_invisible(pipeline: ls.Pipel
 def test_glass_mesh_with_inward_facing_triangles_logs_one_warning(
     pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The warning names the mesh whose triangles face inwards; closed meshes log nothing."""
+    """The warning names the mesh; closed meshes that face outwards log nothing."""
     good = ball(0.5, replace(CLEAR, ior=1.5), rows=12)
     bad = ball(0.5, replace(CLEAR, ior=1.5), hollow=True, rows=12)
     settings = ls.RenderConfig(pipeline=pipeline, samples=2)

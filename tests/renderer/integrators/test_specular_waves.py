@@ -1,4 +1,4 @@
-"""Mirrors and glass among meshes, without Gaussians: geometry and energy calculated by hand."""
+"""Mirrors and glass among meshes, without Gaussians: geometry and energy compared with values calculated by hand."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ LIGHT = ls.MaterialPbr(base_color=WHITE)
 FORWARD = np.array([[0.0, 0.0, 1.0]])
 ORIGIN = np.zeros((1, 3))
 SCALES = [(1e-3, 0.0), (1.0, 0.0), (1e3, 0.0), (1.0, 1e3)]
-"""Scale, and distance from the world's origin in scales."""
+"""Scale of a scene, and its distance from the world's origin in scales."""
 
 
 @pytest.fixture(params=DEVICES)
 def rig(request: pytest.FixtureRequest) -> RayRig:
-    """Rays on a device."""
+    """Returns a rig that traces rays on each device in turn."""
     return RayRig(request.param)
 
 
 def cube(material: ls.MaterialPbr) -> ls.Mesh:
-    """Twelve triangles around the origin, from -1 to 1."""
+    """Returns a cube of twelve triangles around the origin, from -1 to 1."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
@@ -41,12 +41,12 @@ def cube(material: ls.MaterialPbr) -> ls.Mesh:
 
 
 def ball(material: ls.MaterialPbr, subdivisions: int = 4) -> ls.Mesh:
-    """A sphere with smooth normals."""
+    """Returns a sphere with smooth normals."""
     return replace(shapes.icosphere(subdivisions=subdivisions), material=material)
 
 
 def shape(name: str, material: ls.MaterialPbr) -> ls.Mesh:
-    """A closed convex mesh of size 1; one of them has needles at its poles."""
+    """Returns a closed convex mesh of size 1; one of the shapes has needles at its poles."""
     if name == "cube":
         return cube(material)
     if name == "needles":
@@ -55,17 +55,17 @@ def shape(name: str, material: ls.MaterialPbr) -> ls.Mesh:
 
 
 def placed(scale: float, offset: float) -> np.ndarray:
-    """Transform with a rotation, the scale, and an offset in units of the scale."""
+    """Returns a transform with a rotation, a scale, and an offset in units of the scale."""
     return similarity((1.0, 2.0, 0.5), 0.9, scale, (0.8 * offset * scale, -0.6 * offset * scale, 0.0))
 
 
 def moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Transformed points."""
+    """Returns the points transformed by the matrix."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def aims(rng: np.random.Generator, mesh: ls.Mesh, count: int) -> np.ndarray:
-    """Points on a mesh, half of them on edges."""
+    """Returns points on a mesh, half of them on edges."""
     weights = rng.dirichlet((1.0, 1.0, 1.0), count)
     weights[::2, 0] = 0.0
     weights /= weights.sum(axis=1, keepdims=True)
@@ -77,7 +77,7 @@ def aims(rng: np.random.Generator, mesh: ls.Mesh, count: int) -> np.ndarray:
 
 
 def test_rough_mesh_shows_its_base_colour_without_reflected_rays(rig: RayRig) -> None:
-    """One wave, and the background where there is no mesh."""
+    """One wave of rays is traced; rays that miss the mesh return the background."""
     grey = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), metallic=1.0, transmission=1.0)
     along = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     seen = rig.colors(ls.Scene([], [quad(2.0, material=grey)]), np.zeros((2, 3)), along, background=(0.1, 0.2, 0.3))
@@ -87,13 +87,13 @@ def test_rough_mesh_shows_its_base_colour_without_reflected_rays(rig: RayRig) ->
 
 
 def test_rays_through_a_scene_without_meshes_return_the_background(rig: RayRig) -> None:
-    """Holds also where a pixel has no ray."""
+    """A pixel without a ray returns the background, too."""
     seen = rig.colors(ls.Scene(), np.zeros((2, 3)), np.eye(3)[:2], background=WHITE, t_max=np.array([np.inf, 0.0]))
     np.testing.assert_array_equal(seen, [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
 
 
 def test_mirror_tilted_by_45_degrees_turns_rays_by_90_degrees(rig: RayRig) -> None:
-    """The reflected ray has the expected origin and direction, and the mirror's colour."""
+    """The reflected ray has the expected origin and direction, and the result is tinted by the mirror."""
     gold = replace(MIRROR, base_color=(1.0, 0.7, 0.3))
     scene = ls.Scene([], [quad(2.0, tilt=1.0, material=gold)])
     seen = rig.colors(scene, [[0.25, 0.1, 0.0]], FORWARD, background=(0.5, 0.5, 0.5))
@@ -107,7 +107,7 @@ def test_mirror_tilted_by_45_degrees_turns_rays_by_90_degrees(rig: RayRig) -> No
 
 
 def test_reflected_rays_store_the_length_of_the_whole_path(rig: RayRig) -> None:
-    """After any number of reflections, the virtual eye is as far behind the ray as the path is long."""
+    """After any number of reflections, the stored length equals the path to the virtual eye behind all mirrors."""
     scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
     along = normalized(np.array([[0.3, 0.1, 1.0]]))
     rig.colors(scene, ORIGIN, along, bounces=5)
@@ -119,7 +119,7 @@ def test_reflected_rays_store_the_length_of_the_whole_path(rig: RayRig) -> None:
 
 @pytest.mark.parametrize("bounces", [0, 1, 2, 7])
 def test_max_bounces_limits_the_reflections_between_two_mirrors(rig: RayRig, bounces: int) -> None:
-    """Between two mirrors, the last wave sees the background; fewer waves start where rays leave."""
+    """Rays after the last bounce see the background; rays that leave the mirrors start no further wave."""
     scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
     seen = rig.colors(scene, ORIGIN, FORWARD, bounces=bounces, background=WHITE)
     np.testing.assert_allclose(seen, 1.0, atol=1e-5)
@@ -131,7 +131,7 @@ def test_max_bounces_limits_the_reflections_between_two_mirrors(rig: RayRig, bou
 
 
 def test_glass_slab_shifts_rays_by_snells_law(rig: RayRig) -> None:
-    """The shift is d sin(a) (1 - cos(a) / (n cos(b))), and rays leave parallel."""
+    """The shift is d sin(a) (1 - cos(a) / (n cos(b))) for thickness d, index n, and angles a outside and b inside."""
     angle, ior, thickness = np.radians(50.0), 1.5, 0.3
     along = np.array([[np.sin(angle), 0.0, np.cos(angle)]])
     rig.colors(ls.Scene([], [slab(1.0, thickness, GLASS)]), ORIGIN, along, bounces=2)
@@ -149,7 +149,7 @@ def test_glass_slab_shifts_rays_by_snells_law(rig: RayRig) -> None:
 
 
 def test_glass_slab_reflects_and_transmits_by_fresnels_equations(rig: RayRig) -> None:
-    """Head on, each face reflects 4 %, tinted by each crossing; the second inner reflection sees the background."""
+    """At normal incidence each face reflects 4 %, tinted by each crossing; the second inner reflection sees white."""
     tint = np.array([0.8, 0.5, 0.2])
     glass = replace(GLASS, base_color=tuple(tint))
     seen = rig.colors(ls.Scene([], [slab(1.0, 0.3, glass)]), ORIGIN, FORWARD, bounces=9, background=WHITE)
@@ -167,7 +167,7 @@ def test_partly_transmitting_glass_adds_its_base_colour(rig: RayRig) -> None:
 
 
 def test_light_in_a_45_degree_prism_is_totally_reflected(rig: RayRig) -> None:
-    """Total internal reflection at 45 degrees: all light but two crossings' 4 % arrives, and none goes straight."""
+    """All light arrives except the 4 % that each of two crossings reflects, and no ray passes straight through."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 1, 0], [0, 1, 1]], dtype=float) - [0, 0.5, 0]
     faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [0, 2, 5], [0, 5, 3], [1, 4, 5], [1, 5, 2]]
     prism = ls.Mesh(corners, np.array(faces), material=GLASS)
@@ -177,7 +177,7 @@ def test_light_in_a_45_degree_prism_is_totally_reflected(rig: RayRig) -> None:
 
 
 def test_gaussians_are_blended_on_every_segment_of_a_mirror_or_glass_path(rig: RayRig) -> None:
-    """Their colour and transmittance apply on every segment of the path."""
+    """Colour and transmittance of the Gaussians apply to the path before and after the mirror or glass."""
     rig.color, rig.transmittance = (0.1, 0.2, 0.3), 0.5
     fog, environment = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
     for material in (MIRROR, replace(GLASS, ior=1.0)):
@@ -186,7 +186,7 @@ def test_gaussians_are_blended_on_every_segment_of_a_mirror_or_glass_path(rig: R
 
 
 def test_mirror_and_glass_rays_below_1_512_of_the_pixel_are_not_traced() -> None:
-    """A branch below 1/512 of the pixel ends, whether by reflectance, tint or transmittance."""
+    """A ray ends below 1/512 whether reflectance, tint or transmittance of Gaussians makes it faint."""
     head_on = ls.Scene([], [quad(2.0, material=ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0))])
     for specular, transmittance, waves in ((1.0, 1.0, 2), (0.05, 1.0, 2), (0.048, 1.0, 1), (1.0, 0.048, 1)):
         material = replace(head_on.meshes[0].mesh.material, specular=specular)
@@ -196,7 +196,7 @@ def test_mirror_and_glass_rays_below_1_512_of_the_pixel_are_not_traced() -> None
 
 
 def test_mirror_path_ends_when_the_product_of_reflectances_is_below_1_512(rig: RayRig) -> None:
-    """Between two surfaces that reflect 19.75 %, the third reflection still counts, and the fourth does not."""
+    """Between two surfaces that reflect 19.75 %, the third reflection is traced, and the fourth is not."""
     dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=2.6)
     corridor = ls.Scene([], [quad(2.0, material=dark), quad(-1.0, material=dark)])
     rig.colors(corridor, ORIGIN, FORWARD, bounces=9)
@@ -204,7 +204,7 @@ def test_mirror_path_ends_when_the_product_of_reflectances_is_below_1_512(rig: R
 
 
 def test_rays_of_a_mirror_and_glass_ray_tree_have_independent_random_numbers(rig: RayRig) -> None:
-    """No two rays of a tree share random numbers."""
+    """No two rays that one camera ray splits into share random numbers."""
     rig.colors(ls.Scene([], [slab(1.0, 0.3, GLASS)]), ORIGIN, normalized(np.array([[0.5, 0.0, 1.0]])), bounces=4)
     sample_keys = np.concatenate([wave.sample_key for wave in rig.waves])
     assert len(np.unique(sample_keys)) == len(sample_keys) > 4
@@ -226,7 +226,7 @@ def test_rays_of_a_mirror_and_glass_ray_tree_have_independent_random_numbers(rig
 def test_clear_glass_ball_is_invisible_in_a_white_furnace(
     rig: RayRig, name: str, ior: float, specular: float, lost: float
 ) -> None:
-    """White furnace: a clear ball is invisible, except for branches too faint to trace."""
+    """The ball is invisible except for rays too faint to trace."""
     rng = np.random.default_rng(1)
     across = rng.uniform(-0.6, 0.6, (4000, 2))
     material = replace(GLASS, ior=ior, specular=specular)
@@ -238,7 +238,7 @@ def test_clear_glass_ball_is_invisible_in_a_white_furnace(
 
 
 def test_white_mirrors_are_invisible_in_a_white_furnace(rig: RayRig) -> None:
-    """White mirrors reflect all of a white environment, in any orientation."""
+    """White mirrors reflect all light of a white environment in any orientation."""
     meshes = [
         ls.MeshInstance(ball(MIRROR, 2), similarity(offset=(x, y, 6.0), scale=0.6)) for x in (-1, 1) for y in (-1, 1)
     ]
@@ -256,7 +256,7 @@ def test_white_mirrors_are_invisible_in_a_white_furnace(rig: RayRig) -> None:
 def test_rays_reflected_by_a_convex_mirror_do_not_hit_it_again(
     rig: RayRig, name: str, scale: float, offset: float
 ) -> None:
-    """From outside, near and far, every reflection leaves at once."""
+    """Rays from outside, near and far, leave the mirror after one reflection."""
     mesh, matrix = shape(name, MIRROR), placed(scale, offset)
     rng = np.random.default_rng(3)
     inner = 0.9 * aims(rng, mesh, 8000)
@@ -275,7 +275,7 @@ def test_rays_reflected_by_a_convex_mirror_do_not_hit_it_again(
 def test_rays_inside_a_closed_mirror_stay_inside_for_six_reflections(
     rig: RayRig, name: str, scale: float, offset: float, pose: str
 ) -> None:
-    """From inside, at faces, edges and corners, no ray is outside after six reflections."""
+    """Rays from inside are aimed at faces, edges and corners of the mirror."""
     mesh, matrix = shape(name, MIRROR), placed(scale, offset)
     if pose == "sheared":
         matrix = (
@@ -295,7 +295,7 @@ def test_rays_inside_a_closed_mirror_stay_inside_for_six_reflections(
 def test_refracted_rays_skip_the_entered_surface_and_hit_the_opposite_one(
     rig: RayRig, name: str, scale: float, offset: float
 ) -> None:
-    """They neither hit the surface through which they entered nor miss the other one."""
+    """Refracted rays cross the body from the surface that they entered to the opposite one."""
     mesh, matrix = shape(name, GLASS), placed(scale, offset)
     rng = np.random.default_rng(5)
     origins = moved(normalized(rng.normal(size=(8000, 3))) * 3.0, matrix)
@@ -310,7 +310,7 @@ def test_refracted_rays_skip_the_entered_surface_and_hit_the_opposite_one(
 
 
 def test_mirrored_instance_of_a_glass_body_renders_like_a_mirrored_mesh(rig: RayRig) -> None:
-    """A mirrored instance of a glass body renders like the mirrored body."""
+    """Colours of the mirrored instance equal those of a mesh with mirrored vertices."""
     mesh = shapes.rounded_box((1.0, 2.0, 0.8), 0.2)
     lens = replace(mesh, material=replace(GLASS, base_color=(0.9, 0.7, 0.4)))
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -336,7 +336,7 @@ def test_mirrored_instance_of_a_glass_body_renders_like_a_mirrored_mesh(rig: Ray
 
 
 def noise_texture() -> np.ndarray:
-    """A soft random texture."""
+    """Returns a smooth random texture."""
     return np.random.default_rng(7).integers(0, 256, (8, 8, 3), dtype=np.uint8)
 
 
@@ -344,7 +344,7 @@ def noise_texture() -> np.ndarray:
 
 
 def test_colours_of_mirrors_and_glass_do_not_depend_on_thread_count() -> None:
-    """Colours are bit-equal with one thread and with three."""
+    """The bits are equal with one thread and with three."""
     rng = np.random.default_rng(8)
     along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
     scene = ls.Scene([], [ls.MeshInstance(ball(GLASS, 2), similarity(offset=(0, 0, 4))), quad(7.0, 3.0)])
@@ -353,7 +353,7 @@ def test_colours_of_mirrors_and_glass_do_not_depend_on_thread_count() -> None:
 
 
 def test_mirror_and_glass_rays_of_similar_views_reuse_their_buffers(rig: RayRig) -> None:
-    """A view with a few more or fewer rays in glass allocates nothing, and old rays leave no trace."""
+    """A view with a few more or fewer rays in glass allocates nothing, and earlier rays do not change its colours."""
     rng = np.random.default_rng(9)
     along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
     lens = ball(GLASS, 2)
@@ -369,6 +369,6 @@ def test_mirror_and_glass_rays_of_similar_views_reuse_their_buffers(rig: RayRig)
 
 
 def test_tracing_zero_rays_through_mirrors_and_glass_returns_empty_arrays(rig: RayRig) -> None:
-    """Zero rays give empty arrays."""
+    """The colours have shape (0, 3)."""
     seen = rig.colors(ls.Scene([], [quad(2.0, material=MIRROR)]), np.zeros((0, 3)), np.zeros((0, 3)))
     assert seen.shape == (0, 3)

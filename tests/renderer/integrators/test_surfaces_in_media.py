@@ -1,4 +1,4 @@
-"""Opaque bodies under water reflect by the ratio of their index to the water's, and lose no energy."""
+"""Opaque bodies under water: reflection by the index relative to the water, without loss of energy."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from support.scenes.path_scenes import ball, quad, wide_sheet
 TRACED = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
 AHEAD = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=8, fov_y=0.002)
 WATER = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, ior=1.33, specular=0.0)
-"""Water whose own surface reflects nothing at normal incidence."""
+"""Water whose surface reflects nothing at normal incidence."""
 ENVIRONMENT = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 
 
 def sea() -> ls.Mesh:
-    """A wide box of water from z = 0 on."""
+    """Returns a wide box of water from z = 0 on."""
     box = ls.box(np.array([40.0, 40.0, 8.0]))
     return replace(box, positions=box.positions + np.array([0.0, 0.0, 4.0], np.float32), material=WATER)
 
 
 def facing(material: ls.MaterialPbr) -> ls.Mesh:
-    """A square in the water that fills the view."""
+    """Returns a square in the water that fills the view."""
     return quad((-1, -1, 1.0), (0, 2, 0), (2, 0, 0), material)
 
 
 def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: Any) -> Any:
-    """Mean colour of a frame."""
+    """Returns the mean colour of a frame."""
     settings = ls.RenderConfig(pipeline=pipeline, samples=samples, lighting=True, **changes)
     return ls.render(scene, AHEAD, settings, device="cpu").color.mean(axis=(0, 1), dtype=np.float64)
 
@@ -42,7 +42,7 @@ def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 def test_reflectance_under_water_at_normal_incidence_uses_both_indices(
     pipeline: ls.Pipeline, ior: float, thin_walled: bool
 ) -> None:
-    """Black varnish, or a black pane, under a white environment: squared difference over squared sum of the indices."""
+    """Black varnish, or a black pane, in white light reflects ((n1 - n2) / (n1 + n2))^2 for the indices n1 and n2."""
     black = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=ior)
     if thin_walled:
         black = replace(black, transmission=1.0, thin_walled=True)
@@ -56,7 +56,7 @@ def test_reflectance_under_water_at_normal_incidence_uses_both_indices(
 def test_underwater_body_is_shaded_like_one_in_air_with_the_relative_index(
     pipeline: ls.Pipeline, kind: str, roughness: float
 ) -> None:
-    """Compares highlight and diffuse light from a light behind the camera."""
+    """The test compares highlight and diffuse reflection of a light behind the camera."""
     by_chance = pipeline is ls.Pipeline.PATH and roughness == 0.0  # mirrored, or scattered below
 
     def shown(ior: float, around: list[ls.Mesh]) -> Any:
@@ -77,7 +77,7 @@ def test_underwater_body_is_shaded_like_one_in_air_with_the_relative_index(
 @pytest.mark.parametrize("ior", [1.6, 1.15])
 @pytest.mark.parametrize("roughness", [0.0, 0.4])
 def test_white_body_in_water_is_invisible_in_a_white_furnace(ior: float, roughness: float) -> None:
-    """A white body in a ball of water is invisible, and so is the water."""
+    """The white body lies in a ball of water, which is invisible as well."""
     white = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=roughness, ior=ior)
     water = ball(1.0, replace(WATER, specular=1.0), rows=16)
     camera = ls.Camera.look_at((0, 0, -4), (0, 0, 0), width=24, height=24, fov_y=0.3)

@@ -1,4 +1,4 @@
-"""Thin haze of captures in lit frames: without a surface it stays as captured, or is lit if its set is relit."""
+"""Thin haze in lit frames: haze of emissive sets is shown as captured, haze of relit sets is lit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PIPELINES = pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pip
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 GREEN, RED = np.array([0.2, 0.7, 0.3]), np.array([0.8, 0.3, 0.2])
 GLOWING = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))
-"""A relit material: nothing is as captured, and half of its albedo is emitted without light."""
+"""Relit material that emits half of its albedo without light and shows no captured radiance."""
 KEPT = {
     "shadow-only": {"shadow_catcher": True},
     "ambient": {"material": ls.MaterialSimple(ambient=(0.4, 0.4, 0.4))},
@@ -26,14 +26,14 @@ KEPT = {
 
 
 def veil(depth: float, opacity: float, color: np.ndarray) -> ls.Gaussians:
-    """One flat Gaussian, so wide that its alpha is constant over the view."""
+    """Returns one flat Gaussian, so wide that its alpha is constant over the view."""
     return ls.Gaussians(
         [[0.0, 0.0, depth]], [[1.0, 0.0, 0.0, 0.0]], [[40.0, 40.0, 0.002]], [opacity], flat_sh(color[None])
     )
 
 
 def frame_of(splats: list[ls.SplatInstance], pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
-    """A frame from the front, in the light."""
+    """Renders a frame from the front under a light along the view."""
     config = replace(ls.RenderConfig(pipeline=pipeline, lighting=True), **settings)
     return ls.render(ls.Scene(splats=splats, lights=[FACING]), front_camera(24, 18, 30.0), config, device="cpu")
 
@@ -44,7 +44,7 @@ def frame_of(splats: list[ls.SplatInstance], pipeline: ls.Pipeline = ls.Pipeline
 def test_emissive_haze_without_a_surface_is_equal_in_lit_and_unlit_frames(
     background: tuple[float, float, float] | None, kind: str, pipeline: ls.Pipeline
 ) -> None:
-    """Where no surface is found, a lit frame equals an unlit one to the bit."""
+    """The bits are equal where alpha is too low for an iso-opacity surface."""
     splats = [ls.SplatInstance(veil(2.0, 0.2, GREEN), **KEPT[kind])]
     lit = frame_of(splats, pipeline, background=background)
     unlit = frame_of(splats, pipeline, background=background, lighting=False)
@@ -57,7 +57,7 @@ def test_emissive_haze_without_a_surface_is_equal_in_lit_and_unlit_frames(
 @pytest.mark.parametrize("first", ["captured", "relit"])
 @pytest.mark.parametrize("opacity", [0.12, 0.5, 0.9])
 def test_frame_of_emissive_and_relit_haze_is_the_sum_of_both(opacity: float, first: str, pipeline: ls.Pipeline) -> None:
-    """Whichever set is in front, and whether there is a surface or not, the frame is the sum of both parts."""
+    """The sum holds whichever set is in front, and whether or not there is an iso-opacity surface."""
     depths = (2.0, 2.5) if first == "captured" else (2.5, 2.0)
     captured = ls.SplatInstance(veil(depths[0], opacity, GREEN))
     relit = ls.SplatInstance(veil(depths[1], opacity, RED), material=GLOWING)
@@ -72,7 +72,7 @@ def test_frame_of_emissive_and_relit_haze_is_the_sum_of_both(opacity: float, fir
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
 def test_stochastic_hits_of_emissive_and_relit_layers_are_unbiased(strategy: ls.config.TraceStrategy) -> None:
-    """Three layers of both kinds, by rays that hit one Gaussian, or one pass, each."""
+    """Three layers of emissive and relit sets have the sorted mean, for both stochastic strategies."""
     splats = [
         ls.SplatInstance(veil(2.0, 0.3, GREEN)),
         ls.SplatInstance(veil(2.2, 0.4, RED), material=GLOWING),
@@ -87,7 +87,7 @@ def test_stochastic_hits_of_emissive_and_relit_layers_are_unbiased(strategy: ls.
 @PIPELINES
 @pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside a captured set"])
 def test_relit_haze_too_thin_for_a_surface_is_lit_by_its_alpha(beside: bool, pipeline: ls.Pipeline) -> None:
-    """Light from the front gives no jump where alpha reaches that of a surface, 0.3."""
+    """Brightness does not jump where alpha reaches 0.3, from which on an iso-opacity surface exists."""
     material = ls.MaterialSimple(emissive=(0.0, 0.0, 0.0), diffuse=(1.0, 1.0, 1.0))
     more = [ls.SplatInstance(veil(9.0, 1e-6, GREEN))] if beside else []
     for opacity in (0.05, 0.29, 0.31):
@@ -99,7 +99,7 @@ def test_relit_haze_too_thin_for_a_surface_is_lit_by_its_alpha(beside: bool, pip
 
 @PIPELINES
 def test_captured_pixels_outside_a_relit_set_equal_the_unlit_frame(pipeline: ls.Pipeline) -> None:
-    """Pixels that the relit set does not reach equal the unlit frame to the bit."""
+    """Pixels that no relit Gaussian covers have equal bits in the lit and the unlit frame."""
     capture = ls.SplatInstance(veil(2.0, 0.6, GREEN))
     spot = ls.Gaussians([[-0.4, 0.0, 1.9]], [[1.0, 0.0, 0.0, 0.0]], [[0.05, 0.05, 0.05]], [0.8], flat_sh(RED[None]))
     lit = frame_of([capture, ls.SplatInstance(spot, material=GLOWING)], pipeline)
@@ -114,7 +114,7 @@ def test_captured_pixels_outside_a_relit_set_equal_the_unlit_frame(pipeline: ls.
 def test_cpu_and_cuda_schedules_agree_on_alternating_emissive_and_relit_layers(
     pipeline: ls.Pipeline, backend: str
 ) -> None:
-    """CPU and CUDA schedules give equal frames of alternating layers of both kinds with a mesh between them."""
+    """Between the layers is a mesh; all frames agree up to rounding."""
     splats = [ls.SplatInstance(veil(2.0 + 0.1 * k, 0.2, GREEN)) for k in range(3)]
     splats += [ls.SplatInstance(veil(2.05 + 0.1 * k, 0.2, RED), material=GLOWING) for k in range(3)]
     corners = [[-0.2, -0.2, 2.12], [0.3, -0.2, 2.12], [0.0, 0.3, 2.12]]

@@ -29,7 +29,7 @@ def _unsaid() -> Iterator[None]:
 
 
 def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gaussians:
-    """A sphere of dense Gaussians around the mesh, like a room; below a ``share`` of 1 only its bottom.
+    """Returns a sphere of dense Gaussians around the mesh, like a room; below a ``share`` of 1 only its bottom.
 
     Args:
         colors: Display-referred colour of all Gaussians, or one for each of 3,000.
@@ -49,7 +49,7 @@ def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gau
 
 
 def ball(radius: float = 0.8, **attributes: Any) -> ls.Mesh:
-    """A smooth ball at the test position."""
+    """Returns a smooth ball at the test position."""
     import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
@@ -58,7 +58,7 @@ def ball(radius: float = 0.8, **attributes: Any) -> ls.Mesh:
 
 
 def light_on(scene: ls.Scene, **settings: Any) -> np.ndarray:
-    """Linear colours of the pixels inside of the ball."""
+    """Returns linear colours of the pixels inside the ball."""
     frame = ls.render(scene, front_camera(64, 48), ls.RenderConfig(**settings), device="cpu")
     assert frame.color_space == "linear"
     return frame.color[frame.instance_index == 1]
@@ -66,7 +66,7 @@ def light_on(scene: ls.Scene, **settings: Any) -> np.ndarray:
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_diffuse_mesh_inside_a_uniform_capture_shows_its_albedo(pipeline: ls.Pipeline) -> None:
-    """White furnace: albedo times the capture's constant radiance, from every side, in one sample."""
+    """In a white furnace, brightness is albedo times the capture's constant radiance on every side, in one sample."""
     color = np.array([0.9, 0.6, 0.3])
     seen = light_on(ls.Scene([shell(color)], [ball()]), pipeline=pipeline)
     np.testing.assert_allclose(seen.mean(axis=0), 0.5 * decode_srgb(color), rtol=0.01)
@@ -75,7 +75,7 @@ def test_diffuse_mesh_inside_a_uniform_capture_shows_its_albedo(pipeline: ls.Pip
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_irradiance_on_a_mesh_follows_the_bright_half_of_the_capture_around_it(axis: int) -> None:
-    """With half of the sphere bright, irradiance is (1 + cosine) / 2 by the normal's angle to that half."""
+    """Irradiance is (1 + cosine) / 2 by the angle between the normal and the centre of the bright half."""
     along = even_directions(3000)
     colors = np.where(along[:, axis, None] > 0.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
     camera = front_camera(96, 72)
@@ -87,7 +87,7 @@ def test_irradiance_on_a_mesh_follows_the_bright_half_of_the_capture_around_it(a
 
 
 def test_light_of_a_capture_on_a_mesh_is_rendered_again_after_the_mesh_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is rendered at each new position, not for a new object at the same one, and equals a new renderer's."""
+    """A new object at the same position does not render the light again; frames equal those of a new renderer."""
     found, made = captured_light.captured_light, list[object]()
     boxes = list[np.ndarray]()
 
@@ -108,7 +108,7 @@ def test_light_of_a_capture_on_a_mesh_is_rendered_again_after_the_mesh_moves(mon
 
 
 def test_light_of_a_capture_on_a_mesh_agrees_with_path_tracing() -> None:
-    """The mean over the mesh agrees within 5 %."""
+    """The mean brightness of the mesh agrees within 5 %."""
     along = even_directions(3000)
     colors = 0.5 + 0.4 * along[:, [1, 0, 2]]
     scene = ls.Scene([shell(colors, radius=50.0)], [ball()])
@@ -117,7 +117,7 @@ def test_light_of_a_capture_on_a_mesh_agrees_with_path_tracing() -> None:
 
 
 def test_lighting_a_mesh_by_a_capture_does_not_change_captured_pixels() -> None:
-    """Pixels of the capture are byte-equal."""
+    """Pixels of the capture have equal bytes with and without the mesh's lighting."""
     scene = ls.Scene([shell(np.array([0.7, 0.5, 0.2]))], [ball()])
     camera = front_camera(64, 48)
     lit, flat = (
@@ -130,7 +130,7 @@ def test_lighting_a_mesh_by_a_capture_does_not_change_captured_pixels() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_mesh_outside_a_capture_is_lit_by_a_headlight(share: float) -> None:
-    """With a capture of a figure, or a floor without a sky, the frame equals that of lighting=True."""
+    """Beside a captured figure, or on a captured floor without a sky, the frame equals that of lighting=True."""
     capture = shell(np.array([0.5, 0.5, 0.5]), share) if share else one_gaussian((1.5, 0.0, 4.0))
     scene = ls.Scene([capture], [octahedron((0.0, 0.0, 4.0), 1.0)])
     frame, asked = (
@@ -141,7 +141,7 @@ def test_mesh_outside_a_capture_is_lit_by_a_headlight(share: float) -> None:
 
 
 def test_captures_do_not_light_meshes_if_lights_or_lighting_are_specified() -> None:
-    """A light, a disabled light, and lighting=True or False take no light from the capture."""
+    """A light, a disabled light, or lighting set to True or False switches the light of captures off."""
     capture, light = shell(np.array([0.2, 0.2, 0.8])), ls.LightPoint(POSITION - (0, 0, 3), intensity=5.0)
     scene = ls.Scene([capture], [ball()])
     for lights, lighting in (((light,), None), ((replace(light, enabled=False),), None), ((), True)):
@@ -152,7 +152,7 @@ def test_captures_do_not_light_meshes_if_lights_or_lighting_are_specified() -> N
 
 
 def test_light_of_captures_on_meshes_does_not_depend_on_earlier_frames() -> None:
-    """A renderer that has rendered other positions equals a new one to the bit, with any number of threads."""
+    """A renderer that has rendered other positions gives the bits of a new renderer with any number of threads."""
     along = even_directions(3000)
     scene = ls.Scene([shell(np.where(along[:, :1] > 0.0, 0.9, 0.1) * np.ones(3))], [ball()])
     moved = replace(scene, meshes=[ls.MeshInstance(ball(), position=(1.5, 0.0, 0.0))])
@@ -167,7 +167,7 @@ def test_light_of_captures_on_meshes_does_not_depend_on_earlier_frames() -> None
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH, ls.Pipeline.REALTIME])
 def test_capture_gain_of_one_stop_doubles_the_light_of_captures_on_meshes(pipeline: ls.Pipeline) -> None:
-    """One stop doubles the light in every pipeline; the estimated gain exposes a grey ball like its grey room."""
+    """The light doubles in every pipeline; the estimated gain exposes a grey ball like the grey room around it."""
     color = np.array([0.5, 0.5, 0.5])
     scene = ls.Scene([shell(color, radius=30.0)], [ball()])
     gain = ls.avatars.estimate_capture_gain(scene, device="cpu")
@@ -190,7 +190,7 @@ def test_capture_gain_of_one_stop_doubles_the_light_of_captures_on_meshes(pipeli
 
 
 def test_light_of_a_capture_on_a_mesh_does_not_depend_on_the_sample_count() -> None:
-    """Directions are spread over samples; with images of single lights, each sample has one direction."""
+    """Directions are spread over samples; with one layer per light, each sample has a single direction."""
     scene = ls.Scene([shell(np.array([0.9, 0.6, 0.3]))], [ball()])
     one = light_on(scene).mean(axis=0)
     np.testing.assert_allclose(light_on(scene, samples=8, jitter=False).mean(axis=0), one, rtol=0.01)

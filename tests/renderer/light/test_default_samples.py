@@ -24,14 +24,14 @@ MANY, SOME = SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_ENVIRONMENT_ON_SPLATS
 
 
 def ball(radius: float) -> ls.MeshInstance:
-    """A ball in front of the camera."""
+    """Returns a ball in front of the camera."""
     pose = np.eye(4)
     pose[2, 3] = 4.0
     return ls.MeshInstance(icosphere(radius), pose)
 
 
 def scene(*lights: Any, **capture: Any) -> ls.Scene:
-    """A capture and a ball; only the capture if it is described."""
+    """Returns a capture and a ball, or only the capture if arguments describe it."""
     splats = [ls.SplatInstance(random_gaussians(3, count=60), **capture)]
     return ls.Scene(splats, () if capture else [ball(0.4)], lights)
 
@@ -61,7 +61,7 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
 def test_default_sample_count_is_1_unless_random_light_is_reflected_or_blocked(
     content: ls.Scene, settings: dict[str, Any], samples: int
 ) -> None:
-    """Many where random light is reflected or blocked, else one."""
+    """Frames in which random light is reflected or blocked have more samples by default."""
     assert FramePlan.of(ls.RenderConfig(**settings), content).samples == samples
 
 
@@ -69,7 +69,7 @@ def test_default_sample_count_is_1_unless_random_light_is_reflected_or_blocked(
 def test_default_sample_count_leaves_no_black_pixels_in_a_room_with_a_window(
     pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """With a bright window in a dark room, one sample leaves black pixels beside bright ones; the default does not."""
+    """With one sample, black pixels lie beside bright ones; with the default number, none are black."""
     image = np.full((16, 32, 3), 0.02, np.float32)
     image[5:9, 12:20] = 12.0
     lit = ls.Scene((), [ball(0.9)], [ls.LightEnvironment(image)])
@@ -86,7 +86,7 @@ def test_default_sample_count_leaves_no_black_pixels_in_a_room_with_a_window(
 
 
 def test_too_few_samples_log_one_warning_that_names_the_noisy_light(caplog: pytest.LogCaptureFixture) -> None:
-    """The warning names the noisy light and the remedy; none by default, nor once resumed frames have enough."""
+    """The warning names a remedy; it is not logged by default, nor once resumed frames have enough samples."""
     camera, soft = front_camera(16, 16), scene(ENVIRONMENT, SOFT_SUN)
 
     def lines(content: ls.Scene, **settings: Any) -> list[str]:
@@ -112,7 +112,7 @@ def test_too_few_samples_log_one_warning_that_names_the_noisy_light(caplog: pyte
 
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 def test_default_sample_count_leaves_captured_pixels_equal_to_the_unlit_frame(pipeline: ls.Pipeline) -> None:
-    """An emissive capture in front of a noisy mesh: pixels without the mesh equal the unlit frame to the bit."""
+    """An emissive capture is in front of a noisy mesh; pixels without the mesh have the bits of the unlit frame."""
     content = scene(replace(ENVIRONMENT, visible=False))
     pose = np.eye(4)
     pose[:3, 3] = 1.0, 0.0, 9.0
@@ -130,7 +130,7 @@ def test_default_sample_count_leaves_captured_pixels_equal_to_the_unlit_frame(pi
 def test_demo_animation_logs_no_warning_about_too_few_samples(
     caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: Any
 ) -> None:
-    """Its animation deliberately has few samples and logs no warning; other frames still do."""
+    """The animation has few samples on purpose; other frames of the demo still log the warning."""
     settings = replace(demo._lit_config(), samples=MANY, max_bounces=0)
     monkeypatch.setattr(demo, "_lit_config", lambda: settings)
     monkeypatch.setattr(demo, "_SWING_FRAMES", 2)

@@ -22,14 +22,14 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 
 def frame(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: Any) -> np.ndarray:
-    """Colour of a frame."""
+    """Returns the colour image of a frame."""
     settings = ls.RenderConfig(pipeline=pipeline, samples=samples, jitter=False, **changes)
     return ls.render(scene, VIEW, settings, device="cpu").color
 
 
 @pytest.mark.parametrize("look", LOOKS)
 def test_pipelines_agree_on_layered_materials_under_a_light(look: str) -> None:
-    """On a ball without bounces; the layer, or multiple scattering, changes the image."""
+    """The scene is a ball without bounces; the layer, or multiple scattering, changes the image visibly."""
     compensated = look == "metal"
     scene = ls.Scene(meshes=[ball(0.3, ls.MaterialPbr(**(PLAIN | LOOKS[look])), rows=24)], lights=[LIGHT])
     shown = [frame(scene, p, max_bounces=0, energy_compensation=compensated) for p in SAMPLED]
@@ -40,8 +40,8 @@ def test_pipelines_agree_on_layered_materials_under_a_light(look: str) -> None:
     assert np.abs(without - shown[0]).max() > 0.02
 
 
-def test_relit_gaussians_have_clearcoat_and_sheen() -> None:
-    """Clearcoat and sheen work on relit sets."""
+def test_relit_gaussians_with_sheen_reflect_more_light() -> None:
+    """Sheen brightens the relit set."""
     gaussians = ls.gaussians_from_mesh(ball(0.3, ls.MaterialPbr(base_color=(0.5, 0.1, 0.1))), 3000)
     shown = [
         frame(ls.Scene(splats=[ls.SplatInstance(gaussians, material=material)], lights=[LIGHT]), ls.Pipeline.HYBRID)
@@ -51,7 +51,7 @@ def test_relit_gaussians_have_clearcoat_and_sheen() -> None:
 
 
 def test_path_traced_clearcoat_reflects_4_percent_of_a_lit_wall() -> None:
-    """In path tracing, a coat over black reflects 0.04 of a lit wall behind the camera at normal incidence."""
+    """The coat lies over a black base and reflects a wall behind the camera at normal incidence."""
     coated = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, clearcoat=1.0)
     dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, emissive=(1.0, 1.0, 1.0))
     scene = ls.Scene(

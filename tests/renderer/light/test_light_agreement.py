@@ -25,12 +25,12 @@ SHINY = ls.MaterialPbr(base_color=(0.3, 0.6, 0.8), roughness=0.4)
 
 
 def ring() -> ls.Mesh:
-    """A tilted ring."""
+    """Returns a tilted ring."""
     return transform_mesh(torus(0.5, 0.18), similarity((1.0, 0.0, 0.3), 0.5, 1.0, (0.0, 0.6, 0.0)))
 
 
 def tray() -> ls.Mesh:
-    """A slab, and a ball above it that shadows it."""
+    """Returns a slab, and a ball above it that shadows it."""
     slab = transform_mesh(rounded_box((1.3, 0.2, 1.0), 0.06), similarity((0.3, 1.0, 0.1), 0.2, 1.0, (0.0, 0.45, 0.0)))
     return join_meshes([slab, transform_mesh(sphere(0.22), similarity(offset=(-0.1, 0.85, 0.0)))])
 
@@ -47,29 +47,29 @@ FLOOR = parallelogram((-3.0, 0.0, 3.0), (6.0, 0.0, 0.0), (0.0, 0.0, -6.0), matte
 
 @cache
 def gaussians_of(name: str) -> ls.Gaussians:
-    """The object as Gaussians with its normals and albedo."""
+    """Returns the object as Gaussians with normals and albedo."""
     mesh, count = OBJECTS[name]
     return ls.gaussians_from_mesh(mesh, count)
 
 
 def as_mesh(name: str) -> ls.Scene:
-    """The mesh object over the floor."""
+    """Returns a scene with the object as a mesh over the floor."""
     return ls.Scene((), [FLOOR, OBJECTS[name][0]], [LIGHT])
 
 
 def as_gaussians(name: str, **changes: object) -> ls.Scene:
-    """The Gaussian object over the floor."""
+    """Returns a scene with the object as Gaussians over the floor."""
     instance = ls.SplatInstance(gaussians_of(name), material=OBJECTS[name][0].material)
     return ls.Scene([replace(instance, **changes)], [FLOOR], [LIGHT])
 
 
 def overlap(first: np.ndarray, second: np.ndarray) -> float:
-    """Intersection over union of two masks."""
+    """Returns the intersection over union of two masks."""
     return float(np.count_nonzero(first & second) / np.count_nonzero(first | second))
 
 
 def inner(mask: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Pixels of a mask whose neighbours, up to two pixels away, belong to it and have similar normals."""
+    """Returns the pixels of a mask whose neighbours within two pixels are in the mask and have similar normals."""
     kept = mask.copy()
     for rows in range(-2, 3):
         for columns in range(-2, 3):
@@ -79,14 +79,14 @@ def inner(mask: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def psnr(first: np.ndarray, second: np.ndarray) -> float:
-    """PSNR between two images in decibels; white is 1."""
+    """Returns the PSNR between two images in decibels; white is 1."""
     return float(-10.0 * np.log10(np.mean((np.clip(first, 0.0, 1.0) - np.clip(second, 0.0, 1.0)) ** 2)))
 
 
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
 def test_mesh_and_gaussians_of_one_object_cast_equal_shadows(name: str, pipeline: ls.Pipeline) -> None:
-    """Compares masks of the shadows on the floor and on the object itself."""
+    """The test compares masks of the shadows on the floor and of the object on itself."""
     mesh = lit(as_mesh(name), CAMERA, pipeline, aovs=("lights",))
     splats = lit(as_gaussians(name), CAMERA, pipeline, aovs=("lights",))
     assert mesh.light_shadow is not None
@@ -114,7 +114,7 @@ def test_mesh_and_gaussians_of_one_object_cast_equal_shadows(name: str, pipeline
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
 def test_mesh_and_gaussians_of_one_object_are_shaded_equally(name: str, pipeline: ls.Pipeline) -> None:
-    """Compares unshadowed brightness away from edges.
+    """The test compares unshadowed brightness away from edges.
 
     The rasteriser orders discs by their centres, so that discs that face the viewer get too much weight. Footprints
     have the same effect: they suit only captures trained with them.
@@ -132,7 +132,7 @@ def test_mesh_and_gaussians_of_one_object_are_shaded_equally(name: str, pipeline
 
 
 def test_raster_trace_and_hybrid_pipelines_shade_meshes_equally() -> None:
-    """Raster, trace and hybrid frames of meshes differ only by rounding."""
+    """Frames of meshes differ only by rounding."""
     scene = as_mesh("tray")
     raster, trace, hybrid = (lit(scene, CAMERA, pipeline) for pipeline in DIRECT)
     for frame in (raster, hybrid):
@@ -142,7 +142,7 @@ def test_raster_trace_and_hybrid_pipelines_shade_meshes_equally() -> None:
 
 @pytest.mark.parametrize("name", ["ring", "shiny sphere"])
 def test_raster_trace_and_hybrid_pipelines_shade_gaussians_equally(name: str) -> None:
-    """Raster and hybrid frames are equal, and differ from traced ones as their footprints do."""
+    """Raster and hybrid frames are equal; both differ from traced frames because of their footprints."""
     raster, trace, hybrid = (lit(as_gaussians(name), CAMERA, pipeline) for pipeline in DIRECT)
     assert_close(hybrid.color, raster.color, atol=1e-4)
     assert psnr(raster.color, trace.color) > 23.0
@@ -153,7 +153,7 @@ def test_raster_trace_and_hybrid_pipelines_shade_gaussians_equally(name: str) ->
 
 @PIPELINES
 def test_white_gaussians_are_nearly_invisible_in_a_white_furnace(pipeline: ls.Pipeline) -> None:
-    """White furnace: Gaussians of a surface lose less than 1 % to shadows on each other."""
+    """Gaussians of a surface lose less than 1 % of the light by shadowing each other."""
     white = matte(1.0)
     splats = ls.gaussians_from_mesh(ball_at((0.0, 0.7, 0.0), 0.5, white), 4000)
     environment = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
@@ -165,7 +165,7 @@ def test_white_gaussians_are_nearly_invisible_in_a_white_furnace(pipeline: ls.Pi
 
 
 def capture() -> ls.Gaussians:
-    """A set of Gaussians that emits its colours, like a capture."""
+    """Returns a set of Gaussians that emits its colours, like a capture."""
     return random_gaussians(71, count=300, degree=2, center=(0.0, 0.8, 0.0), extent=(0.9, 0.7, 0.6))
 
 
@@ -174,7 +174,7 @@ def capture() -> ls.Gaussians:
 def test_lighting_setting_changes_nothing_without_reflecting_surfaces(
     lights: tuple[ls.LightPoint, ...], pipeline: ls.Pipeline, tmp_path: Path
 ) -> None:
-    """No light, equal colours and equal files, whatever the tone mapping."""
+    """With any tone map, the frame has no light, and colours and files equal those of the unlit frame."""
     scene = ls.Scene([capture()], (), lights)
     settings = {"background": (0.2, 0.3, 0.4), "tone_map": ls.ToneMap.AGX}
     frame = lit(scene, CAMERA, pipeline, **settings)
@@ -193,7 +193,7 @@ def test_lighting_setting_changes_nothing_without_reflecting_surfaces(
 
 @PIPELINES
 def test_capture_in_front_of_a_lit_mesh_equals_the_unlit_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """Light on a floor changes no pixel of the capture in front of it, nor of the background."""
+    """Light on a floor changes neither the pixels of the capture in front of the floor nor the background."""
     half = parallelogram((-3.0, 0.0, 0.2), (3.2, 0.0, 0.0), (0.0, 0.0, -1.4), matte(0.8))
     scene = ls.Scene([capture()], [half], [LIGHT])
     frame = lit(scene, CAMERA, pipeline, tone_map=ls.ToneMap.NEUTRAL)

@@ -33,7 +33,7 @@ EVEN = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
 def test_plane_under_a_point_light_matches_the_inverse_square_law_and_gltf_window(
     pipeline: ls.Pipeline, reach: float
 ) -> None:
-    """Every pixel is albedo / pi times candela / distance squared times the cosine, and glTF's range window."""
+    """Every pixel is albedo / pi * candela / distance^2 * cosine, times glTF's range window."""
     light = ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.5, 0.2), intensity=7.0, range=reach)
     camera, albedo = above(), (0.9, 0.6, 0.3)
     frame = lit(ls.Scene((), [floor(matte(*albedo))], [light]), camera, pipeline)
@@ -48,7 +48,7 @@ def test_plane_under_a_point_light_matches_the_inverse_square_law_and_gltf_windo
 
 @PIPELINES
 def test_plane_under_a_spot_light_matches_the_gltf_cone_falloff(pipeline: ls.Pipeline) -> None:
-    """Full inside the inner cone, none outside the outer one, and glTF's squared ramp of the cosine between."""
+    """Light is full inside the inner cone, zero outside the outer cone, and glTF's squared ramp between."""
     light = ls.LightSpot((-0.5, 2.0, 0.4), (0.3, -1.0, -0.2), intensity=9.0, inner_angle=0.25, outer_angle=0.5)
     camera = above()
     frame = lit(ls.Scene((), [floor(matte(0.8))], [light]), camera, pipeline)
@@ -65,7 +65,7 @@ def test_plane_under_a_spot_light_matches_the_gltf_cone_falloff(pipeline: ls.Pip
 @PIPELINES
 @pytest.mark.parametrize("shadows", ls.Shadows, ids=lambda shadows: shadows.value)
 def test_unblocked_lights_are_equally_bright_in_all_shadow_modes(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
-    """Spheres and distant discs above the horizon light like their centres; sampling them only adds noise."""
+    """Spheres and distant discs above the horizon light like points at their centres; sampling adds only noise."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), intensity=7.0, radius=0.3),
         ls.LightSphere((-1.0, 2.0, 0.5), 0.4, intensity=6.0),
@@ -94,7 +94,7 @@ def test_unblocked_lights_are_equally_bright_in_all_shadow_modes(pipeline: ls.Pi
 
 @PIPELINES
 def test_frame_is_the_sum_over_lights_of_unshadowed_light_times_shadow(pipeline: ls.Pipeline) -> None:
-    """The image is the sum over lights of unshadowed light times shadow; a disabled light adds nothing."""
+    """A disabled light adds nothing."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.2, 0.1), intensity=7.0, name="lamp"),
         ls.LightDirectional((0.4, -1.0, 0.3), intensity=1.5, casts_shadow=False),
@@ -120,7 +120,7 @@ def test_frame_is_the_sum_over_lights_of_unshadowed_light_times_shadow(pipeline:
 
 @PIPELINES
 def test_scene_without_lights_is_lit_by_a_headlight_at_the_camera(pipeline: ls.Pipeline) -> None:
-    """A white wall that faces the camera is 1 at any distance; tilted ones are darker by their cosine."""
+    """A white wall that faces the camera has brightness 1 at any distance; tilted walls are darker by their cosine."""
     camera = above(height=3.0, eye=(1.5, 0.4))
     frame = lit(ls.Scene((), [floor(matte(0.9))]), camera, pipeline)
     directions, _ = towards(tuple(camera.eye), floor_points(camera))
@@ -128,11 +128,11 @@ def test_scene_without_lights_is_lit_by_a_headlight_at_the_camera(pipeline: ls.P
 
 
 RECT = ls.LightRect((0.3, 1.2, -0.2), (1.1, 0.2, 0.0), (0.1, 0.0, 0.9), intensity=3.0)
-"""A rectangle over the plane, facing down and slightly to one side."""
+"""Rectangle light over the plane, facing down and slightly to one side."""
 
 
 def rect_irradiance(light: ls.LightRect, points: np.ndarray) -> np.ndarray:
-    """Irradiance on a plane that faces up, with the whole rectangle above the horizon (Lambert 1760), shape (H, W)."""
+    """Returns the irradiance on a plane that faces up, the rectangle above its horizon (Lambert 1760), shape (H, W)."""
     u, v = 0.5 * np.array(light.edge_u), 0.5 * np.array(light.edge_v)
     corners = [np.array(light.position) + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     rays = [towards(corner, points)[0] for corner in corners]
@@ -145,7 +145,7 @@ def rect_irradiance(light: ls.LightRect, points: np.ndarray) -> np.ndarray:
 
 
 def test_plane_under_a_rectangle_light_matches_the_closed_form() -> None:
-    """Sampled, the closed form of its irradiance; as a point light, that of its centre, area and both cosines."""
+    """With soft shadows, the closed form integrates the rectangle; with hard shadows, it uses a point at the centre."""
     camera = above()
     scene = ls.Scene((), [floor(matte(0.8))], [RECT])
     points = floor_points(camera)
@@ -162,7 +162,7 @@ def test_plane_under_a_rectangle_light_matches_the_closed_form() -> None:
 
 
 def test_plane_under_a_disk_light_matches_the_closed_form() -> None:
-    """Sampled, the closed form of its irradiance (a disk parallel to the receiver); hard, that of its centre."""
+    """With soft shadows, the closed form is that of a parallel disk; with hard ones, a point at the disk's centre."""
     camera, disk = above(), ls.LightDisk((0.3, 1.2, -0.2), (0.0, -1.0, 0.0), 0.5, intensity=3.0)
     scene, points = ls.Scene((), [floor(matte(0.8))], [disk]), floor_points(camera)
     directions, distances = towards(disk.position, points)
@@ -183,7 +183,7 @@ def test_plane_under_a_disk_light_matches_the_closed_form() -> None:
 
 
 def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
-    """Schlick reflectance of a facet, shape (..., 3)."""
+    """Returns the Schlick reflectance of a facet, shape (..., 3)."""
     metallic, cosine = material.metallic, cosine[..., None]
     straight = material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2 * (1.0 - metallic)
     straight = straight + metallic * np.array(material.base_color)
@@ -192,12 +192,12 @@ def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
 
 
 def smith_g1(alpha: float, cosine: np.ndarray) -> np.ndarray:
-    """Smith's masking of GGX: the visible fraction of the facets that face a direction."""
+    """Returns Smith's masking of GGX: the visible fraction of the facets that face a direction."""
     return 2.0 * cosine / (cosine + np.sqrt(alpha**2 + (1.0 - alpha**2) * cosine**2))
 
 
 def highlight_albedo(material: ls.MaterialPbr, cosines: np.ndarray, steps: int = 256) -> np.ndarray:
-    """Directional albedo of the highlight at the viewers' cosines, shape (..., 3), by numerical integration.
+    """Returns the directional albedo of the highlight at the viewers' cosines, shape (..., 3), by quadrature.
 
     Integrates over the facets visible to each viewer (Heitz 2018), on a grid of ``steps`` by ``steps`` numbers.
     """
@@ -223,7 +223,7 @@ def highlight_albedo(material: ls.MaterialPbr, cosines: np.ndarray, steps: int =
 
 
 def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """BSDF of a rough material, without the cosine, shape (..., 3); unit vectors away from the surface, (..., 3).
+    """Returns the BSDF of a rough material, without cosine, shape (..., 3); directions point away from the surface.
 
     The diffuse part gets the energy that the highlight leaves, on the way in and out (Kelemen and Szirmay-Kalos 2001).
     """
@@ -244,7 +244,7 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
 
 
 def diffuse_color(material: ls.MaterialPbr) -> np.ndarray:
-    """Albedo below the highlight, shape (3,); rough surfaces scatter the transmitted fraction."""
+    """Returns the albedo below the highlight, shape (3,); rough surfaces scatter the transmitted fraction."""
     return (1.0 - material.metallic) * np.array(material.base_color)
 
 
@@ -256,14 +256,15 @@ MATERIALS = {
     "half a metal": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.6, metallic=0.5), 0.03),
     "frosted": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.5, transmission=0.6), 0.01),
 }
-"""And how much darker they may be than the integrals say: what highlights leave of the light is taken from fits that
-rather take too much."""
+"""Materials, and how much darker than the integrals a frame may be.
+
+The energy left by highlights is taken from fitted curves that rather underestimate it."""
 
 
 @PIPELINES
 @pytest.mark.parametrize("name", MATERIALS)
 def test_plane_under_a_point_light_matches_the_formula_of_each_material(name: str, pipeline: ls.Pipeline) -> None:
-    """Compares the image of a plane, highlight included."""
+    """The formula of each material includes its highlight."""
     (material, loss), camera = MATERIALS[name], above(eye=(2.5, 1.0), height=2.5)
     light = ls.LightPoint((-1.2, 1.4, -0.4), intensity=7.0)
     frame = lit(ls.Scene((), [floor(material)], [light]), camera, pipeline)
@@ -279,7 +280,7 @@ def test_plane_under_a_point_light_matches_the_formula_of_each_material(name: st
 
 @PIPELINES
 def test_simple_material_adds_emission_and_ambient_light_once_for_all_lights(pipeline: ls.Pipeline) -> None:
-    """Diffuse and Phong highlight per light; emission and ambient light are added once for any number of lights."""
+    """Diffuse reflection and Phong highlight are added for each light."""
     material = ls.MaterialSimple(
         base_color=(0.9, 0.7, 0.5),
         emissive=(0.1, 0.0, 0.2),
@@ -306,7 +307,7 @@ def test_simple_material_adds_emission_and_ambient_light_once_for_all_lights(pip
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_plane_in_a_constant_environment_shows_the_albedo_of_each_material(name: str) -> None:
-    """A plane shows its highlight's directional albedo at each angle, and its diffuse colour times the rest."""
+    """A plane shows the highlight's directional albedo at each angle, and the diffuse colour times the rest."""
     material, loss = MATERIALS[name]
     camera = ls.Camera.look_at((3.0, 2.0, 0.0), (0.0, 0.0, 0.0), width=32, height=48, fov_y=0.7)
     frame = lit(ls.Scene((), [floor(material)], [EVEN]), camera, shadows=ls.Shadows.SOFT, samples=96)
@@ -325,7 +326,7 @@ def test_plane_in_a_constant_environment_shows_the_albedo_of_each_material(name:
 
 @PIPELINES
 def test_diffuse_plane_in_a_constant_environment_shows_albedo_times_radiance(pipeline: ls.Pipeline) -> None:
-    """Albedo times the environment's radiance."""
+    """Each channel of the plane is albedo times radiance."""
     camera, albedo = above(), np.array([0.9, 0.5, 0.2])
     frame = lit(ls.Scene((), [floor(matte(*albedo))], [EVEN]), camera, pipeline, shadows=ls.Shadows.SOFT, samples=64)
     means = [tile_means(frame.color[..., c]) for c in range(3)]
@@ -342,12 +343,12 @@ FURNACE = {
     "half a mirror": (ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, metallic=0.5), 0.004),
     "white, seen": (replace(matte(1.0), specular=0.0, ior=1.0), 0.004),
 }
-"""Materials that lose no energy, and the tolerance of their mean."""
+"""Materials that lose no energy, with the tolerance of the mean brightness."""
 
 
 @pytest.mark.parametrize("name", FURNACE)
 def test_convex_objects_of_lossless_materials_are_invisible_in_a_white_furnace(name: str) -> None:
-    """White furnace: a convex object of any lossless material cannot be distinguished from the environment."""
+    """A convex object of a lossless material cannot be distinguished from the constant environment."""
     material, off = FURNACE[name]
     camera = ls.Camera.look_at((1.5, 1.0, 2.6), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.6)
     scene = ls.Scene((), [ball_at((0.0, 0.0, 0.0), 0.7, material)], [EVEN])

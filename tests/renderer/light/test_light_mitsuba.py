@@ -21,7 +21,7 @@ SCENES = light_scenes()
 SHARP = [name for name, one in SCENES.items() if one.shadows is ls.Shadows.HARD]
 SOFT = [name for name in SCENES if name not in SHARP]
 AGAIN = ("constant", "metal_sky")
-"""Scenes of the deep suite: daily tests cover constant environments in closed form, and other materials."""
+"""Scenes of the deep suite; daily tests cover constant environments in closed form, and other materials."""
 DARK = 0.01
 """Fraction of an image's mean below which a pixel counts as unlit."""
 BLOCK = 12
@@ -31,20 +31,20 @@ SAMPLES = 160
 
 
 class Reference(NamedTuple):
-    """Mitsuba's image of a scene, and the compared pixels."""
+    """Mitsuba's image of a scene, and the mask of compared pixels."""
 
     image: np.ndarray  # (H, W, 3), linear
     compared: np.ndarray  # (H, W)
 
 
 def reference_of(name: str) -> Reference:
-    """The stored image of a scene."""
+    """Returns the stored image of a scene."""
     with np.load(REFERENCE / f"mitsuba_light_{name}.npz") as stored:
         return Reference(stored["image"].astype(np.float64), stored["compared"])
 
 
 def frame_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> ls.Frame:
-    """Our lit frame of a scene."""
+    """Returns Lumisplat's lit frame of a scene."""
     # The references have direct light alone: what rough metals reflect of other surfaces is not in them.
     direct = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=one.shadows, max_bounces=8)
     config = replace(direct, glossy_reflections=False)
@@ -66,7 +66,7 @@ def assert_as_bright(ours: np.ndarray, theirs: np.ndarray, mean: float = 0.01, m
 
 
 def block_means(image: np.ndarray, compared: np.ndarray) -> np.ndarray:
-    """Means of blocks with enough compared pixels, shape (B, 3)."""
+    """Returns the means of the B blocks with enough compared pixels, shape (B, 3)."""
     rows, columns = (size // BLOCK for size in compared.shape)
     blocks = np.where(compared[..., None], image, 0.0).reshape(rows, BLOCK, columns, BLOCK, 3).sum(axis=(1, 3))
     counts = compared.reshape(rows, BLOCK, columns, BLOCK).sum(axis=(1, 3))
@@ -77,7 +77,7 @@ def block_means(image: np.ndarray, compared: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("name", SHARP)
 def test_images_lit_by_point_spot_and_directional_lights_equal_mitsuba(name: str, pipeline: ls.Pipeline) -> None:
-    """Compares every pixel: diffuse and metal surfaces, and mirror and glass."""
+    """Every pixel is compared, on diffuse, metal, mirror and glass surfaces."""
     if SCENES[name].smooth and pipeline is ls.Pipeline.RASTER:
         pytest.skip("a raster frame has no reflections")
     theirs = reference_of(name)
@@ -89,9 +89,9 @@ def test_images_lit_by_point_spot_and_directional_lights_equal_mitsuba(name: str
     "name", [pytest.param(name, marks=[pytest.mark.deep] if name in AGAIN else []) for name in SOFT]
 )
 def test_images_lit_by_area_lights_and_environments_equal_mitsuba(name: str) -> None:
-    """Rectangle, disk, sphere, and environments, one constant and one with a sun, rotated about all axes.
+    """The lights are rectangle, disk and sphere, a constant environment and one with a sun, rotated about all axes.
 
-    Compares means of whole surfaces and of blocks, of which one in a hundred may exceed the noise.
+    The test compares means of whole surfaces and of blocks, of which one in a hundred may exceed the noise.
     """
     theirs = reference_of(name)
     frame = frame_of(SCENES[name], ls.Pipeline.TRACE, samples=SAMPLES)
@@ -105,7 +105,7 @@ def test_images_lit_by_area_lights_and_environments_equal_mitsuba(name: str) -> 
 
 
 def test_mitsuba_comparison_fails_for_a_light_moved_by_3_cm() -> None:
-    """A light that is 3 cm off fails the comparison."""
+    """A light that is 3 cm off gives other blocks than Mitsuba's."""
     one, theirs = SCENES["point"], reference_of("point")
     moved = ls.LightPoint((1.63, 2.6, 1.4), color=(1.0, 0.9, 0.7), intensity=30.0)
     ours = frame_of(replace(one, scene=replace(one.scene, lights=(moved,))), ls.Pipeline.TRACE).color

@@ -14,7 +14,7 @@ LIGHT = ls.LightPoint((0.0, 0.0, 0.0))
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_scene_of_meshes_without_lights_is_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
-    """Faces differ in brightness, as with lighting=True; unlit they would have one flat colour."""
+    """Faces of a mesh differ in brightness, as with lighting=True; unlit faces would have one flat colour."""
     scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
     frame, asked, flat = (
         ls.render(scene, front_camera(40, 30), ls.RenderConfig(pipeline=pipeline, lighting=lighting), device="cpu")
@@ -37,7 +37,7 @@ def test_scene_of_meshes_without_lights_is_lit_by_a_headlight(pipeline: ls.Pipel
     ],
 )
 def test_captures_without_lights_are_rendered_unlit(scene: ls.Scene, is_lit: bool) -> None:
-    """Captures are lit only if there are lights; meshes always are."""
+    """Captures are lit only if there are lights; meshes are always lit."""
     assert scene.is_lit_by_default is is_lit
     assert (ls.render(scene, front_camera(8, 6), device="cpu").light is not None) is is_lit
 

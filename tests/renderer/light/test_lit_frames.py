@@ -17,7 +17,7 @@ from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaus
 
 
 def checked(image: np.ndarray | None) -> np.ndarray:
-    """An image that must exist and be finite."""
+    """Returns the image, which must exist and be finite."""
     assert image is not None
     assert np.isfinite(image).all()
     return image
@@ -25,7 +25,7 @@ def checked(image: np.ndarray | None) -> np.ndarray:
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_layers_of_a_lit_frame_add_up_to_its_colour(pipeline: ls.Pipeline) -> None:
-    """Colour is captured radiance plus light; light is emission, shadowed light of each light, and reflections."""
+    """Colour is captured radiance plus light; light is emission, the shadowed light of each light, and reflections."""
     # Of one sample: means of display-referred and of linear colours do not add up.
     settings = config(pipeline, samples=1, aovs=all_aovs(), background=(0.0, 0.0, 0.0))
     frame = ls.render(scene(*LIGHTS, ENVIRONMENT), camera(), settings, device="cpu")
@@ -48,7 +48,7 @@ def test_layers_of_a_lit_frame_add_up_to_its_colour(pipeline: ls.Pipeline) -> No
 
 
 def all_aovs() -> tuple[str, ...]:
-    """All light images."""
+    """Returns the names of all light images."""
     return ("albedo", "emission", "reflection", "lights", "hits")
 
 
@@ -57,7 +57,7 @@ def all_aovs() -> tuple[str, ...]:
 def test_lit_frames_do_not_depend_on_cuda_schedule_graphs_or_thread_count(
     pipeline: ls.Pipeline, shadows: ls.Shadows
 ) -> None:
-    """CUDA's schedule, its graphs and any number of threads agree; a renderer repeats its frames."""
+    """CUDA's schedule runs on the CPU; one renderer repeats its frames to the bit."""
     settings = config(pipeline, shadows=shadows, samples=2, background=None)
     frames = [renderer_of(backend, settings).render(scene(*LIGHTS, ENVIRONMENT), camera()) for backend in BACKENDS]
     single = ls.create_renderer(settings, "cpu", threads=1)
@@ -73,7 +73,7 @@ def test_lit_frames_do_not_depend_on_cuda_schedule_graphs_or_thread_count(
 
 
 def test_resumed_lit_frames_equal_uninterrupted_ones() -> None:
-    """2 + 3 samples equal 5 in every image of every pipeline."""
+    """Two plus three samples equal five in every image of every pipeline."""
     for pipeline in SAMPLED:
         settings = config(pipeline, shadows=ls.Shadows.SOFT, samples=5)
         at_once = ls.render(scene(*LIGHTS, ENVIRONMENT), camera(), settings, device="cpu")
@@ -95,7 +95,7 @@ def test_unlit_frames_cannot_be_resumed_as_lit_ones_nor_the_reverse() -> None:
 
 
 def test_frames_are_lit_by_default_if_the_scene_has_lights_or_meshes() -> None:
-    """Lights and meshes make frames lit by default; captures alone are unlit, or lit by a headlight on request."""
+    """Captures alone are unlit, or lit by a headlight if lighting=True."""
     dark = replace(scene(), lights=())
     captures = replace(dark, meshes=())
     assert ls.render(scene(), camera(), config(), device="cpu").color_space == "linear"
@@ -106,7 +106,7 @@ def test_frames_are_lit_by_default_if_the_scene_has_lights_or_meshes() -> None:
 
 
 def test_noise_of_soft_shadows_falls_with_the_number_of_samples() -> None:
-    """Samples of an area light scatter around their mean with the expected error."""
+    """The error of 16 samples of an area light is less than 0.4 times that of one sample."""
     source = replace(LIGHTS[0], radius=0.3)
     renderers = [ls.create_renderer(config(shadows=ls.Shadows.SOFT, samples=n), "cpu") for n in (1, 16, 256)]
     one, some, many = (renderer.render(scene(source), camera()).color for renderer in renderers)
@@ -115,7 +115,7 @@ def test_noise_of_soft_shadows_falls_with_the_number_of_samples() -> None:
 
 
 def test_stochastic_splats_converge_to_sorted_splats() -> None:
-    """Unlit frames without jitter converge to the blend of all splats."""
+    """Unlit frames without jitter converge to the blend of all sorted splats."""
     captures = replace(scene(), meshes=(), lights=())
     exact = ls.render(captures, camera(), config(ls.Pipeline.RASTER), device="cpu")
     chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
@@ -130,7 +130,7 @@ def test_stochastic_splats_converge_to_sorted_splats() -> None:
 
 
 def test_stochastic_splats_do_not_depend_on_set_order_or_schedule() -> None:
-    """Sets may be reordered, and pixels processed one by one."""
+    """Sets are listed in another order, and pixels are processed one by one."""
     chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     settings = config(ls.Pipeline.RASTER, raster=chance, samples=3)
     frames = [renderer_of(backend, settings).render(scene(), camera()) for backend in BACKENDS]
@@ -141,7 +141,7 @@ def test_stochastic_splats_do_not_depend_on_set_order_or_schedule() -> None:
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
 def test_frame_of_stochastic_splats_is_the_mean_of_separately_lit_samples(strategy: ls.config.TraceStrategy) -> None:
-    """The frame is the mean of lit samples, close to the sorted frame on thin surfaces."""
+    """On thin surfaces, the mean of lit samples is close to the lit sorted frame."""
     settings = config(trace=ls.TraceConfig(strategy=strategy), shadows=ls.Shadows.OFF, samples=64, jitter=False)
     exact = replace(settings, trace=ls.TraceConfig(), samples=1)
     floor = replace(scene(), meshes=(), splats=scene().splats[:1])
@@ -152,7 +152,7 @@ def test_frame_of_stochastic_splats_is_the_mean_of_separately_lit_samples(strate
 
 
 def test_mirror_reflects_lights_and_shadows_like_a_mirrored_camera() -> None:
-    """A plane mirror shows the view of a mirrored camera, including lights and shadows."""
+    """A plane mirror shows the image of a mirrored camera, including lights and shadows."""
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     pane = ls.Mesh(
         np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]), [[0, 1, 2], [0, 2, 3]], material=silver
@@ -177,13 +177,13 @@ def test_mirror_reflects_lights_and_shadows_like_a_mirrored_camera() -> None:
 
 
 def pane_below() -> ls.MeshInstance:
-    """A floor in front of the mirror."""
+    """Returns a floor in front of the mirror."""
     corners = np.array([[-3.0, 0.0, 0.1], [3.0, 0.0, 0.1], [3.0, 0.0, 6.0], [-3.0, 0.0, 6.0]])
     return ls.MeshInstance(ls.Mesh(corners, [[0, 2, 1], [0, 3, 2]], material=ls.MaterialPbr(specular=0.0)))
 
 
 def test_trace_rays_returns_the_linear_colours_of_the_lit_frame() -> None:
-    """``trace_rays`` of a lit scene gives the frame's linear colours without the background."""
+    """The radiance excludes the background."""
     view = camera()
     thin = ls.TraceConfig(dilation=0.0)  # given rays have no footprint
     frame = ls.render(scene(), view, config(background=(0.0, 0.0, 0.0), trace=thin), device="cpu")
@@ -200,7 +200,7 @@ def test_trace_rays_returns_the_linear_colours_of_the_lit_frame() -> None:
 
 
 def test_light_that_overflows_float32_is_dropped_and_counted() -> None:
-    """Values beyond float32 are dropped, and the statistics count them."""
+    """Values beyond float32 are dropped, and the frame's statistics count them."""
     blinding = ls.MaterialPbr(emissive=(3e38, 3e38, 3e38), emissive_texture=None)
     source = ls.LightPoint((0.0, 1.0, -1.0), intensity=1e30)
     ball = ls.MeshInstance(
@@ -213,7 +213,7 @@ def test_light_that_overflows_float32_is_dropped_and_counted() -> None:
 
 
 def test_moving_a_light_between_frames_uploads_no_gaussians_or_meshes() -> None:
-    """A renderer follows lights between frames, and returns to unlit frames without them."""
+    """A renderer follows lights between frames, and renders unlit frames once there are no lights."""
     renderer = ls.create_renderer(config(ls.Pipeline.HYBRID), "cpu")
     assets = scene()
     left, right = (replace(assets, lights=[ls.LightPoint((x, 1.5, 0.0), intensity=5.0)]) for x in (-1.0, 1.0))
@@ -230,7 +230,7 @@ def test_moving_a_light_between_frames_uploads_no_gaussians_or_meshes() -> None:
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_roughness_of_a_previous_capture_is_not_reused_for_the_next_capture(pipeline: ls.Pipeline) -> None:
-    """A renderer that switches to another capture lights it as a new renderer does."""
+    """A renderer that switches to another capture gives the frame of a new renderer."""
     settings, view = ls.RenderConfig(pipeline=pipeline), front_camera()
     warm = ls.create_renderer(settings, "cpu")
     shown: list[np.ndarray] = []
@@ -244,14 +244,14 @@ def test_roughness_of_a_previous_capture_is_not_reused_for_the_next_capture(pipe
 
 
 def glossy(roughness: float) -> ls.Scene:
-    """A capture whose Gaussians all have this roughness, relit by one light."""
+    """Returns a capture whose Gaussians all have the given roughness, relit by one light."""
     gaussians = random_gaussians(5, count=60, roughness=np.full(60, roughness, np.float32))
     source = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0, casts_shadow=False)
     return ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[source])
 
 
 def test_disabled_lights_add_no_light_to_the_frame() -> None:
-    """Disabled lights only replace the headlight."""
+    """Disabled lights only remove the headlight."""
     rect = ls.LightRect((0.0, 2.0, 0.5), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), intensity=3.0)
     ball = ls.LightSphere((0.5, 2.0, 0.5), 0.2, intensity=5.0)
     kinds = (*LIGHTS, ENVIRONMENT, rect, ball)
@@ -262,7 +262,7 @@ def test_disabled_lights_add_no_light_to_the_frame() -> None:
 
 
 def test_visible_environment_fills_the_background_and_appears_in_mirrors() -> None:
-    """It is rotated as specified and appears in mirrors; an invisible one does not show."""
+    """The environment is rotated as specified; an invisible one shows neither in the background nor in mirrors."""
     image = np.zeros((8, 16, 3), np.float32)
     image[:, 8:] = (1.0, 0.5, 0.25)  # right of the middle: +x
     right, empty = ls.LightEnvironment(image), ls.Mesh([[0, 0, -9.0], [1e-3, 0, -9], [0, 1e-3, -9]], [[0, 1, 2]])
@@ -280,7 +280,7 @@ def test_visible_environment_fills_the_background_and_appears_in_mirrors() -> No
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_transparent_lit_frames_of_captures_have_premultiplied_colours(pipeline: ls.Pipeline) -> None:
-    """Without a background, half of a grey is half of its light, for every material and pipeline."""
+    """Half coverage of a grey gives half of the light of the grey, for every material and pipeline."""
     veil = one_gaussian(mean=(0.0, 0.0, 0.0), scale=(3.0, 3.0, 0.01), opacity=0.5, color=(0.5, 0.5, 0.5))
     view = ls.Camera.look_at((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), width=16, height=16, fov_y=0.1)
     sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
@@ -305,7 +305,7 @@ def test_transparent_lit_frames_of_captures_have_premultiplied_colours(pipeline:
 
 
 def test_transparent_fisheye_frames_are_premultiplied_at_the_image_circle() -> None:
-    """Where only some samples have a ray, a transparent frame's captured part does not exceed its coverage."""
+    """In pixels of which only some samples have a ray, the captured part does not exceed the coverage."""
     fisheye = ls.Camera(
         width=32, height=32, fx=5.0, fy=5.0, cx=16.0, cy=16.0, camera_from_world=np.eye(4), model=ls.CameraModel.FISHEYE
     )

@@ -13,12 +13,12 @@ from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, front_camera
 
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
-"""A light under which a diffuse surface facing the view shows its albedo."""
+"""Light under which a diffuse surface that faces the view shows its albedo."""
 PIPELINES = DIRECT
 
 
 def wall(material: ls.MaterialPbr | ls.MaterialSimple, depth: float = 2.0) -> ls.Mesh:
-    """A square that fills the view, with an upright texture."""
+    """Returns a square that fills the view, with an upright texture."""
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * depth
     positions = np.column_stack([corners, np.full(4, depth)])
     uvs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -26,7 +26,7 @@ def wall(material: ls.MaterialPbr | ls.MaterialSimple, depth: float = 2.0) -> ls
 
 
 def curtain(rows: int = 9, depth: float = 2.0, opacity: float = 0.95, **extras: np.ndarray) -> ls.Gaussians:
-    """Flat Gaussians that fill the view, several layers deep: pixels transmit less than a thousandth."""
+    """Returns flat Gaussians that fill the view in several layers; pixels transmit less than a thousandth."""
     x, y = np.meshgrid(*[np.linspace(-1.6, 1.6, rows) * 0.5 * depth] * 2)
     layers = [np.column_stack([x.ravel(), y.ravel(), np.full(x.size, depth + 0.01 * k)]) for k in range(3)]
     means = np.concatenate(layers)
@@ -39,29 +39,29 @@ def curtain(rows: int = 9, depth: float = 2.0, opacity: float = 0.95, **extras: 
 
 
 def lit(scene: ls.Scene, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
-    """A small lit frame from the front."""
+    """Renders a small lit frame from the front."""
     config = replace(ls.RenderConfig(pipeline=pipeline, lighting=True), **settings)
     return ls.render(scene, front_camera(24, 18, 30.0), config, device="cpu")
 
 
 def middle(frame: ls.Frame) -> np.ndarray:
-    """Mean linear colour of the pixels around the centre, shape (3,)."""
+    """Returns the mean linear colour of the pixels around the centre, shape (3,)."""
     return frame.color[7:11, 10:14].mean(axis=(0, 1))
 
 
 def texture(*rgb: int) -> np.ndarray:
-    """A texture of one colour."""
+    """Returns a texture of one colour."""
     return np.full((2, 2, 3), rgb, np.uint8)
 
 
 def diffuse(**changes: object) -> ls.MaterialPbr:
-    """A white diffuse material."""
+    """Returns a white diffuse material."""
     return replace(ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=1.0, specular=0.0), **changes)
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_emissive_material_is_visible_with_all_lights_disabled(pipeline: ls.Pipeline) -> None:
-    """Emission, times its decoded texture, is visible with all lights off; light is added to it."""
+    """Emission is multiplied by its decoded texture, and reflected light is added to it."""
     dark = replace(FACING, enabled=False)
     shining = replace(diffuse(), emissive=(2.0, 1.0, 0.5), emissive_texture=texture(255, 128, 0))
     seen = middle(lit(ls.Scene(meshes=[wall(shining)], lights=[dark]), pipeline))
@@ -74,7 +74,7 @@ def test_emissive_material_is_visible_with_all_lights_disabled(pipeline: ls.Pipe
 @pytest.mark.parametrize("lights", [1, 3])
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_ambient_light_is_added_once_for_any_number_of_lights(lights: int, pipeline: ls.Pipeline) -> None:
-    """Ambient light is added once for any number of lights, on meshes and splats."""
+    """The law holds for meshes and for splats."""
     material = ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.3, 0.2, 0.1), diffuse=(0.5, 0.5, 0.5))
     each = replace(FACING, intensity=np.pi / lights)
     of_mesh = ls.Scene(meshes=[wall(replace(material, base_color=(0.6, 0.6, 0.6)))], lights=[each] * lights)
@@ -86,7 +86,7 @@ def test_ambient_light_is_added_once_for_any_number_of_lights(lights: int, pipel
 
 
 def test_metallic_roughness_texture_multiplies_the_factors_of_the_material() -> None:
-    """Green is roughness, blue metallic: a texture gives the look of the multiplied factors."""
+    """Green is roughness and blue metallic; a texture looks like a material with the multiplied factors."""
     light = ls.LightDirectional((0.1, 0.05, 1.0), intensity=2.0)
     plain = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.8 * 0.4, metallic=0.8)
     mapped = replace(plain, roughness=0.8, metallic=1.0, metallic_roughness_texture=texture(0, 102, 204))
@@ -95,7 +95,7 @@ def test_metallic_roughness_texture_multiplies_the_factors_of_the_material() -> 
 
 
 def test_smooth_texels_of_a_rough_material_show_the_environment_as_a_highlight() -> None:
-    """Only smooth materials spawn reflection rays; smooth texels of rough ones show the environment in a highlight."""
+    """Only smooth materials spawn mirror rays, so that smooth texels of rough materials have a highlight instead."""
     spotless = ls.MaterialPbr(
         base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0, metallic_roughness_texture=texture(0, 0, 255)
     )
@@ -105,7 +105,7 @@ def test_smooth_texels_of_a_rough_material_show_the_environment_as_a_highlight()
 
 
 def test_normal_texture_tilts_the_normal_right_by_red_and_up_by_green() -> None:
-    """Red tilts right, green up; the cosine changes accordingly, and scales with the texture's strength."""
+    """The brightness changes with the cosine of the tilt, which scales with the strength of the texture."""
     up = ls.LightDirectional((0.0, 1.0, 1.0), intensity=np.pi)  # from above: y of the camera points down
     right = ls.LightDirectional((-1.0, 0.0, 1.0), intensity=np.pi)
     leaning_up, leaning_right = texture(128, 204, 230), texture(204, 128, 230)
@@ -121,7 +121,7 @@ def test_normal_texture_tilts_the_normal_right_by_red_and_up_by_green() -> None:
 
 
 def test_occlusion_texture_dims_only_environment_light() -> None:
-    """Occlusion scales environment light by its strength, and no other light."""
+    """The strength of the texture scales the dimming; other lights are not dimmed."""
     hidden = texture(51, 0, 0)
     environment = ls.LightEnvironment(visible=False)
     for strength, share in ((1.0, 0.2), (0.5, 0.6)):
@@ -133,7 +133,7 @@ def test_occlusion_texture_dims_only_environment_light() -> None:
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_relit_gaussians_use_their_stored_albedo_roughness_and_metallic(pipeline: ls.Pipeline) -> None:
-    """Albedo replaces the captured colour where nothing is emitted; roughness and metallic are used, too."""
+    """Albedo replaces the captured colour in sets that emit nothing."""
     light = ls.LightDirectional((0.15, 0.0, 1.0), intensity=3.0)
     own = {"albedo": np.array([0.2, 0.6, 0.4]), "roughness": np.float32(0.35), "metallic": np.float32(0.7)}
     bare = curtain(colors=np.tile(encode_srgb(np.array([0.2, 0.6, 0.4])), (243, 1)))
@@ -152,7 +152,7 @@ def test_relit_gaussians_use_their_stored_albedo_roughness_and_metallic(pipeline
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_relit_gaussians_are_shaded_with_their_stored_normals(pipeline: ls.Pipeline) -> None:
-    """Light uses the stored normals, turned towards the viewer.
+    """Stored normals are turned towards the viewer.
 
     The curtain just fills the view: on a wider one, turned normals would be near the horizon at its sides, where they
     are bent (test_stored_normals.py).
@@ -172,7 +172,7 @@ def test_relit_gaussians_are_shaded_with_their_stored_normals(pipeline: ls.Pipel
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_sh_degree_limit_of_one_set_does_not_affect_other_sets(pipeline: ls.Pipeline) -> None:
-    """Degree 0 drops the view-dependent part of that set only."""
+    """Degree 0 drops the view-dependent part of the colours of one set only."""
     capture = curtain()
     sh = np.concatenate([capture.sh, np.full((capture.count, 3, 3), 0.2, np.float32)], axis=1)
     viewed = replace(capture, sh=sh)
@@ -188,7 +188,7 @@ def test_sh_degree_limit_of_one_set_does_not_affect_other_sets(pipeline: ls.Pipe
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_captured_part_of_thin_splats_does_not_depend_on_their_reflectance(pipeline: ls.Pipeline) -> None:
-    """A layer below the iso-opacity threshold looks the same whether its set also reflects or only emits."""
+    """A layer below the iso-opacity threshold has the same captured part if its set reflects as if it only emits."""
     veil = curtain(rows=3, opacity=0.04)
     background = (0.2, 0.4, 0.6)
     shining = lit(ls.Scene(splats=[veil], lights=[FACING]), pipeline, background=background)
@@ -200,7 +200,7 @@ def test_captured_part_of_thin_splats_does_not_depend_on_their_reflectance(pipel
 
 
 def test_light_behind_a_triangle_never_lights_it_by_tilted_shading_normals() -> None:
-    """A light behind the triangle adds nothing, however far its shading normals lean towards it."""
+    """The light adds nothing, however far the shading normals lean towards it."""
     plain = wall(diffuse())
     leaning = replace(plain, normals=np.tile([0.0, -0.9, -0.4359], (4, 1)))
     below = ls.LightDirectional((0.0, 1.0, -0.1), intensity=10.0)
@@ -208,7 +208,7 @@ def test_light_behind_a_triangle_never_lights_it_by_tilted_shading_normals() -> 
 
 
 def test_stochastic_hits_of_relit_splats_have_the_mean_of_the_blended_light() -> None:
-    """Lit samples of single Gaussians, over black and white, have the mean of the blended light."""
+    """Samples that hit single Gaussians are lit over black and over white."""
     capture = curtain(rows=5, opacity=0.35)
     splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
     scene = ls.Scene(splats=[splats], lights=[replace(FACING, direction=(0.0, 0.3, 1.0))])
@@ -225,7 +225,7 @@ def test_stochastic_hits_of_relit_splats_have_the_mean_of_the_blended_light() ->
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("samples", [1, 32])
 def test_shadows_darken_sub_pixel_stripes_equally_for_any_sample_count(samples: int, pipeline: ls.Pipeline) -> None:
-    """A capture with stripes narrower than pixels darkens equally for any number of samples."""
+    """The capture has stripes narrower than pixels; a shadow removes the same fraction for any sample count."""
     x = np.linspace(-1.7, 1.7, 341)
     means = np.column_stack([x, np.zeros(341), np.full(341, 2.0)])
     scales = np.tile([0.009, 3.0, 0.002], (341, 1))
@@ -248,7 +248,7 @@ def test_shadows_darken_sub_pixel_stripes_equally_for_any_sample_count(samples: 
 
 
 def test_rough_glass_reflects_its_transmitted_light_without_path_tracing() -> None:
-    """Without path tracing, rough transmission becomes diffuse reflection instead of a loss."""
+    """The transmitted fraction becomes diffuse reflection, so that no energy is lost."""
     frosted = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.4, transmission=1.0)
     plain = replace(frosted, transmission=0.0)
     seen = [middle(lit(ls.Scene(meshes=[wall(m)], lights=[FACING]))) for m in (frosted, plain)]

@@ -1,4 +1,4 @@
-"""Meshes that emit from the front of their triangles only: direct view, light sampling and hits agree."""
+"""Meshes that emit only from the front of their triangles: camera view, light sampling and hits agree."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ EMITTED = 2.0
 LIGHT = replace(diffuse(0.0, EMITTED), double_sided=False)
 DOWN_AT_FLOOR = ls.Camera.look_at((0.0, 0.4, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=16, height=16, fov_y=0.02)
 DARK = ls.LightPoint((0.0, 50.0, 0.0), intensity=1e-9)
-"""A light so weak that it only makes frames lit."""
+"""Light so weak that it only makes frames lit."""
 
 
 def panel(material: ls.MaterialPbr, *, faces_down: bool = True) -> ls.Mesh:
-    """A square of side 1 at a height of 1."""
+    """Returns a square of side 1 at a height of 1."""
     along, across = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)) if faces_down else ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
     return quad((-0.5, 1.0, -0.5), along, across, material)
 
 
 def floor_below(material: ls.MaterialPbr, *, faces_down: bool, mirrored: bool = False) -> ls.Scene:
-    """An emitting panel over a floor."""
+    """Returns an emitting panel over a floor."""
     place = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
     floor = quad((-4.0, 0.0, -4.0), (0.0, 0.0, 8.0), (8.0, 0.0, 0.0), diffuse(0.5))
     light = ls.MeshInstance(panel(material, faces_down=faces_down), place)
@@ -33,14 +33,14 @@ def floor_below(material: ls.MaterialPbr, *, faces_down: bool, mirrored: bool = 
 
 
 def form_factor() -> float:
-    """Form factor from a point to a square of side 1 above it, at a distance of 1."""
+    """Returns the form factor from a point to a square of side 1 above it, at a distance of 1."""
     a = 0.5
     return 4.0 / (2.0 * math.pi) * 2.0 * a / math.sqrt(1.0 + a * a) * math.atan(a / math.sqrt(1.0 + a * a))
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 def test_back_of_a_one_sided_emitter_is_black(pipeline: ls.Pipeline) -> None:
-    """Its front shows the emission in every pipeline and in the emission image; a mirrored instance likewise."""
+    """The front shows the emission in every pipeline and in the emission image; a mirrored instance likewise."""
     camera = ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), width=8, height=8, fov_y=0.3)
     config = ls.RenderConfig(pipeline=pipeline, aovs=("emission",))
     for faces_down, mirrored in ((True, False), (False, False), (True, True)):
@@ -55,7 +55,7 @@ def test_back_of_a_one_sided_emitter_is_black(pipeline: ls.Pipeline) -> None:
 
 
 def test_one_sided_emitter_lights_by_its_form_factor_and_only_in_front() -> None:
-    """Radiance is albedo times emission times form factor below the front, and 0 below the back."""
+    """Radiance is albedo times emission times form factor in front, and 0 behind the back."""
     expected = 0.5 * EMITTED * form_factor()
     for mirrored in (False, True):
         lit = paths(floor_below(LIGHT, faces_down=True, mirrored=mirrored), DOWN_AT_FLOOR, 64, 1)
@@ -68,7 +68,7 @@ def test_one_sided_emitter_lights_by_its_form_factor_and_only_in_front() -> None
 
 @pytest.mark.parametrize("roughness", [0.1, 1.0])
 def test_one_sided_and_two_sided_emitters_light_the_front_equally(roughness: float) -> None:
-    """Bit-equal, whether samples of lights or of a highlight find the emitter."""
+    """The bits are equal whether samples of lights or samples of a highlight find the emitter."""
     shown = []
     for double_sided in (False, True):
         scene = floor_below(replace(LIGHT, double_sided=double_sided), faces_down=True)
@@ -80,7 +80,7 @@ def test_one_sided_and_two_sided_emitters_light_the_front_equally(roughness: flo
 
 
 def test_radiance_inside_an_emitting_ball_equals_the_geometric_series() -> None:
-    """Radiance is emission over one minus albedo in all directions; 0 if it emits outwards, except at edges."""
+    """Radiance is emission over one minus albedo in all directions; 0 if the ball emits outwards, except at edges."""
     camera = ls.Camera.look_at((0.1, 0.2, 0.0), (1.0, 0.3, 0.2), (0.0, 1.0, 0.0), width=24, height=24, fov_y=1.0)
     material = replace(diffuse(0.5, 1.0), double_sided=False)
     inwards = paths(ls.Scene((), [ls.MeshInstance(ball(1.0, material, hollow=True))]), camera, 16, 24)
@@ -90,7 +90,7 @@ def test_radiance_inside_an_emitting_ball_equals_the_geometric_series() -> None:
 
 
 def test_one_sided_emitters_light_only_in_front_in_the_realtime_pipeline() -> None:
-    """In front within 3 % of path tracing, and nothing behind."""
+    """Light in front is within 3 % of path tracing, and there is none behind."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
     lit, back = floor_below(LIGHT, faces_down=True), floor_below(LIGHT, faces_down=False)
     frames = [renderer.render(lit, DOWN_AT_FLOOR).color.astype(np.float64) for _ in range(24)]

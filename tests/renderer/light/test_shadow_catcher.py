@@ -24,7 +24,7 @@ PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda on
 
 
 def floor(color: float = 0.5, ambient: float | None = None) -> ls.SplatInstance:
-    """A level sheet at y = 0, 8 units wide, that emits a captured grey."""
+    """Returns a level sheet at y = 0, 8 units wide, that emits a captured grey."""
     plane = ls.Mesh([[-4, 0, 4], [4, 0, 4], [4, 0, -4], [-4, 0, -4]], [[0, 1, 2], [0, 2, 3]])
     sheet = ls.gaussians_from_mesh(plane, 6000)
     sh = np.full((6000, 1, 3), (color - 0.5) / 0.28209479177387814, np.float32)
@@ -34,7 +34,7 @@ def floor(color: float = 0.5, ambient: float | None = None) -> ls.SplatInstance:
 
 
 def disc(albedo: float = 0.0) -> ls.Mesh:
-    """A level disc with many corners above the origin."""
+    """Returns a level disc with many corners above the origin."""
     angles = np.linspace(0.0, 2.0 * np.pi, 129)[:-1]
     rim = np.stack([RADIUS * np.cos(angles), np.full(128, HEIGHT), RADIUS * np.sin(angles)], axis=1)
     faces = [[0, 1 + k, 1 + (k + 1) % 128] for k in range(128)]
@@ -43,12 +43,12 @@ def disc(albedo: float = 0.0) -> ls.Mesh:
 
 
 def below() -> ls.Camera:
-    """A camera on the floor below the disc, where an equal fraction of all directions is hidden."""
+    """Returns a camera on the floor below the disc, where an equal fraction of all directions is hidden."""
     return ls.Camera.look_at((0.0, 0.3, 0.0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.02)
 
 
 def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings: object) -> ls.Frame:
-    """A frame with its shadow ratio; in real time the last of several frames, which are averaged."""
+    """Renders a frame with its shadow ratio; a real-time frame is the last of several, which are averaged."""
     config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",), background=None)
     renderer = ls.create_renderer(replace(config, **settings), "cpu", threads=2)
     for _ in range(31 if pipeline is ls.Pipeline.REALTIME else 0):
@@ -59,7 +59,7 @@ def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settin
 @PIPELINES
 @pytest.mark.parametrize("ambient", [None, 0.2])
 def test_sun_shadow_on_a_shadow_catcher_leaves_the_ambient_light(pipeline: ls.Pipeline, ambient: float | None) -> None:
-    """Below the disc, the ratio is the unblocked ambient irradiance over ambient irradiance plus the sun's."""
+    """Below a disc, the ratio is the unblocked ambient irradiance over the sum of ambient irradiance and sun."""
     scene = ls.Scene([floor(0.3, ambient)], [disc()], [SUN])
     frame = rendered(scene, below(), pipeline)
     given = np.pi * (0.5 if ambient is None else ambient)
@@ -70,7 +70,7 @@ def test_sun_shadow_on_a_shadow_catcher_leaves_the_ambient_light(pipeline: ls.Pi
 
 @PIPELINES
 def test_environment_light_replaces_the_default_ambient_light_of_catchers(pipeline: ls.Pipeline) -> None:
-    """No ambient light is assumed besides it: the ratio is its unblocked fraction, over it and the sun."""
+    """The shadow ratio is the unblocked fraction of the environment over the sum of environment and sun."""
     environment = ls.LightEnvironment(color=(0.5, 0.6, 0.8), visible=False)
     frame = rendered(ls.Scene([floor(0.3)], [disc()], [SUN, environment]), below(), pipeline)
     given = np.pi * np.array(environment.color)
@@ -81,7 +81,7 @@ def test_environment_light_replaces_the_default_ambient_light_of_catchers(pipeli
 
 @PIPELINES
 def test_catcher_shadow_leaves_captured_light_that_no_scene_light_explains(pipeline: ls.Pipeline) -> None:
-    """No surface reflects more than it receives: light that the scene does not list must exist, and remains."""
+    """A floor reflects no more than it receives, so that light missing from the scene must exist, and remains."""
     dim = replace(SUN, color=(1, 1, 1), intensity=0.2)
     frame = rendered(ls.Scene([floor(0.9, ambient=0.0)], [disc()], [dim]), below(), pipeline)
     received = np.pi * decode_srgb(np.float32(0.9))
@@ -90,18 +90,18 @@ def test_catcher_shadow_leaves_captured_light_that_no_scene_light_explains(pipel
 
 
 def view() -> ls.Camera:
-    """A camera that sees a ball on the floor and its shadow."""
+    """Returns a camera that sees a ball on the floor and its shadow."""
     return ls.Camera.look_at((1.2, 1.4, 2.2), (0.3, 0.1, 0), (0, 1, 0), width=96, height=72, fov_y=0.7)
 
 
 def ball() -> ls.MeshInstance:
-    """A red ball on the floor."""
+    """Returns a red ball on the floor."""
     material = ls.MaterialPbr(base_color=(0.7, 0.1, 0.1), roughness=0.6)
     return ls.MeshInstance(replace(sphere(0.4), material=material), position=(0.0, 0.4, 0.0))
 
 
 def channels(path: Path, name: str, letters: str) -> npt.NDArray[np.float64]:
-    """Some channels of a layer, as read by OpenEXR's reference library."""
+    """Returns some channels of a layer, as read by OpenEXR's reference library."""
     with OpenEXR.File(str(path), separate_channels=True) as file:
         found = file.channels()
         return np.stack([found[f"{name}{letter}"].pixels for letter in letters], axis=-1).astype(np.float64)
@@ -109,7 +109,7 @@ def channels(path: Path, name: str, letters: str) -> npt.NDArray[np.float64]:
 
 @PIPELINES
 def test_exr_layers_of_a_shadow_catcher_composite_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """``matte`` over the plate equals the frame; so does the plate times ``ratio`` where only the capture shows."""
+    """``matte`` over the plate equals the frame; where only the capture shows, plate times ``ratio`` does, too."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3))
     captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
     scene = ls.Scene([captured], [ball()], [sun])
@@ -142,7 +142,7 @@ def test_exr_layers_of_a_shadow_catcher_composite_to_the_frame(pipeline: ls.Pipe
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=lambda one: one.value
 )
 def test_light_layers_on_shadow_catchers_add_up_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """Emission, direct light times shadow, and reflection add up to the frame, as read by OpenEXR."""
+    """Emission, direct light times shadow, and reflection are read by OpenEXR and sum to the frame."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3), name="sun")
     lights = [sun, ls.LightPoint((-1, 1.5, 1), intensity=4.0, name="bulb")]
     captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
@@ -169,20 +169,20 @@ def test_light_layers_on_shadow_catchers_add_up_to_the_frame(pipeline: ls.Pipeli
 
 
 def _checkered(gaussians: ls.Gaussians) -> npt.NDArray[np.float32]:
-    """SH coefficients of a floor of two greys, in squares one unit wide."""
+    """Returns SH coefficients of a floor of two greys, in squares one unit wide."""
     places = np.floor(gaussians.means[:, [0, 2]]).astype(int).sum(axis=1) % 2
     return np.where(places[:, None, None] == 0, -0.6, 0.8).repeat(3, axis=2).astype(np.float32)
 
 
 def _far_from(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Mask of pixels with no pixel of the mask within two pixels."""
+    """Returns the mask of pixels that have no pixel of ``mask`` within two pixels."""
     padded = np.pad(mask, 2)
     return np.logical_not(np.lib.stride_tricks.sliding_window_view(padded, (5, 5)).any(axis=(2, 3)))
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=["hybrid", "trace"])
 def test_shadow_on_a_catcher_is_not_lighter_at_edges_of_objects(pipeline: ls.Pipeline) -> None:
-    """Samples that hit the object do not lighten the catcher in the other samples of a pixel."""
+    """In pixels at an edge, samples that hit the object do not lighten the shadow that the other samples find."""
     sun = replace(SUN, color=(1, 1, 1))
     below_all = replace(disc(), positions=disc().positions * np.array([4.0, 1.0, 4.0]))
     edge = replace(disc(), positions=disc().positions * np.array([0.2, 0.5, 0.2]) + np.array([0.1, 0.0, 0.0]))
@@ -197,7 +197,7 @@ def test_shadow_on_a_catcher_is_not_lighter_at_edges_of_objects(pipeline: ls.Pip
 
 
 def test_blocked_and_bounced_light_of_a_catcher_is_bounded_by_its_received_light() -> None:
-    """Given ambient light bounds the measured light; without any, all of it was measured, or the minimum is missing."""
+    """Given ambient light limits the light measured from captures; else measured light or the minimum counts."""
     one = dict.fromkeys(
         ("unshadowed", "change", "emitted_unshadowed", "emitted_change", "ambient", "blocked", "least"), np.zeros(1)
     )
@@ -221,7 +221,7 @@ def test_blocked_and_bounced_light_of_a_catcher_is_bounded_by_its_received_light
 
 
 def floaters(depth: float = 0.12, seed: int = 5) -> ls.SplatInstance:
-    """A captured floor without a surface: semi-transparent floaters up to ``depth`` below and above y = 0."""
+    """Returns a captured floor without a surface: semi-transparent floaters up to ``depth`` around y = 0."""
     random, count = np.random.default_rng(seed), 12000
     means = random.uniform((-0.8, -depth, -0.6), (0.8, depth, 0.6), (count, 3))
     wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -231,7 +231,7 @@ def floaters(depth: float = 0.12, seed: int = 5) -> ls.SplatInstance:
 
 
 def shadow_of_a_disc(catcher: ls.SplatInstance, pipeline: ls.Pipeline) -> npt.NDArray[np.float32]:
-    """Shadow ratios of a disc in slanting sunlight on y = 0, seen from above; (H, W)."""
+    """Returns the shadow ratio, shape (H, W), of a disc in slanting sunlight on y = 0, seen from above."""
     sun = ls.LightDirectional((1.0, -1.0, 0.0), intensity=3.0)
     lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]) + np.array([-0.8, 0.4, 0.0]))
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=160, height=120, fov_y=0.3)
@@ -241,7 +241,7 @@ def shadow_of_a_disc(catcher: ls.SplatInstance, pipeline: ls.Pipeline) -> npt.ND
 
 
 def sharp_steps(ratio: npt.NDArray[np.float32]) -> int:
-    """Number of pixels whose ratio differs from the right neighbour's by half of the shadow's depth."""
+    """Returns the number of pixels whose ratio differs from the right neighbour's by half of the shadow's depth."""
     return int((np.abs(np.diff(ratio, axis=1)) > 0.3).sum())
 
 
@@ -249,7 +249,7 @@ def sharp_steps(ratio: npt.NDArray[np.float32]) -> int:
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.PATH], ids=lambda one: one.value
 )
 def test_shadow_on_a_catcher_of_floaters_is_smooth(pipeline: ls.Pipeline) -> None:
-    """Each floater ends the shadow elsewhere, and their mean is visible: dark in the middle, unshadowed far away."""
+    """Shadows on single floaters lie apart; the frame shows their mean, dark in the middle and unshadowed far away."""
     ratio = shadow_of_a_disc(floaters(), pipeline)
     assert sharp_steps(ratio) < 20
     assert ratio[50:70, 70:90].max() < 0.5
@@ -257,14 +257,14 @@ def test_shadow_on_a_catcher_of_floaters_is_smooth(pipeline: ls.Pipeline) -> Non
 
 
 def test_shadow_on_an_opaque_catcher_has_sharp_edges() -> None:
-    """Pixels at the edge are fully lit or fully shadowed, as the rays found."""
+    """Pixels at the edge are fully lit or fully shadowed, without smoothing."""
     ratio = shadow_of_a_disc(floor(0.6), ls.Pipeline.HYBRID)
     rows = (ratio < 0.6).any(axis=1).sum()
     assert rows > 70 and sharp_steps(ratio) >= 2 * rows - 4
 
 
 def test_smoothed_catcher_shadows_are_equal_in_all_schedules() -> None:
-    """Bit-equal for any number of threads and for graphs; CUDA's schedule composites with other roundings."""
+    """Bits are equal for any number of threads and for graphs; CUDA's schedule rounds differently."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=80, height=60, fov_y=0.3)
     lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]))
     scene = ls.Scene([floaters()], [lid], [ls.LightDirectional((0.5, -1.0, 0.0), intensity=3.0)])

@@ -1,4 +1,4 @@
-"""The shadow terminator on smooth meshes of few triangles: as on many triangles, without light leaks."""
+"""Shadow terminator on smooth meshes of few triangles: as on many triangles, without light leaks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FRONT = ls.Camera.look_at((0.0, 0.0, 3.4), (0.0, 0.0, 0.0), width=96, height=96,
 
 
 def sphere(meridians: int, center: tuple[float, float, float] = (0.0, 0.0, 0.0), radius: float = 1.0) -> ls.Mesh:
-    """A sphere with half as many parallels as meridians, and the sphere's normals."""
+    """Returns a sphere with half as many parallels as meridians, and with the normals of the exact sphere."""
     angle, polar = np.meshgrid(
         np.linspace(0.0, 2.0 * np.pi, meridians + 1), np.linspace(0.0, np.pi, meridians // 2 + 1), indexing="ij"
     )
@@ -39,13 +39,13 @@ def frame_of(
     samples: int = 1,
     camera: ls.Camera = FRONT,
 ) -> ls.Frame:
-    """A frame lit by one light."""
+    """Renders a frame lit by one light."""
     config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=shadows, samples=samples)
     return ls.render(ls.Scene(meshes=meshes, lights=[light]), camera, config, device="cpu")
 
 
 def misjudged(coarse: ls.Frame, fine: ls.Frame) -> tuple[float, float]:
-    """Fractions of pixels that are wrongly black, and wrongly lit."""
+    """Returns the fractions of pixels that are wrongly black, and wrongly lit."""
     both = (coarse.alpha > 0.0) & (fine.alpha > 0.0)
     ours, theirs = coarse.color[both][:, 0], fine.color[both][:, 0]
     return float(((ours == 0.0) & (theirs > 0.05)).mean()), float(((theirs == 0.0) & (ours > 0.05)).mean())
@@ -76,7 +76,7 @@ def test_coarse_smooth_sphere_under_a_point_light_is_lit_like_a_fine_one(
     ids=["sun", "lamp"],
 )
 def test_coarse_smooth_sphere_under_an_area_light_is_lit_like_a_fine_one(light: Light) -> None:
-    """Covers a sun of 6 degrees and a nearby area light."""
+    """The lights are a sun of 6 degrees and a nearby area light."""
     coarse, fine = (frame_of([sphere(count)], light, shadows=ls.Shadows.SOFT, samples=16) for count in (12, 192))
     dark, lit = misjudged(coarse, fine)
     assert dark < 0.006
@@ -85,7 +85,7 @@ def test_coarse_smooth_sphere_under_an_area_light_is_lit_like_a_fine_one(light: 
 
 @PIPELINES
 def test_surfaces_facing_away_from_the_light_stay_black(pipeline: ls.Pipeline) -> None:
-    """Covers a coarse smooth sphere, and a box with face normals."""
+    """The surfaces are a coarse smooth sphere, and a box with face normals."""
     ball = frame_of([sphere(12)], BEHIND, pipeline)
     assert ball.alpha.max() == 1.0
     # The camera, not infinitely far away, sees a little less than the dark half.
@@ -96,7 +96,7 @@ def test_surfaces_facing_away_from_the_light_stay_black(pipeline: ls.Pipeline) -
 
 
 def cube(half: float = 0.7) -> ls.Mesh:
-    """A cube whose faces have their own vertices and normals."""
+    """Returns a cube whose faces have separate vertices and normals."""
     positions, normals, faces = [], [], []
     for axis in range(3):
         for sign in (-1.0, 1.0):
@@ -110,7 +110,7 @@ def cube(half: float = 0.7) -> ls.Mesh:
 
 
 def test_coarse_smooth_meshes_leak_no_light_into_a_closed_room() -> None:
-    """Coarse spheres that touch the walls get no light from outside."""
+    """Coarse spheres inside the room touch its walls; the light is outside."""
     room = cube(1.0)
     balls = [sphere(8, (x, y, 0.0), 0.45) for x in (-0.55, 0.55) for y in (-0.55, 0.55)]
     camera = ls.Camera.look_at((0.0, 0.0, 0.95), (0.0, 0.0, 0.0), width=96, height=96, fov_y=1.6)
@@ -121,7 +121,7 @@ def test_coarse_smooth_meshes_leak_no_light_into_a_closed_room() -> None:
 
 
 def test_concave_creases_with_smoothed_normals_keep_their_shadow() -> None:
-    """In a valley with smoothed normals, the slope that faces away stays black down to the bottom."""
+    """In a valley with smoothed normals, the slope that faces away from the light is black down to the bottom."""
     ends = np.array([[-1.0, 0.6], [0.0, 0.0], [1.0, 0.6]])
     positions = [[x, y, z] for z in (-1.0, 1.0) for x, y in ends]
     tilted = np.array([[0.6, 1.0, 0.0], [0.0, 1.0, 0.0], [-0.6, 1.0, 0.0]])
@@ -138,7 +138,7 @@ def test_concave_creases_with_smoothed_normals_keep_their_shadow() -> None:
 
 
 def test_walls_behind_a_light_do_not_block_its_light() -> None:
-    """Shadow rays end at the light, wherever they start."""
+    """Shadow rays from the ball end at the light."""
     source = ls.LightPoint((1.6, 0.0, -1.1), intensity=10.0)
     corners = [[1.66, -9.0, -9.0], [1.66, 9.0, -9.0], [1.66, 9.0, 9.0], [1.66, -9.0, 9.0]]
     wall = ls.Mesh(corners, [[0, 1, 2], [0, 2, 3]], material=matte(0.0))

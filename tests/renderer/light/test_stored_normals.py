@@ -20,7 +20,7 @@ PAPER = ls.MaterialPbr(roughness=1.0, specular=0.0)
 
 
 def ball(count: int = 3000) -> ls.Gaussians:
-    """A white unit ball of round Gaussians with outward normals."""
+    """Returns a white unit ball of round Gaussians with outward normals."""
     outwards = even_directions(count)
     spread = np.full((count, 3), 0.03)
     wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -29,14 +29,14 @@ def ball(count: int = 3000) -> ls.Gaussians:
 
 
 def seen(capture: ls.Gaussians, pipeline: ls.Pipeline, light: ls.LightDirectional) -> ls.Frame:
-    """A frame of the capture, lit without shadows."""
+    """Renders a frame of the capture, lit without shadows."""
     scene = ls.Scene(splats=[ls.SplatInstance(capture, material=PAPER)], lights=[light])
     config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=ls.Shadows.OFF, background=None)
     return ls.render(scene, CAMERA, config, device="cpu")
 
 
 def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels whose rays miss the ball but hit its Gaussians, (H, W), and the closest directions, (H, W, 3)."""
+    """Returns the mask of pixels whose rays miss the ball but hit its Gaussians, and each ray's outward direction."""
     ways = CAMERA.ray_directions().astype(np.float64) @ CAMERA.camera_from_world[:3, :3]
     nearest = EYE - (ways @ EYE)[..., None] * ways
     distance = np.linalg.norm(nearest, axis=-1, keepdims=True)
@@ -47,9 +47,9 @@ def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_stored_normals_of_gaussians_are_correct_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
-    """Gaussians from just behind the horizon are visible there, and must not cancel those in front.
+    """Gaussians from just behind the horizon are visible, and their normals must not cancel those in front.
 
-    Opaque ones reach 3.3 scales, 0.1 here: visible ones are at most acos(0.9) = 26 degrees from the horizon.
+    Opaque Gaussians reach 3.3 scales, 0.1 units here: visible ones are at most acos(0.9) = 26 degrees from the horizon.
     """
     frame = seen(ball(), pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
     missed, outwards = silhouette(frame)
@@ -59,7 +59,7 @@ def test_stored_normals_of_gaussians_are_correct_up_to_the_silhouette(pipeline: 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_gaussian_ball_lit_from_one_side_is_black_at_the_opposite_silhouette(pipeline: ls.Pipeline) -> None:
-    """Flipped normals would be lit by light from behind the ball."""
+    """If normals at the silhouette were flipped, they would be lit from behind the ball."""
     frame = seen(ball(), pipeline, ls.LightDirectional((-1.0, 0.0, 0.0), intensity=np.pi))
     missed, outwards = silhouette(frame)
     shown = frame.straight()[..., 0]
@@ -71,7 +71,7 @@ def test_gaussian_ball_lit_from_one_side_is_black_at_the_opposite_silhouette(pip
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_stored_normals_more_than_30_degrees_behind_the_horizon_are_flipped(pipeline: ls.Pipeline) -> None:
-    """Beyond 30 degrees behind the horizon the normal is flipped; below, it is bent to the horizon in images."""
+    """Normals less than 30 degrees behind the horizon are bent to the horizon instead."""
     for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
         own = np.array([across, 0.0, along])
@@ -83,7 +83,7 @@ def test_stored_normals_more_than_30_degrees_behind_the_horizon_are_flipped(pipe
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH])
 def test_gaussian_facing_slightly_away_is_shaded_as_if_facing_slightly_towards(pipeline: ls.Pipeline) -> None:
-    """A surface reflects as to an eye that is as far above its horizon, for any light.
+    """The surface reflects as if the eye were as far above its horizon as it is below, for any light.
 
     Shaded from just above the horizon, a glossy surface would be a mirror at every angle.
     """

@@ -23,25 +23,25 @@ VARNISH = ls.MaterialPbr(base_color=(0.5, 0.1, 0.1), roughness=0.8, wrap_u=ls.Te
 GLASS = replace(VARNISH, base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=0.8, thin_walled=True)
 EMITTER = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, emissive=(1.0, 1.0, 1.0))
 LOW, HIGH = 51, 204
-"""Texel values for factors of 0.2 and 0.8."""
+"""Texel values that give the factors 0.2 and 0.8."""
 
 
 def halves(channel: int) -> ls.MaterialPbr | Any:
-    """A texture of 16 x 2 texels, with LOW and HIGH in one channel and 128 in the others."""
+    """Returns a texture of 16 x 2 texels, with LOW and HIGH in one channel and 128 in the others."""
     texels = np.full((2, 16, 4), 128, np.uint8)
     texels[:, :8, channel], texels[:, 8:, channel] = LOW, HIGH
     return texels
 
 
 def wall(material: ls.MaterialPbr) -> ls.Mesh:
-    """A square that fills the view, textured once over the visible width, with x to the left."""
+    """Returns a square that fills the view, textured once over the visible width, with x to the left."""
     uvs = 0.5 + np.array([[1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) * 0.5 / 0.6
     corners = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     return ls.Mesh(np.array(corners, np.float64), [[0, 2, 1], [0, 3, 2]], uvs=uvs, material=material)
 
 
 def seen(mesh: ls.Mesh, pipeline: ls.Pipeline, samples: int = 1, others: Any = (), **changes: Any) -> np.ndarray:
-    """Colour of a mesh under a light."""
+    """Returns the colour of a mesh under a light."""
     scene = ls.Scene(meshes=[mesh, *others], lights=[LIGHT])
     settings = ls.RenderConfig(pipeline=pipeline, samples=samples, jitter=False, lighting=True, **changes)
     return ls.render(scene, VIEW, settings, device="cpu").color
@@ -65,7 +65,7 @@ def assert_halves(textured: ls.MaterialPbr, name: str, factors: tuple[Any, Any],
 def test_clearcoat_and_sheen_textures_multiply_the_factors_of_the_material(
     name: str, channel: int, pipeline: ls.Pipeline
 ) -> None:
-    """Each layer reads its own channel; sheen's colour is decoded from sRGB."""
+    """Each layer reads a separate channel; the colour of sheen is decoded from sRGB."""
     layers: dict[str, Any] = {"clearcoat": 0.9, "clearcoat_roughness": 0.9}
     factors: Any = (0.2, 0.8)
     if name.startswith("sheen"):
@@ -88,7 +88,7 @@ def test_clearcoat_and_sheen_textures_multiply_the_factors_of_the_material(
 def test_transmission_texture_multiplies_the_transmission_of_smooth_glass(
     pipeline: ls.Pipeline, lighting: bool
 ) -> None:
-    """Smooth glass in front of an emitting wall, lit and unlit."""
+    """Smooth glass is in front of an emitting wall, lit and unlit."""
     behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), EMITTER)
     textured = replace(GLASS, transmission_texture=halves(0))
 
@@ -101,7 +101,7 @@ def test_transmission_texture_multiplies_the_transmission_of_smooth_glass(
 
 
 def test_transmission_texture_scales_the_light_that_passes_to_a_lit_surface() -> None:
-    """Each half of the glass transmits its own fraction to the lit surface."""
+    """Each half of the glass transmits another fraction to the lit surface."""
     floor = quad((-9, -9, 0.3), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
     pane = wall(replace(GLASS, ior=1.0, transmission_texture=halves(0)))
     far = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
@@ -114,7 +114,7 @@ def test_transmission_texture_scales_the_light_that_passes_to_a_lit_surface() ->
 
 
 def test_transmission_texture_multiplies_the_transmission_of_rough_glass() -> None:
-    """In path tracing, with equal random numbers the noise is equal."""
+    """In path tracing, equal random numbers give equal noise."""
     behind = quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), EMITTER)
     textured = replace(GLASS, roughness=0.4, transmission_texture=halves(0))
     assert_halves(

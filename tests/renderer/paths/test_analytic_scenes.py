@@ -29,14 +29,14 @@ KINDS = pytest.mark.parametrize("kind", ["mesh", "gaussians"])
 
 
 def scene_of(mesh: ls.Mesh, kind: str, count: int) -> ls.Scene:
-    """A surface as a mesh or as Gaussians."""
+    """Returns a surface as a mesh or as Gaussians."""
     return ls.Scene(meshes=[mesh]) if kind == "mesh" else ls.Scene(splats=[as_splats(mesh, count)])
 
 
 @KINDS
 @pytest.mark.parametrize("albedo", [1.0, 0.5])
 def test_ball_in_a_constant_environment_shows_its_albedo(kind: str, albedo: float) -> None:
-    """A ball in a constant environment shows albedo times its radiance; a white ball is invisible, edges included."""
+    """Brightness is albedo times radiance; a white ball is invisible, edges included."""
     scene = scene_of(ball(0.3, diffuse(albedo)), kind, 4000)
     scene = replace(scene, lights=[ls.LightEnvironment(color=(0.7,) * 3)])
     camera = ls.Camera.look_at((0.0, 0.0, -2.0), (0.0, 0.0, 0.0), width=48, height=32, fov_y=0.1)
@@ -48,7 +48,7 @@ def test_ball_in_a_constant_environment_shows_its_albedo(kind: str, albedo: floa
 @pytest.mark.parametrize("shape", ["ball", "cube"])
 @pytest.mark.parametrize("bounces", [0, 1, 3, 64])
 def test_n_bounces_in_a_closed_furnace_give_n_terms_of_the_geometric_series(bounces: int, shape: str) -> None:
-    """Everything emits 1 and reflects half: n bounces give the first terms of a geometric series."""
+    """Every surface emits 1 and reflects half."""
     shining = diffuse(0.5, 1.0)
     cube = [*cube_without_ceiling(shining), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), shining)]
     scene = ls.Scene(meshes=cube if shape == "cube" else [ball(1.0, shining, hollow=True, rows=16)])
@@ -60,7 +60,7 @@ def test_n_bounces_in_a_closed_furnace_give_n_terms_of_the_geometric_series(boun
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.1), (-0.6, 0.5, 0.2)])
 def test_bounced_irradiance_in_an_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> None:
-    """For any position of the light, bounced irradiance is rho Phi / (4 pi R^2 (1 - rho))."""
+    """Irradiance is rho Phi / (4 pi R^2 (1 - rho)) for a light of power Phi anywhere, albedo rho and radius R."""
     light = ls.LightPoint(place, intensity=1.0)
     scene = ls.Scene(meshes=[ball(1.0, diffuse(0.5), hollow=True, rows=96)], lights=[light])
     bounced = irradiance(paths(scene, INSIDE, 64, 64), 0.5) - irradiance(paths(scene, INSIDE, 64, 0), 0.5)
@@ -72,7 +72,7 @@ def test_bounced_irradiance_in_an_integrating_sphere_is_uniform(place: tuple[flo
 def test_irradiance_in_a_cube_below_an_emitting_ceiling_matches_collocation(
     light: str, albedo: float, truth: float
 ) -> None:
-    """Irradiance at the middle of the floor equals float64 collocation, and direct light the form factor."""
+    """The irradiance at the middle of the floor equals float64 collocation, and its direct part the form factor."""
     ceiling = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(albedo, 1.0 if light == "mesh" else 0.0))
     lights = [ls.LightRect((0.5, 0.99999, 0.5), (1, 0, 0), (0, 0, 1), intensity=1.0)] if light == "rect" else []
     scene = ls.Scene(meshes=[*cube_without_ceiling(diffuse(albedo)), ceiling], lights=lights)
@@ -82,7 +82,7 @@ def test_irradiance_in_a_cube_below_an_emitting_ceiling_matches_collocation(
 
 @pytest.mark.parametrize("light", ["mesh", "rect", "sky"])
 def test_light_through_panes_of_index_1_is_counted_once(light: str) -> None:
-    """Light through glass of index 1 is counted once, by refracted rays or by light samples."""
+    """Either refracted rays or light samples find the light, never both."""
     shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if light == "mesh" else 0.0))
     lights: dict[str, list[Light]] = {
         "mesh": [],
@@ -104,7 +104,7 @@ def test_light_through_panes_of_index_1_is_counted_once(light: str) -> None:
 
 @pytest.mark.parametrize("shadows", ["none of the light's", "short", "off"])
 def test_environment_without_shadows_lights_a_floor_below_a_roof(shadows: str) -> None:
-    """Without shadows, or beyond the shadow distance, a floor under a roof has all environment light."""
+    """Shadows are off, or the roof is beyond the shadow distance."""
     environment = ls.LightEnvironment(
         casts_shadow=shadows != "none of the light's", shadow_distance=0.5 if shadows == "short" else np.inf
     )
@@ -118,7 +118,7 @@ def test_environment_without_shadows_lights_a_floor_below_a_roof(shadows: str) -
 
 @KINDS
 def test_light_bounces_between_concentric_spheres_match_the_closed_form(kind: str) -> None:
-    """The outer one emits; light bounces between them, in each channel by its albedo."""
+    """The outer sphere emits; light bounces between the two spheres by the albedo of each channel."""
     inner, outer, share = 0.8, 0.5, 0.25
     matrix = np.array([[1.0, -inner], [-outer * share, 1.0 - outer * (1.0 - share)]])
     truth = np.linalg.solve(matrix, [0.0, 1.0])
@@ -138,7 +138,7 @@ def test_light_bounces_between_concentric_spheres_match_the_closed_form(kind: st
 
 @pytest.mark.parametrize("side", ["reflected", "transmitted"])
 def test_light_bounces_between_two_gaussian_sheets_match_the_closed_form(side: str) -> None:
-    """Two wide Gaussians of opacity 0.6 and albedo 0.8: light bounces between them and passes both."""
+    """The sheets are wide Gaussians of opacity 0.6 and albedo 0.8; light bounces between the sheets and passes both."""
     reflectance, transmittance = 0.6 * 0.8, 0.4
     between = 1.0 / (1.0 - reflectance**2)
     truth = {
@@ -161,7 +161,7 @@ def test_light_bounces_between_two_gaussian_sheets_match_the_closed_form(side: s
 
 
 def test_panel_of_captured_gaussians_lights_a_floor_by_its_form_factor() -> None:
-    """A panel of captured Gaussians over a floor gives the irradiance of its form factor."""
+    """The panel is above the floor."""
     panel = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5))
     gaussians = ls.gaussians_from_mesh(panel, 40_000)
     shown = np.full((gaussians.count, 1, 3), (encode_srgb(0.5) - 0.5) / SH_C0)
@@ -174,7 +174,7 @@ def test_panel_of_captured_gaussians_lights_a_floor_by_its_form_factor() -> None
 
 
 def test_visible_sphere_light_is_rendered_and_lights_by_the_closed_form() -> None:
-    """A sphere of radiance 3 over a floor has irradiance pi L (r / d)^2, and is visible unless set otherwise."""
+    """A sphere of radiance L and radius r at distance d gives irradiance pi L (r / d)^2, and is visible by default."""
     light = ls.LightSphere((0.0, 2.0, 0.0), 0.25, intensity=3.0)
     floor = quad((-5, 0, -5), (0, 0, 10), (10, 0, 0), diffuse(0.5))
     above = ls.Camera.look_at((0, 1.0, 0.01), (0, 0, 0), (0, 0, -1), width=24, height=24, fov_y=0.02)

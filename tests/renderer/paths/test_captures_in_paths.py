@@ -16,24 +16,24 @@ SAMPLES = 400
 
 
 def captured_sheet(z: float, opacity: float, color: tuple[float, float, float]) -> ls.SplatInstance:
-    """A sheet that emits a captured colour, display-referred."""
+    """Returns a sheet that emits a captured colour, display-referred."""
     sheet = wide_sheet(z, opacity, 0.5).gaussians
     sh = (np.array(color, np.float32).reshape(1, 1, 3) - 0.5) / 0.28209479177387814
     return ls.SplatInstance(replace(sheet, sh=sh, albedo=None, normals=None))
 
 
 def linear(color: float) -> float:
-    """Decoded sRGB."""
+    """Returns the decoded sRGB colour."""
     return ((color + 0.055) / 1.055) ** 2.4
 
 
 def view(samples_of: int = 8) -> ls.Camera:
-    """A narrow camera along z, through sheets."""
+    """Returns a narrow camera along z, through the sheets."""
     return ls.Camera.look_at((0, 0, -1), (0, 0, 1), width=samples_of, height=samples_of, fov_y=0.01)
 
 
 def test_path_traced_emissive_capture_equals_the_trace_pipeline() -> None:
-    """Bit-equal to the traced frame with one sample: captures are not noisy."""
+    """One path-traced sample has the bits of the traced frame, so that captures are not noisy."""
     capture = ls.Scene(splats=[random_gaussians(3)])
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
     traced = ls.render(capture, front_camera(32, 24), replace(settings, pipeline=ls.Pipeline.TRACE), device="cpu")
@@ -43,7 +43,7 @@ def test_path_traced_emissive_capture_equals_the_trace_pipeline() -> None:
 
 
 def test_path_traced_mirror_shows_captures_blended_in_display_values() -> None:
-    """Half of black over white is the half in display values, which is less light than half of white."""
+    """Half-transparent black over white gives the display value 0.5, which is less light than half of white."""
     mirror = quad(
         (-5, -5, -2), (10, 0, 0), (0, 10, 0), ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.0)
     )
@@ -54,7 +54,7 @@ def test_path_traced_mirror_shows_captures_blended_in_display_values() -> None:
 
 
 def test_path_traced_haze_in_front_of_a_lit_sheet_is_unbiased() -> None:
-    """A ray hits either with its weight: a captured sheet of opacity 0.3 in front of a lit one of 0.8."""
+    """A captured sheet of opacity 0.3 is in front of a lit one of 0.8; each contributes by its blend weight."""
     scene = ls.Scene(
         splats=[captured_sheet(0.0, 0.3, (0.8, 0.8, 0.8)), wide_sheet(1.0, 0.8, 0.5)],
         lights=[ls.LightDirectional((0, 0, 1), intensity=2.0, casts_shadow=False)],
@@ -67,7 +67,7 @@ def test_path_traced_haze_in_front_of_a_lit_sheet_is_unbiased() -> None:
 
 
 def test_light_behind_captured_haze_is_scaled_by_its_transmittance() -> None:
-    """Holds for the camera, whether or not the haze has an iso-opacity surface."""
+    """The scaling holds in the camera's view, whether or not the haze has an iso-opacity surface."""
     for opacity in (0.2, 0.6):
         scene = ls.Scene(
             splats=[captured_sheet(0.0, opacity, (0.0, 0.0, 0.0)), captured_sheet(3.0, 0.5, (0.0, 0.0, 0.0))],
@@ -80,7 +80,7 @@ def test_light_behind_captured_haze_is_scaled_by_its_transmittance() -> None:
 
 
 def test_floor_below_two_captured_panels_receives_their_blended_display_value() -> None:
-    """White of opacity 0.5 over black: the floor between receives half of the decoded white, as blended."""
+    """A white panel of opacity 0.5 covers a black one; the floor receives the decoded display value 0.5."""
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     lids = [
@@ -95,7 +95,7 @@ def test_floor_below_two_captured_panels_receives_their_blended_display_value() 
 
 @pytest.mark.parametrize("primary", list(ls.config.PathPrimary))
 def test_iso_primary_lights_the_blend_and_particle_primary_each_gaussian(primary: ls.config.PathPrimary) -> None:
-    """Two lit sheets of unlike albedo: the iso surface lights the blend, particles are lit separately.
+    """Two lit sheets have unlike albedo: the iso surface lights the blend, particles are lit separately.
 
     Their display-referred means differ; means of light do not.
     """
@@ -113,7 +113,7 @@ def test_iso_primary_lights_the_blend_and_particle_primary_each_gaussian(primary
 
 @pytest.mark.parametrize("opacity", [0.3, 0.6])
 def test_light_behind_a_lit_sheet_is_equal_for_iso_and_particle_primaries(opacity: float) -> None:
-    """Also where the sheet is blended, with or without an iso-opacity surface."""
+    """The light is equal whether or not the sheet has an iso-opacity surface."""
     light = ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)
     scene = ls.Scene(splats=[wide_sheet(0.0, opacity, 0.0)], lights=[light])
     for primary in ls.config.PathPrimary:
@@ -122,7 +122,7 @@ def test_light_behind_a_lit_sheet_is_equal_for_iso_and_particle_primaries(opacit
 
 
 def test_stochastic_shadows_of_path_tracing_have_the_mean_of_exact_shadows() -> None:
-    """Through haze, off the centre of a light: the blocking of a point does not depend on which point it is."""
+    """The light is seen through haze, off its centre; all points of the light are blocked with equal probability."""
     floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), diffuse(0.8))
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     haze = ls.SplatInstance(

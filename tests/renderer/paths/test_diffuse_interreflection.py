@@ -30,7 +30,7 @@ from support.scenes.raster_scenes import similarity
 
 
 def crowded_room(albedo: float) -> list[ls.Mesh]:
-    """The inside of the unit cube with a ball and a rotated box, all of one albedo and none touching."""
+    """Returns the inside of the unit cube with a ball and a rotated box, all of one albedo and none touching."""
     x, y, z = np.eye(3)
     sides = ((0 * x, z, x), (y, x, z), (0 * x, x, y), (z, y, x), (0 * x, y, z), (x, z, y))
     globe = transform_mesh(ball(0.17, diffuse(albedo), rows=12), similarity(offset=(0.3, 0.2, 0.7)))
@@ -41,7 +41,7 @@ def crowded_room(albedo: float) -> list[ls.Mesh]:
 
 
 def board(albedo: float, emitted: float) -> list[ls.Mesh]:
-    """Both sides of a square in the air."""
+    """Returns both sides of a free-standing square."""
     material = diffuse(albedo, emitted)
     up = quad((0.2, 0.7, 0.2), (0, 0, 0.3), (0.3, 0, 0), material)
     return [up, quad((0.2, 0.6999, 0.2), (0.3, 0, 0), (0, 0, 0.3), material)]
@@ -51,7 +51,7 @@ def board(albedo: float, emitted: float) -> list[ls.Mesh]:
     ("source", "albedo"), [("point", 0.5), ("mesh", 0.5), ("rect", 0.5), ("sphere", 0.5), ("sphere", 0.8)]
 )
 def test_mean_irradiance_in_a_closed_room_follows_energy_conservation(source: str, albedo: float) -> None:
-    """With one albedo, mean irradiance over all surfaces is Phi / (A (1 - rho)), whatever is inside."""
+    """With albedo rho, area A and power Phi, mean irradiance is Phi / (A (1 - rho)), whatever objects are inside."""
     place = (0.6, 0.75, 0.7)
     lights: dict[str, tuple[Light, float]] = {
         "point": (ls.LightPoint(place, intensity=1.0), 4.0 * np.pi),
@@ -66,7 +66,7 @@ def test_mean_irradiance_in_a_closed_room_follows_energy_conservation(source: st
 
 
 def test_integrating_sphere_with_a_hole_loses_light_at_every_bounce() -> None:
-    """Light leaves through a hole in the top at every bounce: rho (1 - f) replaces rho."""
+    """Each bounce keeps the fraction rho (1 - f) for a hole with fraction f of the sphere's area."""
     albedo, rows = 0.8, 96
     whole = ball(1.0, diffuse(albedo), hollow=True, rows=rows)
     open_above = whole.positions[whole.indices].mean(axis=1)[:, 1] < np.cos(0.6)
@@ -79,7 +79,7 @@ def test_integrating_sphere_with_a_hole_loses_light_at_every_bounce() -> None:
 
 
 def test_light_bounces_between_parallel_plates_match_the_closed_form() -> None:
-    """Two facing plates: J1 = (M1 + rho1 M2) / (1 - rho1 rho2) in each channel."""
+    """The radiosities are J1 = (M1 + rho1 M2) / (1 - rho1 rho2), and J2 likewise, in each channel."""
     emitted = np.array([[1.0, 0.2, 0.0], [0.0, 0.5, 2.0]])
     albedo = np.array([[0.2, 0.5, 0.8], [0.9, 0.6, 0.3]])
     materials = [
@@ -105,7 +105,7 @@ def test_light_bounces_between_parallel_plates_match_the_closed_form() -> None:
 def test_direct_light_of_one_square_on_another_equals_their_form_factor(
     arrangement: str, factor: float, backend: str
 ) -> None:
-    """Mean direct light of one square on the other."""
+    """The mean over the receiving square is compared."""
     side = 10.0 if arrangement == "wide" else 1.0
     u, v = np.array([side, 0, 0]), np.array([0, 0, side])
     receiver = quad((0, 0, 0), v, u, diffuse(0.5))
@@ -123,7 +123,7 @@ def test_direct_light_of_one_square_on_another_equals_their_form_factor(
 
 
 def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstance:
-    """A surface of Gaussians that emit 1 and reflect ``albedo``."""
+    """Returns a surface of Gaussians that emit 1 and reflect ``albedo``."""
     gaussians = as_splats(mesh, count).gaussians
     shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # both the emitting and the reflecting surface
     shining = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
@@ -132,7 +132,7 @@ def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstanc
 
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.5, 1), (0.5, 32), (0.7, 64)])
 def test_closed_furnace_of_emitting_gaussians_equals_the_geometric_series(albedo: float, bounces: int) -> None:
-    """A hollow ball of Gaussians in a mesh ball, all emitting and reflecting, so that transmitted light fits, too."""
+    """A hollow ball of Gaussians lies in a mesh ball; transmitted light fits the series, because all surfaces emit."""
     shell = ball(1.2, diffuse(albedo, 1.0), hollow=True, rows=24)
     inner = ball(1.0, diffuse(albedo), hollow=True, rows=24)
     scene = ls.Scene([emitting_splats(inner, albedo, 3000)], [shell])
@@ -143,7 +143,7 @@ def test_closed_furnace_of_emitting_gaussians_equals_the_geometric_series(albedo
 
 @pytest.mark.parametrize("bounces", [0, 8])
 def test_floor_of_gaussians_receives_light_from_an_adjacent_wall(bounces: int) -> None:
-    """In a furnace, a floor of wide Gaussians near a wall: the wall counts although it is within their own layer."""
+    """In a furnace, the wall's light counts although the wall is within the extent of the floor's Gaussians."""
     albedo = 0.5
     walls = [replace(wall, material=diffuse(albedo, 1.0)) for wall in crowded_room(albedo)[:6]]
     floor = quad((0, 0.2, 0), (0, 0, 1), (1, 0, 0), diffuse(albedo))

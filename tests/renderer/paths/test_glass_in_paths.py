@@ -37,7 +37,7 @@ def test_alpha_blended_glass_absorbs_light_only_inside_the_body(behind: str, cap
 def test_alpha_blended_clear_glass_is_invisible_in_a_white_furnace(
     roughness: float, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """An emissive one emits by its alpha at each hit."""
+    """The glass is smooth or rough, of alpha 0.5; no warning about rays that leave without entering is logged."""
     caplog.set_level(logging.WARNING)
     material = replace(GLASS, roughness=roughness, alpha_mode="blend", alpha=0.5)
     near = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=16, height=12, fov_y=0.1)
@@ -50,7 +50,7 @@ def test_alpha_blended_clear_glass_is_invisible_in_a_white_furnace(
 
 
 def test_alpha_blended_emissive_glass_lights_a_floor_by_its_alpha() -> None:
-    """On a floor, samples of its triangles and rays that hit them agree."""
+    """Light samples on the triangles and rays that hit them give the floor the same light."""
     shining = replace(GLASS, ior=1.0, specular=0.0, emissive=(1.0, 1.0, 1.0), alpha_mode="blend", alpha=0.5)
     floor = quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), diffuse(0.5))
     lid = ls.MeshInstance(replace(ls.box(np.array([8.0, 8.0, 0.1])), material=shining), position=(0.0, 0.0, -1.0))
@@ -64,7 +64,7 @@ def test_alpha_blended_emissive_glass_lights_a_floor_by_its_alpha() -> None:
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_partly_diffuse_glass_in_a_white_furnace_is_not_noisy(inside: bool) -> None:
-    """White in a white environment; light is not sampled in directions of total internal reflection.
+    """White glass is in a white environment; light is not sampled in directions of total internal reflection.
 
     Light beyond the bounce limit is missing.
     """

@@ -1,8 +1,7 @@
 """Direct light in closed form, for each sampling strategy of a path.
 
-Three strategies: light sampling only, for lights that rays cannot hit; BSDF sampling only, through a pane of index 1
-that blocks shadow rays to visible lights and changes nothing else; and both, weighted by multiple importance
-sampling.
+The strategies are light sampling, for lights that rays cannot hit; BSDF sampling, through a pane of index 1 that
+blocks only shadow rays to visible lights; and multiple importance sampling of both.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ ALBEDO = 0.5
 FLOOR = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), diffuse(ALBEDO))
 CLEAR = ls.MaterialPbr(base_color=(1.0,) * 3, roughness=0.0, transmission=1.0, ior=1.0)
 PANE = quad((-9, 0.4, -9), (18, 0, 0), (0, 0, 18), CLEAR)
-"""A pane between the floor and all lights, which are above 0.5."""
+"""Pane between the floor and all lights, which are above 0.5."""
 CLOSE = ls.Camera.look_at((0, 0.3, 0.002), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.002)
-"""A camera on the origin, from below the pane."""
+"""Camera on the origin, from below the pane."""
 STRATEGIES = ("sampled", "hit", "both")
 
 
 def lit_by(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR) -> ls.Scene:
-    """A surface and a light that paths reach by one strategy."""
+    """Returns a surface and a light that paths reach by one strategy."""
     meshes = [surface, PANE] if strategy == "hit" else [surface]
     if isinstance(light, ls.Mesh):
         return ls.Scene(meshes=[*meshes, light])
@@ -45,7 +44,7 @@ def lit_by(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR) -> l
 
 
 def found(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR, samples: int = 64) -> np.ndarray:
-    """Irradiance at the origin, one value per pixel; light has not bounced, except through the pane."""
+    """Returns the irradiance at the origin, one value per pixel; light has not bounced, except through the pane."""
     return irradiance(paths(lit_by(light, strategy, surface), CLOSE, samples, 1 if strategy == "hit" else 0), ALBEDO)
 
 
@@ -54,7 +53,7 @@ def found(light: Light | ls.Mesh, strategy: str, surface: ls.Mesh = FLOOR, sampl
 def test_path_traced_irradiance_of_a_sphere_light_matches_the_closed_form(
     place: tuple[float, float, float], strategy: str
 ) -> None:
-    """Irradiance is pi L (r / d)^2 cos."""
+    """Irradiance is pi L (r / d)^2 cos for radiance L, radius r and distance d."""
     light = ls.LightSphere(place, 0.45, intensity=2.0)
     distance = np.linalg.norm(place)
     truth = np.pi * 2.0 * (0.45 / distance) ** 2 * place[1] / distance
@@ -63,7 +62,7 @@ def test_path_traced_irradiance_of_a_sphere_light_matches_the_closed_form(
 
 @pytest.mark.parametrize("strategy", ["hit", "both"])
 def test_path_traced_irradiance_of_an_emissive_ball_sums_its_triangles(strategy: str) -> None:
-    """A sphere of emissive triangles: the sum over the front-facing ones."""
+    """The expected value is the sum over the front-facing triangles of the sphere."""
     source = ball(0.45, diffuse(0.0, 2.0), rows=24)
     source = replace(source, positions=source.positions + np.array([0.9, 1.2, -0.5]))
     corners = source.positions[source.indices].astype(np.float64)
@@ -73,7 +72,7 @@ def test_path_traced_irradiance_of_an_emissive_ball_sums_its_triangles(strategy:
 
 @pytest.mark.parametrize("strategy", ["hit", "both"])
 def test_path_traced_irradiance_of_an_emissive_disc_matches_the_closed_form(strategy: str) -> None:
-    """Irradiance is pi L r^2 / (r^2 + h^2), with enough corners to be round."""
+    """Irradiance is pi L r^2 / (r^2 + h^2) for radiance L, radius r and height h; the disc has many corners."""
     angles = 2.0 * np.pi * np.arange(96) / 96
     rim = np.stack([0.6 * np.cos(angles), np.full(96, 0.8), 0.6 * np.sin(angles)], axis=1)
     fan = [[96, k, (k + 1) % 96] for k in range(96)]
@@ -88,7 +87,7 @@ def test_path_traced_irradiance_of_an_emissive_disc_matches_the_closed_form(stra
 def test_path_traced_irradiance_of_a_disk_light_matches_lamberts_formula(
     place: tuple[float, float, float], strategy: str
 ) -> None:
-    """L / 2 times Lambert's sum over its edge, as a polygon of many corners, slanted to the floor."""
+    """Irradiance is L / 2 times Lambert's sum over a polygon of many corners, slanted to the floor."""
     light = ls.LightDisk(place, (-0.2, -1.0, 0.1), 0.35, intensity=2.0)
     u, v = (light.boundary()[k] - place for k in (0, 12))
     turn = 2.0 * np.pi * np.arange(1000)[:, None] / 1000
@@ -100,7 +99,7 @@ def test_path_traced_irradiance_of_a_disk_light_matches_lamberts_formula(
     ("source", "strategy"), [("mesh", "hit"), ("mesh", "both"), *(("rect", strategy) for strategy in STRATEGIES)]
 )
 def test_path_traced_irradiance_of_a_rectangle_light_matches_lamberts_formula(source: str, strategy: str) -> None:
-    """L / 2 times Lambert's sum over its edges: a slanted parallelogram."""
+    """Irradiance is L / 2 times Lambert's sum over the edges of a slanted parallelogram."""
     corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
     light = ls.LightRect(corner + 0.5 * (u + v), u, v, intensity=2.0)
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
@@ -109,9 +108,9 @@ def test_path_traced_irradiance_of_a_rectangle_light_matches_lamberts_formula(so
 
 @pytest.mark.parametrize(("half", "unit"), [(0.03, 1.0), (0.3, 1e3), (1.0, 1.0), (3.0, 1e-3), (3.0, 1.0), (30.0, 1e3)])
 def test_path_traced_irradiance_of_a_sheared_emitter_matches_lamberts_formula(half: float, unit: float) -> None:
-    """The same polygon as a square that is rotated, stretched and sheared, far away, and moved since the last frame.
+    """The emitter is a square that is rotated, stretched and sheared, far away, and moved since the last frame.
 
-    Shadow rays end in front of it, from any offset above a floor of any size.
+    Shadow rays end in front of the emitter, from any offset above a floor of any size.
     """
     corner, u, v = unit * np.array([[-0.2, 0.7, -0.6], [0.9, 0.4, 0.1], [0.1, 0.2, 0.8]])
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
@@ -136,14 +135,14 @@ def test_path_traced_irradiance_of_a_sheared_emitter_matches_lamberts_formula(ha
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("slope", [0.0, 0.7, np.pi / 2])
 def test_path_traced_environment_irradiance_on_a_tilted_wall_is_exact(slope: float, strategy: str) -> None:
-    """Irradiance is pi L (1 + cos) / 2: half of the environment is bright, and it is tilted instead of the wall."""
+    """Irradiance is pi L (1 + cos) / 2: half of the environment is bright; the environment is tilted, not the wall."""
     above = np.repeat((np.arange(256) < 128)[:, None, None], 512, axis=1) * np.full(3, 2.0, np.float32)
     environment = ls.LightEnvironment(above, rotation_wxyz=(np.cos(0.5 * slope), 0.0, 0.0, np.sin(0.5 * slope)))
     assert_is(found(environment, strategy), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
 
 
 def test_path_traced_irradiance_of_a_point_light_is_exact_and_noise_free() -> None:
-    """Irradiance is I cos / d^2."""
+    """Irradiance is I cos / d^2 for intensity I and distance d."""
     place = np.array([0.9, 1.2, -0.5])
     distance = np.linalg.norm(place)
     values = found(ls.LightPoint(place, intensity=3.0), "sampled", samples=1)
@@ -167,12 +166,12 @@ class Estimate(NamedTuple):
 
 
 def plate(roughness: float) -> ls.Mesh:
-    """A piece of rough metal."""
+    """Returns a plate of rough metal."""
     return parallelogram((-3, 0, 3), (6, 0, 0), (0, 0, -6), metal(roughness))
 
 
 def veach(roughness: float, strategy: str) -> Estimate:
-    """Radiance of a plate below both lights; BSDF sampling needs more samples."""
+    """Returns the radiance of a plate below both lights; BSDF sampling uses more samples."""
     lights = [replace(source, visible=strategy != "sampled") for source in LIGHTS]
     meshes = [plate(roughness), PANE] if strategy == "hit" else [plate(roughness)]
     samples, bounces = (256, 1) if strategy == "hit" else (64, 0)
@@ -182,7 +181,7 @@ def veach(roughness: float, strategy: str) -> Estimate:
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 def test_light_sampling_and_bsdf_sampling_agree_on_veachs_plates(roughness: float) -> None:
-    """Means agree within four standard errors, and both combined are about as precise as the better strategy."""
+    """Means agree within four standard errors; the combination is about as precise as the better strategy."""
     sampled, hit, both = (veach(roughness, strategy) for strategy in STRATEGIES)
     assert all(found.error < 0.01 * found.mean for found in (sampled, hit, both))
     for a, b in ((sampled, hit), (sampled, both), (hit, both)):
@@ -199,7 +198,7 @@ def test_each_sampling_strategy_on_a_veach_plate_equals_quadrature(strategy: str
 
 
 def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) -> float:
-    """Radiance towards ``view`` of a white metal at the origin below a sphere, by quadrature over its cone."""
+    """Returns the radiance towards ``view`` of white metal below a sphere light, by quadrature over the light."""
     distance = np.linalg.norm(source.position)
     axis = np.asarray(source.position) / distance
     edge = 1.0 - np.sqrt(1.0 - (source.radius / distance) ** 2)
@@ -217,7 +216,7 @@ def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) 
 @pytest.mark.parametrize("setting", ["transmittance_threshold", "color_strength"])
 @pytest.mark.parametrize("source", ["rect", "mesh", "sky"])
 def test_shadow_threshold_and_tint_apply_to_light_sampling_and_bsdf_sampling(source: str, setting: str) -> None:
-    """Stretched or tinted shadows through haze equal those of an invisible light, which is only sampled."""
+    """A visible light has the shadow through haze of an invisible light, which only light sampling can reach."""
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     sheet = wide_sheet(1.0, 0.5, 0.0).gaussians
     sheet = replace(sheet, sh=np.full((1, 1, 3), -1.0) * [1.0, 0.2, -1.0])

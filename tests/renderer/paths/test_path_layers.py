@@ -1,4 +1,4 @@
-"""Layers of path traced frames: they add up to the frame, and contain what their names say."""
+"""Layers of path traced frames: their sum is the frame, and each contains what its name says."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ ALL = (*PATH_PARTS, "bounces", "lights", "albedo")
 
 
 def rooms() -> ls.Scene:
-    """Relit and emissive Gaussians, meshes, a mirror, glass, an environment, lights, and a visible light."""
+    """Returns relit and emissive Gaussians, meshes, a mirror, glass, an environment, lights, and a visible light."""
     light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
     return scene(*LIGHTS, ENVIRONMENT, light)
 
 
 @pytest.mark.parametrize("shown", ["all", "shadow-only"])
 def test_layers_of_path_traced_frames_add_up_to_the_frame(shown: str) -> None:
-    """The five parts; the bounces with captures; the lights with captures: to 1e-5."""
+    """Three sums agree to 1e-5: the five light parts, bounces plus captures, and lights plus captures."""
     lit = rooms()
     if shown == "shadow-only":
         lit = replace(lit, splats=[replace(one, material=None, shadow_catcher=True) for one in lit.splats])
@@ -41,13 +41,13 @@ def test_layers_of_path_traced_frames_add_up_to_the_frame(shown: str) -> None:
 
 
 def test_requesting_layers_does_not_change_a_path_traced_frame() -> None:
-    """The frame is bit-equal with and without layers."""
+    """The bits are equal with and without layers."""
     plain, layered = (paths(rooms(), camera(), 2, 3, aovs=aovs) for aovs in ((), ALL))
     np.testing.assert_array_equal(plain.color, layered.color)
 
 
 def test_path_traced_room_of_diffuse_walls_has_no_glossy_light() -> None:
-    """A cube of diffuse walls under a panel: nothing is glossy, and the floor's direct light is the panel's."""
+    """The room is a cube under a panel; all direct light on the floor is the panel's."""
     panel = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))
     room = ls.Scene(meshes=[*cube_without_ceiling(diffuse(0.5)), panel])
     down = ls.Camera.look_at((0.5, 0.5, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=16, height=16, fov_y=0.01)
@@ -60,7 +60,7 @@ def test_path_traced_room_of_diffuse_walls_has_no_glossy_light() -> None:
 
 
 def test_rough_metal_has_only_glossy_light_and_visible_lights_are_emission() -> None:
-    """A rough metal floor has only glossy light; a directly visible light is emission."""
+    """The floor is rough metal, and the camera sees a light directly."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.4)
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), metal)
     light = ls.LightSphere((0.0, 0.8, 0.0), 0.2, intensity=4.0)
@@ -74,7 +74,7 @@ def test_rough_metal_has_only_glossy_light_and_visible_lights_are_emission() -> 
 
 
 def test_layer_of_each_light_equals_the_frame_of_that_light_alone() -> None:
-    """In the mean, with shadows and bounces."""
+    """The means agree, with shadows and bounces."""
     room = cube_without_ceiling(diffuse(0.7))
     screen = quad((0.4, 0.2, 0.4), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.2))
     lights = [
@@ -95,7 +95,7 @@ def test_layer_of_each_light_equals_the_frame_of_that_light_alone() -> None:
 
 @pytest.mark.parametrize("roughness", [0.3, 0.0])
 def test_shadow_layer_is_1_for_unblocked_lights_reflected_in_metal(roughness: float) -> None:
-    """Its samples reach rough metal whole, however few; in a mirror, only hits bring its light."""
+    """Rough metal gets light samples without loss; in a mirror, only rays that hit the light bring its light."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=roughness)
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), metal)
     light = ls.LightSphere((0.0, 1.0, -1.5), 0.5, intensity=3.0)
@@ -110,7 +110,7 @@ def test_shadow_layer_is_1_for_unblocked_lights_reflected_in_metal(roughness: fl
 
 
 def test_layers_of_the_path_pipeline_are_refused_in_other_pipelines() -> None:
-    """The message names the pipeline that has them; the reverse is refused likewise."""
+    """The message names the pipeline; layers of other pipelines are refused in path tracing as well."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.HYBRID has no bounces among its aovs: Pipeline\.PATH does"):
         ls.render(rooms(), camera(), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, aovs=("bounces",)), device="cpu")
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.PATH has no reflection among its aovs: Pipeline\.HYBRID does"):
@@ -118,7 +118,7 @@ def test_layers_of_the_path_pipeline_are_refused_in_other_pipelines() -> None:
 
 
 def test_layers_of_resumed_path_traced_frames_equal_uninterrupted_ones() -> None:
-    """Two plus two samples equal four to the bit, in all layers, also with shadow catchers."""
+    """Two plus two samples have the bits of four in all layers, also with shadow catchers."""
     lit = rooms()
     lit = replace(
         lit, splats=[lit.splats[0], *(replace(one, material=None, shadow_catcher=True) for one in lit.splats[1:])]
@@ -132,7 +132,7 @@ def test_layers_of_resumed_path_traced_frames_equal_uninterrupted_ones() -> None
 
 
 def test_files_of_path_layers_are_named_by_layer_and_light(tmp_path: Path) -> None:
-    """EXR channels are named by layers and lights, and a PNG has one image file per layer."""
+    """EXR channels have the names of layers and lights; a PNG has one more file per layer."""
     frame: Any = paths(rooms(), camera(), 1, 1, aovs=ALL)
     channels = {name.rsplit(".", 1)[0] for name in frame.layers()}
     assert {"direct_glossy", "emission", "bounce.0", "bounce.2", "light.ball.total", "light_other"} <= channels
@@ -143,7 +143,7 @@ def test_files_of_path_layers_are_named_by_layer_and_light(tmp_path: Path) -> No
 
 
 def test_clearcoat_light_is_glossy_and_light_of_its_diffuse_base_diffuse() -> None:
-    """The coat takes its fraction of the diffuse light and adds a highlight; the parts are otherwise unchanged."""
+    """The coat takes its fraction of the diffuse light and adds a highlight; all other light is unchanged."""
     light = ls.LightPoint((0.3, 0.8, 0.0), intensity=2.0)
     above = ls.Camera.look_at((-0.3, 0.8, 0.0), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)
     parts: dict[str, Any] = {}
@@ -161,7 +161,7 @@ def test_clearcoat_light_is_glossy_and_light_of_its_diffuse_base_diffuse() -> No
 
 
 def test_emission_of_gaussians_is_not_attributed_to_the_environment() -> None:
-    """An emissive sheet in front of a dim environment adds to the light without a light source."""
+    """An emissive sheet in front of a dim environment is counted as light without a light source."""
     material = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(3.0, 3.0, 3.0))
     sheet = replace(wide_sheet(0.0, 0.9, 0.5), material=material)
     environment = ls.LightEnvironment(color=(1e-3, 1e-3, 1e-3))

@@ -22,7 +22,7 @@ LIGHTS_BY_NAME: dict[str, Light] = {
 
 
 def balls(kind: str) -> ls.Scene:
-    """A ball floating over a floor."""
+    """Returns a ball floating over a floor."""
     floor = quad((-1, -0.4, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
     shape = ball(0.3, diffuse(0.7), rows=32)
     if kind == "mesh":
@@ -33,7 +33,7 @@ def balls(kind: str) -> ls.Scene:
 @pytest.mark.parametrize("kind", ["mesh", "gaussians"])
 @pytest.mark.parametrize("light", LIGHTS_BY_NAME.values(), ids=LIGHTS_BY_NAME.keys())
 def test_path_tracing_without_bounces_has_the_mean_of_traced_direct_light(light: Light, kind: str) -> None:
-    """In the mean, they equal the trace pipeline with stochastic hits."""
+    """The trace pipeline uses stochastic hits."""
     lit = replace(balls(kind), lights=[light])
     view = ls.Camera.look_at((0.3, 0.6, -1.4), (0.0, -0.1, 0.0), width=48, height=36, fov_y=0.7)
     traced = ls.RenderConfig(
@@ -52,7 +52,7 @@ def test_path_tracing_without_bounces_has_the_mean_of_traced_direct_light(light:
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_path_traced_frames_do_not_depend_on_thread_count(threads: int) -> None:
-    """Bit-equal, with light that bounces between Gaussians, meshes, mirrors and glass."""
+    """The bits are equal, with light that bounces between Gaussians, meshes, mirrors and glass."""
     settings = config(ls.Pipeline.PATH, samples=3, max_bounces=5)
     shown = scene(*LIGHTS, ENVIRONMENT)
     frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (threads, 2)]
@@ -60,7 +60,7 @@ def test_path_traced_frames_do_not_depend_on_thread_count(threads: int) -> None:
 
 
 def test_light_of_an_emissive_square_does_not_depend_on_its_tessellation() -> None:
-    """One emissive square, cut into many triangles of many sizes, or as two instances, gives equal light."""
+    """The square is one quad, many triangles of many sizes, or two instances."""
     room = cube_without_ceiling(diffuse(0.5))
     view = ls.Camera.look_at((0.5, 0.8, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=32, height=32, fov_y=0.03)
     shine = diffuse(0.5, 1.0)
@@ -79,7 +79,7 @@ def test_light_of_an_emissive_square_does_not_depend_on_its_tessellation() -> No
 
 
 def test_path_tracer_does_not_render_gaussians_in_front_of_the_near_plane() -> None:
-    """Small Gaussians in front of it are not visible, as in traced frames."""
+    """The Gaussians are small and in front of the near plane; traced frames leave them out as well."""
     speck = one_gaussian((0.0, 0.0, 0.05), 0.002, 0.99, (0.9, 0.1, 0.1))
     wall = one_gaussian((0.0, 0.0, 2.0), (2.0, 2.0, 0.01), 0.99, (0.2, 0.4, 0.8))
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.02, near=0.2)
@@ -91,7 +91,7 @@ def test_path_tracer_does_not_render_gaussians_in_front_of_the_near_plane() -> N
 
 
 def test_path_traced_scene_of_relit_captures_alone_is_lit_by_a_headlight() -> None:
-    """Relit captures emit nothing; emissive captures and meshes do, and need no headlight."""
+    """Relit captures emit nothing; a scene with emissive captures or meshes needs no headlight."""
     alone = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=32), 4000)])
     view = ls.Camera.look_at((0.0, 0.0, -1.4), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.3)
     assert paths(alone, view, 8, 2).color[10:14, 14:18].mean() > 0.4
@@ -101,7 +101,7 @@ def test_path_traced_scene_of_relit_captures_alone_is_lit_by_a_headlight() -> No
 
 
 def test_path_traced_ray_queries_include_the_light_of_emissive_meshes() -> None:
-    """Rays through a camera's pixels equal the frame, with an emissive mesh as the only light."""
+    """Rays through a camera's pixels equal the frame; an emissive mesh is the only light."""
     room = [*cube_without_ceiling(diffuse(0.5)), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))]
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=64, max_bounces=4)
     down = np.broadcast_to(np.array([0.0, -1.0, 0.0]), (256, 3))
@@ -113,7 +113,7 @@ def test_path_traced_ray_queries_include_the_light_of_emissive_meshes() -> None:
 
 
 def test_path_traced_ray_queries_of_unlit_scenes_return_captured_colours() -> None:
-    """Without any light, rays see a relit set's captured colours, as in the trace pipeline."""
+    """Without any light, rays return the captured colours of a relit set, as in the trace pipeline."""
     unlit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=16), 500)])
     ways = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.0]])
     seen = [
@@ -125,7 +125,7 @@ def test_path_traced_ray_queries_of_unlit_scenes_return_captured_colours() -> No
 
 @pytest.mark.parametrize("kind", ["rect", "emitter"])
 def test_absorbing_medium_attenuates_light_paths_and_camera_paths(kind: str) -> None:
-    """A floor, a light one unit above it and the camera's path are in a body that absorbs half per unit."""
+    """The floor, a light one unit above it and the camera's path lie in a medium that absorbs half per unit."""
     water = ls.MaterialPbr(
         base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0, attenuation_color=(0.5,) * 3
     )

@@ -22,19 +22,19 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 ROOMS = path_rooms()
 NOISY = ("metal_area", "glass_area", "rough_glass_area")
 SAME_PLACES = 0.001
-"""Relative error of a block at edges: all pixels are sampled at the same few sub-pixel positions."""
+"""Relative error of a block at edges, because all pixels are sampled at the same few sub-pixel positions."""
 
 
 def reference_of(name: str) -> TileMeans:
-    """Mitsuba's blocks."""
+    """Returns Mitsuba's blocks of pixels."""
     with np.load(REFERENCE / f"mitsuba_path_{name}.npz") as stored:
         return TileMeans(stored["blocks"], stored["errors"])
 
 
 def blocks_of(room: PathRoom, samples: int, shrink: int) -> TileMeans:
-    """Our blocks, of two frames with so many samples each, ``shrink`` times as small as the reference.
+    """Returns Lumisplat's blocks of two frames of ``samples`` samples, ``shrink`` times smaller than the reference.
 
-    Gaussians have no footprint: they were made from surfaces, not trained on images.
+    Gaussians have no footprint, because they were made from surfaces, not trained on images.
     """
     as_made = ls.TraceConfig(dilation=0.0)
     view = centred(room.camera.scaled(width=room.camera.width // shrink), samples)
@@ -43,14 +43,14 @@ def blocks_of(room: PathRoom, samples: int, shrink: int) -> TileMeans:
 
 
 def centred(camera: ls.Camera, samples: int) -> ls.Camera:
-    """The camera shifted by the mean sub-pixel position of the samples, up to 0.1 pixels from the centre."""
+    """Returns the camera shifted by the mean sub-pixel position of the samples, at most 0.1 pixels from the centre."""
     positions = (0.5 + np.arange(samples)[:, None] * SUBPIXEL_STEPS) % 1.0
     x, y = positions.mean(axis=0) - 0.5
     return replace(camera, cx=camera.cx + x, cy=camera.cy + y)
 
 
 def errors_of(name: str, ours: TileMeans) -> tuple[np.ndarray, np.ndarray]:
-    """Relative errors of the blocks, and their standard errors."""
+    """Returns the relative errors of the blocks, and their standard errors."""
     theirs = reference_of(name)
     return ours.means / theirs.means - 1.0, np.hypot(ours.errors, theirs.errors) / theirs.means
 
@@ -60,7 +60,7 @@ def assert_agrees(name: str, ours: TileMeans, systematic: float = SAME_PLACES) -
 
     Args:
         name: Name of the room.
-        ours: Our blocks.
+        ours: Lumisplat's blocks.
         systematic: Additional relative tolerance of a block.
     """
     error, chance = errors_of(name, ours)
@@ -74,28 +74,28 @@ def assert_agrees(name: str, ours: TileMeans, systematic: float = SAME_PLACES) -
 
 @pytest.mark.parametrize("name", ROOMS)
 def test_path_traced_rooms_equal_mitsuba_up_to_noise(name: str) -> None:
-    """Only noise differs."""
+    """Bounces and polyhedra are equal in both renderers."""
     assert_agrees(name, blocks_of(ROOMS[name], 32 if name in NOISY else 16, 2))
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", ROOMS)
 def test_32_pixel_blocks_of_path_traced_rooms_are_within_1_percent_of_mitsuba(name: str) -> None:
-    """Compares blocks of 32 x 32 pixels."""
+    """The test renders enough samples for this precision."""
     error, chance = errors_of(name, blocks_of(ROOMS[name], 256 if name in NOISY else 64, 1))
     assert chance.max() < 0.006
     assert np.abs(error).max() < 0.01
 
 
 def test_path_traced_gaussian_ball_and_wall_equal_meshes_in_mitsuba() -> None:
-    """Holds at silhouettes, and where the wall touches others."""
+    """The agreement includes silhouettes, and the seam where the wall touches others."""
     ours = blocks_of(with_gaussians(ROOMS["diffuse_area"], 20_000), 16, 2)
     assert_agrees("diffuse_area", ours, systematic=0.02)
 
 
 @pytest.mark.parametrize("change", ["a darker wall", "a brighter light"])
 def test_mitsuba_room_comparison_fails_for_a_changed_albedo_or_light(change: str) -> None:
-    """A wall that reflects 5 % less, and a light 2 % brighter, fail the comparison."""
+    """A wall that reflects 5 % less, or a light that is 2 % brighter, fails the comparison."""
     room = ROOMS["diffuse_area"]
     meshes = [instance.mesh for instance in room.scene.meshes]
     number = 1 if change == "a darker wall" else -3

@@ -16,7 +16,7 @@ VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=48, height=32, fov_y=0.3)
 
 
 def test_frosted_glass_ball_nearly_disappears_in_a_white_furnace() -> None:
-    """Single scattering loses little energy at this roughness."""
+    """Single scattering loses little energy at the roughness of the ball."""
     scene = ls.Scene(meshes=[ball(0.3, FROSTED, rows=24)], lights=[ls.LightEnvironment(color=(0.7, 0.7, 0.7))])
     values = paths(scene, VIEW, 64, 32).color[8:24, 12:36, 1].astype(np.float64) / 0.7
     assert values.std() / np.sqrt(values.size) < 0.004
@@ -35,7 +35,7 @@ LIGHTS: dict[str, tuple[Light | ls.Mesh, Light]] = {
         ls.LightPoint((0.0, 0.0, 1.0), intensity=0.2),
     ),
 }
-"""A light that rays can hit, and an equal one that is only sampled."""
+"""Light that rays can hit, and an equal light that is only sampled."""
 
 
 @pytest.mark.parametrize("thin", [False, True])

@@ -17,7 +17,7 @@ SHARE = RADIUS**2 / (RADIUS**2 + HEIGHT**2)
 
 
 def captured_sheet(y: float, color: float, *, size: float = 1e4, shadow_catcher: bool = True) -> ls.SplatInstance:
-    """A level sheet that emits a captured grey, display-referred, with alpha 0.99."""
+    """Returns a level sheet that emits a captured grey, display-referred, with alpha 0.99."""
     sheet = replace(wide_sheet(y, 0.99, 0.5).gaussians, scales=np.array([[size, size, 1e-4]]))
     sh = np.full((1, 1, 3), (color - 0.5) / 0.28209479177387814, np.float32)
     turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
@@ -25,7 +25,7 @@ def captured_sheet(y: float, color: float, *, size: float = 1e4, shadow_catcher:
 
 
 def disc(material: ls.MaterialPbr) -> ls.Mesh:
-    """A level disc with many corners above the origin."""
+    """Returns a level disc with many corners above the origin."""
     angles = np.linspace(0.0, 2.0 * np.pi, 129)[:-1]
     rim = np.stack([RADIUS * np.cos(angles), np.full(128, HEIGHT), RADIUS * np.sin(angles)], axis=1)
     corners = np.concatenate([[[0.0, HEIGHT, 0.0]], rim])
@@ -34,12 +34,12 @@ def disc(material: ls.MaterialPbr) -> ls.Mesh:
 
 
 def below() -> ls.Camera:
-    """A camera on the floor below the disc."""
+    """Returns a camera on the floor below the disc."""
     return ls.Camera.look_at((0.0, 0.3, 0.0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.02)
 
 
 def factor(scene: ls.Scene, samples: int = 64, bounces: int = 1, **changes: object) -> npt.NDArray[np.float64]:
-    """Ratio of the floor's radiance to the captured one, one value per pixel."""
+    """Returns the ratio of the floor's radiance to the captured radiance, one value per pixel."""
     frame = paths(scene, below(), samples, bounces, **changes)
     captured = paths(ls.Scene(scene.splats[:1]), below(), 1, 0).color
     values: npt.NDArray[np.float64] = (frame.color / captured)[..., 1].astype(np.float64)
@@ -48,7 +48,7 @@ def factor(scene: ls.Scene, samples: int = 64, bounces: int = 1, **changes: obje
 
 @pytest.mark.parametrize("source", ["sky", "ceiling"])
 def test_black_disc_blocks_its_form_factor_on_a_path_traced_shadow_catcher(source: str) -> None:
-    """It blocks light of the environment and of the captured ceiling, without any light source."""
+    """The disc blocks light of the environment and of a captured ceiling; the scene has no light source."""
     black = diffuse(0.0)
     if source == "sky":
         scene = ls.Scene(
@@ -63,7 +63,7 @@ def test_black_disc_blocks_its_form_factor_on_a_path_traced_shadow_catcher(sourc
 
 
 def test_emissive_disc_adds_its_light_to_a_path_traced_shadow_catcher() -> None:
-    """Twice as bright as the environment, it adds as much as it blocks."""
+    """The disc is twice as bright as the environment, so that it adds as much light as it blocks."""
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5)],
         meshes=[disc(diffuse(0.0, 2.0))],
@@ -73,7 +73,7 @@ def test_emissive_disc_adds_its_light_to_a_path_traced_shadow_catcher() -> None:
 
 
 def test_white_disc_reflects_light_of_the_floor_to_a_path_traced_catcher() -> None:
-    """Colour bleeding: a white disc is lit by the captured floor, and lights it in turn."""
+    """A white disc is lit by the captured floor, and its reflection lights the floor in turn."""
     shines = 0.99 * ((0.5 + 0.055) / 1.055) ** 2.4 + 0.01
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5)],
@@ -85,7 +85,7 @@ def test_white_disc_reflects_light_of_the_floor_to_a_path_traced_catcher() -> No
 
 
 def test_path_traced_shadow_ratio_of_a_catcher_equals_other_pipelines() -> None:
-    """With a sun only, unblocked ambient light remains; with a sun and an environment, the rest of the latter."""
+    """Below a disc in sunlight, unblocked ambient light remains, or the unblocked part of an environment."""
     sun = ls.LightDirectional((0, -1, 0), intensity=2.0)
     scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(diffuse(0.0))], lights=[sun])
     assert_is(factor(scene, 128), 0.5 * np.pi * (1.0 - SHARE) / (0.5 * np.pi + 2.0), share=0.02)
@@ -94,7 +94,7 @@ def test_path_traced_shadow_ratio_of_a_catcher_equals_other_pipelines() -> None:
 
 
 def test_invisible_added_object_does_not_change_a_path_traced_capture() -> None:
-    """Bit-equal: the captured floor and ceiling, with a disc below the floor that is not visible."""
+    """The captured floor and ceiling have equal bits with and without a disc below the floor."""
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5, size=0.5), captured_sheet(3.0, 0.8)],
         lights=[ls.LightEnvironment(color=(0.3, 0.4, 0.5), visible=False)],
@@ -106,7 +106,7 @@ def test_invisible_added_object_does_not_change_a_path_traced_capture() -> None:
 
 
 def test_added_black_capture_blocks_light_on_a_path_traced_shadow_catcher() -> None:
-    """An emissive black capture that is no catcher blocks all light from above."""
+    """The added capture is emissive, black and no catcher."""
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5, size=0.5), captured_sheet(3.0, 0.8), captured_sheet(2.5, 0.0, shadow_catcher=False)]
     )
@@ -115,7 +115,7 @@ def test_added_black_capture_blocks_light_on_a_path_traced_shadow_catcher() -> N
 
 
 def test_emissive_disc_adds_light_to_a_path_traced_catcher_without_environment() -> None:
-    """Its light is relative to the least irradiance of the floor: pi times its radiance."""
+    """The disc's light is relative to the least irradiance that explains the floor: pi times its radiance."""
     scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(diffuse(0.0, 2.0))])
     least = np.pi * paths(ls.Scene(scene.splats), below(), 1, 0).color.mean()
     assert_is(factor(scene), 1.0 + 2.0 * np.pi * SHARE / least, share=0.02)
@@ -123,7 +123,7 @@ def test_emissive_disc_adds_light_to_a_path_traced_catcher_without_environment()
 
 @pytest.mark.parametrize("visible", [True, False])
 def test_clear_pane_does_not_change_the_light_on_a_path_traced_catcher(visible: bool) -> None:
-    """A pane of index 1 between a light and the floor, whether or not rays can hit the light."""
+    """A pane of index 1 is between a light and the floor, whether or not rays can hit the light."""
     clear = ls.MaterialPbr(base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0)
     light = ls.LightRect((0, 2, 0), (1, 0, 0), (0, 0, 1), intensity=20.0, visible=visible)
     scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(clear)], lights=[light])
@@ -131,7 +131,7 @@ def test_clear_pane_does_not_change_the_light_on_a_path_traced_catcher(visible: 
 
 
 def test_path_traced_edge_pixels_composite_object_and_catcher_by_coverage() -> None:
-    """A partly covered pixel shows that part of the object, and no more of the floor than its neighbours do."""
+    """A partly covered pixel shows that fraction of the object, and the floor with the brightness of its neighbours."""
     black = diffuse(0.0)
     lid = replace(disc(black), positions=disc(black).positions * np.array([200.0, 1.0, 200.0]))
     edge = disc(black).positions * np.array([0.2, 0.0, 0.2]) + np.array([0.12, 0.05, 0.0])

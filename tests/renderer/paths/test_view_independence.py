@@ -14,7 +14,7 @@ ROUGH = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.6)
 
 
 def blob(kind: str) -> ls.SplatInstance:
-    """A round Gaussian, emissive or lit, that faces the eye as it has no normal."""
+    """Returns a round Gaussian, emissive or lit, that faces the eye because it has no normal."""
     sh = np.zeros((1, 4, 3), np.float32)
     sh[0, 1] = 0.9 * (kind == "kept")
     gaussians = ls.Gaussians(
@@ -34,7 +34,7 @@ def blob(kind: str) -> ls.SplatInstance:
     ids=["path-kept", "path-relit", "trace-kept"],
 )
 def test_path_traced_brightness_does_not_depend_on_viewing_distance(pipeline: ls.Pipeline, kind: str) -> None:
-    """One point in one direction from two distances, on a diffuse floor and in a highlight."""
+    """One point is seen in one direction from two distances, on a diffuse floor and in a highlight."""
     material = diffuse(0.5) if pipeline is ls.Pipeline.PATH else ROUGH
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), material)
     scene = ls.Scene(splats=[blob(kind)], meshes=[floor], lights=[ls.LightDirectional((-1, 0.05, 0.3), intensity=3.0)])

@@ -1,4 +1,4 @@
-"""Array inputs of callers, also from packages that are not dependencies."""
+"""Arrays that callers pass in, also arrays of packages that are not dependencies."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TensorOfNumPy(Tensor):
     ],
 )
 def test_arrays_that_cannot_be_read_raise_a_one_line_error(given: Any, problem: str) -> None:
-    """The error contains the package's own message, and what to do."""
+    """The error contains the message of the array's package, and what to do."""
     remedy = "; expected an array of numbers; detach tensors with gradients"
     with pytest.raises(ls.SceneError, match=f"^dL_dcolor cannot be read as an array: {problem}{remedy}$") as found:
         given_array("dL_dcolor", given, (2, 2))

@@ -22,7 +22,7 @@ CULLED, NONFINITE = 0xFFFFFFFF, 0xFFFFFFFE
 
 
 def make_order(parallel: bool, threads: int = 3) -> BinningChunked | BinningParallel:
-    """A binning of either schedule on the CPU."""
+    """Returns a binning of either schedule on the CPU."""
     launcher = Launcher("cpu", threads=threads, parallel=parallel)
     order = (BinningParallel if parallel else BinningChunked)(launcher, Buffers("cpu"))
     order.begin()
@@ -30,7 +30,7 @@ def make_order(parallel: bool, threads: int = 3) -> BinningChunked | BinningPara
 
 
 def random_keys(count: int, seed: int) -> np.ndarray:
-    """Bits of positive floats with many ties, some culled, some not finite."""
+    """Returns bits of positive floats with many ties, some culled, some not finite."""
     random = np.random.default_rng(seed)
     keys = np.round(random.uniform(0.01, 1000.0, count), 1).astype(np.float32).view(np.uint32)
     keys[random.random(count) < 0.2] = CULLED
@@ -41,7 +41,7 @@ def random_keys(count: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize("count", [1, 2, 100, 5000])
 def test_depth_order_is_a_stable_front_to_back_sort_of_the_visible_splats(parallel: bool, count: int) -> None:
-    """Visible items are sorted front to back, ties keep their order, and culled ones are dropped or last."""
+    """Ties keep their order; culled splats are dropped or sorted to the end."""
     keys = random_keys(count, count)
     order = make_order(parallel)
     result = order.sort(DeviceArray(keys, dtype=wp.uint32, device="cpu"))
@@ -54,7 +54,7 @@ def test_depth_order_is_a_stable_front_to_back_sort_of_the_visible_splats(parall
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_depth_order_contains_all_splats_if_all_are_visible_and_none_if_culled(parallel: bool) -> None:
-    """The last of all visible items is kept, and no item appears if none is visible."""
+    """The count of visible splats is 9 of 9 or 0 of 9."""
     for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
         order = make_order(parallel)
         order.sort(DeviceArray(np.full(9, fill, np.uint32), dtype=wp.uint32, device="cpu"))
@@ -64,14 +64,14 @@ def test_depth_order_contains_all_splats_if_all_are_visible_and_none_if_culled(p
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_depth_sort_orders_keys_from_the_smallest_denormal_to_the_largest_float(parallel: bool) -> None:
-    """Three-digit keys, from the smallest denormal to the largest float, are sorted."""
+    """The depths differ in every digit of the radix sort."""
     depths = np.array([3.4e38, 1e-45, 1.0, 2.0, 1e-20, 1e20, 0.5], np.float32)
     result = make_order(parallel).sort(DeviceArray(depths.view(np.uint32), dtype=wp.uint32, device="cpu"))
     np.testing.assert_array_equal(result.order.numpy()[: len(depths)], np.argsort(depths))
 
 
 def brute_force_lists(rects: np.ndarray, order: np.ndarray, tiles_x: int, tile_count: int) -> list[list[int]]:
-    """Items that touch each tile, in order."""
+    """Returns the items that touch each tile, in order."""
     lists: list[list[int]] = [[] for _ in range(tile_count)]
     for item in order:
         rect = rects[item]
@@ -83,7 +83,7 @@ def brute_force_lists(rects: np.ndarray, order: np.ndarray, tiles_x: int, tile_c
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_tile_lists_contain_all_touching_splats_in_depth_order(parallel: bool) -> None:
-    """Holds in the parallel schedule also after lists were truncated."""
+    """The lists are also complete after lists of the parallel schedule were truncated and enlarged."""
     random = np.random.default_rng(5)
     tiles_x, tiles_y, count = 7, 5, 400
     table = np.zeros(count, dtype=table_dtype(TileRect))
@@ -110,7 +110,7 @@ def test_tile_lists_contain_all_touching_splats_in_depth_order(parallel: bool) -
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_more_tile_splat_pairs_than_32_bit_indices_raise_an_error(parallel: bool) -> None:
-    """Pairs beyond 32-bit indices raise an error instead of an overflow, a truncated list or a write out of bounds."""
+    """The error prevents an overflow, a truncated list or a write out of bounds."""
     tiles_x, tiles_y, count = 4096, 3, 180_000
     table = np.zeros(count, dtype=table_dtype(TileRect))
     table["x1"], table["y1"] = tiles_x, tiles_y
@@ -122,13 +122,13 @@ def test_more_tile_splat_pairs_than_32_bit_indices_raise_an_error(parallel: bool
 
 
 def test_capacity_of_grown_tile_lists_exceeds_the_count_by_at_most_a_quarter() -> None:
-    """A capacity holds the count and wastes at most a quarter of it, or 1024 elements."""
+    """For small counts, the excess is at most 1024 elements."""
     for count in [0, 1, 1000, 1024, 1025, 5000, 123_456, 10_000_000]:
         assert count <= grown_capacity(count) <= max(1.25 * count + 1, count + 1024)
 
 
 def test_frame_with_truncated_tile_lists_is_drawn_again_with_longer_lists() -> None:
-    """A camera moves so close that splats exceed the captured graph's list; no truncated frame is returned."""
+    """A camera moves so close that splats exceed the list of the captured graph; no truncated frame is returned."""
     scene = ls.Scene([scenes.random_gaussians(4, count=200)])
     launcher = GraphLauncher()
     renderer = ls.Renderer(ls.RenderConfig(), launcher)

@@ -22,7 +22,7 @@ class ByPixels(Launcher):
     """A launcher that composites each pixel separately."""
 
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
-        """Runs one item per pixel instead."""
+        """Runs one thread for each pixel instead of thread blocks."""
         assert kernel is splat_kernels.composite_blocks
         self.run_banded(splat_kernels.composite_pixels, blocks * TILE_PX * TILE_PX, *inputs)
 
@@ -30,7 +30,7 @@ class ByPixels(Launcher):
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])
 @pytest.mark.parametrize("with_mesh", [False, True])
 def test_thread_blocks_that_share_splats_give_the_bits_of_single_pixels(opacity: float, with_mesh: bool) -> None:
-    """Tiles have more splats than a block has threads; pixels end by opacity, at a mesh, or at the list's end."""
+    """Tiles have more splats than a block has threads; pixels end by opacity, at a mesh, or at the end of the list."""
     gaussians = random_gaussians(
         8, 2200, extent=(1.0, 0.6, 1.5), scale_range=(0.1, 0.5), opacities=np.full(2200, opacity)
     )
@@ -47,7 +47,7 @@ def test_thread_blocks_that_share_splats_give_the_bits_of_single_pixels(opacity:
 
 
 def test_cuda_compositing_kernel_reads_splats_from_shared_memory() -> None:
-    """Splats are read by wide loads, and launch bounds allow four blocks per multiprocessor."""
+    """Splats are read by 16-byte loads, and launch bounds allow four blocks per multiprocessor."""
     code = compile_for_cuda(splat_kernels.BLOCKS).read_text()
     assert re.search(r"\.maxntid 256", code) and re.search(r"\.minnctapersm 4", code)
     assert len(re.findall(r"ld\.shared\.v4", code)) >= 3

@@ -1,4 +1,4 @@
-"""The weighted-mean surface of a pixel's Gaussians: float64 twin, closed forms, and frames that do not use it."""
+"""Weighted-mean surface of a pixel's Gaussians: float64 twin, closed forms, and frames without such a surface."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ CENTRE = (24, 32)
 def surfaces(
     scene: ls.Scene, camera: ls.Camera, raster: ls.RasterConfig = MEAN, backend: str = "cpu"
 ) -> dict[str, Doubles]:
-    """Mean surface of each pixel in a real-time frame's G-buffer, and ``depth_z``; 0 without Gaussians."""
+    """Returns the mean surface of each pixel in a real-time frame's G-buffer, and ``depth_z``; 0 without Gaussians."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, raster=raster, max_bounces=0, jitter=False)
     renderer = renderer_of(backend, config)
     frames = 4 if backend == "cpu as graph" else 1  # a graph is captured by the third and replayed by the fourth
@@ -57,17 +57,17 @@ def surfaces(
 
 
 def relit(*sets: ls.Gaussians, **settings: Any) -> ls.Scene:
-    """Sets with a material that reflects light."""
+    """Returns a scene of sets with a material that reflects light."""
     return ls.Scene([ls.SplatInstance(gaussians, material=MATTE, **settings) for gaussians in sets], lights=[LIGHT])
 
 
 def veil(depth: float, opacity: float, **changes: Any) -> ls.Gaussians:
-    """One flat Gaussian, so wide that its alpha is constant over the view."""
+    """Returns one flat Gaussian, so wide that its alpha is constant over the view."""
     return one_gaussian((0.0, 0.0, depth), (60.0, 60.0, 0.001), opacity, **changes)
 
 
 def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
-    """Two relit sets, one of them transformed, an emissive capture and a mesh, and the sets' roughnesses."""
+    """Returns two relit sets, one of them transformed, an emissive capture and a mesh, and the sets' roughnesses."""
     rough = [np.random.default_rng(seed).uniform(0.2, 1.0, 120).astype(np.float32) for seed in range(2)]
     first = random_gaussians(21, 120, roughness=rough[0])
     second = random_gaussians(22, 120, center=(0.0, 0.0, 0.0), extent=(1.2, 1.0, 0.8), roughness=rough[1])
@@ -83,7 +83,7 @@ def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
 
 @pytest.mark.parametrize("dilation", [0.3, 3.0])
 def test_mean_surface_of_gaussians_equals_the_float64_twin(backend: str, dilation: float) -> None:
-    """Compares depth, weight and roughness in each pixel, for relit sets among others and in front of a mesh."""
+    """Depth, weight and roughness are compared in each pixel, for relit sets among emissive ones and before a mesh."""
     scene, rough = of_many_kinds()
     camera, raster = front_camera(), replace(MEAN, dilation=dilation)
     found = surfaces(scene, camera, raster, backend)
@@ -100,7 +100,7 @@ def test_mean_surface_of_gaussians_equals_the_float64_twin(backend: str, dilatio
 
 
 def test_mean_surface_of_two_layers_averages_depth_and_material_by_blend_weight(backend: str) -> None:
-    """Weights are 0.5 and 0.5 x 0.6: depth, roughness, metallic and albedo are means with these weights."""
+    """With weights of 0.5 and 0.5 x 0.6, the test compares depth, roughness, metallic and albedo."""
     near = veil(3.0, 0.5, roughness=[0.2], metallic=[0.0])
     far = veil(5.0, 0.6, roughness=[0.8], metallic=[1.0])
     found = surfaces(relit(near, far), front_camera(), backend=backend)
@@ -116,7 +116,7 @@ def test_mean_surface_of_two_layers_averages_depth_and_material_by_blend_weight(
 
 
 def test_gaussians_too_thin_for_an_iso_surface_have_a_mean_surface() -> None:
-    """Gaussians too thin for an iso-opacity surface still have a mean one; positions are on the rays."""
+    """The positions of the mean surface lie on the rays."""
     camera = front_camera()
     found = surfaces(relit(veil(3.0, 0.1), veil(5.0, 0.1)), camera)
     ray = raster_oracle.pixel_rays(camera)
@@ -126,7 +126,7 @@ def test_gaussians_too_thin_for_an_iso_surface_have_a_mean_surface() -> None:
 
 @pytest.mark.parametrize("tilt", [0.3, 1.0])
 def test_mean_surface_depth_near_a_mean_follows_the_peak_response_on_the_ray(tilt: float) -> None:
-    """Undilated, the depth of a splat near its mean is that of the Gaussian's peak response on the ray."""
+    """Without dilation, the depth of a splat near its mean is that of the Gaussian's peak response on the ray."""
     half = 0.5 * tilt
     gaussian = one_gaussian(
         (0.4, -0.3, 4.0), (0.5, 0.3, 0.02), rotation=(np.cos(half), 0.6 * np.sin(half), 0.8 * np.sin(half), 0.0)
@@ -142,7 +142,7 @@ def test_mean_surface_depth_near_a_mean_follows_the_peak_response_on_the_ray(til
 
 
 def tilted_wall(angle: float) -> ls.Gaussians:
-    """A wall of flat Gaussians, rotated about the x axis."""
+    """Returns a wall of flat Gaussians, rotated about the x axis."""
     x, y = np.meshgrid(np.arange(-4.0, 4.0, 0.25), np.arange(-4.0, 4.0, 0.25))
     turn = rotation((1.0, 0.0, 0.0), angle)[:3, :3]
     means = np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 3) @ turn.T + [0.0, 0.0, 6.0]
@@ -154,7 +154,7 @@ def tilted_wall(angle: float) -> ls.Gaussians:
 
 
 def test_mean_surface_of_a_tilted_wall_of_gaussians_is_planar() -> None:
-    """Linear depths reproduce the wall; depths of means alone would lie far in front of it."""
+    """Depths that vary linearly over each splat reproduce the wall; the means' depths would lie far in front of it."""
     angle, camera = 0.9, front_camera(focal=120.0)
     scene = relit(tilted_wall(angle))
     normal = np.array([0.0, -np.sin(angle), np.cos(angle)])
@@ -167,7 +167,7 @@ def test_mean_surface_of_a_tilted_wall_of_gaussians_is_planar() -> None:
 
 
 def test_mean_surface_is_not_behind_the_mesh_that_the_splat_covers() -> None:
-    """Where a splat is deeper than the mesh that it covers, its surface depth is the mesh's."""
+    """Where a splat covers a mesh but is deeper at the pixel, the depth of the surface is the mesh's."""
     half = 0.6
     tilted = one_gaussian((0.0, 0.0, 4.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(half), np.sin(half), 0.0, 0.0))
     scene = replace(relit(tilted), meshes=[quad(4.2, 9.0)])
@@ -189,8 +189,8 @@ UNCHANGED = {
 
 
 @pytest.mark.parametrize("kind", UNCHANGED)
-def test_mean_surface_setting_does_not_change_frames_without_relit_splats(kind: str) -> None:
-    """Bit-equal: unlit frames, emissive captures, traced frames and stochastic samples."""
+def test_mean_surface_setting_does_not_change_frames_without_a_mean_surface(kind: str) -> None:
+    """The bits are equal in unlit frames, emissive captures, traced frames and stochastic samples."""
     scene, config = UNCHANGED[kind]
     mean = replace(config, raster=replace(config.raster, surface=ls.config.GaussianSurface.MEAN))
     iso, other = (ls.render(scene, front_camera(), settings, device="cpu") for settings in (config, mean))
@@ -200,7 +200,7 @@ def test_mean_surface_setting_does_not_change_frames_without_relit_splats(kind: 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
 def test_lights_illuminate_the_mean_surface_at_its_depth(pipeline: ls.Pipeline) -> None:
-    """Light from the eye falls off with the square of the mean distance, not of the nearer layer's."""
+    """Light from the eye falls off with the square of the mean distance, not of the distance of the nearer layer."""
     light = ls.LightPoint((0.0, 0.0, 0.0), intensity=30.0, casts_shadow=False)
     veils = joined(veil(3.0, 0.5), veil(5.0, 0.6))
     scene, alone = replace(relit(veils), lights=[light]), replace(relit(veil(4.0, 0.8)), lights=[light])
@@ -211,7 +211,7 @@ def test_lights_illuminate_the_mean_surface_at_its_depth(pipeline: ls.Pipeline) 
 
 
 def test_realtime_frames_of_opaque_rooms_agree_for_mean_and_iso_surfaces() -> None:
-    """Real-time frames with either surface agree within a few per cent."""
+    """The frames agree within a few per cent."""
     view = room_camera(96, 72)
     scene = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, view), 4000).scene
     means = []

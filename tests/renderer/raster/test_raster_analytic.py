@@ -22,7 +22,7 @@ NO_DILATION = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
 
 @pytest.fixture(params=["twin", *BACKENDS])
 def draw(request: pytest.FixtureRequest) -> Draw:
-    """Draws Gaussians with the twin or with one backend of the renderer."""
+    """Returns a function that draws Gaussians with the twin or with one backend of the renderer."""
 
     def call(gaussians: ls.Gaussians, camera: ls.Camera, config: ls.RenderConfig | None = None) -> Drawn:
         scene = ls.Scene([gaussians])
@@ -34,13 +34,13 @@ def draw(request: pytest.FixtureRequest) -> Draw:
 
 
 def centred_camera() -> ls.Camera:
-    """A camera whose optical axis passes through the centre of pixel (24, 32)."""
+    """Returns a camera whose optical axis passes through the centre of pixel (24, 32)."""
     return front_camera(cx=32.5, cy=24.5)
 
 
 @pytest.mark.parametrize("opacity", [0.004, 0.1, 0.5, 0.98])
 def test_rasterised_alpha_at_the_mean_of_a_gaussian_is_its_opacity(draw: Draw, opacity: float) -> None:
-    """At a pixel centre, alpha is the opacity, and the colour is the Gaussian's times alpha."""
+    """The colour at the pixel centre is the colour of the Gaussian times alpha."""
     frame = draw(one_gaussian(opacity=opacity, color=(0.9, 0.5, 0.1)), centred_camera())
     assert frame.alpha[CENTRE] == pytest.approx(opacity, rel=1e-4)
     assert frame.color[CENTRE] == pytest.approx(opacity * np.array([0.9, 0.5, 0.1]), rel=1e-4)
@@ -48,14 +48,14 @@ def test_rasterised_alpha_at_the_mean_of_a_gaussian_is_its_opacity(draw: Draw, o
 
 @pytest.mark.parametrize(("opacity", "alpha"), [(1.0, 0.99), (0.995, 0.99), (1.0 / 256.0, 0.0)])
 def test_rasterised_alpha_is_at_most_0_99_and_0_below_1_255(draw: Draw, opacity: float, alpha: float) -> None:
-    """Alpha is at most 0.99, and 0 below 1/255."""
+    """The bounds 0.99 and 1/255 are those of Kerbl et al. 2023."""
     frame = draw(one_gaussian(opacity=opacity), centred_camera())
     assert frame.alpha[CENTRE] == pytest.approx(alpha, abs=1e-6)
     assert frame.alpha.max() == pytest.approx(alpha, abs=1e-6)
 
 
 def test_nearer_gaussian_is_blended_over_the_farther_one_in_any_set_order(draw: Draw) -> None:
-    """The nearer Gaussian covers the farther one, in any order of the set, over the background."""
+    """The background shows behind both Gaussians."""
     near = one_gaussian((0.0, 0.0, 3.0), opacity=0.6, color=(1.0, 0.0, 0.2))
     far = one_gaussian((0.0, 0.0, 5.0), opacity=0.5, color=(0.0, 1.0, 0.4))
     for gaussians in (joined(near, far), joined(far, near)):
@@ -68,7 +68,7 @@ def test_nearer_gaussian_is_blended_over_the_farther_one_in_any_set_order(draw: 
 
 
 def test_projected_variance_of_a_gaussian_includes_the_dilation(draw: Draw) -> None:
-    """One pixel from the mean, the response is exp(-1 / (2 variance)) with variance (f s / z)^2 + 0.3."""
+    """One pixel from the mean, the response is exp(-1 / (2 v)); v = (f s / z)^2 + 0.3 for focal length f, scale s."""
     frame = draw(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.8), centred_camera())
     variance = (60.0 * 0.1 / 4.0) ** 2 + 0.3
     for dy, dx in ((0, 1), (-2, 0), (1, -3)):
@@ -77,7 +77,7 @@ def test_projected_variance_of_a_gaussian_includes_the_dilation(draw: Draw) -> N
 
 
 def test_footprint_of_a_splat_ends_where_its_alpha_is_1_255(draw: Draw) -> None:
-    """The ellipse extends exactly to alpha 1/255, without a cut at 3 sigma."""
+    """The ellipse extends exactly to alpha 1/255, without a cut at three standard deviations."""
     gaussians = one_gaussian((0.0, 0.0, 4.0), 0.25, 0.9)
     frame = draw(gaussians, centred_camera())
     y, x = np.mgrid[:48, :64] - np.array(CENTRE)[:, None, None]
@@ -102,7 +102,7 @@ def test_blending_stops_before_transmittance_falls_below_its_minimum(draw: Draw)
 
 
 def test_negative_sh_colour_is_drawn_as_black(draw: Draw) -> None:
-    """A negative SH sum gives black, and does not darken the colours behind."""
+    """A negative SH sum does not darken the colours behind the Gaussian."""
     dark = one_gaussian((0.0, 0.0, 3.0), opacity=0.5, color=(-4.0, 0.2, 0.2))
     frame = draw(joined(dark, one_gaussian((0.0, 0.0, 5.0), opacity=0.5, color=(0.8, 0.0, 0.0))), centred_camera())
     assert frame.color[CENTRE] == pytest.approx([0.25 * 0.8, 0.1, 0.1], abs=1e-5)
@@ -115,7 +115,7 @@ def test_negative_sh_colour_is_drawn_as_black(draw: Draw) -> None:
 def test_sh_coefficients_of_degree_1_have_the_signs_of_kerbl_et_al(
     draw: Draw, coefficient: int, direction: tuple[float, ...], factor: float
 ) -> None:
-    """Seen along an axis, a degree-1 coefficient adds sqrt(3 / 4 pi) with the signs of Kerbl et al."""
+    """Seen along an axis, a coefficient of degree 1 adds sqrt(3 / 4 pi) or its negative."""
     sh = np.zeros((1, 4, 3))
     sh[0, coefficient] = 0.3
     gaussians = ls.Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[0.2] * 3], [0.9], sh)
@@ -133,7 +133,7 @@ def test_sh_coefficient_of_degree_0_gives_the_base_colour_of_a_gaussian(draw: Dr
 
 
 def test_antialiasing_preserves_the_summed_alpha_of_a_sub_pixel_gaussian(draw: Draw) -> None:
-    """For a Gaussian far below a pixel, the summed alpha is its own area, not that of the dilation."""
+    """For a Gaussian far smaller than a pixel, the summed alpha is the Gaussian's area, not that of the dilation."""
     scale, depth, opacity = 0.02, 4.0, 0.9
     frame = draw(one_gaussian((0.0, 0.0, depth), scale, opacity, antialiased=True), front_camera(focal=120.0))
     variance = (120.0 * scale / depth) ** 2
@@ -145,7 +145,7 @@ def test_antialiasing_preserves_the_summed_alpha_of_a_sub_pixel_gaussian(draw: D
 
 @pytest.mark.parametrize("seed", range(3))
 def test_alpha_of_a_distant_anisotropic_gaussian_equals_its_line_integral(draw: Draw, seed: int) -> None:
-    """From far away, alpha is the opacity times the Gaussian's line integral along the pixel's ray, normalised to 1."""
+    """Alpha is the opacity times the line integral along the pixel's ray, normalised to a maximum of 1."""
     source = random_gaussians(seed, 1, scale_range=(0.1, 1.0))
     gaussians = ls.Gaussians([[0, 0, 0]], source.rotations_wxyz, source.scales, [0.9], source.sh)
     distance = 4000.0
@@ -169,7 +169,7 @@ def test_alpha_of_a_distant_anisotropic_gaussian_equals_its_line_integral(draw: 
 
 
 def test_front_to_back_blending_equals_back_to_front_blending(draw: Draw) -> None:
-    """Blending the same splats from the back with the over operator gives equal colours to float precision."""
+    """Blending the splats from the back with the over operator gives equal colours up to float32 rounding."""
     gaussians = random_gaussians(60, 80, degree=1)
     camera = front_camera()
     config = ls.RenderConfig(background=(0.3, 0.6, 0.9), raster=ls.RasterConfig(transmittance_min=0.0))

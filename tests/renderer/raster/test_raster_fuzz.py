@@ -24,7 +24,7 @@ COLOURS = [0.0, 1e4, -1e4, 1e30, -1e30, LARGEST, -LARGEST, SMALLEST]
 
 
 def poisoned(seed: int, count: int = 400) -> ls.Gaussians:
-    """Gaussians with every value drawn from the lists above."""
+    """Returns Gaussians whose values are all drawn from the lists of extreme values."""
     rng = np.random.default_rng(seed)
 
     def draw(values: list[float], *shape: int) -> np.ndarray:
@@ -49,14 +49,14 @@ def assert_sane(frame: ls.Frame) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_extreme_but_valid_gaussians_give_finite_frames(renderer: ls.Renderer, seed: int) -> None:
-    """Extreme but valid Gaussians are drawn, culled or counted; no pixel is NaN or infinite."""
+    """The Gaussians are drawn, culled or counted; no pixel is NaN or infinite."""
     frame = renderer.render(ls.Scene([poisoned(seed)]), front_camera(37, 29, 30.0))
     assert_sane(frame)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_extreme_gaussians_outside_the_view_do_not_change_the_frame(renderer: ls.Renderer, seed: int) -> None:
-    """A capture looks the same with extreme neighbours outside of the view."""
+    """The extreme Gaussians are behind the camera; all images keep their bits."""
     healthy = random_gaussians(100 + seed, 100, degree=1)
     behind = poisoned(seed)
     behind = behind.subset(behind.means[:, 2] < 0.0)
@@ -68,7 +68,7 @@ def test_extreme_gaussians_outside_the_view_do_not_change_the_frame(renderer: ls
 
 @pytest.mark.parametrize("color", [1e30, LARGEST])
 def test_gaussian_whose_colour_overflows_is_counted_or_drawn_finite(renderer: ls.Renderer, color: float) -> None:
-    """A Gaussian whose colour overflows is dropped and counted, or drawn finite."""
+    """A Gaussian that is not drawn with a finite colour is counted as not finite."""
     sh = np.full((1, 4, 3), color)
     scene = ls.Scene([ls.Gaussians([[0, 0, 4]], [[1, 0, 0, 0]], [[0.3] * 3], [0.9], sh)])
     frame = renderer.render(scene, front_camera())
@@ -78,7 +78,7 @@ def test_gaussian_whose_colour_overflows_is_counted_or_drawn_finite(renderer: ls
 
 @pytest.mark.parametrize("scale", [1e12, 1e20, 1e30, LARGEST])
 def test_enormous_gaussian_covers_the_image_or_is_counted_as_not_finite(renderer: ls.Renderer, scale: float) -> None:
-    """A Gaussian around everything covers the image, or is counted as not finite."""
+    """The Gaussian surrounds the camera."""
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0), scale, 0.8)]), front_camera())
     assert_sane(frame)
     covered = np.allclose(frame.alpha, 0.8, atol=1e-3)
@@ -87,7 +87,7 @@ def test_enormous_gaussian_covers_the_image_or_is_counted_as_not_finite(renderer
 
 @pytest.mark.parametrize("distance", [0.0100001, 0.011, 0.05])
 def test_gaussians_across_the_near_plane_give_finite_frames(renderer: ls.Renderer, distance: float) -> None:
-    """Gaussians that reach past the near plane and the camera give finite values."""
+    """The Gaussians reach past the near plane and the camera."""
     rng = np.random.default_rng(0)
     means = np.concatenate([rng.normal(0.0, 0.01, (50, 2)), np.full((50, 1), distance)], axis=1)
     source = random_gaussians(101, 50, scale_range=(1e-4, 10.0))
@@ -97,7 +97,7 @@ def test_gaussians_across_the_near_plane_give_finite_frames(renderer: ls.Rendere
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 15), (15, 33), (2, 300), (300, 2)])
 def test_alpha_of_a_splat_is_continuous_across_tile_edges(backend: str, size: tuple[int, int]) -> None:
-    """Gaussians centred on tile edges and corners, of any size, have equal alpha on every side."""
+    """Gaussians of any size are centred on tile edges and corners; alpha is equal on all sides of the centre."""
     width, height = size
     camera = front_camera(width, height, 1000.0, cx=0.0, cy=0.0)
     marks = [(x, y) for x, y in itertools.product(range(0, width + 1, 16), range(0, height + 1, 16))]
@@ -114,7 +114,7 @@ def test_alpha_of_a_splat_is_continuous_across_tile_edges(backend: str, size: tu
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-3, 1e3, 1e6])
 def test_rasterised_frames_do_not_depend_on_the_unit_of_length(renderer: ls.Renderer, factor: float) -> None:
-    """A scene in micrometres or megametres looks like that in metres, if the near plane is scaled as well."""
+    """A scene in micrometres or megametres looks like the scene in metres, if the near plane is scaled as well."""
     gaussians = random_gaussians(102, 150)
     expected = renderer.render(ls.Scene([gaussians]), front_camera())
     scaled = ls.SplatInstance(gaussians, similarity(scale=factor))
@@ -125,7 +125,7 @@ def test_rasterised_frames_do_not_depend_on_the_unit_of_length(renderer: ls.Rend
 
 
 def test_thousand_faint_layers_blend_to_the_closed_form(renderer: ls.Renderer) -> None:
-    """A thousand layers of alpha a on one pixel blend to 1 - (1 - a)^n."""
+    """A thousand layers of alpha a on one pixel blend to 1 - (1 - a)^1000."""
     layers = joined(*(one_gaussian((0.0, 0.0, 2.0 + 0.001 * i), 40.0, 0.005) for i in range(1000)))
     frame = renderer.render(ls.Scene([layers]), front_camera(20, 20))
     expected = 1.0 - (1.0 - 0.005) ** 1000
@@ -133,7 +133,7 @@ def test_thousand_faint_layers_blend_to_the_closed_form(renderer: ls.Renderer) -
 
 
 def test_instance_transforms_at_the_limits_of_float32_give_no_nan(renderer: ls.Renderer) -> None:
-    """An instance moved or scaled to the limits of float32 gives no NaN."""
+    """The instance is moved or scaled to the limits of float32, and refused or drawn."""
     for scale, offset in itertools.product((1e-12, 1.0, 1e12), (0.0, 1e12, -1e20)):
         try:
             placed = ls.SplatInstance(random_gaussians(103, 20), similarity(scale=scale, offset=(0.0, 0.0, offset)))
@@ -144,7 +144,7 @@ def test_instance_transforms_at_the_limits_of_float32_give_no_nan(renderer: ls.R
 
 
 def test_renderer_still_draws_correctly_after_an_upload_runs_out_of_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After an out-of-memory error, the old and the new scene are drawn as by a new renderer."""
+    """After the error, the old and the new scene are drawn as by a new renderer."""
     from lumisplat.renderer.scene import assets
 
     old = ls.Scene([random_gaussians(110)], [quad(5.0)])

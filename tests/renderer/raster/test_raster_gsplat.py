@@ -16,7 +16,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 
 
 def reference(name: str) -> tuple[np.ndarray, ls.Camera]:
-    """A stored image, (H, W, 4), and its camera."""
+    """Returns a stored image, shape (H, W, 4), and its camera."""
     with np.load(REFERENCE / f"gsplat_{name}.npz") as stored:
         image = stored["image"] / float(stored["steps"])
         fx, fy, cx, cy = stored["intrinsics"]
@@ -37,7 +37,7 @@ def assert_like_gsplat(frame: ls.Frame, image: np.ndarray) -> None:
 
 @pytest.mark.parametrize("name", gsplat_frames())
 def test_rasterised_synthetic_captures_equal_gsplat(renderer: ls.Renderer, name: str) -> None:
-    """Covers SH degree 3, opacity compensation, and a wide lens that needs the Jacobian clamp."""
+    """The captures cover SH degree 3, opacity compensation, and a wide lens that needs the Jacobian clamp."""
     gaussians, camera = gsplat_frames()[name]
     image, stored_camera = reference(name)
     np.testing.assert_array_equal(stored_camera.camera_from_world, camera.camera_from_world)
@@ -47,7 +47,7 @@ def test_rasterised_synthetic_captures_equal_gsplat(renderer: ls.Renderer, name:
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["biker_front", "biker_close"])
 def test_rasterised_real_capture_equals_gsplat(renderer: ls.Renderer, data_dir: Path, name: str) -> None:
-    """Renders the biker as a whole and from close up."""
+    """The capture is the biker, as a whole and from close up."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     image, camera = reference(name)
     assert_like_gsplat(renderer.render(ls.Scene([biker]), camera), image)

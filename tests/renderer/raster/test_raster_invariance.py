@@ -28,7 +28,7 @@ Images = dict[str, np.ndarray]
 
 
 def images(frame: ls.Frame) -> Images:
-    """The images of a frame by name."""
+    """Returns the images of a frame by name."""
     return {name: getattr(frame, name) for name in IMAGES}
 
 
@@ -39,7 +39,7 @@ def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = 
 
 
 def full_scene() -> ls.Scene:
-    """Two instances and two meshes, one of them crossed by splats."""
+    """Returns two instances and two meshes, one of them crossed by splats."""
     asset = random_gaussians(70, 120, degree=2, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0))
     placed = [ls.SplatInstance(asset, similarity((1, 1, 0), 0.4 + i, 0.8, (i - 0.5, 0.2 * i, 4.0))) for i in range(2)]
     return ls.Scene(placed, [octahedron((0.1, 0.1, 4.0), 0.6), quad(5.5, tilt=0.3)])
@@ -58,7 +58,7 @@ def test_rasterised_frame_does_not_depend_on_the_order_of_gaussians_in_their_set
 
 
 def test_splats_at_equal_depth_are_drawn_in_the_order_of_the_scene(renderer: ls.Renderer) -> None:
-    """Among splats at one depth, the first of the set, and the first instance, is in front."""
+    """Among splats at one depth, the first of a set is in front, and the first of the instances."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     camera = front_camera(cx=32.5, cy=24.5)
@@ -85,7 +85,7 @@ def test_rasteriser_logs_each_unsupported_kernel_degree_of_a_capture_once(
 
 
 def test_set_split_into_instances_is_rasterised_like_the_whole_set(renderer: ls.Renderer) -> None:
-    """A set split into several instances gives the same frame as the whole."""
+    """Colour, alpha, depth and normal are equal to the bit."""
     gaussians = random_gaussians(72, 200, degree=1)
     parts = [gaussians.subset(np.arange(start, 200, 3)) for start in range(3)]
     whole = renderer.render(ls.Scene([gaussians]), front_camera())
@@ -109,7 +109,7 @@ def test_set_split_into_instances_is_rasterised_like_the_whole_set(renderer: ls.
     ids=["behind", "occluded", "outside", "faint", "nothing", "too near"],
 )
 def test_invisible_splats_do_not_change_a_rasterised_frame(renderer: ls.Renderer, hidden: ls.Gaussians) -> None:
-    """Splats that are not visible leave every image unchanged to the bit."""
+    """The splats are behind the camera, occluded, outside the image, too faint or too near; all bits stay."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
     frame = renderer.render(ls.Scene([visible]), front_camera())
@@ -117,7 +117,7 @@ def test_invisible_splats_do_not_change_a_rasterised_frame(renderer: ls.Renderer
 
 
 def test_rasterised_frame_is_bit_equal_when_rendered_again(renderer: ls.Renderer, backend: str) -> None:
-    """A frame is bit-equal after another frame, and from another renderer."""
+    """The frame is rendered again after another frame, and by another renderer."""
     scene, camera = full_scene(), front_camera()
     first = renderer.render(scene, camera)
     other = renderer.render(ls.Scene([random_gaussians(77)]), front_camera(90, 70))
@@ -128,7 +128,7 @@ def test_rasterised_frame_is_bit_equal_when_rendered_again(renderer: ls.Renderer
 
 
 def test_rasterised_frame_does_not_change_when_the_next_frame_is_rendered(renderer: ls.Renderer) -> None:
-    """A returned frame does not change when the next one is drawn."""
+    """All images of the earlier frame keep their bits."""
     frame = renderer.render(full_scene(), front_camera())
     before = {name: image.copy() for name, image in images(frame).items()}
     renderer.render(ls.Scene([random_gaussians(78)]), front_camera())
@@ -145,7 +145,7 @@ def test_rasterised_frames_do_not_depend_on_thread_count() -> None:
 
 
 def test_cropped_camera_rasterises_a_crop_of_the_image(renderer: ls.Renderer) -> None:
-    """A camera cropped anywhere shows exactly that part of the image."""
+    """The crop may lie anywhere in the image."""
     scene = full_scene()
     whole = renderer.render(scene, front_camera(64, 48))
     left, top = 21, 13
@@ -155,7 +155,7 @@ def test_cropped_camera_rasterises_a_crop_of_the_image(renderer: ls.Renderer) ->
 
 
 def test_rasterised_frame_is_unchanged_if_scene_and_camera_move_together(renderer: ls.Renderer) -> None:
-    """Transforming scene and camera together gives the same image; depths scale."""
+    """The images are equal when scene and camera are transformed together; depths scale."""
     move = similarity((0.2, 1.0, -0.4), 2.2, 1.7, (3.0, -5.0, 11.0))
     scene, camera = full_scene(), front_camera()
     moved = ls.Scene(
@@ -183,7 +183,7 @@ def test_rasterised_frame_is_unchanged_if_scene_and_camera_move_together(rendere
 
 
 def test_reused_renderer_equals_a_new_one_after_assets_are_rearranged(backend: str) -> None:
-    """A renderer equals a new one after the same assets change transforms, count, order or neighbours."""
+    """The assets change their transforms, count, order and neighbours."""
     first, second = (random_gaussians(seed, 60 + seed, center=(0.0, 0.0, 0.0)) for seed in (80, 81))
     ball, wall = octahedron((0.1, 0.1, 0.0), 0.6), quad(1.5, tilt=0.3)
     left, right = similarity(offset=(-0.7, 0.0, 4.0)), similarity((0.0, 1.0, 0.0), 1.0, 0.8, (0.8, 0.2, 4.4))
@@ -234,7 +234,7 @@ def test_rasterised_view_without_visible_objects_shows_only_the_background(
 
 @pytest.mark.parametrize("name", ["instances", "meshes and splats", "many small"])
 def test_background_is_composited_under_the_transparent_frame(backend: str, name: str) -> None:
-    """Over any background, a frame is the transparent one plus (1 - alpha) times the background."""
+    """For any background, the frame is the transparent frame plus (1 - alpha) times the background."""
     case = next(case for case in cases() if case.name == name)
     bare, over = (
         renderer_of(backend, ls.RenderConfig(background=b, lighting=False)).render(case.scene, case.camera)
@@ -245,7 +245,7 @@ def test_background_is_composited_under_the_transparent_frame(backend: str, name
 
 
 def test_new_asset_at_the_memory_address_of_a_freed_one_is_uploaded(renderer: ls.Renderer) -> None:
-    """A new object at the address of a freed one is uploaded, so that frames never show the old one."""
+    """A frame never shows the freed asset."""
 
     def mean_color(make: Callable[[float], ls.Scene], value: float) -> np.ndarray:
         return renderer.render(make(value), front_camera()).color.max(axis=(0, 1))
@@ -256,7 +256,7 @@ def test_new_asset_at_the_memory_address_of_a_freed_one_is_uploaded(renderer: ls
 
 
 def test_rasteriser_allocates_nothing_after_the_first_frame(renderer: ls.Renderer) -> None:
-    """Later frames of that size, or smaller, allocate nothing."""
+    """Later frames of the same size, or smaller, allocate nothing."""
     scene = full_scene()
     renderer.render(scene, front_camera(90, 70))
     settled = renderer._buffers.allocations
@@ -266,7 +266,7 @@ def test_rasteriser_allocates_nothing_after_the_first_frame(renderer: ls.Rendere
 
 
 def test_reported_memory_of_a_renderer_covers_its_assets_and_images(renderer: ls.Renderer) -> None:
-    """The reported memory covers at least assets and images, and little more than the allocations."""
+    """The reported memory is at least that of assets and images, and little more than the allocations."""
     gaussians = random_gaussians(82, 5000, degree=3)
     frame = renderer.render(ls.Scene([gaussians]), front_camera(300, 200))
     assert frame.stats is not None
@@ -277,7 +277,7 @@ def test_reported_memory_of_a_renderer_covers_its_assets_and_images(renderer: ls
 
 
 def test_tile_lists_grow_until_no_splat_is_lost(renderer: ls.Renderer) -> None:
-    """Splats that cover every tile exceed the first capacity of the lists; none is lost, now or later."""
+    """Splats that cover every tile exceed the first capacity of the lists; none is lost in this or the next frame."""
     layers = random_gaussians(81, 600, scale_range=(20.0, 30.0))
     means = np.column_stack([layers.means[:, :2], np.random.default_rng(0).permutation(np.linspace(2.5, 5.5, 600))])
     faint = ls.Gaussians(means, layers.rotations_wxyz, layers.scales, np.full(600, 0.01), layers.sh)

@@ -25,31 +25,31 @@ GREY = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1))
 
 @pytest.fixture
 def renderer(backend: str) -> ls.Renderer:
-    """A renderer without headlight, which shows the meshes' own colours."""
+    """Returns a renderer without headlight, which shows the unlit colours of meshes."""
     return renderer_of(backend, ls.RenderConfig(lighting=False))
 
 
 def plane_depth(camera: ls.Camera, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """View depth at which each pixel's ray hits a camera-space plane, shape (H, W)."""
+    """Returns the view depth at which each pixel's ray hits a plane in camera space, shape (H, W)."""
     return (point @ normal) / (oracles.pixel_rays(camera) @ normal)
 
 
 def test_unlit_mesh_shows_its_srgb_encoded_base_colour(renderer: ls.Renderer) -> None:
-    """An unlit mesh shows its linear base colour, encoded for display, and is opaque."""
+    """The mesh is opaque."""
     frame = renderer.render(ls.Scene([], [quad(3.0, 9.0, material=GREY)]), front_camera())
     assert_close(frame.color, np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 64, 3)), atol=1e-5)
     assert (frame.alpha == 1.0).all() and (frame.instance_index == 0).all() and (frame.gaussian_index == -1).all()
 
 
 def test_texture_of_a_mesh_without_uv_coordinates_is_ignored(renderer: ls.Renderer) -> None:
-    """A texture changes nothing on a mesh without texture coordinates."""
+    """A texture does not change a mesh without texture coordinates."""
     material = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), base_color_texture=np.zeros((2, 2, 3), np.uint8))
     frame = renderer.render(ls.Scene([], [quad(3.0, 9.0, material=material)]), front_camera())
     assert_close(frame.color, np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 64, 3)), atol=1e-5)
 
 
 def test_rasterised_depth_and_normal_of_a_tilted_plane_are_exact(renderer: ls.Renderer) -> None:
-    """Depth is exact at every pixel centre of a steep plane, and the normal is the plane's."""
+    """Depth is exact at every pixel centre of a steep plane, and the normal is that of the plane."""
     frame = renderer.render(ls.Scene([], [quad(9.0, 6.0, tilt=1.3)]), front_camera())
     normal = np.array([1.3, 0.0, -1.0])
     expected = plane_depth(front_camera(), np.array([0.0, 0.0, 9.0]), normal)
@@ -60,7 +60,7 @@ def test_rasterised_depth_and_normal_of_a_tilted_plane_are_exact(renderer: ls.Re
 
 
 def crumpled_plane(count: int, half: float, normal: np.ndarray) -> ls.Mesh:
-    """A plane through (0, 0, 10) cut into irregular triangles."""
+    """Returns a plane through (0, 0, 10) cut into irregular triangles."""
     rng = np.random.default_rng(0)
     y, x = (np.mgrid[:count, :count] + rng.uniform(-0.3, 0.3, (2, count, count))) / (count - 1) * 2.0 - 1.0
     x, y = half * x, half * y
@@ -72,7 +72,7 @@ def crumpled_plane(count: int, half: float, normal: np.ndarray) -> ls.Mesh:
 
 @pytest.mark.parametrize("count", [300, pytest.param(1200, marks=pytest.mark.deep)])
 def test_pixel_sized_far_triangles_have_exact_depth_and_leave_no_gaps(renderer: ls.Renderer, count: int) -> None:
-    """Triangles of a pixel and less, far from the eye, have their plane's depth and leave no pixel out."""
+    """Triangles of a pixel and less, far from the eye, have the depth of their plane and cover every pixel."""
     normal = np.array([0.5, -0.3, -1.0])
     frame = renderer.render(ls.Scene([], [crumpled_plane(count, 30.0, normal)]), front_camera(200, 150, 140.0))
     expected = plane_depth(frame.camera, np.array([0.0, 0.0, 10.0]), normal)
@@ -95,7 +95,7 @@ def test_rasterised_triangles_are_clipped_at_the_near_plane(renderer: ls.Rendere
 
 @pytest.mark.parametrize("seed", range(4))
 def test_rasterised_grid_of_triangles_has_no_cracks(renderer: ls.Renderer, seed: int) -> None:
-    """A crumpled grid of triangles over the image leaves no pixel out, on either side of its edges."""
+    """A crumpled grid of triangles over the image covers every pixel, on either side of the triangles' edges."""
     rng = np.random.default_rng(seed)
     count = 24
     y, x = np.mgrid[:count, :count] / (count - 1) * 2.0 - 1.0
@@ -110,7 +110,7 @@ def test_rasterised_grid_of_triangles_has_no_cracks(renderer: ls.Renderer, seed:
 
 
 def test_triangle_edges_at_pixel_centres_leave_no_holes(renderer: ls.Renderer) -> None:
-    """Edges and vertices exactly at pixel centres belong to some triangle."""
+    """Every pixel whose centre is on an edge or a vertex belongs to some triangle."""
     ticks = (np.arange(0, 65, 8) - 32 + 0.5) / 60.0 * 4.0
     x, y = np.meshgrid(ticks, ticks)
     points = np.stack([x, y, np.full_like(x, 4.0)], axis=-1).reshape(-1, 3)
@@ -121,7 +121,7 @@ def test_triangle_edges_at_pixel_centres_leave_no_holes(renderer: ls.Renderer) -
 
 
 def test_nearest_of_intersecting_meshes_is_visible_in_any_list_order(renderer: ls.Renderer) -> None:
-    """Intersecting meshes show the nearer one at each pixel, in any order of the list."""
+    """Each pixel shows the nearer mesh in any order of the list of meshes."""
     tilted, flat = quad(4.0, tilt=0.8), quad(4.1, 0.9)
     one = renderer.render(ls.Scene([], [tilted, flat]), front_camera())
     two = renderer.render(ls.Scene([], [flat, tilted]), front_camera())
@@ -133,7 +133,7 @@ def test_nearest_of_intersecting_meshes_is_visible_in_any_list_order(renderer: l
 
 
 def test_both_sides_of_a_triangle_are_drawn_with_the_normal_towards_the_viewer(renderer: ls.Renderer) -> None:
-    """Winding and mirroring do not matter; the normal faces the viewer."""
+    """Winding order and mirrored instances do not matter."""
     mesh = quad(4.0, tilt=0.5)
     turned = ls.Mesh(mesh.positions, mesh.indices[:, ::-1])
     mirrored = ls.MeshInstance(ls.Mesh(mesh.positions * [-1.0, 1.0, 1.0], mesh.indices), np.diag([-1.0, 1.0, 1.0, 1.0]))
@@ -162,7 +162,7 @@ def test_shading_normals_of_a_stretched_mesh_use_the_inverse_transpose(renderer:
 
 
 def test_texture_coordinates_start_at_the_top_left_as_in_gltf(renderer: ls.Renderer) -> None:
-    """(0, 0) is the texture's top left corner, u runs right and v down; texel centres show the texels."""
+    """(0, 0) is the texture's top left corner, u runs right and v down; texel centres show the exact texels."""
     texture = np.arange(4 * 4 * 3, dtype=np.uint8).reshape(4, 4, 3) * 5
     material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture)
     mesh = quad(1.0, 2.0, uvs=[[0, 0], [1, 0], [1, 1], [0, 1]], material=material)
@@ -182,7 +182,7 @@ def test_texture_repeats_outside_0_to_1_and_multiplies_linear_colours(renderer: 
 
 
 def test_texture_of_a_receding_floor_is_perspective_correct(renderer: ls.Renderer) -> None:
-    """On a receding floor, the texture's midline is at half the distance along the floor, not in the image."""
+    """The midline of the texture is at half the distance along the floor, not at half of its image."""
     texture = np.zeros((64, 1, 3), np.uint8)
     texture[32:] = 255
     material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture)
@@ -200,7 +200,7 @@ def test_texture_of_a_receding_floor_is_perspective_correct(renderer: ls.Rendere
 
 
 def test_splats_behind_a_mesh_do_not_change_the_frame(renderer: ls.Renderer) -> None:
-    """Splats behind a mesh change no bit."""
+    """The bits are equal with and without the splats."""
     wall = quad(2.0, 3.0, material=GREY)
     alone = renderer.render(ls.Scene([], [wall]), front_camera())
     frame = renderer.render(ls.Scene([random_gaussians(95)], [wall]), front_camera())
@@ -209,7 +209,7 @@ def test_splats_behind_a_mesh_do_not_change_the_frame(renderer: ls.Renderer) -> 
 
 
 def test_mesh_behind_splats_is_composited_with_their_transmittance(renderer: ls.Renderer) -> None:
-    """The mesh behind splats is composited with their transmittance."""
+    """The colour is that of the splats plus their transmittance times the colour of the mesh."""
     gaussians = random_gaussians(96)
     splats = renderer.render(ls.Scene([gaussians]), front_camera())
     frame = renderer.render(ls.Scene([gaussians], [quad(9.0, 9.0, material=GREY)]), front_camera())
@@ -222,7 +222,7 @@ def test_mesh_behind_splats_is_composited_with_their_transmittance(renderer: ls.
 
 
 def test_mesh_through_a_splat_covers_one_side_and_is_covered_on_the_other(renderer: ls.Renderer) -> None:
-    """A mesh through a splat's depth covers it on one side and is covered on the other."""
+    """The mesh passes through the depth of the splat."""
     splat = one_gaussian((0.0, 0.0, 4.0), 0.5, 0.5, color=(1.0, 1.0, 1.0))
     frame = renderer.render(ls.Scene([splat], [quad(4.0, 3.0, tilt=0.5, material=GREY)]), front_camera())
     grey = encode_srgb([0.5, 0.25, 0.1])
@@ -236,7 +236,7 @@ def test_mesh_through_a_splat_covers_one_side_and_is_covered_on_the_other(render
 def test_splat_a_thousandth_of_a_unit_in_front_of_a_mesh_is_visible(
     renderer: ls.Renderer, offset: float, is_seen: bool
 ) -> None:
-    """A splat a thousandth of a unit in front of a mesh is visible, and one as far behind it is not."""
+    """A splat a thousandth of a unit behind the mesh is hidden."""
     wall = quad(4.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0 + offset), opacity=0.9)], [wall]), front_camera())
     assert (frame.gaussian_index[24, 32] == 0) == is_seen
@@ -258,7 +258,7 @@ def test_splat_a_thousandth_of_a_unit_in_front_of_a_mesh_is_visible(
 def test_degenerate_and_huge_triangles_do_not_change_other_objects(
     renderer: ls.Renderer, points: list[list[float]]
 ) -> None:
-    """Near-degenerate triangles, and sizes that overflow, keep everything finite and the other objects unchanged."""
+    """Near-degenerate triangles, and sizes that overflow, keep every value finite and other objects unchanged."""
     wall = quad(5.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([], [ls.Mesh(points, np.array([[0, 1, 2]])), wall]), front_camera())
     assert np.isfinite(frame.color).all() and np.isfinite(frame.normal).all() and (frame.alpha == 1.0).all()
@@ -267,7 +267,7 @@ def test_degenerate_and_huge_triangles_do_not_change_other_objects(
 
 
 def test_two_instances_of_one_textured_mesh_look_as_each_does_alone(renderer: ls.Renderer) -> None:
-    """One textured mesh in two instances looks in each position as it does alone."""
+    """The instances are in different positions."""
     mesh = checker_quad(0.0)
     left, right = np.eye(4), np.eye(4)
     left[:3, 3], right[:3, 3] = (-1.4, 0.0, 5.0), (1.4, 0.0, 5.0)
@@ -280,7 +280,7 @@ def test_two_instances_of_one_textured_mesh_look_as_each_does_alone(renderer: ls
 
 
 def test_wall_hides_the_splats_behind_it_and_does_not_change_those_beside_it(renderer: ls.Renderer) -> None:
-    """A wall over half the image hides thousands of splats, and splats beside it are unchanged."""
+    """A wall over half of the image hides thousands of splats; the bits beside it are unchanged."""
     splats = random_gaussians(95, 3000, scale_range=(0.02, 0.1))
     camera = front_camera()
     open_view = renderer.render(ls.Scene([splats]), camera)

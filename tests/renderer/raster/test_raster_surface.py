@@ -23,7 +23,7 @@ CENTRE = (24, 32)
 
 
 def camera() -> ls.Camera:
-    """A camera whose optical axis passes through the centre of pixel (24, 32)."""
+    """Returns a camera whose optical axis passes through the centre of pixel (24, 32)."""
     return front_camera(cx=32.5, cy=24.5)
 
 
@@ -31,7 +31,7 @@ def camera() -> ls.Camera:
 def test_gaussian_is_a_surface_if_its_transmittance_is_below_0_7(
     renderer: ls.Renderer, opacity: float, is_surface: bool
 ) -> None:
-    """One Gaussian is a surface if its transmittance is below 0.7."""
+    """The frame has one Gaussian in front of the background."""
     frame = renderer.render(ls.Scene([one_gaussian(opacity=opacity)]), camera())
     assert frame.gaussian_index[CENTRE] == (0 if is_surface else -1)
     assert frame.instance_index[CENTRE] == (0 if is_surface else -1)
@@ -40,7 +40,7 @@ def test_gaussian_is_a_surface_if_its_transmittance_is_below_0_7(
 
 
 def test_surface_is_the_layer_after_which_transmittance_is_below_the_threshold(renderer: ls.Renderer) -> None:
-    """0.8 x 0.8 < 0.7: the second of several faint layers is the surface."""
+    """Each of several faint layers transmits 0.8; 0.8 x 0.8 < 0.7, so that the second layer is the surface."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     frame = renderer.render(ls.Scene([joined(*reversed(layers))]), camera())
     assert frame.gaussian_index[CENTRE] == 2
@@ -49,7 +49,7 @@ def test_surface_is_the_layer_after_which_transmittance_is_below_the_threshold(r
 
 @pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
 def test_iso_opacity_threshold_selects_the_layer_of_the_surface(backend: str, threshold: float, index: int) -> None:
-    """The iso-opacity threshold selects the layer."""
+    """A higher threshold selects a nearer layer."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     config = ls.RenderConfig(raster=ls.RasterConfig(depth_iso_transmittance=threshold))
     frame = renderer_of(backend, config).render(ls.Scene([joined(*layers)]), camera())
@@ -69,7 +69,7 @@ def test_depth_is_along_the_ray_and_depth_z_along_the_camera_axis(renderer: ls.R
 
 
 def test_depth_of_a_round_gaussian_is_where_the_ray_is_nearest_to_its_mean(renderer: ls.Renderer) -> None:
-    """The depth is where the ray is nearest to the mean."""
+    """The expected depth is computed from the ray and the mean of the Gaussian."""
     frame = renderer.render(ls.Scene([one_gaussian((0.3, 0.2, 5.0), 2.0, 0.9)]), camera())
     ray = oracles.pixel_rays(camera())
     expected = ray @ [0.3, 0.2, 5.0] / (ray**2).sum(axis=-1)
@@ -79,7 +79,7 @@ def test_depth_of_a_round_gaussian_is_where_the_ray_is_nearest_to_its_mean(rende
 
 
 def test_surface_of_a_gaussian_is_not_behind_the_mesh_that_it_covers(renderer: ls.Renderer) -> None:
-    """If a Gaussian's mean is in front of a mesh but its peak on the ray is not, the depth is the mesh's."""
+    """If a Gaussian's mean is in front of a mesh but its peak on the ray is not, the depth is that of the mesh."""
     tilted = one_gaussian((0.0, 0.0, 5.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(0.25), np.sin(0.25), 0.0, 0.0))
     frame = renderer.render(ls.Scene([tilted], [quad(5.1, 9.0)]), camera())
     splat = frame.gaussian_index >= 0
@@ -100,7 +100,7 @@ def test_index_layers_count_gaussians_within_their_instance_and_meshes_last(rend
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.8])
 def test_normal_of_a_flat_gaussian_is_its_thin_axis_towards_the_viewer(renderer: ls.Renderer, angle: float) -> None:
-    """The normal faces the viewer."""
+    """The Gaussian is tilted; its normal is compared in all pixels."""
     half = 0.5 * angle
     disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.9, rotation=(np.cos(half), np.sin(half), 0.0, 0.0))
     axis = rotation((1.0, 0.0, 0.0), angle)[:3, 2]
@@ -109,7 +109,7 @@ def test_normal_of_a_flat_gaussian_is_its_thin_axis_towards_the_viewer(renderer:
 
 
 def test_normal_of_a_round_gaussian_points_towards_the_camera(renderer: ls.Renderer) -> None:
-    """Holds at every position and over the whole footprint."""
+    """The normal points to the camera at every position and over the whole footprint."""
     mean = np.array([0.8, -0.5, 3.0])
     frame = renderer.render(ls.Scene([one_gaussian(tuple(mean), 0.2, 0.9)]), camera())
     seen = frame.alpha > 0.0
@@ -118,7 +118,7 @@ def test_normal_of_a_round_gaussian_points_towards_the_camera(renderer: ls.Rende
 
 
 def test_normal_layer_is_the_mean_of_splat_and_mesh_normals_by_blend_weight(renderer: ls.Renderer) -> None:
-    """The frame's normal is the mean over splats and mesh, with the weights of their colours."""
+    """The weights of the normals are those with which the colours are blended."""
     tilt = 0.4
     disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.6, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0))
     frame = renderer.render(ls.Scene([disc], [quad(5.0, tilt=0.5)]), camera())
@@ -129,7 +129,7 @@ def test_normal_layer_is_the_mean_of_splat_and_mesh_normals_by_blend_weight(rend
 
 
 def test_normals_that_cancel_are_replaced_by_the_direction_to_the_camera(renderer: ls.Renderer) -> None:
-    """Where normals cancel, the direction towards the camera replaces them; with either sheet alone it does not."""
+    """Two sheets of opposite normals cancel; either sheet alone keeps its normal."""
     sheets = opposed_sheets()
     frame = renderer.render(ls.Scene([sheets]), camera())
     assert frame.normal[CENTRE] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)

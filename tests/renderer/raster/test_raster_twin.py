@@ -17,8 +17,8 @@ from support.scenes.raster_scenes import Case, cases
 def test_rasterised_frame_equals_the_float64_twin(case: Case, backend: str) -> None:
     """Every image equals the twin's to float32 precision, except where rounding may flip a decision.
 
-    There, one splat of alpha 1/255 more or less may change the colour, and any surface may be chosen. At an edge of a
-    mesh, or in a tie of depths, the colour may be anything.
+    At such pixels, one splat of alpha 1/255 more or less may change the colour, and any surface may be chosen. At an
+    edge of a mesh, or where depths are equal, the colour may be anything.
     """
     frame = renderer_of(backend, replace(case.config, lighting=False)).render(case.scene, case.camera)
     twin = oracles.render(case.scene, case.camera, case.config)
@@ -39,7 +39,7 @@ def test_rasterised_frame_equals_the_float64_twin(case: Case, backend: str) -> N
 
 
 def relative(actual: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Ratio of two values: one where both are infinite, infinite where only one is."""
+    """Returns the ratio of two values: 1 where both are infinite, infinite where only one is."""
     both = np.isinf(actual) & np.isinf(expected)
     one = np.isinf(actual) ^ np.isinf(expected)
     safe = np.where(np.isinf(actual) | np.isinf(expected), 1.0, actual) / np.where(np.isinf(expected), 1.0, expected)

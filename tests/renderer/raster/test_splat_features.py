@@ -13,28 +13,28 @@ from support.oracles.gradient_oracle import Loss, Parameters, differences
 from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
 
 ANY = 3
-"""Channels besides depth and normal: seven in all, which need two compositing passes and three replays."""
+"""Number of channels besides depth and normal: with 7 in all, two compositing and three backward passes are needed."""
 
 
 def differentiable(threads: int | None = None) -> ls.DifferentiableRenderer:
-    """A differentiable renderer on the CPU, over a background that features do not have."""
+    """Returns a differentiable renderer on the CPU, over a background that features do not have."""
     return ls.DifferentiableRenderer(ls.RenderConfig(background=BACKGROUND), "cpu", threads=threads)
 
 
 def numbers(count: int) -> np.ndarray:
-    """Features of both signs."""
+    """Returns features of both signs."""
     return np.random.default_rng(8).normal(size=(count, ANY)).astype(np.float32)
 
 
 def by_shown(camera: ls.Camera) -> np.ndarray:
-    """Gradients with respect to depth, normal and the other channels."""
+    """Returns gradients with respect to depth, normal and the other channels."""
     return np.random.default_rng(9).normal(size=(camera.height, camera.width, 4 + ANY)).astype(np.float32)
 
 
 def with_features(
     scene: ls.Scene, camera: ls.Camera, threads: int | None = None
 ) -> tuple[np.ndarray, ls.gradients.SplatGradients]:
-    """Rendered features, and gradients of colour, alpha and features."""
+    """Returns rendered features, and gradients of colour, alpha and features."""
     renderer, surface = differentiable(threads), ls.gradients.SurfaceFeatures.of(scene, camera)
     renderer.render(scene, camera)
     shown = renderer.render_features(np.concatenate([surface.values, numbers(len(surface.values))], axis=1))
@@ -44,7 +44,7 @@ def with_features(
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
 def test_feature_gradients_equal_central_differences_of_the_float64_twin(antialiased: bool) -> None:
-    """Covers every parameter, also through depth and normal, and the features themselves."""
+    """The test covers every parameter, depth and normal channels, and the features themselves."""
     gaussians, camera = cloud(4, 10, antialiased=antialiased), view()
     shown, found = with_features(ls.Scene([gaussians]), camera)
     loss = Loss(camera, *by_pixels(camera), antialiased, by_features=by_shown(camera))
@@ -64,7 +64,7 @@ def test_feature_gradients_equal_central_differences_of_the_float64_twin(antiali
 
 
 def test_features_equal_to_the_colours_are_rendered_as_those_colours() -> None:
-    """Over black they equal the frame, and have the gradients of view-independent colours."""
+    """Over black, features equal the frame, and their gradients those of view-independent colours."""
     gaussians, camera = cloud(degree=0, count=60), view()
     scene, (by_color, _) = ls.Scene([gaussians]), by_pixels(camera)
     renderer = ls.DifferentiableRenderer(device="cpu")
@@ -89,7 +89,7 @@ def test_features_equal_to_the_colours_are_rendered_as_those_colours() -> None:
 
 
 def test_features_and_feature_gradients_do_not_depend_on_thread_count() -> None:
-    """Holds for features and for gradients."""
+    """The bits are equal for any number of threads."""
     scene, camera = ls.Scene([cloud(count=400)]), view(150, 100)
     one, two, five = (with_features(scene, camera, threads) for threads in (1, 2, 5))
     for shown, found in (two, five):
@@ -100,7 +100,7 @@ def test_features_and_feature_gradients_do_not_depend_on_thread_count() -> None:
 
 
 def test_gpu_schedule_gives_equal_features_and_feature_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Thread blocks on a CPU give equal results, up to the order of sums."""
+    """Thread blocks, run on a CPU, give equal results up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     shown, tiles = with_features(scene, camera)
     monkeypatch.setattr(
@@ -116,7 +116,7 @@ def test_gpu_schedule_gives_equal_features_and_feature_gradients(monkeypatch: py
 
 
 def test_features_of_an_instance_equal_those_of_a_set_stored_transformed() -> None:
-    """Depths and normals of a transformed instance equal those of a set stored with that transform."""
+    """Depths and normals of a transformed instance equal those of a set stored with its transform applied."""
     gaussians, camera = cloud(9, degree=0), view()
     place = np.eye(4)
     place[:3, :3] = 1.3 * np.array([[np.cos(0.7), 0.0, np.sin(0.7)], [0.0, 1.0, 0.0], [-np.sin(0.7), 0.0, np.cos(0.7)]])
@@ -137,7 +137,7 @@ def test_features_of_an_instance_equal_those_of_a_set_stored_transformed() -> No
 
 
 def test_splats_behind_a_mesh_add_no_features_and_have_zero_gradients() -> None:
-    """Splats in front of the mesh are summed over nothing; those behind it have no gradients."""
+    """Features of splats in front of the mesh are summed without a background."""
     camera, base, corners = (
         view(),
         cloud(count=12),
@@ -158,7 +158,7 @@ def test_splats_behind_a_mesh_add_no_features_and_have_zero_gradients() -> None:
 
 
 def test_rendered_features_of_a_scene_without_gaussians_are_zero() -> None:
-    """Features have no rows, and the channels are 0."""
+    """The features have no rows, and the channels are 0."""
     renderer = differentiable()
     renderer.render(ls.Scene(), view())
     assert not renderer.render_features(np.zeros((0, 2))).any()
@@ -186,10 +186,10 @@ def test_rendering_features_of_wrong_shape_is_refused() -> None:
 
 
 def test_features_and_feature_gradients_are_exchanged_by_dlpack() -> None:
-    """Arrays are exchanged by DLPack, without a copy on output."""
+    """Arrays are returned without a copy."""
 
     class Foreign:
-        """An array of a package that NumPy knows nothing of."""
+        """Array of a package that NumPy does not know."""
 
         def __init__(self, values: np.ndarray) -> None:
             self._values = values
@@ -210,7 +210,7 @@ def test_features_and_feature_gradients_are_exchanged_by_dlpack() -> None:
 
 
 def test_rendering_features_through_distorted_lenses_is_refused() -> None:
-    """Their frames are resampled, so that gradients would not be those of the frame."""
+    """Frames of distorted lenses are resampled, so that gradients would not be those of the returned frame."""
     bent = replace(view(), distortion=(0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(ls.ConfigError, match="resampled"):
         differentiable().render(ls.Scene([cloud()]), bent)

@@ -15,7 +15,7 @@ from support.scenes.gradient_scenes import BACKGROUND, by_pixels, check_instance
 
 
 def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None) -> ls.gradients.SplatGradients:
-    """Gradients of the loss of ``by_pixels``."""
+    """Returns gradients of the loss whose image gradients ``by_pixels`` returns."""
     renderer = ls.DifferentiableRenderer(ls.RenderConfig(background=BACKGROUND), "cpu", threads=threads)
     renderer.render(scene, camera)
     return renderer.gradients(*by_pixels(camera), pose=True)
@@ -23,7 +23,7 @@ def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None)
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
 def test_raster_gradients_equal_central_differences_of_the_float64_twin(antialiased: bool) -> None:
-    """For every parameter, where two step sizes agree: median error below 1e-5 of the mean magnitude, worst 1e-3."""
+    """Where two step sizes agree, the median error is below 1e-5 of a parameter's mean magnitude, the worst 1e-3."""
     gaussians, camera = cloud(antialiased=antialiased), view()
     found = gradients_of(ls.Scene([gaussians]), camera)
     loss = Loss(camera, *by_pixels(camera), antialiased)
@@ -62,12 +62,12 @@ def test_raster_gradients_are_the_adjoint_of_the_jacobian(antialiased: bool) -> 
 
 
 def along(start: Parameters, direction: dict[str, np.ndarray], step: float) -> Parameters:
-    """Parameters moved along a direction."""
+    """Returns the parameters moved along a direction."""
     return replace(start, **{name: getattr(start, name) + step * value for name, value in direction.items()})
 
 
 def test_culled_gaussians_have_zero_raster_gradients() -> None:
-    """Covers Gaussians behind the eye, beside the image, too transparent, and behind an opaque wall."""
+    """The Gaussians are behind the eye, beside the image, too transparent, or behind an opaque wall."""
     base = cloud(count=8)
     means = base.means.copy()
     means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
@@ -93,7 +93,7 @@ def test_raster_gradients_do_not_depend_on_thread_count() -> None:
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
 def test_gpu_schedule_gives_equal_raster_gradients(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Thread blocks on a CPU give the gradients of tiles, up to the order of sums."""
+    """Thread blocks, run on a CPU, give the gradients of tiles up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60, antialiased=antialiased)]), view(50, 40)
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -109,7 +109,7 @@ def test_gpu_schedule_gives_equal_raster_gradients(antialiased: bool, monkeypatc
 
 
 def test_gpu_schedule_zeroes_raster_gradients_of_splats_behind_opaque_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where all pixels of a tile end long before its list, no record keeps old memory."""
+    """If all pixels of a tile end long before its list, the records of the other splats are overwritten with 0."""
     scene, camera = ls.Scene([opaque()]), view()
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -125,14 +125,14 @@ def test_gpu_schedule_zeroes_raster_gradients_of_splats_behind_opaque_tiles(monk
 
 
 def test_differentiable_raster_frames_equal_ordinary_raster_frames() -> None:
-    """Bit-equal to the frames of a plain renderer."""
+    """The bits equal those of a renderer without gradients."""
     scene, camera, config = ls.Scene([cloud(count=200)]), view(150, 100), ls.RenderConfig(background=BACKGROUND)
     shown = ls.DifferentiableRenderer(config, "cpu").render(scene, camera)
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config, device="cpu").color)
 
 
 def test_raster_gradients_of_instances_are_transformed_and_summed() -> None:
-    """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
+    """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), view()
     place = np.eye(4)
     turn = ls.transform(gaussians, place)  # a copy
@@ -157,7 +157,7 @@ def close(value: np.ndarray, expected: np.ndarray) -> None:
 
 
 def test_splats_behind_a_mesh_have_zero_raster_gradients() -> None:
-    """Splats in front of it have gradients over its colour."""
+    """Splats in front of the mesh have gradients over the mesh's colour."""
     gaussians, camera = cloud(count=12), view()
     wall = ls.MeshInstance(
         ls.Mesh(
@@ -187,13 +187,13 @@ def test_splats_behind_a_mesh_have_zero_raster_gradients() -> None:
 def test_splat_gradients_refuse_image_gradients_of_wrong_shape_or_not_finite(
     images: tuple[np.ndarray, np.ndarray | None], problem: str
 ) -> None:
-    """The message names the image."""
+    """The message names the image gradient."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.splat_gradients(ls.Scene([cloud()]), view(), *images, device="cpu")
 
 
 def test_raster_gradients_of_lit_hybrid_or_stochastic_frames_are_refused() -> None:
-    """Other frames, and none at all, are refused."""
+    """Gradients before the first frame are refused, too."""
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         ls.DifferentiableRenderer(device="cpu").gradients(np.zeros((30, 36, 3)))
     for config in (

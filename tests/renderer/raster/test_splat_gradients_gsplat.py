@@ -14,7 +14,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "gsplat_gradient
 
 @pytest.fixture(scope="module")
 def stored() -> dict[str, np.ndarray]:
-    """The scene, the weights of the loss, and the gradients."""
+    """Returns the stored scene, the weights of the loss, and the gradients."""
     with np.load(REFERENCE) as file:
         assert str(file["made_with"]).startswith("gsplat 1.5.3")
         return dict(file)
@@ -22,7 +22,7 @@ def stored() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", ["classic", "antialiased"])
 def test_raster_gradients_equal_gsplat(stored: dict[str, np.ndarray], name: str) -> None:
-    """Covers every parameter, background and pose: median error below 5e-6 of the mean magnitude, largest 1e-4."""
+    """Over all parameters, background and pose, the median error is 5e-6 of the mean magnitude, the worst 1e-4."""
     sets = ("means", "rotations_wxyz", "scales", "opacities", "sh")
     gaussians = ls.Gaussians(*(stored[key] for key in sets), antialiased=name == "antialiased")
     np.testing.assert_array_equal(gaussians.rotations_wxyz, stored["rotations_wxyz"])

@@ -1,4 +1,4 @@
-"""Frames rasterised along rays, compared with the tracer, the float64 twin and linear projections."""
+"""Frames rasterised along rays by unscented projection, against the tracer, the float64 twin and linear projection."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ NAMES = list(LENSES)
 
 
 def unscented(**changes: object) -> ls.RenderConfig:
-    """Settings of such frames; ``changes`` are fields of ``RasterConfig``."""
+    """Returns settings with the unscented projection; ``changes`` are fields of ``RasterConfig``."""
     return ls.RenderConfig(raster=replace(ls.RasterConfig(projection=ls.config.Projection.UNSCENTED), **changes))
 
 
 def traced(dilation: float = 0.3) -> ls.RenderConfig:
-    """Settings of the traced frames for comparison."""
+    """Returns settings of the traced frames for comparison."""
     trace = ls.TraceConfig(dilation=dilation, hit_distance=ls.config.HitDistance.MEAN)
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_unscented_frame_equals_the_ray_traced_frame_for_every_lens(name: str) -> None:
-    """Where no two Gaussians have another order: colour, alpha, depth, normal and index, for every lens."""
+    """Where no Gaussians change their order, colour, alpha, depth, normal and index are equal."""
     camera = LENSES[name]
     scene = ls.Scene([layers(camera)])
     frame = ls.render(scene, camera, unscented(dilation=0.0), device="cpu")
@@ -51,7 +51,7 @@ def test_unscented_frame_equals_the_ray_traced_frame_for_every_lens(name: str) -
 
 @pytest.mark.parametrize("name", NAMES)
 def test_unscented_frame_of_pixel_sized_gaussians_is_close_to_the_traced_one(name: str) -> None:
-    """Pixel-sized Gaussians, which footprints widen most: ours are evaluated at means, the tracer's at each ray."""
+    """Footprints widen such Gaussians most: they are evaluated at means here, and at each ray by the tracer."""
     camera = LENSES[name]
     camera = camera.scaled(4 * camera.width)
     gaussians = layers(camera)
@@ -79,14 +79,14 @@ def test_unscented_frame_equals_the_float64_twin(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_unscented_tiles_contain_large_gaussians_near_the_limit_of_the_lens(name: str) -> None:
-    """Large Gaussians near the lens's limit, behind it or around the eye have the alpha of a frame without tiles."""
+    """Gaussians near the limit, behind it or around the eye have the alpha of a frame without tiles."""
     assert cut_off(LENSES[name], range(30)) > 1000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", NAMES)
 def test_unscented_tiles_contain_thousands_of_large_gaussians(name: str) -> None:
-    """Tests 4,000 Gaussians per lens."""
+    """The test draws 4,000 Gaussians per lens."""
     assert cut_off(LENSES[name], range(30, 1030)) > 30000
 
 
@@ -98,14 +98,14 @@ BACKWARD = {
 
 @pytest.mark.parametrize("name", BACKWARD)
 def test_unscented_tiles_contain_gaussians_opposite_the_optical_axis(name: str) -> None:
-    """Gaussians of any size and shape, one at a time, cover a ring around the image or an arc in it."""
+    """Gaussians of any size and shape, one at a time, cover a ring around the image or an arc inside."""
     assert cut_off(BACKWARD[name], range(40), lambda seed: needle(seed, BACKWARD[name])) > 10000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", BACKWARD)
 def test_unscented_tiles_contain_hundreds_of_gaussians_opposite_the_axis(name: str) -> None:
-    """Tests 600 Gaussians."""
+    """The test draws 600 Gaussians."""
     assert cut_off(BACKWARD[name], range(40, 640), lambda seed: needle(seed, BACKWARD[name])) > 150000
 
 
@@ -116,7 +116,7 @@ def test_unscented_tiles_contain_gaussians_at_the_edge_of_a_wide_pinhole() -> No
 
 
 def rim(seed: int, camera: ls.Camera, degrees: float) -> ls.Gaussians:
-    """Gaussians of about a hundredth of a radian, within six degrees of the edge of the image."""
+    """Returns Gaussians of about a hundredth of a radian, within six degrees of the edge of the image."""
     rng = np.random.default_rng(seed)
     angle, turn = np.radians(rng.uniform(degrees - 6.0, degrees, 200)), rng.uniform(0.0, 2.0 * np.pi, 200)
     ways = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=-1)
@@ -147,7 +147,7 @@ def cut_off(camera: ls.Camera, seeds: range, scene_of: Callable[[int], ls.Gaussi
 
 
 def test_unscented_projections_of_small_gaussians_converge_to_ewa_ellipses() -> None:
-    """The difference is the second-order error of the linear projection: half as large for half the angle."""
+    """The difference is the second-order error of the linear projection, and halves with the angle of the Gaussian."""
     errors = []
     for factor in (1.0, 2.0, 4.0):
         camera = lens(60.0)
@@ -162,7 +162,7 @@ def test_unscented_projections_of_small_gaussians_converge_to_ewa_ellipses() -> 
 
 
 def test_unscented_footprint_on_the_axis_equals_the_dilation_of_a_splat() -> None:
-    """A point-like Gaussian has the profile of its dilated splat."""
+    """A point-like Gaussian has the profile of a dilated splat."""
     camera = replace(lens(60.0), camera_from_world=np.eye(4), cx=32.0, cy=24.0, fy=60.0)
     point = ls.Gaussians([(0.0, 0.0, 4.0)], [(1.0, 0.0, 0.0, 0.0)], [(1e-4,) * 3], [0.9], np.zeros((1, 1, 3)))
     ewa, rays = (
@@ -175,7 +175,7 @@ def test_unscented_footprint_on_the_axis_equals_the_dilation_of_a_splat() -> Non
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
 def test_cpu_and_cuda_schedules_give_equal_unscented_frames(backend: str, name: str) -> None:
-    """Compares tiles on CPUs, pixels on CUDA, and graphs."""
+    """The schedules are tiles on CPUs, pixels on CUDA, and captured graphs."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(11, count=120, degree=1, center=(0.0, 0.0, 2.5))])
     frame = renderer_of(backend, unscented()).render(scene, camera)
     expected = ls.render(scene, camera, unscented(), device="cpu")
@@ -184,7 +184,7 @@ def test_cpu_and_cuda_schedules_give_equal_unscented_frames(backend: str, name: 
 
 
 def test_unscented_frames_do_not_depend_on_thread_count() -> None:
-    """Bands write separate elements."""
+    """Ranges of threads write separate elements."""
     camera, scene = LENSES["rolling fisheye"], ls.Scene([random_gaussians(12, count=300, center=(0.0, 0.0, 2.5))])
     one, two, five = (ls.Renderer(unscented(), Launcher("cpu", threads)).render(scene, camera) for threads in (1, 2, 5))
     for other in (two, five):
@@ -193,7 +193,7 @@ def test_unscented_frames_do_not_depend_on_thread_count() -> None:
 
 
 def test_antialiasing_samples_of_unscented_frames_equal_the_ray_tracers() -> None:
-    """Several samples per pixel equal the tracer's samples."""
+    """Frames with several samples per pixel are compared."""
     camera, gaussians = LENSES["fisheye"], layers(LENSES["fisheye"])
     scene, samples = ls.Scene([gaussians]), 4
     frame = ls.render(scene, camera, replace(unscented(dilation=0.0), samples=samples), device="cpu")
@@ -202,7 +202,7 @@ def test_antialiasing_samples_of_unscented_frames_equal_the_ray_tracers() -> Non
 
 
 def test_meshes_in_unscented_frames_equal_meshes_traced_through_the_lens() -> None:
-    """A textured, lit wall between Gaussians equals the traced one through a distorting lens."""
+    """A textured, lit wall between Gaussians is seen through a distorting lens."""
     camera = LENSES["fisheye of 220 degrees"]
     gaussians = layers(camera)
     scene = ls.Scene([gaussians], [checker_quad(2.5)], [ls.LightPoint((0.5, -1.0, 0.0), (1.0, 1.0, 1.0), 30.0)])
@@ -212,7 +212,7 @@ def test_meshes_in_unscented_frames_equal_meshes_traced_through_the_lens() -> No
 
 
 def test_unscented_frames_light_relit_and_emissive_sets_like_the_ray_tracer() -> None:
-    """The contribution of relit sets is accumulated separately."""
+    """Relit sets are accumulated separately from emissive ones."""
     camera = LENSES["phone"]
     gaussians = layers(camera, count=24)
     halves = [gaussians.subset(np.arange(k, 24, 2)) for k in (0, 1)]
@@ -226,7 +226,7 @@ def test_unscented_frames_light_relit_and_emissive_sets_like_the_ray_tracer() ->
 
 
 def test_hit_counts_of_unscented_frames_equal_the_ray_tracers() -> None:
-    """The image ``hits`` has as many blended Gaussians as the tracer's."""
+    """The image ``hits`` counts the blended Gaussians of each pixel."""
     camera = LENSES["fisheye"]
     scene = ls.Scene([layers(camera)])
     frames = [
@@ -253,13 +253,13 @@ def test_settings_unsupported_by_the_unscented_projection_are_refused() -> None:
 
 
 def test_error_for_a_fisheye_with_ewa_suggests_the_unscented_projection() -> None:
-    """The message for a fisheye names this projection."""
+    """The message names the setting to change."""
     with pytest.raises(ls.SceneError, match=r"use Projection\.UNSCENTED or Pipeline\.TRACE$"):
         ls.render(ls.Scene([random_gaussians(1, count=3)]), LENSES["fisheye"], device="cpu")
 
 
 def test_unscented_projection_drops_and_counts_non_finite_gaussians() -> None:
-    """An overflowing Gaussian hides no other one."""
+    """An overflowing Gaussian hides no other Gaussian."""
     gaussians = random_gaussians(2, count=5)
     means = gaussians.means.copy()
     means[1] = 3e38

@@ -1,4 +1,4 @@
-"""Gradients of frames rasterised along rays, compared with central differences of a float64 twin."""
+"""Gradients of frames rasterised along rays by unscented projection, against central differences of a twin."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ VIEWS = {
 
 
 def config_of(**changes: Any) -> ls.RenderConfig:
-    """Settings; ``changes`` are fields of ``RasterConfig``."""
+    """Returns settings; ``changes`` are fields of ``RasterConfig``."""
     raster = replace(ls.RasterConfig(projection=ls.config.Projection.UNSCENTED), **changes)
     return ls.RenderConfig(background=BACKGROUND, raster=raster)
 
@@ -34,7 +34,7 @@ def config_of(**changes: Any) -> ls.RenderConfig:
 def gradients_of(
     scene: ls.Scene, camera: ls.Camera, threads: int | None = None, **changes: Any
 ) -> ls.gradients.SplatGradients:
-    """Gradients of the loss of ``by_pixels``."""
+    """Returns gradients of the loss whose image gradients ``by_pixels`` returns."""
     renderer = ls.DifferentiableRenderer(config_of(**changes), "cpu", threads=threads)
     renderer.render(scene, camera)
     return renderer.gradients(*by_pixels(camera), pose=True)
@@ -43,7 +43,7 @@ def gradients_of(
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
 @pytest.mark.parametrize("name", VIEWS)
 def test_unscented_gradients_equal_central_differences_of_the_float64_twin(name: str, antialiased: bool) -> None:
-    """For every parameter, where two step sizes agree: median error below 1e-5 of the mean magnitude, worst 1e-3."""
+    """Where two step sizes agree, the median error is below 1e-5 of a parameter's mean magnitude, the worst 1e-3."""
     gaussians, camera = cloud(count=9, antialiased=antialiased), VIEWS[name]
     found = gradients_of(ls.Scene([gaussians]), camera)
     loss: Any = Loss(Twin(camera, dilation=0.0 if antialiased else 0.3), *by_pixels(camera))
@@ -56,7 +56,7 @@ def test_unscented_gradients_equal_central_differences_of_the_float64_twin(name:
 
 
 def test_rolling_shutter_gradients_hold_the_time_of_each_gaussian_fixed() -> None:
-    """The time at which a mean is seen, which affects colour and footprint, is held fixed: a relative error of 1e-3."""
+    """The time at which a mean is seen affects colour and footprint; ignoring that costs a relative error of 1e-3."""
     end = np.array(view().camera_from_world)
     end[:3, 3] += (0.05, -0.03, 0.02)
     camera = replace(view(), camera_from_world_end=end)
@@ -71,7 +71,7 @@ def test_rolling_shutter_gradients_hold_the_time_of_each_gaussian_fixed() -> Non
 
 
 def test_invisible_gaussians_have_zero_unscented_gradients() -> None:
-    """Covers Gaussians behind a pinhole, beside the image and too transparent."""
+    """The Gaussians are behind a pinhole, beside the image or too transparent."""
     base = cloud(count=8)
     means = base.means.copy()
     means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
@@ -96,7 +96,7 @@ def test_unscented_gradients_do_not_depend_on_thread_count() -> None:
 
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
 def test_gpu_schedule_gives_equal_unscented_gradients(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Warps of pixels on a CPU give the gradients of tiles, up to the order of sums."""
+    """Warps of pixels, run on a CPU, give the gradients of tiles up to the order of sums."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -113,7 +113,7 @@ def test_gpu_schedule_gives_equal_unscented_gradients(name: str, monkeypatch: py
 def test_gpu_schedule_zeroes_unscented_gradients_behind_opaque_tiles(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where all pixels of a tile end long before its list, no record keeps old memory."""
+    """If all pixels of a tile end long before its list, the records of the other splats are overwritten with 0."""
     camera, scene = VIEWS[name], ls.Scene([opaque()])
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -129,7 +129,7 @@ def test_gpu_schedule_zeroes_unscented_gradients_behind_opaque_tiles(
 
 
 def test_unscented_gradients_of_instances_are_transformed_and_summed() -> None:
-    """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
+    """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), VIEWS["fisheye"]
     angle, scale, place = 0.7, 1.3, np.eye(4)
     turn = [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
@@ -144,7 +144,7 @@ def test_unscented_gradients_of_instances_are_transformed_and_summed() -> None:
 
 @pytest.mark.parametrize("name", ["barrel", "fisheye"])
 def test_unscented_gradients_of_the_pose_are_in_camera_axes(name: str) -> None:
-    """Gradients of rotations and translations of the camera, whose rays move with it, for a transformed set."""
+    """The camera is rotated and translated together with its rays; the set is transformed."""
     camera, gaussians, place = VIEWS[name], cloud(8, count=9, degree=2), np.eye(4)
     place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     place[:3, 3] = 0.1, -0.2, 0.3
@@ -175,7 +175,7 @@ def close(value: np.ndarray, expected: np.ndarray) -> None:
 
 
 def test_gaussians_behind_a_mesh_have_zero_unscented_gradients() -> None:
-    """The background has zero gradients there, too."""
+    """The background has zero gradients behind the mesh, too."""
     gaussians, camera = cloud(count=12), VIEWS["fisheye"]
     gaussians = replace(gaussians, scales=0.3 * gaussians.scales)
     wall = ls.Mesh(
@@ -191,7 +191,7 @@ def test_gaussians_behind_a_mesh_have_zero_unscented_gradients() -> None:
 
 
 def test_differentiable_unscented_frames_equal_ordinary_unscented_frames() -> None:
-    """Bit-equal to frames of a plain renderer; the one-call function has the same gradients."""
+    """The bits equal those of a renderer without gradients; the one-call function has the same gradients."""
     camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=30)])
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")
     shown = renderer.render(scene, camera)
@@ -201,7 +201,7 @@ def test_differentiable_unscented_frames_equal_ordinary_unscented_frames() -> No
 
 
 def test_unscented_gradients_of_features_or_several_samples_are_refused() -> None:
-    """Features, several samples and resumed frames are refused."""
+    """Resumed frames are refused as well."""
     camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=3)])
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")
     with pytest.raises(ls.ConfigError, match="render a frame first"):

@@ -15,7 +15,7 @@ Doubles = npt.NDArray[np.float64]
 
 CAMERA = front_camera()
 LIGHT = ls.LightPoint((0.0, 0.0, -50.0), intensity=1e-6)
-"""A negligible light: the scenes consist of emissive meshes, which have no noise."""
+"""Negligible light: the scenes consist of emissive meshes, which have no noise."""
 PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
 
 
@@ -49,7 +49,7 @@ def error(frame: ls.Frame, of: ls.Frame) -> float:
 
 
 def test_temporal_antialiasing_of_static_edges_converges_to_the_reference() -> None:
-    """The first frame has one sample at each pixel centre; the mean over frames converges to the reference."""
+    """The first frame has one sample at each pixel centre; later frames add samples at other positions."""
     scene = scene_of(
         replace(
             emissive_square(0.8, 0.5, 0.2, tilt=0.5),
@@ -71,7 +71,7 @@ def test_temporal_antialiasing_of_static_edges_converges_to_the_reference() -> N
 
 
 def test_temporal_antialiasing_of_captures_and_environment_converges() -> None:
-    """Unlit captures, the environment and a mesh all converge to the reference."""
+    """The scene has unlit captures, an environment and a mesh."""
     rng = np.random.default_rng(2)
     environment = ls.LightEnvironment(rng.uniform(0.0, 1.0, (16, 32, 3)).astype(np.float32))
     scene = ls.Scene([random_gaussians(4, count=60)], [emissive_square(0.7, 0.1, 0.1, half=0.5)], [environment])
@@ -82,7 +82,7 @@ def test_temporal_antialiasing_of_captures_and_environment_converges() -> None:
 
 
 def test_sub_pixel_wires_do_not_flicker_with_temporal_antialiasing() -> None:
-    """A wire a quarter of a pixel wide is hit in one frame of four, yet each frame shows it at its brightness."""
+    """A wire a quarter of a pixel wide is hit in one frame of four, but has its mean brightness in every frame."""
     wire = replace(
         emissive_square(1.0, 1.0, 1.0),
         positions=np.array(emissive_square(1.0, 1.0, 1.0).positions) * (0.0083, 1.0, 1.0) + (0.03, 0.0, 0.0),
@@ -96,7 +96,7 @@ def test_sub_pixel_wires_do_not_flicker_with_temporal_antialiasing() -> None:
 
 
 def test_moved_objects_leave_no_trail_with_temporal_antialiasing() -> None:
-    """Pixels that an object has left show the background at once, its former edges after a frame."""
+    """Pixels that an object has left show the background at once, pixels of its former edges one frame later."""
     mesh = emissive_square(1.0, 1.0, 1.0, half=0.5)
     away = similarity(offset=(1.2, 0.0, 0.0))
     smooth, first = renderer(), scene_of(ls.MeshInstance(mesh))
@@ -110,7 +110,7 @@ def test_moved_objects_leave_no_trail_with_temporal_antialiasing() -> None:
 
 @pytest.mark.parametrize("goes", [True, False])
 def test_temporal_antialiasing_leaves_no_outline_where_objects_start_to_move(goes: bool) -> None:
-    """Edge pixels averaged object and background; once the object moves or goes, they show the background at once."""
+    """Edge pixels average object and background; once the object moves or vanishes, only the background remains."""
     mesh, wall = emissive_square(0.3, 0.3, 0.3, half=0.5, tilt=0.4), emissive_square(0.8, 0.8, 0.8, half=6.0)
     behind = ls.MeshInstance(wall, similarity(offset=(0.0, 0.0, 2.0)))
     turned = [similarity((0.0, 0.0, 1.0), 0.3, offset=(x, 0.0, 0.0)) for x in (0.0, 0.4)]
@@ -158,7 +158,7 @@ def test_temporal_antialiasing_keeps_textures_sharp_while_the_camera_moves(fine:
 
 
 def test_temporal_antialiasing_follows_a_fading_light() -> None:
-    """The light fades by a tenth a frame; the image lags behind by less than that."""
+    """The light fades by a tenth a frame; the image lags behind by less than a tenth."""
     smooth = renderer()
     for number in range(30):
         left = 0.9 ** max(number - 10, 0)
@@ -167,7 +167,7 @@ def test_temporal_antialiasing_follows_a_fading_light() -> None:
 
 
 def test_temporal_antialiasing_shows_a_light_change_of_2_percent_at_once() -> None:
-    """A change of 2 %, as small as noise could be, is visible in the next frame."""
+    """The change is as small as noise could be, and visible in the next frame."""
     before, after = scene_of(emissive_square(0.8, 0.8, 0.8)), scene_of(emissive_square(0.784, 0.784, 0.784))
     smooth = renderer()
     for _ in range(16):
@@ -176,7 +176,7 @@ def test_temporal_antialiasing_shows_a_light_change_of_2_percent_at_once() -> No
 
 
 def test_temporal_antialiasing_does_not_depend_on_thread_count() -> None:
-    """Results have the same bits with 1, 2 and 5 threads, also after a reset."""
+    """The bits are equal with 1, 2 and 5 threads, also after a reset."""
     mesh = emissive_square(0.9, 0.6, 0.3, half=0.5, tilt=0.4)
     scenes = [
         ls.Scene(

@@ -1,4 +1,4 @@
-"""Captures sampled as lights in real time: pdf of the boxes, the light itself, and which captures are lights."""
+"""Captures sampled as lights in real time: pdf of their boxes, their light, and which captures count as lights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from support.scenes.path_scenes import diffuse
 RNG = np.random.default_rng(7)
 FLOOR = ls.MeshInstance(ls.plane(8.0, 8.0, material=diffuse(0.5)))
 CAPTURED_LIGHT = ls.gaussians_from_mesh(ls.plane(1.0, 1.0, material=diffuse(1.0)), 1500)
-"""A white captured square of radiance 1, visible from both sides."""
+"""White captured square of radiance 1, visible from both sides."""
 
 
 def placed(height: float, turn: float = 0.0, **settings: Any) -> ls.SplatInstance:
@@ -76,7 +76,7 @@ def sampled(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_pdf_of_captured_lights_is_that_of_uniform_points_in_their_boxes() -> None:
-    """Points inside a box and a flat box are included."""
+    """The points include some inside a box, and one of the boxes is flat."""
     points = np.concatenate([RNG.uniform(-3.0, 3.0, (3000, 3)), RNG.uniform(-0.2, 0.2, (1000, 3))])
     directions, pdfs = sampled(points)
     reference = pdf_reference(box_rows(), points, directions)
@@ -86,7 +86,7 @@ def test_pdf_of_captured_lights_is_that_of_uniform_points_in_their_boxes() -> No
 
 
 def test_mean_inverse_pdf_of_captured_lights_is_their_solid_angle() -> None:
-    """The mean of 1 / pdf over a cone that boxes cover is the cone's solid angle, also from inside a box."""
+    """The mean of 1 / pdf over a cone that the boxes cover is the cone's solid angle, also from inside a box."""
     points = np.zeros((200_000, 3))
     directions, pdfs = sampled(points)
     for axis in np.eye(3):
@@ -95,7 +95,7 @@ def test_mean_inverse_pdf_of_captured_lights_is_their_solid_angle() -> None:
 
 
 def test_sampling_boxes_of_a_captured_light_contain_all_its_gaussians() -> None:
-    """Each mean is in a box of a part, and each Gaussian, to three standard deviations, in the box around all."""
+    """Each mean is in one of 16 boxes; each Gaussian, to three standard deviations, is in the box of the capture."""
     rotated = ls.gaussians_from_mesh(ls.sphere(1.0), 3000)
     boxes = boxes_of(rotated)
     offsets = rotated.means[:, None].astype(np.float64) - boxes.centers
@@ -107,7 +107,7 @@ def test_sampling_boxes_of_a_captured_light_contain_all_its_gaussians() -> None:
 
 
 def test_capture_of_a_single_gaussian_has_boxes_for_light_sampling() -> None:
-    """A single Gaussian cannot be split into parts."""
+    """One Gaussian cannot be split, so that it has one box besides the box around the capture."""
     one = ls.Gaussians(
         np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.full((1, 3), 0.1), np.ones(1), np.zeros((1, 1, 3))
     )
@@ -127,7 +127,7 @@ def test_captures_around_receivers_are_not_sampled_as_lights() -> None:
 
 
 def test_captured_room_gives_no_direct_light_to_a_mesh_inside_it() -> None:
-    """A mesh in a captured room gets no direct light, unless another capture beside it is a light."""
+    """Direct light appears only if another capture beside the mesh is a light."""
     room = ls.SplatInstance(ls.gaussians_from_mesh(ls.box(10.0, material=diffuse(0.3)), 3000))
     ball = ls.MeshInstance(ls.sphere(0.5, material=diffuse(0.5)))
     camera = ls.Camera.look_at((0.0, 1.0, 3.0), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.6)
@@ -179,7 +179,7 @@ def blob_irradiance(points: np.ndarray, center: np.ndarray, sigma: float, opacit
 
 
 def test_realtime_irradiance_of_a_captured_gaussian_integrates_its_alpha() -> None:
-    """The frame has no bounces and is within 2 % in the mean, and 8 % RMS over blocks of pixels."""
+    """Without bounces, the frame is within 2 % in the mean, and within 8 % RMS over blocks of pixels."""
     center, sigma, opacity = np.array((0.0, 1.0, 0.5)), 0.2, 0.9
     white = np.full((1, 1, 3), 0.5 / SH_C0)
     blob = ls.Gaussians(center[None], np.array([[1.0, 0, 0, 0]]), np.full((1, 3), sigma), np.array([opacity]), white)
@@ -205,7 +205,7 @@ def upright(back: float = 0.35) -> ls.Scene:
 
 
 def test_realtime_contact_shadows_of_captured_lights_match_the_path_tracer() -> None:
-    """Blocks of floor and plate are within 13 % RMS of the path tracer, the noise of both included."""
+    """Blocks of floor and plate are within 13 % RMS of the path tracer, including the noise of either image."""
     camera = ls.Camera.look_at((2.2, 1.2, 2.0), (0.0, 0.2, 0.2), width=64, height=48, fov_y=0.8)
     truth, frame = paths(upright(), 400, camera), after(upright(), 32, camera)
     lit = (frame.instance_index >= 1).reshape(6, 8, 8, 8).all(axis=(1, 3))
@@ -216,7 +216,7 @@ def test_realtime_contact_shadows_of_captured_lights_match_the_path_tracer() -> 
 
 
 def test_realtime_captured_light_through_glass_matches_the_path_tracer() -> None:
-    """Glass tints the light of captures as that of lights, and the light counts once."""
+    """Glass tints the light of captures as it tints light sources, and the light counts once."""
     tinted = ls.MaterialPbr(base_color=(0.9, 0.5, 0.2), roughness=0.0, transmission=1.0, thin_walled=True)
     pane = ls.MeshInstance(ls.plane(3.0, 3.0, material=tinted), position=(0.0, 0.7, 0.0))
     scene = ls.Scene([placed(1.0)], [FLOOR, pane])
@@ -227,7 +227,7 @@ def test_realtime_captured_light_through_glass_matches_the_path_tracer() -> None
 
 
 def test_relit_gaussians_receive_and_block_captured_light_in_real_time() -> None:
-    """A relit floor below a relit plate is as bright as by the path tracer, to 6 %."""
+    """A relit floor below a relit plate is as bright as in the path tracer, to 6 %."""
     material = diffuse(0.5)
     floor = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=material), 6000), material=material)
     plate = ls.SplatInstance(
@@ -243,7 +243,7 @@ def test_relit_gaussians_receive_and_block_captured_light_in_real_time() -> None
 
 
 def test_capture_gain_of_two_stops_quadruples_captured_light_in_real_time() -> None:
-    """A gain of two stops makes four times the light."""
+    """The mean light of the frame is compared."""
     plain, bright = (
         after(ls.Scene([placed(1.0)], [FLOOR]), 4, view(32, 24), max_bounces=0, capture_gain=stops)
         for stops in (0.0, 2.0)
@@ -255,7 +255,7 @@ def test_capture_gain_of_two_stops_quadruples_captured_light_in_real_time() -> N
 
 
 def test_realtime_frames_with_captured_lights_do_not_depend_on_thread_count() -> None:
-    """Frames have the same bits with 1 and 3 threads."""
+    """The bits are equal with 1 and 3 threads."""
     frames = []
     for threads in (1, 3):
         config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
@@ -265,7 +265,7 @@ def test_realtime_frames_with_captured_lights_do_not_depend_on_thread_count() ->
 
 
 def test_realtime_light_of_a_moved_capture_moves_along() -> None:
-    """After 12 frames, blocks are within 10 % RMS of a sequence in which the captured light has always been there."""
+    """After 12 frames, blocks are within 10 % RMS of a sequence in which the capture never moved."""
     camera, scenes = view(48, 32), []
     for x in (-0.8, 0.8):
         scenes.append(ls.Scene([ls.SplatInstance(CAPTURED_LIGHT, position=(x, 0.6, 0.0))], [FLOOR]))

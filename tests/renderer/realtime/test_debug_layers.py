@@ -32,7 +32,7 @@ def frame() -> ls.Frame:
 
 @pytest.mark.parametrize(("interval", "expected"), [(1, 3), (2, 2)])
 def test_realtime_history_layer_counts_the_frames_with_light_samples(interval: int, expected: int) -> None:
-    """After three frames, the history is 3; with samples every second frame, it is 2."""
+    """After three frames, the history is 3; with samples in every second frame, it is 2."""
     settings = ls.RealtimeConfig(light_interval=interval, antialiasing=False)  # exact reprojection without jitter
     history = last_frame(3, max_bounces=0, realtime=settings).history
     assert history is not None
@@ -40,7 +40,7 @@ def test_realtime_history_layer_counts_the_frames_with_light_samples(interval: i
 
 
 def test_realtime_probes_layer_shows_a_probe_in_each_8_pixel_tile(frame: ls.Frame) -> None:
-    """Each tile of 8 x 8 pixels shows a surface and hence has a probe, and all probes have been refreshed."""
+    """Every tile shows a surface, and all probes have been refreshed."""
     assert frame.probes is not None
     tiles = frame.probes.reshape(9, 8, 12, 8).max(axis=(1, 3))
     assert tiles.min() >= 1
@@ -49,7 +49,7 @@ def test_realtime_probes_layer_shows_a_probe_in_each_8_pixel_tile(frame: ls.Fram
 
 
 def test_realtime_cache_layer_has_the_mean_diffuse_light_of_the_frame(frame: ls.Frame) -> None:
-    """The cached diffuse light of all bounces has the mean of the frame, and cell sizes follow the distance."""
+    """The cache contains diffuse light of all bounces; the size of its cells follows the distance."""
     assert frame.cache is not None
     assert frame.cache_cells is not None
     assert frame.direct_diffuse is not None
@@ -64,7 +64,7 @@ def test_realtime_cache_layer_has_the_mean_diffuse_light_of_the_frame(frame: ls.
 
 
 def test_realtime_debug_layers_can_be_viewed_and_saved(frame: ls.Frame, tmp_path) -> None:
-    """Each debug layer has an image of its own and can be saved; light layers are views, too."""
+    """Each debug layer has a separate image; light layers can be viewed, too."""
     pictures = {name: frame.view(name) for name in (*DEBUG, *LIGHT)}
     assert all(picture.shape == (72, 96, 3) and np.ptp(picture) > 0.2 for picture in pictures.values())
     assert frame.view_limits("history") == (0.0, 32.0)
@@ -82,7 +82,7 @@ def test_realtime_debug_layers_can_be_viewed_and_saved(frame: ls.Frame, tmp_path
 
 
 def test_realtime_probes_and_cache_layers_are_empty_without_bounces() -> None:
-    """The layers are empty without bounces, and for an empty scene."""
+    """The layers are also empty for an empty scene."""
     for scene in (ROOM, ls.Scene(lights=ROOM.lights)):
         frame = last_frame(1, scene, max_bounces=0, lighting=True)
         assert frame.probes is not None
@@ -94,7 +94,7 @@ def test_realtime_probes_and_cache_layers_are_empty_without_bounces() -> None:
 
 @pytest.mark.parametrize("pipeline", ["raster", "trace", "hybrid", "path"])
 def test_realtime_debug_layers_are_refused_in_other_pipelines(pipeline: str) -> None:
-    """The error names the pipeline that has these layers."""
+    """The error names the real-time pipeline."""
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline), lighting=True, aovs=("history", "cache"))
     with pytest.raises(ls.ConfigError, match=r"has no cache, history among its aovs: Pipeline\.REALTIME does"):
         ls.render(ROOM, VIEW, config, device="cpu")

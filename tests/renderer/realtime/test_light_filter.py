@@ -1,4 +1,4 @@
-"""Light denoiser of real-time frames: what it must preserve, what it must drop, and its float64 reference."""
+"""Light denoiser of real-time frames: what is preserved, what is dropped, and the float64 reference."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_light_denoiser_preserves_constant_light(extent: float, radius: int, pas
 
 
 def test_light_denoiser_averages_the_frames_of_a_history_with_equal_weights() -> None:
-    """All frames have the same weight: for any samples in short histories, and in long ones if light is constant."""
+    """In short histories the weights are equal for any samples, in long ones if the light is constant."""
     sequence, surfaces = FilterSequence(frames=64, passes=0), plane()
     samples = [noise(frame) for frame in range(4)]
     for frame, sample in enumerate(samples):
@@ -109,7 +109,7 @@ def coloured(side: Mask, frame: int) -> Doubles:
 
 
 def assert_apart(light: Doubles, side: Mask) -> None:
-    """Checks that no red is on the green side and no green on the red one, and that both are smoothed."""
+    """Checks that no red is on the green side and no green on the red side, and that both sides are smoothed."""
     assert side.any() and not side.all()
     assert not light[side][..., 1].any() and not light[~side][..., 0].any()
     assert (light[side][..., 0] > 0.0).mean() > 0.99 and (light[~side][..., 1] > 0.0).mean() > 0.99
@@ -117,7 +117,7 @@ def assert_apart(light: Doubles, side: Mask) -> None:
 
 @EXTENTS
 def test_light_denoiser_leaks_no_light_between_perpendicular_planes(extent: float) -> None:
-    """No light leaks over frames or pixels while a rotating camera moves pixels from one plane to the other."""
+    """A rotating camera moves pixels from one plane to the other; neither time nor space mixes the planes' light."""
     sequence = FilterSequence(radius=2)
     surfaces = visible_box(box_camera(), extent)
     for step in range(5):
@@ -129,7 +129,7 @@ def test_light_denoiser_leaks_no_light_between_perpendicular_planes(extent: floa
 
 @EXTENTS
 def test_light_denoiser_leaks_no_light_between_distant_parallel_planes(extent: float) -> None:
-    """A panel slides before a parallel wall; the pixels of each keep their own light."""
+    """A panel slides before a parallel wall; pixels of the panel and of the wall do not mix."""
     sequence = FilterSequence(radius=2)
     for step in range(5):
         surfaces, side = with_panel(12.0 + step, extent)
@@ -150,7 +150,7 @@ def with_panel(columns: float, extent: float = 0.0, distance: float = 1.5) -> tu
 
 
 def test_denoised_light_fades_within_8_frames_when_a_light_goes_out() -> None:
-    """Nine tenths of the light are gone after 8 frames, and it never gets brighter again."""
+    """Nine tenths of the light are gone after 8 frames, and the light never gets brighter again."""
     sequence, surfaces = FilterSequence(), plane()
     lit = [sequence.render(surfaces, 0.75 + 0.25 * noise(frame)).mean() for frame in range(40)][-1]
     left = [sequence.render(surfaces, np.zeros((COUNT, 3))).mean() / lit for _ in range(32)]
@@ -160,7 +160,7 @@ def test_denoised_light_fades_within_8_frames_when_a_light_goes_out() -> None:
 
 
 def test_denoised_light_arrives_within_8_frames_when_a_light_goes_on() -> None:
-    """Nine tenths of the light have arrived after 8 frames, and it never overshoots."""
+    """Nine tenths of the light have arrived after 8 frames, and the light never overshoots."""
     sequence, surfaces = FilterSequence(), plane()
     for _ in range(40):
         sequence.render(surfaces, np.zeros((COUNT, 3)))
@@ -170,7 +170,7 @@ def test_denoised_light_arrives_within_8_frames_when_a_light_goes_on() -> None:
 
 
 def test_light_denoiser_does_not_take_noise_shared_by_pixels_for_a_light_change() -> None:
-    """Blocks of 2 x 2 pixels share samples. Without knowing that, the filter takes noise for a change of light."""
+    """Blocks of 2 x 2 pixels share samples; a filter that ignores the sharing takes noise for a change of light."""
     ages: list[float] = []
     for shared in (1, 4):
         sequence, surfaces = FilterSequence(shared=shared), plane()
@@ -182,7 +182,7 @@ def test_light_denoiser_does_not_take_noise_shared_by_pixels_for_a_light_change(
 
 
 def test_light_denoiser_spreads_rare_bright_samples_without_losing_their_light() -> None:
-    """One sample in a hundred has all the light. Four frames lose less than a fifth of it."""
+    """One sample in a hundred has all the light; the sum over four frames loses less than a fifth of it."""
     sequence, plain, surfaces = FilterSequence(), FilterSequence(passes=0), plane()
     light = mean = np.zeros(0)
     for frame in range(4):
@@ -193,7 +193,7 @@ def test_light_denoiser_spreads_rare_bright_samples_without_losing_their_light()
 
 
 def test_light_denoiser_shortens_short_histories_when_light_has_changed() -> None:
-    """Short histories cannot detect a change themselves; long ones can and are not shortened."""
+    """Histories of two frames are shortened; histories of six detect changes themselves and are not."""
     for frames, expected in ((2, 1.2), (6, 7.0)):
         sequence = FilterSequence()
         for _ in range(frames):
@@ -204,7 +204,7 @@ def test_light_denoiser_shortens_short_histories_when_light_has_changed() -> Non
 
 
 def test_light_denoiser_leaves_no_trail_behind_a_moving_shadow() -> None:
-    """A dark column moves by two pixels a frame; pixels that it leaves are bright in the next frame."""
+    """A dark column moves by two pixels a frame; pixels that the column leaves are bright in the next frame."""
     sequence, surfaces = FilterSequence(passes=0), plane()
     column = np.arange(COUNT) % SIZE["width"]
     for _ in range(20):
@@ -231,7 +231,7 @@ def test_light_denoiser_keeps_the_history_of_pixels_without_samples() -> None:
 
 
 def test_light_denoiser_fills_pixels_without_history_from_their_neighbours() -> None:
-    """The light comes from neighbours on the same surface with samples, and only with at least one spatial pass."""
+    """The light comes from sampled neighbours on the same surface, and only with at least one spatial pass."""
     surfaces = plane()
     sampled = np.arange(COUNT) % 2 == 0
     samples = np.where(sampled[:, None], constant_light(), np.nan)
@@ -250,7 +250,7 @@ def texture(surfaces: VisibleSurfaces, period: float) -> Doubles:
 @pytest.mark.parametrize("pixels", [1.0, -3.0, 0.5])
 @EXTENTS
 def test_light_denoiser_reprojects_histories_under_a_moving_camera(pixels: float, extent: float) -> None:
-    """Reprojection by whole pixels is exact; by half pixels, each step lowers the stripes' contrast by a cosine."""
+    """Reprojection by whole pixels is exact; each step by half a pixel lowers the stripes' contrast by a cosine."""
     period, steps = 16.0, 6
     sequence = FilterSequence(passes=0)
     surfaces = plane(extent=extent)
@@ -268,7 +268,7 @@ def test_light_denoiser_reprojects_histories_under_a_moving_camera(pixels: float
 
 
 def test_light_denoiser_starts_disoccluded_pixels_without_history() -> None:
-    """Disoccluded pixels start with one frame and no light of other surfaces, behind a panel and at the image edge."""
+    """The pixels are behind a panel or at the image edge, and start with one frame and no light of other surfaces."""
     sequence = FilterSequence(passes=0)
     surfaces, side = with_panel(20.0)
     for _ in range(8):
@@ -292,7 +292,7 @@ def test_light_denoiser_starts_disoccluded_pixels_without_history() -> None:
     ("extent", "degrees", "keeps"), [(0.0, 20, True), (0.0, 32, False), (0.01, 50, True), (0.01, 70, False)]
 )
 def test_light_denoiser_drops_the_history_of_fast_rotating_surfaces(extent: float, degrees: float, keeps: bool) -> None:
-    """Meshes lose it from 26 degrees a frame on, Gaussians, whose normals are noisy, from 60."""
+    """Meshes lose the history from 26 degrees a frame on, Gaussians, whose normals are noisy, from 60 degrees on."""
     sequence, surfaces = FilterSequence(passes=0), plane(extent=extent)
     for _ in range(4):
         sequence.render(surfaces, constant_light())
@@ -303,7 +303,7 @@ def test_light_denoiser_drops_the_history_of_fast_rotating_surfaces(extent: floa
 
 
 def test_light_denoiser_drops_histories_without_a_valid_reprojection() -> None:
-    """Previous positions are unknown, behind the eye, outside the image, or at another depth."""
+    """The previous position is unknown, behind the eye, outside the image, or at another depth."""
     surfaces = plane()
     for previous in (np.nan, (0.0, 0.0, 5.0), (100.0, 0.0, 0.0), (0.0, 0.0, -2.0)):
         sequence = FilterSequence(passes=0)
@@ -313,7 +313,7 @@ def test_light_denoiser_drops_histories_without_a_valid_reprojection() -> None:
 
 
 def test_light_denoiser_gives_pixels_without_a_surface_no_light() -> None:
-    """Such pixels give no light to others, either."""
+    """Pixels without a surface give no light to other pixels, either."""
     surfaces = plane()
     visible = np.arange(COUNT) % SIZE["width"] < 24
     sequence = FilterSequence(radius=2)
@@ -324,7 +324,7 @@ def test_light_denoiser_gives_pixels_without_a_surface_no_light() -> None:
 
 
 def test_light_denoiser_reduces_noise_without_bias() -> None:
-    """After 32 frames and all passes, noise as large as the mean is reduced to 6 %, without bias."""
+    """After 32 frames and all passes, noise as large as the mean is reduced to 6 %."""
     sequence, surfaces = FilterSequence(), plane()
     light = [sequence.render(surfaces, noise(frame))[:, 0] for frame in range(32)][-1]
     assert abs(light.mean() - 1.0) < 0.01
@@ -332,7 +332,7 @@ def test_light_denoiser_reduces_noise_without_bias() -> None:
 
 
 def test_reset_light_denoiser_equals_a_new_one() -> None:
-    """After a reset, the next frame is that of a new filter."""
+    """The first frame after a reset is that of a new denoiser."""
     surfaces = plane()
     used, fresh = FilterSequence(), FilterSequence()
     for frame in range(3):
@@ -363,8 +363,8 @@ def test_light_denoiser_has_equal_bits_for_all_threads_and_schedules(threads: in
 def test_light_denoiser_matches_the_float64_reference(radius: int, passes: int, moves: str) -> None:
     """Light and history lengths of a noisy sequence agree with float64 to 1e-5.
 
-    With a moving camera, to 2e-5 of the brightest sample: in float32, positions are accurate to 4e-6 pixels in x and y,
-    and neighbouring histories differ by as much as samples.
+    With a moving camera, the tolerance is 2e-5 of the brightest sample: in float32, positions are accurate to 4e-6
+    pixels in x and y, and neighbouring histories differ by as much as samples.
     """
     shared = 4 if passes == 3 else 1
     sequence = FilterSequence(shared=shared, radius=radius, passes=passes)

@@ -30,20 +30,20 @@ def point_lights(count: int, seed: int = 0, size: float = 4.0) -> list[ls.LightP
 
 
 def irradiance(lights: list[ls.LightPoint], surface: Any = SURFACE) -> np.ndarray:
-    """Returns the irradiance from each light at a surface that faces it, by channel, shape (N, 3)."""
+    """Returns the irradiance from each of N lights at a surface that faces the lights, by channel, shape (N, 3)."""
     positions, powers = positions_and_intensities(lights)
     return powers / ((positions - surface) ** 2).sum(axis=1)[:, None]
 
 
 def positions_and_intensities(lights: list[ls.LightPoint]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns positions and luminous intensities in candela, shape (N, 3) each."""
+    """Returns positions and luminous intensities in candela of N lights, shape (N, 3) each."""
     return np.array([light.position for light in lights]), np.array(
         [np.multiply(light.color, light.intensity) for light in lights]
     )
 
 
 def test_surfaces_are_within_one_cell_width_of_their_light_grid_cells_centre() -> None:
-    """A surface is within one cell width of the centre of its cell along each axis; invalid positions have no cell."""
+    """The distance is measured along each axis; positions that are not finite have no cell."""
     assert CELL.half == pytest.approx(0.5 * np.sqrt(3.0))
     np.testing.assert_array_equal(CELL.center, (0.5, 0.5, 0.5))
     far = cell_at((1e6, -3e5, 2.0), 5.0)
@@ -53,7 +53,7 @@ def test_surfaces_are_within_one_cell_width_of_their_light_grid_cells_centre() -
 
 @pytest.mark.parametrize("count", [17, 300])
 def test_light_grid_chooses_the_lights_of_the_reference(count: int) -> None:
-    """Lights and probabilities agree frame by frame and for several seeds."""
+    """Lights and probabilities agree in each frame for several seeds."""
     lights = point_lights(count)
     positions, powers = positions_and_intensities(lights)
     weights = point_weights(positions, powers, CELL.center, CELL.half)
@@ -68,7 +68,7 @@ def test_light_grid_chooses_the_lights_of_the_reference(count: int) -> None:
 
 @pytest.mark.parametrize(("count", "frames"), [(3, 2), (20, 700), (10_000, 700)])
 def test_sums_over_lights_chosen_by_the_light_grid_are_unbiased(count: int, frames: int) -> None:
-    """The mean of each channel is within 4 standard errors, which are below 0.7 %, over the four choices of a cell."""
+    """The mean of each channel over the four choices of a cell is within 4 standard errors, which are below 0.7 %."""
     lights = [light for light in point_lights(count) if np.linalg.norm(np.subtract(light.position, SURFACE)) > 0.9]
     contribution = irradiance(lights)
     rig = LightGridRig(lights, [replace(CELL, key=CELL.key | choice << 54) for choice in range(4)])
@@ -98,7 +98,7 @@ def test_light_grid_reference_is_less_noisy_the_more_lights_it_chooses() -> None
 
 
 def test_light_grid_picks_lights_by_contribution_over_choice_probability() -> None:
-    """A chi-square test of 20,000 picks in a cell; samples are divided by the same probabilities."""
+    """A chi-square test covers 20,000 picks in a cell; each sample is divided by the probability of its pick."""
     lights = point_lights(200)
     rig = LightGridRig(lights, [CELL])
     numbers, chances = (row[0] for row in rig.choose(3))
@@ -117,7 +117,7 @@ def test_light_grid_picks_lights_by_contribution_over_choice_probability() -> No
 
 
 def test_light_grid_chooses_all_lights_of_a_scene_with_few_lights() -> None:
-    """Choices in the cell then equal those of the loop over all lights, to the bit."""
+    """Picks in a cell have the bits of picks in a loop over all lights."""
     rig = LightGridRig(point_lights(GRID_LIGHTS), [CELL])
     numbers, chances = (row[0] for row in rig.choose(0))
     np.testing.assert_array_equal(numbers, [*range(GRID_LIGHTS), -1])
@@ -130,7 +130,7 @@ def test_light_grid_chooses_all_lights_of_a_scene_with_few_lights() -> None:
 
 
 def test_light_grid_always_chooses_a_distant_strong_light() -> None:
-    """A light 1,000 units away that contributes as much as a thousand near ones is always chosen."""
+    """A light 1,000 units away contributes as much as a thousand near ones."""
     strong = ls.LightPoint((800.0, 600.0, 0.0), intensity=1e9)
     rig = LightGridRig([*point_lights(1000), strong], [CELL])
     for frame in range(50):
@@ -139,7 +139,7 @@ def test_light_grid_always_chooses_a_distant_strong_light() -> None:
 
 
 def test_light_grid_gives_positive_weight_to_lights_that_reach_the_cell() -> None:
-    """Random spots, rectangles, disks and ranged points have a weight in each cell where they light a surface."""
+    """Random spots, rectangles, disks and ranged points light a surface in the cell."""
     rng = np.random.default_rng(0)
     lights: list[Any] = []
     cells: list[Cell] = []
@@ -172,7 +172,7 @@ def test_light_grid_gives_positive_weight_to_lights_that_reach_the_cell() -> Non
 
 
 def test_light_grid_weight_of_a_distant_light_equals_its_irradiance() -> None:
-    """Far from a cell, the weight of each kind of light is its irradiance there."""
+    """The light is far from the cell; all types of lights are covered."""
     environment = ls.LightEnvironment(np.ones((4, 8, 3), np.float32), intensity=0.5)
     lights: list[Any] = [
         ls.LightPoint((0.0, 400.0, 0.0), intensity=5.0),

@@ -29,7 +29,7 @@ def corner(roughness: float) -> ls.Scene:
 
 
 def test_screen_probes_blur_rough_reflections_more_than_highlight_rays() -> None:
-    """Without highlight rays, probes blur the reflection: blue shows on the red side, and the sum stays within 20 %."""
+    """With probes alone, blue shows on the red side, and the total light stays within 20 %."""
     scene = corner(0.2)
     sharp = halves(glossy(scene, ls.Pipeline.REALTIME, 8))
     blurred = halves(glossy(scene, ls.Pipeline.REALTIME, 8, realtime=ls.RealtimeConfig(highlight_rays=False)))
@@ -56,7 +56,7 @@ def halves(image: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("roughness", [0.2, pytest.param(0.45, marks=pytest.mark.deep), 0.6])
 def test_realtime_highlights_match_the_path_tracer_at_each_roughness(roughness: float) -> None:
-    """By roughness, highlights use rays, both, or probes: all within 10 %. Only rays reproduce the colours."""
+    """By roughness, highlights use rays, rays and probes, or probes: all within 10 %. Only rays keep the colours."""
     scene = corner(roughness)
     truth = halves(glossy(scene, ls.Pipeline.PATH, samples=64))
     found = halves(glossy(scene, ls.Pipeline.REALTIME, 16))

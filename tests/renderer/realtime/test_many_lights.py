@@ -70,7 +70,7 @@ def test_realtime_frames_do_not_depend_on_the_order_of_lights(count: int) -> Non
 
 
 def test_realtime_frames_with_many_lights_do_not_depend_on_thread_count() -> None:
-    """Results have the same bits with 1, 2 and 5 threads."""
+    """The bits are equal with 1, 2 and 5 threads."""
     one, two, five = (sequence(mixed(40), threads=threads) for threads in (1, 2, 5))
     np.testing.assert_array_equal(one, two)
     np.testing.assert_array_equal(one, five)
@@ -78,7 +78,7 @@ def test_realtime_frames_with_many_lights_do_not_depend_on_thread_count() -> Non
 
 @pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
 def test_cpu_and_cuda_schedules_give_equal_realtime_frames_with_many_lights(launcher: Any) -> None:
-    """The schedules of CUDA differ by rounding only."""
+    """CUDA's schedules run on the CPU and differ by rounding only."""
     room = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, VIEW), 500).scene
     settings, scene = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), replace(room, lights=mixed(40))
     direct, other = ls.create_renderer(settings, "cpu"), ls.Renderer(settings, launcher())
@@ -122,7 +122,7 @@ def test_realtime_floor_under_1000_lights_matches_the_closed_form(interval: int)
 
 
 def test_surfaces_beyond_the_cell_limit_of_the_light_grid_are_as_bright(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If there are too many cells, only the first ones get lights; the floor is as bright as before."""
+    """If there are too many cells, only the first cells get lights; surfaces in the others choose among all lights."""
     for cells_max in (0, 20):
         monkeypatch.setattr(light_grid, "GRID_CELLS_MAX", cells_max)
         found, truth = lit_floor(1000, 32)
@@ -133,7 +133,7 @@ def test_surfaces_beyond_the_cell_limit_of_the_light_grid_are_as_bright(monkeypa
 def test_mirrored_surfaces_beyond_the_cell_limit_of_the_light_grid_are_as_bright(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """These surfaces use one light a frame instead of all lights of a cell; the mean brightness is the same."""
+    """Surfaces beyond the limit use one light a frame instead of all lights of a cell; the mean is equal."""
     mirror = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     ceiling = ls.MeshInstance(floor(mirror), position=(0.0, 4.0, 0.0))
     scene = ls.Scene((), [floor(diffuse(0.5)), ceiling], point_lights(100))
@@ -151,7 +151,7 @@ def test_mirrored_surfaces_beyond_the_cell_limit_of_the_light_grid_are_as_bright
 
 
 def test_realtime_light_recovers_after_200_lights_were_removed() -> None:
-    """From 200 lights to none, with the default headlight, and back: the frame recovers once light has bounced."""
+    """In between, the default headlight lights the scene; the frame recovers once light has bounced."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, lighting=True), "cpu")
     scene = ls.Scene(ROOM.splats, [i for i in ROOM.meshes if not i.mesh.material.is_emissive], point_lights(200))
     means: list[float] = []
@@ -162,5 +162,5 @@ def test_realtime_light_recovers_after_200_lights_were_removed() -> None:
 
 
 def test_realtime_frame_of_many_lights_without_objects_is_black() -> None:
-    """The frame of an empty scene is black."""
+    """The scene has lights and no objects."""
     assert not sequence(point_lights(100), scene=ls.Scene()).any()

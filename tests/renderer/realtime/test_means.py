@@ -15,7 +15,7 @@ Doubles = npt.NDArray[np.float64]
 
 
 def device_weights(counts: npt.ArrayLike, history: float) -> Doubles:
-    """Returns the weights that kernels give means of these numbers of samples."""
+    """Returns the weights that kernels give to means of the given numbers of samples."""
     numbers = np.asarray(counts, np.float32)
     given = [wp.array(values, dtype=float, device="cpu") for values in (numbers, np.full_like(numbers, history))]
     found = wp.zeros(len(numbers), dtype=float, device="cpu")
@@ -32,7 +32,7 @@ def sample_weights(count: int, history: float) -> Doubles:
 
 @pytest.mark.parametrize("history", [1.0, 4.0, 32.0])
 def test_sample_weights_of_temporal_means_match_the_reference(history: float) -> None:
-    """Sample counts are whole numbers, and fractions as outdated means have."""
+    """The numbers of samples are whole, or fractions as outdated means have."""
     counts = np.arange(81) / 2.0
     for offset in (0.0, 4e-4):
         expected = [mean_weight(count, history) for count in counts + offset]
@@ -40,7 +40,7 @@ def test_sample_weights_of_temporal_means_match_the_reference(history: float) ->
 
 
 def test_young_temporal_mean_weights_its_nth_sample_by_n() -> None:
-    """Weights are 1, 2, 3 and so on. The variance is a third higher than that of a plain mean."""
+    """The variance is a third higher than with equal weights."""
     for count in (1, 2, 5, 100):
         weights = sample_weights(count, 1e4)
         np.testing.assert_allclose(weights, np.arange(1, count + 1) / (count * (count + 1) / 2), rtol=1e-5)
@@ -49,7 +49,7 @@ def test_young_temporal_mean_weights_its_nth_sample_by_n() -> None:
 
 @pytest.mark.parametrize("history", [1, 4, 8])
 def test_old_temporal_mean_weights_a_new_sample_by_1_over_history(history: int) -> None:
-    """Each further sample has the weight 1 / history, and older samples fade accordingly."""
+    """Older samples fade by the factor 1 - 1 / history."""
     before, after = (sample_weights(count, history) for count in (3 * history, 3 * history + 1))
     assert after[-1] == pytest.approx(1.0 / history, rel=1e-6)
     np.testing.assert_allclose(after[:-1], before * (1.0 - 1.0 / history), rtol=1e-5)

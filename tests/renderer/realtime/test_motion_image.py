@@ -1,4 +1,4 @@
-"""The motion AOV against positions that float64 cameras project in this frame and the previous one."""
+"""The motion AOV against positions that float64 cameras project in the current frame and the previous one."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def projection(points: Doubles, camera: ls.Camera) -> Doubles:
 def check(
     frame: ls.Frame, before: Callable[[Doubles], Doubles], camera_before: ls.Camera = CAMERA, tolerance: float = 2e-4
 ) -> None:
-    """Checks that the motion is as expected on moving surfaces, and unknown elsewhere."""
+    """Checks that the motion is as expected on moving surfaces, and unknown on all other pixels."""
     assert frame.motion is not None
     assert frame.motion_known is not None
     visible = np.isfinite(frame.depth)
@@ -83,19 +83,19 @@ def instance_at(request: pytest.FixtureRequest) -> Callable[[Doubles], ls.SplatI
 
 
 def test_motion_layer_of_static_objects_is_opposite_to_the_camera_motion(instance_at) -> None:
-    """Static objects move in the image and in distance, opposite to the camera."""
+    """Objects move in the image and in distance."""
     scene = scene_of(instance_at(HERE))
     check(motion((scene, STEPPED), (scene, CAMERA)), lambda points: points, STEPPED)
 
 
 def test_motion_layer_of_a_moving_instance_follows_its_transforms(instance_at) -> None:
-    """Motion follows the instance's transforms; the background has none."""
+    """The background has no motion."""
     frame = motion((scene_of(instance_at(HERE)), CAMERA), (scene_of(instance_at(MOVED)), CAMERA))
     check(frame, by(HERE @ np.linalg.inv(MOVED)))
 
 
 def test_motion_layer_of_deforming_meshes_and_gaussians_follows_their_points() -> None:
-    """Vertices and Gaussians move on their own, by a known transform."""
+    """Vertices and Gaussians move by a known transform, while the instance is static."""
     bend = similarity((0.0, 0.0, 1.0), 0.3, offset=(0.2, 0.1, 0.1))
     mesh = octahedron((0.0, 0.0, 0.0), 1.2)
     bent = replace(mesh, positions=by(bend)(np.asarray(mesh.positions, np.float64)))
@@ -109,7 +109,7 @@ def test_motion_layer_of_deforming_meshes_and_gaussians_follows_their_points() -
 
 
 def test_motion_layer_of_static_surfaces_is_exactly_zero() -> None:
-    """The motion is exactly 0 and marked as known."""
+    """The motion is marked as known."""
     scene = scene_of(relit(random_gaussians(3), np.eye(4)), quad(5.0, 1.0, 0.3))
     frame = motion((scene, STEPPED), (scene, STEPPED))
     assert frame.motion is not None
@@ -119,7 +119,7 @@ def test_motion_layer_of_static_surfaces_is_exactly_zero() -> None:
 
 
 def test_motion_layer_marks_the_motion_of_new_surfaces_as_unknown() -> None:
-    """Motion is unknown in the first frame, on new meshes, and on surfaces that were behind the camera."""
+    """The surfaces are those of the first frame, of new meshes, and surfaces that were behind the camera."""
     wall, ball = quad(5.0, 4.0), octahedron((0.0, 0.0, 3.0), 0.4)
     first = motion((scene_of(wall), CAMERA))
     both = motion((scene_of(wall), CAMERA), (scene_of(wall, ball), CAMERA))
@@ -138,7 +138,7 @@ CAMERA_SHAPE = (CAMERA.height, CAMERA.width)
 
 
 def test_motion_layer_shows_the_surface_that_covers_most_of_the_pixel() -> None:
-    """With a thin veil of Gaussians before a wall, the wall's motion counts; with a thick one, the veil's."""
+    """With a thin veil of Gaussians before a wall, the motion is that of the wall; with a thick veil, the veil's."""
     wall = quad(5.0, 4.0)
     for opacity, depth in ((0.3, 5.0), (0.9, 3.0)):
         veil = one_gaussian((0.0, 0.0, 3.0), 2.0, opacity)
@@ -150,7 +150,7 @@ def test_motion_layer_shows_the_surface_that_covers_most_of_the_pixel() -> None:
 
 
 def test_motion_layer_includes_lens_distortion() -> None:
-    """All images of the frame have the camera's size, and motion is between distorted positions."""
+    """All images have the size of the camera, and motion is between distorted positions."""
     coefficients = (-0.2, 0.05, 0.0, 0.0, 0.002, 0.001)
     camera = front_camera(focal=45.0, distortion=coefficients)
     mesh, step = quad(4.0, 3.0), np.array((0.2, -0.1, 0.0))
@@ -168,7 +168,7 @@ def test_motion_layer_includes_lens_distortion() -> None:
 
 
 def test_motion_layer_can_be_viewed_and_saved(tmp_path: Path) -> None:
-    """The view is red to the right, cyan to the left and white without motion; the EXR stores where motion is known."""
+    """The view is red to the right, cyan to the left and white without motion; the EXR marks where motion is known."""
     wall, ball = quad(5.0, 0.9), octahedron((0.0, 0.0, 3.0), 0.4)
     colours = []
     for x in (0.4, -0.4):

@@ -19,7 +19,7 @@ from support.scenes.gi_surfaces import camera_rows
 
 
 def mapped(directions: np.ndarray, cells: int = 8) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Maps directions to points of the square, back to directions, and to cells."""
+    """Maps directions to points of the square, back to directions, and to cell indices."""
     given = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
     points, back = (wp.zeros(len(directions), dtype=kind, device="cpu") for kind in (wp.vec2, wp.vec3))
     numbers = wp.zeros(len(directions), dtype=int, device="cpu")
@@ -47,7 +47,7 @@ def test_octahedral_maps_of_device_and_host_match_the_reference() -> None:
 
 
 def test_wrapped_border_cells_of_an_octahedral_map_are_adjacent_on_the_sphere() -> None:
-    """A border cell and the wrapped cell one step beyond the square are adjacent on the sphere."""
+    """The wrapped cell lies one step beyond the border of the square."""
     side = 8
     along = np.arange(side, dtype=np.int32)
     out = np.full(side, -1, np.int32)
@@ -67,7 +67,7 @@ def test_wrapped_border_cells_of_an_octahedral_map_are_adjacent_on_the_sphere() 
 
 
 def test_sh_projection_of_octahedral_cells_is_exact_for_light_of_degree_2() -> None:
-    """Cells of degree-2 light give back its coefficients; constant light gives no others, to 1e-12."""
+    """The coefficients of degree-2 light are recovered to 1e-12; constant light gives only the first coefficient."""
     fit = sh_fit_of_cells(8, 2)
     np.testing.assert_allclose(fit.sum(axis=0), np.eye(9)[0] * np.sqrt(4.0 * np.pi), atol=1e-12)
     coefficients = np.random.default_rng(1).normal(size=9)
@@ -97,7 +97,7 @@ def test_octahedral_irradiance_is_corrected_for_light_beyond_sh_degree_2(power: 
 
 
 def test_mean_sh_basis_of_each_octahedral_cell_matches_the_sphere() -> None:
-    """Quadrature over cells equals means over uniformly spread directions in these cells."""
+    """Quadrature over cells equals means over uniformly spread directions in the cells."""
     directions = spiral(400_000)
     _, _, cells = mapped(directions)
     basis = sh_basis(directions, 2)
@@ -117,7 +117,7 @@ def test_mean_sh_basis_of_each_octahedral_cell_matches_the_sphere() -> None:
 def test_points_on_a_pixel_ray_project_to_that_pixel_for_all_camera_models(
     model: ls.CameraModel, distortion: tuple[float, ...]
 ) -> None:
-    """For all camera models, a point on a pixel's ray projects to the centre of that pixel."""
+    """The point is projected to the centre of the pixel."""
     eye, target = (1.0, 2.0, 0.5), (0.2, -1.0, 0.0)
     camera = ls.Camera.look_at(eye, target, (0.0, 0.0, 1.0), width=24, height=16, fov_y=0.9, model=model)
     camera = dataclasses.replace(camera, distortion=distortion)

@@ -59,7 +59,7 @@ IRRADIANCES: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
 
 @pytest.mark.parametrize("name", IRRADIANCES)
 def test_realtime_mean_irradiance_of_a_floor_matches_the_closed_form(name: str) -> None:
-    """The irradiance of a floor over 256 frames, without spatial filter, differs from the closed form by noise only."""
+    """Over 256 frames without spatial filter, the irradiance differs from the closed form by noise only."""
     meshes, lights, truth = IRRADIANCES[name]
     settings = ls.RealtimeConfig(filter=ls.config.FilterConfig(frames=256, passes=0))
     lit_scene = ls.Scene(meshes=[FLOOR, *meshes], lights=lights)
@@ -67,7 +67,7 @@ def test_realtime_mean_irradiance_of_a_floor_matches_the_closed_form(name: str) 
 
 
 def test_dim_environment_beside_a_bright_light_makes_no_realtime_fireflies() -> None:
-    """The bright light gets most samples; the environment's, in a grazing highlight, must not be rare and bright."""
+    """The bright light gets most samples; samples of the environment in a grazing highlight must not be bright."""
     environment = ls.LightEnvironment(color=(1.0, 1.0, 1.0), intensity=0.1, visible=False)
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), replace(diffuse(0.5), roughness=0.5, specular=1.0))
     slanted = ls.Camera.look_at((0, 0.3, 1.9), (0, 0, 0), (0, 1, 0), width=48, height=32, fov_y=0.1)
@@ -83,7 +83,7 @@ def test_dim_environment_beside_a_bright_light_makes_no_realtime_fireflies() -> 
 
 
 def test_five_light_layers_sum_to_a_realtime_frame_with_captured_colours() -> None:
-    """The five layers, one of them with captured colours, sum to the frame, and requesting them does not change it."""
+    """Requesting the layers does not change the frame."""
     light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
     lit = scene(*LIGHTS, ENVIRONMENT, light)
     frame, plain = (sequence(lit, camera(), 3, 3, aovs=aovs) for aovs in (PATH_PARTS, ()))
@@ -96,7 +96,7 @@ def test_five_light_layers_sum_to_a_realtime_frame_with_captured_colours() -> No
 
 @pytest.mark.parametrize("name", ["point", "rect"])
 def test_relit_sheet_before_a_mesh_matches_the_path_tracer_in_real_time(name: str) -> None:
-    """A relit sheet of opacity 0.6 before a coloured mesh is within 1 % of the path tracer in each channel."""
+    """The sheet has an opacity of 0.6; each channel is within 1 % of the path tracer."""
     lights: dict[str, Light] = {
         "point": ls.LightPoint((0.5, 0.0, -2.0), intensity=4.0),
         "rect": ls.LightRect((0.0, 0.0, -1.5), (0.5, 0, 0), (0, 0.5, 0), intensity=6.0),

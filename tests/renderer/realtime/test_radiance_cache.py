@@ -64,7 +64,7 @@ def test_cell_of_the_radiance_cache_is_the_mean_of_its_samples() -> None:
 
 
 def test_radiance_cache_does_not_depend_on_the_order_of_samples() -> None:
-    """Cells agree to 1e-6, and tiles to the bit."""
+    """Radiance of cells agrees to 1e-6, and tiles to the bit."""
     rng = np.random.default_rng(2)
     rigs = CacheRig(), CacheRig()
     for frame in range(4):
@@ -91,7 +91,7 @@ def run_frames(rig: CacheRig, *, frames: int = 8) -> dict[str, np.ndarray]:
 
 
 def test_radiance_cache_has_equal_bits_in_every_launch_schedule() -> None:
-    """Schedules are one thread, several bands, and that of CUDA, in which the host reads no count."""
+    """The schedules are one thread, several threads, and that of CUDA, in which the host reads no count."""
     settings = {"tiles": 700, "unused_frames": 4, "bounces": 512}
     truth = run_frames(CacheRig(Launcher("cpu", threads=1), **settings))
     assert truth["counts"][3] > 0, "the cache must reach its capacity"
@@ -113,7 +113,7 @@ def per_slot_equal(one: dict[str, np.ndarray], other: dict[str, np.ndarray], nam
 
 
 def test_reset_radiance_cache_equals_a_new_one() -> None:
-    """After a reset, the same frames give the same bits."""
+    """After a reset, a sequence of frames gives the bits of the first run."""
     rig = CacheRig(tiles=700, unused_frames=4)
     run_frames(rig)
     rig.cache.reset()
@@ -153,7 +153,7 @@ def test_radiance_cache_matches_the_float64_reference(history: int, bounce_histo
 
 @pytest.mark.parametrize("share", [OUTDATED_HISTORY_WEIGHT, 0.7])
 def test_radiance_cache_matches_the_reference_after_a_light_change(share: float) -> None:
-    """Light changes after three frames. Means agree right after that, and while cells of few samples refill."""
+    """Light changes after three frames. Means agree right after the change, and while cells of few samples refill."""
     rng = np.random.default_rng(10)
     rig = CacheRig(history=16, bounce_history=4, bounces=128)
     reference = RadianceCacheOracle(rig.config.cell_size, 16, 8, 4)
@@ -176,7 +176,7 @@ def test_radiance_cache_matches_the_reference_after_a_light_change(share: float)
 def add_reference_bounces(
     reference: RadianceCacheOracle, host: dict[str, np.ndarray], hits: Samples, batches: list[Samples]
 ) -> None:
-    """Adds the same bounces to the reference; the cell of a point is that of its sample."""
+    """Adds the bounces of the device to the reference; the cell of a bounce point is that of its sample."""
     cell_at_position: dict[tuple[float, ...], Cell] = getattr(reference, "cell_at_position", {})
     for batch in batches:
         for i in range(len(batch)):
@@ -189,7 +189,7 @@ def add_reference_bounces(
 
 
 def test_radiance_cache_shows_a_linear_gradient_with_an_error_of_half_a_cell() -> None:
-    """A cell's mean is the value at its centre, so the error is half a cell's gradient."""
+    """The mean of a cell is the value at its centre, so that the largest error is half a cell's gradient."""
     x, y = np.meshgrid(np.arange(-8, 8, 1 / 8) + 1 / 16, np.arange(-8, 8, 1 / 8) + 1 / 16)
     positions = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)])
     for width in (1.0, 2.0):
@@ -217,7 +217,7 @@ def test_radiance_cache_cells_with_few_samples_use_coarser_mips() -> None:
 
 
 def test_radiance_cache_keys_distinguish_cells_at_all_scales() -> None:
-    """Cells are distinguished exactly far from the origin, on both sides of it, and at all levels."""
+    """The cells are far from the origin, on both sides of it, and at all levels."""
     rng = np.random.default_rng(6)
     count = 4000
     samples = made_samples(
@@ -240,7 +240,7 @@ def test_radiance_cache_keys_distinguish_cells_at_all_scales() -> None:
 
 
 def test_radiance_cache_drops_non_finite_samples() -> None:
-    """A single NaN would stay in its cell, and bounces would spread it to all others."""
+    """A single NaN would stay in its cell, and bounces would spread the NaN to all other cells."""
     rng = np.random.default_rng(7)
     samples = made_samples(on_floor(rng, 640))
     for field in ("position", "normal", "radiance", "from_eye"):
@@ -256,7 +256,7 @@ def test_radiance_cache_drops_non_finite_samples() -> None:
 
 
 def test_radiance_cache_ignores_rays_without_a_hit() -> None:
-    """Rays without a hit neither create tiles nor find any."""
+    """Rays without a hit neither create nor find tiles."""
     rng = np.random.default_rng(8)
     samples = made_samples(on_floor(rng, 1000))
     rig = CacheRig()

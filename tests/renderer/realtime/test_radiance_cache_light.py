@@ -49,7 +49,7 @@ def on_plates(rng: np.random.Generator, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("frames", "albedo"), [(60, 0.5), (160, 0.8), (300, 0.9)])
 def test_radiance_cache_bounces_between_two_plates_match_the_closed_form(frames: int, albedo: float) -> None:
-    """J1 = M1 / (1 - a1 a2) and J2 = a2 J1 for each channel's albedos: all bounces, without drift."""
+    """For emission M and albedos a1, a2: J1 = M1 / (1 - a1 a2) and J2 = a2 J1 per channel, for all bounces."""
     rng = np.random.default_rng(0)
     lower, upper = np.array([albedo, 0.5, 0.2]), np.array([albedo, 0.3, 0.9])
     shine = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
@@ -70,7 +70,7 @@ def test_radiance_cache_bounces_between_two_plates_match_the_closed_form(frames:
 
 
 def test_radiance_cache_bounces_light_four_times_a_frame() -> None:
-    """Plates reflect radiance 1 of lights, with albedo 0.5: the sum is 1 + 1/2 + ... + 1/16 after one frame."""
+    """Plates of albedo 0.5 reflect radiance 1 of lights: the sum is 1 + 1/2 + ... + 1/16 after one frame."""
     rng = np.random.default_rng(6)
     rig = CacheRig(bounces=8192)
     shine, half = np.ones((2, 3)), np.full((2, 3), 0.5)
@@ -125,7 +125,7 @@ def test_albedos_of_surfaces_in_one_radiance_cache_cell_do_not_mix() -> None:
 
 @pytest.mark.parametrize("albedo", [0.5, 0.8])
 def test_radiance_cache_of_a_closed_room_converges_to_all_bounces(albedo: float) -> None:
-    """Every wall reflects 1 of the lights, so the sum is 1 / (1 - albedo), also in corners and for short rays."""
+    """Every wall reflects radiance 1 of the lights: the sum is 1 / (1 - albedo), in corners and for short rays, too."""
     rng = np.random.default_rng(1)
     rig = CacheRig(history=4, bounces=8192)
     for frame in range(120):
@@ -166,10 +166,10 @@ def floor_of_two_rooms(rng: np.random.Generator, count: int, x0: float, x1: floa
 
 @pytest.mark.parametrize("distance", [0.5, 5.0])
 def test_radiance_cache_leaks_no_light_through_walls_to_short_rays(distance: float) -> None:
-    """Rays leave the dark side of a wall thinner than a cell, and hit the floor beside it.
+    """Rays leave the dark side of a wall thinner than a cell, and hit the floor beside the wall.
 
-    Rays shorter than a cell do not use means that reach into the bright room. Longer rays do, and a third of the light
-    leaks.
+    Rays shorter than a cell do not use means that reach into the bright room. Longer rays use such means, and a third
+    of the light leaks.
     """
     rng = np.random.default_rng(3)
     rig = CacheRig(history=16)
@@ -178,7 +178,7 @@ def test_radiance_cache_leaks_no_light_through_walls_to_short_rays(distance: flo
             rig.insert(floor_of_two_rooms(rng, 1500, -2.0, 3.0, reach), frame)
 
         def hits(host: dict[str, np.ndarray]) -> tuple[Samples, np.ndarray]:
-            """In the bright room a ray sees a bright wall, in the dark one a dark one."""
+            """Returns bright walls for rays in the bright room and dark walls for rays in the dark one."""
             bright = np.where(host["is_active"], host["position"][:, 0], 0.0) < 0.37
             position = np.where(bright[:, None], [-2.0, 4.0, 2.0], [3.0, 4.0, 2.0])
             facing = np.where(bright[:, None], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0])
@@ -196,7 +196,7 @@ def test_radiance_cache_leaks_no_light_through_walls_to_short_rays(distance: flo
 
 
 def test_two_sides_of_a_thin_wall_share_no_radiance_cache_cell() -> None:
-    """Surfaces face in opposite directions, 1/100 of a cell apart."""
+    """The sides face in opposite directions, 1/100 of a cell from each other."""
     rng = np.random.default_rng(4)
     position = on_floor(rng, 4000)
     sides = [
@@ -211,7 +211,7 @@ def test_two_sides_of_a_thin_wall_share_no_radiance_cache_cell() -> None:
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(8, 8), (16, 16), (16, 4)])
 def test_radiance_cache_fades_by_its_history_when_lights_go_out(history: int, bounce_history: int) -> None:
-    """Direct light fades as (1 - 1/N)^n after n frames, and so does indirect light once its sources are dark."""
+    """Direct light fades as (1 - 1/N)^n after n frames of history N; indirect light follows its dark sources."""
     rng = np.random.default_rng(5)
     rig = CacheRig(history=history, bounce_history=bounce_history, bounces=256)  # one ray a cell
     position = on_floor(rng, 6000, 16.0)
@@ -267,7 +267,7 @@ def test_outdated_radiance_cache_light_stays_until_samples_replace_it() -> None:
 
 
 def test_indirect_look_up_of_the_radiance_cache_excludes_direct_light() -> None:
-    """The samples' own radiance and ray lengths have no effect; the result is 0 in empty cells."""
+    """The radiance and ray length of the query have no effect; empty cells return 0."""
     rng = np.random.default_rng(9)
     rig = CacheRig()
     position = on_floor(rng, 3000, 8.0)
@@ -281,7 +281,7 @@ def test_indirect_look_up_of_the_radiance_cache_excludes_direct_light() -> None:
 
 
 def test_radiance_cache_counts_two_insertions_in_one_frame_as_one_frame() -> None:
-    """Hits of bounce rays are inserted after those of pixels, and must not make old means fade twice as fast."""
+    """Hits of bounce rays are inserted after hits of pixels, and must not make old means fade twice as fast."""
     rng = np.random.default_rng(6)
     position = on_floor(rng, 3000, 8.0)
     rig = CacheRig(history=8)
@@ -294,7 +294,7 @@ def test_radiance_cache_counts_two_insertions_in_one_frame_as_one_frame() -> Non
 
 
 def flown(frames: int, *, bounces: int) -> np.ndarray:
-    """Returns the mean radiance of fixed points of a floor in each frame of a flight away from it and back."""
+    """Returns the mean radiance of fixed points of a floor in each frame of a flight away from the floor and back."""
     rng = np.random.default_rng(7)
     rig = CacheRig(history=32, bounces=bounces, unused_frames=50)
     probes = on_floor(rng, 3000)
@@ -316,7 +316,7 @@ def flown(frames: int, *, bounces: int) -> np.ndarray:
 
 
 def test_radiance_cache_is_continuous_when_cell_levels_change_with_distance() -> None:
-    """Cells of a new level start from those of the old one; otherwise frames would lose indirect light."""
+    """Cells of a new level start from those of the old level; otherwise frames would lose indirect light."""
     means = flown(60, bounces=128)[8:]
     steps = np.abs(np.diff(means)) / means[:-1]
     assert steps.max() < 0.02

@@ -1,4 +1,4 @@
-"""Tiles of the radiance cache are created and evicted: within bounds, oldest first, and losses are logged."""
+"""Tiles of the radiance cache are created and evicted within bounds, oldest first; losses are counted and logged."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def tile_row(first: int, count: int) -> np.ndarray:
 
 
 def test_radiance_cache_evicts_tiles_after_unused_frames() -> None:
-    """Tiles are evicted after exactly ``unused_frames`` frames; tiles in use stay."""
+    """A tile is evicted exactly ``unused_frames`` frames after its last use."""
     rig = CacheRig(unused_frames=10)
     rig.insert(made_samples(tile_row(0, 20), radiance=2.0), 0)
     for frame in range(1, 15):
@@ -35,7 +35,7 @@ def test_radiance_cache_evicts_tiles_after_unused_frames() -> None:
 
 
 def test_reused_radiance_cache_slot_retains_nothing_of_the_evicted_tile() -> None:
-    """A slot retains nothing of the tile that used it before."""
+    """The new tile starts without samples of the evicted one."""
     rig = CacheRig(unused_frames=2)
     rng = np.random.default_rng(0)
     for frame in range(12):
@@ -50,7 +50,7 @@ def test_reused_radiance_cache_slot_retains_nothing_of_the_evicted_tile() -> Non
 
 
 def test_full_radiance_cache_evicts_the_tiles_unused_for_longest(caplog: pytest.LogCaptureFixture) -> None:
-    """Of 64 tiles, those unused for longest are evicted; evictions are counted and logged once."""
+    """The cache holds 64 tiles; evictions are counted and logged once."""
     rig = CacheRig(tiles=64)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         for frame in range(8):
@@ -71,7 +71,7 @@ def test_full_radiance_cache_evicts_the_tiles_unused_for_longest(caplog: pytest.
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_radiance_cache_counts_the_tiles_that_do_not_fit_in_a_large_frame(parallel: bool) -> None:
-    """Samples without a tile return their own radiance; no tile of the frame is evicted for another one."""
+    """Samples without a tile return the radiance of the query; tiles of the current frame are not evicted."""
     rig = CacheRig(Launcher("cpu", threads=2, parallel=parallel), tiles=64)
     rig.insert(made_samples(tile_row(-50, 50)), 0)
     samples = made_samples(tile_row(0, 100), radiance=3.0)
@@ -84,7 +84,7 @@ def test_radiance_cache_counts_the_tiles_that_do_not_fit_in_a_large_frame(parall
 
 
 def test_radiance_cache_memory_is_constant_over_1000_frames() -> None:
-    """After 1,000 frames at different positions, there are as many arrays and bytes as after the first ones."""
+    """Each frame is at another position; the number of arrays and bytes stays that of the first frames."""
     rng = np.random.default_rng(1)
     rig = CacheRig(tiles=256, bounces=128, unused_frames=20)
     held: set[tuple[int, int]] = set()
@@ -105,7 +105,7 @@ def test_radiance_cache_memory_is_constant_over_1000_frames() -> None:
 
 
 def test_all_radiance_cache_cells_send_bounce_rays_in_turn() -> None:
-    """A fraction of the cells bounces in each frame, new tiles first, then those that have waited longest."""
+    """A fraction of the cells bounces in each frame: new tiles first, then the cells that have waited longest."""
     rng = np.random.default_rng(2)
     rig = CacheRig(bounces=256)
     rig.insert(made_samples(on_floor(rng, 6000, 64.0)), 0)
@@ -129,7 +129,7 @@ def test_all_radiance_cache_cells_send_bounce_rays_in_turn() -> None:
 
 
 def test_bounce_points_are_uniform_samples_of_their_radiance_cache_cells() -> None:
-    """Points carry normal and extent of their samples and are uniform over them; keys differ by cell and frame."""
+    """Points have the normal and extent of their samples and are uniform over them; keys differ by cell and frame."""
     rng = np.random.default_rng(3)
     rig = CacheRig()
     drawn: list[float] = []
@@ -151,7 +151,7 @@ def test_bounce_points_are_uniform_samples_of_their_radiance_cache_cells() -> No
 
 
 def test_radiance_cache_ignores_bounce_rays_of_evicted_tiles() -> None:
-    """Radiance of their rays does not reach the tiles that take their slots."""
+    """The radiance of the rays does not reach the tiles that reuse the slots."""
     rig = CacheRig(tiles=64)
     rig.insert(made_samples(tile_row(0, 64)), 0)
     points, _ = rig.points(0)
@@ -181,7 +181,7 @@ def test_invalid_radiance_cache_settings_are_refused_with_their_range(settings: 
 
 @pytest.mark.parametrize(("budget", "rays"), [(128, 1), (129, 1), (130, 2), (500, 7), (4096, 16)])
 def test_few_radiance_cache_cells_send_up_to_16_bounce_rays_each(budget: int, rays: int) -> None:
-    """A cell sends as many rays as fit, at most 16; cells of short rays send one. A cell's rays are consecutive."""
+    """A cell sends as many rays as fit, at most 16; cells of short rays send one. Rays of one cell are consecutive."""
     rng = np.random.default_rng(4)
     rig = CacheRig(bounces=budget)
     rig.insert(made_samples(on_floor(rng, 3000, 8.0)), 0)

@@ -46,7 +46,7 @@ def blocks(image: np.ndarray) -> np.ndarray:
 
 
 def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: Any) -> ls.Frame:
-    """Path-traces the reference, with the same first surfaces."""
+    """Path-traces the reference, with the same first surfaces as the real-time frame."""
     first = ls.PathConfig(primary="iso")  # pyright: ignore[reportArgumentType]
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, path=first, aovs=PARTS, **settings)
     return ls.render(scene, camera, config, device="cpu")
@@ -56,7 +56,7 @@ def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: A
     "of_gaussians", [pytest.param(False, id="meshes"), pytest.param(True, id="gaussians", marks=pytest.mark.deep)]
 )
 def test_realtime_room_matches_the_path_tracer(of_gaussians: bool) -> None:
-    """After 64 frames, mean direct light is within 3 % and indirect light within 5 %; with Gaussians, twice that."""
+    """After 64 frames, mean direct light is within 3 % and indirect light within 5 %; with Gaussians, twice as much."""
     scene = with_gaussians(PathRoom(ROOM, VIEW), 4000).scene if of_gaussians else ROOM
     truth = paths(scene, 48)
     _, frame = sequence(scene, 64, aovs=PARTS)
@@ -72,7 +72,7 @@ def test_realtime_room_matches_the_path_tracer(of_gaussians: bool) -> None:
 
 
 def test_white_box_is_invisible_in_a_white_furnace_in_real_time() -> None:
-    """With direct light only, every pixel of the white furnace is 1 up to the noise of samples."""
+    """With direct light only, every pixel is 1 up to the noise of samples."""
     environment = ls.LightEnvironment(np.ones((16, 32, 3), np.float32))
     view = ls.Camera.look_at((2.0, 1.5, -2.5), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=96, height=72, fov_y=0.7)
     _, frame = sequence(ls.Scene((), [box((1.0, 1.0, 1.0), matte(1.0))], [environment]), 32, view)
@@ -81,14 +81,14 @@ def test_white_box_is_invisible_in_a_white_furnace_in_real_time() -> None:
 
 
 def test_direct_indirect_and_emission_layers_sum_to_the_realtime_frame() -> None:
-    """Direct and indirect, diffuse and glossy light and emission sum to the frame."""
+    """The layers are direct and indirect diffuse and glossy light, and emission."""
     _, frame = sequence(ROOM, 3, aovs=PARTS)
     total = sum(np.asarray(getattr(frame, part), np.float64) for part in PARTS)
     np.testing.assert_allclose(total, frame.color, atol=1e-5, rtol=1e-5)
 
 
 def test_realtime_frames_do_not_depend_on_thread_count() -> None:
-    """Results have the same bits with 1, 2 and 5 threads."""
+    """The bits are equal with 1, 2 and 5 threads."""
     scene = with_gaussians(PathRoom(ROOM, VIEW), 2000).scene
     one, two, five = (sequence(scene, 3, threads=threads)[1].color for threads in (1, 2, 5))
     np.testing.assert_array_equal(one, two)
@@ -97,7 +97,7 @@ def test_realtime_frames_do_not_depend_on_thread_count() -> None:
 
 @pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
 def test_cpu_and_cuda_schedules_give_equal_realtime_frames(launcher: Callable[[], Launcher]) -> None:
-    """Each frame agrees with CUDA's schedule, with and without graphs, up to rounding."""
+    """CUDA's schedule runs on the CPU, with and without graphs, and agrees up to rounding."""
     scene, settings = with_gaussians(PathRoom(ROOM, VIEW), 2000).scene, ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     direct, other = ls.create_renderer(settings, "cpu"), ls.Renderer(settings, launcher())
     for _ in range(5):
@@ -115,7 +115,7 @@ def test_reset_realtime_renderer_equals_a_new_renderer() -> None:
 
 
 def test_new_image_size_begins_a_new_realtime_sequence(caplog: pytest.LogCaptureFixture) -> None:
-    """The new sequence equals that of a new renderer. The change is logged once, unless the renderer was reset."""
+    """The new sequence equals that of a new renderer; the change is logged once, unless the renderer was reset."""
     small = room_camera(64, 48)
     renderer, _ = sequence(ROOM, 2)
     again = frame_after(renderer, ROOM, 12, small)
@@ -131,7 +131,7 @@ def test_new_image_size_begins_a_new_realtime_sequence(caplog: pytest.LogCapture
 
 
 def test_realtime_light_of_an_unlit_capture_includes_all_bounces() -> None:
-    """An unlit captured ball lights a dark room within 1.5 % of the path tracer; its bounces are 3 % of the light."""
+    """A captured ball lights a dark room within 1.5 % of the path tracer; bounces are 3 % of the light."""
     dark = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive]
     *walls, ball, tall = (replace(each, mesh=replace(each.mesh, material=matte(0.5))) for each in dark)
     captured = as_splats(replace(ball.mesh, material=matte(0.9)), 4000)
@@ -159,7 +159,7 @@ def test_realtime_direct_and_indirect_light_fade_when_a_light_goes_out() -> None
 
 
 def test_realtime_shadow_of_a_moved_object_moves_along() -> None:
-    """After 24 frames, the former shadow is within 5 % of a sequence without it, and no pixel was ever black."""
+    """After 24 frames, the former shadow is within 5 % of a sequence without the object; no pixel was ever black."""
     light = ls.LightPoint((2.0, 2.8, 2.5), intensity=20.0)
     floor = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive][:4]
     ball = ROOM.meshes[-2]
@@ -183,7 +183,7 @@ def moved(x: float) -> np.ndarray:
 
 
 def test_realtime_mirror_shows_surfaces_without_direct_light() -> None:
-    """Surfaces without direct light are not black in the mirror."""
+    """The mean brightness of the mirror is within 15 % of the path tracer."""
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     shade = box((0.8, 0.8, 0.8), silver)
     placed = ls.MeshInstance(shade, position=(2.6, 0.6, 1.6))
@@ -196,7 +196,7 @@ def test_realtime_mirror_shows_surfaces_without_direct_light() -> None:
 
 
 def test_realtime_shadow_catchers_are_darkened_as_in_hybrid_frames() -> None:
-    """Shadow catchers receive shadows only, as in hybrid frames."""
+    """Only shadows are applied to the catchers."""
     floor = with_gaussians(PathRoom(ROOM, VIEW), 3000).scene.splats[0]
     receiver = replace(floor, shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
     ball, light = ROOM.meshes[-2], ls.LightPoint((2.0, 1.5, 4.5), intensity=10.0)
@@ -218,20 +218,20 @@ def frame_without(scene: ls.Scene) -> ls.Frame:
     [({"samples": 4}, "one sample"), ({"noise": 0.1}, "one sample"), ({"aovs": "bounces"}, "no bounces")],
 )
 def test_settings_unsupported_by_the_realtime_pipeline_are_refused(settings: dict[str, Any], message: str) -> None:
-    """The error states in one line what real time does not support."""
+    """The error states in one line what the pipeline does not support."""
     with pytest.raises(ls.ConfigError, match=message):
         sequence(ROOM, 1, **settings)
 
 
 def test_realtime_frames_cannot_be_resumed() -> None:
-    """The error refers to the next frame, which continues the sequence."""
+    """The error says that the next frame continues the sequence."""
     renderer, frame = sequence(ROOM, 1)
     with pytest.raises(ls.ConfigError, match="next frame"):
         renderer.render(ROOM, VIEW, resume=frame)
 
 
 def test_realtime_memory_is_constant_over_a_long_walk() -> None:
-    """Memory does not grow from frame to frame."""
+    """The memory does not grow from frame to frame."""
     renderer, _ = sequence(ROOM, 1)
     sizes: list[int] = []
     for step in range(40):
@@ -243,7 +243,7 @@ def test_realtime_memory_is_constant_over_a_long_walk() -> None:
 
 
 def test_realtime_light_sampled_every_second_frame_has_the_same_mean() -> None:
-    """With half of the samples a frame, the mean after 64 frames is the same, and disoccluded pixels are not black."""
+    """With half of the samples a frame, the mean after 64 frames is equal, and disoccluded pixels are not black."""
     settings = ls.RealtimeConfig(light_interval=2)
     truth = sequence(ROOM, 64, max_bounces=0)[1].color
     renderer, frame = sequence(ROOM, 64, max_bounces=0, realtime=settings)

@@ -1,4 +1,4 @@
-"""Screen probes: exactness in a white furnace, and irradiance with known results."""
+"""Screen probes: exact results in a white furnace, and irradiance with closed forms."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_screen_probes_are_exact_in_a_white_furnace_with_a_moving_camera() -> No
 @pytest.mark.parametrize("degrees", [0, 20, 45, 70, 90, 120])
 @pytest.mark.parametrize("extent", [0.0, 0.02])
 def test_screen_probe_irradiance_below_half_an_environment_is_accurate(degrees: float, extent: float) -> None:
-    """E = pi L (1 + cos d) / 2; the SH degree, the cells and the horizon of meshes cause errors of 3 % at most."""
+    """E = pi L (1 + cos d) / 2 at tilt d; SH degree, cells and the horizon of meshes cause errors of at most 3 %."""
     angle = np.radians(degrees)
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
     eye = 3.0 * normal + (0.1, 0.8, 0.3)
@@ -81,7 +81,7 @@ def test_screen_probe_irradiance_below_half_an_environment_is_accurate(degrees: 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 def test_screen_probe_irradiance_of_a_bright_wall_matches_lamberts_formula(extent: float) -> None:
-    """Irradiance of the other walls follows Lambert's polygon formula: mean within 2 %, each wall within 10 %."""
+    """On the other walls, the mean is within 2 %, and each wall within 10 %."""
     surfaces = visible_box(box_camera(width=320, height=192), extent)
     sequence = ProbeSequence(bright_wall)
     light = np.mean([sequence.render(surfaces)[:, 0] for _ in range(48)][8:], axis=0)
@@ -122,7 +122,7 @@ def test_screen_probes_lose_no_light_on_noisy_normals() -> None:
 
 
 def test_screen_probes_light_disoccluded_pixels_at_once() -> None:
-    """A panel before most of the image vanishes; all disoccluded pixels have light at once."""
+    """A panel before most of the image vanishes; all disoccluded pixels have light in the next frame."""
     sequence = ProbeSequence(constant(GREY))
     surfaces = visible_box(box_camera())
     for frame in range(6):
@@ -146,7 +146,7 @@ def behind_panel(surfaces: VisibleSurfaces) -> VisibleSurfaces:
 
 
 def test_screen_probes_leak_no_light_around_a_post() -> None:
-    """Walls are bright left of a post and dark right of it; each pixel is either, also beside the post."""
+    """Walls are bright left of a post and dark right of it; each pixel is bright or dark, also beside the post."""
     camera = box_camera()
     plane, columns = visible_box(camera), np.tile(np.arange(camera.width), camera.height)
     is_post = (columns >= 77) & (columns < 84)
@@ -172,7 +172,7 @@ def test_screen_probes_leak_no_light_around_a_post() -> None:
 
 
 def test_screen_probes_light_isolated_pixels() -> None:
-    """A single pixel, one of small coverage, and one far from probes with light are neither black nor NaN."""
+    """A single pixel, one of small coverage, and one far from all lit probes are neither black nor NaN."""
     surfaces = visible_box(box_camera())
     surfaces.share[:] = 0.0
     pixels = [5, 80 * 160 + 77, 95 * 160 + 159]
@@ -185,7 +185,7 @@ def test_screen_probes_light_isolated_pixels() -> None:
 
 
 def test_screen_probes_of_a_frame_without_surfaces_send_no_rays() -> None:
-    """A frame without surfaces has no probes, no rays and no light."""
+    """There are no probes, no rays and no light."""
     surfaces = visible_box(box_camera())
     surfaces.share[:] = 0.0
     sequence = ProbeSequence(constant(GREY))
@@ -194,7 +194,7 @@ def test_screen_probes_of_a_frame_without_surfaces_send_no_rays() -> None:
 
 
 def test_screen_probes_do_not_depend_on_thread_count() -> None:
-    """A moving sequence with varying light has the same bits on one, two and five threads."""
+    """A moving sequence with varying light has equal bits on one, two and five threads."""
     frames = []
     for threads in (1, 2, 5):
         sequence = ProbeSequence(bright_wall, threads)
@@ -204,7 +204,7 @@ def test_screen_probes_do_not_depend_on_thread_count() -> None:
 
 
 def test_reset_screen_probes_equal_new_screen_probes() -> None:
-    """After a reset, and at another size, frames equal those of new probes."""
+    """Frames are also equal after a change of the image size."""
     used = ProbeSequence(constant(GREY))
     for step in range(3):
         used.render(visible_box(box_camera(step)))
@@ -219,7 +219,7 @@ def test_reset_screen_probes_equal_new_screen_probes() -> None:
 
 
 def test_screen_probe_irradiance_is_never_negative() -> None:
-    """SH ringing does not make irradiance negative on the side away from a small bright light."""
+    """SH ringing on the side away from a small bright light is clamped at 0."""
     camera = ls.Camera.look_at((0.1, 0.8, 3.0), (0, 0, 0), (0.0, 1.0, 0.1), width=160, height=96, fov_y=0.6)
     surfaces = visible_plane(camera, (0.0, 0.0, 1.0), 0.02)
     towards = np.array([0.86, 0.0, -0.5])
@@ -252,7 +252,7 @@ def seen_floor(camera: ls.Camera, end: float, offset: tuple[float, float]) -> Vi
 def test_screen_probes_light_a_floor_at_a_grazing_angle_without_loss(slope: float) -> None:
     """Light that changes with distance is right within 2 % far away, after any number of frames.
 
-    A tile covers metres of the floor there, which a probe at its near end does not represent.
+    Far away, a tile covers metres of the floor, which a probe at the near end of the tile does not represent.
     """
     camera = ls.Camera.look_at((0, 0.3, 0), (0, 0.28, -6), (0.03, 1, 0), width=192, height=144, fov_y=0.9)
 

@@ -1,4 +1,4 @@
-"""Steps of screen probes one by one, against float64: placement, rays, means, reprojection and look-ups."""
+"""Steps of screen probes, each against float64: placement, rays, means, reprojection and look-ups."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def one(cells: oracle.Cells, i: int) -> oracle.Cells:
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 def test_reprojection_of_static_screen_probes_is_the_identity(extent: float) -> None:
-    """Reprojection of a probe onto itself is the identity: same position, same cells."""
+    """A probe that is reprojected onto itself keeps its position and its cells."""
     sequence, surfaces = ProbeSequence(striped), visible_box(box_camera(), extent)
     for _ in range(6):
         sequence.render(surfaces)
@@ -86,7 +86,7 @@ def test_reprojection_of_static_screen_probes_is_the_identity(extent: float) -> 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 @pytest.mark.parametrize("moves", ["sample", "camera"])
 def test_screen_probes_keep_their_position_while_samples_and_camera_move(moves: str, extent: float) -> None:
-    """Continued probes keep their positions and cells to the bit, though no pixel shows that point."""
+    """Continued probes keep their positions and cells to the bit, although no pixel shows the same point again."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for step in range(3):
         sequence.render(visible_box(box_camera(), extent, subpixel(step)))
@@ -105,7 +105,7 @@ def test_screen_probes_keep_their_position_while_samples_and_camera_move(moves: 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 def test_reprojected_cells_of_screen_probes_match_the_reference(extent: float) -> None:
-    """Cells of moved probes match the reference, and most directions change."""
+    """Most directions change when a probe moves."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for _ in range(3):
         sequence.render(visible_box(box_camera(), extent))
@@ -146,7 +146,7 @@ def test_screen_probes_follow_moving_surfaces() -> None:
 
 
 def test_screen_probe_rays_are_uniform_in_their_cells() -> None:
-    """Each cell has one ray; the points are spread over the cell and do not repeat."""
+    """Each cell has one ray per refresh; the directions are spread over the cell and do not repeat."""
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), refreshed=1.0)
     surfaces = visible_box(box_camera(), 0.004)
     points = []
@@ -165,7 +165,7 @@ def test_screen_probe_rays_are_uniform_in_their_cells() -> None:
 
 
 def test_screen_probe_rays_start_above_their_surface() -> None:
-    """Rays of meshes leave outwards; those of Gaussians leave in all directions, above their layer and offset."""
+    """Rays of meshes leave outwards; rays of Gaussians leave in all directions, above the layer and its offset."""
     for extent, share in ((0.0, 0.5), (0.004, 1.0)):
         sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0])), visible_box(box_camera(), extent)
         sequence.place(surfaces)
@@ -196,7 +196,7 @@ def test_all_screen_probes_are_refreshed_in_turn() -> None:
 
 @pytest.mark.parametrize("history", [1, 4, 8])
 def test_cell_means_of_screen_probes_match_the_reference(history: int) -> None:
-    """A young mean counts for half of its samples, an old one for its history; non-finite samples are dropped."""
+    """A young mean counts as half of its samples, an old one as its history; non-finite samples are dropped."""
     surfaces = visible_box(box_camera(), 0.002)
     light = [1.0, 2.0, np.nan, 6.0, *[3.0] * 7, 30.0]
     values = iter(light)
@@ -220,7 +220,7 @@ def test_cell_means_of_screen_probes_match_the_reference(history: int) -> None:
 
 
 def test_outdated_screen_probe_light_stays_until_a_ray_replaces_it() -> None:
-    """When light changes, a cell's next ray replaces the old mean; until then, the cell keeps it."""
+    """When light changes, the next ray of a cell replaces the old mean; until then, the cell keeps its mean."""
     surfaces = visible_box(box_camera(), 0.002)
     old, new = np.array([4.0, 1.0, 0.5]), np.array([0.5, 2.0, 0.0])
     sequence = ProbeSequence(constant(old))
@@ -254,7 +254,7 @@ def thin_pole(camera: ls.Camera) -> VisibleSurfaces:
 
 
 def test_surfaces_missed_by_tile_probes_get_adaptive_screen_probes() -> None:
-    """Each surface of a tile that differs from its probe's gets an adaptive probe, up to their number; they last."""
+    """Each surface of a tile that differs from the tile probe's gets an adaptive probe, up to a limit; they persist."""
     surfaces = thin_pole(box_camera())
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=1.0, refreshed=1.0)
     for _ in range(4):  # until every probe has been refreshed once and hence persists
@@ -275,7 +275,7 @@ def test_surfaces_missed_by_tile_probes_get_adaptive_screen_probes() -> None:
 
 
 def test_screen_probe_filter_does_not_blur_near_hits_with_the_background() -> None:
-    """Neighbours reduce the noise of new probes, but do not blur near hits with the background."""
+    """Neighbouring probes reduce the noise of new probes."""
     surfaces = visible_box(box_camera(), 0.002)
     rng = np.random.default_rng(3)
 
@@ -293,7 +293,7 @@ def test_screen_probe_filter_does_not_blur_near_hits_with_the_background() -> No
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 def test_irradiance_look_ups_in_screen_probes_match_the_reference(extent: float) -> None:
-    """Pixel irradiance uses the probes of the four tiles around that no pole occludes; some pixels have none."""
+    """A pixel uses the probes of the four tiles around it that no pole occludes; some pixels have none."""
     surfaces = thin_pole(box_camera())
     surfaces.extent[:] = extent
     sequence = ProbeSequence(striped, refreshed=1.0)
@@ -335,7 +335,7 @@ def test_irradiance_look_ups_in_screen_probes_match_the_reference(extent: float)
 
 
 def test_glossy_look_ups_in_screen_probes_interpolate_between_cells() -> None:
-    """Look-ups interpolate linearly between cells, also across the border: a slow gradient is reproduced."""
+    """Look-ups are linear between cells, also across the border of the map: a slow gradient is reproduced."""
     surfaces = visible_box(box_camera(), 0.002)
 
     def gradient(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:

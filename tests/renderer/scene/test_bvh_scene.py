@@ -1,4 +1,4 @@
-"""BVHs of a scene: which assets get one, when they are refitted, and the top-level tree over the instances."""
+"""BVHs of a scene: which assets get one, when a BVH is refitted, and the top-level tree over the instances."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index
 
 @pytest.fixture(params=BACKENDS)
 def backend(request: pytest.FixtureRequest) -> str:
-    """One backend that traces a frame."""
+    """Returns one backend that traces a frame."""
     return request.param
 
 
 def view() -> ls.Camera:
-    """A small camera towards (0, 0, 4)."""
+    """Returns a small camera towards (0, 0, 4)."""
     return front_camera(24, 18, 22.0)
 
 
@@ -44,7 +44,7 @@ def assert_as_new(warm: ls.Renderer, backend: str, scene: ls.Scene) -> None:
 
 
 def bvh_ids(renderer: ls.Renderer) -> list[int]:
-    """Identities of the BVHs, by asset."""
+    """Returns the identities of the BVHs, by asset."""
     return [id(one.bvh) for one in renderer._scene.bvh._cached]
 
 
@@ -52,7 +52,7 @@ def bvh_ids(renderer: ls.Renderer) -> list[int]:
 
 
 def test_instances_of_one_gaussian_set_share_its_bvh(backend: str) -> None:
-    """Three instances of two sets have two BVHs, built once."""
+    """Three instances of two sets have two BVHs, which are built once."""
     first, second = random_gaussians(1, 50), random_gaussians(2, 30)
     positions = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
     scene = ls.Scene([ls.SplatInstance(g, place) for g, place in zip((first, second, first), positions, strict=True)])
@@ -73,7 +73,7 @@ def test_instances_of_one_gaussian_set_share_its_bvh(backend: str) -> None:
 
 
 def test_replacing_a_gaussian_set_by_one_of_equal_count_refits_its_bvh(backend: str) -> None:
-    """The BVH of the replaced asset is refitted, and other BVHs are unchanged."""
+    """BVHs of other sets are unchanged."""
     first, second = random_gaussians(3, 60), random_gaussians(4, 60)
     warm = renderer_of(backend, TRACE)
     assert_as_new(warm, backend, ls.Scene([first, second]))
@@ -89,7 +89,7 @@ def test_replacing_a_gaussian_set_by_one_of_equal_count_refits_its_bvh(backend: 
     "change", ["count", "degree", "other still there", "other index", "order", "one more", "one less", "none", "back"]
 )
 def test_rearranged_gaussian_sets_keep_their_bvhs(backend: str, change: str) -> None:
-    """BVHs stay with their assets, and an asset that replaces none gets a new one."""
+    """BVHs stay with their sets; a set that replaces none gets a new BVH."""
     first, second = random_gaussians(5, 60), random_gaussians(6, 60)
     warm = renderer_of(backend, TRACE)
     warm.render(ls.Scene([first, second]), view())
@@ -116,7 +116,7 @@ def test_rearranged_gaussian_sets_keep_their_bvhs(backend: str, change: str) -> 
 
 
 def test_each_capture_is_traced_with_the_kernel_degree_it_stores(backend: str) -> None:
-    """Each capture uses its own degree unless the settings replace it."""
+    """A kernel degree in the settings replaces that of all captures."""
     left, right = one_gaussian((-0.9, 0.0, 4.0), 0.2, 0.9), one_gaussian((0.9, 0.0, 4.0), 0.2, 0.9)
     sharp = replace(right, kernel_degree=5)
     mixed = renderer_of(backend, TRACE).render(ls.Scene([left, sharp]), view())
@@ -130,7 +130,7 @@ def test_each_capture_is_traced_with_the_kernel_degree_it_stores(backend: str) -
 
 
 def test_reported_memory_of_a_renderer_includes_its_bvhs() -> None:
-    """It covers particles and nodes."""
+    """The memory covers particles and nodes."""
     gaussians = random_gaussians(8, 3000)
     renderer = renderer_of("cpu", TRACE)
     frame = renderer.render(ls.Scene([gaussians]), view())
@@ -149,7 +149,7 @@ def test_reported_memory_of_a_renderer_includes_its_bvhs() -> None:
     ids=["vast", "endless", "lost", "vast and lost"],
 )
 def test_gaussian_whose_bounds_overflow_does_not_change_other_gaussians(backend: str, stray: ls.Gaussians) -> None:
-    """A Gaussian whose bounds overflow may be drawn or not, but changes no other one."""
+    """The overflowing Gaussian may be drawn or not."""
     gaussians = random_gaussians(13, 100)
     renderer = renderer_of(backend, TRACE)
     expected = renderer_of(backend, TRACE).render(ls.Scene([gaussians]), view())
@@ -180,7 +180,7 @@ def test_deep_bvhs_are_traversed_with_a_larger_stack(pipeline: ls.Pipeline, monk
 
 
 def test_traversal_stack_covers_the_deepest_path_of_both_bvh_levels() -> None:
-    """The deepest path goes through the top-level tree and the deepest asset tree."""
+    """The deepest path goes through the top-level tree and the deepest BVH of a set."""
     renderer = renderer_of("cpu", TRACE)
     small, large = random_gaussians(1, 5), random_gaussians(2, 3000)
     needed = []
@@ -200,7 +200,7 @@ def test_traversal_stack_covers_the_deepest_path_of_both_bvh_levels() -> None:
 
 
 def test_failed_upload_leaves_no_stale_addresses_in_the_bvh_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assets that were freed for a scene that did not fit have new addresses when they return."""
+    """Sets that were freed for a scene that did not fit have new addresses when they return."""
     first, second = random_gaussians(9, 60), random_gaussians(10, 70)
     renderer = renderer_of("cpu", TRACE)
     renderer.render(ls.Scene([first]), view())
@@ -239,14 +239,14 @@ def test_failed_bvh_build_leaves_no_stale_bvh(backend: str, monkeypatch: pytest.
 
 
 def boxes(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Random boxes."""
+    """Returns random boxes."""
     random = np.random.default_rng(seed)
     center, half = random.normal(size=(count, 3)), np.exp(random.uniform(-4.0, 1.0, (count, 3)))
     return center - half, center + half
 
 
 def leaves(nodes: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Boxes of all items by index; asserts that each node has one parent and lies in its box."""
+    """Returns the boxes of all items by index; asserts that each node has one parent and lies in its box."""
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     parents = np.zeros(len(nodes), int)
     for number, node in enumerate(nodes):
@@ -271,7 +271,7 @@ def leaves(nodes: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 8, 9, 17, 64, 65, 300])
 def test_top_level_tree_contains_each_instance_box_once(count: int) -> None:
-    """The tree contains all boxes unchanged, in as few nodes as possible."""
+    """The boxes are unchanged, and the tree has as few nodes as possible."""
     low, high = boxes(count)
     nodes = tree_of_boxes(low, high)
     found = leaves(nodes)
@@ -292,7 +292,7 @@ def test_top_level_tree_leaves_out_inverted_instance_boxes() -> None:
 
 
 def test_top_level_tree_groups_near_instance_boxes() -> None:
-    """Of eight clusters of eight boxes, the root's children are the clusters."""
+    """For eight clusters of eight boxes, the root's children are the clusters."""
     corners = np.array([[x, y, z] for x in (0, 10) for y in (0, 20) for z in (0, 40)], float)
     low = (corners[None] + np.random.default_rng(0).uniform(0.0, 1.0, (8, 8, 3))).reshape(-1, 3)
     nodes = tree_of_boxes(low, low + 0.1)
@@ -301,7 +301,7 @@ def test_top_level_tree_groups_near_instance_boxes() -> None:
 
 
 def baked(instance: ls.SplatInstance) -> ls.Gaussians:
-    """Gaussians of an instance in world space, for view-independent colours."""
+    """Returns the Gaussians of an instance in world space, for view-independent colours."""
     gaussians, transform, scale = instance.gaussians, instance.transform, instance.scale
     turn = transform[:3, :3] / scale
     w = 0.5 * np.sqrt(1.0 + np.trace(turn))  # all rotations of the tests are below 180 degrees
@@ -318,7 +318,7 @@ def baked(instance: ls.SplatInstance) -> ls.Gaussians:
 
 @pytest.mark.parametrize(("count", "size"), [(9, 0.1), (200, 0.02)])
 def test_many_instances_are_traced_like_one_merged_set(backend: str, count: int, size: float) -> None:
-    """Holds for instances of any size and position."""
+    """The instances have any size and position."""
     random = np.random.default_rng(count)
     assets = [random_gaussians(seed, 20, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0)) for seed in (20, 21, 22)]
     scene = ls.Scene(

@@ -23,7 +23,7 @@ from support.scenes.raster_scenes import front_camera, joined, random_gaussians
 
 
 def polished() -> ls.Scene:
-    """A relightable capture with every attribute as an array."""
+    """Returns a relightable capture with every attribute as an array."""
     ball = ls.gaussians_from_mesh(sphere(0.5, rows=10, columns=16), 900, seed=3)
     own: dict[str, Any] = {
         "normals": ball.means / np.linalg.norm(ball.means, axis=1, keepdims=True),
@@ -37,7 +37,7 @@ def polished() -> ls.Scene:
 
 @pytest.fixture
 def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
-    """Makes uploads copy arrays, whose memory becomes NaN once it is freed."""
+    """Makes uploads copy arrays, whose memory becomes NaN once a copy is freed."""
     kept: list[np.ndarray] = []
     share = assets.as_device_array
 
@@ -88,7 +88,7 @@ def test_copied_capture_arrays_are_not_freed_while_kernels_read_them(
 
 
 def wavy(shown: ls.Scene, amount: float) -> ls.Scene:
-    """The scene with other values in all arrays of its capture."""
+    """Returns the scene with other values in all arrays of its capture."""
     capture = shown.splats[0].gaussians
     assert capture.normals is not None and capture.albedo is not None
     assert capture.roughness is not None and capture.metallic is not None
@@ -110,7 +110,7 @@ def wavy(shown: ls.Scene, amount: float) -> ls.Scene:
 
 @pytest.fixture
 def copied(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes assets copies that renderers may overwrite, as on a GPU."""
+    """Makes uploaded assets copies that renderers may overwrite, as on a GPU."""
     monkeypatch.setattr(assets, "shares_memory", lambda _: False)
 
 
@@ -118,7 +118,7 @@ def copied(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("lighting", [False, True], ids=["unlit", "lit"])
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_animated_gaussian_sets_reuse_their_device_memory(pipeline: ls.Pipeline, lighting: bool) -> None:
-    """New values overwrite the last ones: graphs stay valid, and only BVHs are refitted."""
+    """New values overwrite the old ones: graphs stay valid, and only BVHs are refitted."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     settings, launcher = config(pipeline, lighting=lighting, samples=1), GraphLauncher()
     renderer = ls.Renderer(settings, launcher)
@@ -137,7 +137,7 @@ def test_animated_gaussian_sets_reuse_their_device_memory(pipeline: ls.Pipeline,
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("change", ["albedo", "roughness", "degree", "count"])
 def test_gaussian_set_that_changes_its_size_is_uploaded_to_new_memory(change: str) -> None:
-    """A set with other arrays or sizes is uploaded anew, and no frame shows the old one."""
+    """A set with other arrays or sizes is uploaded again, and no frame shows the old set."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     capture = shown.splats[0].gaussians
     others = {
@@ -158,7 +158,7 @@ def test_gaussian_set_that_changes_its_size_is_uploaded_to_new_memory(change: st
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 def test_gaussian_set_whose_memory_was_overwritten_is_uploaded_again(pipeline: ls.Pipeline) -> None:
-    """Its memory has another set's values; sets that are still used keep theirs."""
+    """The memory contains the values of another set; sets that are still used keep their memory."""
     a, b, c = (
         dataclasses.replace(random_gaussians(7, 40), opacities=np.full(40, o, np.float32)) for o in (0.3, 0.6, 0.9)
     )
@@ -174,7 +174,7 @@ def test_gaussian_set_whose_memory_was_overwritten_is_uploaded_again(pipeline: l
 
 @pytest.mark.usefixtures("copied")
 def test_rebuilt_bvhs_are_shrunk_again_for_shared_random_numbers() -> None:
-    """Shared draws shrink BVH nodes level by level, and a rebuilt BVH has other levels."""
+    """Shared random numbers shrink BVH nodes level by level, and a rebuilt BVH has other levels."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=144, height=96)
     shown = dataclasses.replace(shown, meshes=[sphere(0.1, rows=6, columns=8)])
     shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
@@ -197,7 +197,7 @@ def test_rebuilt_bvhs_are_shrunk_again_for_shared_random_numbers() -> None:
 
 
 def test_renderers_do_not_write_to_the_arrays_of_captures() -> None:
-    """On the CPU, renderers share the captures' arrays and never write to them."""
+    """On the CPU, renderers share the arrays of captures."""
     first, second = random_gaussians(7, 40), random_gaussians(8, 40)
     before = first.means.copy()
     renderer = ls.create_renderer(config(ls.Pipeline.TRACE, samples=1), "cpu")
@@ -207,7 +207,7 @@ def test_renderers_do_not_write_to_the_arrays_of_captures() -> None:
 
 
 def test_view_of_a_buffer_keeps_its_memory_block_alive() -> None:
-    """A view of a block is valid as long as the view exists."""
+    """The view of the block is valid as long as the view exists."""
     buffers = Buffers("cpu")
     block, parts = buffers.split("pixels", [("alpha", wp.float32, 1), ("color", wp.vec3, 3)], 8)
     parts["color"].fill_(1.0)

@@ -28,14 +28,14 @@ MORTON_LEVELS = 10
 
 @pytest.fixture(params=BUILDERS)
 def launcher(request: pytest.FixtureRequest) -> Launcher:
-    """A launcher whose BVHs are split by one method."""
+    """Returns a launcher whose BVHs are split by surface area or by Morton code."""
     if request.param in ("area", "code"):
         return Launcher("cpu", threads=2, parallel=request.param == "code")
     return Launcher(request.param)
 
 
 def tree_of(launcher: Launcher, gaussians: ls.Gaussians) -> GaussianBvh:
-    """A new BVH."""
+    """Returns a new BVH of the Gaussians."""
     return GaussianBvh(launcher, upload_gaussians(gaussians, launcher.device), kernel_data(gaussians, TRACE))
 
 
@@ -78,12 +78,12 @@ def walked(tree: GaussianBvh, count: int) -> Walked:
 
 
 def spread_over(means: np.ndarray, seed: int = 0, scale: float = 0.05) -> ls.Gaussians:
-    """Random Gaussians with these means."""
+    """Returns random Gaussians with the given means."""
     return replace(random_gaussians(seed, len(means), scale_range=(0.3 * scale, scale)), means=means)
 
 
 def inputs() -> dict[str, ls.Gaussians]:
-    """Inputs that are difficult for builders."""
+    """Returns inputs that are difficult for BVH builders."""
     random = np.random.default_rng(1)
     line = np.outer(np.linspace(0.0, 1.0, 1000), (1.0, 2.0, -3.0))
     faint = random_gaussians(2, 300)
@@ -121,7 +121,7 @@ INPUTS = inputs()
 
 @pytest.mark.parametrize("name", INPUTS)
 def test_bvh_contains_every_gaussian_once_in_tight_boxes(launcher: Launcher, name: str) -> None:
-    """For every input: one leaf each, boxes around subtrees, bounded depth, tight leaves."""
+    """For every input, boxes contain their subtrees, the depth is bounded, and leaves are tight."""
     gaussians = INPUTS[name]
     count = gaussians.count
     tree = tree_of(launcher, gaussians)
@@ -145,14 +145,14 @@ def test_bvh_contains_every_gaussian_once_in_tight_boxes(launcher: Launcher, nam
 
 
 def test_deepest_possible_bvh_fits_the_traversal_stack() -> None:
-    """The deepest BVH under the deepest top-level tree needs at most the stack's entries."""
+    """The deepest BVH lies under the deepest top-level tree."""
     most = math.ceil(math.log(2.0**31, NODE_WIDTH))
     asset = max(TREE_SURFACE_LEVELS, MORTON_LEVELS) + most
     assert (NODE_WIDTH - 1) * (asset + most) + 1 <= TRAVERSE_STACK
 
 
 def waiting_of(links: np.ndarray) -> list[int]:
-    """Largest stack size during traversal, with children in order, reversed, and at random."""
+    """Returns the largest stack size during traversal, with children in order, reversed, and at random."""
     most = []
     for order in ("first", "last", *range(20)):
         rng = np.random.default_rng(order if isinstance(order, int) else 0)
@@ -170,7 +170,7 @@ def waiting_of(links: np.ndarray) -> list[int]:
 
 
 def test_traversal_stack_size_of_a_bvh_is_a_tight_bound(launcher: Launcher) -> None:
-    """No order of visits exceeds it, and the worst path reaches it."""
+    """No order of visits exceeds the size, and the worst path reaches it."""
     rng = np.random.default_rng(8)
     clumps = (rng.normal(size=(3000, 3)) * np.exp(-rng.uniform(0.0, 12.0, (3000, 1)))).astype(np.float32)
     for count, means in ((1, None), (2, None), (9, None), (700, None), (3000, clumps)):
@@ -183,13 +183,13 @@ def test_traversal_stack_size_of_a_bvh_is_a_tight_bound(launcher: Launcher) -> N
 
 
 def worst(links: np.ndarray, node: int) -> int:
-    """Largest stack size below a node: its children, or all but one of them plus that one's subtree."""
+    """Returns the largest stack size below a node: its children, or all but one and the subtree of that one."""
     children = [link for link in links[node].tolist() if link >= 0 and link != NO_CHILD]
     return max([1, len(children), *(len(children) - 1 + worst(links, child) for child in children)])
 
 
 def test_random_rays_visit_few_nodes_of_a_bvh(launcher: Launcher) -> None:
-    """A random ray visits a small fraction of the nodes; in a BVH over random groups it would visit most."""
+    """In a BVH over random groups, rays would visit most nodes."""
     gaussians = random_gaussians(7, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))
     tree = tree_of(launcher, gaussians)
     assert tree.cost < 0.02 * tree.nodes.shape[0]
@@ -199,7 +199,7 @@ def test_random_rays_visit_few_nodes_of_a_bvh(launcher: Launcher) -> None:
 
 
 def test_distant_outlier_does_not_degrade_the_bvh_of_other_gaussians(launcher: Launcher) -> None:
-    """A Gaussian a thousand extents away costs the others almost nothing."""
+    """A Gaussian a thousand extents away hardly raises the cost of the others."""
     gaussians = random_gaussians(8, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))
     alone = tree_of(launcher, gaussians)
     far = gaussians.means.copy()
@@ -210,7 +210,7 @@ def test_distant_outlier_does_not_degrade_the_bvh_of_other_gaussians(launcher: L
 
 
 def test_morton_bvh_of_70000_gaussians_is_complete_and_has_low_cost() -> None:
-    """More Gaussians than the samples that define the Morton grid; cells are as fine as for few."""
+    """There are more Gaussians than samples that define the Morton grid; cells are as fine as for few Gaussians."""
     gaussians = random_gaussians(9, 70_000, extent=(4.0, 4.0, 4.0), scale_range=(0.001, 0.003))
     tree = tree_of(Launcher("cpu", threads=2, parallel=True), gaussians)
     np.testing.assert_array_equal(np.sort(tree.particles.numpy()["index"]), np.arange(70_000))
@@ -220,7 +220,7 @@ def test_morton_bvh_of_70000_gaussians_is_complete_and_has_low_cost() -> None:
 
 
 def test_bvh_builds_are_deterministic_on_any_number_of_threads(launcher: Launcher) -> None:
-    """The same input gives the same BVH, on any number of threads."""
+    """Equal input gives equal bits on any number of threads."""
     gaussians = random_gaussians(10, 3000)
     first = tree_of(launcher, gaussians)
     again = [launcher]
@@ -236,7 +236,7 @@ def test_bvh_builds_are_deterministic_on_any_number_of_threads(launcher: Launche
 
 
 def wavy(gaussians: ls.Gaussians, amount: float = 0.1) -> ls.Gaussians:
-    """A smooth deformation: means move, axes rotate, sizes and opacities change slightly."""
+    """Returns a smooth deformation: means move, axes rotate, sizes and opacities change slightly."""
     x, y, z = gaussians.means.T
     means = gaussians.means + amount * np.stack([np.sin(2.0 * y), np.cos(3.0 * z), np.sin(x + y)], axis=-1)
     turned = gaussians.rotations_wxyz + 0.5 * amount * np.stack([np.sin(x), np.cos(y), np.sin(z), np.cos(x)], axis=-1)
@@ -251,14 +251,14 @@ def wavy(gaussians: ls.Gaussians, amount: float = 0.1) -> ls.Gaussians:
 
 
 def shuffled(gaussians: ls.Gaussians) -> ls.Gaussians:
-    """Gaussians with permuted positions."""
+    """Returns the Gaussians with permuted positions."""
     order = np.random.default_rng(0).permutation(gaussians.count)
     return replace(gaussians, means=gaussians.means[order])
 
 
 @pytest.mark.parametrize("count", [1, 2, 9, 800])
 def test_leaf_boxes_of_a_refitted_bvh_equal_those_of_a_new_bvh(launcher: Launcher, count: int) -> None:
-    """After a smooth deformation, leaf boxes equal a new BVH's, inner boxes contain them, and no link changes."""
+    """After a smooth deformation, inner boxes contain those of a new BVH, and no link changes."""
     gaussians = random_gaussians(11, count)
     tree = tree_of(launcher, gaussians)
     positions, links, built = tree.particles.numpy()["index"].copy(), tree.nodes.numpy()["link"].copy(), tree.cost_built
@@ -287,7 +287,7 @@ def test_large_moves_of_gaussians_rebuild_the_bvh(launcher: Launcher) -> None:
 
 
 def test_bvh_of_invisible_gaussians_is_rebuilt_once_they_become_visible(launcher: Launcher) -> None:
-    """A BVH over invisible Gaussians is rebuilt once they become visible."""
+    """The new BVH has the cost of one built over the visible Gaussians."""
     gaussians = random_gaussians(13, 1000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.05))
     tree = tree_of(launcher, replace(gaussians, opacities=np.zeros(1000)))
     tree.refit(upload_gaussians(gaussians, launcher.device))
@@ -296,7 +296,7 @@ def test_bvh_of_invisible_gaussians_is_rebuilt_once_they_become_visible(launcher
 
 
 def test_refitting_a_bvh_allocates_no_memory(launcher: Launcher) -> None:
-    """Neither memory nor the number of allocations changes, however often Gaussians move."""
+    """Neither bytes nor the number of allocations change, however often Gaussians move."""
     gaussians = random_gaussians(14, 1000)
     tree = tree_of(launcher, gaussians)
     before = tree.bytes, tree._buffers.allocations, tree.nodes.ptr
@@ -307,7 +307,7 @@ def test_refitting_a_bvh_allocates_no_memory(launcher: Launcher) -> None:
 
 @pytest.mark.parametrize("backend", ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())])
 def test_images_traced_with_refitted_bvhs_equal_those_with_new_bvhs(backend: str) -> None:
-    """Deformed step by step and then shuffled, each image equals a new renderer's to the bit."""
+    """Gaussians are deformed step by step and then shuffled; each image has the bits of a new renderer."""
     gaussians = random_gaussians(15, 600, degree=1)
     warm, trees = renderer_of(backend, TRACE), []
     steps = [gaussians, wavy(gaussians), wavy(wavy(gaussians)), shuffled(gaussians), gaussians]

@@ -1,4 +1,4 @@
-"""Weight of cached lighting after lights or objects change."""
+"""Weight of cached real-time lighting after lights or objects change."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ ELSEWHERE = np.diag([2.0, 2.0, 2.0, 1.0])
 
 
 def with_spot(**changes: object) -> ls.Scene:
-    """The scene with another spot light."""
+    """Returns the scene with another spot light."""
     return replace(LIT, lights=[replace(SPOT, **changes), LIT.lights[1]])  # pyright: ignore[reportArgumentType]
 
 
 def with_environment(**settings: object) -> ls.Scene:
-    """The scene with another environment."""
+    """Returns the scene with another environment."""
     environment = {"image": ENVIRONMENT} | settings
     return replace(LIT, lights=[SPOT, ls.LightEnvironment(**environment)])  # pyright: ignore[reportArgumentType]
 
@@ -75,7 +75,7 @@ OTHER = {
 
 @pytest.mark.parametrize("change", SAME | CHANGED | OTHER)
 def test_weight_of_cached_lighting_falls_when_lights_change(change: str) -> None:
-    """For several frames after a small change, and to almost 0 in the frame of an abrupt one."""
+    """The weight falls for several frames after a small change, and to almost 0 in the frame of an abrupt one."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False) for _ in range(3)] == [1.0] * 3
     after = [changes.history_weight((SAME | CHANGED | OTHER)[change], False) for _ in range(CHANGED_FRAMES + 1)]
@@ -88,7 +88,7 @@ def test_weight_of_cached_lighting_falls_when_lights_change(change: str) -> None
 
 @pytest.mark.parametrize("move", MOVED)
 def test_weight_of_cached_lighting_falls_less_and_longer_while_objects_move(move: str) -> None:
-    """It fades more slowly, and for longer, than after a change of lights."""
+    """After a change of lights, the weight falls more and recovers sooner."""
     changes = LightChanges()
     changes.history_weight(LIT, False)
     after = [changes.history_weight(MOVED[move], False) for _ in range(MOVED_FRAMES + 1)]
@@ -96,7 +96,7 @@ def test_weight_of_cached_lighting_falls_less_and_longer_while_objects_move(move
 
 
 def test_emissive_captures_count_as_lights_when_lighting_changes_are_detected() -> None:
-    """A moving one changes the lighting, and one that becomes a light is a new light."""
+    """A moving emissive capture changes the lighting, and a capture that becomes emissive is a new light."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False, (0,)) for _ in range(2)] == [1.0] * 2
     assert changes.history_weight(MOVED["a capture that moves"], False, (0,)) == CHANGED_HISTORY_WEIGHT
@@ -104,7 +104,7 @@ def test_emissive_captures_count_as_lights_when_lighting_changes_are_detected() 
 
 
 def test_first_frame_of_a_sequence_gives_cached_lighting_its_full_weight() -> None:
-    """Holds for the first frame of every sequence."""
+    """Every sequence starts with the full weight, also after a reset."""
     changes = LightChanges()
     assert changes.history_weight(LIT, False) == 1.0
     changes.forget()
@@ -112,7 +112,7 @@ def test_first_frame_of_a_sequence_gives_cached_lighting_its_full_weight() -> No
 
 
 def test_headlight_of_a_scene_that_lost_its_lights_counts_as_a_lighting_change() -> None:
-    """A scene that loses its last light gets the headlight as a new light."""
+    """When the last light is removed, the headlight is a new light."""
     changes, dark = LightChanges(), replace(LIT, lights=())
     assert [changes.history_weight(dark, False) for _ in range(2)] == [1.0] * 2
     assert changes.history_weight(dark, True) == OUTDATED_HISTORY_WEIGHT

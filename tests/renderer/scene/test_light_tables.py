@@ -38,26 +38,26 @@ IMAGE = np.random.default_rng(0).random((4, 8, 3), dtype=np.float32)
 
 
 class Rig:
-    """A table, and the buffers that a renderer would have with it."""
+    """A light table, with the buffers that a renderer would have."""
 
     def __init__(self) -> None:
         self.table = LightTable()
         self.buffers = Buffers("cpu")
 
     def sync(self, *lights: Light, camera: Camera = CAMERA) -> np.ndarray:
-        """Table rows of these lights."""
+        """Returns the table rows of the given lights."""
         self.table.sync(Scene(lights=lights), camera, self.buffers)
         return self.table.lights.numpy()
 
 
 @pytest.fixture
 def rig() -> Rig:
-    """An empty table."""
+    """Returns a rig with an empty table."""
     return Rig()
 
 
 def test_light_table_stores_candela_lux_and_radiance_times_colour(rig: Rig) -> None:
-    """Candela, lux and radiance times colour; spheres in candela; angles as versines; normals of rectangles."""
+    """Spheres are stored in candela, angles as versines, and rectangles with their normals."""
     rows = rig.sync(
         LightPoint((1, 2, 3), (1.0, 0.5, 0.0), 8.0, range=7.0, radius=0.25),
         LightSpot((0, 1, 0), (0, -3, 0), intensity=2.0, inner_angle=0.2, outer_angle=1.0, radius=0.1),
@@ -85,7 +85,7 @@ def test_light_table_stores_candela_lux_and_radiance_times_colour(rig: Rig) -> N
 
 
 def test_light_table_lists_enabled_lights_in_scene_order_with_unique_names(rig: Rig) -> None:
-    """Enabled lights in scene order; unnamed ones are named by their index, and names are unique."""
+    """Unnamed lights are named by their index."""
     point = LightPoint((0, 0, 0), intensity=1.0)
     rows = rig.sync(
         point,
@@ -104,7 +104,7 @@ def test_light_table_lists_enabled_lights_in_scene_order_with_unique_names(rig: 
 
 
 def test_light_table_of_a_scene_without_lights_has_a_headlight(rig: Rig) -> None:
-    """It is at the eye, with irradiance pi and no shadow. A scene with only disabled lights has none."""
+    """The headlight is at the eye, with irradiance pi and no shadow. A scene with only disabled lights has none."""
     rows = rig.sync()
     assert (rig.table.count, rig.table.names) == (1, ("headlight",))
     assert rows["kind"][0] == int(LIGHT_HEADLIGHT)
@@ -116,7 +116,7 @@ def test_light_table_of_a_scene_without_lights_has_a_headlight(rig: Rig) -> None
 
 
 def test_light_table_without_environment_has_arrays_of_one_element(rig: Rig) -> None:
-    """Kernels get arrays of one element and a flag."""
+    """A flag tells kernels that there is no environment."""
     rig.sync(LightPoint((0, 0, 0)))
     data = rig.table.environment
     assert not data.exists
@@ -124,7 +124,7 @@ def test_light_table_without_environment_has_arrays_of_one_element(rig: Rig) -> 
 
 
 def test_light_table_stores_image_factor_rotation_and_visibility_of_the_environment(rig: Rig) -> None:
-    """Image, factor, rotation and visibility."""
+    """The rotation is stored as a matrix from environment to world space."""
     rig.sync(LightEnvironment(IMAGE, (1.0, 0.5, 0.25), 2.0, (0.0, 1.0, 0.0, 0.0), visible=False))
     data = rig.table.environment
     assert (data.exists, data.visible, data.width, data.height) == (1, 0, 8, 4)
@@ -140,7 +140,7 @@ def test_light_table_stores_image_factor_rotation_and_visibility_of_the_environm
 
 
 def test_environment_image_is_uploaded_to_the_light_table_once(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same object is not uploaded again, whatever else changes, also after it was disabled."""
+    """The same image object is not uploaded again, whatever else changes, also after the light was disabled."""
     uploads = []
     monkeypatch.setattr(render_lights, "environment_cdfs", lambda i: uploads.append(i) or environment_cdfs(i))
     environment = LightEnvironment(IMAGE)
@@ -161,7 +161,7 @@ def test_environment_image_is_uploaded_to_the_light_table_once(rig: Rig, monkeyp
 
 
 def test_light_table_clamps_large_values_to_finite_float32(rig: Rig) -> None:
-    """Values beyond float32 become the largest finite ones."""
+    """Values beyond float32 become the largest finite ones, but an infinite range stays infinite."""
     rows = rig.sync(
         LightPoint((1e30, 0, 0), intensity=3e38, range=1e300, radius=3e38),
         LightSphere((0, 0, 0), 3e38, intensity=3e38),

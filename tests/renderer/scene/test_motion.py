@@ -33,28 +33,28 @@ SHARES = np.array([[0.2, 0.3], [0.0, 0.0], [1.0, 0.0], [0.4, 0.6]])
 
 
 class Sequence:
-    """A scene on the device, frame after frame."""
+    """Scene on the device, frame after frame."""
 
     def __init__(self) -> None:
         self.scene = DeviceScene(Launcher("cpu", threads=1), Buffers("cpu"), CONFIG)
         self._meshes: list[ls.MeshInstance] = []
 
     def show(self, *instances: ls.SplatInstance | ls.MeshInstance, camera: ls.Camera | None = None) -> None:
-        """Syncs the next frame."""
+        """Uploads the next frame of the scene."""
         splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
         self._meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
         scene = ls.Scene(splats, self._meshes, [LIGHT])
         self.scene.sync(scene, camera or front_camera(), FramePlan.of(CONFIG, scene))
 
     def splats_before(self, number: int, points: Doubles, gaussian: int = 0) -> Doubles:
-        """Previous positions of points that move with a Gaussian of a splat instance."""
+        """Returns the previous positions of points that move with a Gaussian of a splat instance."""
         scene, points_in, out = self.scene, vectors(points), vectors(np.zeros_like(points))
         tables = scene.splat_instances, scene.gaussians, scene.motion.splats, out
         wp.launch(probe_splats, len(points), [number, gaussian, points_in, *tables], device="cpu")
         return out.numpy().astype(np.float64)
 
     def mesh_before(self, number: int, face: int, shares: Doubles = SHARES) -> Doubles:
-        """Previous positions of points of a mesh instance, by their weights in a triangle."""
+        """Returns the previous positions of points of a mesh instance, by their weights in a triangle."""
         instance = self._meshes[number]
         points = points_of(instance, face, shares)
         distinct = {id(other.mesh): other.mesh for other in self._meshes}
@@ -68,17 +68,17 @@ class Sequence:
 
 
 def vectors(values: Doubles) -> wp.array[wp.vec3]:
-    """A vec3 array on the device."""
+    """Returns a vec3 array on the device."""
     return wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu")
 
 
 def moved(transform: Doubles, points: Doubles) -> Doubles:
-    """Points transformed by a matrix, shape (4, 4)."""
+    """Returns the points transformed by a matrix, shape (4, 4)."""
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
 def points_of(instance: ls.MeshInstance, face: int, shares: Doubles = SHARES) -> Doubles:
-    """Points of a triangle, world space."""
+    """Returns points of a triangle in world space."""
     corners = np.asarray(instance.mesh.positions, np.float64)[instance.mesh.indices[face]]
     local = (1.0 - shares.sum(axis=1, keepdims=True)) * corners[0] + shares @ corners[1:]
     return moved(instance.transform, local)
@@ -90,18 +90,18 @@ def close(found: Doubles, truth: Doubles) -> None:
 
 
 def capture(seed: int = 0, count: int = 20) -> ls.Gaussians:
-    """Gaussians about the origin."""
+    """Returns Gaussians around the origin."""
     return random_gaussians(seed, count=count, center=(0.0, 0.0, 0.0), extent=(0.5, 0.5, 0.5))
 
 
 def points_near(transform: Doubles, count: int = 16) -> Doubles:
-    """Random points about an instance, world space."""
+    """Returns random points around an instance in world space."""
     return moved(transform, np.random.default_rng(5).uniform(-0.5, 0.5, (count, 3)))
 
 
 @pytest.mark.parametrize("move", MOVES)
 def test_points_of_moving_instances_have_their_previous_positions(move: str) -> None:
-    """The previous transform gives a point's previous position; one frame later, it has not moved."""
+    """The previous transform gives the previous position; one frame later, the instance has not moved."""
     gaussians, mesh, now = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES[move]
     sequence = Sequence()
     sequence.show(ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE))
@@ -116,7 +116,7 @@ def test_points_of_moving_instances_have_their_previous_positions(move: str) -> 
 
 
 def test_previous_positions_of_still_instances_are_equal_to_the_bit() -> None:
-    """Holds for every transform, so that history is not resampled."""
+    """For every transform the bits are equal, so that history is not resampled."""
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     sequence = Sequence()
     for _ in range(2):
@@ -144,20 +144,20 @@ def test_previous_positions_on_deforming_gaussians_rotate_and_move_with_them() -
 
 
 def of_gaussian(gaussians: ls.Gaussians, i: int) -> Doubles:
-    """Transform from a Gaussian's frame to object space, shape (4, 4)."""
+    """Returns the transform from a Gaussian's frame to object space, shape (4, 4)."""
     w, x, y, z = np.asarray(gaussians.rotations_wxyz[i], np.float64) / np.linalg.norm(gaussians.rotations_wxyz[i])
     angle = 2.0 * np.arctan2(np.linalg.norm([x, y, z]), w)
     return similarity((x, y, z), angle, offset=tuple(gaussians.means[i]))
 
 
 def bent(mesh: ls.Mesh, seed: int = 4) -> ls.Mesh:
-    """The mesh with randomly moved vertices."""
+    """Returns the mesh with randomly moved vertices."""
     rng = np.random.default_rng(seed)
     return replace(mesh, positions=mesh.positions + rng.normal(0.0, 0.1, mesh.positions.shape))
 
 
 def test_previous_positions_on_deforming_meshes_keep_barycentric_weights() -> None:
-    """Points keep their barycentric weights; other meshes of the scene are unchanged."""
+    """Other meshes of the scene are unchanged."""
     still, mesh = octahedron((0.0, 0.3, 0.0), 0.4), octahedron((0.1, 0.0, 0.0), 0.5)
     now = MOVES["all three"]
     sequence = Sequence()
@@ -169,7 +169,7 @@ def test_previous_positions_on_deforming_meshes_keep_barycentric_weights() -> No
 
 
 def test_mesh_without_a_matching_previous_mesh_has_no_previous_positions() -> None:
-    """A mesh without a matching predecessor has no previous position, even if all meshes have equal counts."""
+    """The law holds even if all meshes have equal numbers of vertices."""
     mesh, other, last = (octahedron((x, 0.0, 0.0), 0.4) for x in (0.0, 0.5, 1.0))
     both = bent(other)
     sequence = Sequence()
@@ -182,7 +182,7 @@ def test_mesh_without_a_matching_previous_mesh_has_no_previous_positions() -> No
 
 
 def test_new_and_replaced_instances_have_no_previous_positions() -> None:
-    """Holds for all of the first frame, and later for new instances and for replacements."""
+    """In the first frame of a sequence, no instance has previous positions."""
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     old = ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE)
     points = points_near(HERE)
@@ -202,7 +202,7 @@ def test_new_and_replaced_instances_have_no_previous_positions() -> None:
 
 
 def test_instances_of_one_asset_are_matched_in_order_between_frames() -> None:
-    """Two that swap positions count as moved; removing an earlier instance changes nothing."""
+    """Two instances that swap positions count as moved; removing an earlier instance changes nothing."""
     gaussians, mesh, there = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES["all three"]
     sequence = Sequence()
     sequence.show(ls.SplatInstance(gaussians, HERE), ls.SplatInstance(gaussians, there))
@@ -218,7 +218,7 @@ def test_instances_of_one_asset_are_matched_in_order_between_frames() -> None:
 
 
 def test_previous_pixels_are_projected_by_the_previous_camera() -> None:
-    """Pixel and distance equal the previous camera's projection; points behind it have none."""
+    """Pixel and distance equal the previous camera's projection; points behind that camera have no previous pixel."""
     before = ls.Camera.look_at(
         (0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9, near=0.02
     )

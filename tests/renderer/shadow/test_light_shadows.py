@@ -25,7 +25,7 @@ from support.scenes.raster_scenes import flat_sh, joined, one_gaussian, rotation
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("shape", ["square", "sliver", "tilted"])
 def test_plane_does_not_shadow_itself_for_any_light_angle(shape: str, axis: int, pipeline: ls.Pipeline) -> None:
-    """Light from any angle arrives everywhere, for all orientations and triangle shapes of the plane."""
+    """All light arrives, for all orientations and triangle shapes of the plane."""
     long, wide = (9.0, 0.02) if shape == "sliver" else (5.5, 4.5)
     transform = rotation((1.0, 1.0, 1.0), axis * 2.0 * np.pi / 3.0)
     if shape == "tilted":
@@ -69,9 +69,9 @@ def test_hard_shadow_of_a_sphere_has_the_exact_radius(pipeline: ls.Pipeline, hei
 
 
 def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray, radius: float) -> np.ndarray:
-    """Returns the unoccluded fraction of a sphere light behind a sphere, for floor points, shape (N,), in float64.
+    """Returns the unoccluded fraction of a sphere light behind a sphere, for N floor points, shape (N,), in float64.
 
-    It integrates over the cone of directions to the light, weighted by the cosine with the floor's normal.
+    Integrates over the cone of directions to the light, weighted by the cosine with the floor's normal.
     """
     steps = 160
     shares = []
@@ -107,7 +107,7 @@ def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray
     ],
 )
 def test_penumbra_of_a_sphere_light_matches_the_float64_integral(pipeline: ls.Pipeline) -> None:
-    """The umbra has no light, the outside has all of it, and the penumbra follows the integral."""
+    """The umbra has no light, and the outside has all of it."""
     radius, center, light_radius, height = 0.3, 0.5, 0.15, 2.0
     light = ls.LightSphere((0.0, height, 0.0), light_radius, intensity=50.0)
     ball = ball_at((0.0, center, 0.0), radius, matte(0.5), rows=96)
@@ -137,7 +137,7 @@ def test_penumbra_of_a_sphere_light_matches_the_float64_integral(pipeline: ls.Pi
 
 @PIPELINES
 def test_penumbra_of_a_sun_behind_a_straight_edge_matches_the_closed_form(pipeline: ls.Pipeline) -> None:
-    """Behind a straight edge, the visible fraction of the sun's disc follows the distance from the edge."""
+    """The visible fraction of the sun's disc follows the distance from the edge."""
     angle, height = 0.1, 0.8
     light = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, angle=angle)
     lid = parallelogram((-9.0, height, 9.0), (9.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5))
@@ -166,7 +166,7 @@ def test_penumbra_of_a_sun_behind_a_straight_edge_matches_the_closed_form(pipeli
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.SOFT], ids=lambda shadows: shadows.value)
 def test_object_blocks_a_light_only_if_it_is_before_the_light(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
-    """A lid right below a light darkens the floor; one right above it changes nothing."""
+    """A lid right below a light darkens the floor; a lid right above the light changes nothing."""
     lights = [
         ls.LightSphere((0.0, 2.0, 0.0), 0.3, intensity=5.0),
         ls.LightPoint((0.5, 2.0, 0.3), radius=0.2),
@@ -185,7 +185,7 @@ def test_object_blocks_a_light_only_if_it_is_before_the_light(shadows: ls.Shadow
 
 @PIPELINES
 def test_glass_slab_transmits_shadow_rays_by_fresnels_equations(pipeline: ls.Pipeline) -> None:
-    """Both faces of a slab transmit the fraction of Fresnel's equations at that angle."""
+    """Both faces of the slab transmit the fraction of Fresnel's equations at the ray's angle."""
     slab = box((8.0, 0.1, 8.0), replace(clear_glass(1.5), base_color=(0.9, 0.8, 0.5)))
     slab = replace(slab, positions=slab.positions + np.array([0.0, 1.2, 0.0], np.float32))
     light = ls.LightPoint((0.3, 2.0, 0.0), intensity=5.0)
@@ -248,7 +248,7 @@ def test_shadow_distance_limits_which_objects_cast_shadows(pipeline: ls.Pipeline
 
 
 def alphas(gaussians: ls.Gaussians, points: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Returns each Gaussian's alpha between points and a light, min(0.99, opacity exp(-d^2 / 2)), shape (N, ...)."""
+    """Returns each Gaussian's alpha between points and a light, min(0.99, opacity exp(-d^2 / 2)), as one row."""
     result = []
     axes = rotation_from_quaternion(gaussians.rotations_wxyz.astype(np.float64))
     for mean, frame, scales, opacity in zip(gaussians.means, axes, gaussians.scales, gaussians.opacities, strict=True):
@@ -271,7 +271,7 @@ STACK_LIGHT = ls.LightPoint((0.1, 2.2, -0.1), color=(1.0, 0.9, 0.8), intensity=5
 def test_shadow_of_gaussians_is_the_product_of_their_transmittances(
     pipeline: ls.Pipeline, method: ls.config.ShadowMethod
 ) -> None:
-    """The product of 1 - alpha is exact, also for up to eight nearest hits, and stochastic shadows average to it."""
+    """The product of 1 - alpha is exact, also for up to eight nearest hits; stochastic shadows have its mean."""
     samples = 64 if method is ls.config.ShadowMethod.STOCHASTIC else 1
     settings = {"samples": samples, "shadow_rays": ls.ShadowConfig(method=method), "jitter": False}
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
@@ -313,7 +313,7 @@ def test_noise_of_stochastic_shadows_is_uncorrelated_between_pixels(pipeline: ls
 
 
 def arriving_share(frame: ls.Frame) -> np.ndarray:
-    """Returns the unshadowed fraction of the first light's red, (H, W); 0 where it would not arrive anyway."""
+    """Returns the unshadowed fraction of the first light's red, shape (H, W); 0 where no light could arrive."""
     assert frame.light_direct is not None
     assert frame.light_shadow is not None
     return np.where(frame.light_direct[0] > 0.0, frame.light_shadow[0], 0.0)[..., 0]
@@ -321,7 +321,7 @@ def arriving_share(frame: ls.Frame) -> np.ndarray:
 
 @PIPELINES
 def test_transmittance_threshold_darkens_and_rescales_shadows(pipeline: ls.Pipeline) -> None:
-    """The threshold of docs/method/shadows.md maps T to (T - threshold) / (1 - threshold), at least 0."""
+    """Transmittance T becomes (T - threshold) / (1 - threshold), at least 0, as docs/method/shadows.md says."""
     shadow = ls.ShadowConfig(transmittance_threshold=0.3)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), shadow_rays=shadow)
@@ -365,7 +365,7 @@ def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
 
 @PIPELINES
 def test_shadow_catcher_is_darkened_by_the_blocked_fraction_of_its_light(pipeline: ls.Pipeline) -> None:
-    """Without ambient light, a shadow of the only light is black, and of one of two leaves the other's fraction."""
+    """Without ambient light, the shadow of the only light is black; with two lights, the other light remains."""
     capture = sheet(shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
     lid = parallelogram((-0.4, 0.7, 0.4), (0.8, 0.0, 0.0), (0.0, 0.0, -0.8), matte(0.5))
     lid = replace(lid, indices=lid.indices[:, ::-1])  # blocks light from either side
@@ -406,7 +406,7 @@ def test_shadow_catcher_is_darkened_by_the_blocked_fraction_of_its_light(pipelin
 @PIPELINES
 @pytest.mark.parametrize("aovs", [(), ("lights",)], ids=["", "lights"])
 def test_shadow_catchers_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: tuple[str, ...]) -> None:
-    """Alone in the scene, they stay as captured, to the bit, and all light arrives."""
+    """Without other objects, catchers stay as captured, to the bit, and all light arrives."""
     over = ls.SplatInstance(stack(), shadow_catcher=True)
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
     frame = lit(ls.Scene([sheet(shadow_catcher=True), over], (), [light]), STACK_CAMERA, pipeline, aovs=aovs)
@@ -424,7 +424,7 @@ def test_shadow_catchers_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: 
 
 @PIPELINES
 def test_gaussians_cast_shadows_on_shadow_catchers_by_their_transmittance(pipeline: ls.Pipeline) -> None:
-    """Behind Gaussians alone, the light is multiplied by their exact transmittance."""
+    """The light is multiplied by the exact transmittance of the Gaussians."""
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
     shares = []
     for shadow_catcher in (False, True):
@@ -444,7 +444,7 @@ def test_gaussians_cast_shadows_on_shadow_catchers_by_their_transmittance(pipeli
 
 @PIPELINES
 def test_albedo_of_a_relit_capture_defaults_to_its_captured_colour(pipeline: ls.Pipeline) -> None:
-    """A matte sheet under a sun reflects decoded colour over pi times lux times cosine."""
+    """A matte sheet under a sun reflects decoded colour / pi times lux times cosine."""
     capture = sheet(material=matte(1.0))
     bare = replace(
         capture.gaussians, albedo=None, roughness=None, metallic=None, sh=flat_sh(np.tile([0.7, 0.5, 0.2], (1500, 1)))

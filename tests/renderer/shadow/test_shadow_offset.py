@@ -22,7 +22,7 @@ OVERHEAD = ls.LightDirectional((0.1, -1.0, 0.05), intensity=3.0)
 def test_smaller_of_two_gaussians_determines_the_shadow_offset_between_them(
     schedule: str, method: ls.config.ShadowMethod
 ) -> None:
-    """A Gaussian blocks beyond the smaller of its own and the surface's offset, in scales and in world units."""
+    """A Gaussian blocks beyond the smaller of the offsets of either Gaussian, in scales and in world units."""
     rig = ShadowRig(schedule)
     for scale, placed, t_min, absolute, arrives in (
         (0.2, 1.0, 9.0, 0.0, 0.5),  # 4 * 0.2 < 1: beyond its own offset, however wide the surface's Gaussian is
@@ -39,7 +39,7 @@ def test_smaller_of_two_gaussians_determines_the_shadow_offset_between_them(
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_gaussian_between_a_wide_gaussian_and_a_near_light_casts_a_shadow(schedule: str) -> None:
-    """A small Gaussian between a wide one and a light blocks the light."""
+    """The small Gaussian is nearer than the offset of the wide one."""
     scene = ls.Scene([one_gaussian((0.0, 0.0, 0.5), 0.05, 0.5)])
     light = ShadowRig(schedule).light(scene, np.zeros((2, 3)), AHEAD, t_min=3.0, t_max=[1.0, 0.4])
     np.testing.assert_allclose(light[:, 0], [0.5, 1.0], atol=1e-5)
@@ -76,7 +76,7 @@ def ball_of_discs(center: tuple[float, float, float], radius: float, count: int 
 
 
 def floor_light(splats: list[ls.Gaussians], pipeline: ls.Pipeline) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the unshadowed fraction of light on the floor, (N,), and the points there, (N, 3)."""
+    """Returns the unshadowed fraction of light at N pixels of the floor, (N,), and the positions, (N, 3)."""
     camera = ls.Camera.look_at((0.0, 0.5, 2.5), (0.0, 0.0, 0.0), width=96, height=64, fov_y=0.35)
     scene = ls.Scene([ls.SplatInstance(one, material=ls.MaterialPbr()) for one in splats], lights=[OVERHEAD])
     frame = lit(scene, camera, pipeline, aovs=("lights",))
@@ -87,7 +87,7 @@ def floor_light(splats: list[ls.Gaussians], pipeline: ls.Pipeline) -> tuple[np.n
 
 @PIPELINES
 def test_objects_close_above_wide_splats_cast_shadows_on_them(pipeline: ls.Pipeline) -> None:
-    """A ball 0.05 to 0.45 above discs of scale 0.2 is within four of their scales, and shadows them."""
+    """A ball is 0.05 to 0.45 above discs of scale 0.2, that is, within four scales."""
     ball = ball_of_discs((0.0, 0.25, -0.1), 0.2)
     share, points = floor_light([floor_of_discs(0.2, 0.01, 0.005, 0.02), ball], pipeline)
     below = points - 0.25 / OVERHEAD.direction[1] * np.array(OVERHEAD.direction)

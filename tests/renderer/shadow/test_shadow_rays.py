@@ -41,7 +41,7 @@ def stack(*opacities: float, color: tuple[float, float, float] = (0.9, 0.5, 0.1)
 
 
 def glass(**changes: Any) -> ls.MaterialPbr:
-    """Returns white glass without reflection; ``changes`` replace fields."""
+    """Returns white glass without reflection; ``changes`` replace fields of the material."""
     clear = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, specular=0.0)
     return replace(clear, **changes)
 
@@ -83,14 +83,14 @@ def assert_matches_reference(
 
 
 def test_transmittance_of_a_shadow_ray_is_the_product_over_its_gaussians(rig: ShadowRig) -> None:
-    """The light is the product over Gaussians before it; none before the first, none behind the light."""
+    """Only Gaussians between the point and the light count."""
     t_max = np.array([2.9, 3.1, 4.1, 5.1, 1e9, np.inf])
     light = rig.light(ls.Scene([stack(0.5, 0.8, 0.3)]), np.zeros((6, 3)), AHEAD, t_max=t_max)
     np.testing.assert_allclose(light, np.outer([1.0, 0.5, 0.1, 0.07, 0.07, 0.07], np.ones(3)), rtol=1e-5)
 
 
 def test_shadow_ray_skips_gaussians_whose_peak_is_before_t_min(rig: ShadowRig) -> None:
-    """Gaussians that peak before ``t_min`` do not block; a ray that ends there hits none."""
+    """A ray that ends before ``t_min`` hits no Gaussian."""
     t_min = np.array([0.0, 3.1, 4.1, 9.0, 3.1])
     t_max = np.array([np.inf, np.inf, np.inf, np.inf, 2.0])
     scene = ls.Scene([stack(0.5, 0.8)])
@@ -100,7 +100,7 @@ def test_shadow_ray_skips_gaussians_whose_peak_is_before_t_min(rig: ShadowRig) -
 
 @pytest.mark.parametrize("degree", [0, 2, 4])
 def test_transmittance_of_shadow_rays_matches_the_float64_reference(rig: ShadowRig, degree: int) -> None:
-    """Anisotropic Gaussians of several degrees and placements, for coherent and single rays."""
+    """Anisotropic Gaussians of several degrees and transforms are hit by coherent and by single rays."""
     placed = placed_scene()
     scene = ls.Scene([*placed.splats, replace(random_gaussians(7, 60), kernel_degree=degree)])
     assert_matches_reference(rig, scene, seed=10 + degree)
@@ -110,7 +110,7 @@ def test_transmittance_of_shadow_rays_matches_the_float64_reference(rig: ShadowR
 def test_shadow_rays_use_the_extent_and_response_settings_of_camera_rays(
     rig: ShadowRig, response: dict[str, Any]
 ) -> None:
-    """The extent and response of Gaussians are the same as for camera rays."""
+    """The extent and response of Gaussians are those of camera rays."""
     assert_matches_reference(
         rig, placed_scene(), ls.RenderConfig(response=ls.config.ResponseConfig(**response)), seed=20
     )
@@ -122,7 +122,7 @@ def test_transmittance_of_shadow_rays_does_not_depend_on_hit_distance(rig: Shado
 
 
 def test_tracer_and_rasteriser_settings_do_not_affect_shadow_rays(rig: ShadowRig) -> None:
-    """Neither do those of the rasteriser: bits are equal, for all Gaussians and for the first hits."""
+    """The bits are equal, for all Gaussians and for the first hits."""
     trace = ls.TraceConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
     others = ls.RenderConfig(trace=trace, raster=ls.RasterConfig(transmittance_min=0.5))
     shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}]
@@ -132,7 +132,7 @@ def test_tracer_and_rasteriser_settings_do_not_affect_shadow_rays(rig: ShadowRig
 
 
 def test_transmittance_of_shadow_rays_does_not_depend_on_gaussian_order(rig: ShadowRig) -> None:
-    """Light and tint do not depend on the order of Gaussians or on their split into instances."""
+    """Transmittance and tint do not depend on how Gaussians are split into instances, either."""
     whole = random_gaussians(30, 300)
     shuffled = whole.subset(np.random.default_rng(1).permutation(300))
     parts = [whole.subset(np.arange(start, 300, 3)) for start in range(3)]
@@ -146,7 +146,7 @@ def test_transmittance_of_shadow_rays_does_not_depend_on_gaussian_order(rig: Sha
 
 
 def test_shadow_rays_below_the_minimum_transmittance_are_black(rig: ShadowRig) -> None:
-    """Above ``transmittance_min``, the product is exact; at it and below, it is 0. With 0, there is no limit."""
+    """Above ``transmittance_min``, the product is exact; a minimum of 0 means no limit."""
     scene = ls.Scene([stack(0.95, 0.95, 0.95)])
     for least, expected in ((1e-4, 0.05**3), (1.2e-4, 0.05**3), (1.3e-4, 0.0), (0.0, 0.05**3)):
         light = rig.light(scene, ORIGIN, AHEAD, transmittance_min=least)[0]
@@ -154,7 +154,7 @@ def test_shadow_rays_below_the_minimum_transmittance_are_black(rig: ShadowRig) -
 
 
 def test_shadow_rays_do_not_depend_on_thread_count() -> None:
-    """Results have the same bits with 1 and 3 threads."""
+    """The bits are equal with 1 and 3 threads."""
     origins, along = rays_around(40)
     scene = placed_scene()
     shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}, {"method": STOCHASTIC}]
@@ -180,7 +180,7 @@ def test_transmittance_threshold_rescales_the_light_of_shadow_rays_above_it(rig:
 
 @pytest.mark.parametrize("strength", [0.0, 0.5, 1.0, 5.0])
 def test_tint_of_a_shadow_ray_by_one_gaussian_matches_the_closed_form(rig: ShadowRig, strength: float) -> None:
-    """The tint is the Gaussian's linear colour over its largest channel, as far as the shadow is dark."""
+    """The tint is the Gaussian's linear colour over its largest channel, weighted by the darkness of the shadow."""
     color = (0.8, 0.4, 0.2)
     light = rig.light(ls.Scene([stack(0.6, color=color)]), ORIGIN, AHEAD, color_strength=strength)[0]
     tint = decode_srgb(np.array(color)) / decode_srgb(0.8)
@@ -188,7 +188,7 @@ def test_tint_of_a_shadow_ray_by_one_gaussian_matches_the_closed_form(rig: Shado
 
 
 def test_tint_of_a_shadow_ray_is_the_mean_gaussian_colour_weighted_by_alpha(rig: ShadowRig) -> None:
-    """Two Gaussians of different colours and opacities, in either order; black ones do not tint."""
+    """Two Gaussians have different colours and opacities, in either order; black Gaussians do not tint."""
     red, green = (stack(opacity, color=c) for opacity, c in ((0.6, (1.0, 0.0, 0.0)), (0.3, (0.0, 1.0, 0.0))))
     away = similarity(offset=(0.0, 0.0, 1.0))
     for splats in ([red, ls.SplatInstance(green, away)], [green, ls.SplatInstance(red, away)]):
@@ -210,7 +210,7 @@ def test_tint_and_threshold_of_shadow_rays_match_the_float64_reference(rig: Shad
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_first_hits_shadow_rays_are_blocked_by_the_nearest_four_gaussians(rig: ShadowRig, reverse: bool) -> None:
-    """Product and tint are those of the nearest four, in any storage order; further Gaussians do not block."""
+    """Product and tint are those of the nearest four in any storage order; further Gaussians do not block."""
     six = stack(0.1, 0.2, 0.3, 0.4, 0.9, 0.9)
     scene = ls.Scene([six.subset(np.arange(5, -1, -1)) if reverse else six])
     light = rig.light(scene, ORIGIN, AHEAD, method=FIRST, hits=4)[0]
@@ -222,7 +222,7 @@ def test_first_hits_shadow_rays_are_blocked_by_the_nearest_four_gaussians(rig: S
 
 
 def test_first_hits_at_equal_distance_are_ordered_by_gaussian_index(rig: ShadowRig) -> None:
-    """Coincident copies are ordered by their index in the scene."""
+    """The Gaussians are coincident copies."""
     same = copies(12, 60)
     aim = normalized(np.array([0.1, -0.2, 4.0]))
     light = rig.light(ls.Scene([same]), ORIGIN, aim, method=FIRST, hits=8)[0]
@@ -249,7 +249,7 @@ def test_first_hits_shadows_are_never_darker_than_exact_shadows(rig: ShadowRig) 
 
 
 def test_triangle_between_point_and_light_blocks_shadow_rays_from_both_sides(rig: ShadowRig) -> None:
-    """A triangle between point and light blocks from either side; behind the light, it does not."""
+    """A triangle behind the light does not block it."""
     scene = ls.Scene([stack(0.5)], [quad(4.0)])
     t_max = [2.0, 3.5, 4.5, np.inf]
     np.testing.assert_allclose(
@@ -260,7 +260,7 @@ def test_triangle_between_point_and_light_blocks_shadow_rays_from_both_sides(rig
 
 
 def test_shadow_offset_of_gaussians_does_not_apply_to_meshes(rig: ShadowRig) -> None:
-    """The offset applies to Gaussians only: a wall nearer than the offset blocks, even if the light is nearer, too."""
+    """A wall nearer than the offset blocks light, even if the light is nearer than the offset, too."""
     scene = ls.Scene([stack(0.5)], [quad(1.0)])
     light = rig.light(scene, np.zeros((3, 3)), AHEAD, t_min=[2.0, 2.0, 0.0], t_max=[np.inf, 1.5, 0.9])
     np.testing.assert_array_equal(light[:, 0], [0.0, 0.0, 1.0])
@@ -284,7 +284,7 @@ def test_smooth_glass_transmits_and_tints_shadow_rays(rig: ShadowRig) -> None:
 
 
 def test_both_faces_of_a_pane_reflect_equally_for_shadow_rays(rig: ShadowRig) -> None:
-    """Light passes straight, so both faces use the Fresnel term of air to glass; a slab transmits its square."""
+    """Light passes straight: both faces use Fresnel's reflectance of air to glass, and a slab transmits the square."""
     material = glass(specular=1.0)
     slanted = normalized(np.array([0.9, 0.1, 0.3]))
     cosine = float(slanted[2])
@@ -299,7 +299,7 @@ def test_both_faces_of_a_pane_reflect_equally_for_shadow_rays(rig: ShadowRig) ->
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 2, 0]])
 def test_transmittances_of_coloured_panes_multiply_in_any_order(rig: ShadowRig, order: list[int]) -> None:
-    """Coloured panes are separate instances or one mesh; a wall among them blocks all light."""
+    """Coloured panes are separate instances or one mesh; a wall among the panes blocks all light."""
     colors = ((0.5, 1.0, 0.8), (0.9, 0.2, 0.5), (0.7, 0.6, 0.5))
     panes = [quad(2.0 + i, material=glass(base_color=colors[i])) for i in order]
     light = rig.light(ls.Scene([], panes), [0.3, 0.1, 0.0], AHEAD)[0]
@@ -317,7 +317,7 @@ def test_transmittances_of_coloured_panes_multiply_in_any_order(rig: ShadowRig, 
 
 
 def test_shadow_rays_through_edges_and_corners_of_a_pane_hit_one_triangle(rig: ShadowRig) -> None:
-    """Rays exactly through edges and vertices of a pane hit one triangle, for any winding."""
+    """The law holds for any winding order."""
     x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
     points = np.stack([x.ravel(), y.ravel(), np.full(25, 3.0)], axis=-1)
     corner = (np.arange(4)[:, None] * 5 + np.arange(4)).reshape(-1, 1)
@@ -332,7 +332,7 @@ def test_shadow_rays_through_edges_and_corners_of_a_pane_hit_one_triangle(rig: S
 
 
 def test_shadow_rays_cross_a_closed_glass_sphere_an_even_number_of_times(rig: ShadowRig) -> None:
-    """Rays are aimed at vertices, edges and faces of a sphere: each enters and leaves."""
+    """Rays are aimed at vertices, edges and faces of the sphere; each enters and leaves."""
     sphere = icosphere(1.0, subdivisions=2)
     ball = ls.Mesh(sphere.positions, sphere.indices, material=glass(base_color=(0.5, 0.5, 0.5)))
     rng = np.random.default_rng(70)
@@ -370,7 +370,7 @@ def test_shadow_rays_marked_as_opaque_are_blocked_by_glass(rig: ShadowRig) -> No
 
 
 def test_shadow_rays_that_skip_shadow_catchers_hit_all_other_objects(rig: ShadowRig) -> None:
-    """Only marked rays skip them, not the others of the packet; all rays intersect the rest of the scene."""
+    """Other rays of the packet hit the catchers, too."""
     scene = ls.Scene(
         [
             ls.SplatInstance(stack(0.5), shadow_catcher=True),
@@ -388,7 +388,7 @@ def test_shadow_rays_that_skip_shadow_catchers_hit_all_other_objects(rig: Shadow
 
 
 def test_degenerate_shadow_rays_give_no_nan_and_do_not_affect_other_rays(rig: ShadowRig) -> None:
-    """Inactive rays, lights at the point itself and NaN rays give no NaN and do not affect other rays."""
+    """Degenerate rays are inactive, NaN, or have the light at their origin."""
     scene = ls.Scene([stack(0.5)], [quad(5.0, material=glass())])
     t_max = np.tile([4.0, -np.inf, 0.0, -1.0, np.inf, np.nan, 4.0, np.inf], 4)
     origins = np.zeros((32, 3))
@@ -410,7 +410,7 @@ def test_degenerate_shadow_rays_give_no_nan_and_do_not_affect_other_rays(rig: Sh
 
 
 def chances(rig: ShadowRig, scene: ls.Scene, rays: Any, samples: int, **options: Any) -> np.ndarray:
-    """Returns the fraction of samples in which light arrives, (N,); each sample is 0 or 1."""
+    """Returns the fraction of samples in which light arrives, one value per ray; each sample is 0 or 1."""
     total = np.zeros(len(rays[0]))
     for sample in range(samples):
         light = rig.light(scene, *rays, sample=sample, method=STOCHASTIC, **options)
@@ -489,7 +489,7 @@ def test_acceptance_scale_raises_the_blocking_probability_of_each_gaussian(rig: 
 def test_stochastic_shadow_draws_of_coincident_gaussians_are_independent(
     rig: ShadowRig, shared: bool, other: str, samples: int
 ) -> None:
-    """Two coincident Gaussians of alpha 0.5 together transmit a quarter of the light, not half."""
+    """The two Gaussians of alpha 0.5 transmit a quarter of the light, not half."""
     pane = stack(0.5)
     scene = ls.Scene([pane, pane if other == "same set twice" else stack(0.5)])
     sigma = math.sqrt(0.25 * 0.75 / samples)
@@ -506,7 +506,7 @@ def test_stochastic_shadow_samples_of_a_gaussian_are_stratified(rig: ShadowRig, 
 
 
 def test_stochastic_shadows_differ_by_seed_and_by_sample(rig: ShadowRig) -> None:
-    """Equal seeds and samples give equal shadows; others differ."""
+    """Equal seeds and sample indices give equal shadows."""
     scene, rays = ls.Scene([random_gaussians(82, 200)]), rays_around(83)
 
     def shadows(seed: int, sample: int) -> np.ndarray:
@@ -531,7 +531,7 @@ def test_cpu_and_cuda_schedules_draw_the_same_stochastic_shadows() -> None:
 def test_shrunk_bvhs_give_shadow_rays_the_same_hits_as_full_bvhs(
     rig: ShadowRig, degree: int, response: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every ray has the same hits as with the full BVHs, for any kernel and number of instances."""
+    """The hits are equal for any kernel degree and number of instances."""
     config = ls.RenderConfig(response=ls.config.ResponseConfig(**response))
     asset = replace(random_gaussians(85, 150, center=(0, 0, 0), scale_range=(0.01, 0.4)), kernel_degree=degree)
     poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.5 + 0.3 * i, (0.2 * i, -0.1 * i, 4.0)) for i in range(3)]
@@ -548,7 +548,7 @@ def test_shrunk_bvhs_give_shadow_rays_the_same_hits_as_full_bvhs(
 
 
 def test_shrunk_bvhs_are_updated_when_instances_are_added_moved_or_removed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Instances are added, beyond the shrinking limit, too, removed and moved, and sets are replaced."""
+    """Instances are added, beyond the limit of instances for shrinking, too, removed and moved; sets are replaced."""
     one, other = (random_gaussians(seed, 100, center=(0.0, 0.0, 0.0)) for seed in (91, 92))
     poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.3, (0.2 * i - 1.0, 0.1 * i, 4.0)) for i in range(12)]
     scenes = [
@@ -571,7 +571,7 @@ def test_shrunk_bvhs_are_updated_when_instances_are_added_moved_or_removed(monke
 
 
 def test_shadow_threshold_and_tint_do_not_change_stochastic_shadows(rig: ShadowRig) -> None:
-    """Both formulas leave 0 and 1 unchanged."""
+    """The formulas of threshold and tint leave a transmittance of 0 or 1 unchanged."""
     scene, rays = ls.Scene([random_gaussians(88, 200)]), rays_around(89)
     plain = rig.light(scene, *rays, method=STOCHASTIC)
     other = rig.light(scene, *rays, method=STOCHASTIC, transmittance_threshold=0.8, color_strength=3.0)
@@ -580,7 +580,7 @@ def test_shadow_threshold_and_tint_do_not_change_stochastic_shadows(rig: ShadowR
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_resumed_frames_draw_new_stochastic_shadows_for_each_sample(pipeline: ls.Pipeline) -> None:
-    """Two samples plus two more equal four, as each sample draws its own shadows."""
+    """Two samples plus two more equal four samples."""
     floor = ls.SplatInstance(
         joined(*(one_gaussian((x, 0.6, z), (0.3, 0.05, 0.3), 0.95) for x in (-0.4, 0.0, 0.4) for z in (3.6, 4.0, 4.4))),
         material=ls.MaterialSimple(diffuse=(1.0, 1.0, 1.0)),
@@ -597,7 +597,7 @@ def test_resumed_frames_draw_new_stochastic_shadows_for_each_sample(pipeline: ls
 
 
 def test_stochastic_shadows_of_a_capture_converge_to_exact_shadows(data_dir: Path) -> None:
-    """64 samples of the biker's shadows on itself and around reach 35 dB over the image."""
+    """64 samples of the biker's shadows on itself and around have a PSNR of 35 dB over the image."""
     scene = ls.Scene([load_gaussians(data_dir / "splats" / "biker.compressed.ply")])
     camera = ls.Camera.look_at((0.9, -2.2, -3.6), (-0.1, -1.6, 0.0), (0, -1, 0), width=96, height=56, fov_y=0.85)
     directions = (camera.ray_directions() @ camera.camera_from_world[:3, :3]).reshape(-1, 3)

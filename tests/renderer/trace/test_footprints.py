@@ -12,13 +12,13 @@ from support.scenes.raster_scenes import front_camera, one_gaussian, quad, rando
 from support.scenes.trace_scenes import MIRROR
 
 SMALL = 1e-3
-"""Scale of a Gaussian a tenth of a pixel wide."""
+"""Scale of a Gaussian that is a tenth of a pixel wide."""
 MEAN = (0.31, -0.18, 2.0)
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
 
 def traced(scene: ls.Scene, camera: ls.Camera, **changes: object) -> ls.Frame:
-    """A traced frame; ``changes`` are fields of ``TraceConfig``."""
+    """Renders a traced frame; ``changes`` are fields of ``TraceConfig``."""
     trace = replace(ls.TraceConfig(), **changes)
     return ls.render(
         scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=trace), device="cpu"
@@ -26,7 +26,7 @@ def traced(scene: ls.Scene, camera: ls.Camera, **changes: object) -> ls.Frame:
 
 
 def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.ndarray:
-    """Alpha of a ball around MEAN in each pixel, whose solid angle is ``area`` times that on the axis."""
+    """Returns a ball's alpha in each pixel, whose solid angle is ``area`` times that of a pixel on the axis."""
     directions = camera.ray_directions()
     along = directions @ np.array(MEAN)
     off2 = np.dot(MEAN, MEAN) - along**2
@@ -38,7 +38,7 @@ def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.n
 @pytest.mark.parametrize("dilation", [0.3, 2.0])
 @pytest.mark.parametrize("placed", [False, True])
 def test_pinhole_footprint_of_a_gaussian_is_the_solid_angle_of_a_pixel(dilation: float, placed: bool) -> None:
-    """The width follows the solid angle at the mean's distance, whatever the instance's scale."""
+    """The Gaussian is widened by the solid angle at its mean's distance, whatever the scale of the instance."""
     camera = front_camera(96, 64, 100.0)
     instance = ls.SplatInstance(one_gaussian(MEAN, SMALL, 0.8))
     if placed:
@@ -51,7 +51,7 @@ def test_pinhole_footprint_of_a_gaussian_is_the_solid_angle_of_a_pixel(dilation:
 
 
 def test_fisheye_footprint_of_a_gaussian_is_the_solid_angle_of_a_pixel() -> None:
-    """The solid angle shrinks off the axis."""
+    """The solid angle of a fisheye pixel shrinks off the axis."""
     camera = front_camera(96, 64, 30.0, model=FISHEYE)
     angle = np.arccos(camera.ray_directions()[..., 2])
     frame = traced(ls.Scene([one_gaussian(MEAN, SMALL, 0.8)]), camera)
@@ -111,7 +111,7 @@ def test_ray_queries_do_not_widen_gaussians_by_a_footprint() -> None:
 
 
 def test_shadow_rays_do_not_widen_gaussians_by_a_footprint() -> None:
-    """A Gaussian a tenth of a pixel wide darkens an equal area of the floor with wide dilation and with none."""
+    """A Gaussian a tenth of a pixel wide casts equal shadows with wide dilation and with none."""
     lights = [ls.LightDirectional(direction=(0.0, 0.0, 1.0), intensity=3.0)]
     above = random_gaussians(65, 300, center=(0.0, 0.0, 2.0), extent=(1.0, 1.0, 0.5), scale_range=(0.002, 0.01))
     below = np.eye(4)
@@ -133,7 +133,7 @@ def test_shadow_rays_do_not_widen_gaussians_by_a_footprint() -> None:
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
 def test_traced_depth_of_a_disc_does_not_depend_on_the_footprint(pipeline: ls.Pipeline) -> None:
-    """A thin tilted disc has its plane's depth, however far pixels widen it."""
+    """A thin tilted disc has the depth of its plane, however far pixels widen it."""
     tilt = 0.6
     disc = one_gaussian(
         (0.0, 0.0, 3.0), (0.8, 0.8, 1e-4), 0.95, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Relit sets among emissive captures: each Gaussian in its set's order, compared with brute force."""
+"""Relit sets among emissive captures: hits in each set's order, compared with brute force."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MEAN, PEAK = ls.config.HitDistance.MEAN, ls.config.HitDistance.PEAK
 
 
 def mixed_scene() -> ls.Scene:
-    """Eight interpenetrating instances of all sizes, every other one relit."""
+    """Returns eight interpenetrating instances of all sizes, every other one relit."""
     instances: list[ls.SplatInstance] = []
     for number in range(8):
         random = np.random.default_rng(number)
@@ -35,7 +35,10 @@ def mixed_scene() -> ls.Scene:
 
 
 def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Weight of the captured sets in each pixel, by means among relit ones by peaks, and the total transmittance."""
+    """Returns the blend weight of emissive sets in each pixel, ordered by means, and the total transmittance.
+
+    Relit sets are ordered by peaks.
+    """
     worlds = {
         order: world_of(scene, ls.RenderConfig(trace=ls.TraceConfig(hit_distance=order, transmittance_min=0.0)))
         for order in (MEAN, PEAK)
@@ -58,7 +61,7 @@ def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np
 @pytest.mark.parametrize("backend", ["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("k", [4, 16])
 def test_emissive_sets_are_traced_in_order_of_means_and_relit_sets_of_peaks(backend: str, k: int) -> None:
-    """On one ray, captured sets are ordered by their means, and relit ones by their peaks."""
+    """Ordering all sets by peaks would change the blend weights by more than 0.01."""
     scene, camera = mixed_scene(), small_camera(30, 22, 24.0, near=0.05)
     trace = ls.TraceConfig(hits_per_pass=k, transmittance_min=0.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=True, shadows=ls.Shadows.OFF, samples=1, trace=trace)

@@ -1,4 +1,4 @@
-"""Stochastic hits of rays that traverse BVHs on their own equal those of packets."""
+"""Stochastic hits of rays that traverse BVHs singly equal those of packets."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Rig:
         self.rays = self._rays(spread)
 
     def hits(self, *, alone: bool) -> dict[str, np.ndarray]:
-        """Hits of the rays, traversing on their own or in packets."""
+        """Returns the hits of the rays, traversing singly or in packets."""
         self.tracer._is_stochastic_hit = alone
         hits = self.tracer.find(self.scene, self.rays, self.rays.t_max, f"alone {alone}", bounced=True)
         names = ("color", "normal", "transmittance", "depth", "gaussian", "hits")
@@ -74,7 +74,7 @@ class Rig:
 @pytest.mark.parametrize("spread", [0.0, 0.05])
 @pytest.mark.parametrize("distance", list(HitDistance))
 def test_stochastic_hits_of_single_rays_equal_those_of_ray_packets(distance: HitDistance, spread: float) -> None:
-    """Holds for every hit distance, offset, kernel degree and footprint."""
+    """The hits are equal for every hit distance, offset, kernel degree and footprint, except where rounding decides."""
     rig = Rig(spread=spread, hit_distance=distance, dilation=0.3 if spread else 0.0)
     alone, packets = rig.hits(alone=True), rig.hits(alone=False)
     active = device_array(rig.rays.is_active).numpy().astype(bool)
@@ -86,7 +86,7 @@ def test_stochastic_hits_of_single_rays_equal_those_of_ray_packets(distance: Hit
 
 
 def test_stochastic_hits_of_single_rays_do_not_depend_on_thread_count() -> None:
-    """The order in which rays are processed does not depend on threads, either."""
+    """Neither does the order in which rays are processed depend on threads."""
     (one, other), rig = ((Rig(threads=threads).hits(alone=True)) for threads in (1, 3)), Rig()
     for name in one:
         np.testing.assert_array_equal(one[name], other[name])

@@ -18,14 +18,14 @@ SCHEDULES = [False, True]
 
 
 def shapes() -> list[ls.Mesh]:
-    """A tetrahedron, two triangles, and one triangle."""
+    """Returns a tetrahedron, two triangles, and one triangle."""
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.2], [0.1, 1.0, 0.0], [0.3, 0.2, 0.9]])
     faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
     return [ls.Mesh(corners, faces[:count]) for count in (4, 2, 1)]
 
 
 def crowd(count: int, seed: int, meshes: list[ls.Mesh]) -> list[ls.MeshInstance]:
-    """Instances of all sizes, with random rotations and positions in a box."""
+    """Returns instances of all sizes, with random rotations and positions in a box."""
     rng = np.random.default_rng(seed)
     size = np.exp(rng.uniform(-3.0, -1.0, count))
     axes, positions = rng.normal(size=(2, count, 3))
@@ -34,7 +34,7 @@ def crowd(count: int, seed: int, meshes: list[ls.Mesh]) -> list[ls.MeshInstance]
 
 
 def rays(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Origins in the box, and directions, some of them along the axes."""
+    """Returns origins in the box, and directions, some of them along the axes."""
     rng = np.random.default_rng(seed)
     along = rng.normal(size=(count, 3))
     along[::7] = np.eye(3)[rng.integers(0, 3, len(along[::7]))]
@@ -42,7 +42,7 @@ def rays(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest_one_by_one(scene: ls.Scene, origins: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance and instance of each ray's nearest triangle, by a loop over all instances in float64."""
+    """Returns distance and instance of each ray's nearest triangle, by a loop over all instances in float64."""
     t, which = np.full(len(origins), np.inf), np.full(len(origins), -1)
     for number, instance in enumerate(scene.meshes):
         world = instance.mesh.positions @ instance.transform[:3, :3].T + instance.transform[:3, 3]
@@ -58,7 +58,7 @@ def nearest_one_by_one(scene: ls.Scene, origins: np.ndarray, along: np.ndarray) 
 
 @pytest.mark.parametrize("parallel", SCHEDULES)
 def test_hits_on_thousands_of_mesh_instances_equal_a_loop_over_instances(parallel: bool) -> None:
-    """Compares thousands of instances."""
+    """The loop computes distances in float64."""
     scene = ls.Scene([], crowd(2000, 1, shapes()))
     origins, along = rays(400, 2)
     hits = RayRig(parallel=parallel).hits(scene, origins, along)
@@ -70,7 +70,7 @@ def test_hits_on_thousands_of_mesh_instances_equal_a_loop_over_instances(paralle
 
 @pytest.mark.parametrize("parallel", SCHEDULES)
 def test_refitted_top_level_tree_gives_the_hits_of_a_new_tree(parallel: bool) -> None:
-    """A refitted tree gives a new tree's bits, and is rebuilt once it has become too loose."""
+    """The refitted tree contains all instances, and is rebuilt once its boxes are too loose."""
     launcher, meshes = Launcher("cpu", 1, parallel=parallel), shapes()
     kept = MeshBvhScene(launcher)
     builds = []
@@ -89,7 +89,7 @@ def test_refitted_top_level_tree_gives_the_hits_of_a_new_tree(parallel: bool) ->
 
 
 def test_adding_a_mesh_does_not_rebuild_the_trees_of_other_meshes() -> None:
-    """Trees of meshes are built when they appear, and freed with the last mesh built together with them."""
+    """Trees are freed with the last of the meshes that were built together."""
     launcher, (one, two, three) = Launcher("cpu", 1), shapes()
     kept = MeshBvhScene(launcher)
     trees = []

@@ -20,12 +20,12 @@ MIRRORED = SHEAR @ np.diag([1.0, 1.0, -1.0, 1.0])
 
 @pytest.fixture(params=DEVICES)
 def rig(request: pytest.FixtureRequest) -> RayRig:
-    """Rays on a device."""
+    """Returns a rig that traces rays on a device."""
     return RayRig(request.param)
 
 
 def cube() -> ls.Mesh:
-    """Twelve triangles around the origin with shared corners, from -1 to 1."""
+    """Returns a cube of twelve triangles around the origin with shared corners, from -1 to 1."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
@@ -33,7 +33,7 @@ def cube() -> ls.Mesh:
 
 
 def soup(seed: int, count: int) -> ls.Mesh:
-    """Triangles of random size in a box."""
+    """Returns triangles of random size in a box."""
     rng = np.random.default_rng(seed)
     centers = rng.uniform(-1.0, 1.0, (count, 1, 3))
     corners = centers + rng.normal(size=(count, 3, 3)) * np.exp(rng.uniform(-4.0, 0.0, (count, 1, 1)))
@@ -41,7 +41,7 @@ def soup(seed: int, count: int) -> ls.Mesh:
 
 
 def directions(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Unit vectors, shape (N, 3)."""
+    """Returns N unit vectors, shape (N, 3)."""
     return normalized(rng.normal(size=(count, 3)))
 
 
@@ -72,7 +72,7 @@ def assert_as_brute_force(scene: ls.Scene, hits: Hits, origins: np.ndarray, alon
 
 @pytest.mark.parametrize("t_min", [0.0, 1.5])
 def test_nearest_triangle_hits_equal_brute_force(rig: RayRig, t_min: float) -> None:
-    """A set of random triangles in several instances, sheared and mirrored ones among them."""
+    """Random triangles are in several instances, some of them sheared or mirrored."""
     rng = np.random.default_rng(1)
     mesh, other = soup(2, 60), soup(3, 30)
     poses = [np.eye(4), similarity((1.0, 2.0, 0.5), 1.1, 0.7, (1.0, 0.0, 0.5)), similarity(offset=(-1, 0.5, 0)) @ SHEAR]
@@ -86,7 +86,7 @@ def test_nearest_triangle_hits_equal_brute_force(rig: RayRig, t_min: float) -> N
 
 
 def test_hit_distance_on_a_scaled_mesh_instance_is_in_world_units(rig: RayRig) -> None:
-    """However an instance is scaled, the distance is measured along the unscaled ray."""
+    """However an instance is scaled, the distance is measured along the ray in world space."""
     for scale in (1e-3, 1.0, 1e3):
         scene = ls.Scene([], [ls.MeshInstance(quad(5.0, 50.0), similarity(scale=scale))])
         hits = rig.hits(scene, [[0.0, 0.0, 0.0]], [[0.0, 0.6, 0.8]])
@@ -94,7 +94,7 @@ def test_hit_distance_on_a_scaled_mesh_instance_is_in_world_units(rig: RayRig) -
 
 
 def test_triangle_hits_at_t_min_are_skipped(rig: RayRig) -> None:
-    """Triangles exactly at ``t_min``, or through the origin, are skipped; the next one is hit."""
+    """Triangles through the origin of the ray are skipped as well; the next triangle is hit."""
     scene = ls.Scene([], [quad(z) for z in (0.0, 2.0, 3.0)])
     t_min = np.array([0.0, 1.999, 2.0, 2.001, 3.0])
     origins, along = np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1))
@@ -104,7 +104,7 @@ def test_triangle_hits_at_t_min_are_skipped(rig: RayRig) -> None:
 
 
 def test_triangle_hits_beyond_t_max_are_skipped(rig: RayRig) -> None:
-    """``t_max`` is returned without a nearer hit, and a ray whose ``t_max`` is not above ``t_min`` is inactive."""
+    """Without a nearer hit, ``t_max`` is returned; a ray whose ``t_max`` is not above ``t_min`` is inactive."""
     scene = ls.Scene([], [quad(2.0)])
     t_max = np.array([1.9, 2.1, np.inf, 0.0, -np.inf])
     hits = rig.hits(scene, np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), t_max=t_max)
@@ -113,7 +113,7 @@ def test_triangle_hits_beyond_t_max_are_skipped(rig: RayRig) -> None:
 
 
 def test_lowest_instance_and_face_of_coinciding_triangles_is_hit(rig: RayRig) -> None:
-    """Coinciding triangles and instances: the lowest instance wins, then the lowest face."""
+    """The lowest instance wins, then the lowest face."""
     one = quad(2.0)
     twice = ls.Mesh(one.positions, np.concatenate([one.indices, one.indices]))
     rng = np.random.default_rng(4)
@@ -123,7 +123,7 @@ def test_lowest_instance_and_face_of_coinciding_triangles_is_hit(rig: RayRig) ->
 
 
 def test_rays_in_a_scene_without_meshes_hit_nothing(rig: RayRig) -> None:
-    """No tree is needed."""
+    """Tracing needs no tree."""
     hits = rig.hits(ls.Scene(), np.zeros((3, 3)), np.eye(3))
     assert np.isinf(hits.t).all() and (hits.face == -1).all()
 
@@ -134,7 +134,7 @@ def test_rays_in_a_scene_without_meshes_hit_nothing(rig: RayRig) -> None:
 def test_rays_aimed_at_closed_meshes_do_not_leak_through_edges_or_corners(
     rig: RayRig, shape: str, scale: float, offset: float, pose: str
 ) -> None:
-    """Rays from inside and from afar, aimed at faces, edges and corners, end at the mesh."""
+    """Rays start inside and far away, and are aimed at faces, edges and corners."""
     mesh = {"cube": cube(), "sphere": shapes.sphere(), "icosphere": shapes.icosphere(subdivisions=4)}[shape]
     rng = np.random.default_rng(5)
     matrix = similarity((1.0, 2.0, 0.5), 0.9, scale, (0.8 * offset, -0.6 * offset, 0.0))
@@ -156,12 +156,12 @@ def test_rays_aimed_at_closed_meshes_do_not_leak_through_edges_or_corners(
 
 
 def normalized_sum(weights: np.ndarray) -> np.ndarray:
-    """Rows that add up to one."""
+    """Returns the rows divided by their sums."""
     return weights / weights.sum(axis=1, keepdims=True)
 
 
 def test_axis_aligned_rays_hit_axis_aligned_boxes(rig: RayRig) -> None:
-    """Directions with zeros, from and to all positions of a cube with axis-aligned faces, edges included."""
+    """Directions have zeros; rays start and end at all positions of a cube, edges included."""
     steps = np.linspace(-1.0, 1.0, 9)
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     for axis in range(3):
@@ -173,7 +173,7 @@ def test_axis_aligned_rays_hit_axis_aligned_boxes(rig: RayRig) -> None:
 
 
 def test_hits_on_small_far_triangles_have_exact_distances(rig: RayRig) -> None:
-    """Irregular triangles of a hundredth of their distance and less have the plane's depth to float32 precision."""
+    """Irregular triangles of a hundredth of their distance and less have their plane's depth up to float32 rounding."""
     rng = np.random.default_rng(6)
     count = 200
     y, x = (np.mgrid[:count, :count] + rng.uniform(-0.3, 0.3, (2, count, count))) / (count - 1) * 2.0 - 1.0
@@ -190,7 +190,7 @@ def test_hits_on_small_far_triangles_have_exact_distances(rig: RayRig) -> None:
 
 @pytest.mark.parametrize("size", [1e-30, 1e19, 1e30])
 def test_triangles_of_extreme_size_do_not_change_hits_on_other_objects(rig: RayRig, size: float) -> None:
-    """Sizes that overflow or underflow leave the other objects unchanged."""
+    """Sizes of the triangles overflow or underflow float32."""
     extreme = ls.Mesh(size * np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [-1.0, 0.0, 1.0]]), np.array([[0, 1, 2]]))
     along = directions(np.random.default_rng(7), 1000)
     along[:, 2] = np.abs(along[:, 2]) + 0.5
@@ -200,7 +200,7 @@ def test_triangles_of_extreme_size_do_not_change_hits_on_other_objects(rig: RayR
 
 
 def test_triangle_hits_do_not_depend_on_thread_count() -> None:
-    """Hits are equal for any number of threads."""
+    """All hit arrays have equal bits."""
     rng = np.random.default_rng(8)
     scene = ls.Scene([], [soup(9, 500)])
     origins, along = rng.normal(size=(3000, 3)), directions(rng, 3000)
@@ -210,7 +210,7 @@ def test_triangle_hits_do_not_depend_on_thread_count() -> None:
 
 
 def test_mesh_bvh_is_built_once_and_freed_with_its_mesh(rig: RayRig) -> None:
-    """Moving an instance builds nothing; a mesh that leaves the scene is freed, and a new one is hit."""
+    """Moving an instance builds nothing; a mesh that leaves the scene is freed, and a new mesh is hit."""
     mesh = quad(2.0)
     ray = ([[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
     assert rig.hits(ls.Scene([], [mesh]), *ray).t[0] == 2.0
@@ -224,7 +224,7 @@ def test_mesh_bvh_is_built_once_and_freed_with_its_mesh(rig: RayRig) -> None:
 
 
 def test_rays_hit_the_rotated_mesh_instance_they_are_aimed_at(rig: RayRig) -> None:
-    """Hundreds of instances of one mesh, each with its own rotation."""
+    """Hundreds of instances of one mesh have different rotations."""
     rng = np.random.default_rng(10)
     mesh = shapes.icosphere(0.4, subdivisions=1)
     centers = np.stack(np.meshgrid(*[np.arange(7.0)] * 3), axis=-1).reshape(-1, 3)

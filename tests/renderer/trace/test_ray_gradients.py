@@ -24,21 +24,21 @@ COUNT = 7
 
 
 def config(**trace: Any) -> ls.RenderConfig:
-    """Settings of traced frames; further settings are fields of ``TraceConfig``."""
+    """Returns settings of traced frames; further settings are fields of ``TraceConfig``."""
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=BACKGROUND, trace=ls.TraceConfig(**trace))
 
 
 def gradients_of(
     scene: ls.Scene, camera: ls.Camera, settings: ls.RenderConfig | None = None, threads: int | None = None
 ) -> ls.gradients.SplatGradients:
-    """Gradients of the loss of ``by_pixels``."""
+    """Returns gradients of the loss whose image gradients ``by_pixels`` returns."""
     renderer = ls.DifferentiableRenderer(settings or config(), "cpu", threads=threads)
     renderer.render(scene, camera)
     return renderer.gradients(*by_pixels(camera), pose=True)
 
 
 def loss_of(camera: ls.Camera, **settings: Any) -> RayLoss:
-    """The twin's loss of a frame, over the same pixels."""
+    """Returns a function with the twin's loss of a frame, over the same pixels."""
     rays = camera_rays(camera)
     by_color, by_alpha = by_pixels(camera)
     return RayLoss(
@@ -73,13 +73,13 @@ def check_frame(gaussians: ls.Gaussians, camera: ls.Camera, settings: ls.RenderC
 
 @pytest.mark.parametrize("degree", range(6))
 def test_ray_gradients_equal_central_differences_of_the_float64_twin(degree: int) -> None:
-    """Covers every parameter, for each kernel degree."""
+    """Every parameter is compared, for each kernel degree."""
     gaussians = replace(cloud(count=COUNT), kernel_degree=degree)
     check_frame(gaussians, view(*SIZE), config(), degree=degree)
 
 
 def test_gradients_of_peak_ordered_rays_equal_central_differences() -> None:
-    """Large interpenetrating Gaussians, without footprint, whose order by means would differ."""
+    """Large interpenetrating Gaussians without footprint have another order by peaks than by means."""
     settings = config(dilation=0.0, hit_distance=ls.config.HitDistance.PEAK)
     check_frame(cloud(4, COUNT), view(*SIZE), settings, dilation=0.0, by_peak=True)
 
@@ -92,13 +92,13 @@ def test_gradients_of_sub_pixel_gaussians_equal_central_differences() -> None:
 
 
 def test_gradients_through_a_fisheye_equal_central_differences() -> None:
-    """The fisheye sees Gaussians on all sides, near ones too."""
+    """The fisheye sees Gaussians on all sides, near ones included."""
     eye = ls.Camera.look_at((0.1, 0.2, -0.2), (0.0, 0.0, 1.0), width=16, height=16, fov_y=3.0, model="fisheye")
     check_frame(replace(cloud(8, COUNT), kernel_degree=4), eye, config(), degree=4)
 
 
 def test_gradients_of_ray_queries_equal_central_differences() -> None:
-    """Each ray sees colours from its own origin."""
+    """The colours that a ray sees depend on its origin."""
     rng = np.random.default_rng(5)
     gaussians, count = replace(cloud(3, COUNT), kernel_degree=3), 200
     origins = 3.0 * rng.normal(size=(count, 3)) / np.sqrt(3.0)
@@ -124,7 +124,7 @@ POSED = {
 
 @pytest.mark.parametrize("kind", POSED)
 def test_ray_gradients_of_the_pose_are_in_camera_axes(kind: str) -> None:
-    """Gradients of rotations and translations of the camera, whose rays move with it, for a transformed set."""
+    """The camera is rotated and translated together with its rays; the set is transformed."""
     camera, gaussians, place = POSED[kind], replace(cloud(8, COUNT, degree=2), kernel_degree=3), np.eye(4)
     place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     place[:3, 3] = 0.1, -0.2, 0.3
@@ -145,7 +145,7 @@ def test_ray_gradients_of_the_pose_are_in_camera_axes(kind: str) -> None:
 
 
 def loss_at(camera: ls.Camera, pose: np.ndarray, parameters: Parameters) -> float:
-    """The twin's loss of a frame from another pose."""
+    """Returns the twin's loss of a frame from another pose."""
     return loss_of(replace(camera, camera_from_world=pose), degree=3)(parameters)
 
 
@@ -172,12 +172,12 @@ def test_ray_gradients_are_the_adjoint_of_the_jacobian(degree: int) -> None:
 
 
 def along(start: Parameters, direction: dict[str, np.ndarray], step: float) -> Parameters:
-    """Parameters moved along a direction."""
+    """Returns the parameters moved along a direction."""
     return replace(start, **{name: getattr(start, name) + step * value for name, value in direction.items()})
 
 
 def test_gaussians_that_no_ray_hits_have_zero_ray_gradients() -> None:
-    """Covers Gaussians behind the eye, beside the image, too transparent, and behind an opaque wall."""
+    """The Gaussians are behind the eye, beside the image, or too transparent."""
     base = replace(cloud(count=8), kernel_degree=4)
     means, opacities = base.means.copy(), base.opacities.copy()
     means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
@@ -190,7 +190,7 @@ def test_gaussians_that_no_ray_hits_have_zero_ray_gradients() -> None:
 
 
 def test_gaussians_behind_a_mesh_have_zero_ray_gradients() -> None:
-    """Gaussians in front of it have gradients over its colour."""
+    """Gaussians in front of the mesh have gradients over the mesh's colour."""
     base, camera = cloud(count=12), view()
     gaussians = replace(base, scales=0.3 * base.scales)
     corners = np.array([[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0]])
@@ -211,7 +211,7 @@ def test_gaussians_behind_a_mesh_have_zero_ray_gradients() -> None:
 
 
 def lone(mean: tuple[float, float, float]) -> ls.Gaussians:
-    """A scene of one Gaussian."""
+    """Returns a scene of one Gaussian."""
     return replace(cloud(count=1, degree=0), means=np.array([mean]))
 
 
@@ -226,7 +226,7 @@ def test_ray_gradients_do_not_depend_on_thread_count() -> None:
 
 
 def test_ray_gradients_computed_in_ranges_of_rays_have_equal_sums(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ranges of rays, where the device cannot hold all hits, give the same sums in another order."""
+    """If the device cannot hold all hits, ranges of rays give the same sums in another order."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     whole = gradients_of(scene, camera)
     monkeypatch.setattr(ray_backward, "BACKWARD_HITS", 300)
@@ -237,7 +237,7 @@ def test_ray_gradients_computed_in_ranges_of_rays_have_equal_sums(monkeypatch: p
 
 
 def test_ray_ranges_of_the_backward_pass_are_whole_warps_within_the_hit_limit() -> None:
-    """Ranges contain all hits; a warp that is too large is a range of its own, and the last one may be half a warp."""
+    """Ranges contain all hits; a warp with more hits is a range of one warp, and the last warp may be half full."""
     counts = np.zeros(176, np.int32)
     counts[[3, 20, 40, 41, 100, 170]] = 4, 5, 20, 30, 7, 2
     found = list(packet_ranges(counts, 12))
@@ -246,7 +246,7 @@ def test_ray_ranges_of_the_backward_pass_are_whole_warps_within_the_hit_limit() 
 
 @pytest.mark.parametrize("degree", [2, 3])
 def test_gpu_schedule_gives_equal_ray_gradients(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One ray per item on a CPU gives the gradients of packets, up to the rounding of hits."""
+    """One ray per thread, run on a CPU, gives the gradients of packets up to the rounding of hits."""
     scene, camera = ls.Scene([replace(cloud(count=60), kernel_degree=degree)]), view(50, 40)
     packets = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -260,14 +260,14 @@ def test_gpu_schedule_gives_equal_ray_gradients(degree: int, monkeypatch: pytest
 
 
 def test_differentiable_traced_frames_equal_ordinary_traced_frames() -> None:
-    """Bit-equal to the frames of a plain renderer."""
+    """The bits equal those of a renderer without gradients."""
     scene, camera = ls.Scene([cloud(count=200)]), view(75, 50)
     shown = ls.DifferentiableRenderer(config(), "cpu").render(scene, camera)
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config(), device="cpu").color)
 
 
 def test_ray_gradients_of_instances_are_transformed_and_summed() -> None:
-    """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
+    """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = replace(cloud(9, degree=0), kernel_degree=4), view()
     angle, scale, place = 0.7, 1.3, np.eye(4)
     place[:3, :3] = scale * np.array(
@@ -288,7 +288,7 @@ def close(value: np.ndarray, expected: np.ndarray) -> None:
 
 
 def test_ray_gradients_of_distant_gaussians_equal_raster_gradients() -> None:
-    """Without footprint, a splat is the Gaussian along parallel rays: its error falls with the camera's distance."""
+    """Without footprint, the error of the raster projection falls with the distance of the camera."""
     rng = np.random.default_rng(2)
     gaussians = replace(cloud(12, 12, 0), opacities=rng.uniform(0.2, 0.8, 12))
     near, far = differing(gaussians, 4.0), differing(gaussians, 64.0)
@@ -297,7 +297,7 @@ def test_ray_gradients_of_distant_gaussians_equal_raster_gradients() -> None:
 
 
 def differing(gaussians: ls.Gaussians, distance: float) -> dict[str, float]:
-    """Difference between the rasteriser's and traced gradients, relative to their magnitude.
+    """Returns the difference of the rasteriser's and the traced gradients, relative to their magnitude.
 
     The camera is at the given distance, with the Gaussians at a constant size in the image.
     """
@@ -313,7 +313,7 @@ def differing(gaussians: ls.Gaussians, distance: float) -> dict[str, float]:
 
 
 def test_ray_gradients_are_refused_for_lit_stochastic_or_multi_sample_frames() -> None:
-    """Other frames and rays, and none at all, are refused."""
+    """Path tracing, features, resumed frames, mirrors, and gradients before a frame are refused as well."""
     scene, camera = ls.Scene([cloud()]), view()
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         ls.DifferentiableRenderer(config(), "cpu").gradients(np.zeros((30, 36, 3)))
@@ -344,7 +344,7 @@ def test_ray_gradients_are_refused_for_lit_stochastic_or_multi_sample_frames() -
 
 
 def test_ray_query_after_a_frame_requires_a_new_frame_before_gradients() -> None:
-    """A ray query between a frame and its gradients replaces the frame."""
+    """The gradients of the frame are no longer available."""
     scene, camera = ls.Scene([cloud()]), view()
     renderer = ls.DifferentiableRenderer(config(), "cpu")
     renderer.render(scene, camera)
@@ -354,7 +354,7 @@ def test_ray_query_after_a_frame_requires_a_new_frame_before_gradients() -> None
 
 
 def test_ray_gradients_of_a_scene_without_gaussians_are_empty() -> None:
-    """Gaussians that no ray hits have zero gradients."""
+    """An empty scene has only background gradients; Gaussians that no ray hits have zero gradients."""
     camera = view()
     found = gradients_of(ls.Scene(), camera)
     assert found.sets == () and found.weights.shape == (0,)

@@ -14,11 +14,11 @@ from support.twins import TWINS
 
 RAYS = 60
 EYES = {"biker.compressed.ply": (0.2, -0.1, -0.7), "logo_sog": (0.3, -0.2, -1.2)}
-"""Eye position relative to each capture's centre, in units of its size."""
+"""Eye position relative to the centre of each capture, in units of the capture's size."""
 
 
 def view_of(data_dir: Path, name: str, width: int) -> tuple[ls.Scene, ls.Camera]:
-    """A capture, and a camera that sees all of it."""
+    """Returns a capture, and a camera that sees all of it."""
     capture = ls.load(data_dir / "splats" / name)
     assert isinstance(capture, ls.Gaussians)
     low, high = np.percentile(capture.means, (2, 98), axis=0)
@@ -31,7 +31,7 @@ def view_of(data_dir: Path, name: str, width: int) -> tuple[ls.Scene, ls.Camera]
 @pytest.mark.data
 @pytest.mark.parametrize("name", EYES)
 def test_rays_through_real_captures_equal_the_float64_twin(data_dir: Path, name: str) -> None:
-    """Mean errors of radiance and transmittance below 1e-3, and 99 % of the iso depths within a relative 1e-3."""
+    """Mean errors of radiance and transmittance are below 1e-3, and 99 % of the iso depths within a relative 1e-3."""
     scene, camera = view_of(data_dir, name, 320)
     frame = ls.render(scene, camera, device="cpu")
     shown = np.flatnonzero(frame.alpha > 0.01)
@@ -52,7 +52,7 @@ def test_rays_through_real_captures_equal_the_float64_twin(data_dir: Path, name:
 @pytest.mark.data
 @pytest.mark.parametrize("name", EYES)
 def test_traced_frames_of_real_captures_are_close_to_rasterised_ones(data_dir: Path, name: str) -> None:
-    """Covered pixels have 30 dB and more, traced directly and in a mirror; without footprints far less.
+    """Covered pixels reach 30 dB, directly and in a mirror; without footprints the PSNR is far lower.
 
     The order by peaks costs the biker 5 dB.
     """
@@ -70,7 +70,7 @@ def test_traced_frames_of_real_captures_are_close_to_rasterised_ones(data_dir: P
 
 
 def in_mirror(scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Scene, ls.Camera]:
-    """The scene with a mirror in front of a camera, and a camera that sees in the mirror what the first one sees."""
+    """Returns the scene with a mirror, and a camera that sees in the mirror what ``camera`` sees directly."""
     forward, right = camera.camera_from_world[2, :3], camera.camera_from_world[0, :3]
     size = float(np.linalg.norm(scene.splats[0].gaussians.means.mean(axis=0) - camera.eye))
     plane = camera.eye + 0.02 * size * forward
@@ -110,5 +110,5 @@ def test_stochastic_frames_of_real_captures_converge_to_sorted_ones(
 
 
 def decibels(image: np.ndarray, expected: np.ndarray) -> float:
-    """PSNR of an image with a white of 1."""
+    """Returns the PSNR of an image with a white of 1."""
     return float(-10.0 * np.log10(np.mean((image - expected) ** 2)))

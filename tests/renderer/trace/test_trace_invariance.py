@@ -1,4 +1,4 @@
-"""Changes that must not change a traced image: order, hidden Gaussians, packets, passes, threads, coordinate frame."""
+"""Changes that must not change a traced image: order, hidden Gaussians, packets, passes, threads, coordinates."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
 @pytest.fixture(params=BACKENDS)
 def backend(request: pytest.FixtureRequest) -> str:
-    """One backend that traces a frame."""
+    """Returns one backend that traces a frame."""
     return request.param
 
 
 def settings(strategy: ls.config.TraceStrategy = SORTED, seed: int = 0, **changes: object) -> ls.RenderConfig:
-    """Settings of the ray tracer; ``changes`` are fields of ``TraceConfig``."""
+    """Returns settings of the ray tracer; ``changes`` are fields of ``TraceConfig``."""
     trace = replace(ls.TraceConfig(strategy=strategy), **changes)
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, trace=trace, seed=seed)
 
 
 @functools.cache
 def renderer(backend: str, config: ls.RenderConfig) -> ls.Renderer:
-    """A renderer shared by all tests with these settings."""
+    """Returns a renderer that all tests with these settings share."""
     return renderer_of(backend, config)
 
 
 def render(backend: str, scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig | None = None) -> ls.Frame:
-    """A traced frame."""
+    """Renders a traced frame."""
     return renderer(backend, config or settings()).render(scene, camera)
 
 
@@ -61,7 +61,7 @@ make_kernel = gaussian_trace_kernels.gaussian_trace_kernel.__wrapped__
 
 @functools.cache
 def unfused_kernel(lanes: int, *stack: int) -> wp.Kernel:
-    """The tracing kernel with every multiplication and addition rounded separately."""
+    """Returns the tracing kernel with every multiplication and addition rounded separately."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PACKET_OPTIONS, "cpu_compiler_flags", "-march=native -ffp-contract=off")
         return make_kernel(lanes, *stack)
@@ -69,14 +69,14 @@ def unfused_kernel(lanes: int, *stack: int) -> wp.Kernel:
 
 @functools.cache
 def unfused_renderer(backend: str, config: ls.RenderConfig) -> ls.Renderer:
-    """A renderer that traces with ``unfused_kernel``."""
+    """Returns a renderer that traces with ``unfused_kernel``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gaussian_trace_kernels, "gaussian_trace_kernel", unfused_kernel)
         return renderer_of(backend, config)
 
 
 def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
-    """A small camera towards (0, 0, 4)."""
+    """Returns a small camera towards (0, 0, 4)."""
     return front_camera(width, height, focal, **changes)
 
 
@@ -87,14 +87,14 @@ def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = 
 
 
 def full_scene() -> ls.Scene:
-    """Two instances and two meshes, one of them crossed by Gaussians."""
+    """Returns two instances and two meshes, one of them crossed by Gaussians."""
     asset = random_gaussians(70, 120, degree=2, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0))
     placed = [ls.SplatInstance(asset, similarity((1, 1, 0), 0.4 + i, 0.8, (i - 0.5, 0.2 * i, 4.0))) for i in range(2)]
     return ls.Scene(placed, [octahedron((0.1, 0.1, 4.0), 0.6), quad(5.5, tilt=0.3)])
 
 
 def faint_gaussians(count: int = 400, seed: int = 61) -> ls.Gaussians:
-    """Faint Gaussians, a hundred or more on every ray, around and in front of the origin, no two at one distance."""
+    """Returns faint Gaussians at distinct distances, a hundred or more on every ray, around and before the origin."""
     gaussians = random_gaussians(seed, count, 1, (0.0, 0.0, 1.5), (0.6, 0.6, 2.5), scale_range=(0.4, 1.2))
     return replace(gaussians, opacities=np.random.default_rng(seed).uniform(0.01, 0.02, count))
 
@@ -108,7 +108,7 @@ def test_traced_frame_does_not_depend_on_the_order_of_gaussians_in_their_set(
 ) -> None:
     """Shuffled Gaussians give the same image to the bit, except for their indices, in one pass and in many.
 
-    On a GPU, peaks of two faint Gaussians can round to one distance: the set's order then decides.
+    On a GPU, peaks of two faint Gaussians can round to one distance: the order of the set then decides.
     """
     swapped = 0.02**2 if backend.startswith("cuda") and hit_distance is ls.config.HitDistance.PEAK else 0.0
     for gaussians in (random_gaussians(71, 300, degree=1), faint_gaussians()):
@@ -125,7 +125,7 @@ def test_traced_frame_does_not_depend_on_the_order_of_gaussians_in_their_set(
 
 
 def test_gaussians_at_equal_distance_are_traced_in_the_order_of_the_scene(backend: str) -> None:
-    """Among Gaussians at one distance, the first of the set, and the first instance, is in front."""
+    """Among Gaussians at one distance, the first of a set is in front, and the first of the instances."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     camera = front_camera(cx=32.5, cy=24.5)
@@ -139,7 +139,7 @@ def test_gaussians_at_equal_distance_are_traced_in_the_order_of_the_scene(backen
 def test_set_split_into_instances_is_traced_like_the_whole_set(
     backend: str, hit_distance: ls.config.HitDistance
 ) -> None:
-    """A set split into several instances gives the same image as the whole."""
+    """Colour, alpha, depth and normal are equal."""
     gaussians = joined(random_gaussians(72, 200, degree=1), faint_gaussians(300))
     firsts = np.array([0, 170, 330, 500])
     parts = [gaussians.subset(np.arange(*span)) for span in itertools.pairwise(firsts)]
@@ -164,7 +164,7 @@ HIDDEN = {
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_invisible_gaussians_do_not_change_a_traced_frame(backend: str, strategy: ls.config.TraceStrategy) -> None:
-    """Invisible Gaussians leave every image unchanged to the bit, although every tree differs."""
+    """Every image keeps its bits, although every tree differs."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
     frame = render(backend, ls.Scene([visible]), view(), settings(strategy))
@@ -201,14 +201,14 @@ def test_traced_view_without_visible_objects_shows_only_the_background(
 
 
 def discs() -> ls.Scene:
-    """A stack of flat Gaussians with boxes so thin that each pass must start exactly where the last one ended."""
+    """Returns a stack of flat Gaussians with thin boxes, so that each pass must start where the last one ended."""
     layers = [one_gaussian((0.0, 0.0, z), (2.0, 2.0, 1e-5), 0.02) for z in np.linspace(3.0, 3.2, 150)]
     return ls.Scene([joined(*layers)])
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_tracing_passes_blend_each_of_150_near_layers_once(backend: str, hit_distance: ls.config.HitDistance) -> None:
-    """Of 150 discs at nearly one distance, none is lost or blended twice, with lists of any length."""
+    """The discs lie at nearly one distance; none is lost or blended twice, with hit lists of any length."""
     camera = view(3, 3, 100.0)
     for k in (4, 16):
         frame = render(backend, discs(), camera, settings(hits_per_pass=k, hit_distance=hit_distance))
@@ -230,7 +230,7 @@ def test_length_of_the_hit_list_does_not_change_the_traced_frame(hit_distance: l
 
 
 def inside() -> ls.Scene:
-    """Large Gaussians around the camera: many hulls begin behind it, in an order that only single rays determine."""
+    """Returns large Gaussians around the camera: hulls begin behind it, in an order that only single rays determine."""
     random = np.random.default_rng(0)
     gaussians = random_gaussians(1, 200, center=(0.0, 0.0, 0.1), extent=(0.3, 0.3, 0.05))
     scales = np.repeat(random.uniform(0.3, 0.6, (200, 1)), 3, axis=1)
@@ -238,7 +238,7 @@ def inside() -> ls.Scene:
 
 
 def many_scenes() -> dict[str, tuple[ls.Scene, ls.Camera]]:
-    """Scenes and cameras with every kind of packet."""
+    """Returns scenes and cameras with every kind of packet."""
     around = random_gaussians(61, 600, degree=1, center=(0.0, 0.0, 0.0), extent=(3.0, 3.0, 3.0))
     moving = similarity((0.0, 1.0, 0.0), 0.1, 1.0, (0.1, 0.0, 0.0))
     return {
@@ -267,7 +267,7 @@ SCENES = many_scenes()
 def test_ray_packets_have_the_hits_of_single_rays(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, name: str
 ) -> None:
-    """Sixteen rays that traverse together have the hits of each ray on its own, up to rounding."""
+    """Sixteen rays traverse together; their hits equal those of single rays up to rounding."""
     scene, camera = SCENES[name]
     config = settings(strategy, seed=5, hit_distance=hit_distance)
     together, alone = (render(backend, scene, camera, config) for backend in ("cpu", "cpu as cuda"))
@@ -305,11 +305,10 @@ def test_ray_packets_equal_single_rays_to_the_bit_without_fused_operations(
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_ellipsoid_normals_of_ray_packets_equal_those_of_single_rays(strategy: ls.config.TraceStrategy) -> None:
-    """Normals agree, and differ from those of the other method, except at some pixels.
+    """Normals agree except at some pixels, and differ from those of the other method of normals.
 
     A small alpha amplifies the rounding of weights that are divided by it, and where a ray grazes an ellipsoid, the
-    normal depends on the root of a small difference. Fusing changes both, and
-    ``test_ray_packets_equal_single_rays_to_the_bit_without_fused_operations`` compares without it.
+    normal depends on the root of a small difference. Fused operations change either; another test compares without.
     """
     config = settings(strategy, normal_method=ls.config.NormalMethod.ELLIPSOID)
     together, alone = (render(backend, full_scene(), view(), config) for backend in ("cpu", "cpu as cuda"))
@@ -321,7 +320,7 @@ def test_ellipsoid_normals_of_ray_packets_equal_those_of_single_rays(strategy: l
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_cropped_camera_traces_a_crop_of_the_image(backend: str, hit_distance: ls.config.HitDistance) -> None:
-    """A camera cropped anywhere shows that part of the image: other packets, the same rays."""
+    """The crop may lie anywhere: its packets differ, its rays are the same."""
     config = settings(hit_distance=hit_distance)
     for scene in (full_scene(), ls.Scene([faint_gaussians()]), inside()):
         whole = render(backend, scene, view(), config)
@@ -336,7 +335,7 @@ def test_cropped_camera_traces_a_crop_of_the_image(backend: str, hit_distance: l
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_traced_frame_is_bit_equal_when_rendered_again(backend: str, strategy: ls.config.TraceStrategy) -> None:
-    """An image is bit-equal after another image, from another renderer and on any number of threads."""
+    """The image is rendered again after another image, by another renderer and on any number of threads."""
     scene, config = full_scene(), replace(settings(strategy), samples=2)
     warm = renderer_of(backend, config)
     first = warm.render(scene, view())
@@ -349,7 +348,7 @@ def test_traced_frame_is_bit_equal_when_rendered_again(backend: str, strategy: l
 
 
 def test_seed_changes_only_stochastic_frames(backend: str) -> None:
-    """Stochastic images change with the seed, and between pixels and samples; sorted ones do not."""
+    """Stochastic images also differ between pixels and samples."""
     scene = ls.Scene([random_gaussians(78, 200)])
     for strategy in STRATEGIES:
         first, second = (render(backend, scene, view(), settings(strategy, seed=seed)) for seed in (0, 1))
@@ -364,7 +363,7 @@ def test_seed_changes_only_stochastic_frames(backend: str) -> None:
 
 
 def test_traced_frame_does_not_change_when_the_next_frame_is_rendered(backend: str) -> None:
-    """A returned frame does not change when the next one is drawn."""
+    """All images of the earlier frame keep their bits."""
     frame = render(backend, full_scene(), view())
     before = {name: getattr(frame, name).copy() for name in IMAGES}
     render(backend, ls.Scene([random_gaussians(78)]), view())
@@ -373,7 +372,7 @@ def test_traced_frame_does_not_change_when_the_next_frame_is_rendered(backend: s
 
 
 def test_ray_tracer_allocates_nothing_after_the_first_frame(backend: str) -> None:
-    """Later frames of that size, or smaller, allocate nothing."""
+    """Later frames of the same size, or smaller, allocate nothing."""
     warm, scene = renderer_of(backend, settings()), full_scene()
     warm.render(scene, view(33, 27))
     settled = warm._buffers.allocations, warm._scene.bvh.bytes
@@ -392,7 +391,7 @@ def test_ray_tracer_allocates_nothing_after_the_first_frame(backend: str) -> Non
 def test_traced_frame_is_unchanged_if_scene_and_camera_move_together(
     backend: str, hit_distance: ls.config.HitDistance, scale: float, offset: tuple[float, float, float]
 ) -> None:
-    """Transforming scene and camera together gives the same image; depths scale."""
+    """The images are equal when scene and camera are transformed together; depths scale."""
     move = similarity((0.2, 1.0, -0.4), 2.2, scale, offset)
     scene, camera, config = full_scene(), view(), settings(hit_distance=hit_distance)
     moved = ls.Scene(
@@ -415,7 +414,7 @@ def test_traced_frame_is_unchanged_if_scene_and_camera_move_together(
 
 
 def test_near_plane_hides_gaussians_and_meshes_in_front_of_it(backend: str) -> None:
-    """A disc in front of the near plane changes no bit, and one right behind it is visible; a mesh likewise."""
+    """A disc or mesh in front of the near plane changes no bit, and one right behind it is visible."""
     disc = one_gaussian((0.0, 0.0, 3.0), (0.5, 0.5, 1e-3), 0.8)
     rest = random_gaussians(79, 100, center=(0.0, 0.0, 6.0))
     both, alone = ls.Scene([joined(rest, disc)]), ls.Scene([rest])
@@ -437,7 +436,7 @@ def test_near_plane_hides_gaussians_and_meshes_in_front_of_it(backend: str) -> N
 
 @pytest.mark.parametrize("dilation", [0.0, 0.3])
 def test_raster_and_trace_pipelines_agree_on_small_gaussians(backend: str, dilation: float) -> None:
-    """Near the optical axis, for Gaussians side by side, both pipelines give equal images."""
+    """The Gaussians lie side by side near the optical axis."""
     random = np.random.default_rng(4)
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 6), np.linspace(-0.25, 0.25, 5))
     count = x.size
@@ -462,7 +461,7 @@ def test_raster_and_trace_pipelines_agree_on_small_gaussians(backend: str, dilat
 
 
 def test_hybrid_pipeline_logs_that_it_does_not_use_ellipsoid_normals(caplog: pytest.LogCaptureFixture) -> None:
-    """A warning, once, names the pipeline that supports them."""
+    """One warning names the pipeline that supports ellipsoid normals."""
     scene, camera = ls.Scene([random_gaussians(1, count=5)]), front_camera(8, 8)
     for pipeline, lines in ((ls.Pipeline.HYBRID, 1), (ls.Pipeline.TRACE, 0), (ls.Pipeline.RASTER, 0)):
         caplog.clear()

@@ -21,7 +21,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 def test_traced_frame_equals_mitsuba_only_with_mitsubas_hit_order(
     name: str, hit_distance: ls.config.HitDistance, alike: bool
 ) -> None:
-    """With its hit order, the mean error is below half an 8-bit step, and 99.5 % within four; with ours it is not."""
+    """Ordered by hulls as in Mitsuba, 99.5 % are within four 8-bit steps, half a step in the mean; by peaks, not."""
     with np.load(REFERENCE / f"mitsuba_{name}.npz") as stored:
         image = stored["image"] / float(stored["steps"])
     gaussians, camera = mitsuba_frames()[name]

@@ -30,7 +30,7 @@ WHITE = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0))
 
 @pytest.fixture(params=BACKENDS)
 def backend(request: pytest.FixtureRequest) -> str:
-    """One backend that traces a frame."""
+    """Returns one backend that traces a frame."""
     return request.param
 
 
@@ -42,7 +42,7 @@ def renderer(
     jitter: bool = True,
     background: tuple[float, float, float] | None = (0.1, 0.2, 0.3),
 ) -> ls.Renderer:
-    """A renderer shared by all tests with these settings."""
+    """Returns a renderer that all tests with these settings share."""
     config = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
         lighting=False,
@@ -56,12 +56,12 @@ def renderer(
 
 
 def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
-    """A small camera towards (0, 0, 4)."""
+    """Returns a small camera towards (0, 0, 4)."""
     return front_camera(width, height, focal, **changes)
 
 
 def scene() -> ls.Scene:
-    """Gaussians and two meshes."""
+    """Returns a scene of Gaussians and two meshes."""
     return ls.Scene([random_gaussians(90, 150, degree=1)], [octahedron((0.1, 0.1, 4.0), 0.6), quad(5.5, tilt=0.3)])
 
 
@@ -75,7 +75,7 @@ def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = 
 
 
 def test_traced_frame_is_the_mean_of_samples_at_their_sub_pixel_positions(backend: str) -> None:
-    """A sample is the image of a camera shifted to its sub-pixel position, and the frame is their mean."""
+    """Each sample is the image of a camera shifted to the sample's sub-pixel position."""
     camera = view()
     singles = []
     for n in range(8):
@@ -111,7 +111,7 @@ def test_samples_of_unlit_frames_are_averaged_in_display_values(backend: str) ->
 def test_samples_of_a_stochastic_pixel_use_different_random_numbers(
     backend: str, strategy: ls.config.TraceStrategy
 ) -> None:
-    """Each sample uses new random numbers: every pixel approaches its expectation, even without sub-pixel offsets."""
+    """Every pixel approaches its expected alpha, even without sub-pixel offsets."""
     faint = ls.Scene([one_gaussian(scale=50.0, opacity=0.3)])
     frame = renderer(backend, 64, strategy, jitter=False).render(faint, view(12, 9))
     assert frame.alpha.mean() == pytest.approx(0.3, abs=0.02)
@@ -138,7 +138,7 @@ def test_jitter_antialiases_the_alpha_at_mesh_edges(backend: str) -> None:
 
 
 def test_depth_normal_and_index_layers_are_those_of_the_first_sample(backend: str) -> None:
-    """Depth, normal and indices are those at the pixels' centres, however many samples follow."""
+    """The first sample is at the pixels' centres."""
     for strategy in STRATEGIES:
         one, many = (renderer(backend, samples, strategy).render(scene(), view()) for samples in (1, 8))
         assert_equal(many, one, ("depth", "normal", "gaussian_index", "instance_index"))
@@ -150,7 +150,7 @@ def test_depth_normal_and_index_layers_are_those_of_the_first_sample(backend: st
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_resumed_traced_frames_equal_uninterrupted_ones(backend: str, strategy: ls.config.TraceStrategy) -> None:
-    """Eight samples, three and then five, and one by one are bit-equal, with the same count."""
+    """Eight samples at once, three and then five, and one by one have equal bits and the same count."""
     whole = renderer(backend, 8, strategy).render(scene(), view())
     assert whole.samples == 8
     three = renderer(backend, 3, strategy).render(scene(), view())
@@ -171,7 +171,7 @@ def test_resumed_traced_frames_equal_uninterrupted_ones(backend: str, strategy: 
 
 
 def test_frame_begun_by_the_cpu_schedule_can_be_resumed_by_the_cuda_schedule() -> None:
-    """A frame that one schedule began is finished by the other one."""
+    """Colours agree up to rounding."""
     whole = renderer("cpu", 8).render(scene(), view())
     mixed = renderer("cpu as cuda", 5).render(scene(), view(), resume=renderer("cpu", 3).render(scene(), view()))
     assert_close(mixed.color, whole.color, atol=2e-6)
@@ -179,7 +179,7 @@ def test_frame_begun_by_the_cpu_schedule_can_be_resumed_by_the_cuda_schedule() -
 
 
 def test_resuming_a_frame_of_another_size_background_or_scene_is_refused() -> None:
-    """Another size, another background, rasterised frames, and too many samples are refused."""
+    """Rasterised frames, and frames that already have enough samples, are refused as well."""
     frame = renderer("cpu").render(scene(), view())
     for camera in (view(18, 24), view(24, 17), view(25, 18)):
         with pytest.raises(ls.ConfigError, match=rf"cannot resume a frame of 24 x 18 .* is {camera.width} x"):
@@ -224,7 +224,7 @@ POSE = ls.Camera.look_at((0.1, 0.0, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0)).cam
     ids=", ".join,
 )
 def test_resuming_a_frame_with_another_camera_is_refused(changes: dict[str, Any]) -> None:
-    """The message names the differing camera fields; another name is allowed."""
+    """The message names the differing camera fields; a camera with another name is accepted."""
     frame = renderer("cpu").render(scene(), view())
     with pytest.raises(ls.ConfigError, match=rf"they differ in {', '.join(changes)}$"):
         renderer("cpu").render(scene(), replace(view(), **changes), resume=frame)
@@ -257,7 +257,7 @@ def test_resuming_an_object_that_is_not_a_frame_is_refused() -> None:
 
 
 def test_frames_without_a_background_can_be_resumed(backend: str) -> None:
-    """Frames without a background are resumed likewise."""
+    """The resumed frame equals an uninterrupted one."""
     whole = renderer(backend, 4, background=None).render(scene(), view())
     half = renderer(backend, 2, background=None).render(scene(), view())
     assert_equal(renderer(backend, 2, background=None).render(scene(), view(), resume=half), whole)
@@ -267,7 +267,7 @@ def test_frames_without_a_background_can_be_resumed(backend: str) -> None:
 
 
 def test_progress_is_reported_once_per_new_sample() -> None:
-    """Progress is called once per new sample with the total count; the last call has fraction 1."""
+    """The callback gets the total count; the last call has the fraction 1."""
     calls: list[tuple[str, float]] = []
     first, second = renderer("cpu", 4), renderer("cpu", 2)
     for one in (first, second):  # loading kernels is progress, too
@@ -281,7 +281,7 @@ def test_progress_is_reported_once_per_new_sample() -> None:
 
 
 def test_sums_of_sample_counts_beyond_32_bits_are_exact_on_a_gpu() -> None:
-    """Sums beyond 32 bits are exact."""
+    """The kernel that runs on GPUs is launched on the CPU."""
     for size in (1, 4096, 4097, 10_000):
         counts = np.random.default_rng(size).integers(0, 2**31, size, dtype=np.int32)
         total = wp.zeros(1, dtype=wp.int64, device="cpu")
@@ -292,7 +292,7 @@ def test_sums_of_sample_counts_beyond_32_bits_are_exact_on_a_gpu() -> None:
 
 
 def test_non_finite_samples_are_black_and_counted_once(backend: str) -> None:
-    """Each is counted once per sample and pixel; other frames do not affect the count, also when resumed."""
+    """Each sample of each pixel is counted; other frames do not affect the count, also when resumed."""
     broken = replace(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.9), sh=np.full((1, 16, 3), 3e38, np.float32))
     both = ls.Scene([broken], [quad(6.0, 10.0)])
     drawn = renderer(backend, 3, jitter=False).render(both, view())

@@ -32,19 +32,19 @@ devices = pytest.mark.parametrize("device", DEVICES)
 
 
 def random_case(name: str, strategy: ls.config.TraceStrategy, **changes: object) -> Case:
-    """A case with a stochastic strategy and every sample at the pixel's centre."""
+    """Returns a case with a stochastic strategy and every sample at the centre of its pixel."""
     case = CASES[name]
     return replace(case, config=changed_rays(case.config, strategy=strategy, jitter=False, **changes))
 
 
 def samples_of(case: Case) -> int:
-    """Samples per seed; fewer for cases with many waves of rays."""
+    """Returns the samples per seed; fewer for cases with many waves of rays."""
     return 32 if any(one.mesh.material.is_smooth for one in case.scene.meshes) else 128
 
 
 @cache
 def frames_of(name: str, strategy: ls.config.TraceStrategy, device: str) -> list[ls.Frame]:
-    """One frame per seed."""
+    """Returns one frame per seed."""
     case = random_case(name, strategy)
     config = replace(case.config, samples=samples_of(case))
     return [renderer_of(device, replace(config, seed=seed)).render(case.scene, case.camera) for seed in SEEDS]
@@ -52,19 +52,19 @@ def frames_of(name: str, strategy: ls.config.TraceStrategy, device: str) -> list
 
 @cache
 def twin_of(name: str, strategy: ls.config.TraceStrategy) -> dict[str, np.ndarray]:
-    """Expectation and variance of a case."""
+    """Returns the expectation and variance of a case by the twin."""
     case = random_case(name, strategy)
     return TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
 
 
 def critical_z(tests: int) -> float:
-    """Two-sided critical value for this many simultaneous tests, corrected after Sidak (1967)."""
+    """Returns the two-sided critical value for ``tests`` simultaneous tests, corrected after Sidak (1967)."""
     each = 1.0 - (1.0 - FAMILY_ERROR) ** (1.0 / tests)
     return NormalDist().inv_cdf(1.0 - 0.5 * each)
 
 
 def excess(mean: np.ndarray, expected: np.ndarray, variance: np.ndarray, count: int, most: float) -> np.ndarray:
-    """Distance of means of ``count`` samples from their expectation beyond chance, with the shape of ``mean``.
+    """Returns how far beyond chance means of ``count`` samples are from their expectation, shaped like ``mean``.
 
     Samples lie in 0..``most``. Rare ones skew the mean: its third central moment is at most ``most`` times the
     variance, which the expansion of Cornish and Fisher (1938) converts to a tolerance.
@@ -75,13 +75,13 @@ def excess(mean: np.ndarray, expected: np.ndarray, variance: np.ndarray, count: 
 
 
 def pooled_excess(mean: np.ndarray, expected: np.ndarray, variance: np.ndarray, count: int, most: float) -> np.ndarray:
-    """The excess of the mean over all pixels (P, ...), which are independent: detects small errors everywhere."""
+    """Returns the excess of the mean over all P independent pixels of arrays (P, ...), which detects small errors."""
     pixels = len(mean)
     return excess(mean.mean(axis=0), expected.mean(axis=0), variance.mean(axis=0), count * pixels, most)
 
 
 def brightest(case: Case) -> float:
-    """Upper bound of the colours of a case's rays, from all Gaussians in a thousand directions."""
+    """Returns an upper bound of the colours of a case's rays, from all Gaussians in a thousand directions."""
     directions = oracles.normalized(np.random.default_rng(0).normal(size=(1000, 3)))
     basis = oracles.sh_basis(directions)
     every = [one.gaussians.sh.astype(float) for one in case.scene.splats]
@@ -94,7 +94,7 @@ def brightest(case: Case) -> float:
 def test_mean_of_stochastic_frames_is_the_expectation(
     name: str, strategy: ls.config.TraceStrategy, device: str
 ) -> None:
-    """Colour and alpha over samples and seeds, per pixel and pooled, also in mirrors and glass."""
+    """Colour and alpha are compared per pixel and over all pixels, also in mirrors and glass."""
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     count = len(frames) * samples_of(CASES[name])
     for image, most in (("color", brightest(CASES[name])), ("alpha", 1.0)):
@@ -141,7 +141,7 @@ def test_noise_of_stochastic_frames_equals_the_predicted_variance(
 def test_every_stochastic_sample_is_one_gaussian_or_pass_or_the_background(
     name: str, strategy: ls.config.TraceStrategy, device: str
 ) -> None:
-    """A sample has one Gaussian, one pass, or the background; all images agree, at the expected frequency."""
+    """All images of a sample agree, and each outcome has its expected frequency."""
     case = random_case(name, strategy)
     world = world_of(case.scene, case.config)
     only_meshes = replace(world_of(replace(case.scene, splats=()), case.config), splat_count=world.splat_count)
@@ -183,7 +183,7 @@ def test_every_stochastic_sample_is_one_gaussian_or_pass_or_the_background(
 
 @devices
 def test_acceptance_scale_makes_stochastic_frames_more_opaque_by_a_known_amount(device: str) -> None:
-    """Scaled random numbers accept with alpha over the scale, which is exactly that much more opaque than sorting."""
+    """Random numbers are scaled, so that a Gaussian is accepted with the probability alpha / scale."""
     case = random_case("overlapping", HIT, acceptance_scale=0.5)
     twin = TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
     frame = renderer_of(device, replace(case.config, samples=500)).render(case.scene, case.camera)
@@ -195,7 +195,7 @@ def test_acceptance_scale_makes_stochastic_frames_more_opaque_by_a_known_amount(
 
 @pytest.mark.parametrize("strategy", [HIT, PASS], ids=lambda strategy: strategy.value)
 def test_statistics_of_stochastic_frames_reject_wrong_expectations(strategy: ls.config.TraceStrategy) -> None:
-    """The statistics have power: Gaussians 5 % fainter, earlier acceptance, or shortened blending would fail."""
+    """Gaussians 5 % fainter, earlier acceptance, or shortened blending would fail."""
     frames, twin = frames_of("passes of 4", strategy, "cpu"), twin_of("passes of 4", strategy)
     case = random_case("passes of 4", strategy)
     (instance,) = case.scene.splats
@@ -222,7 +222,7 @@ def test_statistics_of_stochastic_frames_reject_wrong_expectations(strategy: ls.
 def test_all_backends_draw_the_same_random_numbers_for_stochastic_frames(
     strategy: ls.config.TraceStrategy, backend: str
 ) -> None:
-    """A seed gives the same image on every backend up to rounding; another seed does not."""
+    """A seed gives the same image on every backend up to rounding, and another seed another image."""
     case = random_case("instances", strategy)
     config = replace(case.config, samples=8, seed=5)
     expected = renderer_of("cpu", config).render(case.scene, case.camera)
@@ -235,7 +235,7 @@ def test_all_backends_draw_the_same_random_numbers_for_stochastic_frames(
 
 @strategies
 def test_accepted_first_stochastic_pass_has_the_colour_of_the_sorted_frame(strategy: ls.config.TraceStrategy) -> None:
-    """If nothing is behind the first pass, an accepted stochastic pass has sorting's colour, unpremultiplied."""
+    """Nothing is behind the first pass; the colour of the accepted pass is that of sorting, divided by alpha."""
     scene, camera = ls.Scene([copies(12, 173)]), small_camera(8, 6, 8.0)
     config = trace_config(None, strategy=strategy, jitter=False)
     frame = renderer_of("cpu", config).render(scene, camera)

@@ -18,12 +18,12 @@ from support.twins import TWINS
 CASES = {case.name: case for case in cases()}
 WORLD = trace_config((0.3, 0.5, 0.9))
 SURE = 0.75
-"""Fraction of pixels at which the twin must leave little tolerance; otherwise the comparison would prove nothing."""
+"""Fraction of pixels at which the twin must leave little tolerance; otherwise the comparison proves nothing."""
 
 
 @cache
 def twin_of(name: str) -> dict[str, np.ndarray]:
-    """The twin's frame of a case, the same for every backend."""
+    """Returns the twin's frame of a case, which is the same for every backend."""
     case = CASES[name]
     return TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
 
@@ -32,7 +32,8 @@ def twin_of(name: str) -> dict[str, np.ndarray]:
 def test_traced_frame_equals_the_float64_twin(case: Case, backend: str) -> None:
     """Every image equals the twin's within the tolerance that the twin computes for rounding.
 
-    Colours, alpha and normals are compared everywhere, index and distance of the surface where it is unambiguous.
+    Colours, alpha and normals are compared everywhere, index and distance of the surface where rounding cannot change
+    them.
     """
     frame = renderer_of(backend, replace(case.config, lighting=False)).render(case.scene, case.camera)
     assert_agrees(frame, twin_of(case.name), ("color", "alpha"), ("depth", "depth_z"))
@@ -40,7 +41,7 @@ def test_traced_frame_equals_the_float64_twin(case: Case, backend: str) -> None:
 
 @cache
 def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Rays in all directions, of any length, through Gaussians, meshes and a mirror, and the twin's results."""
+    """Returns rays in all directions, of any length, through Gaussians, meshes and a mirror, and the twin's results."""
     rng = np.random.default_rng(180)
     scene = ls.Scene(placed_scene().splats, mirror_scene().meshes + ls.Scene([], [quad(3.4, 0.6, tilt=0.4)]).meshes)
     origins = rng.normal((0.0, 0.0, 4.0), 2.5, (600, 3)).astype(np.float32)
@@ -49,7 +50,7 @@ def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndar
 
 
 def test_single_rays_equal_the_float64_twin(backend: str) -> None:
-    """Rays without common origin or direction equal the twin's; mirrors show the background."""
+    """The rays have no common origin or direction; mirrors show the background."""
     scene, origins, directions, twin = rays_and_twin()
     hits = renderer_of(backend, WORLD).trace_rays(scene, origins, directions)
     assert_agrees(hits, twin, ("radiance", "transmittance"), ("depth",))
@@ -79,7 +80,7 @@ def assert_agrees(
 
 
 def assert_within(actual: np.ndarray, expected: np.ndarray, room: np.ndarray, name: str) -> None:
-    """Asserts that no value differs by more than the pixel's ``room``, and none is NaN."""
+    """Asserts that no value differs by more than the tolerance ``room`` of its pixel, and that none is NaN."""
     assert not np.isnan(actual).any(), f"{name} has {np.isnan(actual).sum()} NaN"
     error = np.abs(actual.astype(np.float64) - expected).reshape(*room.shape, -1 if actual.size else 1).max(axis=-1)
     off = np.argwhere(error > room)
