@@ -171,7 +171,7 @@ def test_blocks_plan_prints_the_memory_and_loads_of_workers(work: Workspace) -> 
     [
         (["blocks"], "no file given: lumisplat blocks IN.ply -o FOLDER"),
         (["blocks", "@town.ply"], "-o is missing"),
-        (["blocks", "@town.ply", "-o", "@a", "--cell", "0"], "--cell is 0, expected the edge of a cube"),
+        (["blocks", "@town.ply", "-o", "@a", "--cell", "0"], "--cell is 0, expected the edge length of a cube"),
         (["blocks", "@town.ply", "-o", "@a", "--coarser", "-1"], "--coarser is -1, expected 0 to 16"),
         (["blocks", "@mesh.obj", "-o", "@a"], "is not one capture"),
         (["blocks", "@none.ply", "-o", "@a"], "no such file"),

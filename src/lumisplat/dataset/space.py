@@ -102,8 +102,7 @@ class Space:
         self._sphere_directions = even_directions(_SPHERE_RAYS)
 
     def depths(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns the distance to the first surface that each of N rays hits, scene units, shape (N,); inf without
-        one.
+        """Returns the distance in scene units to the first surface along each of N rays, shape (N,); inf for no hit.
 
         Args:
             origins: Ray origins, world space, shape (N, 3).

@@ -111,7 +111,7 @@ class PlyHeader:
             FormatError: The element has list properties, so its rows have no fixed length.
         """
         if any(prop.count_code for prop in element.properties):
-            raise FormatError(self.path, f"PLY element {element.name} has list properties, expected plain numbers")
+            raise FormatError(self.path, f"PLY element {element.name} has list properties, expected only numbers")
         return np.dtype([(prop.name, _ENCODINGS[self.encoding] + prop.code) for prop in element.properties])
 
     def start(self, element: PlyElement) -> tuple[int, int]:

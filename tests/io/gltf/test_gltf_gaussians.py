@@ -359,7 +359,7 @@ def test_unknown_kernels_and_colour_spaces_of_gltf_gaussians_are_refused(
         ("SH_DEGREE_1_COEF_2", None, "has no SH_DEGREE_1_COEF_2: expected all coefficients up to SH degree 1"),
         ("SH_DEGREE_2_COEF_1", np.zeros((5, 3), np.float32), "has no SH_DEGREE_2_COEF_0 and 3 more: expected all"),
         ("SH_DEGREE_4_COEF_0", np.zeros((5, 3), np.float32), "has SH degree 4, at most 3 is supported"),
-        ("OPACITY", np.full(4, 0.5, np.float32), f"has 4 {EXTENSION}:OPACITY for 5 POSITION"),
+        ("OPACITY", np.full(4, 0.5, np.float32), f"has 4 {EXTENSION}:OPACITY for 5 Gaussians"),
         ("ROTATION", np.ones((5, 4), np.uint8), "ROTATION in normalised numbers of type 5121, expected float32, norm"),
         ("SH_DEGREE_0_COEF_0", np.ones((5, 3), np.uint8), "in normalised numbers of type 5121, expected float32$"),
         ("OPACITY", np.full(5, 1.5, np.float32), "opacities: 5 of 5 are outside 0..1"),

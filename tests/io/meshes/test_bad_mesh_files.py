@@ -158,7 +158,7 @@ def test_binary_ply_faces_without_corners_are_refused_at_once(tmp_path: Path, pr
     header = (
         PLY_HEAD.format(3).replace("ascii", "binary_little_endian") + f"element face {10**18}\n{properties}end_header\n"
     )
-    refuses(tmp_path / "a.ply", header.encode() + bytes(60), "the file holds 6|not a mesh: no polygons")
+    refuses(tmp_path / "a.ply", header.encode() + bytes(60), "the file holds 6|not a mesh: it has no polygons")
 
 
 def test_binary_stl_whose_size_contradicts_its_count_is_refused(tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None
         (edit("accessors", 0, type="VEC2"), "expected VEC3"),
         (edit("accessors", 2, componentType=5122), "needs unsigned integers"),
         (edit("accessors", 2, count=5), "has 5 corners, expected a multiple of 3"),
-        (edit("accessors", 1, count=3), "has 3 TEXCOORD for 4 POSITION"),
+        (edit("accessors", 1, count=3), "has 3 TEXCOORD for 4 vertices"),
         (edit("bufferViews", 0, byteLength=10**9), "needs 1000000000 bytes"),
         (edit("bufferViews", 0, byteOffset=-8), "bytes from -8"),
         (edit("bufferViews", 0, byteStride=4), "stride 4 for rows of 12 bytes"),

@@ -302,7 +302,9 @@ def test_folder_without_meta_json_is_refused_as_a_capture(tmp_path: Path, name: 
 def test_point_cloud_ply_is_refused_as_no_capture(tmp_path: Path) -> None:
     """The error lists the missing properties."""
     (tmp_path / "points.ply").write_bytes(ply_header(2, ["x", "y", "z"]) + bytes(24))
-    assert "a point cloud, not a Gaussian capture: no opacity, scale, rotation" in refused(tmp_path / "points.ply")
+    assert "a point cloud, not a Gaussian capture: it has no opacity, scale or rotation" in refused(
+        tmp_path / "points.ply"
+    )
 
 
 @pytest.mark.parametrize(

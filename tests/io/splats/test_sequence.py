@@ -92,7 +92,7 @@ def test_load_sequence_refuses_folders_without_frames_of_one_format(tmp_path: Pa
     write_frames(tmp_path, ["a1.ply", "a1.spz"])
     with pytest.raises(ls.FormatError, match=r"is a file, expected a folder"):
         ls.io.load_sequence(tmp_path / "a1.ply", 25.0)
-    with pytest.raises(ls.FormatError, match=r"holds frames in \.ply and \.spz, expected one kind"):
+    with pytest.raises(ls.FormatError, match=r"holds frames in \.ply and \.spz, expected one format"):
         ls.io.load_sequence(tmp_path, 25.0)
 
 

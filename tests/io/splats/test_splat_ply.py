@@ -131,7 +131,7 @@ def test_text_ply_elements_other_than_vertices_are_skipped(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["x", "y", "z", "red", "green", "blue"], "a point cloud, not a Gaussian capture: no opacity, scale, rotation"),
+        (["x", "y", "z", "red", "green", "blue"], "a point cloud, not a Gaussian capture: it has no opacity"),
         ([n for n in NAMES if n != "opacity"], "no opacity"),
         ([n for n in NAMES if not n.startswith("rot")], "no rot_0, rot_1, rot_2, rot_3"),
         ([*NAMES, "f_rest_0", "f_rest_1"], "2 f_rest properties, expected 0, 9, 24 or 45"),

@@ -78,7 +78,7 @@ class Blocks(LoadingCommand):
         if self.cameras is not None:
             raise ls.ConfigError("--cameras needs --plan")
         if self.cell is not None and not 0.0 < self.cell < math.inf:
-            raise ls.ConfigError(f"--cell is {self.cell:g}, expected the edge of a cube in scene units")
+            raise ls.ConfigError(f"--cell is {self.cell:g}, expected the edge length of a cube in scene units, above 0")
         if not 0 <= self.coarser <= 16:
             raise ls.ConfigError(f"--coarser is {self.coarser}, expected 0 to 16")
         if block_folder(self.output) is not None:

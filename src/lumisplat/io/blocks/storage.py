@@ -250,11 +250,11 @@ def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -
         else:
             return np.array(np.memmap(path, "<f4", "r", shape=(count, width))[chosen], np.float32)
     except ValueError:
-        raise FormatError(path, "has fewer rows than the index states") from None
+        raise FormatError(path, "has fewer rows than the index states: write the blocks again") from None
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     if len(rows) != count * width:
-        raise FormatError(path, "has fewer rows than the index states")
+        raise FormatError(path, "has fewer rows than the index states: write the blocks again")
     return rows.reshape(count, width).astype(np.float32, copy=False)
 
 
@@ -296,9 +296,9 @@ def write_blocks(
         FormatError: The folder is not empty, or cannot be written.
     """
     if not is_number(cell) or not 0.0 < cell < math.inf:
-        raise ConfigError(f"cell is {cell}, expected the edge of a cube in scene units")
+        raise ConfigError(f"cell is {cell}, expected the edge length of a cube in scene units, above 0")
     if levels < 0 or block_max < 1:
-        raise ConfigError(f"levels is {levels} and block_max {block_max}, expected 0 or more, and 1 or more")
+        raise ConfigError(f"levels is {levels}, expected 0 or more; block_max is {block_max}, expected 1 or more")
     target = Path(folder)
     try:
         is_new = _prepare_folder(target)
@@ -391,7 +391,7 @@ class _Writer:
             self._orientation = Orientation(chunk.up, chunk.first_view)
             warn_lost_materials(self._folder, "a capture in blocks", chunk)
         if self._kind not in (None, kind):
-            raise SceneError("the parts of the capture differ in SH degree or antialiasing")
+            raise SceneError("the chunks differ in SH degree or antialiasing: expected parts of one capture")
         self._kind = kind
 
     @property

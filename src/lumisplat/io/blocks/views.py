@@ -137,7 +137,8 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
         if chosen is None:
             chosen = all_blocks(index, levels - 1)
             count = _bytes_of(index, chosen) // index.row_bytes
-            _log.warning("%s: its coarsest level has %s Gaussians, more than the budget", os.fspath(path), f"{count:,}")
+            line = "%s: its coarsest level, which is loaded, has %s Gaussians, more than the budget of %s"
+            _log.warning(line, os.fspath(path), f"{count:,}", f"{budget:,}")
     return load_blocks(index, chosen)
 
 

@@ -133,7 +133,7 @@ class SceneDocument:
         for entry in self.entries:
             if entry.id == number:
                 return entry
-        raise SceneError(f"there is no entry {number}: it has been removed")
+        raise SceneError(f"there is no entry {number} in the scene: it has been removed")
 
     def scene(self, time: float = 0.0) -> Scene:
         """Returns the visible scene at a time in seconds, with actors posed. Equal times return the same object.
@@ -221,7 +221,7 @@ class SceneDocument:
             and "path" not in entry.table
             and keys.keys() != {"hidden"}
         ):
-            raise SceneError(f"{entry.name} was made by a program: it can be hidden, but not edited")
+            raise SceneError(f"{entry.name} is an actor made by a program: it can be hidden, but not edited")
         table = {key: value for key, value in (dict(entry.table) | keys).items() if value is not None}
         if "path" not in entry.table and entry.kind == "actors":
             return self._with(replace(entry, table=table))

@@ -306,7 +306,8 @@ def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> N
     available = usable_memory()
     if available is not None and needed_bytes > available:
         raise FormatError(
-            path, f"{what} would take {needed_bytes / 1e9:.1f} GB of memory, of {available / 1e9:.1f} GB: {remedy}"
+            path,
+            f"{what} would take {needed_bytes / 1e9:.1f} GB, but {available / 1e9:.1f} GB of memory are free: {remedy}",
         )
 
 

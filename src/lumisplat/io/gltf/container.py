@@ -143,7 +143,8 @@ class GltfFile:
         start, size = view.byteOffset or 0, view.byteLength
         if not (_is_count(start) and _is_count(size)) or start + size > len(buffer):
             raise FormatError(
-                self.path, f"bufferViews[{index}] needs {size} bytes from {start}, but its buffer has {len(buffer):,}"
+                self.path,
+                f"bufferViews[{index}] needs {size} bytes from {start}, its buffer has {len(buffer):,} bytes",
             )
         return memoryview(buffer)[start : start + size], view.byteStride
 
@@ -201,11 +202,11 @@ class GltfFile:
     def _with_sparse(self, values: _Stored, sparse: pygltflib.Sparse, name: str) -> _Stored:
         where, new = sparse.indices, sparse.values
         if not _is_count(sparse.count) or where is None or new is None or where.componentType not in (5121, 5123, 5125):
-            raise FormatError(self.path, f"{name} has a malformed sparse part")
+            raise FormatError(self.path, f"{name} has malformed sparse indices or values")
         index_type = np.dtype(_COMPONENT_TYPES[where.componentType])
         rows = self._rows(where, sparse.count, 1, index_type, name + " sparse indices")
         if rows.size and rows.max() >= len(values):
-            raise FormatError(self.path, f"{name} has sparse index {rows.max()}, but count {len(values)}")
+            raise FormatError(self.path, f"{name} has sparse index {rows.max()}, but only {len(values)} values")
         values = values.copy()
         values[rows[:, 0].astype(np.int64)] = self._rows(
             new, sparse.count, values.shape[1], values.dtype, name + " sparse values"
@@ -254,7 +255,7 @@ def _is_count(value: object) -> TypeGuard[int]:
 def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
     """Returns the JSON chunk of a GLB file, and its BIN chunk or None if it has none (glTF 2.0, section 4.4)."""
     if len(data) < _GLB_HEADER_BYTES + _CHUNK_HEADER_BYTES:
-        raise FormatError(path, f"a GLB file of {len(data)} bytes: truncated")
+        raise FormatError(path, f"is a GLB file of {len(data)} bytes: truncated")
     version, length = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
     if version != 2:
         raise FormatError(path, f"is GLB version {version}, expected 2")
@@ -270,7 +271,7 @@ def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
         chunks.setdefault(kind, data[offset : offset + size])
         offset += size
     if b"JSON" not in chunks:
-        raise FormatError(path, "a GLB file without its JSON chunk")
+        raise FormatError(path, "is a GLB file without a JSON chunk: truncated or damaged")
     return chunks[b"JSON"], chunks.get(b"BIN\0")
 
 

@@ -221,7 +221,7 @@ def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatAr
     if stored not in layout.numbers and stored not in layout.drafts:
         names = list(layout.numbers.values())
         expected = f"{', '.join(names[:-1])} or {names[-1]}" if names[1:] else names[0]
-        found = f"{'normalised' if stored[1] else 'plain'} numbers of type {stored[0]}"
+        found = f"{'normalised' if stored[1] else 'unnormalised'} numbers of type {stored[0]}"
         raise primitive.error(f"has {full} in {found}, expected {expected}")
     return _check_count(primitive, full, values, count)
 
@@ -229,7 +229,7 @@ def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatAr
 def _check_count(primitive: GltfPrimitive, name: str, values: FloatArray, count: int) -> FloatArray:
     """Returns ``values`` after checking that there is one value for each of ``count`` Gaussians."""
     if len(values) != count:
-        raise primitive.error(f"has {len(values):,} {name} for {count:,} POSITION")
+        raise primitive.error(f"has {len(values):,} {name} for {count:,} Gaussians")
     return values
 
 

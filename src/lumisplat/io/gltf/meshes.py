@@ -159,7 +159,7 @@ def _raw(
     uvs = texture_uvs(primitive)
     for attribute, array in (("NORMAL", normals), ("COLOR_0", colors), ("TEXCOORD", uvs)):
         if array is not None and len(array) != len(positions):
-            raise primitive.error(f"has {len(array):,} {attribute} for {len(positions):,} POSITION")
+            raise primitive.error(f"has {len(array):,} {attribute} for {len(positions):,} vertices")
     influences = None if joint_count is None else _read_influences(primitive, len(positions), joint_count)
     return RawPrimitive(
         positions,
@@ -209,7 +209,7 @@ def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, targets: set[
         if name in target and (targets is None or number in targets):
             offsets = primitive.file.floats(target[name], "VEC3", f"{primitive.where} target {name}")
             if offsets.shape != base.shape:
-                raise primitive.error(f"has a target of {len(offsets):,} {name} for {len(base):,} vertices")
+                raise primitive.error(f"has a morph target with {len(offsets):,} {name} for {len(base):,} vertices")
             found[number] = offsets
     return found
 

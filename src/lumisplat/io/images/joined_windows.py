@@ -248,7 +248,9 @@ def _png_pixels(path: PathLike, window: Window, channels: int | None) -> npt.NDA
         try:
             with Image.open(path, formats=("PNG",)) as image:
                 if image.size != window[2:] or image.mode not in ("RGB", "RGBA"):
-                    raise FormatError(path, f"is {image.size} {image.mode}, expected {window[2:]} in RGB or RGBA")
+                    raise FormatError(
+                        path, f"has size {image.size} and mode {image.mode}, expected {window[2:]} and RGB or RGBA"
+                    )
                 pixels = np.asarray(image)
         finally:
             Image.MAX_IMAGE_PIXELS = limit
@@ -275,7 +277,7 @@ def _exr_channels(path: PathLike, window: Window, kinds: Mapping[str, str] | Non
     channels = read_exr(path)
     shapes = {image.shape for image in channels.values()}
     if shapes != {(window[3], window[2])}:
-        raise FormatError(path, f"has {shapes} rows and columns, expected {(window[3], window[2])}")
+        raise FormatError(path, f"has channels of (rows, columns) {shapes}, expected {(window[3], window[2])}")
     if kinds is not None and {name: image.dtype.kind for name, image in channels.items()} != dict(kinds):
         raise FormatError(path, "has channels that differ from those of other windows")
     return channels

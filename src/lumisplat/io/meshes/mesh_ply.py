@@ -69,7 +69,7 @@ def _read(header: PlyHeader) -> Mesh:
     corners = fan_triangles(polygons.counts)
     indices = np.concatenate([polygons.items.astype(np.int64)[corners], _strip_triangles(_polygons(strips))])
     if not len(indices):
-        raise FormatError(header.path, f"a point cloud of {len(positions):,} points, not a mesh: no polygons")
+        raise FormatError(header.path, f"is a point cloud of {len(positions):,} points, not a mesh: it has no polygons")
     normals = _columns(vertices, "nx", "ny", "nz")
     colors = _colors(vertices)
     uvs = next((uv for uv in (_columns(vertices, *names) for names in _UV_NAMES) if uv is not None), None)

@@ -55,7 +55,7 @@ def _corners(path: Path, data: bytes) -> FloatArray:
     if count and len(data) > expected:
         _log.warning("%s: %s bytes after its last triangle are ignored", path, f"{len(data) - expected:,}")
         return np.frombuffer(data, _TRIANGLE, count, _HEADER_BYTES)["corners"].reshape(-1, 3)
-    raise FormatError(path, f"{len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
+    raise FormatError(path, f"has {len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
 
 
 def _ascii_corners(path: Path, data: bytes) -> FloatArray:

@@ -149,7 +149,8 @@ def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
         return dc[:, None, :]
     rest = len(element.properties)
     if element.count != len(dc) or rest not in (9, 24, 45):
-        raise FormatError(header.path, f"has {element.count:,} sh rows of {rest} values for {len(dc):,} Gaussians")
+        found = f"has {element.count:,} sh rows of {rest} values for {len(dc):,} Gaussians"
+        raise FormatError(header.path, f"{found}, expected a row of 9, 24 or 45 values for each Gaussian")
     sh = np.empty((len(dc), 1 + rest // 3, 3), dtype=np.float32)
     sh[:, 0] = dc
     names = sh_names("f", sh.shape[1])[3:]

@@ -45,7 +45,7 @@ def _frame_paths(folder: Path) -> list[Path]:
     if not found:
         raise FormatError(folder, f"holds no frames: expected files that end in {', '.join(_EXTENSIONS)}")
     if len(found) > 1:
-        raise FormatError(folder, f"holds frames in {' and '.join(found)}, expected one kind")
+        raise FormatError(folder, f"holds frames in {' and '.join(found)}, expected one format")
     return sorted(kinds, key=_natural_order)
 
 

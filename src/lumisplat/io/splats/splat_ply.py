@@ -156,7 +156,7 @@ def splat_element(header: PlyHeader) -> tuple[PlyElement, int]:
     """
     vertex = header.element("vertex")
     if vertex is None or not is_gaussian_element(vertex):
-        raise FormatError(header.path, "a point cloud, not a Gaussian capture: no opacity, scale, rotation")
+        raise FormatError(header.path, "is a point cloud, not a Gaussian capture: it has no opacity, scale or rotation")
     return vertex, _check_properties(header.path, vertex)
 
 

@@ -302,7 +302,7 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
     sizes = [size for size in header.section_sizes if size]
     toc_end = toc_offset + 16 * len(sizes)
     if stream_count != len(sizes) or toc_offset < _HEADER_V4.size:
-        raise FormatError(path, f"damaged: {stream_count} streams at byte {toc_offset}, expected {len(sizes)}")
+        raise FormatError(path, f"damaged: has {stream_count} streams at byte {toc_offset}, expected {len(sizes)}")
     if toc_end > len(data):
         raise FormatError(path, "truncated: the table of contents is incomplete")
     toc = np.frombuffer(data, "<u8", 2 * len(sizes), toc_offset).reshape(-1, 2).tolist()

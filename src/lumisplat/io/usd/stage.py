@@ -490,7 +490,9 @@ class _Walk:
                 continue
             self.instances = self._incremented(self.instances)
             if not 0 <= which < len(prototypes) or not prototypes[which]:
-                raise FormatError(file.path, f"{prim.GetPath()} refers to prototype {which}, but has {len(prototypes)}")
+                raise FormatError(
+                    file.path, f"{prim.GetPath()} refers to prototype {which}, but has {len(prototypes)} prototypes"
+                )
             root = prototypes[which]
             # A prototype keeps its own transform, but not those of its ancestors.
             above = np.array(self.xform_cache.GetParentToWorldTransform(root), dtype=np.float64).T
