@@ -42,9 +42,9 @@ _WORST = 3
 class Evaluate(LoadingCommand, DeviceCommand):
     """Compare a capture with held-out images.
 
-    With materials and a set whose truth is known: lumisplat evaluate duck.ply duck --materials
     Pixels count where an image's mask is at least half white.
-    Guide: docs/guide/metrics.md.
+    With --materials, the folder is a set with known materials (docs/guide/materials.md).
+    Guide: docs/guide/evaluate.md, metrics.md.
     First try: lumisplat evaluate fox.ply fox -o report
     """
 

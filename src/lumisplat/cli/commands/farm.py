@@ -55,7 +55,7 @@ class FarmOrbit(Orbit):
 class FarmRender(Render):
     """Render an image for each camera by several workers; existing ones stay.
 
-    Guide: docs/guide/farm.md.
+    Guide: docs/guide/farm.md, tiles.md.
     First try: lumisplat farm render garden.ply --cameras transforms.json --workers 2 -o out
     """
 
