@@ -41,7 +41,7 @@ class SamplePart:
 
     @property
     def samples(self) -> int:
-        """Number of samples, under the name that a frame uses."""
+        """Number of samples; a `Frame` has a field of the same name."""
         return self.count
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -213,7 +213,7 @@ class _DeepTracer:
         left = np.ones(len(ray_indices), np.float32)
         ends = np.flatnonzero(np.diff(profile.first))
         left[ends] = profile.transmittance[profile.first[ends + 1] - 1]
-        left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray ended in front of it
+        left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray ended in front of the mesh
         behind = [gaussians, *(self._light_layers(light, traced, pixel) for light in self._area_lights)]
         if self._scene.meshes:
             behind.append(self._mesh_layers(traced, left))

@@ -145,7 +145,7 @@ class RayLoader:
         return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
 
     def upload(self, batch: list[FloatArray]) -> list[DeviceArray]:
-        """Uploads a batch: origins, directions, end distances and, if given, distances from which Gaussians count."""
+        """Uploads a batch: origins, directions, end distances, and optional start distances for Gaussians."""
         if len(batch) < len(_INPUTS):
             batch = [*batch, np.zeros(len(batch[0]), np.float32)]
         arrays: list[DeviceArray] = []

@@ -523,7 +523,7 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
-        """Returns the primary hits of the current sample, rasterised or traced; on CUDA from a captured graph."""
+        """Returns the primary hits of the current sample, rasterised or traced; on CUDA by a recorded CUDA graph."""
         count = 0 if listed is None else len(listed.ray)
 
         def find() -> PrimaryHits:

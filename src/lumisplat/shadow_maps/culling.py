@@ -22,8 +22,8 @@ SHADOW_BLOCK_TILES = 8
 texels."""
 
 BANDS_PER_THREAD = 16
-"""Number of launches (bands of items) per CPU thread. Many small bands balance cells of different cost: some have many
-casters, others none."""
+"""Number of launches per CPU thread; each launch processes a range of cells. Many small ranges balance cells of
+different cost: some have many casters, others none."""
 
 PARALLEL_PARTS = 2**16
 """Number of parts into which CUDA splits the caster lists of all cells together, because cells are few and lists long.

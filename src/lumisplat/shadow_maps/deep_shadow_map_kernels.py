@@ -176,7 +176,7 @@ def mark_bins(
 ):
     """Extends texels' columns to the bins that lookups of a receiver read. One item is one of ``rows``.
 
-    Not to be launched in bands.
+    Not to be split over CPU threads, because several items write to one column by atomics.
     """
     i = rows[wp.tid()]
     for sample in range(sampling.count):

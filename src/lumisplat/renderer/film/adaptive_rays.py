@@ -41,7 +41,7 @@ class AdaptiveRays:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def begin(self, size: tuple[int, int]) -> None:

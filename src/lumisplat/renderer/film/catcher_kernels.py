@@ -100,7 +100,7 @@ def measure_depths(
     depths: wp.array[float],
     measured_out: wp.array[wp.vec4],
 ):
-    """Writes the depth noise at a pixel, the depth's slopes to the right and down, and 1; all in pixel sizes.
+    """Writes a pixel's depth noise and the depth's slopes to the right and down, in pixel sizes, and a count of 1.
 
     All four numbers are 0 if a compared pixel has no depth.
     """

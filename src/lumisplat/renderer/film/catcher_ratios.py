@@ -26,7 +26,7 @@ class CatcherRatios:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def ratios(self, count: int) -> DeviceArray:

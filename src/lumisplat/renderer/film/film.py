@@ -132,7 +132,7 @@ class Film:
         return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        """Adds the current sample's radiance, which the first wave holds. CUDA replays a captured graph."""
+        """Adds the current sample's radiance, held by the wave of camera rays; on CUDA by a recorded CUDA graph."""
         self._launcher.replay("store", (scene.graph_key, wave.count), lambda: self._store(scene, wave, lights))
 
     def noise(self, exposure: float) -> float:
@@ -148,7 +148,7 @@ class Film:
             return quantile(errors.numpy(), NOISE_PIXELS)
 
     def finish(self, scene: DeviceScene) -> None:
-        """Computes the images from sums and counts after the last sample. CUDA replays a captured graph."""
+        """Computes the images from sums and counts after the last sample; on CUDA by a recorded CUDA graph."""
         self._launcher.replay("finish", (scene.graph_key, self._has_sums), lambda: self._finish(scene))
 
     def _finish(self, scene: DeviceScene) -> None:

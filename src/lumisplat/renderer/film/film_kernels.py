@@ -94,7 +94,7 @@ def add_samples(
 
 @wp.kernel
 def restore_sums(start: int, film_inout: wp.array[FilmData]):
-    """Per pixel: restores the sums of a frame that has one sample from the frame's images."""
+    """Per pixel: recomputes the sums of a frame from its images, if the frame has one sample."""
     pixel = start + wp.tid()
     if film_inout[0].count[pixel] == 1:
         add_to_sums(pixel, sample_of_pixel(pixel, film_inout), film_inout)
@@ -113,7 +113,7 @@ def average_samples(start: int, film_inout: wp.array[FilmData]):
 def add_captured(
     start: int, adds_color: bool, film: wp.array[FilmData], emission: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
 ):
-    """Per pixel: adds the change of the captured colour by light to the emission.
+    """Per pixel: adds to the emission the amount by which lights change the captured colour.
 
     If ``adds_color``, the captured colour itself is added, too.
     """
@@ -144,7 +144,10 @@ def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_o
 
 @wp.kernel
 def sum_counts(counts: wp.array[int], total_inout: wp.array[wp.int64]):
-    """Sums counts in 64 bits, each thread every 4096th count. Not to be launched in bands, because it uses atomics."""
+    """Sums counts in 64 bits, each thread every 4096th count.
+
+    Not to be split over CPU threads, because the sum uses atomics.
+    """
     total = wp.int64(0)
     i = wp.tid()
     while i < counts.shape[0]:
@@ -175,7 +178,7 @@ def add_image(
 
 @wp.kernel
 def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3]):
-    """Writes the number of Gaussians that each ray blended to all three channels."""
+    """Writes how many Gaussians each ray blended; all three channels get the number."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)
     if wave[0].rays.is_active[i]:

@@ -61,7 +61,7 @@ class FeatureChannels:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def render(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> RenderedFeatures:
@@ -91,7 +91,7 @@ class FeatureChannels:
         by_pixels: FloatArray | DeviceArray,
         by_splat: DeviceArray,
     ) -> DeviceArray:
-        """Returns the gradients with respect to C features of N Gaussians, (N, C), and adds to ``by_splat``.
+        """Returns the gradients with respect to C features of N Gaussians, (N, C); also adds to ``by_splat``.
 
         Args:
             scene: As for ``render``.

@@ -131,7 +131,7 @@ class RayBackward:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def of_frame(
@@ -323,7 +323,7 @@ def _rows_of(struct_type: type[Struct], arrays: Struct, rows: slice) -> Struct:
 
 
 def check_traced(scene: Scene) -> None:
-    """Refuses scenes with meshes that reflect, refract or blend: the backward pass follows only rays that meshes end.
+    """Refuses scenes with meshes that reflect, refract or blend: the backward pass does not follow rays past meshes.
 
     Raises:
         ConfigError: The material of a mesh reflects, refracts or blends.

@@ -31,7 +31,7 @@ class SplatBackward:
         self._launcher, self._buffers = launcher, buffers
 
     def modules(self) -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels.BLOCKS if self._launcher.is_parallel else kernels.TILES, kernels]
 
     def splats(

@@ -49,8 +49,8 @@ from lumisplat.device.structs.shading import SEES_ENVIRONMENT, PathVertex, Shadi
 
 wp.set_module_options(SHADE_OPTIONS)
 
-# Branches of a ray's random key. 0 is the next ray; device/light/direct_light.py and device/path/contributions.py have
-# others.
+# Branch numbers of a ray's random key. The next ray has 0; device/light/direct_light.py and
+# device/path/contributions.py use further numbers.
 DIRECTION_BRANCH = wp.constant(6)
 """Random key for the direction in which a path continues from a surface."""
 SURFACE_BRANCH = wp.constant(7)

@@ -50,7 +50,7 @@ class PathIntegrator:
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the wave of primary rays with their radiance over all bounces. CUDA replays a captured graph.
+        """Returns the wave of primary rays with their radiance over all bounces. CUDA replays a recorded CUDA graph.
 
         Args:
             scene: The device scene, synced.
@@ -99,7 +99,7 @@ class PathIntegrator:
 
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
         """Evaluates the surfaces that a wave's rays hit; returns the wave with emission, before lights are sampled."""
-        # Two sets of buffers are enough: the first wave's are kept, and a later wave ends before the next begins.
+        # Two sets of buffers suffice: one for the first wave, one for later waves, which end before the next begins.
         carried = CarriedState(media=device_array(paths.media) if plan.has_media and number > 0 else None)
         return self._surfaces.shade(
             scene,
@@ -184,7 +184,7 @@ class PathIntegrator:
     def _row(self, name: str, struct: type[Struct], arrays: Struct) -> DeviceArray:
         """Returns a struct of path arrays as a table with one row; passed by value, each item would copy the struct.
 
-        Waves alternate between two sets of arrays with fixed names, so that a captured graph uploads no row.
+        Waves alternate between two sets of arrays with fixed names, so that a recorded CUDA graph uploads no row.
         """
         return self._buffers.table(f"path.{name}.row", struct, [arrays])
 

@@ -45,7 +45,8 @@ class WhittedIntegrator:
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """Returns the wave of primary rays with their radiance over all bounces.
 
-        On CUDA, each wave is a captured graph. The host waits for the number of rays of each wave, to allocate them.
+        On CUDA, each wave is a recorded CUDA graph. The host waits for the number of rays of each wave, to allocate
+        them.
 
         Args:
             scene: The device scene, synced.

@@ -69,12 +69,12 @@ class Binning(ABC):
         self.counts = BinningCounts()
         """Counts of the last finished frame."""
         self.growth = 0
-        """Number of times that a truncated list was enlarged. A captured graph is stale if the number has changed
+        """Number of times that a truncated list was enlarged. A recorded CUDA graph is stale if the number has changed
         since."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     @abstractmethod

@@ -15,7 +15,7 @@ from lumisplat.device.camera.pixels import rect_area
 from lumisplat.device.math.sorting import first_not_below
 from lumisplat.device.structs.raster import ChunkData, TileRect
 
-# Flags of the splat kernels, though there is nothing to fuse: an unlit raster frame then needs one precompiled header.
+# The splat kernels' flags, so that an unlit raster frame needs only one precompiled header.
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
@@ -188,7 +188,7 @@ def count_sorted_keys(count: int, sorted_keys: wp.array[wp.uint32], totals_out: 
 def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.array[wp.int64]):
     """Sums the pair counts of all items in 64 bits; each thread sums every 4096th count.
 
-    Not to be launched in bands, because it uses atomics.
+    Not to be split over CPU threads, because the sum uses atomics.
     """
     total = wp.int64(0)
     i = start + wp.tid()

@@ -42,7 +42,7 @@ class RasterHits:
         self._binning, self._meshes, self._splats = binning, meshes, splats
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame."""
+        """Returns the modules of the kernels that this class launches in a frame."""
         counts = self._is_sorted and "hits" in self._config.aovs
         modules = self._splats.modules(is_sorted=self._is_sorted, counts=counts)
         modules += [relit_kernels] if self._is_sorted and plan.mixes_sets else []

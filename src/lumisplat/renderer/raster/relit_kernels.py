@@ -75,9 +75,8 @@ def list_mixed(
 ):
     """Lists the splats of a mixed tile, and writes copies of the splats for compositing only relit sets.
 
-    One item is one tile. Copies of splats in relit sets have the normal (1, 0, 0), other copies are black with a normal
-    of
-    0. Tiles that share a splat write equal values.
+    One item is one tile. Copies of splats in relit sets have the normal (1, 0, 0); other copies are black and have a
+    normal of zero. Tiles that share a splat write equal values.
     """
     tile = start + wp.tid()
     shift = tile_starts[tile] - mixed_starts[tile]

@@ -32,7 +32,7 @@ class DrawnSplats:
 
 
 class UnlitRaster:
-    """Draws frames that need no samples. CUDA replays a captured graph.
+    """Draws frames that need no samples. On CUDA, a recorded CUDA graph is replayed.
 
     Args:
         launcher: Runs the kernels.

@@ -63,7 +63,7 @@ class UnscentedRaster:
         """Rays and Gaussians of the last frame; None before the first frame."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame."""
+        """Returns the modules of the kernels that this class launches in a frame."""
         blended = kernels.PIXELS if self._is_by_pixel(mixes_sets=plan.mixes_sets) else kernels.TILES
         meshes = self._meshes.modules(has_meshes=plan.has_meshes)
         return [kernels, blended, *self._binning.modules(), *meshes]

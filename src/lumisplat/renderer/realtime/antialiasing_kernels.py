@@ -198,7 +198,7 @@ def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], me
             total += luminance(color)
             count += 1.0
     outside = wp.max(wp.max(low - mean, mean - high))
-    # Relative to the brighter of the two: otherwise darkening would be followed faster, and noise would darken images.
+    # Relative to the brighter of pixel and history; else histories would darken faster than brighten.
     tolerated = LEAST * wp.max(total / count, luminance(mean))
     if outside <= tolerated:
         return 1.0

@@ -49,7 +49,7 @@ def start_captured_rays(
             of each highlight that those rays do not cover.
         boxes: Boxes around the captures.
         scene: The scene.
-        wave: The first wave, with numbered samples.
+        wave: The camera rays, with numbered samples.
         slots: For each camera ray, which of its two surfaces has a light sample; -1: none.
         light_out: Reflected radiance for incoming radiance 1, over the pdf of the direction.
         rays_out: The rays; they end behind the boxes.

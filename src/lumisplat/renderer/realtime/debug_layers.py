@@ -31,7 +31,7 @@ class DebugLayers:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def empty(self, name: str, count: int) -> DeviceArray:
@@ -41,7 +41,10 @@ class DebugLayers:
         return image
 
     def motion(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Draws the motion since the previous frame, pixels, of each pixel's larger surface; NaN if unknown."""
+        """Draws the motion since the previous frame, pixels, of each pixel's main surface; NaN if unknown.
+
+        The main surface is the one that covers most of the pixel.
+        """
         image = self.empty("motion", count)
         inputs = scene.camera, scene.motion.camera, *_kinds(surfaces), image
         self._launcher.run_banded(kernels.draw_motion, count, *inputs)
@@ -50,9 +53,10 @@ class DebugLayers:
     def history(
         self, scene: DeviceScene, surfaces: list[PixelSurfaces], frames: dict[int, DeviceArray], count: int
     ) -> DeviceArray:
-        """Draws the number of frames averaged into direct light at each pixel's larger surface.
+        """Draws the number of frames averaged into direct light at each pixel's main surface.
 
-        ``frames`` holds these numbers for each kind of surfaces.
+        The main surface is the one that covers most of the pixel. ``frames`` holds these numbers for each kind of
+        surfaces.
         """
         image = self.empty("history", count)
         inputs = scene.camera, *_kinds(surfaces), frames.get(SPLATS), frames.get(MESHES), image
@@ -66,7 +70,7 @@ class DebugLayers:
         return image
 
     def cache(self, scene: DeviceScene, cache: RadianceCache, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Draws the radiance that the radiance cache holds at each pixel's larger surface."""
+        """Draws the radiance that the radiance cache holds at the surface that covers most of each pixel."""
         image = self._image("cache", count)
         image.assign(cache.look_up(self._samples(scene, surfaces, count)))
         return image
@@ -74,13 +78,13 @@ class DebugLayers:
     def cache_cells(
         self, scene: DeviceScene, cache: RadianceCache, surfaces: list[PixelSurfaces], count: int
     ) -> DeviceArray:
-        """Draws the identifying number of the radiance-cache cell at each pixel's larger surface."""
+        """Draws the identifying number of the radiance-cache cell at the surface that covers most of each pixel."""
         image, numbers = self._image("cache_cells", count), cache.cell_numbers(self._samples(scene, surfaces, count))
         self._launcher.run_banded(kernels.draw_cells, count, numbers, image)
         return image
 
     def _samples(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> CacheSamples:
-        """Returns each pixel's larger surface (which covers more of the pixel) as a query of the radiance cache."""
+        """Returns the surface that covers most of each pixel, as a query of the radiance cache."""
         samples = self._buffers.struct("debug.samples", CacheSamples, count)
         self._launcher.run_banded(kernels.list_surfaces, count, scene.camera, *_kinds(surfaces), samples)
         return samples

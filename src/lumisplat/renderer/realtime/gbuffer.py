@@ -35,7 +35,7 @@ class GBuffer:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def reset(self) -> None:
@@ -43,7 +43,7 @@ class GBuffer:
         self._kinds_before = ()
 
     def store(self, scene: DeviceScene, wave: RayWave, frame: int) -> list[PixelSurfaces]:
-        """Stores the surfaces that the first wave hits; returns the pixels' surfaces for each kind in the scene."""
+        """Stores the surfaces that the camera rays hit; returns the pixels' surfaces for each kind in the scene."""
         kinds = (SPLATS,) * (scene.gaussian_count > 0) + (MESHES,) * (scene.triangle_count > 0)
         with self._launcher.stage("gbuffer"):
             surfaces = [self._store(scene, wave, frame, kind) for kind in kinds]

@@ -1,4 +1,4 @@
-"""Kernels that write the G-buffer: the surfaces that the first wave hits, for filters and probes.
+"""Kernels that write the G-buffer: the surfaces that camera rays hit, for filters and probes.
 
 The fields are described in docs/method/realtime.md#surfaces.
 """

@@ -57,7 +57,7 @@ class IndirectLight:
         self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed, self._offset)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame."""
+        """Returns the modules of the kernels that this class launches in a frame."""
         return [*self._rays.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
 
     def reset(self) -> None:
@@ -66,7 +66,7 @@ class IndirectLight:
         self.probes.reset()
 
     def start_lobes(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
-        """Starts rays within the highlights of the first wave, before later waves overwrite its surfaces.
+        """Starts rays within the highlights that camera rays hit, before later waves of rays overwrite the surfaces.
 
         Returns:
             The struct that stores which pixels have a ray; the rays, or None if no pixel has one.
@@ -192,7 +192,7 @@ class SecondaryRays:
         self._grids = LightGrids(launcher, buffers)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame."""
+        """Returns the modules of the kernels that this class launches in a frame."""
         modules: list[KernelModule] = [ray_kernels, *self._surfaces.modules(), *self._grids.modules()]
         modules += self._tracer.modules(plan, bounced=True)
         if plan.casts_shadows:

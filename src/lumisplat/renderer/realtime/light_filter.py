@@ -21,7 +21,7 @@ class LightFilter:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        name: Name of the buffers that hold the history.
+        name: Name of the buffers that hold the means over earlier frames.
         shared: Number of pixels that share each light sample, and therefore its noise.
     """
 
@@ -32,7 +32,7 @@ class LightFilter:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def reset(self) -> None:

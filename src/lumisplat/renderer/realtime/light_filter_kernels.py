@@ -143,7 +143,7 @@ def history_of(
     at = pixel_before(position, camera_before)
     if at[2] <= 0.0:
         return history
-    # Histories belong to pixel centres, but the point is that of the jittered sample.
+    # Histories belong to pixel centres, but the position is that of a jittered sample.
     x = snapped(at[0] - camera[0].offset[0])
     y = snapped(at[1] - camera[0].offset[1])
     left = int(wp.floor(x))

@@ -22,7 +22,7 @@ class LightGrids:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def is_needed(self, scene: DeviceScene) -> bool:

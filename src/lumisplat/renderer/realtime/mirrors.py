@@ -57,7 +57,7 @@ class Mirrors:
         self._jitter_width = realtime.cache.cell_size if realtime.antialiasing else 0.0
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame."""
+        """Returns the modules of the kernels that this class launches in a frame."""
         modules: list[KernelModule] = [
             kernels,
             *self._tracer.modules(plan),
@@ -69,7 +69,7 @@ class Mirrors:
         return modules
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
-        """Adds reflections and refractions to the first wave, whose rays may branch.
+        """Adds reflections and refractions to the camera rays, which may branch.
 
         Returns:
             The added radiance alone, linear, one vec3 for each ray.
@@ -85,7 +85,7 @@ class Mirrors:
         return added
 
     def _waves(self, scene: DeviceScene, plan: FramePlan, first: RayWave) -> list[RayWave]:
-        """Returns the first wave and the waves that branch off it."""
+        """Returns the wave of camera rays, and the waves of reflected and refracted rays."""
         waves = [first]
         for number in range(1, plan.max_bounces + 1):
             self._specular.number(waves[-1])

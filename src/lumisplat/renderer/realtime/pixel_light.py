@@ -47,7 +47,7 @@ class PixelLights:
         self._direct_light = DirectLight(launcher, buffers, config)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """Returns the kernel modules of a frame."""
+        """Returns the modules of the kernels that this class launches in a frame."""
         modules: list[KernelModule] = [pixel_light_kernels, *self._grids.modules()]
         if plan.has_emissive_captures:
             modules += [captured_emitter_kernels, *self._shadows.modules(_OF_MESHES, has_meshes=plan.has_meshes)]
@@ -65,14 +65,14 @@ class PixelLights:
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
-            wave: The first wave.
+            wave: The camera rays.
             surfaces: Surfaces of the pixels.
             frame: Number of the frame.
         """
         count = wave.count
         interval = self._interval
         if scene.captured_emitters.boxes is not None and self._is_smoothed:
-            interval = 2  # then each sample has two rays
+            interval = 2  # each sample then traces two rays
         light = self._buffers.struct("pixel_light", PixelLight, count)
         rays = self._buffers.struct("pixel_light.rays", RayData, count)
         inputs = interval, frame, scene.camera, wave.data
@@ -101,11 +101,11 @@ class PixelLights:
         light: FilteredLight,
         layers: tuple[DeviceArray, DeviceArray],
     ) -> None:
-        """Adds the filtered light of one kind of surfaces to the rays of the first wave, and to two layers.
+        """Adds the filtered light at surfaces of one kind to the camera rays, and to two layers.
 
         Args:
             scene: The scene on the device.
-            wave: The first wave.
+            wave: The camera rays.
             kind: The surfaces of one kind.
             light: Filtered light that these surfaces reflect.
             layers: Layer of diffuse light and layer of glossy light, one element for each ray.

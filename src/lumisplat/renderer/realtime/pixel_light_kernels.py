@@ -60,7 +60,7 @@ def sample_lights(
         grid: Light grid of the wave.
         camera: Camera of the frame.
         scene: The scene.
-        wave: The first wave, with numbered samples.
+        wave: The camera rays, with numbered samples.
         light_out: Unshadowed samples.
         rays_out: Shadow rays.
     """

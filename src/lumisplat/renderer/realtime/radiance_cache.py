@@ -70,7 +70,7 @@ class RadianceCache:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def reset(self) -> None:
@@ -132,8 +132,8 @@ class RadianceCache:
 
         Each cell gets one ray, or several if cells are few. The caller traces a cosine-weighted ray from each point,
         inserts the hits, and passes them to `add_bounces`. The number of points is fixed by the settings. Up to half of
-        the points go to cells whose rays are long. Only whole tiles of cells with short or with long rays are listed;
-        the remaining points are inactive.
+        the points go to coarse cells, which long rays hit, and the rest to fine cells, which short rays hit. Only whole
+        tiles are listed; the remaining points are inactive.
         """
         run, buffers, tiles = self._launcher.run_banded, self._buffers, self.tiles
         points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)

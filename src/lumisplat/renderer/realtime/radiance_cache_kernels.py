@@ -1,7 +1,8 @@
 """Kernels of the radiance cache: they sort samples into cells, pass light between cells, and insert and evict tiles.
 
-Each array element has one writer: the first of a cell's or tile's sorted samples does the work of all. Tiles are stored
-as a sorted list of keys, into which new keys are merged (docs/method/realtime.md#radiance-cache).
+Rays shorter than a coarse cell is wide use fine cells, all others coarse cells. Each array element
+has one writer: the first of a cell's or tile's sorted samples does the work of all. Tiles are stored as a sorted list
+of keys, into which new keys are merged (docs/method/realtime.md#radiance-cache).
 """
 
 import warp as wp
@@ -43,7 +44,7 @@ from lumisplat.device.math.sorting import first_not_below
 wp.set_module_options({"enable_backward": False})
 
 CELL_RAYS_MAX = 16
-"""Largest number of rays per frame from a cell whose rays are long, if few cells share the rays of a frame."""
+"""Largest number of rays per frame from a coarse cell, if few cells share the rays of a frame."""
 
 RAYS_MAX = wp.constant(CELL_RAYS_MAX)
 
@@ -236,7 +237,7 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
 
 @wp.kernel
 def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]):
-    """Writes the number of filled cells of each tile in rank order, separately for tiles of short and of long rays."""
+    """Writes the number of filled cells of each tile in rank order, separately for tiles of fine and coarse cells."""
     i = start + wp.tid()
     near_out[i] = 0
     far_out[i] = 0
@@ -250,7 +251,7 @@ def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: w
 
 @wp.func
 def near_rays(budget: int, near: int, far: int) -> int:
-    """Returns how many of ``budget`` rays go to cells of short rays: one each, but half if long-ray cells need more."""
+    """Returns how many of ``budget`` rays go to fine cells: one each, but only half if coarse cells need the rest."""
     return wp.min(near, wp.max(budget - RAYS_MAX * far, budget // 2))
 
 
@@ -292,9 +293,9 @@ def list_points(
         frame: Number of the frame.
         tiles: Tiles of the cache.
         ranks: Ranks of the tiles, longest wait first.
-        near_ends: Running sum over the ranks of cells with short rays.
-        far_ends: Running sum over the ranks of cells with long rays.
-        points: Origins of the rays; those of cells with short rays come first.
+        near_ends: Running sum over the ranks of the number of fine cells.
+        far_ends: Running sum over the ranks of the number of coarse cells.
+        points: Origins of the rays; those in fine cells come first.
     """
     i = start + wp.tid()
     points.is_active[i] = False
@@ -381,7 +382,7 @@ def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
 
 @wp.kernel
 def clear_tiles(start: int, tiles: CacheTiles):
-    """Per tile: frees the tile's slot."""
+    """Per tile: frees the tile's storage slot."""
     rank = start + wp.tid()
     tiles.keys[rank] = NO_TILE
     tiles.slots[rank] = rank
@@ -406,7 +407,7 @@ def find_new_tiles(start: int, frame: int, samples: SortedSamples, tiles: CacheT
 def list_new_tiles(
     start: int, samples: SortedSamples, is_new: wp.array[int], ends: wp.array[int], keys_out: wp.array[wp.int64]
 ):
-    """Writes the keys of the new tiles, ascending."""
+    """Writes the keys of the tiles that do not exist yet, ascending."""
     i = start + wp.tid()
     if is_new[i] == 1:
         keys_out[ends[i] - 1] = samples.keys[i]
@@ -483,7 +484,7 @@ def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], 
 
 @wp.func
 def clear_slot(tiles: CacheTiles, slot: int):
-    """Resets a slot, so that it holds a tile without samples."""
+    """Resets the storage slot of a tile, so that it holds a tile without samples."""
     tiles.bounced[slot] = 0
     tiles.filled[slot] = 0
     for i in range(slot * TILE_MEANS, (slot + 1) * TILE_MEANS):

@@ -123,7 +123,7 @@ def place_in_tiles(
     adaptive_before: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Per tile: places the tile's first probe."""
+    """Per tile: places the probe that every tile has."""
     tile = start + wp.tid()
     place = choose_pixel_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
     set_probe(tile, place.pixel, place.source, grids[0], cameras[0], surfaces, before, probes_out)
@@ -188,7 +188,7 @@ def carry_cells(
     cells_before: ProbeCells,
     cells_out: ProbeCells,
 ):
-    """Per probe: reprojects the cells of the probe that it continues to their directions from the new position.
+    """Per probe: takes over the cells of its source, a probe of the previous frame, reprojected to the new position.
 
     A cell whose hit is nearer than the distance that the probe has moved keeps its direction.
     """
@@ -259,7 +259,7 @@ def rank_probes(
 def start_probe_rays(
     start: int, grids: wp.array[ProbeGrid], order: wp.array[int], probes: ProbeData, rays_out: RayData
 ):
-    """Per ray: starts the ray. There is one ray for each cell of the first probes in sorted order."""
+    """Per ray: starts the ray. There is one ray for each cell (direction) of the first probes in sorted order."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     i = order[ray // count]
@@ -279,7 +279,7 @@ def add_samples(
     probes_out: ProbeData,
     cells_out: ProbeCells,
 ):
-    """Per ray: adds the ray's radiance to the mean of its probe cell, unless the radiance is not finite."""
+    """Per ray: adds the ray's radiance to the mean of its probe's cell, unless the radiance is not finite."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     cell = ray % count
@@ -320,7 +320,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Per probe cell: averages it over its probe, the tile's other probe, and the probes of four adjacent tiles."""
+    """Per probe cell: averages radiance over its probe, the tile's other probe, and those of four adjacent tiles."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells

@@ -51,7 +51,7 @@ class ScreenProbes:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def reset(self) -> None:
@@ -101,7 +101,7 @@ class ScreenProbes:
         self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, share, self.cells)
 
     def rays(self, frame: int) -> RayData:
-        """Returns one ray for each cell of the probes that this frame updates; rays into a probe's mesh are inactive.
+        """Returns one ray for each cell (direction) of the probes to update; rays into a probe's mesh are inactive.
 
         Probes that were never updated come first, then those whose last update is longest ago. ``refreshed`` of the
         settings fixes the number of probes to update.
@@ -203,7 +203,7 @@ class ScreenProbes:
         self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])
 
     def _store_history(self) -> None:
-        """Copies the probes of the last frame, so that the new frame can read them as the previous ones."""
+        """Copies the probes of the last frame to the arrays that hold the previous frame's probes."""
         if not self._has_history:
             return
         run = self._launcher.run_banded

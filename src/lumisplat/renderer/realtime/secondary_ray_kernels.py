@@ -210,7 +210,7 @@ def choose_lobes(
     lobes_out: LobeRays,
     follows_out: wp.array[int],
 ):
-    """Per square of pixels: chooses which surface sends a ray within its highlight, in proportion to reflectance.
+    """Per 2 x 2 pixels: chooses which surface sends a ray within its highlight, in proportion to reflectance.
 
     ``follows_out`` is 1 for each square that sends a ray.
     """
@@ -243,7 +243,7 @@ def start_lobes(
     lobes_inout: LobeRays,
     rays_out: RayData,
 ):
-    """Per square of pixels: starts the square's ray, whose index follows from ``ends``, the running count of rays.
+    """Per 2 x 2 pixels: starts the ray within a highlight; ``ends`` is the running count of rays.
 
     All rays must be inactive before.
     """

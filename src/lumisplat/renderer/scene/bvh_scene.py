@@ -107,7 +107,7 @@ class BvhScene:
 
     @property
     def graph_key(self) -> object:
-        """Values that a captured graph contains: the graph is stale once any of them changes."""
+        """Values that a recorded CUDA graph contains: the graph is stale once any of them changes."""
         if self.assets is None:
             return None
         # `stack` depends on the builds and on the top level, whose array may keep its address.

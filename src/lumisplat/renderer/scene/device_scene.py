@@ -125,7 +125,7 @@ class DeviceScene:
 
     @property
     def graph_key(self) -> object:
-        """Values that captured graphs of the frame's passes contain: a graph is stale once any of them changes.
+        """Values that recorded CUDA graphs of the frame's passes contain: a graph is stale once any value changes.
 
         Data that changes from frame to frame or sample to sample is in arrays whose addresses stay the same.
         """

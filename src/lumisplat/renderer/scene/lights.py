@@ -313,7 +313,7 @@ def triangles_of(instance: MeshInstance) -> npt.NDArray[np.void]:
     edges = corners[:, 1:] - corners[:, :1]
     across = np.cross(edges[:, 0], edges[:, 1])
     area = np.linalg.norm(across, axis=1)
-    area[area < np.finfo(np.float32).tiny] = np.inf  # a point of it cannot be offset; it has no power either
+    area[area < np.finfo(np.float32).tiny] = np.inf  # such a triangle has no power and no plane to offset points from
     error = _rounding_error(instance, across / area[:, None])
     # Lengths of the sides opposite the corners.
     sides = np.linalg.norm(np.stack([edges[:, 1] - edges[:, 0], edges[:, 1], edges[:, 0]], axis=1), axis=2)

@@ -25,17 +25,19 @@ from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 OUTDATED_HISTORY_WEIGHT = 1e-4
-"""Weight of cached lighting after a light appears or disappears. New samples replace the cached lighting at once;
-until they arrive it is better than nothing. Many outdated cells of a tile together weigh less than one new sample."""
+"""Factor on the weight of cached lighting when a light appears or disappears. New samples replace the cached lighting
+at once; until they arrive it is better than nothing. Many outdated cells of a tile together weigh less than one new
+sample."""
 
 CHANGED_HISTORY_WEIGHT = 0.7
-"""Weight of cached lighting per frame after lights move or change a little: means then cover about three frames."""
+"""Factor on the weight of cached lighting in each frame after lights move or change a little: means then cover about
+three frames."""
 
 CHANGED_FRAMES = 8
 """Number of frames for which cached lighting fades after lights change."""
 
 MOVED_HISTORY_WEIGHT = 0.8
-"""Weight of cached lighting per frame after lit objects move."""
+"""Factor on the weight of cached lighting in each frame after lit objects move."""
 
 MOVED_FRAMES = 16
 """Number of frames for which cached lighting fades after objects move."""

@@ -24,7 +24,7 @@ class CameraRays:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def start(self, scene: DeviceScene, listed: ListedRays | None = None, *, of_splats: bool = False) -> RayData:

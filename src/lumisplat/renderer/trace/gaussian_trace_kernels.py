@@ -134,7 +134,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                             if first_t < FAR:
                                 nearest = lesser(nearest, first_t)
                                 own_reach = largest(traced.cut_t)
-                    # Hits nearer than all nodes on the stack are final; a stochastic hit is once the stack is empty.
+                    # Hits nearer than all nodes on the stack are final; a stochastic hit only once the stack is empty.
                     bound = float(FAR)
                     if top > 0:
                         bound = wp.where(config.strategy == STRATEGY_HIT, -FAR, stack[top - 1].floor)

@@ -25,7 +25,7 @@ class PrimaryHits:
 
     @property
     def graph_key(self) -> object:
-        """Addresses of the arrays of hits: a captured graph is stale if it contains other addresses.
+        """Addresses of the arrays of hits: a recorded CUDA graph is stale if it contains other addresses.
 
         Rays that leave surfaces may have separate arrays for relit sets, although camera rays have none.
         """

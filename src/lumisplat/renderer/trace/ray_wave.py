@@ -50,7 +50,7 @@ class RayWave:
 
 @dataclass(frozen=True, slots=True)
 class LightImages:
-    """Images of the first wave's light by cause, linear; each is an array of one vec3 per ray."""
+    """Images of the first wave's light, split by light and by layer: linear, each an array of one vec3 per ray."""
 
     direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
     """Direct light of each light without shadows."""

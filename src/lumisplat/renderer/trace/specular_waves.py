@@ -33,7 +33,7 @@ class SpecularWaves:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules."""
+        """Returns the modules of the kernels that this class launches."""
         return [kernels]
 
     def number(self, wave: RayWave) -> None:

@@ -81,7 +81,7 @@ class MeshBvhScene:
 
     @property
     def graph_key(self) -> object:
-        """Key of the device addresses that kernels get by value. A captured graph is stale once the key changes."""
+        """Key of the device addresses that kernels get by value. A recorded CUDA graph with another key is stale."""
         return [trees.build for trees in self._trees], self._instances and self._instances.build
 
     def sync(self, scene: Scene) -> None:
