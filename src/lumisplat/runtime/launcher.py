@@ -167,7 +167,7 @@ class Launcher:
         if self.is_cuda:
             retain_pool(self.device)
 
-    def room(self, ends: DeviceArray, most: int | None = None) -> int:
+    def capacity_of(self, ends: DeviceArray, most: int | None = None) -> int:
         """Returns the capacity to allocate for a list whose length a kernel has just computed; 0 if the list is empty.
 
         The CPU reads the length from its own memory. The parallel schedule does not wait for a GPU to finish: it

@@ -391,7 +391,7 @@ def packet_of(lanes: int) -> RayPacket:
         ``radius_max`` is the largest distance between origins.
 
         Returns:
-            The numbers of the rays that are taken, and -FAR for all others.
+            The previous elements of ``waiting`` for the rays that are taken, and -FAR for all others.
         """
         numbers = waiting
         origin = wp.vec3()

@@ -84,7 +84,7 @@ def blend_hit(
 def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: float, index: int, alpha: float):
     """Writes the hit of Gaussian ``index``, which ``pixel`` blended last, to the profile of its ray.
 
-    A ray never writes beyond its own rows, even if another packet's rounding gives it more hits than were counted.
+    A ray never writes beyond its own elements, even if another packet's rounding gives it more hits than were counted.
     """
     row = profiles[0].first[ray] + pixel.hits - 1
     if row < profiles[0].first[ray + 1]:

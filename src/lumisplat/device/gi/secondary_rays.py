@@ -71,7 +71,7 @@ class OnwardRays:
     goes_on: wp.array[int]
     """1: the ray is active."""
     length_before: wp.array[float]
-    """Length of the path before the ray, scene units."""
+    """Length of the path from the last rough surface to the origin of the ray, scene units."""
     mirrored: wp.array[int]
     """1: a mirror reflected the ray, so that lights that the ray hits count."""
     weights: wp.array[wp.vec3]
@@ -223,7 +223,8 @@ def mirrored_light(
     Small bright lights are hit rarely. A light that covers less than ``MIRRORED_SOLID_ANGLE`` is therefore dimmed to
     the radiance that it would have if it covered this solid angle.
 
-    ``length_before`` is the path length before the ray, scene units; ``no_shadows``: light samples pass mirrors.
+    ``length_before`` is the length of the path from the last rough surface to the ray's origin, scene units;
+    ``no_shadows``: light samples pass mirrors.
     """
     origin = wave[0].rays.origin[i]
     direction = wave[0].rays.direction[i]

@@ -40,7 +40,7 @@ def entered(media: wp.vec4i, number: int) -> wp.vec4i:
 
 @wp.func
 def exited(media: wp.vec4i, number: int) -> wp.vec4i:
-    """Returns the media of a ray after it has left mesh instance ``number``, whose last entry is removed."""
+    """Returns the media of a ray after it has left mesh instance ``number``; removes the instance's last entry."""
     slot = int(-1)
     for k in range(NESTED):
         if media[k] == number + 1:

@@ -245,7 +245,7 @@ class PacketRays:
     limit: wp.array[float]
     """Distance up to which the ray is traced; -FAR: the ray is finished, or the lane has no ray."""
     path_length: wp.array[float]
-    """Length of the path before the ray's origin."""
+    """Length of the path from the eye to the ray's origin, over all bounces."""
     spread: wp.array[float]
     """Width of the ray's footprint divided by the path length."""
     footprint: wp.array[float]

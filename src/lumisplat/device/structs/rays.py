@@ -94,9 +94,9 @@ class GaussianHits:
 
 @struct
 class HitProfiles:
-    """Gaussians hit by rays, listed one by one in blending order; in a 1-element array.
+    """Gaussians hit by rays, listed one by one in blending order.
 
-    Except for ``first``, there is one element for each hit.
+    Each array has one element for each hit, except ``first``. The struct lies in a 1-element array.
     """
 
     first: wp.array[int]

@@ -73,7 +73,7 @@ class AdaptiveRays:
             run = self._launcher.run_banded
             run(kernels.mark_rays, count, sample, width, height, self.rates, is_drawn)
             prefix_sum(is_drawn, ends, inclusive=True)
-            listed = self._listed(self._launcher.room(ends))
+            listed = self._listed(self._launcher.capacity_of(ends))
             device_array(listed.ray).fill_(-1)
             run(kernels.list_rays, count, sample, jitters, width, self.rates, is_drawn, ends, listed)
         return listed

@@ -73,7 +73,7 @@ class PathIntegrator:
         images = self._layers.begin(plan, first, lights=len(scene.lights.names))
         steps = self._extend(scene, plan, 0, wave=wave, paths=paths, images=images)
         for number in range(1, plan.max_bounces + 2):
-            capacity = self._launcher.room(device_array(steps.next_ends))
+            capacity = self._launcher.capacity_of(device_array(steps.next_ends))
             if capacity == 0:
                 break
             rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)

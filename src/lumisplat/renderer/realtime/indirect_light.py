@@ -81,7 +81,7 @@ class IndirectLight:
         follows, ends = (self._buffers.get(f"lobes.{name}", wp.int32, squares) for name in ("follows", "ends"))
         run(ray_kernels.choose_lobes, squares, frame, scene.camera, wave.data, lobes, follows)
         prefix_sum(follows, ends, inclusive=True)
-        capacity = self._launcher.room(ends)
+        capacity = self._launcher.capacity_of(ends)
         if capacity == 0:
             return lobes, None
         rays = self._buffers.struct("lobes.rays", RayData, capacity)

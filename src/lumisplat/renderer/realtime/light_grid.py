@@ -40,11 +40,11 @@ class LightGrids:
             grid.cell_of = get("cell_of", wp.int32, count)
             cells = get("cells", wp.int64, count)
             run(kernels.list_cells, count, GRID_CELLS_MAX, keys, self._order(count), ends, grid.cell_of, cells)
-            room = self._launcher.room(ends, GRID_CELLS_MAX)
-            size = room * (GRID_LIGHTS + 1)
+            capacity = self._launcher.capacity_of(ends, GRID_CELLS_MAX)
+            size = capacity * (GRID_LIGHTS + 1)
             grid.numbers, grid.chances = get("numbers", wp.int32, size), get("chances", wp.float32, size)
             bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
-            run(kernels.choose_lights, room, cells, ends, scene.shading, grid, bands=bands)
+            run(kernels.choose_lights, capacity, cells, ends, scene.shading, grid, bands=bands)
         return grid
 
     def _sorted(self, scene: DeviceScene, wave: RayWave) -> tuple[DeviceArray, DeviceArray]:
