@@ -35,7 +35,7 @@ if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 
 COMPILING_ANNOUNCED_S = 1.0
-"""Loading time in seconds after which modules must be compiling, so that a warning announces the compilation."""
+"""Seconds after which loading modules is announced by a warning, because it means that they are being compiled."""
 
 THREADS_VARIABLE = "LUMISPLAT_THREADS"
 """Environment variable that limits the CPU threads of a process, for machines with other work."""

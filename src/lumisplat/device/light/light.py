@@ -42,7 +42,8 @@ def window(light: LightData, distance2: float) -> float:
 def cone(light: LightData, direction: wp.vec3) -> float:
     """Returns the angular attenuation of a spot at a point; ``direction`` leads from the point to the spot.
 
-    ``1 - cosine`` is half the squared distance of the two unit vectors, which keeps its digits for narrow cones.
+    ``1 - cosine`` of the angle from the spot's axis is computed as half the squared distance of two unit vectors, which
+    keeps its digits for narrow cones.
     """
     off = direction + light.direction
     share = (light.outer - 0.5 * wp.dot(off, off)) / wp.max(light.outer - light.inner, TINY)

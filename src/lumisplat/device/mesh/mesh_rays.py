@@ -221,7 +221,7 @@ def keep_nearest(
     scene: MeshBvh,
     nearest: wp.ref[MeshHit],
 ):
-    """Replaces the nearest hit if a triangle of instance ``number`` is hit nearer."""
+    """Replaces the nearest hit so far if the ray hits a triangle of instance ``number`` before it."""
     hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
     if t > t_min and is_nearer(t, hit.t, triangle.face, number, nearest):

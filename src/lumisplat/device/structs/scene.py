@@ -42,7 +42,7 @@ class KernelData:
     """Coefficient a of the response exp(-a d^degree), or the slope of the linear kernel."""
     min_response: float
     adaptive: int
-    """1: ``min_response`` bounds response times opacity instead of the response alone."""
+    """1: a Gaussian ends where response times opacity falls to ``min_response``; 0: where the response alone does."""
 
 
 @struct
