@@ -1,4 +1,4 @@
-"""Places actors (Gaussians and meshes) in the world, and darkens captured sets by the shadows that they cast."""
+"""Places actors (Gaussians and meshes) in the world, and darkens captured Gaussians by the shadows that actors cast."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ PlacedActor = SplatInstance | MeshInstance
 
 
 def placed_actors(actors: Iterable[PlacedActor | Gaussians | Mesh]) -> list[PlacedActor]:
-    """Returns actors as instances.
+    """Converts actors to instances; a `Gaussians` or `Mesh` without an instance is placed at its origin.
 
     Raises:
-        SceneError: The argument is no list, or holds something other than Gaussians, meshes and instances.
+        SceneError: ``actors`` is no list, or holds something other than Gaussians, meshes and instances.
     """
     given: object = actors
     return [_placed(actor) for actor in _items("actors", given)]
@@ -99,24 +99,24 @@ def shadowed(
     """Darkens captured Gaussians by the shadows of casters that were not part of the capture.
 
     Each channel is multiplied by ``1 - direct (1 - sum_l w_l T_l)``, with ``w_l`` the fraction of light l in the
-    irradiance that all lights give at the Gaussian. With one light and ``direct`` 1 this is its transmittance T, as in
-    Mir et al. (2026, section 3.3). Colours that no light is blocked from keep their bits. Source:
-    docs/method/relighting.md#captured-shadow.
+    irradiance that all lights give at the Gaussian, and ``T_l`` the light's transmittance. With one light and
+    ``direct`` 1 the factor is the transmittance, as in Mir et al. (2026, section 3.3). Colours of Gaussians from which
+    no light is blocked keep their bits. Source: docs/method/relighting.md#captured-shadow.
 
     Args:
-        receivers: Gaussians in world space, or an instance.
-        lights: Lights that the captured colours come from; no environment.
+        receivers: N Gaussians in world space, or an instance.
+        lights: L lights that the captured colours come from; no environment.
         transmittances: Transmittance of each light at each Gaussian, 0..1, shape (L, N), as from
             `DeepShadowMap.transmittance_of`.
-        direct: Fraction of the captured radiance that is due to these lights, 0..1.
+        direct: Fraction of the captured radiance that is due to ``lights``, 0..1.
 
     Returns:
         Receivers of the same type with other ``sh``; the same object if no light is blocked anywhere.
 
     Raises:
         ConfigError: ``direct`` is outside 0..1.
-        SceneError: The receivers or the lights are of another type, there is no light, or transmittances do not fit or
-            leave 0..1.
+        SceneError: The receivers or the lights are of another type, there is no light, or transmittances have another
+            shape or leave 0..1.
     """
     check_range("direct", direct, 0.0, 1.0)
     check_instance(receivers, Gaussians | SplatInstance, "shadowed takes Gaussians or a SplatInstance")
@@ -133,9 +133,10 @@ def shadowed(
 
 
 def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
-    """Returns each light's fraction of the irradiance at a Gaussian that faces it, per channel, shape (L, N, 3).
+    """Returns the fraction of each of L lights in the irradiance at each of N Gaussians, per channel, shape (L, N, 3).
 
-    There is no cosine, because normals of captures are unreliable. Fractions are 0 where no light arrives.
+    Every Gaussian counts as facing every light, because normals of captures are unreliable. Fractions are 0 where no
+    light arrives.
 
     Raises:
         SceneError: One light is an environment, which has no position and thus no shadow map.
@@ -151,10 +152,10 @@ def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArr
 
 
 def _light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], direct: float) -> FloatArray:
-    """Returns the factor of each Gaussian's colour, per channel, shape (N, 3); exactly 1 if no light is blocked.
+    """Returns the factor of each of N Gaussians' colours, per channel, shape (N, 3); exactly 1 if no light is blocked.
 
     Args:
-        shares: Fraction of each light in the irradiance, shape (L, N, 3).
+        shares: Fraction of each of L lights in the irradiance, shape (L, N, 3).
         transmittances: Transmittance of each light, 0..1, shape (L, N).
         direct: Fraction of the captured radiance that is due to the lights, 0..1.
     """
@@ -177,10 +178,10 @@ def casting_lights(lights: Iterable[Light]) -> tuple[Light, ...]:
 
 
 class ActorShadows:
-    """Darkens captured sets by the shadows of actors, with one deep shadow map per light.
+    """Darkens captured Gaussians by the shadows of actors, with one deep shadow map per light.
 
     Args:
-        receivers: Captured sets, which do not move.
+        receivers: Instances of captures, which do not move.
         lights: At least one light, none of them an environment.
         meshes: Static casters besides the actors.
         config: Settings.
@@ -208,10 +209,10 @@ class ActorShadows:
         """Shadow map of each light; empty until the first frame with actors."""
         self._shares = [_light_shares(self._lights, receiver) for receiver in self._receivers]
         self._origin = rendered_frame(Scene(self._receivers))[0].origin
-        """World position that casters are relative to."""
+        """World position relative to which the casters are stored."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
-        """Transmittance of each light through the meshes at all receivers, shape (L, N)."""
+        """Transmittance of each of L lights through the static meshes at all N receiving Gaussians, shape (L, N)."""
         self._warned_lights: set[int] = set()
         self._warned_of_radius = False
         if meshes:
@@ -219,10 +220,10 @@ class ActorShadows:
                 self._static[row] = self._build(meshes, light).transmittance_of(self._receivers)
 
     def darken(self, casters: Sequence[PlacedActor]) -> list[SplatInstance]:
-        """Returns the receivers in the shadow of casters; receivers without any shadow stay the same objects.
+        """Returns the receivers with the shadows of one frame; receivers without any shadow stay the same objects.
 
         Args:
-            casters: Actors of this frame; the list may be empty.
+            casters: Actors of the frame; the list may be empty.
         """
         transmittances = self._static
         if casters:
@@ -235,7 +236,7 @@ class ActorShadows:
         ]
 
     def _transmittances(self, casters: PlacedGaussians) -> FloatArray:
-        """Returns the transmittance of each light through the casters at all receivers, shape (L, N)."""
+        """Returns the transmittance of each of L lights through the casters at all N receiving Gaussians, (L, N)."""
         self._warn_of_lights_inside(casters)
         # One set for all lights, so that meshes are converted to Gaussians once.
         sh = np.zeros((len(casters.means), 1, 3), dtype=np.float32)
@@ -252,7 +253,7 @@ class ActorShadows:
         return transmittances
 
     def _is_far(self, casters: PlacedGaussians, radius: float) -> npt.NDArray[np.bool_]:
-        """Returns which receivers are beyond ``radius`` from the casters, shape (N,); warns once if all are."""
+        """Returns which of N receiving Gaussians are beyond ``radius`` from the casters; warns once if all are."""
         far = distance_from_body(np.concatenate(self._means) - self._origin, casters) > radius
         if far.all() and not self._warned_of_radius:
             self._warned_of_radius = True
@@ -265,7 +266,7 @@ class ActorShadows:
         )
 
     def _warn_of_darkness(self, transmittances: FloatArray) -> None:
-        """Warns once per light if hardly any of it arrives: the light is in a caster, or the capture itself is cast."""
+        """Warns once per light that hardly reaches the receivers: it is inside a caster, or the capture is a caster."""
         for row in np.flatnonzero((transmittances < 0.5).mean(axis=1) > _SUSPICIOUS_SHADOW).tolist():
             if row not in self._warned_lights:
                 self._warned_lights.add(row)
@@ -275,7 +276,7 @@ class ActorShadows:
                 )
 
     def _warn_of_lights_inside(self, casters: PlacedGaussians) -> None:
-        """Warns once per light if an actor has moved over it, because the actor then shadows nearly everything."""
+        """Warns once per light that is inside an actor, because the actor then shadows nearly everything."""
         for row, light in enumerate(self._lights):
             if not isinstance(light, PlacedLight) or row in self._warned_lights:
                 continue
@@ -288,7 +289,7 @@ class ActorShadows:
 
 
 def _is_inside(point: npt.NDArray[np.float64], casters: PlacedGaussians) -> bool:
-    """Returns whether a point is in the footprint of any Gaussian."""
+    """Returns whether a point is within the footprint of any Gaussian of the casters."""
     offset = (point - casters.means).astype(np.float32)
     near = np.einsum("ij,ij->i", offset, offset) < (SHADOW_FOOTPRINT * casters.scales.max(axis=1)) ** 2
     axes = matrices_from_quaternions(casters.rotations_wxyz[near])

@@ -1,6 +1,6 @@
-"""Fits the light under which surfaces of like chromaticity get like albedos, by Gauss-Newton over pairs of Gaussians.
+"""Fits the light under which surfaces of similar chromaticity get similar albedos, by Gauss-Newton over pairs.
 
-The environment is piecewise constant over cells of the sphere, which are smaller where it is bright.
+The environment is piecewise constant over cells of the sphere; the cells are smaller where the environment is bright.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from lumisplat.relighting.irradiance import (
 from lumisplat.scene.ops.neighbours import Pairs
 
 CELL_REACH = 1.3
-"""Largest angle between the centres of neighbouring environment cells, relative to the sum of the radii of discs of
-the cells' solid angles."""
+"""Largest angle between the centres of environment cells that count as neighbours, relative to the sum of two radii:
+of discs that have the cells' solid angles."""
 
 RANDOM_PAIR_SHARE = 0.25
-"""Number of pairs of random Gaussians per pair of neighbours. Surfaces of like chromaticity often have one albedo, and
-neighbours more often."""
+"""Number of pairs of random Gaussians per pair of neighbours. Surfaces of similar chromaticity often have one albedo,
+and neighbours more often."""
 
 CHROMA_WIDTH = 0.03
-"""Standard deviation of the difference of chromaticity, natural logarithm, between Gaussians of one albedo."""
+"""Standard deviation of the difference of chromaticity, natural logarithm, between Gaussians with equal albedo."""
 
 EDGE_WIDTHS = (0.2, 0.1)
-"""Widths of the Cauchy weight of albedo differences, natural logarithm, in the first and the last solve. Larger
-differences are likely edges of textures."""
+"""Widths of the Cauchy weight of albedo differences, natural logarithm, in the first and in the last solve. Pairs with
+larger differences are likely edges of textures."""
 
 RANDOM_PAIRS_MIN = 1000
 """Smallest number of pairs of random Gaussians."""
@@ -46,32 +46,32 @@ LIGHT_STEP_MAX = 0.7
 """Largest change of a radiance in one step, natural logarithm."""
 
 LIGHT_CONVERGED = 1e-3
-"""Change of all radiances, natural logarithm, below which the steps end."""
+"""Largest change of any radiance, natural logarithm, at which the Gauss-Newton steps end."""
 
 ENVIRONMENT_SMOOTHNESS = 3e-3
 """Weight of squared differences between neighbouring environment cells, relative to one pair of Gaussians."""
 
 LIGHT_PRIOR = 3e-4
-"""Weight of a radiance's squared distance from its initial value, relative to one pair of Gaussians."""
+"""Weight of the squared distance between a radiance and its initial value, relative to one pair of Gaussians."""
 
 IRRADIANCE_WEIGHT_MAX = 3.0
-"""Irradiance of a Gaussian from lights, in medians, above which its weight no longer grows, because the irradiance's
-error grows too. A shade beside a lamp thus counts as nine walls at most. In trained rooms, 2 to 4 % of the Gaussians
-receive more."""
+"""Irradiance of a Gaussian from emitters, in medians, above which the Gaussian's weight no longer grows, because the
+irradiance's error grows too. A lampshade thus counts at most like nine pieces of wall. In trained rooms, 2 to 4 % of
+the Gaussians receive more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvironmentCells:
-    """K squares of the equal-area map of directions (`directions_of_square`), on which the environment is constant."""
+    """K square cells of the equal-area map of directions (`directions_of_square`), each with constant radiance."""
 
     corners: Doubles
-    """Lower corners on the map, 0..1, shape (K, 2)."""
+    """Lower corners of the cells on the map, 0..1, shape (K, 2)."""
     sides: Doubles
-    """Side lengths on the map, shape (K,)."""
+    """Side lengths of the cells on the map, shape (K,)."""
 
     @staticmethod
     def even(across: int) -> EnvironmentCells:
-        """Returns ``across`` x ``across`` cells of equal size."""
+        """Returns ``across`` x ``across`` cells of equal size that cover the sphere."""
         v, u = np.divmod(np.arange(across * across), across)
         return EnvironmentCells(np.stack([u, v], axis=1) / across, np.full(across * across, 1.0 / across))
 
@@ -90,14 +90,14 @@ class EnvironmentCells:
 
     @property
     def neighbours(self) -> Rows:
-        """Pairs of adjacent cells, shape (S, 2)."""
+        """The S pairs of adjacent cells, shape (S, 2)."""
         radii = np.sqrt(self.solid_angles / np.pi)
         angles = np.arccos(np.clip(self.directions @ self.directions.T, -1.0, 1.0))
         first, second = np.nonzero(np.triu(angles < CELL_REACH * (radii[:, None] + radii), 1))
         return np.stack([first, second], axis=1)
 
     def of(self, rows: Rows) -> EnvironmentCells:
-        """Returns some of the cells."""
+        """Returns the cells that the indices ``rows`` select."""
         return EnvironmentCells(self.corners[rows], self.sides[rows])
 
     def joined(self, others: EnvironmentCells) -> EnvironmentCells:
@@ -107,7 +107,7 @@ class EnvironmentCells:
         )
 
     def parts(self, across: int) -> EnvironmentCells:
-        """Divides each cell into ``across`` x ``across`` cells, in the order of the cells."""
+        """Divides each cell into ``across`` x ``across`` smaller cells, in the order of the original cells."""
         v, u = np.divmod(np.arange(across * across), across)
         within = np.stack([u, v], axis=1)[None] * (self.sides[:, None, None] / across)
         return EnvironmentCells(
@@ -115,13 +115,13 @@ class EnvironmentCells:
         )
 
     def directions_within(self, cell: int, count: int, rng: np.random.Generator) -> Doubles:
-        """Samples unit directions uniformly in the solid angle of a cell, shape (count, 3)."""
+        """Samples unit directions uniformly in the solid angle of one cell, shape (count, 3)."""
         return directions_of_square(self.corners[cell] + self.sides[cell] * rng.random((count, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Light:
-    """Radiances of environment cells and emitters, linear, in units of display white."""
+    """Radiances of K environment cells and L emitters, linear, in units of display white."""
 
     environment: Doubles
     """Radiance of each environment cell, shape (K, 3)."""
@@ -131,7 +131,7 @@ class Light:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlbedoPairFit:
-    """Finds the light for which pairs of Gaussians get the most similar albedos.
+    """Finds the light for which pairs among N Gaussians get the most similar albedos.
 
     Albedo is outgoing radiance over irradiance / pi. If two surfaces have one albedo, the logarithms of their radiance
     and irradiance differ equally. Other pairs are edges of textures and get low weights. This is Retinex with pairs
@@ -141,21 +141,21 @@ class AlbedoPairFit:
     outgoing: Doubles
     """Outgoing radiance of the Gaussians, shape (N, 3)."""
     incident: Irradiance
-    """Irradiance of the Gaussians, by source."""
+    """Irradiance of the Gaussians, separately by source of light."""
     pairs: Rows
-    """Pairs of Gaussians that are compared, shape (P, 2)."""
+    """The P pairs of Gaussians that are compared, shape (P, 2)."""
     cells: EnvironmentCells
     """Cells of the environment."""
 
     def solved(self, start: Light) -> Light:
-        """Returns the fitted light; the weights of edges become stricter as the light improves."""
+        """Returns the fitted light; pairs with different albedos get ever lower weights as the light improves."""
         light = start
         for width in EDGE_WIDTHS:
             light = self._improved(light, width)
         return light
 
     def _improved(self, start: Light, width: float) -> Light:
-        """Takes Gauss-Newton steps with one width of the edge weights."""
+        """Takes Gauss-Newton steps with one width of the edge weights (`EDGE_WIDTHS`), and returns the light."""
         first = np.concatenate([start.environment, start.emitters])
         radiances, prior = first.copy(), self._prior()
         rows, pairs = np.unique(self.pairs, return_inverse=True)  # few of the Gaussians are in pairs
@@ -184,12 +184,20 @@ class AlbedoPairFit:
         return Light(radiances[: len(self.cells)], radiances[len(self.cells) :])
 
     def _weights(self, differences: Doubles, width: float) -> Doubles:
-        """Returns the weight of each pair, shape (P, 3)."""
+        """Returns the weight of each of P pairs and channels, shape (P, 3).
+
+        Args:
+            differences: Differences of the logarithms of the pairs' albedos, shape (P, 3).
+            width: Width of the Cauchy weight.
+        """
         alike = chroma_similarity(differences, CHROMA_WIDTH) / len(differences)
         return alike / (1.0 + (differences / width) ** 2)
 
     def _prior(self) -> Doubles:
-        """Returns the prior's quadratic form for a smooth, little changed environment, shape (K + L, K + L)."""
+        """Returns the quadratic form of the prior, shape (K + L, K + L) for K cells and L emitters.
+
+        The prior prefers an environment that is smooth and close to its initial value.
+        """
         emitters, share = self.incident.emitters.shape[1], self.cells.solid_angles / (4.0 * np.pi)
         form = LIGHT_PRIOR * np.diag(np.concatenate([share, np.full(emitters, 1.0 / max(emitters, 1))]))
         first, second = self.cells.neighbours.T
@@ -204,9 +212,9 @@ class AlbedoPairFit:
 def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
     """Returns a grey, constant light under which the lightest surfaces have a typical albedo.
 
-    With emitters, Gaussians are weighted by the squared irradiance from them. The relative error of the radiance is
-    that of the irradiance. Without the weights, Gaussians that haze hides from an emitter make it many times too
-    bright.
+    With emitters, Gaussians are weighted by the squared irradiance from the emitters, because the relative error of the
+    radiance is that of the irradiance. Without the weights, Gaussians that haze hides from an emitter make it many
+    times too bright.
     """
     irradiance = unit_irradiance(incident)
     exponent = 2.0 if incident.emitters.size else 0.0
@@ -218,18 +226,18 @@ def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
 
 
 def with_typical_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
-    """Scales the light by one factor, so that the lightest surfaces have a typical albedo."""
+    """Scales all radiances of a light by one factor, so that the lightest surfaces have a typical albedo."""
     irradiance = incident.total(light.environment, light.emitters) - incident.observed
     factor = typical_albedo_factor(outgoing, incident.observed, irradiance, np.ones(len(irradiance)))
     return Light(factor * light.environment, factor * light.emitters)
 
 
 def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> Rows:
-    """Chooses pairs of Gaussians to compare: at most ``count`` of neighbours, and some random ones, shape (P, 2).
+    """Chooses P pairs of Gaussians to compare: at most ``count`` of neighbours, and some random ones, shape (P, 2).
 
     Args:
         near: Pairs of neighbours, in both orders.
-        reflects: Gaussians that may be compared.
+        reflects: Indices of the Gaussians that may be compared.
         count: Largest number of pairs of neighbours.
         rng: Random generator.
     """

@@ -1,4 +1,4 @@
-"""Lights avatars in a captured scene and casts their shadows on it (docs/method/relighting.md)."""
+"""Lights avatars in a captured scene and casts the avatars' shadows on it (docs/method/relighting.md)."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_li
 _log = logging.getLogger("lumisplat")
 
 _DARK = 0.3
-"""Mean radiance at an actor, relative to display white, below which a warning reports that the actor becomes dark."""
+"""Mean radiance at an actor, relative to display white, below which a warning reports that the actor appears dark."""
 
 
 @dataclass(frozen=True, slots=True)
 class _LightRoles:
-    """Roles of the scene's lights, or of the lights given instead."""
+    """Roles of the lights: those of the scene, or those that the user gives instead."""
 
     casting: tuple[Light, ...] | None
     """Lights that cast the shadows of actors; None: they must be estimated."""
     on_meshes: tuple[Light, ...]
     """Lights that illuminate meshes in frames that are lit because of mesh actors."""
     uses_scene_lights: bool
-    """True if the scene's own lights are kept in all frames, because something in the scene reflects them."""
+    """True if all frames contain the scene's lights, because something in the scene reflects them."""
 
     @classmethod
     def of(cls, scene: Scene, lights: Sequence[Light] | None) -> _LightRoles:
-        """Assigns roles to the scene's lights, or to the given ones.
+        """Assigns roles to ``lights`` if the user gives any, else to the lights of the scene.
 
         Raises:
             SceneError: ``lights`` is no list of lights, or none of them casts shadows from a position or a direction.
@@ -68,23 +68,24 @@ class _LightRoles:
 class AvatarLighter:
     """Lights actors in a captured scene, and darkens the scene by the actors' shadows.
 
-    Captured sets receive the shadows of all actors, through one deep shadow map per light that is rebuilt every frame.
-    The scene's own meshes cast shadows on captured sets too, as objects placed after the capture. Actors made of
-    Gaussians are relit by an environment probe of the scene at their position, and by the given suns as far as the
-    scene does not block them and the probe does not already hold them. Actors shadow neither each other nor themselves.
+    Captured Gaussians receive the shadows of all actors, through one deep shadow map per light that is rebuilt every
+    frame. The scene's meshes cast shadows on captured Gaussians too, as objects placed after the capture. Actors made
+    of Gaussians are relit by an environment probe of the scene at their position. Given suns light them, too, as far as
+    the scene does not block a sun and the probe does not already contain it. Actors shadow neither each other nor
+    themselves.
 
-    Actors that are meshes stay meshes, and make the frame a lit one. The lights, and a probe at the meshes' position
-    for the rest of the light, illuminate all meshes without shadows; captured sets stay unlit. If the scene's own
-    lights already illuminate a mesh or a set with a material, the scene keeps them: shadows on reflecting surfaces are
-    then those of the renderer's shadow rays, not of shadow maps.
+    Actors that are meshes stay meshes; frames with them are lit frames. The lights, and a probe at the meshes' position
+    for the rest of the light, illuminate all meshes without shadows; captures stay unlit. If the scene's lights already
+    illuminate a mesh or a capture with a material, the scene keeps its lights: shadows on reflecting surfaces are then
+    those of the renderer's shadow rays, not of shadow maps.
 
     Not safe to share between threads.
 
     Args:
         scene: Static scene, as captured.
-        lights: Lights that the captured colours come from. Those that cast no shadows, and an environment, only
-            illuminate meshes. None: the scene's own. If none of those casts shadows, `estimate_lights` searches around
-            the actors of the first frame, and if it finds none, `estimate_sun`.
+        lights: Lights that the captured colours come from. Lights that cast no shadows, and an environment, only
+            illuminate meshes. None: the scene's lights. If none of them casts shadows, `estimate_lights` searches
+            around the actors of the first frame, and if it finds none, `estimate_sun`.
         config: Settings; None: the defaults.
         background: Background of the probes, display-referred sRGB, 0..1 each.
         device: As for `create_renderer`.
@@ -93,8 +94,8 @@ class AvatarLighter:
     Raises:
         ConfigError: ``config`` is no AvatarLightingConfig.
         DeviceError: There is no such device.
-        SceneError: The scene is of another type or has no captured sets, ``lights`` is no list of lights, or none of
-            them casts shadows from a position or a direction.
+        SceneError: The scene is of another type or has no captures, ``lights`` is no list of lights, or none of them
+            casts shadows from a position or a direction.
     """
 
     def __init__(
@@ -117,18 +118,18 @@ class AvatarLighter:
         self.lights: tuple[Light, ...] | None = self._roles.casting
         """Lights that cast the shadows of actors; None: not estimated yet."""
         self.estimate: LightEstimate | None = None
-        """Estimated lights, if none were given."""
+        """Estimated lights; None if lights were given, or none are estimated yet."""
         self.sun: SunEstimate | None = None
-        """Estimated sun, if no lights were given or found."""
+        """Estimated sun; None if lights were given or found, or no sun is estimated yet."""
         self._device, self._progress = device, progress
         self._probes = ProbeCache(scene, background, device, progress)
         suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
         self._suns = SunOnActors(scene, suns, device, progress) if suns and self.config.sun_on_actors else None
         self._receivers = _receivers(scene, self._roles.uses_scene_lights)
         self._shadows: ActorShadows | None = None
-        """Shadows on the receivers, created when first needed."""
+        """Computes the shadows on the captures; created when first needed."""
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
-        """Gaussians of the last frame's actors and their normals, by the Gaussians' id."""
+        """Gaussians of the last frame's actors with their normals, by the Python id of the `Gaussians`."""
         self._warned_of_darkness = False
 
     def light(
@@ -140,8 +141,8 @@ class AvatarLighter:
     ) -> Scene:
         """Returns the scene with lit actors in it, for one frame.
 
-        Sets without any shadow stay the same objects, so that a renderer does not upload them again. Equal actors give
-        an equal scene, to the bit.
+        Captures without any shadow stay the same objects, so that a renderer does not upload them again. Equal actors
+        give an equal scene, to the bit.
 
         Args:
             actors: Gaussians and meshes in world space, or instances.
@@ -149,7 +150,8 @@ class AvatarLighter:
             relit: Whether each actor is relit by the probe at its position; None: all are.
 
         Returns:
-            The darkened captured sets followed by the actors; likewise for meshes.
+            A scene with the darkened captures followed by the actors' Gaussians, and the scene's meshes followed by the
+            actors' meshes.
 
         Raises:
             DeviceError: The device is out of memory.
@@ -188,7 +190,7 @@ class AvatarLighter:
         return self._roles.uses_scene_lights or (reflecting and bool(self.scene.lights))
 
     def _darken(self, casting: list[PlacedActor]) -> list[SplatInstance]:
-        """Returns the scene's sets in the shadow of casters and of the scene's own meshes."""
+        """Returns the scene's captures with the shadows of actors and of the scene's meshes."""
         sets = list(self.scene.splats)
         if not (self.config.shadows and self._receivers and (casting or self.scene.meshes)):
             return sets
@@ -206,7 +208,7 @@ class AvatarLighter:
         return sets
 
     def _casting_lights(self, actors: Sequence[PlacedActor]) -> tuple[Light, ...]:
-        """Returns the lights that cast shadows, and estimates them around the actors if there are none yet."""
+        """Returns the lights that cast shadows; without any, estimates them around the actors."""
         if self.lights is None:
             position = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
             # The lights give the fraction ``direct`` of the irradiance at the position.
@@ -215,7 +217,7 @@ class AvatarLighter:
         return self.lights
 
     def _estimated_lights(self, position: npt.NDArray[np.float64], irradiance: float) -> tuple[Light, ...]:
-        """Estimates local lights of the capture, or else its sun, scaled to give ``irradiance`` at a position."""
+        """Estimates local lights of the capture, or else its sun, scaled to give ``irradiance`` at ``position``."""
         try:
             self.estimate = estimate_lights(
                 self.scene, position, self.config.light_count, config=self.config.estimation
@@ -230,7 +232,7 @@ class AvatarLighter:
         return tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
 
     def _relight(self, actor: SplatInstance) -> SplatInstance:
-        """Returns an actor relit by the light at its position."""
+        """Returns an actor relit by the probe, and the suns, at its position."""
         if not self.config.relight:
             return actor
         # Estimating normals is expensive, and those of a moving actor stay the same.
@@ -252,7 +254,7 @@ class AvatarLighter:
         self._normals = {key: held for key, held in self._normals.items() if key in present}
 
     def _warn_of_darkness(self, mean: float) -> None:
-        """Warns once if the mean light on actors makes them much darker than captured."""
+        """Warns once if the mean radiance at the actors makes them much darker than captured."""
         if not self._warned_of_darkness and mean * self.config.transfer.gamma < _DARK:
             self._warned_of_darkness = True
             gamma = self.config.transfer.gamma
@@ -268,10 +270,10 @@ class AvatarLighter:
             _log.warning("%s", message)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
-        """Returns the lights for meshes, and an environment for the rest of the light at their position.
+        """Returns the lights for mesh actors, and an environment for the rest of the light at the meshes' position.
 
-        None of them casts shadows by rays: an estimated light is inside its own Gaussians, and the walls that the
-        probe's light comes from would block it.
+        None of these lights casts shadows by rays: an estimated light is inside its own Gaussians, and the walls from
+        which the probe's light comes would block the environment.
         """
         on_meshes = self._roles.on_meshes
         lights = on_meshes if casting_lights(on_meshes) else (*self._casting_lights(meshes), *on_meshes)
@@ -287,7 +289,7 @@ def _check_scene(scene: object) -> None:
 
 
 def _receivers(scene: Scene, is_lit: bool) -> list[int]:
-    """Returns the indices of splat instances that shadow maps darken; reflecting ones get ray-traced shadows."""
+    """Returns indices of the captures that shadow maps darken; captures with a material get ray-traced shadows."""
     rows = [row for row, instance in enumerate(scene.splats) if not is_lit or emits_capture_only(instance)]
     others = len(scene.splats) - len(rows)
     if others:
@@ -304,5 +306,5 @@ def _as_captured(instance: SplatInstance) -> SplatInstance:
 
 
 def _mean_luminance(probe: EnvironmentProbe) -> float:
-    """Returns the mean luminance of the radiance from all directions, at least 0."""
+    """Returns the mean luminance of a probe's radiance over all directions, at least 0."""
     return max(float(SH_C0 * probe.coefficients[0] @ np.array(LUMINANCE)), 0.0)

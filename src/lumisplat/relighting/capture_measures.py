@@ -1,4 +1,4 @@
-"""Measures whether a capture's Gaussians form a surface, and estimates the gain of its light on objects.
+"""Measures whether a capture's Gaussians form a surface, and estimates the gain of a capture's light on objects.
 
 The methods are in docs/method/delighting.md#surfaces and docs/guide/lit_by_capture.md#capture-gain.
 """
@@ -36,48 +36,51 @@ from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import Scene
 
 SURFACE_RAYS = 512
-"""Rays from outside that test whether the Gaussians form surfaces."""
+"""Number of rays, from outside the capture, that test whether the Gaussians form surfaces."""
 
 HIT_ALPHA_MIN = 0.5
-"""Smallest alpha of a ray that counts as a hit."""
+"""Smallest alpha at which a ray counts as hitting the capture."""
 
 HAZE_AT_ONCE_MAX = 0.6
-"""Median fraction of a ray's alpha near its depth below which there is no surface. It is 0.9 to 1 in others' captures
-and in baked ones, 0.39 to 0.99 in captures trained for some minutes, 0 to 0.56 in balls of haze
+"""Median over rays of the fraction of alpha near the ray's depth: below this value there is no surface. It is 0.9 to 1
+in captures of others and in baked ones, 0.39 to 0.99 in captures trained for some minutes, 0 to 0.56 in balls of haze
 (docs/adr/0079-delighting-refuses-captures-without-surfaces.md)."""
 
 SURFACE_SHARP = 0.8
-"""Median fraction of a ray's alpha near its depth below which a capture has no clear surface. It is 0.90 to 1 in
-others' captures, in Gaussians of meshes and in a fox trained with flatness, 0.66 to 0.70 in foxes trained without."""
+"""Median over rays of the fraction of alpha near the ray's depth: below this value a capture has no clear surface. It
+is 0.90 to 1 in captures of others, in Gaussians of meshes and in a fox trained with flatness, 0.66 to 0.70 in foxes
+trained without."""
 
 AGREEING_LEAST = 0.35
-"""Mean squared cosine between normals of neighbours below which they count as random. It is 0.333 to 0.340 in haze,
-0.41 to 0.76 in others' captures, 0.5 to 0.9 in foxes trained for some minutes."""
+"""Mean squared cosine between normals of neighbours below which the normals count as random. It is 0.333 to 0.340 in
+haze, 0.41 to 0.76 in captures of others, 0.5 to 0.9 in foxes trained for some minutes."""
 
 AGREEING_COUNT = 300
-"""Smallest number of Gaussians whose normals are compared: among fewer, neighbours are far apart and surfaces curve."""
+"""Smallest number of Gaussians whose normals are compared: with fewer, neighbours are far from each other and surfaces
+curve between them."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasure:
-    """Measures of how much the Gaussians of a set form a surface."""
+    """Measures of how well the Gaussians of a capture form a surface."""
 
     at_once: float
-    """Fraction of a ray's alpha that comes from near its depth, 0..1: the median over rays from outside."""
+    """Fraction of a ray's alpha that comes from Gaussians near the ray's depth, 0..1: the median over rays from
+    outside."""
     isotropic_share: float
-    """Fraction of the Gaussians by area whose two shorter axes are about equal, so that they have no normal, 0..1."""
+    """Fraction of the Gaussians, by area, without a normal because their two shorter axes are about equal, 0..1."""
     agreement: float
-    """Mean squared cosine between normals of neighbours, 0..1; 1/3 for random normals. It is 1 if there are few
-    Gaussians."""
+    """Mean squared cosine between normals of neighbours, 0..1; 1/3 for random normals. It is set to 1 if there are
+    fewer than `AGREEING_COUNT` Gaussians."""
 
     @property
     def has_no_surface(self) -> bool:
-        """True if there is surely no surface: Gaussians are isotropic, and rays lose transmittance gradually."""
+        """True if the capture surely has no surface: Gaussians are isotropic, and rays lose transmittance gradually."""
         return self.isotropic_share >= ISOTROPIC_SHARE_MAX and self.at_once < HAZE_AT_ONCE_MAX
 
     @property
     def fault(self) -> str | None:
-        """Clause that says what is wrong with the surface; None if nothing is."""
+        """Clause for messages on what is wrong with the surface; None if the surface is good."""
         if self.isotropic_share >= ISOTROPIC_SHARE_MAX:
             return f"{self.isotropic_share:.0%} of its Gaussians, by area, are isotropic and have no normal"
         if self.agreement < AGREEING_LEAST:
@@ -88,10 +91,10 @@ class SurfaceMeasure:
 
 
 def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> SurfaceMeasure:
-    """Measures how much the Gaussians of a set form a surface.
+    """Measures how well the Gaussians of a capture form a surface.
 
     Args:
-        gaussians: The set; some of it is visible.
+        gaussians: The capture; some of it must be visible.
         renderer: Traces unlit rays with sorted hits.
         seed: Seed of the rays.
     """
@@ -109,7 +112,7 @@ def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> Surf
 def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
     """Returns a sentence with advice if a capture's Gaussians form no surface that can be lit; None if they do.
 
-    It takes less than a second for most captures. Source: docs/method/delighting.md#surfaces.
+    The measurement takes less than a second for most captures. Source: docs/method/delighting.md#surfaces.
 
     Args:
         gaussians: A capture.
@@ -117,7 +120,7 @@ def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
 
     Raises:
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: ``gaussians`` is of another type.
+        SceneError: ``gaussians`` is not a `Gaussians`.
     """
     check_argument("surface_remark", gaussians, Gaussians, "Gaussians")
     visible = np.count_nonzero(gaussians.opacities >= OPACITY_SEEN)
@@ -129,7 +132,7 @@ def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
 
 
 def no_surface_message(fault: str) -> str:
-    """Returns a sentence that reports the lack of a surface, with advice on training."""
+    """Returns a sentence that reports the lack of a surface, with advice on training; ``fault`` says what is wrong."""
     return (
         f"the capture has no clear surface ({fault}): shading and shadows on it are patchy; train it longer, "
         "with --flatness 0.3 --normals 0.05 --depth-spread 0.3"
@@ -137,7 +140,7 @@ def no_surface_message(fault: str) -> str:
 
 
 def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, seed: int) -> Doubles:
-    """Returns the fraction of each ray's alpha that comes from near its depth, 0..1; 0 for rays without a hit."""
+    """Returns the fraction of each ray's alpha that comes from near the ray's depth, 0..1; 0 for rays without a hit."""
     rng, scene = np.random.default_rng([seed, 11]), Scene([gaussians])
     low, high = scene.bulk_bounds()
     extent = float(np.linalg.norm(high - low))
@@ -160,7 +163,7 @@ def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, se
 
 
 def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
-    """Returns the mean squared cosine between normals of sampled Gaussians and of their neighbours, 0..1."""
+    """Returns the mean squared cosine between normals of sampled Gaussians and those of their neighbours, 0..1."""
     rng = np.random.default_rng([seed, 12])
     visible = np.flatnonzero(weights > 0.0)
     if len(visible) < AGREEING_COUNT:
@@ -179,14 +182,14 @@ def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
 
 
 CAPTURE_GAIN_MAX = 6.0
-"""Largest gain that is estimated, stops. Positions that would need more are too dark for an estimate."""
+"""Largest gain that is estimated, stops. Positions that would need a larger gain are too dark for an estimate."""
 
 AROUND_ALBEDO = 0.5
-"""Assumed mean albedo of the surfaces around an object, from which their irradiance follows. Rooms have 0.4 to 0.6
-(CIBSE, Lighting Guide 5)."""
+"""Assumed mean albedo of the surfaces around an object, from which the surfaces' irradiance follows. Rooms have 0.4 to
+0.6 (CIBSE, Lighting Guide 5)."""
 
 GAIN_DIRECTIONS = 1024
-"""Rays around an object that measure how much of the sphere the capture covers."""
+"""Number of rays from an object that measure how much of the sphere around it the capture covers."""
 
 
 def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, device: str = "auto") -> float:
@@ -195,8 +198,8 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
     Captures are display-referred: light sources in them are clipped at white, and parts of the environment are missing.
     The surfaces around the object were lit by all of the light. With mean radiance L and albedo 0.5, they received the
     irradiance 2 pi L. The object receives pi L times the fraction of directions in which the capture has surfaces. The
-    gain is the ratio of the two, so it depends on that fraction alone and not on the capture's brightness. A capture
-    that holds all of its light unclipped, such as one of an overcast sky, needs a gain of 0.
+    gain is the ratio of the two irradiances; it therefore depends on that fraction alone and not on the capture's
+    brightness. A capture that holds all of its light unclipped, such as one of an overcast sky, needs a gain of 0.
 
     Args:
         scene: Its unlit captures are the environment, whatever else is in the scene.

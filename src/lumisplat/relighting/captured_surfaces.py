@@ -24,54 +24,59 @@ SURFACE_CELLS = 64
 """Voxels along each side of the cube around a capture: 8 cm in a room of 5 m."""
 
 SURFACE_COVERAGE = 0.3
-"""Smallest sum of area times opacity of the Gaussians in a voxel, in areas of its face, for it to be solid. Haze has
-less."""
+"""Smallest sum of area times opacity of a voxel's Gaussians, relative to the area of a voxel face, for the voxel to be
+solid. Haze has less."""
 
 SURFACE_FLATNESS = 0.25
-"""Largest ratio of the smallest to the middle variance of positions in a voxel with a normal; foliage has none."""
+"""Largest ratio of the smallest to the middle variance of positions in a voxel, for the voxel to have a normal;
+foliage exceeds it."""
 
 SURFACE_THIN = 0.5
-"""Largest ratio of the smallest to the middle scale of a Gaussian with a normal of its own."""
+"""Largest ratio of a Gaussian's smallest to its middle scale, for the Gaussian's shortest axis to be used as its
+normal."""
 
 SURFACE_DISC = 1.2
-"""Radius of the circle on which a Gaussian's area is distributed, in standard deviations: about its root mean square.
+"""Radius of the circle over which a Gaussian's area is distributed, in standard deviations: about the root mean square
+distance from its centre.
 """
 
 SURFACE_PER_CELL = 3
-"""Maximum number of Gaussians per voxel that are used, so that fine objects do not outweigh the room."""
+"""Largest number of Gaussians per voxel that are used, so that finely detailed objects do not outweigh the room."""
 
 SURFACE_CLIP = 0.98
-"""Quantile at which the luminance of surfaces is clipped, because light sources are not lit by the light."""
+"""Quantile at which the luminance of surfaces is clipped, because visible light sources emit and do not reflect the
+light."""
 
 SURFACE_OFFSET = 1.8
-"""Distance from a surface at which shadow rays start, voxels: more than the diagonal of the surface's own voxel."""
+"""Distance from a surface at which shadow rays start, in voxels: more than the diagonal of the voxel that the surface
+fills."""
 
 SURFACE_STEP = 0.7
 """Step length along shadow rays, voxels."""
 
 SURFACE_BLOCK = 4
-"""Side, in voxels, of the blocks of surfaces whose residuals count as correlated, as texture is."""
+"""Side, in voxels, of blocks within which residuals of surfaces count as correlated, because texture is."""
 
 SURFACES_MAX = 3000
 """Maximum number of surface Gaussians; a random subset is used if there are more."""
 
 TRACE_RIDGE = 1e-6
-"""Ridge of the regression, relative to the mean square of its columns. In a closed room the environment's columns are
-0."""
+"""Ridge of the regression, relative to the mean square of its columns. It is needed in a closed room, where the
+environment's columns are 0."""
 
 TRACE_FLOOR = 0.25
-"""Lower bound, relative to the median luminance, of the explained luminance that residuals are divided by."""
+"""Residuals are divided by the explained luminance, but at least by this fraction of the median luminance."""
 
 TRACE_STEPS = 4
-"""Number of reweighting steps."""
+"""Number of steps in which the regression's weights are recomputed from its residuals."""
 
 _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8) * (np.pi / 4.0)]
-"""Points over which a Gaussian's area is distributed: its centre, and eight on a circle."""
+"""Sample points over which a Gaussian's area is distributed: its centre, and eight on a circle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolidCells:
-    """Voxels of a cube that block light."""
+    """n x n x n voxels of a cube, of which some block light."""
 
     solid: Flags
     """True for voxels that block light, shape (n, n, n)."""
@@ -81,7 +86,7 @@ class SolidCells:
     """Side of a voxel, scene units."""
 
     def is_free(self, origins: Doubles, directions: Doubles, distances: npt.ArrayLike = np.inf) -> Flags:
-        """Returns whether each ray passes no solid voxel, shape (N,).
+        """Returns whether each of N rays passes no solid voxel, shape (N,).
 
         Args:
             origins: Origins of the rays, world space, shape (N, 3).
@@ -111,23 +116,24 @@ class SolidCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapturedSurfaces:
-    """Gaussians of a capture that lie on surfaces, sampled evenly over the surfaces."""
+    """M Gaussians of a capture that lie on surfaces, sampled evenly over the surfaces."""
 
     positions: Doubles
     """World-space positions, shape (M, 3)."""
     normals: Doubles
     """Unit normals of arbitrary sign, shape (M, 3)."""
     luminance: Doubles
-    """Linear luminance, mean over all directions, clipped at `SURFACE_CLIP`, shape (M,)."""
+    """Linear luminance of each surface, mean over all directions, clipped at the quantile `SURFACE_CLIP`, shape (M,).
+    """
     blocks: Rows
-    """Index of the block of neighbouring surfaces, from 0, shape (M,)."""
+    """Index of the block of `SURFACE_BLOCK` voxels per side in which each surface lies, shape (M,)."""
     cells: SolidCells
-    """Voxels that shadow the surfaces."""
+    """Voxels that cast shadows on the surfaces."""
 
     def cosines(self, directions: Doubles, distances: npt.ArrayLike = np.inf) -> Doubles:
-        """Returns the cosine at each surface towards a light, 0 where the surface is shadowed, shape (M,).
+        """Returns the cosine between each surface's normal and the light, 0 where the surface is shadowed, shape (M,).
 
-        Surfaces are lit on either side: if one side is the inside of an object, the object itself shadows it.
+        Surfaces are lit on either side: if one side is the inside of an object, the object itself shadows that side.
 
         Args:
             directions: Unit directions towards the light, shape (3,) or (M, 3).
@@ -191,18 +197,18 @@ class _Grid:
 
 
 class _Discs(NamedTuple):
-    """Gaussians as discs in world space."""
+    """N Gaussians as discs in world space."""
 
     means: Doubles
     """Centres, shape (N, 3)."""
     first: Doubles
     """Longest axis times the disc's standard deviation along it, shape (N, 3)."""
     second: Doubles
-    """Middle axis, likewise."""
+    """Middle axis times the disc's standard deviation along it, shape (N, 3)."""
     normals: Doubles
     """Unit normals of arbitrary sign, shape (N, 3)."""
     area: Doubles
-    """Covered area times opacity, shape (N,)."""
+    """Area of each disc times opacity, shape (N,)."""
     luminance: Doubles
     """Linear luminance, shape (N,)."""
     is_flat: Flags
@@ -214,7 +220,7 @@ class _Discs(NamedTuple):
 
 
 def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: float) -> _Discs:
-    """Returns the Gaussians of an instance within a cube."""
+    """Returns the Gaussians of an instance within a cube, from ``extent`` below to ``extent`` above ``center``."""
     near = np.flatnonzero(np.abs(world - center).max(axis=1) < extent)
     gaussians = instance.gaussians.subset(near)
     order = np.argsort(-gaussians.scales, axis=1, kind="stable")
@@ -237,7 +243,7 @@ def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: flo
 
 
 def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[Flags, Doubles, Flags]:
-    """Returns which voxels are solid, the normal of each voxel's content, shape (n^3, 3), and whether it is flat."""
+    """Returns per voxel whether it is solid, the normal of its Gaussians, shape (n^3, 3), and whether they are flat."""
     count = SURFACE_CELLS**3
     area, first, second = np.zeros(count), np.zeros((3, count)), np.zeros((3, 3, count))
     for u, v in _DISC:
@@ -261,7 +267,7 @@ def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[Flags, Doubles, Flags]:
 
 
 def _evenly_spread(rows: Rows, cells: Rows) -> Rows:
-    """Returns a random subset of rows with at most `SURFACE_PER_CELL` per voxel and `SURFACES_MAX` in all."""
+    """Returns a random subset of ``rows`` with at most `SURFACE_PER_CELL` per voxel and `SURFACES_MAX` in all."""
     shuffled = np.random.default_rng(0).permutation(rows.size)
     order = shuffled[np.argsort(cells[shuffled], kind="stable")]
     starts = np.searchsorted(cells[order], cells[order])
@@ -276,24 +282,27 @@ _EVEN_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 class Trace(NamedTuple):
-    """Evidence for one more light in the luminance of surfaces."""
+    """Evidence, in the luminance of surfaces, that one more light shines."""
 
     significance: float
-    """Luminance per irradiance of the light, over its standard error; negative if surfaces are darker in the light."""
+    """Regression coefficient of the light's irradiance, over its standard error; negative if surfaces are darker in
+    the light."""
     share: float
-    """Fraction of the remaining variance that the light explains, -1..1; negative if surfaces are darker in the light.
+    """Fraction that the light explains of the luminance variance that the regression left so far, -1..1; negative if
+    surfaces are darker in the light.
     """
     factor: float
-    """Luminance per irradiance of the light."""
+    """Regression coefficient of the light: luminance per unit of its irradiance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shading:
-    """Regression of the luminance of surfaces on the irradiance from lights."""
+    """Regression of the luminance of M surfaces on the irradiance from lights."""
 
     surfaces: CapturedSurfaces
     design: Doubles
-    """Columns of the regression so far: a smooth environment, and lights already found, shape (M, K)."""
+    """Columns of the regression: functions of the normal, a smooth environment, and lights already found, shape (M,
+    K)."""
     weights: Doubles
     """Weight of each surface's squared residual, from relative residuals and Huber's loss, shape (M,)."""
 
@@ -302,9 +311,9 @@ class Shading:
         """Starts a regression on a smooth environment of low SH degree, and on functions of the normal.
 
         Args:
-            surfaces: The surfaces.
-            directions: Directions evenly spread over the sphere, shape (D, 3).
-            cosines: Unshadowed cosines of the surfaces towards each direction, shape (M, D), as from
+            surfaces: M surfaces.
+            directions: D directions evenly spread over the sphere, shape (D, 3).
+            cosines: Cosines of the surfaces towards each direction, 0 in shadow, shape (M, D), as from
                 `CapturedSurfaces.cosines`.
             degree: SH degree of the environment.
         """
@@ -315,11 +324,11 @@ class Shading:
         return cls(surfaces, design, _robust_weights(design, surfaces.luminance))
 
     def with_light(self, irradiance: Doubles) -> Shading:
-        """Returns the regression with one more light as a column."""
+        """Returns the regression with a light's ``irradiance``, shape (M,), as a further column."""
         return replace(self, design=np.column_stack([self.design, irradiance]))
 
     def traces(self, irradiances: Doubles, counted: Flags | None = None) -> list[Trace]:
-        """Returns the evidence for each of several candidate lights, each added alone.
+        """Returns the evidence for each of L candidate lights, as if each were the only further light.
 
         Args:
             irradiances: Irradiance of the surfaces from each light in any unit, shape (M, L).
@@ -343,7 +352,7 @@ class Shading:
 
 
 def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
-    """Returns the direction in which a position is blocked most, which is downwards outdoors, shape (3,).
+    """Returns the mean direction in which solid voxels block the view from a position, shape (3,): downwards outdoors.
 
     Its length is 1 above an endless ground under an open sky, and 0 in a closed room or in the air.
     """
@@ -354,7 +363,7 @@ def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
 
 
 def _robust_weights(design: Doubles, luminance: Doubles) -> Doubles:
-    """Returns weights of squared residuals, from residuals relative to the luminance and Huber's loss, shape (M,)."""
+    """Returns weights of squared residuals, shape (M,): residuals relative to the luminance, under Huber's loss."""
     weights = np.ones_like(luminance)
     if not luminance.size:
         return weights
@@ -369,7 +378,7 @@ def _robust_weights(design: Doubles, luminance: Doubles) -> Doubles:
 
 
 def _explained(design: Doubles, values: Doubles, weights: Doubles) -> Doubles:
-    """Returns the part of values, shape (M,) or (M, L), that ``design`` explains by weighted least squares."""
+    """Returns the weighted least-squares fit of ``values``, shape (M,) or (M, L), by the columns of ``design``."""
     weighted = design * weights[:, None]
     gram = weighted.T @ design
     gram += TRACE_RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))

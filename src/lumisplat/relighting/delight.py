@@ -42,43 +42,44 @@ from lumisplat.scene.ops.neighbours import Pairs, cross_pairs
 from lumisplat.scene.ops.normals import agreeing_signs, shortest_axes
 
 BRIGHT_CELLS = 6
-"""Number of the brightest environment cells that each refinement divides."""
+"""Number of environment cells, the brightest, that each refinement divides."""
 
 BRIGHT_PARTS = 4
-"""Parts along each side into which a bright cell is divided."""
+"""Number of smaller cells along each side of a divided environment cell."""
 
 BRIGHT_REFINEMENTS = 2
-"""Number of refinements of the bright environment cells."""
+"""Number of times that the brightest environment cells are divided."""
 
 CLIPPED = 0.985
-"""Display-referred value of all channels above which a Gaussian may have been brighter than the camera could record."""
+"""Display-referred value from which a Gaussian, if all its channels reach it, may have been too bright for the camera
+to record."""
 
 EMITTERS_MAX = 8
 """Maximum number of emitters (groups of clipped Gaussians) whose radiance is fitted separately."""
 
 EMITTER_GAP = 4.0
-"""Largest distance between neighbouring Gaussians of one emitter, in median scales of clipped Gaussians."""
+"""Largest distance between neighbouring Gaussians of one emitter, relative to the median scale of clipped Gaussians."""
 
 PAIRS = 24_000
 """Maximum number of pairs of neighbours whose albedos are compared."""
 
 IRRADIANCE_KNOWN = 0.03
-"""Irradiance relative to the median below which a Gaussian's albedo is replaced by that of its neighbours."""
+"""Irradiance, relative to the median, below which a Gaussian's albedo is replaced by that of its neighbours."""
 
 MATT_LEAST = 0.2
 """Smallest fraction of a Gaussian's reflectance that remains after the specular part is subtracted."""
 
 CONFIDENT = 0.8
-"""Confidence above which a remark counts a Gaussian's roughness as determined by highlights."""
+"""Confidence from which a Gaussian's roughness counts, in a remark, as determined by highlights."""
 
 TOO_LIGHT = 0.02
-"""Fraction of Gaussians above which a remark reports a problem."""
+"""Fraction of Gaussians with a problem, such as an albedo above 1, from which a remark reports the problem."""
 
 RESIDUAL_LARGE = 0.25
-"""Residual relative to the captured radiance above which a Gaussian counts as unexplained."""
+"""Residual, relative to the captured radiance, from which a Gaussian counts as unexplained by the estimated light."""
 
 ENVIRONMENT_IMAGE_ROWS = 64
-"""Rows of the image of the estimated environment."""
+"""Height of the image of the estimated environment, pixels."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -93,7 +94,7 @@ def delight(
 ) -> Gaussians:
     """Estimates ``albedo``, ``roughness`` and ``normals`` of a capture, with the light of the capture removed.
 
-    `estimate_materials` does the same and also returns the estimated light and confidences.
+    `estimate_materials` estimates the same materials, and also returns the estimated light and confidences.
 
     Args:
         gaussians: A capture with display-referred colours; an existing albedo is replaced.
@@ -108,7 +109,7 @@ def delight(
     Raises:
         ConfigError: A setting is of the wrong kind.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: There is no surface, or it is as bright as display white everywhere.
+        SceneError: The capture has no surface, or its surface is as bright as display white everywhere.
     """
     return estimate_materials(gaussians, config, device=device, threads=threads, progress=progress).gaussians
 
@@ -124,9 +125,9 @@ def estimate_materials(
     """Estimates the materials of a capture, and the light it was taken in, from the capture alone.
 
     Most of the light that reaches a Gaussian is visible in the capture, where rays gather it. The rest comes from the
-    environment, and from emitters too bright for a display. Their radiances are fitted so that Gaussians of like
-    chromaticity get like albedos. Where colours change with the view direction, highlights determine the roughness of
-    dielectrics, unless the capture is a room with emitters: their highlights stay in the albedo. Source:
+    environment, and from emitters too bright for a display. The radiances of both are fitted so that Gaussians of
+    similar chromaticity get similar albedos. Where colours change with the view direction, highlights determine the
+    roughness of dielectrics, unless the capture is a room with emitters: there, highlights stay in the albedo. Source:
     docs/method/delighting.md.
 
     Only the product of light and albedo is visible, so the lightest surfaces are assumed to have an albedo of 0.8. In a
@@ -142,7 +143,7 @@ def estimate_materials(
     Raises:
         ConfigError: A setting is of the wrong kind.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: There is no surface, or it is as bright as display white everywhere.
+        SceneError: The capture has no surface, or its surface is as bright as display white everywhere.
     """
     config = config or DelightConfig()
     check_argument("delight", gaussians, Gaussians, "Gaussians")
@@ -185,12 +186,12 @@ _BRIGHT = tuple(
     for number in range(1, BRIGHT_REFINEMENTS + 1)
 )
 _FIT_COST, _HIGHLIGHT_COST = 5e6, 500.0
-"""Expected cost of one light fit, and of the highlights of one Gaussian, in traced rays of equal time (20,000
-Gaussians)."""
+"""Expected time of one light fit (`_FIT_COST`) and of fitting the highlights of one Gaussian (`_HIGHLIGHT_COST`), as
+the number of rays traced in that time; measured with 20,000 Gaussians."""
 
 
 def _costs(count: int, config: DelightConfig, *, inside: bool, shines: bool) -> dict[str, float]:
-    """Returns the expected cost of each stage, in traced rays, for ``count`` Gaussians."""
+    """Returns the expected cost of each stage for ``count`` Gaussians, as a number of traced rays."""
     costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: 1.0 * config.cells**2 * count, _LIGHT: _FIT_COST}
     for bright, light in () if inside else _BRIGHT:
         costs |= {bright: 1.0 * BRIGHT_CELLS * BRIGHT_PARTS**2 * count, light: 2.0 * _FIT_COST}
@@ -279,7 +280,7 @@ class _Delighter:
         return outgoing
 
     def _parts(self, roughness: FloatArray, lobes: Lobes) -> tuple[Doubles, Doubles]:
-        """Returns diffuse and specular reflectance of Gaussians with albedo 1 in constant light, shape (N, 1) each."""
+        """Returns diffuse and specular radiance of N Gaussians with albedo 1 in a constant environment, (N, 1) each."""
         if self.config.matt:
             return np.ones((len(roughness), 1)), np.zeros((len(roughness), 1))
         matt, mirrored = lobes.in_constant_environment(roughness)
@@ -288,7 +289,7 @@ class _Delighter:
     def _finer(
         self, normals: Doubles, smoother: Smoother, cells: EnvironmentCells, incident: Irradiance, light: Light
     ) -> tuple[EnvironmentCells, Irradiance, Light]:
-        """Divides the brightest environment cells and traces the rays of their parts."""
+        """Divides the brightest environment cells, traces rays to the new ones; returns cells, irradiance and light."""
         power = light.environment.mean(axis=1) * cells.solid_angles
         bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]
         others = np.setdiff1d(np.arange(len(cells)), bright)
@@ -316,16 +317,16 @@ class _Delighter:
 
 
 def _agreeing_axes(gaussians: Gaussians) -> Doubles:
-    """Returns the shortest axes, shape (N, 3), with signs that agree among neighbours.
+    """Returns the shortest axes of N Gaussians, shape (N, 3), turned to one side of a plane.
 
-    Where no ray decides the visible side, such as on an isolated sheet, these signs stay.
+    These signs are final where no ray decides the visible side, such as on an isolated sheet.
     """
     axes = shortest_axes(gaussians)
     return agreeing_signs(axes)[:, None] * axes
 
 
 def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
-    """Returns albedos, shape (N, 3), replaced by the mean of the neighbours where hardly any light arrives."""
+    """Returns albedos, (N, 3), in which Gaussians with hardly any irradiance have the mean of their neighbours."""
     light = irradiance.mean(axis=1)
     certainty = np.clip(light / (IRRADIANCE_KNOWN * float(np.median(light)) + 1e-12) - 1.0, 0.0, 1.0)
     weights = certainty[near.second] + 1e-6
@@ -336,20 +337,20 @@ def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
 
 
 def _unexplained(outgoing: Doubles, explained: Doubles) -> FloatArray:
-    """Returns the difference between explained and captured radiance, relative to the captured radiance, shape (N,)."""
+    """Returns the difference of explained and captured radiance, relative to the captured, of N Gaussians, (N,)."""
     difference = np.abs(explained - outgoing).mean(axis=1)
     return (difference / np.maximum(outgoing.mean(axis=1), RADIANCE_LEAST)).astype(np.float32)
 
 
 def is_white(gaussians: Gaussians, normals: Doubles) -> Flags:
-    """Returns which Gaussians are clipped at display white when viewed from the front, shape (N,)."""
+    """Returns which of N Gaussians are clipped at display white when viewed against their normal, shape (N,)."""
     return (colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & (gaussians.opacities > 0.0)
 
 
 def emitters_of(gaussians: Gaussians, white: Flags) -> Rows:
-    """Returns the index of each white Gaussian's group, largest group first, shape (N,); -1 for no group.
+    """Groups neighbouring white Gaussians; returns each Gaussian's group, shape (N,), or -1 for none.
 
-    Only the `EMITTERS_MAX` largest groups have an index.
+    Groups are numbered by size, the largest first; only the `EMITTERS_MAX` largest have a number.
     """
     bright = np.flatnonzero(white)
     groups = np.full(gaussians.count, -1)
@@ -367,17 +368,17 @@ def emitters_of(gaussians: Gaussians, white: Flags) -> Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialEstimate:
-    """Estimated materials of a capture of N Gaussians, and the estimated light it was taken in."""
+    """Estimated materials of a capture of N Gaussians, and the estimated light in which it was taken."""
 
     gaussians: Gaussians
     """The capture with ``albedo`` (linear), ``roughness`` and ``normals`` for each Gaussian."""
     cells: EnvironmentCells
-    """K cells of the environment; none if the capture was taken from inside of it."""
+    """The K cells of the environment; none if the capture was taken from inside, as a room is."""
     environment: Doubles
     """Radiance of each environment cell, linear, in units of display white, shape (K, 3)."""
     emitters: Doubles
-    """Radiance of each emitter, a group of Gaussians clipped at display white, linear, in the same units, shape (L,
-    3)."""
+    """Radiance of each of L emitters, groups of Gaussians clipped at display white: linear, in units of display white,
+    shape (L, 3)."""
     emitter_of: Rows
     """Index of the emitter that each Gaussian belongs to, -1 for none, shape (N,)."""
     residual: FloatArray
@@ -387,21 +388,21 @@ class MaterialEstimate:
     """Fraction of the irradiance at each Gaussian that is visible in the capture rather than estimated, 0..1, shape
     (N,)."""
     roughness_confidence: FloatArray
-    """Confidence of each Gaussian's roughness, 0..1, shape (N,): how much highlights narrow it down. At 0 the
+    """Confidence of each Gaussian's roughness, 0..1, shape (N,): how narrowly highlights determine it. At 0 the
     roughness is an assumed 0.8, as in a capture whose colours do not change with the view direction."""
     is_inside: bool
-    """True if the capture was taken from inside of it, such as one of a room."""
+    """True if the capture was taken from inside, as a room is."""
     out_of_range: Flags
-    """Gaussians whose albedo would exceed 1 in a channel, because they received more light than was estimated, shape
-    (N,). One factor scales all their channels so that the largest is 1 and the hue stays."""
+    """True for Gaussians whose albedo would exceed 1 in a channel, because they received more light than was
+    estimated, shape (N,). Their albedo is scaled by one factor, so that the largest channel is 1 and the hue stays."""
     is_white: Flags
-    """Gaussians clipped at display white, except emitters, shape (N,); their albedo is a guess."""
+    """True for Gaussians clipped at display white, except emitters, shape (N,); their albedo is a guess."""
     is_too_dark: Flags
-    """Gaussians darker in a channel than the specular reflection of a dielectric, shape (N,). Relit, they become
-    lighter in that channel, and saturated colours paler."""
+    """True for Gaussians darker in a channel than the specular reflection of a dielectric, shape (N,). Relit, they
+    become lighter in that channel, and saturated colours paler."""
 
     def environment_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
-        """Returns the environment as a latitude-longitude image, shape (H, 2 H, 3); black if there is none.
+        """Returns the environment as a latitude-longitude image, shape (H, 2 H, 3); black if there is no environment.
 
         Args:
             rotation_wxyz: Rotation from image to world, such as ``scene.upright_wxyz``. A `LightEnvironment` with the

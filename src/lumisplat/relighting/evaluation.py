@@ -39,7 +39,7 @@ INSIDE = 0.5
 """Smallest coverage of a pixel by the object for the pixel to be compared, as for the masks of images."""
 
 LAYERS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
-"""EXR channels of each ground-truth layer."""
+"""EXR channels of each ground-truth layer, by the layer's name."""
 LIGHTS = {".exr", ".toml"}
 """Extensions of light files: an environment image, or a scene file with lights."""
 _MAKER = "tools/make_relightable_set.py makes complete data sets"
@@ -47,17 +47,17 @@ _MAKER = "tools/make_relightable_set.py makes complete data sets"
 
 @dataclass(frozen=True, slots=True)
 class RelightableSet:
-    """Ground truth in a folder. Files are read on demand, and each error names its file."""
+    """Folder with ground truth of materials and light. Files are read on demand, and each error names its file."""
 
     folder: Path
     views: tuple[TrainingImage, ...]
-    """Held-out images over black."""
+    """Held-out images, blended over black."""
     layers: tuple[str, ...]
-    """Names of `LAYERS` for which there is ground truth."""
+    """Names of those `LAYERS` for which the folder has ground truth."""
     unseen: tuple[str, ...]
-    """Names of the lights in ``relit``, under which no training image was made."""
+    """Names of the lights in the subfolder ``relit``: lights under which no training image was made."""
     specular: float
-    """Strength of the surfaces' highlights; 0 if they are Lambertian."""
+    """Strength of the surfaces' specular highlights; 0 if the surfaces are Lambertian."""
 
     @classmethod
     def open(cls, folder: PathLike) -> RelightableSet:
@@ -80,7 +80,7 @@ class RelightableSet:
         return cls(root, views, layers, unseen, _specular(root / "set.json"))
 
     def region(self, view: TrainingImage) -> Flags:
-        """Returns the pixels of which the object covers at least half, shape (H, W); all pixels without alpha.
+        """Returns a mask of the pixels of which the object covers at least half, (H, W); all pixels without alpha.
 
         Raises:
             FormatError: The object covers no pixel.
@@ -94,7 +94,7 @@ class RelightableSet:
         return inside
 
     def layer(self, name: str, view: TrainingImage) -> FloatArray:
-        """Reads a ground-truth layer of a view, shape (H, W, C).
+        """Reads a ground-truth layer of a view, C channels, shape (H, W, C).
 
         Raises:
             FormatError: The file is missing, damaged, of another size, or not finite.
@@ -123,11 +123,11 @@ class RelightableSet:
 
     @property
     def has_lights(self) -> bool:
-        """True if some of the unseen light comes from local lights rather than an environment."""
+        """True if an unseen light is a scene file with local lights rather than an environment image."""
         return any((self.folder / "relit" / f"{name}.toml").is_file() for name in self.unseen)
 
     def lights(self, name: str) -> tuple[Light, ...]:
-        """Reads one of the unseen lights.
+        """Reads the lights of the unseen light ``name``.
 
         Raises:
             FormatError: The file is missing or damaged, or holds something other than lights.
@@ -138,7 +138,7 @@ class RelightableSet:
         return read_scene_file(file, _refuse).lights
 
     def environment(self) -> FloatArray | None:
-        """Reads the environment of the training images, linear, shape (H, W, 3); None if local lights lit them.
+        """Reads the true environment of the training images, linear, shape (H, W, 3); None if local lights lit them.
 
         Raises:
             FormatError: The file is missing or damaged.
@@ -150,7 +150,7 @@ class RelightableSet:
 
 
 def _refuse(path: PathLike) -> NoReturn:
-    """Refuses files that a scene file of lights refers to."""
+    """Raises an error for a file to which a scene file of lights refers: lights need no other files."""
     raise FormatError(path, "is named in a light file of a data set, expected only [[lights]] and [environment]")
 
 
@@ -168,7 +168,7 @@ def _check_size(path: Path, values: FloatArray, view: TrainingImage) -> None:
 
 
 def _specular(path: Path) -> float:
-    """Reads the strength of highlights from ``set.json``; 1 without the file."""
+    """Reads the strength of specular highlights from ``set.json``; 1 without the file."""
     if not path.exists():
         return 1.0
     try:
@@ -182,7 +182,7 @@ def _specular(path: Path) -> float:
 
 
 RELIT_SAMPLES = 64
-"""Default samples per pixel of relit images; docs/guide/materials.md#noise has the remaining noise."""
+"""Default samples per pixel of relit images; docs/guide/materials.md#noise states the noise that remains."""
 
 
 def evaluate_materials(
@@ -195,11 +195,12 @@ def evaluate_materials(
     device: str = "auto",
     progress: Progress | None = None,
 ) -> MaterialEvaluation:
-    """Compares a capture's materials, normals and appearance under new light with ground truth, over the object.
+    """Compares a capture's materials, normals and appearance under new light with ground truth.
 
-    The capture is rendered from the cameras of the held-out images. Its albedo is scaled by one factor per channel, the
-    median ratio to the ground truth over all views. The scaled albedo is relit under light in which no training image
-    was made. The metrics are defined in the guide (docs/guide/materials.md#figures).
+    Pixels are compared where the object covers at least half of them. The capture is rendered from the cameras of the
+    held-out images. Its albedo is scaled by one factor per channel, the median ratio to the ground truth over all
+    views. The scaled albedo is relit under light in which no training image was made. The metrics are defined in the
+    guide (docs/guide/materials.md#figures).
 
     Args:
         gaussians: The capture, with those of ``albedo``, ``normals`` and ``roughness`` that were estimated. Without an
@@ -209,10 +210,10 @@ def evaluate_materials(
             `LightEnvironment`; None: it was not estimated.
         config: Settings of the relit renders. None: ``Pipeline.HYBRID``, which has shadows and no bounces; if local
             lights light a room, ``Pipeline.PATH``, which has both. In any case there is no background, and samples go
-            through the centres of pixels, because that is how Gaussians were trained and jitter would blur them again.
-            Rays without a footprint, as for antialiased captures, do use jitter.
-        samples: Samples per pixel of relit images. None: those of ``config``, or 64 if it has none, so that noise is a
-            small part of the error (docs/guide/materials.md#noise).
+            through the centres of pixels, because Gaussians were trained so and jitter would blur them again. Rays
+            without a footprint, as for antialiased captures, do use jitter.
+        samples: Samples per pixel of relit images. None: the number in ``config``, or 64 if ``config`` sets none, so
+            that noise is a small part of the error (docs/guide/materials.md#noise).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
         progress: Called with a label of the stage and the fraction done, 0..1.
 
@@ -273,7 +274,7 @@ def _relighting(
 
 
 def _panorama(environment: npt.ArrayLike) -> FloatArray:
-    """Checks the estimated environment and returns it as an array."""
+    """Checks the user's estimated environment image, and returns it as an array."""
     image = float_array("environment", environment)
     if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
         raise SceneError(f"environment has shape {image.shape}, expected (H, W, 3)")
@@ -295,7 +296,7 @@ def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tupl
 def _compared_views(
     truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress
 ) -> Iterator[ComparedView]:
-    """Yields the views with the layers that both capture and ground truth have."""
+    """Yields the views, each with the layers that both the capture and the ground truth have."""
     layers = LayerRenderer.of(gaussians, device)
     for number, view in enumerate(truth.views):
         report("comparing layers", number / len(truth.views))
@@ -308,7 +309,7 @@ def _compared_views(
 def _relit(
     truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
 ) -> list[dict[str, Pair]]:
-    """Renders the capture under each unseen light, and pairs each image with the ground truth, view by view."""
+    """Renders the capture under each unseen light; returns, per view, pairs of rendered and ground-truth images."""
     pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
     for number, name in enumerate(truth.unseen):
         scene = relit_scene(gaussians, truth.lights(name), scale, truth.specular)
@@ -321,7 +322,7 @@ def _relit(
 
 
 def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
-    """Yields remarks on layers that were not compared, or that were replaced."""
+    """Yields remarks on layers without ground truth, and on layers that the capture does not store."""
     for name in ("albedo", "normal", "roughness"):
         if name not in truth.layers:
             yield f"no ground truth for {name}: {truth.folder / 'truth' / name} is missing"
@@ -336,7 +337,7 @@ def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Returns the mean of the values that are not NaN."""
+    """Returns the mean of the values that are not NaN; NaN if there is none."""
     existing = [value for value in values if not math.isnan(value)]
     return sum(existing) / len(existing) if existing else math.nan
 
@@ -349,7 +350,7 @@ class RelitFigures(NamedTuple):
     ssim: float
     """Structural similarity, at most 1; NaN if images are too small or scikit-image is not installed."""
     flip: float
-    """LDR-FLIP, 0..1, the lower the better; NaN if flip-evaluator is not installed."""
+    """LDR-FLIP error, 0..1, lower is better; NaN if flip-evaluator is not installed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,7 +359,7 @@ class MaterialView:
 
     name: str
     coverage: float
-    """Fraction of the pixels that are compared because the object covers at least half of each, 0..1."""
+    """Fraction of the image's pixels that are compared, 0..1: those of which the object covers at least half."""
     albedo_psnr: float
     """PSNR of the sRGB-encoded albedo after scaling by one factor per channel, dB."""
     albedo_psnr_unscaled: float
@@ -374,7 +375,7 @@ class MaterialView:
     relit: Mapping[str, RelitFigures]
     """Image metrics by the name of the unseen light."""
     region: Flags
-    """Pixels that are compared, shape (H, W)."""
+    """Mask of the compared pixels, shape (H, W)."""
     pictures: Mapping[str, tuple[FloatArray, FloatArray]]
     """Estimated and ground-truth images, display colours, shape (H, W, 3) each, by ``albedo``, ``normal``,
     ``roughness`` and ``relit/NAME`` for each unseen light."""
@@ -384,18 +385,18 @@ class MaterialView:
 class MaterialEvaluation:
     """Metrics of estimated materials and light against ground truth, as `evaluate_materials` computes them.
 
-    Metrics are NaN where the data set has no ground truth, or the capture no estimate; ``remarks`` lists those. PSNR,
-    SSIM and FLIP are means over the views; other metrics are over the pixels of all views.
+    Metrics are NaN where the data set has no ground truth, or the capture no estimate; ``remarks`` lists the reasons.
+    PSNR, SSIM and FLIP are means over the views; other metrics are over the pixels of all views.
     """
 
     albedo_scale: tuple[float, float, float]
     """Factor of each channel by which the estimated albedo is scaled to the ground truth; 1 without ground truth."""
     albedo_psnr: float
-    """PSNR of the sRGB-encoded albedo after that scaling, dB."""
+    """PSNR of the sRGB-encoded albedo after scaling by ``albedo_scale``, dB."""
     albedo_psnr_unscaled: float
     """PSNR of the sRGB-encoded albedo without scaling, dB."""
     albedo_psnr_linear: float
-    """PSNR of the linear albedo after scaling, dB."""
+    """PSNR of the linear albedo after scaling by ``albedo_scale``, dB."""
     normal_mean: float
     """Mean angle between normals, degrees."""
     normal_median: float
@@ -403,13 +404,13 @@ class MaterialEvaluation:
     roughness_rmse: float
     """Root mean square error of perceptual roughness, 0..1."""
     environment_psnr: float
-    """PSNR of the environment after scaling by one factor per channel, dB (see the guide)."""
+    """PSNR of the environment image after scaling by one factor per channel, dB (docs/guide/materials.md#figures)."""
     relit: Mapping[str, RelitFigures]
-    """Image metrics by the name of the unseen light, with scaled albedo."""
+    """Image metrics under each unseen light, by the light's name; the albedo is scaled by ``albedo_scale``."""
     views: tuple[MaterialView, ...]
     """Metrics of each held-out view, sorted by name."""
     remarks: tuple[str, ...]
-    """Notes on layers that were not compared or were replaced, one sentence each."""
+    """Notes on layers without ground truth and on layers that the capture does not store, one sentence each."""
 
     def __repr__(self) -> str:
         relit = ", ".join(f"{name} {figures.psnr:.2f}" for name, figures in self.relit.items())
@@ -420,23 +421,23 @@ class MaterialEvaluation:
 
 
 Pair = tuple[FloatArray, FloatArray]
-"""Estimate and ground truth."""
+"""Estimated image and ground-truth image."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedView:
-    """Layers and relit images of a view, estimated and true, shape (H, W, C)."""
+    """Layers and relit images of a view: pairs of estimate and ground truth, C channels each, shape (H, W, C)."""
 
     name: str
     region: Flags
-    """Pixels that are compared, shape (H, W)."""
+    """Mask of the compared pixels, shape (H, W)."""
     layers: Mapping[str, Pair]
-    """Layers that both capture and ground truth have."""
+    """Layers that both capture and ground truth have, by name."""
     relit: Mapping[str, Pair]
-    """Display colours over black, by the name of the light."""
+    """Relit images, display colours over black, by the name of the light."""
 
     def counted(self, layer: str) -> tuple[Doubles, Doubles]:
-        """Returns the compared pixels of a layer, shape (N, C) each; N is 0 without that layer."""
+        """Returns the N compared pixels of a layer with C channels, shape (N, C) each; N is 0 without the layer."""
         if layer not in self.layers:
             return np.zeros((0, 3)), np.zeros((0, 3))
         found, truth = self.layers[layer]
@@ -444,7 +445,7 @@ class ComparedView:
 
 
 def albedo_scale(views: Sequence[ComparedView]) -> Channels:
-    """Returns the factor per channel that scales the albedo of all views; 1 without an albedo to compare."""
+    """Returns the factor per channel that scales the albedo of all views to the ground truth; 1 without an albedo."""
     pairs = [view.counted("albedo") for view in views]
     found, truth = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
     return channel_scale(found, truth) if len(found) else (1.0, 1.0, 1.0)
@@ -464,11 +465,11 @@ def roughness_rmse(views: Sequence[ComparedView]) -> float:
 
 
 def measured(view: ComparedView, scale: Channels) -> tuple[MaterialView, list[str]]:
-    """Computes the metrics and images of a view, and remarks on missing metrics.
+    """Computes the metrics and images of a view, and remarks on metrics that are missing.
 
     Args:
         view: The view, with relit images of the scaled albedo.
-        scale: Scale of the albedo.
+        scale: Factor per channel of the albedo.
     """
     problems: list[str] = []
     mean, median = normal_figures([view])
@@ -517,7 +518,7 @@ def _relit_figures(pair: Pair, region: Flags, problems: list[str]) -> RelitFigur
 
 
 def _display_images(view: ComparedView, scale: Channels) -> dict[str, Pair]:
-    """Returns display images of layers and relit views, black outside the compared pixels."""
+    """Returns display images of layers and relit images, black outside the compared pixels."""
     images: dict[str, Pair] = {}
     if "albedo" in view.layers:
         images["albedo"] = _albedo_images(view, scale)
@@ -533,7 +534,7 @@ def _display_images(view: ComparedView, scale: Channels) -> dict[str, Pair]:
 
 
 def with_albedo(gaussians: Gaussians) -> Gaussians:
-    """Returns the Gaussians with an albedo: their own, else their captured colours without view dependence, decoded."""
+    """Returns the Gaussians with an albedo; without one, their captured colours, decoded, without view dependence."""
     if gaussians.albedo is not None:
         return gaussians
     captured = np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0.0, 1.0)
@@ -542,7 +543,7 @@ def with_albedo(gaussians: Gaussians) -> Gaussians:
 
 @dataclass(frozen=True, slots=True)
 class LayerRenderer:
-    """Renders albedo, normals and roughness as relit frames use them."""
+    """Renders a capture's albedo, normals and roughness, as its lit frames use them."""
 
     renderer: Renderer
     unlit: Renderer
@@ -551,7 +552,7 @@ class LayerRenderer:
 
     @classmethod
     def of(cls, gaussians: Gaussians, device: str) -> LayerRenderer:
-        """Creates the renderers for Gaussians with an albedo."""
+        """Creates the renderers for a capture with an albedo."""
         lit_config = RenderConfig(
             background=None, lighting=True, shadows=Shadows.OFF, samples=1, aovs=("albedo",), pipeline=Pipeline.RASTER
         )
@@ -570,7 +571,7 @@ class LayerRenderer:
     def draw(self, camera: Camera) -> dict[str, FloatArray]:
         """Renders linear albedo (H, W, 3), unit normals (H, W, 3; 0 in the background) and roughness (H, W, 1).
 
-        The layer of roughness is missing if the Gaussians have none.
+        The roughness layer is missing if the Gaussians store no roughness.
         """
         frame = self.renderer.render(self.lit_scene, camera)
         assert frame.albedo is not None
@@ -581,7 +582,7 @@ class LayerRenderer:
 
 
 def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[float, ...], specular: float) -> Scene:
-    """Returns a scene of the capture under other light, with its albedo scaled and clipped.
+    """Returns a scene of the capture under other lights, with its albedo scaled and clipped.
 
     Args:
         gaussians: Gaussians with an albedo.
@@ -595,6 +596,6 @@ def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[fl
 
 
 def over_black(renderer: Renderer, scene: Scene, camera: Camera) -> FloatArray:
-    """Renders display colours over black, shape (H, W, 3), blended as in images."""
+    """Renders display colours over black, shape (H, W, 3), blended as the images of the data set are."""
     pixels = renderer.render(scene, camera).pixels_srgb()
     return pixels[..., :3] * pixels[..., 3:]

@@ -27,7 +27,8 @@ from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, morton_order, pai
 from lumisplat.scene.scene import Scene
 
 NEIGHBOURS = 12
-"""Approximate number of Gaussians over which irradiance is averaged: it varies less between neighbours than its noise.
+"""Approximate number of Gaussians over which irradiance is averaged: irradiance varies less between them than its
+noise.
 """
 
 NORMAL_SHARPNESS = 8
@@ -35,16 +36,16 @@ NORMAL_SHARPNESS = 8
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:
-    """Returns pairs of neighbouring Gaussians, in both orders and with themselves, about `NEIGHBOURS` for each."""
+    """Returns pairs of neighbouring Gaussians, in both orders, about `NEIGHBOURS` for each, itself included."""
     means = gaussians.means.astype(np.float64)
     return pairs_of_about(NEIGHBOURS, means, partial(cross_pairs, means, means))[0]
 
 
 def normal_variances(gaussians: Gaussians, normals: Doubles, near: Pairs) -> Doubles:
-    """Returns the variance of the normal within each Gaussian's extent along an axis, radians^2, shape (N,).
+    """Returns the variance of the normal along an axis within the extent of N Gaussians, radians^2, shape (N,).
 
-    It is the mean squared change of the normal per distance, over neighbours on the same side, times the squares of the
-    Gaussian's two larger scales. It is 0 for Gaussians without neighbours.
+    The variance is the mean squared change of the normal per squared distance, over neighbours on the same side, times
+    the mean square of the Gaussian's two larger scales; 0 for Gaussians without neighbours.
     """
     first, second = (rows[near.first != near.second] for rows in (near.first, near.second))
     apart = np.square(gaussians.means[first].astype(np.float64) - gaussians.means[second]).sum(axis=1)
@@ -60,11 +61,11 @@ Values = TypeVar("Values", FloatArray, Doubles)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoother:
-    """Averages values over neighbours with similar normals, separately for emitters and other Gaussians."""
+    """Averages values over neighbours with similar normals; emitters are averaged only with their own kind."""
 
     near: Pairs
     weights: Doubles
-    """Weight of each pair; the weights of each first Gaussian sum to 1."""
+    """Weight of each pair of neighbours; the weights of all pairs with the same first Gaussian sum to 1."""
 
     @staticmethod
     def of(near: Pairs, normals: Doubles, emitters: Rows) -> Smoother:
@@ -74,7 +75,7 @@ class Smoother:
         return Smoother(near, weights / np.bincount(near.first, weights, len(normals))[near.first])
 
     def mean(self, values: Values) -> Values:
-        """Averages each column of values, shape (N, C)."""
+        """Averages C values per Gaussian, shape (N, C)."""
         smooth = np.empty_like(values)
         for column in range(values.shape[1]):
             weighted = self.weights * values[self.near.second, column]
@@ -82,56 +83,59 @@ class Smoother:
         return smooth
 
     def incident(self, incident: Irradiance) -> Irradiance:
-        """Averages the irradiance; the parts by direction stay as they are."""
+        """Averages the irradiance of the Gaussians; ``by_direction`` stays as it is."""
         smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "environment", "emitters")}
         return replace(incident, **smooth)
 
 
 SIDE_DIRECTIONS = 26
-"""Directions over the sphere in which rays search for the visible side of each Gaussian."""
+"""Number of directions over the sphere in which rays search for the visible side of each Gaussian."""
 
 SIDE_ENCLOSED = 0.1
-"""Fraction of Gaussians without open sides above which a capture was taken from inside of it."""
+"""Fraction of Gaussians without an open side from which a capture counts as taken from inside, as a room is."""
 
 OPENNESS_MIN = 0.1
-"""Smallest fraction of rays that escape the capture from an open side. Trained walls let 2 to 6 % of the rays through.
-In captured rooms, 36 to 63 % of the Gaussians have less on both sides; in captured objects, at most 0.2 %."""
+"""Smallest fraction of rays that escape the capture on a side of a Gaussian for the side to be open. Trained walls let
+2 to 6 % of the rays through. In captured rooms, 36 to 63 % of the Gaussians have less on both sides; in captured
+objects, at most 0.2 %."""
 
 OPENNESS_ENOUGH = 0.2
-"""Fraction of escaped rays above which more of them do not make a side more likely to be the visible one."""
+"""Fraction of escaped rays from which further escaping rays do not make a side more likely to be the visible one."""
 
 SIDE_FAR = 0.02
-"""Mean hit distance of a side's rays, relative to the set's extent, above which the side faces free space."""
+"""Mean hit distance of the rays on a side of a Gaussian, relative to the capture's extent, from which the side faces
+free space."""
 
 CONTENT_SCALE = 0.003
-"""Difference of mean hit distances between two sides, relative to the set's extent, at which the vote for a side is
-0.5."""
+"""Difference between the mean hit distances on the two sides of a Gaussian, relative to the capture's extent, at which
+the vote for a side is 0.5."""
 
 SIDE_STIFFNESS = 5.0
-"""Weight of neighbours' agreement on their visible sides, relative to the Gaussians' own votes."""
+"""Weight of the agreement of neighbours on their visible sides, relative to the Gaussians' votes."""
 
 SIDE_SHARPNESS = 4
-"""Exponent of the cosine between the axes of neighbours in the weight of their agreement."""
+"""Exponent of the cosine between the axes of neighbours, in the weight of their agreement."""
 
 SIDE_STEPS = 300
-"""Maximum number of conjugate gradient steps for the signs."""
+"""Maximum number of conjugate gradient steps that find the visible sides."""
 
 SIDE_ERROR = 1e-6
-"""Root mean square residual at which the steps end; only the signs of the solution are used, which lie farther from 0.
+"""Root mean square residual at which the conjugate gradient steps end. Only the signs of the solution are used, and
+its values lie farther from 0.
 """
 
 SURFACE_SPREAD = 0.5
-"""Standard deviation of the ray origins on a Gaussian, in standard deviations of the Gaussian, as in a bake."""
+"""Standard deviation of ray origins on a Gaussian, in the Gaussian's standard deviations, as in a bake."""
 
 EMITTER_POINTS = 24
-"""Points sampled on each emitter, towards which shadow rays are traced."""
+"""Number of points sampled on each emitter, towards which shadow rays are traced."""
 
 
 class SurfacePoints:
-    """Samples points on Gaussians, at the peak of their response along the normal.
+    """Samples points on Gaussians, at the peak of the Gaussian's response along its normal.
 
     Args:
-        gaussians: The set.
+        gaussians: The capture.
         seed: Seed of the points.
     """
 
@@ -141,7 +145,7 @@ class SurfacePoints:
         self._rng = np.random.default_rng([seed, 9])
 
     def at(self, rows: Rows, normals: Doubles) -> FloatArray:
-        """Samples one point on each of some Gaussians, shape (R, 3)."""
+        """Samples one point on each of the R Gaussians that ``rows`` selects, shape (R, 3)."""
         point = SURFACE_SPREAD * self._rng.standard_normal((len(rows), 3))
         slope = np.einsum("ijk,ij->ik", self._axes[rows], normals) / self._scales[rows]
         along = np.einsum("ij,ij->i", point, slope) / np.einsum("ij,ij->i", slope, slope)
@@ -150,10 +154,10 @@ class SurfacePoints:
 
 
 def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
-    """Returns signs of axes, shape (N,): those of the Gaussians' votes, or of aligned neighbours where votes are weak.
+    """Returns signs of N axes, shape (N,), that follow strong votes and, where votes are weak, aligned neighbours.
 
-    They minimise ``sum c_i (s_i - sign v_i)^2 + sum w_ij (s_i - sign(a_i a_j) s_j)^2 / 2`` with ``c_i = |v_i|``, by
-    conjugate gradients. Votes thus spread along surfaces, however far the next strong vote is.
+    The signs s minimise ``sum c_i (s_i - sign v_i)^2 + sum w_ij (s_i - sign(a_i a_j) s_j)^2 / 2`` with votes v, axes a
+    and ``c_i = |v_i|``, by conjugate gradients. Votes thus spread along surfaces, however far the next strong vote is.
 
     Args:
         axes: Unit axes of arbitrary sign, shape (N, 3).
@@ -172,10 +176,10 @@ def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
 
 
 class IncidentRays:
-    """Traces rays from the Gaussians of a capture into the capture, as light paths do.
+    """Traces rays from the N Gaussians of a capture into the capture, as light paths do.
 
     Args:
-        capture: The set.
+        capture: The capture.
         renderer: Traces unlit rays with sorted hits.
         seed: Seed of the rays' origins and directions.
         traced: Called after each traced direction, with the number of Gaussians.
@@ -200,16 +204,16 @@ class IncidentRays:
     def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, has_normals: bool) -> tuple[Doubles, bool]:
         """Returns normals towards the visible side of each Gaussian, and whether the capture was taken from inside.
 
-        For an object, the visible side is the one from which rays escape; if they escape from both, as from a floor,
-        the one that sees more of the capture. For a room, it is the side that sees more of the capture, because nothing
-        is behind the walls.
+        For an object, the visible side is the one from which rays escape; if rays escape from both sides, as from a
+        floor, it is the side that sees more of the capture. For a room, it is the side that sees more of the capture,
+        because nothing is behind the walls.
 
         Args:
             axes: Unit axes of arbitrary sign, shape (N, 3).
             near: Pairs of neighbours, in both orders.
             inside: Whether the capture was taken from inside; None: decided by the fraction of Gaussians without open
                 sides.
-            has_normals: Whether the axes are normals that came with the capture; they are then returned unchanged.
+            has_normals: Whether the axes are normals that came with the capture; such axes are returned unchanged.
         """
         openness, distance, weights = np.zeros((2, len(axes))), np.zeros((2, len(axes))), np.zeros((2, len(axes)))
         rows = self._order
@@ -243,13 +247,13 @@ class IncidentRays:
     def incident(
         self, normals: Doubles, emitters: Rows, cells: EnvironmentCells, *, stores_directions: bool = False
     ) -> Irradiance:
-        """Returns the irradiance of Gaussians facing along their normals.
+        """Returns the irradiance of the Gaussians on the side of their normals.
 
         Args:
             normals: Unit normals, shape (N, 3).
-            emitters: Index of the emitter each Gaussian belongs to, -1 for none, shape (N,).
+            emitters: Index of the emitter to which each Gaussian belongs, -1 for none, shape (N,).
             cells: Environment cells over the sphere.
-            stores_directions: Whether to also store the visible light by cell.
+            stores_directions: Whether to also store the light from the capture by direction.
         """
         by_direction = np.zeros((len(cells) if stores_directions else 0, len(normals), 3), np.float16)
         observed, environment = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
@@ -276,7 +280,7 @@ class IncidentRays:
         return Irradiance(observed, environment, shares.astype(np.float32), directions, by_direction)
 
     def from_environment(self, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
-        """Returns the irradiance over pi from each environment cell with radiance 1, shape (N, K)."""
+        """Returns the irradiance over pi from each of K environment cells with radiance 1, shape (N, K)."""
         environment = np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):
             rows, directions, shares = self._sampled_directions(normals, cells, cell)
@@ -289,10 +293,11 @@ class IncidentRays:
     def _sampled_directions(
         self, normals: Doubles, cells: EnvironmentCells, cell: int
     ) -> tuple[Rows, Doubles, Doubles]:
-        """Samples a direction of a cell for each Gaussian.
+        """Samples one direction within an environment cell for each Gaussian.
 
         Returns:
-            Gaussians that the direction illuminates, their directions, and their irradiances over pi for radiance 1.
+            Indices of the Gaussians whose normal side faces their direction, the directions, and the irradiances over
+            pi for radiance 1.
         """
         directions = cells.directions_within(cell, len(normals), self._rng)
         cosines = np.einsum("ij,ij->i", normals, directions)
@@ -300,10 +305,10 @@ class IncidentRays:
         return rows, directions[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
 
     def _from_emitter(self, normals: Doubles, members: Rows) -> Doubles:
-        """Returns the irradiance over pi from an emitter of radiance 1, up to one factor, shape (N,).
+        """Returns the irradiance over pi from an emitter of radiance 1, up to a factor for all Gaussians, shape (N,).
 
-        The emitter's area is the sum over its overlapping Gaussians and thus too large. The caller corrects it by the
-        rays that hit the emitter.
+        The emitter's area is the sum over its overlapping Gaussians and thus too large. The caller corrects the area by
+        the rays that hit the emitter.
         """
         scales = np.sort(self._capture.scales[members].astype(np.float64), axis=1)
         area = np.pi * (scales[:, 1] * scales[:, 2] * self._capture.opacities[members])
@@ -320,12 +325,12 @@ class IncidentRays:
         return found * (area.sum() / (np.pi * EMITTER_POINTS))
 
     def _trace(self, rows: Rows, normals: Doubles, directions: Doubles) -> RayHits:
-        """Traces rays that leave Gaussians on the side of the normal, and returns their hits."""
+        """Traces rays that leave the Gaussians ``rows`` on the side of the normal, and returns the rays' hits."""
         points = self._points.at(rows, normals)
         return self._renderer.leaving_hits(self._scene, points, directions.astype(np.float32), self._offsets[rows])
 
     def _transmittance(self, rows: Rows, normals: Doubles, directions: Doubles, distances: Doubles) -> FloatArray:
-        """Returns the transmittance of rays that leave Gaussians, up to these distances."""
+        """Returns the transmittance of rays that leave the Gaussians ``rows``, up to the distances ``distances``."""
         points = self._points.at(rows, normals)
         legs, lengths = directions.astype(np.float32), distances.astype(np.float32)
         return self._renderer.leaving_transmittance(self._scene, points, legs, lengths, self._offsets[rows])

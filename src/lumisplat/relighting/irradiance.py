@@ -1,4 +1,4 @@
-"""Irradiance and outgoing radiance of captured Gaussians, and the scale that gives the lightest a typical albedo.
+"""Irradiance and outgoing radiance of captured Gaussians, and the scale of light that makes albedos typical.
 
 Only the product of light and albedo is visible, so the lightest surfaces are assumed to have a typical albedo.
 """
@@ -19,10 +19,10 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 
 ALPHA_LEAST = 1e-6
-"""Lower bound of a ray's alpha when its colour is divided by it."""
+"""Lower bound of a ray's alpha when the ray's colour is divided by it."""
 
 VIEW_DIRECTIONS = 16
-"""Directions from which a Gaussian's colour is evaluated for the median."""
+"""Number of directions from which a Gaussian's colour is evaluated for the median."""
 
 VIEW_TILT = 0.5
 """Weight of the normal that is added to view directions, because colours at grazing angles are unreliable."""
@@ -31,60 +31,62 @@ ALBEDO_HIGH = 0.8
 """Assumed albedo of the lightest surfaces in their largest channel, which fixes the scale of estimated light."""
 
 UNIT_IRRADIANCE_MIN = 0.05
-"""Irradiance from environment and emitters, in medians, above which a Gaussian helps to determine their brightness."""
+"""Irradiance of a Gaussian from environment and emitters, relative to the median, from which the Gaussian helps to
+determine their radiance."""
 
 UNSEEN_RADIANCE_MIN = 0.05
-"""Smallest initial radiance of environment and emitters."""
+"""Smallest initial radiance of environment and emitters in the light fit."""
 
 LIGHTEST = 0.95
 """Quantile of the Gaussians' albedos that is scaled to `ALBEDO_HIGH`."""
 
 SCALE_STEPS = 5
-"""Fixed-point steps for the scale, because irradiance from the capture itself stays as captured."""
+"""Number of fixed-point steps for the scale of the light; several are needed because the scale does not apply to
+irradiance from the capture itself."""
 
 OUTGOING_DIRECTIONS = 64
-"""Directions over the sphere from which a Gaussian's colour is evaluated for the mean."""
+"""Number of directions over the sphere from which a Gaussian's colour is evaluated for the mean."""
 
 OUTGOING_COSINE = 0.3
-"""Smallest cosine between normal and view direction; SH extrapolate at more grazing views."""
+"""Smallest cosine between normal and view direction of the mean's views; SH extrapolate at more grazing views."""
 
 HalfArray = npt.NDArray[np.float16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
-    """Irradiance over pi of N Gaussians by source, which is the radiance of a white diffuse surface.
+    """Irradiance over pi of N Gaussians by source of light; a white diffuse surface would have this radiance.
 
     Values are linear, in units of display white.
     """
 
     observed: Doubles
-    """Irradiance from the capture itself without its emitters, shape (N, 3)."""
+    """Irradiance from the capture itself, without its emitters, shape (N, 3)."""
     environment: FloatArray
     """Irradiance from each of K environment cells with radiance 1, shape (N, K)."""
     emitters: FloatArray
     """Irradiance from each of L emitters with radiance 1, shape (N, L)."""
     directions: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
-    """Unit directions for which the observed irradiance is stored separately, shape (W, 3); empty if it is not."""
+    """The W unit directions for which the observed irradiance is also stored separately, shape (W, 3); may be empty."""
     by_direction: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
-    """Part of ``observed`` from each direction, shape (W, N, 3)."""
+    """Part of ``observed`` that comes from each of ``directions``, shape (W, N, 3)."""
 
     def total(self, environment: Doubles | FloatArray, emitters: Doubles) -> Doubles:
-        """Returns the total irradiance for given radiances, shape (N, 3).
+        """Returns the total irradiance over pi of N Gaussians for given radiances, shape (N, 3).
 
         Args:
-            environment: Radiances of the cells, shape (K, 3); float32 needs half the memory.
-            emitters: Radiances of the emitters, shape (L, 3).
+            environment: Radiances of the K environment cells, shape (K, 3); float32 needs half the memory.
+            emitters: Radiances of the L emitters, shape (L, 3).
         """
         return self.observed + self.environment @ environment + self.emitters @ emitters
 
 
 BLOCK = 4096
-"""Gaussians whose colours from all directions are in memory at once."""
+"""Number of Gaussians whose colours from all directions are in memory at once."""
 
 
 def median_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Returns the median radiance over view directions before each Gaussian, shape (N, 3), which excludes highlights.
+    """Returns the median radiance of N Gaussians over views of their visible side, without highlights, shape (N, 3).
 
     Args:
         gaussians: A capture.
@@ -98,9 +100,9 @@ def median_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Returns the cosine-weighted mean radiance over view directions before each Gaussian, shape (N, 3).
+    """Returns the cosine-weighted mean radiance of N Gaussians over views of their visible side, shape (N, 3).
 
-    It includes highlights, for fits in which images determine those.
+    The mean includes highlights, for fits in which images determine the highlights.
 
     Args:
         gaussians: A capture.
@@ -119,12 +121,17 @@ def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def hit_radiance(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
-    """Returns the radiance of what rays hit, divided by their ``alpha``, shape (N, 3)."""
+    """Returns the linear radiance of the surfaces that N rays hit, without the rays' transparency, shape (N, 3).
+
+    Args:
+        hits: Hits with display-referred colours weighted by alpha.
+        alpha: Alpha of each ray, by which its colour is divided, shape (N,).
+    """
     return decode_srgb(np.clip(hits.radiance / np.maximum(alpha, ALPHA_LEAST)[:, None], 0.0, 1.0))
 
 
 def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Returns the radiance of Gaussians towards view directions bent to their normals, shape (M, N, 3)."""
+    """Returns the radiance of N Gaussians towards M view directions, bent towards their normals, shape (M, N, 3)."""
     radiances: list[FloatArray] = []
     for direction in even_directions(VIEW_DIRECTIONS):
         view = np.where(normals @ direction > 0.0, 1.0, -1.0)[:, None] * direction + VIEW_TILT * normals
@@ -134,15 +141,15 @@ def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def unit_irradiance(incident: Irradiance) -> Doubles:
-    """Returns the irradiance over pi from environment and emitters, all with radiance 1, shape (N,)."""
+    """Returns the irradiance over pi of N Gaussians if environment and emitters had radiance 1, shape (N,)."""
     return incident.environment.sum(axis=1, dtype=np.float64) + incident.emitters.sum(axis=1, dtype=np.float64)
 
 
 def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
-    """Estimates one grey radiance for environment and emitters; 1 if hardly any of their light arrives anywhere.
+    """Estimates one grey radiance for environment and emitters; 1 if hardly any of their light reaches a Gaussian.
 
     Args:
-        outgoing: Outgoing radiance of the Gaussians, shape (N, 3).
+        outgoing: Outgoing radiance of N Gaussians, shape (N, 3).
         incident: Irradiance of the Gaussians.
         weights: Weights of the Gaussians, at least 0, shape (N,).
     """
@@ -155,10 +162,10 @@ def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles)
 
 
 def chroma_similarity(differences: Doubles, width: float) -> Doubles:
-    """Returns the likelihood, by chromaticity, that pairs of surfaces have one albedo, 0..1, shape (P, 1).
+    """Returns the likelihood, by chromaticity, that the two surfaces of P pairs have one albedo, 0..1, shape (P, 1).
 
     Args:
-        differences: Differences of the logarithms of their albedos, shape (P, 3).
+        differences: Differences of the logarithms of the pairs' albedos, shape (P, 3).
         width: Standard deviation of the largest difference of chromaticity.
     """
     chroma = differences - differences.mean(axis=1, keepdims=True)
@@ -173,7 +180,7 @@ def typical_albedo_factor(outgoing: Doubles, observed: Doubles, added: Doubles, 
     end up between their first and the typical value.
 
     Args:
-        outgoing: Outgoing radiance of the Gaussians, shape (N, 3).
+        outgoing: Outgoing radiance of N Gaussians, shape (N, 3).
         observed: Irradiance over pi from the capture itself, shape (N, 3).
         added: Irradiance over pi from the light, shape (N, 3).
         weights: Weights of the Gaussians, at least 0, shape (N,).

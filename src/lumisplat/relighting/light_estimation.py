@@ -30,68 +30,72 @@ from lumisplat.scene.scene import Scene, SplatInstance
 # Light estimation (Mir et al. 2026, section 3.1, gives no figures; docs/adr/0014)
 
 LIGHT_SEARCH_STRAYS = 0.02
-"""Fraction of the Gaussians, those farthest from the character, that are ignored when the scene is measured. Captures
-have floaters far outside."""
+"""Fraction of the Gaussians, those farthest from the character, that are ignored when the scene's size is measured.
+Captures have floaters far outside."""
 
 LIGHT_SEARCH_REACH = 1.5
-"""Radius of the search region, relative to the scene's size. Lights hang at its rim, also among the ignored Gaussians.
-"""
+"""Radius of the search region, relative to the scene's size: more than 1, because lights hang at the scene's rim."""
 
 LIGHT_SEARCH_VIEWPOINTS = 0.1
-"""Distance of the viewpoints from the character, relative to the scene's size: a person's width in a room of 3 m."""
+"""Distance of the outer viewpoints from the character, relative to the scene's size: a person's width in a room of 3
+m."""
 
 LIGHT_SEARCH_EMITTER = 1.0 / 12.0
 """Size of a compact emitter, relative to the scene's size: a lamp of 25 cm in a room of 3 m."""
 
 LIGHT_SEARCH_SEPARATION = 3.0
-"""Smallest distance between two lights, in emitter sizes: beyond the ring that a candidate is compared with."""
+"""Smallest distance between two lights, in emitter sizes: more than the distance at which a candidate's surroundings
+are measured."""
 
 LIGHT_SEARCH_CLIP = 0.99
-"""Quantile of luminance above which its logarithm is used. Single Gaussians of captures are a hundred times too
-bright."""
+"""Quantile of luminance above which luminance is replaced by its logarithm. Single Gaussians of captures are a hundred
+times too bright."""
 
 LIGHT_SEARCH_PRIOR = 4.0
-"""Number of Gaussians of median score added to each octant of the ring, so that one outlier does not decide its mean.
+"""Number of Gaussians of median score that are added to each octant of a candidate's surroundings, so that one outlier
+does not decide the octant's mean.
 """
 
 LIGHT_SEARCH_BROAD = 0.05
-"""Smallest contrast factor of a light's score, for lights that do not stand out at all."""
+"""Smallest contrast factor of a light's score, used for lights that do not stand out from their surroundings at all."""
 
 # Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 TRACE_NEAREST = 2.0
-"""Distance from a light, in emitter sizes, within which surfaces are ignored, because a bright patch is bright around
-itself. Alternative positions for the light are tested at the same distance."""
+"""Distance from a light, in emitter sizes, within which surfaces are no evidence, because a bright patch is bright
+around itself. Alternative positions of the light are tested at this distance, too."""
 
 TRACE_CASING = 1.5
-"""Distance from a light, in emitter sizes, within which voxels do not shadow the light, such as its own shade."""
+"""Distance from a light, in emitter sizes, within which voxels do not shadow the light, such as those of a lampshade.
+"""
 
 LIGHT_SIGNIFICANCE = 4.0
-"""Smallest ratio of a light's factor to its standard error. By chance, one of 64 candidates reaches it in one capture
-of 500."""
+"""Smallest ratio of a light's regression coefficient to its standard error. By chance, one of 64 candidates reaches it
+in one capture of 500."""
 
 LIGHT_DOUBT = 2.0
-"""Factor on the required evidence for candidates that are low or broad."""
+"""Factor by which candidates that are low, or do not stand out from their surroundings, need more evidence."""
 
 LIGHT_ELSEWHERE = 0.6
-"""Smallest evidence of a candidate relative to that of a light beside it. Light is brightest around its source."""
+"""Smallest evidence of a candidate, relative to the evidence of a light at any of six positions beside it: shading is
+strongest around the true source."""
 
 LIGHT_CANDIDATES = 64
-"""Number of bright positions, those with the best scores, that are tested as lights."""
+"""Number of bright Gaussians, those with the best scores, that are tested as lights."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightEstimate:
-    """Estimated lights, the strongest first, and the evidence for them."""
+    """The k estimated lights, the strongest first, and the evidence for each."""
 
     lights: tuple[LightPoint, ...]
-    """Lights named ``estimated-1``, ...; together they give the character the requested irradiance."""
+    """Lights named ``estimated-1`` and so on; together they give the character the requested irradiance."""
     scores: FloatArray
     """Base score of each light times its contrast, shape (k,)."""
     peakness: FloatArray
-    """Base score of each light over that of its surroundings, in their brightest direction, shape (k,)."""
+    """Ratio of each light's base score to the score of its surroundings in their brightest direction, shape (k,)."""
     instances: Rows
     """Index of the splat instance each light was found in, shape (k,)."""
     indices: Rows
@@ -103,22 +107,22 @@ class LightEstimate:
 
 @dataclass(frozen=True, slots=True)
 class _Sizes:
-    """Distances of the search, scene units: as set, or proportional to the scene's size."""
+    """Distances of the search, scene units: as the settings say, or else proportional to the scene's size."""
 
     extent: float
     """Size of the scene, from the character's centre."""
     radius: float
     """Radius of the search region around the character's centre."""
     viewpoints: float
-    """Distance of the outer viewpoints from the centre."""
+    """Distance of the outer viewpoints from the character's centre."""
     emitter: float
-    """Largest size of a compact emitter."""
+    """Largest size of a compact light source."""
     separation: float
     """Smallest distance between two lights."""
 
     @classmethod
     def of(cls, settings: LightEstimationConfig, worlds: list[Doubles], center: Doubles) -> _Sizes:
-        """Returns the sizes for instances with these world-space means."""
+        """Returns the distances for a capture with these world-space means of its instances."""
         extent = settings.radius or capture_extent(worlds, center)
         emitter = settings.emitter_size or LIGHT_SEARCH_EMITTER * extent
         return cls(
@@ -132,16 +136,16 @@ class _Sizes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Gaussians that may be lights."""
+    """R Gaussians that may be lights."""
 
     rows: Rows
-    """Rows of the evidence, shape (R,)."""
+    """Indices of the Gaussians in `Evidence`, shape (R,)."""
     surrounding_scores: Doubles
-    """Score of each candidate's surroundings, shape (R,)."""
+    """Score of the surroundings of each candidate, shape (R,)."""
     weights: Doubles
-    """Score times contrast, shape (R,)."""
+    """Base score times contrast of each candidate, shape (R,)."""
     is_compact: Flags
-    """True where the contrast suffices, shape (R,)."""
+    """True for candidates with enough contrast to their surroundings, shape (R,)."""
 
 
 def estimate_lights(
@@ -151,7 +155,7 @@ def estimate_lights(
     *,
     config: LightEstimationConfig | None = None,
 ) -> LightEstimate:
-    """Estimates the local lights of a capture: compact, bright from all viewpoints, and lighting surfaces around.
+    """Estimates the local lights of a capture: compact, bright from all viewpoints, and lighting surfaces around them.
 
     Each Gaussian around the character is viewed from five points near the character. Its base score is the product of
     its opacity, the average of its mean and maximum luminance (linear; outliers by their logarithm), the constancy of
@@ -162,7 +166,7 @@ def estimate_lights(
     A candidate is a light if it explains the shading around it. A regression tests whether surfaces that face the
     candidate, unshadowed, are brighter than others with the inverse square of the distance, and more so than for
     positions beside it. Candidates that are low, on the ground outdoors, or that do not stand out, need twice the
-    evidence. Flowers and white paper have none.
+    evidence. Flowers and white paper light no surfaces, and are rejected.
 
     A light's position is its Gaussian's mean. Its colour is that of the Gaussian towards the character, linear,
     brightest channel 1. Intensities in candela are proportional to the base scores, scaled so that the irradiances of a
@@ -224,7 +228,17 @@ def _point_lights(
     count: int,
     settings: LightEstimationConfig,
 ) -> tuple[Rows, Doubles]:
-    """Returns the candidates that light their surroundings, brightest first, and the variance that each explains."""
+    """Returns the candidates that light their surroundings, brightest first, and the variance that each explains.
+
+    Args:
+        evidence: Scores of all Gaussians.
+        candidates: Gaussians that may be lights.
+        surfaces: Surfaces of the capture.
+        sizes: Distances of the search.
+        center: Centre of the character, shape (3,).
+        count: Maximum number of lights.
+        settings: Settings.
+    """
     # Broad candidates count too, such as a lamp near a ceiling that is as bright as the lamp.
     everything = replace(candidates, is_compact=np.ones(candidates.rows.size, np.bool_))
     bright = _choose(evidence, everything, LIGHT_CANDIDATES, settings.weakest, sizes.emitter)
@@ -262,10 +276,10 @@ def _check_count(count: object) -> None:
 
 
 def splats_of(scene: object) -> tuple[SplatInstance, ...]:
-    """Returns the captured sets of a scene, an instance or Gaussians.
+    """Returns the captures of a scene, an instance or Gaussians, as instances.
 
     Raises:
-        SceneError: There are none.
+        SceneError: There is no capture.
     """
     if isinstance(scene, Gaussians):
         return (SplatInstance(scene),)
@@ -279,7 +293,7 @@ def splats_of(scene: object) -> tuple[SplatInstance, ...]:
 
 
 def capture_extent(worlds: list[Doubles], center: Doubles) -> float:
-    """Returns the distance from the centre within which most of the capture lies."""
+    """Returns the distance from ``center`` within which all but `LIGHT_SEARCH_STRAYS` of the means lie."""
     distances = np.concatenate([np.linalg.norm(world - center, axis=1) for world in worlds])
     return max(float(np.quantile(distances, 1.0 - LIGHT_SEARCH_STRAYS)), 1e-6)
 
@@ -287,8 +301,8 @@ def capture_extent(worlds: list[Doubles], center: Doubles) -> float:
 def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_size: float) -> _Candidates:
     """Returns the bright Gaussians that are not inside the character, with their contrast.
 
-    They are chosen by score and not by number, so that a bright wall of many Gaussians does not exclude a slightly
-    darker light.
+    They are all Gaussians above a score, not a fixed number, so that a bright wall of many Gaussians does not exclude a
+    slightly darker light.
     """
     bright = (evidence.scores >= settings.weakest * evidence.scores.max()) & (evidence.scores > 0.0)
     rows = np.flatnonzero(bright & (evidence.distances > emitter_size))
@@ -300,7 +314,15 @@ def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_siz
 
 
 def _choose(evidence: Evidence, candidates: _Candidates, count: int, weakest: float, separation: float) -> Rows:
-    """Chooses candidates by greedy non-maximum suppression: the best, then the best that is not near it, and so on."""
+    """Chooses candidates by greedy non-maximum suppression; returns their indices, the best first.
+
+    Args:
+        evidence: Scores of all Gaussians.
+        candidates: Gaussians that may be lights.
+        count: Maximum number of candidates.
+        weakest: Smallest weight of a chosen candidate, relative to the largest.
+        separation: Smallest distance between two chosen candidates, scene units.
+    """
     means = evidence.means[candidates.rows]
     left = np.where(candidates.is_compact, candidates.weights, 0.0)
     least = weakest * left.max(initial=0.0)
@@ -331,29 +353,30 @@ _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """Scores of the Gaussians in the search region, of all instances together."""
+    """Scores of the N Gaussians in the search region, of all instances together."""
 
     instances: Rows
-    """Index of each Gaussian's splat instance, shape (N,)."""
+    """Index of the splat instance to which each Gaussian belongs, shape (N,)."""
     indices: Rows
-    """Index of the Gaussian in its instance, shape (N,)."""
+    """Index of each Gaussian in its instance, shape (N,)."""
     means: Doubles
     """World-space means, shape (N, 3)."""
     distances: Doubles
     """Distances to the character's centre, shape (N,)."""
     colors: FloatArray
-    """Linear colours towards the centre, shape (N, 3)."""
+    """Linear colours towards the character's centre, shape (N, 3)."""
     scores: FloatArray
     """Base scores, shape (N,)."""
 
 
 class _Luminance(NamedTuple):
-    """Luminance of each Gaussian over the viewpoints, shape (M,) each."""
+    """Luminance of M Gaussians over the viewpoints, shape (M,) each."""
 
     mean: FloatArray
     maximum: FloatArray
     view_independence: FloatArray
-    """Mean over the sum of mean and standard deviation, 0..1; 1 if the luminance is equal from all viewpoints."""
+    """Mean luminance over the sum of mean and standard deviation, 0..1; 1 if the luminance is equal from all
+    viewpoints."""
 
 
 def _gathered_evidence(
@@ -366,7 +389,7 @@ def _gathered_evidence(
     """Computes the scores of all Gaussians around a character.
 
     Args:
-        splats: The capture.
+        splats: Instances of the capture.
         worlds: World-space means of each instance.
         center: Centre of the character, shape (3,), which is one of the viewpoints.
         viewpoint_distance: Distance from the centre to the four other viewpoints, scene units.
@@ -405,7 +428,7 @@ def _gathered_evidence(
 def _colors_and_luminance(
     instance: SplatInstance, gaussians: Gaussians, viewpoints: Doubles
 ) -> tuple[FloatArray, _Luminance]:
-    """Returns linear colours towards the first viewpoint, shape (M, 3), and luminance over all viewpoints."""
+    """Returns linear colours of M Gaussians from the first viewpoint, (M, 3), and luminance over all viewpoints."""
     first = _colors_from(viewpoints[0], instance, gaussians)
     others = (_colors_from(viewpoint, instance, gaussians) for viewpoint in viewpoints[1:])
     luminance = [colors @ np.array(LUMINANCE, dtype=np.float32) for colors in itertools.chain([first], others)]
@@ -415,7 +438,7 @@ def _colors_and_luminance(
 
 
 def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussians) -> FloatArray:
-    """Returns linear colours viewed from a point in the world, shape (M, 3)."""
+    """Returns linear colours of M Gaussians viewed from a world position, shape (M, 3)."""
     object_from_world = np.linalg.inv(instance.transform)
     eye = (object_from_world[:3, :3] @ viewpoint + object_from_world[:3, 3]).astype(np.float32)
     directions = gaussians.means - eye
@@ -424,7 +447,7 @@ def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussia
 
 
 def _brightness(luminances: list[_Luminance]) -> FloatArray:
-    """Returns the average of mean and maximum luminance of the Gaussians of all instances, softly clipped."""
+    """Returns the average of mean and maximum luminance of all instances' Gaussians; large values are compressed."""
     mean = np.concatenate([luminance.mean for luminance in luminances])
     maximum = np.concatenate([luminance.maximum for luminance in luminances])
     level = float(np.quantile(mean, LIGHT_SEARCH_CLIP))
@@ -432,7 +455,7 @@ def _brightness(luminances: list[_Luminance]) -> FloatArray:
 
 
 def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
-    """Returns the fraction of a colour's mean square over directions that SH degree 0 has (Parseval), shape (M,)."""
+    """Returns the fraction that SH degree 0 has in a colour's mean square over directions (Parseval), shape (M,)."""
     constant = np.sum(np.maximum(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0) ** 2, axis=1)
     bands = gaussians.sh[:, 1 : (degree + 1) ** 2]
     varying = np.einsum("nkc,nkc->n", bands, bands) / (4.0 * np.pi)
@@ -440,7 +463,7 @@ def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
 
 
 def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
-    """Returns values up to ``level``, and their logarithm above it, with equal slopes at ``level``."""
+    """Compresses values: above ``level`` they grow with their logarithm only, with a continuous slope."""
     if level <= 0.0:
         return values
     return np.where(values <= level, values, level * (1.0 + np.log(np.maximum(values, level) / level)))
@@ -448,12 +471,12 @@ def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundLights:
-    """Candidates that light their surroundings, in the order in which they were found."""
+    """The k candidates that light their surroundings, in the order in which they were found."""
 
     rows: Rows
-    """Indices of the candidates, shape (k,)."""
+    """Indices among the candidates, shape (k,)."""
     shares: Doubles
-    """Fraction of the unexplained variance that each explains, shape (k,)."""
+    """Fraction of the unexplained luminance variance that each light explains, shape (k,)."""
 
 
 def _lights_among(
@@ -467,18 +490,18 @@ def _lights_among(
     count: int,
     evidence: float,
 ) -> FoundLights:
-    """Finds the candidates whose light is visible on the surfaces around, one after the other.
+    """Finds the candidates whose light is visible on the surfaces around them, one candidate after the other.
 
-    Each step takes the candidate that explains most of the remaining variance. It must explain the fraction
-    ``evidence`` of it, significantly, and about as well as positions beside it do. A candidate that is level with or
-    below the character, or that does not stand out, must explain twice as much.
+    Each step takes the candidate that explains most of the remaining luminance variance. The candidate must explain at
+    least the fraction ``evidence`` of that variance, significantly, and about as well as positions beside it do. A
+    candidate that is level with or below the character, or that does not stand out, must explain twice as much.
 
     Args:
-        positions: Positions of the candidates, world space, shape (R, 3).
-        is_compact: Candidates that stand out from their surroundings, shape (R,).
+        positions: Positions of R candidates, world space, shape (R, 3).
+        is_compact: True for candidates that stand out from their surroundings, shape (R,).
         surfaces: Surfaces of the capture.
         center: Centre of the character, shape (3,).
-        emitter: Largest size of an emitter, scene units.
+        emitter: Largest size of a light source, scene units.
         separation: Smallest distance between two lights, scene units.
         count: Maximum number of lights.
         evidence: Smallest fraction of the unexplained variance.
@@ -512,14 +535,14 @@ def _is_light(trace: Trace, doubt: float, evidence: float) -> bool:
 
 
 def _is_localised(shading: Shading, position: Doubles, trace: Trace, emitter: float) -> bool:
-    """Returns whether a light at this position explains the shading about as well as lights beside it."""
+    """Returns whether a light at ``position`` explains the shading about as well as lights beside it, or better."""
     steps = TRACE_NEAREST * emitter * np.concatenate([np.eye(3), -np.eye(3)])
     beside = [_trace(shading, *_cosines_to(shading.surfaces, position + step, emitter)).share for step in steps]
     return trace.share >= LIGHT_ELSEWHERE * max(beside)
 
 
 def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
-    """Returns which positions are level with or below the character, shape (R,); none if the ground is unknown."""
+    """Returns which of R positions are level with or below the character, shape (R,); none if the ground is unknown."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     if length < TRACE_GROUND_MIN:
@@ -528,9 +551,10 @@ def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emi
 
 
 def _cosines_to(surfaces: CapturedSurfaces, position: Doubles, emitter: float) -> tuple[Doubles, Flags]:
-    """Returns surfaces' irradiance from a light of 1 at an emitter's distance, and which surfaces count, (M,) each.
+    """Returns the irradiance of M surfaces from a light, and which surfaces count as evidence, shape (M,) each.
 
-    Near surfaces do not count: they may be the light itself, or part of a bright patch that is no light.
+    A surface that faces the light at a distance of one emitter size has irradiance 1. Surfaces near the light do not
+    count: they may be the light itself, or part of a bright patch that is no light.
     """
     away = position - surfaces.positions
     distances = np.linalg.norm(away, axis=1)
@@ -544,7 +568,8 @@ def _trace(shading: Shading, irradiance: Doubles, counted: Flags) -> Trace:
 
 
 _RING = [offset for offset in itertools.product(range(-2, 3), repeat=3) if max(map(abs, offset)) == 2]
-"""Offsets of the cells around the 3 x 3 x 3 cells that hold a candidate's own emitter."""
+"""Offsets of the cells that form a candidate's surroundings: a shell around 3 x 3 x 3 cells that hold its light
+source."""
 
 _CELL_BITS = 21
 
@@ -554,19 +579,19 @@ def surrounding_scores(
 ) -> npt.NDArray[np.float64]:
     """Returns the root mean square score around some Gaussians, in the octant where it is largest.
 
-    Space is divided into cubic cells of side ``size``. A Gaussian's own cell and its neighbours hold its emitter, if
-    that is no larger than ``size``. The ring of cells around them is its surroundings, divided into octants, of which
-    the brightest counts: even beside the corner of a bright wall, one octant is mostly wall. Because scores are
-    squared, a wall counts as bright despite dark pictures on it.
+    Space is divided into cubic cells of side ``size``. A Gaussian's cell and the adjacent cells hold its light source,
+    if the source is no larger than ``size``. The shell of cells around them is the Gaussian's surroundings, divided
+    into octants. The brightest octant counts: even beside the corner of a bright wall, one octant is mostly wall.
+    Because scores are squared, a wall counts as bright despite dark pictures on it.
 
     Args:
-        means: Means of all Gaussians, shape (N, 3).
-        scores: Scores of all Gaussians, shape (N,).
-        rows: Gaussians whose surroundings are returned, shape (R,).
+        means: Means of N Gaussians, shape (N, 3).
+        scores: Scores of the Gaussians, shape (N,).
+        rows: Indices of the R Gaussians whose surroundings are returned, shape (R,).
         size: Side of a cell, scene units, > 0.
 
     Returns:
-        Shape (R,), above 0 if any score is.
+        Scores of the surroundings, shape (R,), above 0 if any score is.
     """
     cells = np.floor((means - means.min(axis=0)) / size).astype(np.int64) + 2
     keys, inverse = np.unique(_keys(cells), return_inverse=True)

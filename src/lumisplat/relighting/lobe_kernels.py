@@ -1,6 +1,6 @@
 """Reflection lobes of rough dielectrics for light from parts of the hemisphere (docs/method/delighting.md#roughness).
 
-One item is a roughness, a view and a bin of directions. It integrates over the bin's samples.
+A thread handles one combination of roughness, view and bin of directions, and integrates over the bin's samples.
 """
 
 import warp as wp
@@ -24,11 +24,11 @@ def tabulate_lobes(
     """Tabulates diffuse and specular radiance of a surface with albedo 1 and normal z, per irradiance / pi of a bin.
 
     Args:
-        start: First item.
-        spread: Added to the squared alpha of highlights, for the distance between samples.
-        roughness: Roughnesses of the surfaces, (R,).
-        views: Unit view directions, (M,).
-        samples: Directions of each bin, (Q, S).
+        start: Index of the first combination of roughness, view and bin.
+        spread: Added to the squared GGX alpha of highlights, for the distance between samples.
+        roughness: Roughness of R surfaces, (R,).
+        views: M unit view directions, (M,).
+        samples: S directions in each of Q bins, (Q, S).
         matt_out: Diffuse radiance, (R * M * Q,).
         highlight_out: Specular radiance, (R * M * Q,).
     """

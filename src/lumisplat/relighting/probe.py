@@ -1,4 +1,4 @@
-"""Environment probes, the radiance at a position in SH, and their cache (docs/method/relighting.md#probes)."""
+"""Environment probes: the radiance at a position as SH, and a cache of probes (docs/method/relighting.md#probes)."""
 
 from __future__ import annotations
 
@@ -42,28 +42,28 @@ PROBE_DEGREE_MAX = 8
 """
 
 PROBE_RIDGE = 1e-9
-"""Ridge of the SH fit, whose weights sum to 4 pi. It is below the rounding of float32, so radiance that the SH can
-represent is exact, and large enough for a solution where directions are too few."""
+"""Ridge of the SH fit, whose weights sum to 4 pi. The ridge is below the rounding of float32, so that radiance that SH
+can represent is exact, and large enough to give a solution where directions are too few."""
 
 PROBE_IMAGE_ROWS = 64
-"""Rows of a probe's latitude-longitude image: several pixels per shortest wavelength of degree 8."""
+"""Height of a probe's latitude-longitude image, pixels: several pixels per shortest wavelength of degree 8."""
 
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _ROWS_AT_ONCE = 2**16
-"""Directions whose SH basis is in memory at once: 40 MB at degree 8."""
+"""Number of directions whose SH basis is in memory at once: 40 MB at degree 8."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvironmentProbe:
-    """Radiance that arrives at one position, in SH of degree d: K = (d + 1)^2 coefficients per channel.
+    """Radiance that arrives at one position, as SH of degree d with K = (d + 1)^2 coefficients per channel.
 
     Raises:
         SceneError: The coefficients are no finite array of shape (K, 3) for a degree of 0 to 8.
     """
 
     coefficients: Doubles
-    """SH coefficients of radiance, linear Rec.709, in the basis of captures (order, signs), read-only float64, shape
-    (K, 3)."""
+    """SH coefficients of linear Rec.709 radiance, in the order and with the signs that captures use, read-only
+    float64, shape (K, 3)."""
 
     def __post_init__(self) -> None:
         float_array("coefficients", self.coefficients)
@@ -204,7 +204,7 @@ class EnvironmentProbe:
         return cls(_fit(local @ _matrix(light).T, radiance, weights, degree, ridge))
 
     def radiance(self, directions: npt.ArrayLike) -> FloatArray:
-        """Returns the radiance that arrives from directions; ringing at strong contrasts can make it negative.
+        """Returns the radiance that arrives from directions; SH ringing at strong contrasts can make it negative.
 
         Args:
             directions: World-space directions from the position towards the light, of any length, shape (..., 3).
@@ -237,10 +237,10 @@ class EnvironmentProbe:
     def image(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> FloatArray:
         """Returns the radiance as a latitude-longitude image, in the axes of `LightEnvironment`.
 
-        Negative radiance from ringing is set to 0 and the rest scaled down, so that the mean over the sphere stays.
+        Negative radiance from SH ringing is set to 0 and the rest scaled down, so that the mean over the sphere stays.
 
         Args:
-            height: Rows, 1 to 8192; the image is twice as wide.
+            height: Height of the image, pixels, 1 to 8192; the image is twice as wide.
             rotation_wxyz: Rotation from image to world; the image's +y is its upper edge. Scenes with y down are
                 upright with (0, 1, 0, 0).
 
@@ -257,10 +257,10 @@ class EnvironmentProbe:
         return read_only_view(_without_ringing(radiance))
 
     def light(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> LightEnvironment:
-        """Returns an environment light with this radiance, which cameras see in reflections only.
+        """Returns an environment light with the probe's radiance; cameras see it only in reflections.
 
         Args:
-            height: Rows of its image, 1 to 8192.
+            height: Height of the light's image, pixels, 1 to 8192.
             rotation_wxyz: Rotation from image to world, as for `image`; the light is the same for all rotations.
 
         Raises:
@@ -280,7 +280,7 @@ class EnvironmentProbe:
 
         Args:
             path: File to write, .exr.
-            height: Rows, 1 to 8192.
+            height: Height of the image, pixels, 1 to 8192.
             rotation_wxyz: Rotation from image to world, as for `image`.
 
         Raises:
@@ -292,7 +292,7 @@ class EnvironmentProbe:
         write_radiance(path, self.image(height, rotation_wxyz))
 
     def _evaluate(self, directions: npt.ArrayLike, factors: Doubles) -> FloatArray:
-        """Evaluates the SH, each degree times a factor, in directions of any length."""
+        """Evaluates the SH in directions of any length; ``factors`` multiply the coefficients, one per SH degree."""
         checked = float_array("directions", directions)
         if checked.ndim == 0 or checked.shape[-1] != 3:
             raise SceneError(f"directions has shape {checked.shape}, expected (..., 3)")
@@ -330,7 +330,15 @@ def _cosine_factor(level: int) -> float:
 def _fit(
     directions: Doubles, radiance: npt.NDArray[np.floating], weights: Doubles, degree: int, ridge: float
 ) -> Doubles:
-    """Solves ``(B^T W B + lambda I) A = B^T W Y`` for the coefficients, shape (K, 3)."""
+    """Solves ``(B^T W B + lambda I) A = B^T W Y`` for the SH coefficients A, shape (K, 3).
+
+    Args:
+        directions: N directions, at which the SH basis B is evaluated, shape (N, 3).
+        radiance: Samples Y, shape (N, 3).
+        weights: Weights W, shape (N,).
+        degree: SH degree.
+        ridge: Ridge lambda.
+    """
     size = (degree + 1) ** 2
     gram, moments = np.zeros((size, size)), np.zeros((size, 3))
     scaled = weights * (4.0 * np.pi / weights.sum())
@@ -351,7 +359,7 @@ def _fit(
 
 
 _PROBES_CACHED = 64
-"""Maximum number of cached probes: more than there are actors."""
+"""Maximum number of cached probes: more than a scene has actors."""
 
 
 class ProbeCache:
@@ -370,11 +378,11 @@ class ProbeCache:
         self._scene, self._config = scene, RenderConfig(background=background)
         self._device, self._progress = device, progress
         self._renderer: Renderer | None = None
-        """Renderer, created for the first probe, so that scenes without probes load no kernels."""
+        """Renderer of the probes, created for the first probe, so that scenes without probes load no kernels."""
         self._probes: dict[bytes, EnvironmentProbe] = {}
 
     def at(self, center: npt.NDArray[np.float64]) -> EnvironmentProbe:
-        """Returns the probe at a world position, shape (3,)."""
+        """Returns the probe at a world position, shape (3,), captured now or taken from the cache."""
         key = center.tobytes()
         if key not in self._probes:
             if self._renderer is None:

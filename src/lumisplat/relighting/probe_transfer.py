@@ -1,4 +1,4 @@
-"""Relights Gaussians by an environment probe, with a factor per channel and normal, and by suns that the probe lacks.
+"""Relights Gaussians by an environment probe, with a factor per channel and normal, and by suns missing in the probe.
 
 Sources: docs/method/relighting.md#transfer and #sun.
 """
@@ -35,15 +35,15 @@ SUN_RAYS = 256
 """Maximum number of shadow rays from an actor towards a sun."""
 
 _NORMALS_AT_ONCE = 1024
-"""Normals whose lobes are in memory at once: 2 MB with 16 rows, which fits the cache."""
+"""Number of normals whose lobes are in memory at once: 2 MB with 16 grid rows, which fits the CPU cache."""
 
 _NO_LIGHT = 1e-12
-"""Epsilon, sr, added to the lobe's normalisation (docs/method/relighting.md#transfer-scale). The weights sum to 4 pi,
-and no lobe that the grid resolves is nearly as small."""
+"""Epsilon, sr, added to the normalisation of a lobe, against division by zero
+(docs/method/relighting.md#transfer-scale). No lobe that the grid resolves is nearly as small."""
 
 
 class _Grid(NamedTuple):
-    """Latitude-longitude grid as a quadrature of the sphere."""
+    """Latitude-longitude grid of M directions as a quadrature of the sphere."""
 
     directions: Doubles
     """Unit directions, shape (M, 3)."""
@@ -59,15 +59,16 @@ def relight(
 ) -> Subject:
     """Relights Gaussians by a probe: multiplies each colour by the probe's mean radiance over a lobe about the normal.
 
-    Light is linear and colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))``, by `scale_light`,
-    which scales view dependence alike. A probe of constant radiance 1 leaves colours unchanged, to the bit at gamma 1.
-    A darker probe darkens them, as an object captured in daylight is darker in a room.
+    Light is linear and colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))`` with the lobe's mean
+    radiance s, computed by `scale_light`, which scales the colours of all directions alike. A probe of constant
+    radiance 1 leaves colours unchanged, to the bit at gamma 1. A darker probe darkens them, as an object captured in
+    daylight is darker in a room.
 
     The light of the capture stays in its colours, so captures taken in constant light relight best. Source:
     docs/method/relighting.md#transfer.
 
     Args:
-        subject: Gaussians in world space, or an instance, whose rotation turns the normals.
+        subject: N Gaussians in world space, or an instance, whose rotation also rotates the normals.
         probe: Radiance at the position of the Gaussians.
         config: Settings; None: the defaults.
         normals: Outward normals in object space, of any length, shape (N, 3); None: estimated as the settings say.
@@ -96,10 +97,10 @@ def relight(
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
-    """Averages the radiance of a probe over a lobe ``max(0, w . n)^q`` about each normal.
+    """Averages the radiance of a probe over a lobe ``max(0, w . n)^q`` of directions w about each of N normals n.
 
-    The probe's mean is subtracted from the sum and added again, so that constant light has no rounding error. Source:
-    docs/method/relighting.md#transfer-scale.
+    The probe's mean is subtracted from the radiance and added to the average again, so that constant light has no
+    rounding error. Source: docs/method/relighting.md#transfer-scale.
 
     Args:
         probe: The probe.
@@ -110,7 +111,7 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
         A factor per channel, 0 to ``scale_max``, shape (N, 3).
 
     Raises:
-        SceneError: The probe is of another type, or normals are not finite, of length 0 or not of that shape.
+        SceneError: The probe is of another type, or normals are not finite, of length 0 or not of shape (N, 3).
     """
     check_instance(probe, EnvironmentProbe, "expected an EnvironmentProbe", advice=": EnvironmentProbe.capture(...)")
     config = RelightConfig() if config is None else config
@@ -153,7 +154,7 @@ _BLOCKED_BELOW = 1e-3
 
 
 class SunOnActors:
-    """Computes the light of suns on actors, less the part that the actors' probes already hold.
+    """Computes the light of suns on actors, without the part that the actors' probes already contain.
 
     Args:
         scene: The scene without actors, which may block the suns.
@@ -170,7 +171,7 @@ class SunOnActors:
         self._has_warned = False
 
     def scales(self, actor: SplatInstance, probe: EnvironmentProbe, normals: FloatArray) -> FloatArray:
-        """Returns the suns' light on an actor's Gaussians that the probe lacks, relative to constant radiance 1.
+        """Returns the light of the suns on N Gaussians of an actor, without the part that the probe contains.
 
         Args:
             actor: The actor.
@@ -178,7 +179,8 @@ class SunOnActors:
             normals: Unit normals, world space, shape (N, 3).
 
         Returns:
-            Shape (N, 3).
+            Irradiance relative to that from constant radiance 1, to be added to the factors of `light_scales`, shape
+            (N, 3).
         """
         total = np.zeros(normals.shape, np.float32)
         for sun in self._suns:
@@ -202,7 +204,7 @@ class SunOnActors:
         return float(self._renderer.transmittance(self._scene, starts, directions, sun.shadow_distance).mean())
 
     def _warn_if_blocked(self, sun: LightDirectional, visibility: float) -> None:
-        """Warns once if the scene blocks a sun from an actor, as a captured sky would."""
+        """Warns once if the scene blocks a sun from an actor, as Gaussians of a captured sky would."""
         if visibility < _BLOCKED_BELOW and not self._has_warned:
             self._has_warned = True
             name = f"light '{sun.name}'" if sun.name else "the sun"
@@ -211,10 +213,11 @@ class SunOnActors:
 
 
 def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:
-    """Returns the irradiance from a sun on a surface facing it, less its part in the probe, linear Rec.709, (3,).
+    """Returns the irradiance from a sun on a surface facing it, minus the part that the probe contains, shape (3,).
 
-    That part is at most the probe's irradiance on the surface beyond that of its mean radiance, which may also come
-    from a captured lamp or the bright sky around the sun.
+    The result is linear Rec.709. The probe's part is at most the surface's irradiance from the probe that exceeds the
+    irradiance from the probe's mean radiance. The excess may also come from a captured lamp or the bright sky around
+    the sun.
     """
     towards = -np.array([sun.direction])
     weights = np.array(LUMINANCE)

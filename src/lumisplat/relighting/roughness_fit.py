@@ -32,11 +32,11 @@ ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 """Trial values of roughness. Below the first one, highlights in SH of degree 3 no longer change."""
 
 ROUGHNESS_ROWS = 2048
-"""Gaussians processed at once, about 100 MB."""
+"""Number of Gaussians processed at once, about 100 MB."""
 
 LOBE_VIEWS = 96
-"""Views of the upper hemisphere in which colours are compared. With too few, the part of a sharp highlight that SH
-cannot represent aliases: 24 views give roughness 0.3 as 0.4, 48 give 0.33."""
+"""Number of views of the upper hemisphere in which colours are compared. With too few, the part of a sharp highlight
+that SH cannot represent aliases: 24 views give roughness 0.3 as 0.4, 48 give 0.33."""
 
 VIEW_COSINE_LEAST = 0.2
 """Smallest cosine between normal and view of the compared views, because captures lack grazing views of Gaussians."""
@@ -51,16 +51,17 @@ BIN_SAMPLES = 4
 """Number of directions along each side of a bin over which the lobes are integrated."""
 
 ALBEDO_STEPS = 4
-"""Gauss-Newton steps to the best albedo for a roughness."""
+"""Number of Gauss-Newton steps to the best albedo for a roughness."""
 
 HIGHLIGHT_NOISE = 0.008
 """Smallest expected error of captured colours, display-referred: 2 of 255."""
 
 SAME_ALBEDO = 0.1
-"""Standard deviation of the albedo difference, natural logarithm, between neighbours of one material."""
+"""Standard deviation of the albedo difference, natural logarithm, in the weight of neighbours: similar albedos suggest
+one material."""
 
 SAME_NORMALS = 4
-"""Exponent of the cosine between the normals of neighbours in their weight."""
+"""Exponent of the cosine between normals, in the weight of neighbours."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,14 +75,14 @@ class Roughness:
 
     @staticmethod
     def unknown(count: int) -> Roughness:
-        """Returns the result for Gaussians without view dependence."""
+        """Returns `ROUGHNESS_UNKNOWN` with confidence 0, for ``count`` Gaussians without view dependence."""
         value = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
         return Roughness(value, read_only_view(np.zeros(count, np.float32)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoughnessFit:
-    """Fits the roughness of dielectrics with ior 1.5 under estimated light.
+    """Fits the roughness of N dielectric Gaussians with ior 1.5 under estimated light.
 
     For each roughness of a grid, the albedo is chosen whose colours are nearest to the captured ones. Colours are
     compared as clipped display values, projected onto SH of the capture's degree. The remaining errors, averaged over
@@ -99,8 +100,8 @@ class RoughnessFit:
         """Fits the roughness of each Gaussian.
 
         Args:
-            arriving: Irradiance over pi from each bin of its hemisphere, shape (N, Q, 3).
-            tried: Called after each batch with its number of Gaussians.
+            arriving: Irradiance over pi from each of Q bins of the Gaussian's hemisphere, shape (N, Q, 3).
+            tried: Called after each batch with the number of Gaussians in the batch.
         """
         variances = normal_variances(self.gaussians, self.normals, self.near)
         parts: list[tuple[Doubles, Doubles]] = []
@@ -117,7 +118,16 @@ class RoughnessFit:
         return Roughness(read_only_view(value.astype(np.float32)), read_only_view(confidence.astype(np.float32)))
 
     def _misfits(self, rows: Rows, arriving: Doubles, wider: Doubles) -> tuple[Doubles, Doubles]:
-        """Returns mean squared error and albedo for each roughness, shapes (n, R) and (n, R, 3)."""
+        """Returns the mean squared error and the best albedo of n Gaussians for each of R roughnesses.
+
+        Args:
+            rows: Indices of the n Gaussians.
+            arriving: Irradiance over pi from each of Q bins, shape (n, Q, 3).
+            wider: Weights from `widened`, shape (n, R, R).
+
+        Returns:
+            Errors, shape (n, R), and albedos, shape (n, R, 3).
+        """
         lobes, compared = self.lobes, self.lobes.compared
         captured = self._captured(rows)
         linear = decode_srgb(captured)
@@ -138,13 +148,13 @@ class RoughnessFit:
         return np.einsum("nrs,ns->nr", wider, np.stack(misfits, axis=1)), wider @ np.stack(albedos, axis=1)
 
     def _errors(self, linear: Doubles, captured: Doubles) -> tuple[Doubles, Doubles]:
-        """Returns errors of SH-projected display values in the compared views, and the encoding's slopes in all."""
+        """Returns errors of SH-projected display values in the compared views, and the slopes of sRGB in all views."""
         displayed, slope = _displayed(linear)
         projection = np.tensordot(self.lobes.projection, displayed - 0.5, (1, 0)) + 0.5
         return (projection - captured)[self.lobes.compared], slope
 
     def _captured(self, rows: Rows) -> Doubles:
-        """Returns display-referred colours in the views, shape (M, n, 3)."""
+        """Returns display-referred colours of n Gaussians in M views, shape (M, n, 3)."""
         some = self.gaussians.subset(rows)
         directions = np.einsum("nij,mj->mni", frames_of(self.normals[rows]), self.lobes.views)
         return np.array(
@@ -153,7 +163,7 @@ class RoughnessFit:
         )
 
     def _pooled(self, misfit: Doubles, albedo: Doubles) -> Doubles:
-        """Averages errors over neighbours with similar normals and albedo, shape (N, R)."""
+        """Averages the errors of R roughnesses over neighbours with similar normals and albedo, shape (N, R)."""
         first, second = self.near.first, self.near.second
         logs = np.log(np.maximum(albedo, RADIANCE_LEAST))
         apart = np.abs(logs[first] - logs[second]).max(axis=1) / SAME_ALBEDO
@@ -164,7 +174,7 @@ class RoughnessFit:
         return np.stack(sums, axis=1) / total[:, None]
 
     def _probabilities(self, misfit: Doubles) -> Doubles:
-        """Returns the probability of each roughness, shape (N, R), taking the smallest error for the noise level."""
+        """Returns the probability of each of R roughnesses, (N, R); the smallest error counts as the noise level."""
         least = misfit.min(axis=1, keepdims=True)
         coefficients = (self.gaussians.sh_degree + 1) ** 2 - 1
         probabilities = np.exp(-0.5 * coefficients * (misfit - least) / np.maximum(least, HIGHLIGHT_NOISE**2))
@@ -172,13 +182,14 @@ class RoughnessFit:
 
 
 def widened(variances: Doubles) -> Doubles:
-    """Returns weights of the grid's roughnesses for surfaces whose normals vary, which look rougher, shape (N, R, R).
+    """Returns weights of R roughnesses that replace each roughness where normals vary, shape (N, R, R).
 
-    Slopes of microfacets have the variance alpha^2 / 2 along an axis, to which that of the surface is added (Toksvig
-    2005): alpha^2 + 2 variances. Cubics (Lagrange) interpolate between roughnesses of the grid.
+    Surfaces with varying normals look rougher. Slopes of microfacets have the variance alpha^2 / 2 along an axis, to
+    which the variance of the normals is added (Toksvig 2005): alpha^2 + 2 variances. Cubics (Lagrange) interpolate
+    between roughnesses of the grid.
 
     Args:
-        variances: Variances of normals within Gaussians, radians^2 along an axis, shape (N,).
+        variances: Variances of normals within N Gaussians, radians^2 along an axis, shape (N,).
     """
     grid = np.array(ROUGHNESS_GRID)
     rougher = np.minimum((grid**4 + 2.0 * variances[:, None]) ** 0.25, grid[-1])
@@ -192,12 +203,12 @@ def widened(variances: Doubles) -> Doubles:
 
 
 def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradiance, light: Light) -> FloatArray:
-    """Returns the irradiance over pi from each bin of the Gaussians' hemispheres, shape (N, Q, 3).
+    """Returns the irradiance over pi of N Gaussians from each of Q bins of their hemispheres, shape (N, Q, 3).
 
     Args:
         normals: Unit normals, shape (N, 3).
         cells: Environment cells.
-        incident: Irradiance, with the capture's own part by direction.
+        incident: Irradiance by source, with the light from the capture stored by direction.
         light: Estimated radiances.
     """
     frames, rows = frames_of(normals), np.arange(len(normals))
@@ -214,7 +225,7 @@ def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradian
 
 
 def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns display values and their derivatives by linear light, with linear values above 1 clipped."""
+    """Returns display values of linear light, clipped at 1, and their derivatives with respect to linear light."""
     inside = np.clip(linear, RADIANCE_LEAST, 1.0)
     displayed = np.asarray(encode_srgb(inside), np.float64)
     # Derivative of the sRGB power law: 1.055 / 2.4 x^(1 / 2.4 - 1) = (displayed + 0.055) / (2.4 x).
@@ -233,11 +244,11 @@ class Lobes:
     highlight: Doubles
     """Specular radiance towards a view, per irradiance over pi from a bin, shape (R, M, Q)."""
     projection: Doubles
-    """Projection of colours in the views onto SH of the capture's degree, shape (M, M)."""
+    """Matrix that projects colours in the M views onto SH of the capture's degree and back, shape (M, M)."""
 
     @staticmethod
     def of(degree: int) -> Lobes:
-        """Computes the tables for an SH degree, on the CPU: they are small, and then equal on all devices."""
+        """Computes the tables for an SH degree, on the CPU, so that all devices use equal tables."""
         launcher = Launcher("cpu")
         buffers, samples, views = Buffers("cpu"), bin_samples(), _views()
         shape = len(ROUGHNESS_GRID), len(views), len(samples)
@@ -257,19 +268,19 @@ class Lobes:
 
     @property
     def compared(self) -> Flags:
-        """True for views whose colours are compared: not the grazing ones, shape (M,)."""
+        """True for views in which colours are compared, those that are not grazing, shape (M,)."""
         return self.views[:, 2] > VIEW_COSINE_LEAST
 
     def in_constant_environment(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
         """Returns median diffuse and specular radiance over the views, in a constant environment of radiance 1.
 
-        The diffuse part is for albedo 1.
+        The diffuse radiance is for albedo 1.
 
         Args:
-            roughness: Roughnesses, 0..1, shape (N,).
+            roughness: Roughness of N surfaces, 0..1, shape (N,).
 
         Returns:
-            Radiances, shape (N,) each.
+            Diffuse and specular radiance, shape (N,) each.
         """
         cosines = bin_samples()[..., 2].mean(axis=1)
         shares = cosines / cosines.sum()
@@ -280,7 +291,7 @@ class Lobes:
 
 
 def frames_of(normals: Doubles) -> Doubles:
-    """Returns rotations that take z to the normals, world from local, shape (N, 3, 3) (Duff et al. 2017)."""
+    """Returns rotations that take z to each of N normals, world from local, shape (N, 3, 3) (Duff et al. 2017)."""
     x, y, z = normals.T
     sign = np.where(z >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + z)
@@ -291,14 +302,14 @@ def frames_of(normals: Doubles) -> Doubles:
 
 
 def bins_of(directions: Doubles) -> Rows:
-    """Returns the bin of each local direction above the horizon, shape (N,): equal sectors of equally high rings."""
+    """Returns the bin of each of N local directions above the horizon, (N,): equal sectors of rings of equal height."""
     ring = np.clip(directions[:, 2] * BIN_RINGS, 0, BIN_RINGS - 1).astype(int)
     sector = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) * BIN_SECTORS).astype(int)
     return ring * BIN_SECTORS + sector % BIN_SECTORS
 
 
 def bin_samples() -> Doubles:
-    """Returns unit directions evenly spread over each bin, shape (Q, S, 3)."""
+    """Returns S unit directions evenly spread over each of Q bins, shape (Q, S, 3)."""
     within = (np.arange(BIN_SAMPLES) + 0.5) / BIN_SAMPLES
     height = (np.arange(BIN_RINGS)[:, None] + within) / BIN_RINGS
     angle = 2.0 * np.pi * (np.arange(BIN_SECTORS)[:, None] + within) / BIN_SECTORS
@@ -309,9 +320,9 @@ def bin_samples() -> Doubles:
 
 
 def sh_projection(views: Doubles, degree: int) -> Doubles:
-    """Returns the matrix that fits SH to colours in views, as `bake` does, and evaluates the SH again, shape (M, M).
+    """Returns the matrix that fits SH to colours in M views, as `bake` does, and evaluates the SH again, shape (M, M).
 
-    Colours are those less 0.5.
+    The matrix applies to colours minus 0.5.
     """
     basis = sh_basis(views, degree)
     level = np.floor(np.sqrt(np.arange((degree + 1) ** 2) + 0.5))
@@ -320,6 +331,6 @@ def sh_projection(views: Doubles, degree: int) -> Doubles:
 
 
 def _views() -> Doubles:
-    """Returns evenly spread views of the upper hemisphere."""
+    """Returns `LOBE_VIEWS` unit view directions evenly spread over the upper hemisphere."""
     around = even_directions(2 * LOBE_VIEWS)
     return around[around[:, 2] > 0.0]

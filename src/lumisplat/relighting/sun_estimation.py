@@ -21,39 +21,40 @@ from lumisplat.scene.scene import Scene, SplatInstance
 # Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 SUN_DIRECTIONS = 320
-"""Directions of the coarse search, 11 degrees apart."""
+"""Number of directions of the coarse search for the sun, 11 degrees apart."""
 
 SUN_REFINED = 24
-"""Directions around the best one in each of two refinements."""
+"""Number of directions around the best direction that each of two refinements tests."""
 
 SUN_SHARE = 0.05
-"""Smallest fraction of the variance that a smooth environment leaves and the sun must explain."""
+"""Smallest fraction that a sun explains of the luminance variance that a smooth environment leaves unexplained."""
 
 SUN_SIGNIFICANCE = 6.0
-"""Smallest ratio of the sun's factor to its standard error."""
+"""Smallest ratio of a sun's regression coefficient to its standard error."""
 
 SUN_SHARE_BEYOND = 0.025
-"""Smallest fraction of the variance that an environment of SH degree 2 leaves and the sun must explain. Degree 1 does
-not represent an overcast sky, which is brightest at its top."""
+"""Smallest fraction that a sun explains of the luminance variance that an environment of SH degree 2 leaves
+unexplained. Degree 1 does not represent an overcast sky, which is brightest at its top."""
 
 SUN_SIGNIFICANCE_BEYOND = 4.0
-"""Smallest ratio of the sun's factor to its standard error beside an environment of SH degree 2."""
+"""Smallest ratio of a sun's regression coefficient to its standard error, in a regression with an environment of SH
+degree 2."""
 
 SUN_LIFT = 6.0
-"""Height above the ground, voxels, of the point from which open directions are tested: objects stand beside and below
-it."""
+"""Height above the ground, in voxels, of the point from which open directions are tested: above objects on the ground.
+"""
 
 SUN_LIT_MIN = 0.05
-"""Smallest fraction of surfaces that a sun reaches; light through a gap of a closed room reaches fewer."""
+"""Smallest fraction of surfaces that a sun reaches; light through a gap of a closed room reaches a smaller fraction."""
 
 SUN_APART = 0.7
-"""Cosine of the angle beyond which a direction counts as a different one."""
+"""Cosine of the angle beyond which a direction counts as another candidate for the sun."""
 
 SUN_CONFIDENCE_MIN = 0.2
 """Confidence below which no sun is returned."""
 
 SUN_ANNOUNCED_S = 1.0
-"""Seconds after which a search for the sun reports its progress."""
+"""Seconds after which a search for the sun starts to report its progress."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,11 +64,11 @@ class SunEstimate:
     light: LightDirectional
     """Light named ``estimated-sun``, white, of 1 lux: the intensity is not estimated."""
     confidence: float
-    """Confidence, 0..1: 1 if no direction at least 45 degrees away explains anything, 0 if one explains as much."""
+    """Confidence, 0..1: 1 if no sun at least 45 degrees away explains anything, 0 if another sun explains as much."""
     share: float
     """Fraction that the sun explains of the luminance variance that a smooth environment leaves, 0..1."""
     significance: float
-    """Luminance due to the sun over its standard error."""
+    """Ratio of the sun's regression coefficient to its standard error."""
 
 
 def estimate_sun(
@@ -77,8 +78,8 @@ def estimate_sun(
 
     The capture is voxelised. For each of some hundred directions, the cosines of its surfaces are computed, 0 where
     voxels shadow them. A regression tests how much of the luminance such a sun explains that a smooth environment does
-    not. The best direction is refined, and returned if it explains enough, significantly, and if no other direction
-    does. Directions from below the ground are excluded where the ground can be estimated.
+    not. The best direction is refined. It is returned if it explains enough, significantly, and no other direction
+    explains as much. Directions from below the ground are excluded where the ground can be estimated.
 
     Args:
         scene: The capture, by its captured colours; meshes are ignored.
@@ -86,7 +87,7 @@ def estimate_sun(
         progress: Called with a label and a fraction 0..1 if the search takes more than a second.
 
     Returns:
-        The sun, or None if none is found: an overcast day, a room, a single object.
+        The sun, or None if none is found, as on an overcast day, in a room or for a single object.
 
     Raises:
         SceneError: There are no Gaussians.
@@ -123,7 +124,10 @@ def estimate_sun(
 
 
 def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, progress: Progress | None) -> Doubles:
-    """Returns unshadowed cosines of all surfaces to each direction, shape (M, D), with progress: the expensive part."""
+    """Returns the cosines of M surfaces towards each of D directions, 0 in shadow, shape (M, D).
+
+    This is the expensive part, so it reports its progress, some time after ``started``.
+    """
     columns: list[Doubles] = []
     is_announced = False
     for done, direction in enumerate(directions):
@@ -137,9 +141,9 @@ def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, pr
 
 
 def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
-    """Returns the position, or if it is inside something such as the ground, a point above it.
+    """Returns the position; if it is inside an object or the ground, a point `SUN_LIFT` voxels above it instead.
 
-    Above is the side on which objects stand on the ground.
+    Up is the side of the flattest plane through the surfaces from which objects stand out.
     """
     directions = even_directions(TRACE_DIRECTIONS)
     if surfaces.cells.is_free(np.broadcast_to(position, directions.shape), directions).mean() >= SUN_LIT_MIN:
@@ -151,14 +155,14 @@ def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
 
 
 def _is_above_ground(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> Flags:
-    """Returns which directions do not come from below the ground, shape (D,); all if the ground is unknown."""
+    """Returns which of D directions do not come from below the ground, shape (D,); all if the ground is unknown."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     return directions @ down < 0.0 if length >= TRACE_GROUND_MIN else np.ones(len(directions), np.bool_)
 
 
 def _refined(shading: Shading, direction: Doubles, trace: Trace) -> tuple[Doubles, Trace]:
-    """Returns the best direction near the given one and its evidence, in two refinements."""
+    """Searches in two refinements around ``direction``; returns the best direction and the evidence for it."""
     for width in (np.sqrt(4.0 * np.pi / SUN_DIRECTIONS), 0.3 * np.sqrt(4.0 * np.pi / SUN_DIRECTIONS)):
         around = direction + width * even_directions(SUN_REFINED)
         around /= np.linalg.norm(around, axis=1, keepdims=True)

@@ -1,1 +1,1 @@
-"""Fits lights and materials of a known scene to images of it."""
+"""Fits lights and materials of a scene with known geometry to images of it."""

@@ -1,4 +1,4 @@
-"""Estimates the lights and base colours of a scene with known surfaces from images: ``lumisplat.fit_lights``."""
+"""Estimates the lights and base colours of a scene with known geometry from images: ``lumisplat.fit_lights``."""
 
 from __future__ import annotations
 
@@ -26,22 +26,23 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 FIT_SIZE = 128
-"""Longer side of the renders in a light fit, pixels. Few suffice, because light is smooth and shadows are wide."""
+"""Longer side of the renders in a light fit, pixels. A small number suffices, because light is smooth and shadows are
+wide."""
 
 COARSE_SIZE = 40
 """Longer side of the renders in the search for light positions, pixels. Blurred shadows have no sharp edges at which
 the search could get stuck."""
 
 COARSE_SAMPLES = 0.25
-"""Fraction of the samples per pixel that the search for light positions takes."""
+"""Samples per pixel in the search for light positions, as a fraction of the samples in the fit."""
 
 LATTICE_SIDES = (3, 4)
-"""Sizes of the lattices of trial positions, one search after the other: n means n^3 positions in the box of the scene.
-With one lattice alone, a light of three was placed wrongly from one image."""
+"""Sizes of the lattices of trial positions, searched one after the other: n means n^3 positions in the box of the
+scene. With only one of the two lattices, one of three lights was placed wrongly from one image."""
 
 STEPS_EXPECTED = 8
-"""Steps that a search is expected to take, for the progress bar. Most took 2 to 8; two that began far away took 11 and
-22."""
+"""Number of Gauss-Newton steps that a search is expected to take, for the progress bar. Most searches took 2 to 8; two
+that began far from the minimum took 11 and 22."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -56,7 +57,8 @@ _SEARCHING, _RENDERING, _REFINING, _ERRORS = (
 )
 """Stages of the fit, as the progress report names them. Rendering takes nearly all of their time."""
 _COST_RATIO_MAX = 0.9
-"""Largest ratio of costs at which a light found from the lattice replaces the light found near its given position."""
+"""Largest ratio of costs at which a light position found from the lattice replaces the one found near the given
+position."""
 
 
 def fit_lights(
@@ -80,17 +82,17 @@ def fit_lights(
     device: str = "auto",
     progress: Progress | None = None,
 ) -> LightFit:
-    """Fits the lights of a scene with known surfaces to one or more images of it.
+    """Fits the lights of a scene with known geometry to one or more images of it.
 
     An image is modelled as ``gain (emitted + sum_l power_l render_l)``: the light that surfaces emit, and one render of
     each light with power 1. The powers, at least 0, are a robust linear least-squares fit, so that objects which are
-    missing from the scene count little. Positions and the other parameters that renders depend on nonlinearly are found
-    by Gauss-Newton, from the given values and from a lattice of other positions. Source:
+    missing from the scene count little. Renders depend nonlinearly on positions, radii, angles and base colours; these
+    are found by Gauss-Newton, from the given values and from a lattice of other positions. Source:
     docs/method/relighting.md#lights-of-an-image.
 
     Images show only the product of light power and surface colour, and its product with the exposure. Base colours are
-    therefore known unless ``base_colors`` asks for them. If it asks for all materials, their product over the materials
-    stays as in the scene, for each channel. Exposures are known unless ``exposure`` asks for them. If no surface of the
+    therefore held unless ``base_colors`` asks for them. If all materials are fitted, the product of their base colours
+    stays as in the scene, for each channel. Exposures are held unless ``exposure`` asks for them. If no surface of the
     scene emits light, the exposure of the first image stays.
 
     Args:
@@ -99,19 +101,19 @@ def fit_lights(
         images: One image, or several in a list: files, or arrays of shape (H, W, 3), uint8 or 0..1. They are
             display-referred sRGB; .exr and .hdr files are linear.
         masks: One mask for each image, files or arrays of shape (H, W). Pixels of at least half white are fitted. None,
-            also as an item of the list: all pixels are.
-        environment_degree: SH degree of an environment that replaces the scene's own, 0 to 4 (1 to 25 coefficients).
-            None: no SH environment, and the scene's own keeps its image. ``"auto"``: 2, or None if the scene's
-            environment has an image or ``intensities`` is False.
+            also as an item of the list: all pixels are fitted.
+        environment_degree: SH degree of an environment that replaces the scene's environment, 0 to 4 (1 to 25
+            coefficients). None: no SH environment, and the scene's environment keeps its image. ``"auto"``: 2, or None
+            if the scene's environment has an image or ``intensities`` is False.
         intensities: Whether to fit the lights' intensities and colours; otherwise they stay as in the scene.
         keep_hues: Whether each light keeps its colour, so that only its intensity is fitted.
         positions: Whether to fit positions of lights, and directions of spots and suns.
         radii: Whether to fit radii of points, spots and spheres whose radius is above 0.
         angles: Whether to fit the cone angles of spots.
-        base_colors: Base colours to fit: True for all, or a list of names; the others are known. Each material of
-            meshes has one colour. Each capture with a reflecting material that does not emit has one factor per
-            channel. Names are those of a material, else of its instance or mesh; of a capture's instance, else "capture
-            0" by its number. Roughness, textures, and colours of single Gaussians are not fitted.
+        base_colors: Base colours to fit: True for all, or a list of names; all others are held. Each material of meshes
+            has one colour. Each capture with a reflecting material that does not emit has one factor per channel. Names
+            are those of a material, else of its instance or mesh; of a capture's instance, else "capture 0" by its
+            number. Roughness, textures, and colours of single Gaussians are not fitted.
         exposure: Exposure of the images in stops: one number, or one for each image, or ``"fit"``. None: those of the
             cameras.
         linear: Whether arrays hold linear light; None: they do not.
@@ -184,7 +186,7 @@ def fit_lights(
 
 
 def _costs(task: FitTask, tiny: float) -> dict[str, float]:
-    """Returns the expected cost of each stage of a fit, in renders of the fit's size.
+    """Returns the expected cost of each stage of a fit, by the stage's name, in renders of the fit's size.
 
     Args:
         task: The unknowns.
@@ -200,7 +202,7 @@ def _costs(task: FitTask, tiny: float) -> dict[str, float]:
 
 
 def _coarse_search(fitter: PowerFitter) -> tuple[Scene, Doubles]:
-    """Returns the scene with lights at coarse positions, and exposures: the best of several low-resolution searches."""
+    """Searches at low resolution from several starts; returns the scene with the best lights, and the exposures."""
     best = search(fitter, fitter.begin(fitter.task.scene, fitter.task.gains))
     for side in LATTICE_SIDES:
         scene = lattice_search(fitter, best, side)

@@ -1,4 +1,4 @@
-"""Renders what each light alone contributes to the images' pixels, with indirect light denoised over surfaces."""
+"""Renders the light that each single light contributes to images; indirect light is denoised over surfaces."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 CLIPPED_ABOVE = 0.995
-"""Display value above which a pixel may be clipped: 254 of 255."""
+"""Display value from which a pixel may be clipped: 254 of 255."""
 
 _ASPECT_ERROR = 0.51
 """Largest difference between the height of an image and the height that the camera's aspect ratio gives, pixels."""
 _WHOLE = 1.0 - 1e-4
-"""Fraction of the pixels below a downscaled pixel that must be fitted for the downscaled pixel to be fitted, less
-rounding."""
+"""Smallest fraction of the covered pixels that must be fitted for a downscaled pixel to be fitted: all, less a
+tolerance for rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitImage:
-    """An image to fit, in linear light, with its camera and the pixels that count."""
+    """An image to fit, in linear light, with its camera and a mask of the pixels that count."""
 
     camera: Camera
-    """Camera with the image's size."""
+    """Camera scaled to the size of the image."""
     light: Doubles
     """Linear Rec.709 radiance times exposure, shape (H, W, 3)."""
     counts: Flags
-    """Channels of pixels that are fitted, shape (H, W, 3)."""
+    """True for the channels of pixels that are fitted, shape (H, W, 3)."""
     label: str
     """Name of the image in messages."""
     clipped: int
-    """Number of pixels left out because a channel is at an end of its range."""
+    """Number of pixels left out because a channel is black or white, at an end of its range."""
     masked: int
     """Number of pixels that the mask leaves out."""
     full_size: int
-    """Number of pixels of the image as it was given."""
+    """Number of pixels of the image before any downscaling."""
 
     def scaled(self, longest: int) -> FitImage:
         """Returns the image downscaled to at most ``longest`` pixels along its longer side.
 
-        A downscaled pixel is fitted only if all the pixels that it covers are.
+        A downscaled pixel is fitted only if all the pixels that it covers are fitted.
         """
         height, width = self.light.shape[:2]
         factor = longest / max(height, width)
@@ -88,7 +88,7 @@ def read_images(
         cameras: One camera, or one for each image.
         images: As for `lumisplat.fit_lights`.
         masks: One mask for each image, shape (H, W): pixels of at least half white are fitted. None, also as an item:
-            all.
+            all pixels are fitted.
         linear: Whether arrays hold linear light. None: arrays and display images are display-referred, EXR and HDR
             linear.
         tone_map: Tone map that display-referred images were made with.
@@ -114,7 +114,7 @@ def read_images(
 
 
 def _path_of(given: Any) -> Path | None:
-    """Returns the argument as a path, or None if it is no path."""
+    """Returns the argument as a path if it is a string or a path, otherwise None."""
     return Path(cast("str", given)) if isinstance(given, str | os.PathLike) else None
 
 
@@ -178,10 +178,10 @@ def _checked(label: str, values: npt.NDArray[Any]) -> FloatArray:
 
 
 def _camera_of_size(label: str, camera: Camera, width: int, height: int) -> Camera:
-    """Returns the camera scaled to the size of its image.
+    """Returns the camera scaled to the size of its image; ``label`` names the image in the error.
 
     Raises:
-        SceneError: The aspect ratios differ.
+        SceneError: Camera and image have different aspect ratios.
     """
     if abs(height - width * camera.height / camera.width) > _ASPECT_ERROR * max(1.0, height / camera.height):
         raise SceneError(
@@ -192,7 +192,7 @@ def _camera_of_size(label: str, camera: Camera, width: int, height: int) -> Came
 
 
 def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
-    """Returns the pixels that a mask selects, shape (H, W).
+    """Returns a mask of the pixels that a user's mask selects, shape (H, W).
 
     Raises:
         SceneError: The mask has another size than its image.
@@ -208,39 +208,39 @@ def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
 
 
 FIT_SAMPLES_OF_PATHS = 64
-"""Samples per pixel for each light in path-traced fits. With 128 x 96 pixels, the power of a light is then known to a
+"""Samples per pixel for each light in path-traced fits. With 128 x 96 pixels, they determine the power of a light to a
 few thousandths."""
 
 SMOOTH_REACH = 1.0 / 32.0
 """Half the width of the window over which indirect light is averaged, as a fraction of the render's longer side, so
-that it covers as much of the scene at any resolution. Twice the width gave an error of 2.8 % instead of 1.4 % for a
-light in a room with bounces, at 64 pixels."""
+that the window covers as much of the scene at any resolution. Twice the width gave an error of 2.8 % instead of 1.4 %
+for a light in a room with bounces, at 64 pixels."""
 
 SMOOTH_COSINE_MIN = 0.9
-"""Smallest cosine between the normals of two pixels on one surface."""
+"""Smallest cosine between the normals of two pixels that count as showing one surface."""
 
 SMOOTH_PLANE = 0.2
-"""Largest distance of a neighbour from a pixel's tangent plane, relative to their distance, for both to be on one
-surface."""
+"""Largest distance of a neighbour from a pixel's tangent plane, relative to the distance between the two points, at
+which both count as one surface."""
 
 SMOOTH_ROUGHNESS_MIN = 0.3
 """Roughness below which reflected light is not averaged, because reflections may have sharp edges."""
 
 SMOOTH_ALBEDO_MIN = 0.02
-"""Lower bound of the albedo that light is divided by before averaging; the division keeps textures sharp."""
+"""Lower bound of the albedo by which light is divided before averaging; the division keeps textures sharp."""
 
 Layer = Callable[[Scene, Frame], Doubles]
-"""Function that takes a layer out of a frame, linear, shape (H, W, 3)."""
+"""Function that extracts a layer, such as the radiance due to one light, from a frame: linear, shape (H, W, 3)."""
 _Instances = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
 _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
 _DISABLED_LIGHT = LightPoint((0.0, 0.0, 0.0), enabled=False)
 """Disabled light for scenes without lights, so that the renderer adds no headlight."""
 _UNLIT_WEIGHT_MAX = 1e-3
-"""Largest coverage by unlit captures or background of a pixel that is fitted."""
+"""Largest fraction of a fitted pixel that unlit captures or background may cover."""
 
 
 class LightLayers:
-    """Renders single lights into all images.
+    """Renders single lights into all images, which have N pixels together.
 
     Args:
         config: How light is rendered; None: path tracing.
@@ -271,17 +271,17 @@ class LightLayers:
         self._device, self._rendered = device, rendered
         self._renderers: list[Renderer] = []
         self._smooth: dict[tuple[object, ...], tuple[_Instances, SurfaceAverage]] = {}
-        """Averaging windows of each view, by camera, with the instances for which they were made."""
+        """Averaging windows by camera, each with the instances of the scene for which it was made."""
         self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
 
     def lit_pixels(self, scene: Scene, images: Sequence[FitImage]) -> Flags:
-        """Returns the pixels that show nothing but surfaces which reflect light, shape (N,)."""
+        """Returns a mask of the pixels that show nothing but surfaces which reflect light, shape (N,)."""
         frames = self._frames(0, _with_lights(scene, ()), images)
         weights = [np.asarray(frame.captured_weight).ravel() for frame in frames]
         return np.concatenate(weights) < _UNLIT_WEIGHT_MAX
 
     def render(self, scene: Scene, lights: Sequence[Light], images: Sequence[FitImage]) -> Doubles:
-        """Renders the radiance of a scene under these lights only, including emission, linear, shape (2, N, 3).
+        """Renders the radiance of a scene under ``lights`` only, including emission, linear, shape (2, N, 3).
 
         The first axis holds two renders with independent random numbers.
         """
@@ -305,7 +305,7 @@ class LightLayers:
         return self._both(lit, images, self._all_light) - fixed
 
     def _both(self, scene: Scene, images: Sequence[FitImage], layer: Layer) -> Doubles:
-        """Renders a layer with two seeds; a deterministic render is made once and repeated."""
+        """Renders a layer with two seeds, shape (2, N, 3); a deterministic render is made once and repeated."""
         first = self._frames(0, scene, images)
         rows = self._rows(scene, first, layer)
         second = rows
@@ -324,7 +324,7 @@ class LightLayers:
         return [self._renderers[seed_index].render(scene, replace(item.camera, exposure=0.0)) for item in images]
 
     def _all_light(self, scene: Scene, frame: Frame) -> Doubles:
-        """Returns the radiance of a frame, with indirect light averaged over surfaces."""
+        """Returns the radiance of a frame under all its lights, with indirect light averaged over surfaces."""
         light = np.asarray(frame.light, np.float64)
         if not self.is_path:
             return light
@@ -334,7 +334,7 @@ class LightLayers:
         return first + self._averaged(scene, frame, light - first)
 
     def _single_light(self, scene: Scene, frame: Frame) -> Doubles:
-        """Returns the radiance due to the first light of a frame, with its indirect light averaged over surfaces."""
+        """Returns the radiance due to the first light of a frame, with the indirect radiance averaged over surfaces."""
         assert frame.light_total is not None and frame.light_direct is not None and frame.light_shadow is not None
         first = np.asarray(frame.light_direct[0] * frame.light_shadow[0], np.float64)
         return first + self._averaged(scene, frame, frame.light_total[0] - first)
@@ -375,14 +375,14 @@ _Number = TypeVar("_Number", bound=np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceAverage:
-    """Averaging windows of one view: the neighbours of each pixel that are on the same surface."""
+    """Averaging windows of one view: for each pixel, the neighbours that are on the pixel's surface."""
 
     albedo: Doubles
-    """Albedo that light is divided by before averaging, shape (H, W, 3)."""
+    """Albedo by which light is divided before averaging, shape (H, W, 3)."""
     offsets: tuple[tuple[int, int], ...]
     """Row and column offsets of the neighbours in the window."""
     same_surface: Flags
-    """True where a neighbour is on the pixel's surface, shape (offsets, H, W)."""
+    """True where the neighbour at each of D ``offsets`` is on the pixel's surface, shape (D, H, W)."""
 
     @classmethod
     def of(cls, scene: Scene, frame: Frame) -> SurfaceAverage:
@@ -408,7 +408,7 @@ class SurfaceAverage:
         return cls(albedo, offsets, same_surface)
 
     def averaged(self, light: Doubles) -> Doubles:
-        """Averages light of the view, shape (H, W, 3), over the window of each pixel, keeping the albedo's texture."""
+        """Averages light of the view, shape (H, W, 3), over the window of each pixel; textures stay sharp."""
         arriving = light / self.albedo
         total = np.zeros_like(arriving)
         for offset, same_surface in zip(self.offsets, self.same_surface, strict=True):
@@ -417,7 +417,7 @@ class SurfaceAverage:
 
 
 def _matt_surfaces(scene: Scene, instances: IntArray) -> IntArray:
-    """Returns the instance that each pixel shows; -1 for background and for glossy surfaces."""
+    """Returns the index of the instance that each pixel shows; -1 for background and glossy surfaces."""
     materials = [instance.material for instance in scene.splats] + [item.mesh.material for item in scene.meshes]
     matt = np.array([*(_is_matt(material) for material in materials), False])
     return np.where(matt[instances], instances, -1).astype(np.int32)
@@ -428,12 +428,12 @@ def _is_matt(material: Material | None) -> bool:
 
 
 def _shifted(image: npt.NDArray[_Number], offset: tuple[int, int]) -> npt.NDArray[_Number]:
-    """Returns the value at an offset from each pixel; indices wrap around at the borders."""
+    """Returns for each pixel the value at an offset from it; indices wrap around at the borders."""
     return np.roll(image, (-offset[0], -offset[1]), axis=(0, 1))
 
 
 def _inside_image(image: IntArray, offset: tuple[int, int]) -> Flags:
-    """Returns whether an offset from each pixel stays inside the image."""
+    """Returns for each pixel whether the pixel at an offset from it is inside the image."""
     height, width = image.shape
     inside = np.zeros((height, width), np.bool_)
     down, across = offset

@@ -23,10 +23,10 @@ FIT_DEGREE_MAX = 4
 Hanrahan 2001)."""
 
 POSITION_STEP = 0.004
-"""Step of central differences by position, relative to the size of the scene."""
+"""Step of the central differences by a light's position, relative to the size of the scene."""
 
 ANGLE_STEP = 0.02
-"""Step of central differences by directions and cone angles, radians."""
+"""Step of the central differences by directions and cone angles, radians."""
 
 Kind = Literal["position", "direction", "radius", "inner", "outer"]
 _ANGLE_GAP = 1e-3
@@ -37,7 +37,7 @@ _SMALLEST = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class LightParameter:
-    """One scalar parameter of one light that renders depend on nonlinearly."""
+    """One scalar parameter of one light on which renders depend nonlinearly."""
 
     light: int
     """Index of the light in the scene."""
@@ -45,12 +45,12 @@ class LightParameter:
     axis: int = 0
     """Axis of a position (0, 1, 2: x, y, z), or tangent of a direction (0 or 1)."""
     step: float = 1.0
-    """Step of the central difference by this parameter."""
+    """Step of the central difference with respect to the parameter."""
     least: float = 0.0
-    """Lower bound of a radius, scene units."""
+    """Lower bound of the parameter if it is a radius, scene units."""
 
     def applied(self, light: Light, amount: float) -> Light:
-        """Returns the light with ``amount`` added to this parameter, within the parameter's bounds."""
+        """Returns the light with ``amount`` added to the parameter, within the parameter's bounds."""
         if self.kind == "position":
             assert isinstance(light, PlacedLight)
             return replace(light, position=np.add(light.position, amount * np.eye(3)[self.axis]))
@@ -72,7 +72,7 @@ class LightParameter:
 def light_parameters_of(
     number: int, light: Light, size: float, *, positions: bool, radii: bool, angles: bool
 ) -> list[LightParameter]:
-    """Returns the parameters of a light that the options ask for.
+    """Returns the parameters of a light that the options ask to fit.
 
     Args:
         number: Index of the light in the scene.
@@ -104,23 +104,23 @@ def _tangents(along: Doubles) -> tuple[Doubles, Doubles]:
 
 
 _DARK = 1e-6
-"""Linear colour up to which a channel counts as black, which no factor changes."""
+"""Linear colour up to which a channel counts as black: factors do not change a black channel."""
 _WHITE = 1.0 - 1e-4
-"""Linear colour from which a channel counts as white."""
+"""Linear colour from which a channel of a capture counts as white."""
 
 
 @dataclass(frozen=True, slots=True)
 class BaseColor:
-    """A base colour to fit: of a material of meshes, or of a capture, whose colours share a factor for each channel."""
+    """A base colour to fit: of a material of meshes, or of a capture, whose Gaussians share a factor per channel."""
 
     name: str
-    """Name of the material, else of its first mesh; of the capture's instance."""
+    """Name of the material, or else of the first mesh with it; for a capture, name of its instance."""
     meshes: tuple[int, ...] = ()
     """Indices of the mesh instances with this material."""
     capture: int | None = None
     """Index of the splat instance; None for a material of meshes."""
     given: Gaussians | None = None
-    """Gaussians of the capture before the fit."""
+    """Gaussians of the capture before the fit; None for a material of meshes."""
 
 
 def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor]:
@@ -128,7 +128,7 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
 
     Args:
         scene: The scene.
-        wanted: True for all; a list of names for these only; False for none.
+        wanted: True: all; a list: base colours with these names; False: none.
 
     Raises:
         SceneError: A name is unknown, or the scene has neither meshes nor captures that reflect light.
@@ -157,7 +157,7 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
 
 
 def share_at_white(scene: Scene, base_color: BaseColor) -> float:
-    """Returns the fraction of a capture's Gaussians that the fit has made white in some channel."""
+    """Returns the fraction of a capture's Gaussians that the fit has made white in at least one channel."""
     if base_color.capture is None or base_color.given is None:
         return 0.0
     white = [(base_colors(some) >= _WHITE) for some in (scene.splats[base_color.capture].gaussians, base_color.given)]
@@ -165,14 +165,14 @@ def share_at_white(scene: Scene, base_color: BaseColor) -> float:
 
 
 def colors_of(scene: Scene, base_colors: Sequence[BaseColor]) -> Doubles:
-    """Returns the base colours, linear, shape (M, 3); for a capture, the mean over its Gaussians."""
+    """Returns the M base colours, linear, shape (M, 3); for a capture, the mean over its Gaussians."""
     return np.array([_color(scene, base_color) for base_color in base_colors], np.float64).reshape(-1, 3)
 
 
 def with_base_colors(scene: Scene, colors: Mapping[BaseColor, Doubles]) -> Scene:
-    """Returns the scene with other base colours, each of shape (3,); everything else stays the same object.
+    """Returns the scene with base colours replaced, each of shape (3,); everything else stays the same object.
 
-    The Gaussians of a capture are multiplied by one factor for each channel, but not beyond 1.
+    The Gaussians of a capture are multiplied by one factor per channel, but not beyond 1.
     """
     meshes, splats = list(scene.meshes), list(scene.splats)
     for base_color, color in colors.items():
@@ -195,7 +195,7 @@ def _color(scene: Scene, base_color: BaseColor) -> Doubles:
 
 
 def _with_mean(gaussians: Gaussians, color: Doubles) -> Gaussians:
-    """Returns Gaussians multiplied by one factor for each channel, so that their mean is this colour."""
+    """Returns Gaussians whose albedo is multiplied by one factor per channel, so that its mean is ``color``."""
     own = base_colors(gaussians)
     mean = own.mean(axis=0)
     gain = np.divide(color, mean, out=np.ones(3), where=mean > _DARK)
@@ -237,41 +237,42 @@ class FitOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitTask:
-    """The unknowns of a fit and its starting point."""
+    """The unknowns of a light fit and its starting point."""
 
     scene: Scene
-    """Scene at the start, without its own environment if an SH environment replaces it."""
+    """Scene at the start; an environment that the SH environment replaces is left out."""
     lights: tuple[int, ...]
-    """Indices of the fitted lights: all that are enabled."""
+    """Indices of the fitted lights: all enabled lights."""
     degree: int | None
-    """Degree of the SH environment; None: there is none."""
+    """Degree of the SH environment; None if no SH environment is fitted."""
     scales: bool
-    """True if the powers of lights are unknown."""
+    """True if the powers of lights are fitted."""
     keeps_hues: bool
-    """True if a light has one unknown power instead of one for each channel."""
+    """True if a light has one unknown power for all channels instead of one per channel."""
     light_parameters: tuple[LightParameter, ...]
     base_colors: tuple[BaseColor, ...]
     anchors: bool
-    """True if the mean of the base colours is held, because only its product with the lights' power can be estimated.
+    """True if the product of the base colours is held, because images determine only its product with the lights'
+    power.
     """
     exposed: tuple[bool, ...]
-    """True for each image whose exposure is unknown."""
+    """True for each image whose exposure is fitted."""
     gains: Doubles
-    """Exposure factors at the start, shape (V,)."""
+    """Exposure factors of the V images at the start, shape (V,)."""
     size: float
     """Size of the scene, scene units: the longest side of its bounding box."""
     low: Doubles
-    """Lower corner of the box in which lights may move: the scene's bounding box, extended by the given lights."""
+    """Lower corner of the box in which lights may move: the scene's bounding box, extended to the given lights."""
     high: Doubles
 
     @classmethod
     def of(
         cls, scene: Scene, options: FitOptions, exposures: Sequence[float], *, shines: Callable[[], bool]
     ) -> FitTask:
-        """Collects the unknowns that the options ask for.
+        """Collects the unknowns that the options ask to fit.
 
         Args:
-            scene: The scene as it was given.
+            scene: The scene as the caller gave it.
             options: The caller's options.
             exposures: Exposures of the images' cameras, stops.
             shines: Returns whether the scene emits light that is not fitted.
@@ -333,7 +334,7 @@ class FitTask:
 
 
 def _with_sh_environment(scene: Scene, options: FitOptions) -> tuple[Scene, int | None]:
-    """Returns the scene without the environment that an SH environment replaces, and the SH degree."""
+    """Returns the scene without an environment that the SH environment replaces, and the SH degree."""
     own = [light for light in scene.lights if isinstance(light, LightEnvironment) and light.enabled]
     degree = options.environment_degree
     if degree == "auto":
@@ -345,10 +346,10 @@ def _with_sh_environment(scene: Scene, options: FitOptions) -> tuple[Scene, int 
 
 
 def _stops(exposure: Exposure, cameras: Sequence[float]) -> Doubles:
-    """Returns the exposure of each image in stops: as given, else as its camera's.
+    """Returns the exposure of each image in stops: the caller's, or else that of the image's camera.
 
     Raises:
-        ConfigError: The exposure is neither a number, nor one for each image, nor "fit".
+        ConfigError: The exposure is neither a number, nor one number for each image, nor "fit".
     """
     if exposure is None or (isinstance(exposure, str) and exposure == "fit"):
         return np.array(cameras, np.float64)

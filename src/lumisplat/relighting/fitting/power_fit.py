@@ -20,27 +20,28 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
 
 HUBER_WIDTH = 1.345
-"""Residual, in standard deviations, up to which Huber's loss is quadratic: 95 % efficient for normal residuals (Huber
+"""Residual, in standard deviations, up to which Huber's loss is quadratic: 95 % efficiency for normal residuals (Huber
 1981)."""
 
 TUKEY_WIDTH = 4.685
-"""Residual, in standard deviations, from which Tukey's weight is 0: as efficient as Huber's (Beaton and Tukey 1974)."""
+"""Residual, in standard deviations, from which Tukey's weight is 0: 95 % efficiency for normal residuals (Beaton and
+Tukey 1974)."""
 
 DEVIATION_MIN = 1e-4
-"""Lower bound of the residuals' standard deviation, in units of the expected noise. Perfect images have none, and
-weights divide by it."""
+"""Lower bound of the residuals' standard deviation, in units of the expected noise. Perfect images have no residuals,
+and the computation of weights divides by the deviation."""
 
 ROBUST_STEPS = 40
-"""Maximum number of reweighting steps."""
+"""Maximum number of steps in which robust weights are recomputed."""
 
 ROBUST_CHANGE = 1e-7
-"""Relative change of the unknowns at which reweighting ends."""
+"""Relative change of the unknowns at which the recomputation of robust weights ends."""
 
 NORMAL_RIDGE = 1e-9
-"""Ridge of the normal equations, relative to their diagonal: lights with equal renders get equal powers."""
+"""Ridge of the normal equations, relative to their diagonal: with it, lights with equal renders get equal powers."""
 
 NOISE_SHARE_MAX = 0.5
-"""Largest fraction of the squared norm of a sum of renders that is removed as noise."""
+"""Largest fraction that is subtracted as noise from the squared norm of a sum of renders."""
 
 _MAD_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -48,56 +49,56 @@ _MAD_TO_DEVIATION = 1.4826
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """The N pixels of all images that the fit explains."""
+    """The N pixels of all images, to which the model is fitted."""
 
     target: Doubles
     """Linear light of the pixels, shape (N, 3)."""
     counts: Flags
-    """Channels of pixels that are fitted, shape (N, 3)."""
+    """True for the channels of pixels that are fitted, shape (N, 3)."""
     noise: Doubles
-    """Expected error of the light, shape (N, 3)."""
+    """Expected error of the pixels' linear light, shape (N, 3)."""
     blocks: Rows
-    """Index of the square of pixels whose residuals are correlated, from 0, shape (N,)."""
+    """Index of the square block of pixels, with correlated residuals, that contains each pixel, shape (N,)."""
     sizes: tuple[tuple[int, int], ...]
     """Height and width of each image, pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """The K columns of the linear problem: renders whose weighted sum models the images."""
+    """The K columns of the linear problem with U unknowns: renders whose weighted sum models the images' N pixels."""
 
     renders: Doubles
-    """Renders, each made twice with independent noise, shape (2, K, N, 3)."""
+    """Renders of the columns, each made twice with independent noise, shape (2, K, N, 3)."""
     fixed: Doubles
-    """Render of the light that is not fitted, shape (2, N, 3)."""
+    """Render of the light that is not fitted, twice with independent noise, shape (2, N, 3)."""
     tints: tuple[Doubles | None, ...]
     """Factors, shape (3,), by which the one unknown of each column scales the channels. None: the column has an
     unknown for each channel."""
     bounded: Doubles
-    """Matrix of the inequality constraints ``bounded @ x >= least``, shape (R, U)."""
+    """Matrix of the R inequality constraints ``bounded @ x >= least`` on the unknowns x, shape (R, U)."""
     least: Doubles
     """Right side of the constraints, shape (R,)."""
     ridge: Doubles = field(default_factory=lambda: np.zeros(0))
-    """Ridge of each unknown, relative to the diagonal of the normal equations, shape (U,); empty for none."""
+    """Ridge of each unknown, relative to the diagonal of the normal equations, shape (U,); empty: no ridge."""
 
     @property
     def spread(self) -> Doubles:
-        """Linear map from the unknowns to the factors of the renders' channels, shape (3, K, U)."""
+        """Linear map from the U unknowns to the factors of the K renders in each channel, shape (3, K, U)."""
         return spread_of(self.tints)
 
     def channels(self, unknowns: Doubles) -> Doubles:
-        """Returns the factor of each render in each channel, shape (K, 3)."""
+        """Returns the factor of each of the K renders in each channel for given unknowns, shape (K, 3)."""
         return np.asarray(np.einsum("cku,u->kc", self.spread, unknowns))
 
     def model(self, unknowns: Doubles) -> Doubles:
-        """Returns the modelled pixels, shape (N, 3)."""
+        """Returns the modelled linear light of the pixels for given unknowns, shape (N, 3)."""
         factors = self.channels(unknowns)
         return self.fixed.mean(axis=0) + np.einsum("knc,kc->nc", self.renders.mean(axis=0), factors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """The unknowns with the smallest robust loss."""
+    """The U unknowns with the smallest robust loss, and the model of N pixels."""
 
     unknowns: Doubles
     """Values of the unknowns, shape (U,)."""
@@ -110,12 +111,12 @@ class Solution:
 
 
 def unknown_counts(tints: Sequence[Doubles | None]) -> list[int]:
-    """Returns the number of unknowns of each column, 1 or 3."""
+    """Returns the number of unknowns of each column: 1 with a tint, 3 without."""
     return [3 if tint is None else 1 for tint in tints]
 
 
 def spread_of(tints: Sequence[Doubles | None]) -> Doubles:
-    """Returns the map of `Columns.spread` for these tints."""
+    """Returns the linear map of `Columns.spread` for the tints of K columns."""
     spread = np.zeros((3, len(tints), sum(unknown_counts(tints))))
     first = 0
     for column, tint in enumerate(tints):
@@ -128,10 +129,10 @@ def spread_of(tints: Sequence[Doubles | None]) -> Doubles:
 
 
 def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns matrix and right side of the weighted normal equations, ``(G, m)``, with G positive definite.
+    """Returns the weighted normal equations ``G x = m``: matrix G, positive definite, and right side m.
 
     Products are taken between the two renders of each column, whose noise is independent, so that noise does not bias
-    them. At most `NOISE_SHARE_MAX` of the squared norm of a sum of renders is removed as noise.
+    the products. At most `NOISE_SHARE_MAX` of the squared norm of a sum of renders is removed as noise.
     """
     spread = columns.spread
     first, second = columns.renders
@@ -149,11 +150,11 @@ def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> 
 
 
 def lifted(gram: Doubles, ridge: Doubles) -> Doubles:
-    """Returns the matrix with a ridge, relative to its diagonal, that makes it positive definite.
+    """Adds a ridge, relative to the diagonal, to a matrix, so that the matrix becomes positive definite.
 
     Args:
-        gram: Positive semidefinite matrix, shape (U, U).
-        ridge: Ridge in addition to `NORMAL_RIDGE`, shape (U,); empty for none.
+        gram: Positive semidefinite matrix of U unknowns, shape (U, U).
+        ridge: Ridge in addition to `NORMAL_RIDGE`, shape (U,); empty: none.
     """
     diagonal = np.diag(gram)
     largest = float(diagonal.max(initial=0.0)) or 1.0
@@ -162,7 +163,7 @@ def lifted(gram: Doubles, ridge: Doubles) -> Doubles:
 
 
 def _without(gram: Doubles, noise: Doubles) -> Doubles:
-    """Subtracts the noise of renders from their products, but at most `NOISE_SHARE_MAX` of any sum's squared norm."""
+    """Subtracts the renders' noise from their inner products, at most `NOISE_SHARE_MAX` of any sum's squared norm."""
     if not noise.any():
         return gram
     root = np.linalg.cholesky(gram)
@@ -203,8 +204,8 @@ def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = Fal
 def mean_around(observed: Observed, residuals: Doubles) -> Doubles:
     """Averages residuals over the fitted pixels of each 3 x 3 neighbourhood, shape (N, 3).
 
-    The robust weights use these means. Objects that the scene lacks are larger than a pixel, and noise must not choose
-    the weights.
+    The robust weights use these means, because noise must not choose the weights; objects that the scene lacks are
+    larger than a pixel.
     """
     result = np.zeros_like(residuals)
     first = 0
@@ -218,7 +219,7 @@ def mean_around(observed: Observed, residuals: Doubles) -> Doubles:
 
 
 def sum_around(image: Doubles) -> Doubles:
-    """Sums over each pixel and its eight neighbours, shape (H, W, C)."""
+    """Returns the sum over each pixel and its eight neighbours, C channels, shape (H, W, C)."""
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
     down = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray(down[:, :-2] + down[:, 1:-1] + down[:, 2:])
@@ -231,12 +232,12 @@ def huber_cost(observed: Observed, model: Doubles, deviation: Doubles) -> float:
 
 
 def huber_weights(residuals: Doubles) -> Doubles:
-    """Returns Huber's weights: 1 up to the width, then inversely proportional to the residual."""
+    """Returns Huber's weights of residuals in standard deviations: 1 up to `HUBER_WIDTH`, then falling as 1 / x."""
     return HUBER_WIDTH / np.maximum(np.abs(residuals), HUBER_WIDTH)
 
 
 def tukey_weights(residuals: Doubles) -> Doubles:
-    """Returns Tukey's biweights, which fall to 0 at the width."""
+    """Returns Tukey's biweights of residuals in standard deviations, which fall to 0 at `TUKEY_WIDTH`."""
     return np.maximum(1.0 - (residuals / TUKEY_WIDTH) ** 2, 0.0) ** 2
 
 
@@ -246,7 +247,7 @@ def deviation_of(residuals: Doubles) -> float:
 
 
 def covariance(observed: Observed, columns: Columns, solution: Solution, held: Doubles) -> Doubles:
-    """Estimates the covariance of the unknowns, with residuals correlated within blocks of pixels (White 1980).
+    """Estimates the covariance of U unknowns, with residuals correlated within blocks of pixels (White 1980).
 
     Args:
         observed: Pixels of the images.
@@ -255,7 +256,7 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
         held: Matrix added to the normal equations, such as the anchor of base colours, shape (U, U).
 
     Returns:
-        Shape (U, U).
+        Covariance matrix, shape (U, U).
     """
     gram, _ = normal_equations(observed, columns, solution.weights)
     spread, renders = columns.spread, columns.renders.mean(axis=0)
@@ -273,37 +274,40 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
 
 
 RELATIVE_NOISE = 0.02
-"""Expected error of an image's light, relative to the sum of pixel and mean: no model is more exact."""
+"""Expected error of a pixel's light, relative to the sum of the pixel's light and the image's mean: no model is more
+exact."""
 
 NOISE_BLUR = 2
-"""Radius of the blur, pixels, before the expected error is computed. Without it, pixels that noise has darkened would
-get larger weights."""
+"""Radius, in pixels, of the blur applied to an image before its expected error is computed. Without the blur, pixels
+that noise has darkened would get larger weights."""
 
 ENVIRONMENT_ROWS = 32
-"""Rows of the images of SH environments, both of the basis functions and of the fitted one."""
+"""Height, in pixels, of the images of SH environments: of the basis functions and of the fitted environment."""
 
 ENVIRONMENT_DIRECTIONS = 96
 """Number of evenly spread directions in which the SH environment must not be negative."""
 
 BLOCK_PX = 8
-"""Side of the squares of pixels whose residuals count as correlated when standard errors are estimated."""
+"""Side, in pixels, of the square blocks within which residuals count as correlated for standard errors."""
 
 _SH_RIDGE = 1e-7
-"""Ridge of the environment's coefficients above degree 0: directions that no surface faces stay constant."""
+"""Ridge of the environment's coefficients above degree 0: in directions that no surface faces, the environment stays
+constant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A guess of lights, base colours and exposures, with its renders and the best powers for them."""
+    """A guess of lights, base colours and exposures, with its renders and the powers that fit best."""
 
     scene: Scene
-    """Scene with the guessed light parameters. The lights' powers are still those of the previous candidate."""
+    """Scene with the guessed light parameters; its lights still have the powers of the previous candidate."""
     gains: Doubles
-    """Exposure factors, shape (V,)."""
+    """Exposure factors of the V images, shape (V,)."""
     lights: Mapping[int, Doubles]
-    """Render of each fitted light with power 1, by the light's index, shape (2, N, 3)."""
+    """Render of each fitted light with power 1, by the light's index, N pixels, shape (2, N, 3)."""
     sh_renders: Doubles
-    """Render for each SH basis function of the environment, shape (2, K, N, 3); K is 0 without one."""
+    """Render under each of the K SH basis functions of the environment, shape (2, K, N, 3); K is 0 without an SH
+    environment."""
     fixed: Doubles
     """Render of the light that is not fitted, shape (2, N, 3)."""
     columns: Columns
@@ -311,7 +315,7 @@ class Candidate:
 
     @property
     def powers(self) -> dict[int, Doubles]:
-        """Colour times intensity of each fitted light, shape (3,)."""
+        """Fitted power (colour times intensity) of each fitted light by the light's index, shape (3,) each."""
         factors = self.columns.channels(self.solution.unknowns)
         numbers = list(self.lights)
         if len(factors) < len(numbers):  # powers are given
@@ -320,7 +324,7 @@ class Candidate:
 
     @property
     def coefficients(self) -> Doubles:
-        """SH coefficients of the environment, shape (K, 3)."""
+        """Fitted SH coefficients of the environment, K per channel, shape (K, 3)."""
         count = self.sh_renders.shape[1]
         factors = self.columns.channels(self.solution.unknowns)
         return factors[len(factors) - count :]
@@ -337,7 +341,7 @@ class Candidate:
 
 
 class PowerFitter:
-    """Renders candidates for images of one resolution, and fits their powers.
+    """Renders candidates for images of one resolution, with N pixels together, and fits the candidates' powers.
 
     Args:
         task: The unknowns.
@@ -360,23 +364,26 @@ class PowerFitter:
         )
 
     def begin(self, scene: Scene, gains: Doubles) -> Candidate:
-        """Returns the first candidate."""
+        """Renders all lights of ``scene``, and returns the first candidate."""
         return self._guess(scene, gains, None)
 
     def moved(self, candidate: Candidate, scene: Scene, gains: Doubles) -> Candidate:
-        """Returns a candidate with other lights, base colours or exposures; renders of unchanged lights are reused."""
+        """Returns a candidate with the lights, base colours and exposures of ``scene`` and ``gains``.
+
+        Renders of ``candidate`` whose light and surfaces are unchanged are reused.
+        """
         return self._guess(scene, gains, candidate)
 
     def settled(self, candidate: Candidate) -> Candidate:
-        """Returns the candidate solved again with Tukey's loss, which ignores outliers."""
+        """Returns the candidate with powers solved again under Tukey's loss, which ignores outliers."""
         return replace(candidate, solution=robust_solve(self.observed, candidate.columns, redescends=True))
 
     def render_of(self, candidate: Candidate, number: int, scene: Scene) -> Doubles:
-        """Renders one light of ``scene`` with power 1, shape (2, N, 3)."""
+        """Renders the light number ``number`` of ``scene`` with power 1, shape (2, N, 3)."""
         return self.layers.render_light(candidate.scene, unit(scene.lights[number]), self.images, candidate.fixed)
 
     def exposed(self, renders: Doubles, gains: Doubles) -> Doubles:
-        """Returns renders, shape (..., N, 3), multiplied by the exposure factor of each pixel's image."""
+        """Returns renders of N pixels, shape (..., N, 3), multiplied by the exposure factor of each pixel's image."""
         return renders * gains[self.view][:, None]
 
     def _guess(self, scene: Scene, gains: Doubles, before: Candidate | None) -> Candidate:
@@ -404,7 +411,7 @@ class PowerFitter:
     def _columns(
         self, scene: Scene, gains: Doubles, lights: Mapping[int, Doubles], sh_renders: Doubles, fixed: Doubles
     ) -> Columns:
-        """Builds the columns: lights, then SH basis functions. Lights of known power are part of the fixed render."""
+        """Builds the columns: lights, then SH basis functions. Lights with held power are part of the fixed render."""
         renders, tints = list(lights.values()), [self._tint(scene, number) for number in lights]
         if not self.task.scales:
             shining = (power_of(scene.lights[number]) * render for number, render in lights.items())
@@ -430,7 +437,7 @@ class PowerFitter:
         )
 
     def _tint(self, scene: Scene, number: int) -> Doubles | None:
-        """Returns the colour of a light if it is kept, brightest channel 1; None if each channel is fitted."""
+        """Returns the colour of a light if it is held, scaled to brightest channel 1; None if channels are fitted."""
         if not self.task.keeps_hues:
             return None
         color = np.array(scene.lights[number].color, np.float64)
@@ -443,7 +450,7 @@ def _differs_only_in_lights(scene: Scene, other: Scene) -> bool:
 
 
 def _expected_noise(image: FitImage) -> Doubles:
-    """Returns the expected error of an image's light, shape (H, W, 3), computed from blurred pixels."""
+    """Returns the expected error of an image's linear light, computed from blurred pixels, shape (H, W, 3)."""
     light = _blurred(image.light)
     step = 1.0 / (255.0 * _encoding_slope(light))
     return RELATIVE_NOISE * (light + light.mean()) + step
@@ -459,13 +466,13 @@ def _blurred(image: Doubles) -> Doubles:
 
 
 def _encoding_slope(light: Doubles) -> Doubles:
-    """Returns the derivative of display values by linear light."""
+    """Returns the derivative of display values with respect to linear light."""
     bright = np.clip(light, 1e-4, 1.0)
     return np.asarray((encode_srgb(1.01 * bright) - encode_srgb(0.99 * bright)) / (0.02 * bright))
 
 
 def _blocks(images: Sequence[FitImage]) -> Rows:
-    """Returns the index of the square block that each pixel belongs to, shape (N,)."""
+    """Returns the index of the square block of pixels to which each of the N pixels belongs, shape (N,)."""
     blocks: list[Rows] = []
     first = 0
     for image in images:
@@ -489,10 +496,10 @@ def render_sh_lights(degree: int, render_light: Callable[[Light], Doubles]) -> D
 
     Args:
         degree: SH degree.
-        render_light: Renders one light, shape (2, N, 3).
+        render_light: Renders one light into N pixels, twice with independent noise, shape (2, N, 3).
 
     Returns:
-        Shape (2, K, N, 3), K = (degree + 1)^2; all 0 if no light of an environment arrives anywhere.
+        Renders, shape (2, K, N, 3), K = (degree + 1)^2; all 0 if light from an environment reaches no pixel.
     """
     basis = sh_basis(panorama_directions(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS), degree)
     constant = render_light(LightEnvironment(visible=False))
@@ -510,11 +517,11 @@ def render_sh_lights(degree: int, render_light: Callable[[Light], Doubles]) -> D
 
 @cache
 def radiance_rows(degree: int) -> Doubles:
-    """Returns the matrix from SH coefficients to radiance in evenly spread directions, shape (D, K)."""
+    """Returns the matrix from K SH coefficients to radiance in D evenly spread directions, shape (D, K)."""
     return np.asarray(sh_basis(even_directions(ENVIRONMENT_DIRECTIONS), degree), np.float64)
 
 
 def environment_of(coefficients: Doubles, scene: Scene) -> LightEnvironment:
-    """Returns the environment with coefficients of shape (K, 3), upright in the scene and invisible to the camera."""
+    """Returns an environment light from K SH coefficients, (K, 3), upright in the scene, invisible to the camera."""
     light = EnvironmentProbe(coefficients).light(ENVIRONMENT_ROWS, scene.upright_wxyz)
     return LightEnvironment(light.image, rotation_wxyz=light.rotation_wxyz, visible=False, name=ENVIRONMENT_NAME)

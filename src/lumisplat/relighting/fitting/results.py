@@ -29,7 +29,7 @@ from lumisplat.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedView:
-    """An image and its model at the resolution of the fit, both linear Rec.709 times exposure."""
+    """An image to fit and the fitted model of it, both linear Rec.709 times exposure, at the resolution of the fit."""
 
     camera: Camera
     """Camera at the resolution of the fit, with the fitted exposure."""
@@ -38,41 +38,41 @@ class FittedView:
     fitted: Doubles
     """The model of the image: all renders times their fitted powers, shape (H, W, 3)."""
     weights: Doubles
-    """Final weight of each channel of each pixel, 0..1, shape (H, W, 3). It is 0 where the pixel is clipped or masked,
-    where it shows an unlit capture or background, and where the model does not explain it."""
+    """Final weight of each channel of each pixel, 0..1, shape (H, W, 3): 0 where the pixel is clipped or masked, shows
+    an unlit capture or background, or where the model does not explain the pixel."""
     residual: float
     """Weighted root mean square difference of display values between image and model, 0..1."""
     clipped: int
-    """Number of pixels of the image with a channel at an end of its range."""
+    """Number of pixels of the image with a channel that is black or white, at an end of its range."""
     masked: int
     """Number of pixels of the image that the mask leaves out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightFit:
-    """Lights, base colours and exposures that `fit_lights` estimated, with their errors."""
+    """The L lights, the base colours and exposures that `fit_lights` estimated, with their errors."""
 
     scene: Scene
-    """The scene with the fitted lights, and with the fitted base colours if any."""
+    """The scene with the fitted lights and base colours."""
     lights: tuple[Light, ...]
-    """The L fitted lights, in the order of the scene. An SH environment is the last one, if any of its light was
-    found."""
+    """The fitted lights, in the order of the scene. An SH environment is the last light, if any light of it was found.
+    """
     shares: Doubles
-    """Fraction of the modelled luminance that each light gives, shape (L,); the remainder is emitted by surfaces."""
+    """Fraction of the modelled luminance that each light gives, shape (L,); surfaces emit the remainder."""
     standard_errors: Doubles
     """Standard errors of the lights' powers (colour times intensity), shape (L, 3); for an SH environment, of its mean
     radiance."""
     position_errors: Doubles
     """Standard errors of the positions, scene units, shape (L, 3); NaN where positions were not fitted."""
     environment: EnvironmentProbe | None
-    """The fitted SH environment; None if it was not asked for, or none of its light was found."""
+    """The fitted SH environment; None if it was not to be fitted, or no light of it was found."""
     base_colors: dict[str, tuple[float, float, float]]
     """Fitted base colours, linear, by the name of the material or capture; for a capture, the mean over its Gaussians.
     """
     exposures: Doubles
-    """Exposures of the images, stops, shape (V,)."""
+    """Exposures of the V images, stops, shape (V,)."""
     views: tuple[FittedView, ...]
-    """Residuals of each image."""
+    """Image, model and residuals of each view."""
     remarks: tuple[str, ...]
     """Notes on the result, one sentence each, such as lights that the images cannot distinguish."""
 
@@ -84,7 +84,7 @@ class LightFit:
 def result_of(
     given: Scene, options: FitOptions, fitter: PowerFitter, candidate: Candidate, certainty: Certainty
 ) -> LightFit:
-    """Converts the last candidate to the caller's result.
+    """Converts the last candidate of a fit to the caller's result.
 
     Args:
         given: The caller's scene.
@@ -122,7 +122,7 @@ def result_of(
 
 
 def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty) -> bool:
-    """Returns whether the SH environment is stronger than what noise alone would give."""
+    """Returns whether the fitted SH environment is stronger than noise alone would make it."""
     if not candidate.sh_renders.shape[1]:
         return False
     mean = SH_C0 * np.abs(candidate.coefficients[0])
@@ -130,7 +130,7 @@ def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty
 
 
 def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
-    """Pairs each image with its model."""
+    """Pairs each image with the model that the candidate gives of it."""
     views: list[FittedView] = []
     solution, observed = candidate.solution, fitter.observed
     shares = solution.weights * observed.noise**2
@@ -147,7 +147,7 @@ def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
 
 
 def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
-    """Returns each light's fraction of the luminance that is modelled at the fitted pixels."""
+    """Returns the fraction of the modelled luminance that each of L lights gives at the fitted pixels, shape (L,)."""
     counts = fitter.observed.counts
 
     def brightness(render: Doubles) -> float:
@@ -161,13 +161,13 @@ def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
 
 
 _CLIPPED = 0.2
-"""Fraction of an image's pixels above which a remark reports clipping."""
+"""Fraction of an image's pixels that are clipped from which a remark reports clipping."""
 _UNEXPLAINED = 0.1
-"""Fraction of the fitted pixels above which a remark reports that the model does not explain them."""
+"""Fraction of the fitted pixels with weight 0 from which a remark reports that the model does not explain them."""
 _WHITE = 0.01
-"""Fraction of a capture's Gaussians above which a remark reports that they have become white."""
+"""Fraction of a capture's Gaussians that the fit has made white from which a remark reports it."""
 _OFF_BELOW = 1e-6
-"""Power relative to the brightest light below which a light is reported as off."""
+"""Power, relative to the brightest light, below which a remark reports that a light is off."""
 
 
 def _remarks_of(
@@ -179,7 +179,10 @@ def _remarks_of(
     *,
     has_environment: bool,
 ) -> tuple[str, ...]:
-    """Collects the remarks; arguments are those of ``result_of``, and whether light of an SH environment was found."""
+    """Collects the remarks on a fit; the first five arguments are those of `result_of`.
+
+    ``has_environment`` is True if light of an SH environment was found.
+    """
     return (
         *_fixed_remarks(given, options, fitter, has_environment=has_environment),
         *_base_color_remarks(fitter, candidate),
@@ -189,7 +192,7 @@ def _remarks_of(
 
 
 def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_environment: bool) -> Iterator[str]:
-    """Yields remarks on quantities that were held, because images only determine their product with others."""
+    """Yields remarks on held quantities, of which images determine only the product with other quantities."""
     task = fitter.task
     if task.degree is not None and any(isinstance(light, LightEnvironment) and light.enabled for light in given.lights):
         instead = f"replaced by an SH environment of degree {task.degree}" if has_environment else "removed"
@@ -212,7 +215,7 @@ def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, ha
 
 
 def _base_color_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """Yields remarks on captures whose colours reached white."""
+    """Yields remarks on captures whose fitted colours reached white."""
     for base_color in fitter.task.base_colors:
         share = share_at_white(candidate.scene, base_color)
         if share > _WHITE:
@@ -250,7 +253,7 @@ def _brightest(candidate: Candidate) -> float:
 
 
 def _image_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """Yields remarks on pixels that were left out."""
+    """Yields remarks on pixels that were clipped, masked or not explained."""
     weights = candidate.solution.weights * fitter.observed.noise**2
     for number, image in enumerate(fitter.images):
         in_image = fitter.view == number
@@ -268,23 +271,23 @@ def _image_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
 
 
 CONFOUNDED_BELOW = 1e-3
-"""Eigenvalue of the columns' correlation matrix below which the columns of its eigenvector cannot be distinguished:
+"""Eigenvalue of the columns' correlation matrix below which the columns in its eigenvector cannot be distinguished:
 two columns then correlate to 0.999."""
 
 DARK_SHARE = 1e-5
-"""Length of a column relative to the longest below which the light does not appear in the images."""
+"""Norm of a light's render, relative to the largest, below which the light does not appear in the images."""
 
 _PART = 0.3
-"""Smallest component of a unit eigenvector for which an unknown is named in a remark."""
+"""Smallest component of a unit eigenvector with which an unknown belongs to a group that cannot be distinguished."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certainty:
-    """Standard errors of a fit, and the unknowns that the images do not determine."""
+    """Standard errors of a fit with L lights, and the unknowns that the images do not determine."""
 
     powers: Doubles
-    """Standard errors of the lights' powers, shape (L, 3), the SH environment's mean radiance last; 0 where powers
-    were given."""
+    """Standard errors of the lights' powers, shape (L, 3), last that of the SH environment's mean radiance; 0 for
+    powers that were held."""
     positions: Doubles
     """Standard errors of the positions, scene units, shape (L, 3); NaN where positions were not fitted."""
     dark: tuple[int, ...]
@@ -328,7 +331,7 @@ def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
 
 
 def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Returns groups of names whose columns are linearly dependent."""
+    """Returns groups of names of unknowns whose columns are nearly linearly dependent."""
     lengths = np.sqrt(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
     groups: dict[tuple[str, ...], None] = {}
@@ -339,7 +342,7 @@ def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], .
 
 
 def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
-    """Returns the name of each unknown's light, material or exposure."""
+    """Returns for each unknown the name of its light, material or exposure, for messages."""
     columns = [light_name(candidate, number) for number in candidate.lights if task.scales]
     columns += [ENVIRONMENT_NAME] * candidate.sh_renders.shape[1]
     columns += [light_name(candidate, parameter.light) for parameter in task.light_parameters]
@@ -348,5 +351,5 @@ def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
 
 
 def light_name(candidate: Candidate, number: int) -> str:
-    """Returns the name of a light in messages."""
+    """Returns the name of the light number ``number`` for messages."""
     return candidate.scene.lights[number].name or f"light{number}"

@@ -27,37 +27,38 @@ from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
 COLOR_STEP = 0.04
-"""Step of central differences by base colours."""
+"""Step of the central differences by base colours."""
 
 STEP_LENGTH_MAX = 0.15
-"""Longest displacement of a light in one step, relative to the size of the scene."""
+"""Longest displacement of a light in one Gauss-Newton step, relative to the size of the scene."""
 
 STEP_MIN = 2e-4
-"""Step, relative to the size of the scene, below which the search ends."""
+"""Displacement, relative to the size of the scene, below which the search ends."""
 
 SEARCH_STEPS = 25
 """Maximum number of Gauss-Newton steps at each resolution."""
 
 _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
-"""Largest steps of angles, radians, and of the logarithm of an exposure factor."""
+"""Largest change in one Gauss-Newton step of an angle, radians (`_ANGLE_MAX`), and of the logarithm of an exposure
+factor (`_STOPS_MAX`)."""
 _ANCHOR = 1e3
-"""Weight that holds the mean of the base colours, relative to the weight of the images."""
+"""Weight of the term that holds the product of the base colours, relative to the weight of the images."""
 _GAIN_MIN = 1e-3
 """Relative decrease of the cost below which the search ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
-    """Derivatives of the modelled images by the nonlinear parameters of a candidate."""
+    """Derivatives of the modelled images with respect to the nonlinear parameters of a candidate."""
 
     renders: Doubles
-    """Derivatives times exposure, shape (2, J, N, 3): by light parameters, exposures and base colours."""
+    """J derivatives times exposure at N pixels, by light parameters, exposures and base colours, shape (2, J, N, 3)."""
     tints: tuple[Doubles | None, ...]
     """Factors as in `Columns.tints`: light parameters and exposures have one unknown, base colours one per channel."""
 
 
 def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
-    """Returns the candidate at a local minimum of the cost near the given one."""
+    """Returns a candidate at a local minimum of the cost, reached by Gauss-Newton steps from the given candidate."""
     task, damping = fitter.task, DAMPING_START
     if not (task.light_parameters or task.base_colors or any(task.exposed)):
         return candidate
@@ -81,7 +82,7 @@ def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
 
 
 def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
-    """Computes the derivatives at a candidate, by central differences of renders."""
+    """Computes the derivatives of a candidate's modelled images, by central differences of renders."""
     task = fitter.task
     powers = candidate.powers
     renders = [
@@ -107,7 +108,7 @@ def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
 
 
 def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: LightParameter) -> Doubles:
-    """Returns the derivative of a light's render, with power 1, by one of its parameters."""
+    """Returns the derivative of a light's render, with power 1, with respect to a parameter of the light."""
     light = candidate.scene.lights[parameter.light]
     ends = [parameter.applied(light, sign * parameter.step) for sign in (-1.0, 1.0)]
     span = 2.0 * parameter.step
@@ -119,7 +120,7 @@ def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: Li
 
 
 def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: BaseColor) -> Doubles:
-    """Returns the derivative of the render under all lights by a base colour."""
+    """Returns the derivative of the render under all lights with respect to a base colour."""
     color = colors_of(lit_scene, [base_color])[0]
     ends = [np.clip(color + sign * COLOR_STEP, 0.0, 1.0) for sign in (-1.0, 1.0)]
     lights = [light for light in lit_scene.lights if light.enabled]
@@ -130,7 +131,7 @@ def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: Base
 
 
 def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
-    """Returns the linear columns of a candidate, followed by the derivatives as further columns."""
+    """Returns the linear columns of a candidate, followed by its derivatives as further columns."""
     columns = candidate.columns
     added = spread_of(slopes.tints).shape[2]
     return Columns(
@@ -144,7 +145,7 @@ def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
 
 
 def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: float) -> Doubles:
-    """Returns the damped Gauss-Newton step of light parameters, exposures and base colours, shape (J',).
+    """Returns the damped Gauss-Newton step of light parameters, exposures and base colours, one number each.
 
     The powers are solved for in the same system, so that the step accounts for their change.
     """
@@ -168,9 +169,9 @@ def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: 
 
 
 def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Doubles) -> Doubles:
-    """Returns a quadratic form that holds the product of all base colours in each channel, shape (U, U).
+    """Returns a quadratic form on U unknowns that holds the product of all base colours in each channel, (U, U).
 
-    Without it, lights could become stronger and surfaces darker without a change of the images.
+    Without the form, lights could become stronger and surfaces darker without a change of the images.
     """
     colors = np.maximum(colors_of(candidate.scene, base_colors), 1e-3)
     anchor = np.zeros_like(gram)
@@ -183,7 +184,7 @@ def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Do
 
 
 def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tuple[Scene, Doubles]:
-    """Returns the scene and the exposure factors after a step; components that are too long are shortened."""
+    """Returns the scene and the exposure factors after a step; components of a step that are too long are cut."""
     task, scene, gains = fitter.task, candidate.scene, candidate.gains.copy()
     light_parameters = _shortened(fitter, change[: len(task.light_parameters)])
     lights: dict[int, Light] = {number: scene.lights[number] for number in task.lights}
@@ -204,7 +205,7 @@ def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tupl
 
 
 def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
-    """Returns the step of the light parameters with displacements and angles limited."""
+    """Returns the light parameters' part of a step with displacements and angles limited."""
     task = fitter.task
     result = amounts.copy()
     for number in task.lights:
@@ -230,7 +231,7 @@ def _is_short(fitter: PowerFitter, change: Doubles) -> bool:
 
 
 def _inside(light: Light, low: Doubles, high: Doubles) -> Light:
-    """Returns the light, moved into the box in which lights may be."""
+    """Returns the light, moved into the box with corners ``low`` and ``high`` if it is outside."""
     assert isinstance(light, PlacedLight)
     position = np.array(light.position)
     clipped = np.clip(position, low, high)
@@ -244,18 +245,18 @@ def _with_light(scene: Scene, number: int, light: Light) -> Scene:
 
 
 def _value(parameter: LightParameter, light: Light) -> float:
-    """Returns the value of a radius or cone angle parameter."""
+    """Returns the current value of a radius or cone angle."""
     return float(getattr(light, "radius" if parameter.kind == "radius" else f"{parameter.kind}_angle"))
 
 
 _SWEEPS = 3
-"""Number of sweeps in which each light chooses its best position while the other lights stay."""
+"""Number of sweeps over the lights; in a sweep each light chooses its best lattice point while the others stay."""
 
 
 def lattice_search(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
     """Moves each light to the lattice point with the smallest residual, or leaves it where it is.
 
-    Returns the same scene object if all lights stay.
+    The same scene object is returned if all lights stay.
 
     Args:
         fitter: Fitter of small renders.
@@ -303,7 +304,7 @@ def lattice_search(fitter: PowerFitter, candidate: Candidate, side: int) -> Scen
 
 
 def _lattice(fitter: PowerFitter, side: int) -> Doubles:
-    """Returns lattice points in the box for lights, shape (P, 3)."""
+    """Returns the P lattice points in the box in which lights may move, shape (P, 3)."""
     shares = (np.arange(side) + 0.5) / side
     grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.asarray(fitter.task.low + grid * (fitter.task.high - fitter.task.low))
@@ -324,7 +325,7 @@ def _products(fitter: PowerFitter, candidate: Candidate, renders: Doubles) -> tu
 
 
 def _explained(gram: Doubles, moments: Doubles, rows: list[int]) -> float:
-    """Returns the decrease of the squared residuals by some renders with their best powers, over all channels."""
+    """Returns how much the renders ``rows``, with their best powers, decrease the squared residuals of all channels."""
     total = 0.0
     for channel in range(3):
         part, toward = gram[channel][np.ix_(rows, rows)], moments[channel][rows]
