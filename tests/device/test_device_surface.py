@@ -104,9 +104,9 @@ def test_barycentric_coordinates_of_a_ray_recover_its_point_on_the_triangle(
 @given(points, points)
 def test_shared_edges_of_two_triangles_have_opposite_edge_functions(a: tuple[float, ...], b: tuple[float, ...]) -> None:
     """Two triangles that share an edge compute edge functions of opposite sign and equal bits."""
-    apart = wp.vec3(-3.0, 2.0, 1.0), wp.vec3(3.0, -2.0, 1.5)
-    one = setup_triangle(apart[0], wp.vec3(*a), wp.vec3(*b))
-    two = setup_triangle(apart[1], wp.vec3(*b), wp.vec3(*a))
+    outer = wp.vec3(-3.0, 2.0, 1.0), wp.vec3(3.0, -2.0, 1.5)
+    one = setup_triangle(outer[0], wp.vec3(*a), wp.vec3(*b))
+    two = setup_triangle(outer[1], wp.vec3(*b), wp.vec3(*a))
     first, second = np.array(one.edge0), np.array(two.edge0)
     np.testing.assert_array_equal(first, -second)
 

@@ -272,19 +272,21 @@ def test_mean_entry_distance_of_a_box_is_a_lower_bound_of_projected_means(spread
     ahead = np.where(first > 0.0, first, np.inf).min(axis=(1, 2))
     ends = np.where(np.isfinite(ahead), 3.0 * ahead, 1.0).astype(np.float32)
     entries = mean_entries(found, nodes, packets.begins, ends)
-    room = 1e-5 * np.abs(projections).max(axis=0)
+    tolerance = 1e-5 * np.abs(projections).max(axis=0)
     alive = packets.alive[:, :, None]
     counts = alive & (first <= last) & (last >= 0.0) & (first <= ends[:, None, None])
     counts &= farthest >= packets.begins[:, None, None]
     assert counts.sum() > 300
     here = np.broadcast_to(entries[:, None], counts.shape)
-    assert (here[counts] <= (nearest + room)[counts]).all()
+    assert (here[counts] <= (nearest + tolerance)[counts]).all()
     if spread == 0.0:
-        beyond = alive & ((first > ends[:, None, None] + room) | (farthest < packets.begins[:, None, None] - room))
+        beyond = alive & (
+            (first > ends[:, None, None] + tolerance) | (farthest < packets.begins[:, None, None] - tolerance)
+        )
         steep = (np.abs(directions) > 0.2 * np.linalg.norm(directions, axis=-1, keepdims=True)).all(axis=-1)
         assert (beyond & steep & (first <= last)).sum() > 300
         assert (here[beyond & steep & (first <= last)] == NEVER).all()
-        assert (here[counts] >= (nearest - 10.0 * room)[counts]).all()
+        assert (here[counts] >= (nearest - 10.0 * tolerance)[counts]).all()
 
 
 def test_ray_packets_never_enter_empty_or_inverted_boxes() -> None:

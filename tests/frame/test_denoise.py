@@ -86,8 +86,8 @@ def test_denoising_a_shadow_keeps_the_detail_of_the_capture_below_it() -> None:
     frame = ball_frame(*SIZE, background=None)
     rng = np.random.default_rng(1)
     assert frame.captured is not None
-    grain = rng.uniform(0.2, 1.0, frame.alpha.shape)[..., None]  # detail of single pixels
-    frame = replace(frame, captured=(frame.captured * grain).astype(np.float32))
+    noise = rng.uniform(0.2, 1.0, frame.alpha.shape)[..., None]  # detail of single pixels
+    frame = replace(frame, captured=(frame.captured * noise).astype(np.float32))
     share = 0.4 + 0.4 * rng.integers(0, 2, frame.alpha.shape)
     before, truth = shadowed(frame, share), shadowed(frame, np.full(frame.alpha.shape, 0.6))
     after = before.denoised()
@@ -143,8 +143,8 @@ def test_denoiser_guides_are_noisy_only_with_stochastic_mesh_alpha(
 
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", SimpleNamespace(denoise=denoise))
     veil = ls.MaterialPbr(alpha_mode=alpha_mode, alpha=0.5)
-    lamp = ls.LightPoint((0.0, -1.0, -2.0), intensity=5.0)
-    scene = ls.Scene(meshes=[quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), veil)], lights=[lamp])
+    light = ls.LightPoint((0.0, -1.0, -2.0), intensity=5.0)
+    scene = ls.Scene(meshes=[quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), veil)], lights=[light])
     camera = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=8, height=8, fov_y=0.5)
     settings = ls.RenderConfig(pipeline=pipeline, aovs=("albedo",))
     ls.render(scene, camera, settings, device="cpu").denoised()

@@ -36,8 +36,8 @@ def test_depth_z_of_a_frame_is_depth_along_the_camera_axis(frame: ls.Frame) -> N
 def test_premultiplied_colours_of_a_frame_exclude_the_background(frame: ls.Frame) -> None:
     """``premultiplied`` equals the radiance of the same frame rendered without a background."""
     scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
-    bare = ls.render(scene, frame.camera, ls.RenderConfig(background=None, lighting=False), device="cpu")
-    np.testing.assert_allclose(frame.premultiplied(), bare.color, atol=1e-6)
+    transparent = ls.render(scene, frame.camera, ls.RenderConfig(background=None, lighting=False), device="cpu")
+    np.testing.assert_allclose(frame.premultiplied(), transparent.color, atol=1e-6)
     np.testing.assert_allclose(frame.premultiplied(), frame.straight() * frame.alpha[..., None], atol=1e-6)
 
 

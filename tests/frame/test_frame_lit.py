@@ -48,10 +48,10 @@ def test_png_of_a_lit_frame_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp
     frame = ball_frame(tone_map=tone_map, exposure=1.5)
     assert frame.light is not None and frame.captured_weight is not None
     frame.save(tmp_path / "a.png")
-    bare = frame.captured_weight == 0.0
-    expected = np.floor(apply_tone_map(2.0**1.5 * frame.light[bare], tone_map) * 255.0 + 0.5)
-    saved = read_image(tmp_path / "a.png")["srgb"][bare]
-    assert bare.any() and np.abs(saved - expected).max() <= 1.0
+    without_capture = frame.captured_weight == 0.0
+    expected = np.floor(apply_tone_map(2.0**1.5 * frame.light[without_capture], tone_map) * 255.0 + 0.5)
+    saved = read_image(tmp_path / "a.png")["srgb"][without_capture]
+    assert without_capture.any() and np.abs(saved - expected).max() <= 1.0
 
 
 def test_transparent_png_of_a_lit_frame_divides_colours_by_alpha(tmp_path: Path) -> None:
@@ -72,8 +72,8 @@ def test_transparent_png_of_a_lit_frame_divides_colours_by_alpha(tmp_path: Path)
 
 def test_premultiplied_colours_of_a_lit_frame_are_linear_without_background() -> None:
     """``premultiplied`` equals the radiance of the same frame rendered without a background."""
-    over, bare = ball_frame(), ball_frame(background=None)
-    np.testing.assert_allclose(over.premultiplied(), bare.color, atol=2e-6)
+    over, transparent = ball_frame(), ball_frame(background=None)
+    np.testing.assert_allclose(over.premultiplied(), transparent.color, atol=2e-6)
     np.testing.assert_allclose(over.straight() * over.alpha[..., None], over.premultiplied(), atol=1e-6)
     assert over.premultiplied()[over.alpha == 0.0].max() == 0.0
 
@@ -223,7 +223,7 @@ def test_colour_of_a_lit_frame_is_captured_colour_plus_light() -> None:
     frame = ball_frame()
     plain = untouched(frame)
     np.testing.assert_allclose(encode_srgb(frame.color[plain]), unlit(frame).color[plain], atol=1e-6)
-    bare = frame.captured_weight == 0.0
+    without_capture = frame.captured_weight == 0.0
     assert frame.light is not None
-    np.testing.assert_array_equal(frame.color[bare], frame.light[bare])
+    np.testing.assert_array_equal(frame.color[without_capture], frame.light[without_capture])
     np.testing.assert_allclose(frame.color[0, 0], decode_srgb(np.array([0.25, 0.5, 0.75])), atol=1e-6)

@@ -65,8 +65,8 @@ def test_depth_of_rasterised_distorted_frames_equals_the_depth_of_rays(lens: Any
         errors = np.abs(frame.depth[rows] / exact.depth[rows] - 1.0)
         assert rows.sum() > 300
         assert np.quantile(errors, share) < limit
-        apart = np.linalg.norm(frame.position[rows] - exact.position[rows], axis=1) / exact.depth[rows]
-        np.testing.assert_allclose(apart, errors, atol=1e-5)
+        error = np.linalg.norm(frame.position[rows] - exact.position[rows], axis=1) / exact.depth[rows]
+        np.testing.assert_allclose(error, errors, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_points_appear_at_the_pixel_of_opencvs_distortion_formula():
     y = v * radial + p1 * (s + 2 * v * v) + 2 * p2 * u * v
     frame = shown(ls.Scene([one_gaussian((4 * u, 4 * v, 4.0), 0.05, 0.9)]), camera, ls.Pipeline.RASTER)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    center = [float((frame.alpha * place).sum() / frame.alpha.sum()) for place in (columns, rows)]
+    center = [float((frame.alpha * coordinate).sum() / frame.alpha.sum()) for coordinate in (columns, rows)]
     assert center == pytest.approx([camera.fx * x + camera.cx, camera.fy * y + camera.cy], abs=0.05)
 
 

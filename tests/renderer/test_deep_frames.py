@@ -135,12 +135,16 @@ def test_deep_sample_of_the_environment_is_behind_all_other_samples(scene: ls.Sc
         assert (frame.alpha > 1.0 - 1e-6).all()
         deep = ls.layers.render_deep(lit, front_camera(), frame, config, device="cpu")
         np.testing.assert_allclose(deep.flattened(), linear(frame), atol=2e-6)
-        is_sky = deep.near == np.float32(1e30)
-        assert is_sky.any() and (deep.alpha[is_sky] == 1.0).all() and deep.near[~is_sky].max() < 20.0
+        is_environment = deep.near == np.float32(1e30)
+        assert (
+            is_environment.any()
+            and (deep.alpha[is_environment] == 1.0).all()
+            and deep.near[~is_environment].max() < 20.0
+        )
         without = ls.render(replace(lit, lights=[]), front_camera(), replace(config, lighting=False), device="cpu")
         through = np.ones(without.alpha.size)
         pixel = np.repeat(np.arange(len(through)), np.diff(deep.first))
-        np.multiply.at(through, pixel[~is_sky], 1.0 - deep.alpha[~is_sky].astype(np.float64))
+        np.multiply.at(through, pixel[~is_environment], 1.0 - deep.alpha[~is_environment].astype(np.float64))
         assert np.abs(through - (1.0 - without.alpha.ravel())).max() < 1e-3
 
 
@@ -232,7 +236,7 @@ def test_deep_samples_have_the_colours_of_their_gaussians() -> None:
     both = random_gaussians(1, count=2)
     colors = np.array([(0.5, -0.5, -0.5), (-0.5, 0.5, -0.5)], np.float32) / 0.28209479
     means = np.array([(0.0, 0.0, 4.0), (0.0, 0.0, 9.0)], np.float32)
-    apart = replace(
+    separated = replace(
         both,
         means=means,
         scales=np.full((2, 3), 0.3, np.float32),
@@ -240,7 +244,7 @@ def test_deep_samples_have_the_colours_of_their_gaussians() -> None:
         sh=colors[:, None],
     )
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False)
-    deep = ls.layers.render_deep(ls.Scene(splats=[apart]), front_camera(), config=config, device="cpu")
+    deep = ls.layers.render_deep(ls.Scene(splats=[separated]), front_camera(), config=config, device="cpu")
     red, green = deep.near < 6.0, deep.near > 6.0
     assert red.any() and green.any()
     assert (deep.color[red, 0] > 0.0).all() and not deep.color[red, 1].any()

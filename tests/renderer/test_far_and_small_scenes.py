@@ -54,8 +54,8 @@ def shown(pipeline: ls.Pipeline, scene: ls.Scene, camera: ls.Camera) -> np.ndarr
 def test_lit_frame_does_not_depend_on_the_distance_from_the_origin(pipeline: ls.Pipeline) -> None:
     """The frame includes shadows, in whose penumbrae rounding may differ."""
     expected = shown(pipeline, *lit())
-    for place in FAR:
-        np.testing.assert_allclose(shown(pipeline, *lit(place)), expected, atol=2e-3)
+    for position in FAR:
+        np.testing.assert_allclose(shown(pipeline, *lit(position)), expected, atol=2e-3)
 
 
 def test_mesh_with_far_object_coordinates_looks_like_one_at_the_origin() -> None:
@@ -98,15 +98,17 @@ def test_ray_queries_keep_the_precision_of_float64_origins() -> None:
     """Hits, transmittances, profiles and depths of rays at map coordinates equal those at the origin."""
     near, far = (lit(place)[0] for place in ((0.0, 0.0, 0.0), FAR[1]))
     starts = np.random.default_rng(3).uniform(-0.4, 0.4, (40, 3)) + np.array([0.0, 0.0, 3.0])
-    ways = np.tile([0.0, 0.0, -1.0], (40, 1))
-    here = ls.trace_rays(near, starts, ways, ls.RenderConfig(lighting=False), device="cpu", profile=True)
-    there = ls.trace_rays(far, starts + FAR[1], ways, ls.RenderConfig(lighting=False), device="cpu", profile=True)
-    np.testing.assert_allclose(there.radiance, here.radiance, atol=1e-4)
-    np.testing.assert_allclose(there.depth, here.depth, atol=1e-4)
-    assert here.profile is not None and there.profile is not None
-    np.testing.assert_array_equal(there.profile.gaussian_index, here.profile.gaussian_index)
+    directions = np.tile([0.0, 0.0, -1.0], (40, 1))
+    near_hits = ls.trace_rays(near, starts, directions, ls.RenderConfig(lighting=False), device="cpu", profile=True)
+    far_hits = ls.trace_rays(
+        far, starts + FAR[1], directions, ls.RenderConfig(lighting=False), device="cpu", profile=True
+    )
+    np.testing.assert_allclose(far_hits.radiance, near_hits.radiance, atol=1e-4)
+    np.testing.assert_allclose(far_hits.depth, near_hits.depth, atol=1e-4)
+    assert near_hits.profile is not None and far_hits.profile is not None
+    np.testing.assert_array_equal(far_hits.profile.gaussian_index, near_hits.profile.gaussian_index)
     passed = [
-        ls.transmittance(scene, starts + place, ways, 3.5, device="cpu")
+        ls.transmittance(scene, starts + place, directions, 3.5, device="cpu")
         for scene, place in ((near, (0.0, 0.0, 0.0)), (far, FAR[1]))
     ]
     np.testing.assert_allclose(passed[1], passed[0], atol=1e-4)

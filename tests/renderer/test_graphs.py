@@ -128,8 +128,8 @@ def with_one_light_less(shown: ls.Scene) -> ls.Scene:
 
 def with_more(shown: ls.Scene) -> ls.Scene:
     """Returns the scene with another mesh and another set."""
-    place = similarity(offset=(0.4, 0.6, 0.3), scale=0.5)
-    more = ls.MeshInstance(shown.meshes[0].mesh, place), ls.SplatInstance(shown.splats[1].gaussians, place)
+    transform = similarity(offset=(0.4, 0.6, 0.3), scale=0.5)
+    more = ls.MeshInstance(shown.meshes[0].mesh, transform), ls.SplatInstance(shown.splats[1].gaussians, transform)
     return replace(shown, meshes=[*shown.meshes, more[0]], splats=[*shown.splats, more[1]])
 
 

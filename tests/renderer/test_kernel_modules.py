@@ -127,8 +127,8 @@ def test_shadow_catcher_without_other_objects_launches_no_shadow_rays(soft: bool
     """Only added objects cast shadows on catchers: a catcher alone needs no shadow rays and no BVH."""
     settings: dict[str, Any] = {"shadows": ls.Shadows.SOFT} if soft else {}
     for light in (LIGHT, ls.LightEnvironment()):
-        kept = ls.Scene([random_gaussians(3, count=60)], (), [light])
-        for content in (scene([], light, shadow_catcher=True), kept):
+        emissive = ls.Scene([random_gaussians(3, count=60)], (), [light])
+        for content in (scene([], light, shadow_catcher=True), emissive):
             names = names_of(content, **settings)
             assert not names & {"shadow_kernel", "mesh_shadow_kernels", "gaussian_bvh_kernels", "direct_light_kernels"}
         for content in (scene([]), scene([icosphere(0.4)], shadow_catcher=True)):

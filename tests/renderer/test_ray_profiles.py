@@ -106,12 +106,12 @@ def test_ray_ranges_of_profiles_respect_the_limit_of_hits(monkeypatch: pytest.Mo
     counts = np.random.default_rng(0).integers(0, 14, 1000, np.int32)
     counts[64:128], counts[200:220] = 0, 100
     ranges = list(rays_module.profile_ranges(counts))
-    met = np.zeros(1000, int)
+    visits = np.zeros(1000, int)
     for begin, end in ranges:
-        met[begin:end] += 1
+        visits[begin:end] += 1
         assert begin % 32 == 0 and end - begin <= 96
         assert counts[begin:end].sum() <= 400 or end - begin == 32
-    assert (met[counts > 0] == 1).all() and met.max() == 1
+    assert (visits[counts > 0] == 1).all() and visits.max() == 1
     assert list(rays_module.profile_ranges(np.zeros(5, np.int32))) == [(0, 0)]
 
 

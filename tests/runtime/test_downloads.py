@@ -90,20 +90,20 @@ def test_host_block_of_a_dropped_frame_is_reused_by_the_next_frame() -> None:
 def test_number_of_frames_that_wait_on_the_device_is_limited() -> None:
     """If a program keeps many frames, the first few stay on the device, and the others are downloaded at once."""
     lender = Downloads(is_lazy=True)
-    kept = [lender.copies({"a": array_of(float(number))}) for number in range(FRAME_BLOCKS_MAX + 2)]
-    lazy = [isinstance(copies, DeviceCopies) for copies in kept]
+    held = [lender.copies({"a": array_of(float(number))}) for number in range(FRAME_BLOCKS_MAX + 2)]
+    lazy = [isinstance(copies, DeviceCopies) for copies in held]
     assert lazy == [True] * FRAME_BLOCKS_MAX + [False, False]
-    assert [float(copies.words("a")[0]) for copies in kept] == list(range(FRAME_BLOCKS_MAX + 2))
-    kept.clear()
+    assert [float(copies.words("a")[0]) for copies in held] == list(range(FRAME_BLOCKS_MAX + 2))
+    held.clear()
     assert lender.lent == {"host": 0, "device": 0}
 
 
 def test_number_of_frames_in_page_locked_memory_is_limited() -> None:
     """If a program keeps many images, a few use page-locked memory, and the others ordinary memory."""
     lender = Downloads(is_lazy=True)
-    kept = [lender.copies({"a": array_of(number, 9.0)}).words("a", 0, 1) for number in range(FRAME_BLOCKS_MAX + 2)]
+    held = [lender.copies({"a": array_of(number, 9.0)}).words("a", 0, 1) for number in range(FRAME_BLOCKS_MAX + 2)]
     assert lender.lent == {"host": FRAME_BLOCKS_MAX, "device": 0}
-    assert [float(image[0]) for image in kept] == list(range(FRAME_BLOCKS_MAX + 2))
+    assert [float(image[0]) for image in held] == list(range(FRAME_BLOCKS_MAX + 2))
 
 
 def test_frames_are_downloaded_at_once_if_the_device_memory_is_full(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,28 +9,28 @@ from lumisplat.progress import StagedProgress
 
 def test_staged_progress_follows_the_expected_costs_of_the_stages() -> None:
     """Pieces before the first stage are not reported; progress waits at the end of a stage, or jumps to it."""
-    told: list[tuple[str, float]] = []
-    pace = StagedProgress(lambda *now: told.append(now), "work")
-    pace.plan({"cheap": 2.0, "free": 0.0, "dear": 8.0})
-    pace.add(1.0)
-    assert not told
-    pace.begin("cheap")
+    reports: list[tuple[str, float]] = []
+    progress = StagedProgress(lambda *now: reports.append(now), "work")
+    progress.plan({"cheap": 2.0, "free": 0.0, "expensive": 8.0})
+    progress.add(1.0)
+    assert not reports
+    progress.begin("cheap")
     for _ in range(3):
-        pace.add(1.0)
-    pace.begin("free")
-    pace.add(5.0)
-    pace.begin("dear")
-    pace.add(4.0)
-    assert [label for label, _ in told] == ["work, cheap"] * 4 + ["work, free"] * 2 + ["work, dear"] * 2
-    assert [share for _, share in told] == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.6])
+        progress.add(1.0)
+    progress.begin("free")
+    progress.add(5.0)
+    progress.begin("expensive")
+    progress.add(4.0)
+    assert [label for label, _ in reports] == ["work, cheap"] * 4 + ["work, free"] * 2 + ["work, expensive"] * 2
+    assert [share for _, share in reports] == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.6])
 
 
 def test_staged_progress_stays_below_one() -> None:
     """At the end of the last stage, and with expected costs of 0, progress is still below 1."""
-    told: list[float] = []
-    pace = StagedProgress(lambda _, share: told.append(share), "work")
+    reports: list[float] = []
+    progress = StagedProgress(lambda _, share: reports.append(share), "work")
     for cost in (1.0, 0.0):
-        pace.plan({"all": cost})
-        pace.begin("all")
-        pace.add(2.0)
-    assert told == pytest.approx([0.0, 0.99, 0.0, 0.0])
+        progress.plan({"all": cost})
+        progress.begin("all")
+        progress.add(2.0)
+    assert reports == pytest.approx([0.0, 0.99, 0.0, 0.0])

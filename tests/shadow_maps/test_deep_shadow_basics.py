@@ -227,9 +227,9 @@ def test_deep_shadow_map_without_receivers_covers_all_points_behind_casters() ->
     points = np.random.default_rng(0).uniform(-3.0, 9.0, (500, 3)).astype(np.float32)
     light, config = (-5.0, -4.0, -3.0), replace(SMALL, max_distance=25.0)
     anyone = ls.DeepShadowMap.build(casters, light, None, config, device="cpu")
-    own = ls.DeepShadowMap.build(casters, light, points, config, device="cpu")
-    assert own.transmittance(points).min() < 0.9
-    np.testing.assert_allclose(anyone.transmittance(points), own.transmittance(points), atol=2e-6)
+    one_map = ls.DeepShadowMap.build(casters, light, points, config, device="cpu")
+    assert one_map.transmittance(points).min() < 0.9
+    np.testing.assert_allclose(anyone.transmittance(points), one_map.transmittance(points), atol=2e-6)
 
 
 def test_sample_points_of_a_deep_shadow_map_receiver_are_repeatable() -> None:

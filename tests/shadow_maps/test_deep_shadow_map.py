@@ -172,9 +172,9 @@ def test_caster_lists_summed_in_parts_equal_whole_lists_in_a_deep_shadow_map(mon
         parted = build(config=config)
         assert parted.stats.pairs == whole.stats.pairs
         np.testing.assert_array_equal(parted.transmittance(scattered(500)), whole.transmittance(scattered(500)))
-    nobody = random_gaussians(3, 20, center=(500.0, 500.0, 500.0))
-    empty = build(light=(0.0, 0.0, 10.0), config=ls.config.DeepShadowConfig(region_radius=1.0), receivers=nobody)
-    np.testing.assert_array_equal(empty.transmittance_of(nobody), 1.0)
+    far_receivers = random_gaussians(3, 20, center=(500.0, 500.0, 500.0))
+    empty = build(light=(0.0, 0.0, 10.0), config=ls.config.DeepShadowConfig(region_radius=1.0), receivers=far_receivers)
+    np.testing.assert_array_equal(empty.transmittance_of(far_receivers), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -307,10 +307,10 @@ def test_monte_carlo_sampling_of_a_deep_shadow_map_converges_to_the_mean() -> No
     shadow = build(config=replace(WHOLE, samples=1024))
     rng = np.random.default_rng(11)
     points = oracle.footprint_points(receivers, rng.normal(size=(len(receivers), 4096, 3)))
-    looks = shadow.transmittance(points.reshape(-1, 3)).reshape(len(receivers), -1)
+    transmittances = shadow.transmittance(points.reshape(-1, 3)).reshape(len(receivers), -1)
     found = shadow.transmittance_of(receivers)
-    error = looks.std(axis=1) * np.sqrt(1.0 / 1024 + 1.0 / 4096) + 1e-4
-    assert (np.abs(found - looks.mean(axis=1)) < 4.0 * error).all()
+    error = transmittances.std(axis=1) * np.sqrt(1.0 / 1024 + 1.0 / 4096) + 1e-4
+    assert (np.abs(found - transmittances.mean(axis=1)) < 4.0 * error).all()
     few, others = (build(config=replace(WHOLE, seed=seed)).transmittance_of(receivers) for seed in (0, 1))
     assert not np.array_equal(few, others)
     np.testing.assert_allclose(few.mean(), others.mean(), atol=0.02)

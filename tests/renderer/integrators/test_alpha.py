@@ -128,9 +128,9 @@ def test_emitter_with_alpha_emits_as_much_as_an_opaque_one_dimmed_by_alpha() -> 
     floor = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
     settings: dict[str, Any] = {"max_bounces": 1, "background": None}
     means = []
-    for shine in (0.6, 2.0):
-        emitter = ls.MaterialPbr(base_color=(0.0,) * 3, specular=0.0, emissive=(shine,) * 3)
-        if shine > 1.0:
+    for emission in (0.6, 2.0):
+        emitter = ls.MaterialPbr(base_color=(0.0,) * 3, specular=0.0, emissive=(emission,) * 3)
+        if emission > 1.0:
             emitter = replace(emitter, alpha=0.3, alpha_mode=ls.AlphaMode.BLEND)
         scene = ls.Scene(meshes=[floor, board(-3.0, emitter)])
         means.append(render(scene, ls.Pipeline.PATH, 64, **settings).color.mean())

@@ -34,11 +34,11 @@ MATERIALS: dict[str, Material] = {
 def floor_and_box(material: Material, *lights: ls.LightPoint | ls.LightEnvironment, splats: bool = False) -> ls.Scene:
     """Returns a grey box on a floor of the given material; the floor is a mesh or a set of Gaussians."""
     floor, box = (replace(mesh, material=of) for mesh, of in ((ls.plane(4.0), material), (ls.box(0.8), diffuse(0.6))))
-    placed = ls.MeshInstance(box, position=(0.0, 0.41, -0.4))
+    instance = ls.MeshInstance(box, position=(0.0, 0.41, -0.4))
     if splats:
         ground = ls.SplatInstance(ls.gaussians_from_mesh(floor, 6000), material=ls.MaterialPbr())
-        return ls.Scene([ground], [placed], lights)
-    return ls.Scene([], [floor, placed], lights)
+        return ls.Scene([ground], [instance], lights)
+    return ls.Scene([], [floor, instance], lights)
 
 
 def floors_mean(shown: ls.Scene, settings: ls.RenderConfig, seeds: int) -> tuple[np.ndarray, np.ndarray]:
@@ -114,8 +114,8 @@ def test_glossy_reflection_rays_do_not_count_environment_light_twice(
 def test_rough_floor_reflects_an_emissive_capture() -> None:
     """The frame has no background, so that all light in the reflection comes from the capture."""
     box = ls.gaussians_from_mesh(replace(ls.box(0.8), material=diffuse(0.6)), 3000)
-    kept = ls.SplatInstance(box, position=(0.0, 0.41, -0.4))
-    shown = ls.Scene([kept], [replace(ls.plane(4.0), material=METAL)], [replace(LIGHT, intensity=0.0)])
+    emissive = ls.SplatInstance(box, position=(0.0, 0.41, -0.4))
+    shown = ls.Scene([emissive], [replace(ls.plane(4.0), material=METAL)], [replace(LIGHT, intensity=0.0)])
     seen = ls.render(shown, CAMERA, replace(GLOSSY, background=(1.0, 1.0, 1.0)), device="cpu")
     floor = seen.instance_index == 1
     assert seen.light is not None

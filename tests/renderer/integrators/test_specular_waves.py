@@ -54,7 +54,7 @@ def shape(name: str, material: ls.MaterialPbr) -> ls.Mesh:
     return replace(ball(material), normals=None)
 
 
-def placed(scale: float, offset: float) -> np.ndarray:
+def transform_of(scale: float, offset: float) -> np.ndarray:
     """Returns a transform with a rotation, a scale, and an offset in units of the scale."""
     return similarity((1.0, 2.0, 0.5), 0.9, scale, (0.8 * offset * scale, -0.6 * offset * scale, 0.0))
 
@@ -179,10 +179,10 @@ def test_light_in_a_45_degree_prism_is_totally_reflected(rig: RayRig) -> None:
 def test_gaussians_are_blended_on_every_segment_of_a_mirror_or_glass_path(rig: RayRig) -> None:
     """Colour and transmittance of the Gaussians apply to the path before and after the mirror or glass."""
     rig.color, rig.transmittance = (0.1, 0.2, 0.3), 0.5
-    fog, environment = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
+    haze, environment = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
     for material in (MIRROR, replace(GLASS, ior=1.0)):
         seen = rig.colors(ls.Scene([], [quad(2.0, material=material)]), ORIGIN, FORWARD, background=tuple(environment))
-        np.testing.assert_allclose(seen[0], fog + 0.5 * (fog + 0.5 * environment), atol=1e-6)
+        np.testing.assert_allclose(seen[0], haze + 0.5 * (haze + 0.5 * environment), atol=1e-6)
 
 
 def test_mirror_and_glass_rays_below_1_512_of_the_pixel_are_not_traced() -> None:
@@ -257,7 +257,7 @@ def test_rays_reflected_by_a_convex_mirror_do_not_hit_it_again(
     rig: RayRig, name: str, scale: float, offset: float
 ) -> None:
     """Rays from outside, near and far, leave the mirror after one reflection."""
-    mesh, matrix = shape(name, MIRROR), placed(scale, offset)
+    mesh, matrix = shape(name, MIRROR), transform_of(scale, offset)
     rng = np.random.default_rng(3)
     inner = 0.9 * aims(rng, mesh, 8000)
     origins = moved(normalized(rng.normal(size=(8000, 3))) * rng.choice([3.0, 100.0], (8000, 1)), matrix)
@@ -276,7 +276,7 @@ def test_rays_inside_a_closed_mirror_stay_inside_for_six_reflections(
     rig: RayRig, name: str, scale: float, offset: float, pose: str
 ) -> None:
     """Rays from inside are aimed at faces, edges and corners of the mirror."""
-    mesh, matrix = shape(name, MIRROR), placed(scale, offset)
+    mesh, matrix = shape(name, MIRROR), transform_of(scale, offset)
     if pose == "sheared":
         matrix = (
             matrix @ similarity(scale=0.8) @ np.array([[1, 0.5, 0, 0], [0, 0.6, 0, 0], [0, 0, -1.2, 0], [0, 0, 0, 1]])
@@ -296,7 +296,7 @@ def test_refracted_rays_skip_the_entered_surface_and_hit_the_opposite_one(
     rig: RayRig, name: str, scale: float, offset: float
 ) -> None:
     """Refracted rays cross the body from the surface that they entered to the opposite one."""
-    mesh, matrix = shape(name, GLASS), placed(scale, offset)
+    mesh, matrix = shape(name, GLASS), transform_of(scale, offset)
     rng = np.random.default_rng(5)
     origins = moved(normalized(rng.normal(size=(8000, 3))) * 3.0, matrix)
     along = normalized(moved(0.7 * aims(rng, mesh, 8000), matrix) - origins.astype(np.float32))

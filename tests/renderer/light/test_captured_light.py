@@ -37,14 +37,14 @@ def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gau
         radius: Scene units.
     """
     along = even_directions(3000)
-    kept = along[:, 1] >= 1.0 - 2.0 * share
-    count = int(kept.sum())
+    covered = along[:, 1] >= 1.0 - 2.0 * share
+    count = int(covered.sum())
     return ls.Gaussians(
-        POSITION + radius * along[kept],
+        POSITION + radius * along[covered],
         np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
         np.full((count, 3), 0.05 * radius),
         np.ones(count),
-        flat_sh(np.broadcast_to(colors, (3000, 3))[kept]),
+        flat_sh(np.broadcast_to(colors, (3000, 3))[covered]),
     )
 
 
@@ -133,11 +133,11 @@ def test_mesh_outside_a_capture_is_lit_by_a_headlight(share: float) -> None:
     """Beside a captured figure, or on a captured floor without a sky, the frame equals that of lighting=True."""
     capture = shell(np.array([0.5, 0.5, 0.5]), share) if share else one_gaussian((1.5, 0.0, 4.0))
     scene = ls.Scene([capture], [octahedron((0.0, 0.0, 4.0), 1.0)])
-    frame, asked = (
+    frame, headlit = (
         ls.render(scene, front_camera(40, 30), ls.RenderConfig(lighting=lighting), device="cpu")
         for lighting in (None, True)
     )
-    np.testing.assert_array_equal(frame.color, asked.color)
+    np.testing.assert_array_equal(frame.color, headlit.color)
 
 
 def test_captures_do_not_light_meshes_if_lights_or_lighting_are_specified() -> None:

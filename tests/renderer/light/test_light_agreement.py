@@ -70,12 +70,12 @@ def overlap(first: np.ndarray, second: np.ndarray) -> float:
 
 def inner(mask: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Returns the pixels of a mask whose neighbours within two pixels are in the mask and have similar normals."""
-    kept = mask.copy()
+    inside = mask.copy()
     for rows in range(-2, 3):
         for columns in range(-2, 3):
             moved = np.roll(normals, (rows, columns), (0, 1))
-            kept &= np.roll(mask, (rows, columns), (0, 1)) & ((moved * normals).sum(-1) > 0.7)
-    return kept
+            inside &= np.roll(mask, (rows, columns), (0, 1)) & ((moved * normals).sum(-1) > 0.7)
+    return inside
 
 
 def psnr(first: np.ndarray, second: np.ndarray) -> float:

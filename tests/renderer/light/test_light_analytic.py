@@ -104,16 +104,16 @@ def test_frame_is_the_sum_over_lights_of_unshadowed_light_times_shadow(pipeline:
     meshes = [floor(matte(0.7, 0.8, 0.9)), ball_at((0.1, 0.6, 0.0), 0.3, matte(0.5))]
     camera = above()
     frame = lit(ls.Scene((), meshes, [*lights, off]), camera, pipeline, aovs=("lights",))
-    alone = [lit(ls.Scene((), meshes, [light]), camera, pipeline, aovs=("lights",)) for light in lights]
+    single = [lit(ls.Scene((), meshes, [light]), camera, pipeline, aovs=("lights",)) for light in lights]
     assert frame.light_direct is not None
     assert frame.light_shadow is not None
-    assert_close(frame.color, np.sum([one.color for one in alone], axis=0), atol=1e-5)
+    assert_close(frame.color, np.sum([one.color for one in single], axis=0), atol=1e-5)
     assert_close(frame.color, (frame.light_direct * frame.light_shadow).sum(axis=0), atol=1e-5)
     assert (frame.light_shadow[0] == 0.0).any()
     assert (frame.light_shadow[1] == 1.0).all()
-    kept = [k for k in range(len(frame.light_direct)) if frame.light_direct[k].any()]
-    assert len(kept) == 3
-    for k, one in zip(kept, alone, strict=True):
+    enabled = [k for k in range(len(frame.light_direct)) if frame.light_direct[k].any()]
+    assert len(enabled) == 3
+    for k, one in zip(enabled, single, strict=True):
         assert one.light_direct is not None
         assert_close(frame.light_direct[k], one.light_direct[0], atol=1e-6)
 
@@ -315,8 +315,8 @@ def test_plane_in_a_constant_environment_shows_the_albedo_of_each_material(name:
     rows = np.arange(0, 48, 6)
     means = np.array([cosines[row : row + 6].mean() for row in rows])
     mirrored = highlight_albedo(material, means)
-    kept = highlight_albedo(replace(material, metallic=0.0), means)
-    expected = (mirrored + diffuse_color(material) * (1.0 - kept)) * EVEN.color
+    reflected = highlight_albedo(replace(material, metallic=0.0), means)
+    expected = (mirrored + diffuse_color(material) * (1.0 - reflected)) * EVEN.color
     ours = np.array([frame.color[row : row + 6].mean(axis=(0, 1)) for row in rows])
     assert (expected < EVEN.color).all()
     noise = 0.015

@@ -160,16 +160,16 @@ def test_mirror_reflects_lights_and_shadows_like_a_mirrored_camera() -> None:
     source = ls.LightPoint((0.5, 1.5, 2.0), intensity=8.0)
     paper = ls.MaterialPbr(base_color=(0.9, 0.5, 0.3), roughness=0.6)
     ball, floor = replace(sphere(0.4, rows=12, columns=20), material=paper), pane_below()
-    things = [ls.MeshInstance(ball, similarity(offset=(0.0, 0.4, 1.6))), floor]
+    meshes = [ls.MeshInstance(ball, similarity(offset=(0.0, 0.4, 1.6))), floor]
     toy = ls.SplatInstance(
         ls.gaussians_from_mesh(ball, 900, seed=1), similarity(offset=(0.9, 0.4, 1.5)), material=paper
     )
     eye, target = np.array([0.3, 0.9, 4.0]), np.array([0.1, 0.5, 0.0])
     view = ls.Camera.look_at(tuple(eye), tuple(target), width=40, height=30, fov_y=0.5)
-    seen = ls.render(ls.Scene([toy], [*things, pane], [source]), view, config(), device="cpu")
+    seen = ls.render(ls.Scene([toy], [*meshes, pane], [source]), view, config(), device="cpu")
     flip = np.diag([1.0, 1.0, -1.0])
     behind = ls.Camera.look_at(tuple(flip @ eye), tuple(flip @ target), width=40, height=30, fov_y=0.5)
-    direct = ls.render(ls.Scene([toy], things, [source]), behind, config(), device="cpu").color[:, ::-1]
+    direct = ls.render(ls.Scene([toy], meshes, [source]), behind, config(), device="cpu").color[:, ::-1]
     alone = np.isclose(seen.depth, ls.render(ls.Scene([], [pane]), view, config(), device="cpu").depth, rtol=1e-4)
     assert alone.sum() > 300
     difference = np.abs(seen.color - direct)[alone].max(axis=1)

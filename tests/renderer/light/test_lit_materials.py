@@ -63,11 +63,11 @@ def diffuse(**changes: object) -> ls.MaterialPbr:
 def test_emissive_material_is_visible_with_all_lights_disabled(pipeline: ls.Pipeline) -> None:
     """Emission is multiplied by its decoded texture, and reflected light is added to it."""
     dark = replace(FACING, enabled=False)
-    shining = replace(diffuse(), emissive=(2.0, 1.0, 0.5), emissive_texture=texture(255, 128, 0))
-    seen = middle(lit(ls.Scene(meshes=[wall(shining)], lights=[dark]), pipeline))
+    emissive = replace(diffuse(), emissive=(2.0, 1.0, 0.5), emissive_texture=texture(255, 128, 0))
+    seen = middle(lit(ls.Scene(meshes=[wall(emissive)], lights=[dark]), pipeline))
     expected = np.array([2.0, 1.0, 0.5]) * decode_srgb(np.array([255, 128, 0]) / 255.0)
     np.testing.assert_allclose(seen, expected, rtol=2e-6)
-    added = middle(lit(ls.Scene(meshes=[wall(shining)], lights=[FACING]), pipeline))
+    added = middle(lit(ls.Scene(meshes=[wall(emissive)], lights=[FACING]), pipeline))
     np.testing.assert_allclose(added, expected + 1.0, rtol=1e-4)
 
 
@@ -81,8 +81,8 @@ def test_ambient_light_is_added_once_for_any_number_of_lights(lights: int, pipel
     np.testing.assert_allclose(middle(lit(of_mesh, pipeline)), 0.6 * np.array([0.8, 0.7, 0.6]), rtol=1e-4)
     splat_shadows = ls.Scene(splats=[ls.SplatInstance(curtain(), material=material)], lights=[each] * lights)
     shadowless = lit(splat_shadows, pipeline, shadows=ls.Shadows.OFF)
-    own = decode_srgb(np.array([0.7, 0.5, 0.3]))
-    np.testing.assert_allclose(middle(shadowless), own * [0.8, 0.7, 0.6], rtol=5e-3)
+    albedo = decode_srgb(np.array([0.7, 0.5, 0.3]))
+    np.testing.assert_allclose(middle(shadowless), albedo * [0.8, 0.7, 0.6], rtol=5e-3)
 
 
 def test_metallic_roughness_texture_multiplies_the_factors_of_the_material() -> None:
@@ -135,18 +135,18 @@ def test_occlusion_texture_dims_only_environment_light() -> None:
 def test_relit_gaussians_use_their_stored_albedo_roughness_and_metallic(pipeline: ls.Pipeline) -> None:
     """Albedo replaces the captured colour in sets that emit nothing."""
     light = ls.LightDirectional((0.15, 0.0, 1.0), intensity=3.0)
-    own = {"albedo": np.array([0.2, 0.6, 0.4]), "roughness": np.float32(0.35), "metallic": np.float32(0.7)}
-    bare = curtain(colors=np.tile(encode_srgb(np.array([0.2, 0.6, 0.4])), (243, 1)))
+    stored = {"albedo": np.array([0.2, 0.6, 0.4]), "roughness": np.float32(0.35), "metallic": np.float32(0.7)}
+    without_material = curtain(colors=np.tile(encode_srgb(np.array([0.2, 0.6, 0.4])), (243, 1)))
     matched = ls.MaterialPbr(roughness=0.35, metallic=0.7)
     other = ls.MaterialPbr(roughness=0.9, metallic=0.1)
     scenes = [
         ls.Scene(splats=[ls.SplatInstance(capture, material=material)], lights=[light])
-        for capture, material in ((curtain(**own), other), (bare, matched))
+        for capture, material in ((curtain(**stored), other), (without_material, matched))
     ]
     seen = [middle(lit(scene, pipeline, shadows=ls.Shadows.OFF)) for scene in scenes]
     np.testing.assert_allclose(seen[0], seen[1], rtol=2e-3)
-    shining = ls.SplatInstance(curtain(**own), material=replace(other, emissive=(1.0, 1.0, 1.0)))
-    glowing = lit(ls.Scene(splats=[shining], lights=[replace(light, enabled=False)]), pipeline)
+    emissive = ls.SplatInstance(curtain(**stored), material=replace(other, emissive=(1.0, 1.0, 1.0)))
+    glowing = lit(ls.Scene(splats=[emissive], lights=[replace(light, enabled=False)]), pipeline)
     np.testing.assert_allclose(middle(glowing), decode_srgb(np.array([0.7, 0.5, 0.3])), rtol=5e-3)
 
 
@@ -191,12 +191,12 @@ def test_captured_part_of_thin_splats_does_not_depend_on_their_reflectance(pipel
     """A layer below the iso-opacity threshold has the same captured part if its set reflects as if it only emits."""
     veil = curtain(rows=3, opacity=0.04)
     background = (0.2, 0.4, 0.6)
-    shining = lit(ls.Scene(splats=[veil], lights=[FACING]), pipeline, background=background)
-    assert 0.05 < shining.alpha.max() < 0.25
+    emissive = lit(ls.Scene(splats=[veil], lights=[FACING]), pipeline, background=background)
+    assert 0.05 < emissive.alpha.max() < 0.25
     reflecting = ls.SplatInstance(veil, material=ls.MaterialSimple(emissive=(1, 1, 1), diffuse=(0.1, 0.1, 0.1)))
-    kept = lit(ls.Scene(splats=[reflecting], lights=[FACING]), pipeline, background=background)
-    np.testing.assert_array_equal(kept.alpha, shining.alpha)
-    np.testing.assert_array_equal(kept.captured, shining.captured)
+    both = lit(ls.Scene(splats=[reflecting], lights=[FACING]), pipeline, background=background)
+    np.testing.assert_array_equal(both.alpha, emissive.alpha)
+    np.testing.assert_array_equal(both.captured, emissive.captured)
 
 
 def test_light_behind_a_triangle_never_lights_it_by_tilted_shading_normals() -> None:

@@ -26,9 +26,9 @@ def panel(material: ls.MaterialPbr, *, faces_down: bool = True) -> ls.Mesh:
 
 def floor_below(material: ls.MaterialPbr, *, faces_down: bool, mirrored: bool = False) -> ls.Scene:
     """Returns an emitting panel over a floor."""
-    place = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
+    transform = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
     floor = quad((-4.0, 0.0, -4.0), (0.0, 0.0, 8.0), (8.0, 0.0, 0.0), diffuse(0.5))
-    light = ls.MeshInstance(panel(material, faces_down=faces_down), place)
+    light = ls.MeshInstance(panel(material, faces_down=faces_down), transform)
     return ls.Scene((), [ls.MeshInstance(floor), light], [DARK])
 
 

@@ -37,8 +37,8 @@ def seen(capture: ls.Gaussians, pipeline: ls.Pipeline, light: ls.LightDirectiona
 
 def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
     """Returns the mask of pixels whose rays miss the ball but hit its Gaussians, and each ray's outward direction."""
-    ways = CAMERA.ray_directions().astype(np.float64) @ CAMERA.camera_from_world[:3, :3]
-    nearest = EYE - (ways @ EYE)[..., None] * ways
+    directions = CAMERA.ray_directions().astype(np.float64) @ CAMERA.camera_from_world[:3, :3]
+    nearest = EYE - (directions @ EYE)[..., None] * directions
     distance = np.linalg.norm(nearest, axis=-1, keepdims=True)
     missed = (distance[..., 0] > 1.0) & (distance[..., 0] < 1.1) & (frame.alpha > 0.3)
     assert missed.sum() > 200
@@ -74,10 +74,10 @@ def test_stored_normals_more_than_30_degrees_behind_the_horizon_are_flipped(pipe
     """Normals less than 30 degrees behind the horizon are bent to the horizon instead."""
     for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
-        own = np.array([across, 0.0, along])
-        wanted = {"turned": -own, "bent": np.array([1.0, 0.0, -HORIZON_COSINE]), "kept": own}[shown]
-        carried = replace(ball(1), means=np.zeros((1, 3)), normals=own[None])
-        frame = seen(carried, pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
+        normal = np.array([across, 0.0, along])
+        wanted = {"turned": -normal, "bent": np.array([1.0, 0.0, -HORIZON_COSINE]), "kept": normal}[shown]
+        gaussian = replace(ball(1), means=np.zeros((1, 3)), normals=normal[None])
+        frame = seen(gaussian, pipeline, ls.LightDirectional((0.0, 0.0, 1.0)))
         np.testing.assert_allclose(frame.normal[24, 24], wanted, atol=0.01)
 
 
@@ -89,21 +89,21 @@ def test_gaussian_facing_slightly_away_is_shaded_as_if_facing_slightly_towards(p
     """
     gloss, to_eye = ls.MaterialPbr(roughness=0.5), -CAMERA.ray_directions()[24, 24].astype(np.float64)
     to_eye = to_eye @ CAMERA.camera_from_world[:3, :3]
-    books = {"model": "pbr", "diffuse": [1.0] * 3, "specular": [0.04] * 3, "grazing": 1.0}
-    books |= {"dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": 0.25}
+    material = {"model": "pbr", "diffuse": [1.0] * 3, "specular": [0.04] * 3, "grazing": 1.0}
+    material |= {"dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": 0.25}
     for beyond in (25.0, 10.0, 1.0):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
-        own = np.array([across, 0.0, along])
-        carried = replace(ball(1), means=np.zeros((1, 3)), normals=own[None])
-        view = to_eye - 2.0 * (to_eye @ own) * own
-        assert view @ own == pytest.approx(along, abs=0.02) and to_eye @ own < 0.0
+        normal = np.array([across, 0.0, along])
+        gaussian = replace(ball(1), means=np.zeros((1, 3)), normals=normal[None])
+        view = to_eye - 2.0 * (to_eye @ normal) * normal
+        assert view @ normal == pytest.approx(along, abs=0.02) and to_eye @ normal < 0.0
         for light in ([0.2, 0.1, 1.0], [1.0, 0.3, 0.4], [1.0, -0.5, -0.6]):
             towards = np.array(light) / np.linalg.norm(light)
             source = ls.LightDirectional(tuple(-towards))
-            scene = ls.Scene(splats=[ls.SplatInstance(carried, material=gloss)], lights=[source])
+            scene = ls.Scene(splats=[ls.SplatInstance(gaussian, material=gloss)], lights=[source])
             config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.OFF, background=None, max_bounces=0)
             if pipeline is ls.Pipeline.PATH:
                 config = replace(config, samples=64, jitter=False)
             frame = ls.render(scene, CAMERA, config, device="cpu")
-            expected = evaluate(books, own, view, towards) * max(towards @ own, 0.0)
+            expected = evaluate(material, normal, view, towards) * max(towards @ normal, 0.0)
             np.testing.assert_allclose(frame.straight()[24, 24], expected, rtol=2e-3)

@@ -78,9 +78,9 @@ def test_clearcoat_and_sheen_textures_multiply_the_factors_of_the_material(
         return
     found = seen(wall(textured), pipeline, max_bounces=0)
     for side, factor in ((np.s_[:, :7], 0.2), (np.s_[:, 9:], 0.8)):
-        even = replace(textured, sheen_roughness=0.9 * factor, sheen_roughness_texture=None)
+        constant = replace(textured, sheen_roughness=0.9 * factor, sheen_roughness_texture=None)
         # Between the curves of a table, the albedo of what is below is known to 1.5 %.
-        np.testing.assert_allclose(found[side], seen(wall(even), pipeline, max_bounces=0)[side], rtol=0.015)
+        np.testing.assert_allclose(found[side], seen(wall(constant), pipeline, max_bounces=0)[side], rtol=0.015)
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
@@ -157,10 +157,10 @@ def test_base_colour_and_emission_textures_have_separate_wrap_modes(pipeline: ls
 def test_interpolated_sheen_albedo_curves_equal_quadrature() -> None:
     """For roughnesses between two table entries, the curve is close to the albedo and hardly below it."""
     curves = albedo_curves()
-    for place in np.linspace(0.5, SHEEN_CURVES - 0.5, 9):
-        k = int(place)
-        roughness = 0.1 + 0.9 * (place / SHEEN_CURVES) ** 2
-        curve = curves[k] + (place - k) * (curves[k + 1] - curves[k])
+    for index in np.linspace(0.5, SHEEN_CURVES - 0.5, 9):
+        k = int(index)
+        roughness = 0.1 + 0.9 * (index / SHEEN_CURVES) ** 2
+        curve = curves[k] + (index - k) * (curves[k + 1] - curves[k])
         for cosine in (0.05, 0.2, 0.5, 0.9):
             truth = min(sheen_albedo(cosine, roughness**2), 1.0)
             found = min(float(np.exp(curve @ cosine ** np.arange(4))), 1.0)

@@ -49,9 +49,9 @@ def test_ball_in_a_constant_environment_shows_its_albedo(kind: str, albedo: floa
 @pytest.mark.parametrize("bounces", [0, 1, 3, 64])
 def test_n_bounces_in_a_closed_furnace_give_n_terms_of_the_geometric_series(bounces: int, shape: str) -> None:
     """Every surface emits 1 and reflects half."""
-    shining = diffuse(0.5, 1.0)
-    cube = [*cube_without_ceiling(shining), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), shining)]
-    scene = ls.Scene(meshes=cube if shape == "cube" else [ball(1.0, shining, hollow=True, rows=16)])
+    emissive = diffuse(0.5, 1.0)
+    cube = [*cube_without_ceiling(emissive), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), emissive)]
+    scene = ls.Scene(meshes=cube if shape == "cube" else [ball(1.0, emissive, hollow=True, rows=16)])
     inside = ls.Camera.look_at((0.4, 0.5, 0.6), (0.9, 0.3, 0.8), width=48, height=32, fov_y=1.0)
     frame = paths(scene, inside, 16, bounces)
     truth = (1.0 - 0.5 ** (bounces + 2)) / 0.5  # direct light is one bounce of the emitted light
@@ -83,7 +83,7 @@ def test_irradiance_in_a_cube_below_an_emitting_ceiling_matches_collocation(
 @pytest.mark.parametrize("light", ["mesh", "rect", "sky"])
 def test_light_through_panes_of_index_1_is_counted_once(light: str) -> None:
     """Either refracted rays or light samples find the light, never both."""
-    shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if light == "mesh" else 0.0))
+    emitter = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if light == "mesh" else 0.0))
     lights: dict[str, list[Light]] = {
         "mesh": [],
         "rect": [ls.LightRect((0.0, 0.999, 0.0), (1, 0, 0), (0, 0, 1), intensity=1.0)],
@@ -93,9 +93,9 @@ def test_light_through_panes_of_index_1_is_counted_once(light: str) -> None:
     pane = quad((-4, 0.7, -4), (8, 0, 0), (0, 0, 8), clear)
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
     camera = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.02)
-    shining = [] if light == "sky" else [shine]
+    emitters = [] if light == "sky" else [emitter]
     open_air, behind = (
-        irradiance(paths(ls.Scene(meshes=[floor, *shining, *panes], lights=lights[light]), camera, 64, 16), 0.5)
+        irradiance(paths(ls.Scene(meshes=[floor, *emitters, *panes], lights=lights[light]), camera, 64, 16), 0.5)
         for panes in ([], [pane])
     )
     assert behind.std() / np.sqrt(behind.size) < 0.01 * open_air.mean()
@@ -155,8 +155,8 @@ def test_light_bounces_between_two_gaussian_sheets_match_the_closed_form(side: s
     )
     camera = ls.Camera.look_at((0.0, 0.0, -1.0), (0.0, 0.0, 0.0), width=32, height=32, fov_y=0.02)
     # By the rule for captures, two surfaces of such wide Gaussians would be one layer.
-    apart = ls.ShadowConfig(offset=0.0, offset_absolute=0.01)
-    frame = paths(scene, camera, 128, 32, shadow_rays=apart)
+    small_offset = ls.ShadowConfig(offset=0.0, offset_absolute=0.01)
+    frame = paths(scene, camera, 128, 32, shadow_rays=small_offset)
     assert_is(frame.color[..., 1].astype(np.float64), truth)
 
 

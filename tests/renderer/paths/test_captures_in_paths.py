@@ -82,9 +82,9 @@ def test_light_behind_captured_haze_is_scaled_by_its_transmittance() -> None:
 def test_floor_below_two_captured_panels_receives_their_blended_display_value() -> None:
     """A white panel of opacity 0.5 covers a black one; the floor receives the decoded display value 0.5."""
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
-    turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+    rotation = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     lids = [
-        ls.SplatInstance(captured_sheet(z, opacity, color).gaussians, turn)
+        ls.SplatInstance(captured_sheet(z, opacity, color).gaussians, rotation)
         for z, opacity, color in ((1.0, 0.5, (1.0, 1.0, 1.0)), (2.0, 0.999, (0.0, 0.0, 0.0)))
     ]
     above = ls.Camera.look_at((0, 0.5, 0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.05)
@@ -124,9 +124,9 @@ def test_light_behind_a_lit_sheet_is_equal_for_iso_and_particle_primaries(opacit
 def test_stochastic_shadows_of_path_tracing_have_the_mean_of_exact_shadows() -> None:
     """The light is seen through haze, off its centre; all points of the light are blocked with equal probability."""
     floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), diffuse(0.8))
-    turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+    rotation = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     haze = ls.SplatInstance(
-        wide_sheet(1.0, 0.5, 0.0).gaussians, turn, material=ls.MaterialPbr(specular=0.0, roughness=1.0)
+        wide_sheet(1.0, 0.5, 0.0).gaussians, rotation, material=ls.MaterialPbr(specular=0.0, roughness=1.0)
     )
     light = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0, visible=False)
     scene = ls.Scene(meshes=[floor], splats=[haze], lights=[light])

@@ -52,11 +52,11 @@ def board(albedo: float, emitted: float) -> list[ls.Mesh]:
 )
 def test_mean_irradiance_in_a_closed_room_follows_energy_conservation(source: str, albedo: float) -> None:
     """With albedo rho, area A and power Phi, mean irradiance is Phi / (A (1 - rho)), whatever objects are inside."""
-    place = (0.6, 0.75, 0.7)
+    center = (0.6, 0.75, 0.7)
     lights: dict[str, tuple[Light, float]] = {
-        "point": (ls.LightPoint(place, intensity=1.0), 4.0 * np.pi),
-        "rect": (ls.LightRect(place, (0.3, 0, 0), (0, 0, 0.2), intensity=10.0), np.pi * 10.0 * 0.06),
-        "sphere": (ls.LightSphere(place, 0.1, intensity=10.0), np.pi * 10.0 * 4.0 * np.pi * 0.01),
+        "point": (ls.LightPoint(center, intensity=1.0), 4.0 * np.pi),
+        "rect": (ls.LightRect(center, (0.3, 0, 0), (0, 0, 0.2), intensity=10.0), np.pi * 10.0 * 0.06),
+        "sphere": (ls.LightSphere(center, 0.1, intensity=10.0), np.pi * 10.0 * 4.0 * np.pi * 0.01),
     }
     light, power = lights.get(source, (None, 2.0 * np.pi * 10.0 * 0.09))
     meshes = [*crowded_room(albedo), *board(albedo, 10.0 if source == "mesh" else 0.0)]
@@ -71,11 +71,11 @@ def test_integrating_sphere_with_a_hole_loses_light_at_every_bounce() -> None:
     whole = ball(1.0, diffuse(albedo), hollow=True, rows=rows)
     open_above = whole.positions[whole.indices].mean(axis=1)[:, 1] < np.cos(0.6)
     sphere = ls.Mesh(whole.positions, whole.indices[open_above], material=diffuse(albedo))
-    kept = albedo * area_of(sphere) / area_of(whole)
+    reflected = albedo * area_of(sphere) / area_of(whole)
     scene = ls.Scene(meshes=[sphere], lights=[ls.LightPoint((0.0, 0.0, 0.0), intensity=1.0)])
     camera = ls.Camera.look_at((0.1, -0.4, 0.2), (0.6, -0.6, 1.0), width=48, height=32, fov_y=1.0)
     total = irradiance(paths(scene, camera, 16, 64), albedo)
-    assert_is(total, 1.0 + kept / (1.0 - kept), share=0.005)
+    assert_is(total, 1.0 + reflected / (1.0 - reflected), share=0.005)
 
 
 def test_light_bounces_between_parallel_plates_match_the_closed_form() -> None:
@@ -83,8 +83,8 @@ def test_light_bounces_between_parallel_plates_match_the_closed_form() -> None:
     emitted = np.array([[1.0, 0.2, 0.0], [0.0, 0.5, 2.0]])
     albedo = np.array([[0.2, 0.5, 0.8], [0.9, 0.6, 0.3]])
     materials = [
-        ls.MaterialPbr(base_color=rho, specular=0.0, roughness=1.0, emissive=shine)
-        for rho, shine in zip(albedo, emitted, strict=True)
+        ls.MaterialPbr(base_color=rho, specular=0.0, roughness=1.0, emissive=emission)
+        for rho, emission in zip(albedo, emitted, strict=True)
     ]
     wide = 2e3
     corner = -0.5 * wide
@@ -126,8 +126,8 @@ def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstanc
     """Returns a surface of Gaussians that emit 1 and reflect ``albedo``."""
     gaussians = as_splats(mesh, count).gaussians
     shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # both the emitting and the reflecting surface
-    shining = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
-    return ls.SplatInstance(replace(gaussians, sh=shown), material=shining)
+    emissive = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
+    return ls.SplatInstance(replace(gaussians, sh=shown), material=emissive)
 
 
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.5, 1), (0.5, 32), (0.7, 64)])

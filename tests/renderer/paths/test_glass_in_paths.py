@@ -51,9 +51,9 @@ def test_alpha_blended_clear_glass_is_invisible_in_a_white_furnace(
 
 def test_alpha_blended_emissive_glass_lights_a_floor_by_its_alpha() -> None:
     """Light samples on the triangles and rays that hit them give the floor the same light."""
-    shining = replace(GLASS, ior=1.0, specular=0.0, emissive=(1.0, 1.0, 1.0), alpha_mode="blend", alpha=0.5)
+    emissive = replace(GLASS, ior=1.0, specular=0.0, emissive=(1.0, 1.0, 1.0), alpha_mode="blend", alpha=0.5)
     floor = quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), diffuse(0.5))
-    lid = ls.MeshInstance(replace(ls.box(np.array([8.0, 8.0, 0.1])), material=shining), position=(0.0, 0.0, -1.0))
+    lid = ls.MeshInstance(replace(ls.box(np.array([8.0, 8.0, 0.1])), material=emissive), position=(0.0, 0.0, -1.0))
     view = ls.Camera.look_at((0, 0, -0.5), (0, 0, 0), (0, 1, 0), width=16, height=12, fov_y=0.02)
     values = np.pi / 0.5 * paths(ls.Scene(meshes=[floor, lid]), view, 64, 4).color[..., 1].astype(np.float64)
     # Who enters by the face below, which adds a half, leaves by another, which adds a half.
@@ -69,8 +69,8 @@ def test_partly_diffuse_glass_in_a_white_furnace_is_not_noisy(inside: bool) -> N
     Light beyond the bounce limit is missing.
     """
     body = ball(0.3, replace(GLASS, transmission=0.2), rows=24)
-    place = ((0, 0, 0), (0, 0, 1)) if inside else ((0, 0, -2), (0, 0, 0))
-    view = ls.Camera.look_at(*place, width=32, height=24, fov_y=0.2)
+    eye_and_target = ((0, 0, 0), (0, 0, 1)) if inside else ((0, 0, -2), (0, 0, 0))
+    view = ls.Camera.look_at(*eye_and_target, width=32, height=24, fov_y=0.2)
     values = paths(ls.Scene(meshes=[body], lights=[ENVIRONMENT]), view, 8, 32).color[..., 1].astype(np.float64)
     error = values.std() / np.sqrt(values.size)
     assert error < 0.012

@@ -90,8 +90,8 @@ def test_path_traced_irradiance_of_a_disk_light_matches_lamberts_formula(
     """Irradiance is L / 2 times Lambert's sum over a polygon of many corners, slanted to the floor."""
     light = ls.LightDisk(place, (-0.2, -1.0, 0.1), 0.35, intensity=2.0)
     u, v = (light.boundary()[k] - place for k in (0, 12))
-    turn = 2.0 * np.pi * np.arange(1000)[:, None] / 1000
-    rim = np.array(place) + np.cos(turn) * u + np.sin(turn) * v
+    angle = 2.0 * np.pi * np.arange(1000)[:, None] / 1000
+    rim = np.array(place) + np.cos(angle) * u + np.sin(angle) * v
     assert_is(found(light, strategy), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
 
 
@@ -115,15 +115,15 @@ def test_path_traced_irradiance_of_a_sheared_emitter_matches_lamberts_formula(ha
     corner, u, v = unit * np.array([[-0.2, 0.7, -0.6], [0.9, 0.4, 0.1], [0.1, 0.2, 0.8]])
     seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
     square = quad((0, 0, 0), (1, 0, 0), (0, 0, 1), diffuse(0.0, 2.0))
-    placed, away = np.eye(4), unit * np.array([200.0, -50.0, 70.0])
-    placed[:3] = np.stack([u, 3.0 / unit * np.cross(u, v), v, corner + away], axis=1)
+    transform, away = np.eye(4), unit * np.array([200.0, -50.0, 70.0])
+    transform[:3] = np.stack([u, 3.0 / unit * np.cross(u, v), v, corner + away], axis=1)
     eye = away + unit * np.array([0, 0.3, 0.002])
     camera = ls.Camera.look_at(eye, away, (0, 0, -1), width=32, height=24, fov_y=0.002)
     side = 2.0 * unit * half
     floor = quad(away - (0.5 * side, 0, 0.5 * side), (0, 0, side), (side, 0, 0), diffuse(ALBEDO))
     scenes = [
         ls.Scene(meshes=[floor, ls.MeshInstance(square, matrix)])
-        for matrix in (np.diag([unit, unit, unit, 1.0]), placed)
+        for matrix in (np.diag([unit, unit, unit, 1.0]), transform)
     ]
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=0)
     renderer = ls.create_renderer(config, "cpu")
@@ -143,10 +143,10 @@ def test_path_traced_environment_irradiance_on_a_tilted_wall_is_exact(slope: flo
 
 def test_path_traced_irradiance_of_a_point_light_is_exact_and_noise_free() -> None:
     """Irradiance is I cos / d^2 for intensity I and distance d."""
-    place = np.array([0.9, 1.2, -0.5])
-    distance = np.linalg.norm(place)
-    values = found(ls.LightPoint(place, intensity=3.0), "sampled", samples=1)
-    np.testing.assert_allclose(values, 3.0 * place[1] / distance**3, rtol=2e-3)
+    position = np.array([0.9, 1.2, -0.5])
+    distance = np.linalg.norm(position)
+    values = found(ls.LightPoint(position, intensity=3.0), "sampled", samples=1)
+    np.testing.assert_allclose(values, 3.0 * position[1] / distance**3, rtol=2e-3)
 
 
 # --- Veach's plates ---
@@ -202,11 +202,11 @@ def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) 
     distance = np.linalg.norm(source.position)
     axis = np.asarray(source.position) / distance
     edge = 1.0 - np.sqrt(1.0 - (source.radius / distance) ** 2)
-    lift, turn = np.meshgrid(edge * (np.arange(400) + 0.5) / 400, 2.0 * np.pi * (np.arange(400) + 0.5) / 400)
+    lift, azimuth = np.meshgrid(edge * (np.arange(400) + 0.5) / 400, 2.0 * np.pi * (np.arange(400) + 0.5) / 400)
     across = np.cross(axis, [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
     sine = np.sqrt(lift * (2.0 - lift))[..., None]
-    around = np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * np.cross(axis, across)
+    around = np.cos(azimuth)[..., None] * across + np.sin(azimuth)[..., None] * np.cross(axis, across)
     rays = (1.0 - lift)[..., None] * axis + sine * around
     white = {"alpha": roughness**2, "specular": [1.0], "grazing": 1.0}
     values = pbr_specular(white, np.array([0.0, 1.0, 0.0]), view, rays)[..., 0] * rays[..., 1]
@@ -217,10 +217,10 @@ def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) 
 @pytest.mark.parametrize("source", ["rect", "mesh", "sky"])
 def test_shadow_threshold_and_tint_apply_to_light_sampling_and_bsdf_sampling(source: str, setting: str) -> None:
     """A visible light has the shadow through haze of an invisible light, which only light sampling can reach."""
-    turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+    rotation = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     sheet = wide_sheet(1.0, 0.5, 0.0).gaussians
     sheet = replace(sheet, sh=np.full((1, 1, 3), -1.0) * [1.0, 0.2, -1.0])
-    haze = ls.SplatInstance(sheet, turn, material=diffuse(1.0))
+    haze = ls.SplatInstance(sheet, rotation, material=diffuse(1.0))
     floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), metal(roughness=0.4))
     light = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0)
     scene = ls.Scene(meshes=[floor], splats=[haze], lights=[replace(light, visible=False)])

@@ -63,14 +63,14 @@ def test_light_of_an_emissive_square_does_not_depend_on_its_tessellation() -> No
     """The square is one quad, many triangles of many sizes, or two instances."""
     room = cube_without_ceiling(diffuse(0.5))
     view = ls.Camera.look_at((0.5, 0.8, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=32, height=32, fov_y=0.03)
-    shine = diffuse(0.5, 1.0)
-    whole = [quad((0.2, 0.9, 0.2), (0.6, 0, 0), (0, 0, 0.6), shine)]
+    emissive = diffuse(0.5, 1.0)
+    whole = [quad((0.2, 0.9, 0.2), (0.6, 0, 0), (0, 0, 0.6), emissive)]
     edges = np.array([0.0, 0.01, 0.1, 0.15, 0.6])
     cut = [
-        quad((0.2 + x, 0.9, 0.2), (w, 0, 0), (0, 0, 0.6), shine)
+        quad((0.2 + x, 0.9, 0.2), (w, 0, 0), (0, 0, 0.6), emissive)
         for x, w in zip(edges[:-1], np.diff(edges), strict=True)
     ]
-    halves = quad((0.2, 0.9, 0.2), (0.3, 0, 0), (0, 0, 0.6), shine)
+    halves = quad((0.2, 0.9, 0.2), (0.3, 0, 0), (0, 0, 0.6), emissive)
     moved = np.eye(4)
     moved[0, 3] = 0.3
     twice = [ls.MeshInstance(halves), ls.MeshInstance(halves, moved)]
@@ -92,12 +92,12 @@ def test_path_tracer_does_not_render_gaussians_in_front_of_the_near_plane() -> N
 
 def test_path_traced_scene_of_relit_captures_alone_is_lit_by_a_headlight() -> None:
     """Relit captures emit nothing; a scene with emissive captures or meshes needs no headlight."""
-    alone = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=32), 4000)])
+    relit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=32), 4000)])
     view = ls.Camera.look_at((0.0, 0.0, -1.4), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.3)
-    assert paths(alone, view, 8, 2).color[10:14, 14:18].mean() > 0.4
-    kept = replace(alone, splats=[*alone.splats, one_gaussian((9.0, 0.0, 0.0), 0.1, 0.9, (0.5, 0.5, 0.5))])
-    assert paths(kept, view, 8, 2).color.max() < 0.05
-    assert paths(kept, view, 8, 2, lighting=True).color[10:14, 14:18].mean() > 0.4
+    assert paths(relit, view, 8, 2).color[10:14, 14:18].mean() > 0.4
+    with_emissive = replace(relit, splats=[*relit.splats, one_gaussian((9.0, 0.0, 0.0), 0.1, 0.9, (0.5, 0.5, 0.5))])
+    assert paths(with_emissive, view, 8, 2).color.max() < 0.05
+    assert paths(with_emissive, view, 8, 2, lighting=True).color[10:14, 14:18].mean() > 0.4
 
 
 def test_path_traced_ray_queries_include_the_light_of_emissive_meshes() -> None:
@@ -115,9 +115,9 @@ def test_path_traced_ray_queries_include_the_light_of_emissive_meshes() -> None:
 def test_path_traced_ray_queries_of_unlit_scenes_return_captured_colours() -> None:
     """Without any light, rays return the captured colours of a relit set, as in the trace pipeline."""
     unlit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=16), 500)])
-    ways = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.0]])
+    directions = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.0]])
     seen = [
-        ls.trace_rays(unlit, (0.0, 0.0, -1.0), ways, ls.RenderConfig(pipeline=pipeline), device="cpu").radiance
+        ls.trace_rays(unlit, (0.0, 0.0, -1.0), directions, ls.RenderConfig(pipeline=pipeline), device="cpu").radiance
         for pipeline in (ls.Pipeline.PATH, ls.Pipeline.TRACE)
     ]
     np.testing.assert_array_equal(seen[0], seen[1])
@@ -130,15 +130,15 @@ def test_absorbing_medium_attenuates_light_paths_and_camera_paths(kind: str) -> 
         base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0, attenuation_color=(0.5,) * 3
     )
     source = ls.LightRect((0, 1, 0), (0.2, 0, 0), (0, 0, 0.2), intensity=20.0)
-    shine = quad((-0.1, 1, -0.1), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.0, 20.0))
+    emitter = quad((-0.1, 1, -0.1), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.0, 20.0))
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), diffuse(0.5))
     above = ls.Camera.look_at((0.9, 5.0, 0.0), (0.9, 0.0, 0.0), (0, 0, 1), width=16, height=16, fov_y=0.004)
     means: list[float] = []
     for distance in (np.inf, 1.0):
         body = ls.MeshInstance(replace(ls.box((8, 4, 8)), material=replace(water, attenuation_distance=distance)))
-        things = [body, floor] if kind == "rect" else [body, floor, shine]
+        meshes = [body, floor] if kind == "rect" else [body, floor, emitter]
         lights = [source] if kind == "rect" else []
-        means.append(float(paths(ls.Scene(meshes=things, lights=lights), above, 64, 3).color.mean()))
-    ways = 2.0 + np.hypot(1.0, 0.9)
+        means.append(float(paths(ls.Scene(meshes=meshes, lights=lights), above, 64, 3).color.mean()))
+    path_length = 2.0 + np.hypot(1.0, 0.9)
     assert means[0] > 0.0
-    np.testing.assert_allclose(means[1] / means[0], 0.5**ways, rtol=0.04)
+    np.testing.assert_allclose(means[1] / means[0], 0.5**path_length, rtol=0.04)

@@ -71,11 +71,11 @@ def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
     rough = [np.random.default_rng(seed).uniform(0.2, 1.0, 120).astype(np.float32) for seed in range(2)]
     first = random_gaussians(21, 120, roughness=rough[0])
     second = random_gaussians(22, 120, center=(0.0, 0.0, 0.0), extent=(1.2, 1.0, 0.8), roughness=rough[1])
-    place = similarity((1.0, 2.0, 0.5), 1.1, 1.3, (0.3, 0.1, 4.4))
+    transform = similarity((1.0, 2.0, 0.5), 1.1, 1.3, (0.3, 0.1, 4.4))
     sets = [
         ls.SplatInstance(first, material=MATTE),
         ls.SplatInstance(random_gaussians(23, 50)),
-        ls.SplatInstance(second, place, material=MATTE),
+        ls.SplatInstance(second, transform, material=MATTE),
     ]
     values = [rough[0][:, None], np.zeros((50, 1)), rough[1][:, None]]
     return ls.Scene(sets, [quad(4.6, 0.9, 0.3)], [LIGHT]), [np.asarray(value, np.float64) for value in values]
@@ -144,8 +144,8 @@ def test_mean_surface_depth_near_a_mean_follows_the_peak_response_on_the_ray(til
 def tilted_wall(angle: float) -> ls.Gaussians:
     """Returns a wall of flat Gaussians, rotated about the x axis."""
     x, y = np.meshgrid(np.arange(-4.0, 4.0, 0.25), np.arange(-4.0, 4.0, 0.25))
-    turn = rotation((1.0, 0.0, 0.0), angle)[:3, :3]
-    means = np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 3) @ turn.T + [0.0, 0.0, 6.0]
+    rotation_matrix = rotation((1.0, 0.0, 0.0), angle)[:3, :3]
+    means = np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 3) @ rotation_matrix.T + [0.0, 0.0, 6.0]
     count = len(means)
     turned = np.tile([np.cos(0.5 * angle), np.sin(0.5 * angle), 0.0, 0.0], (count, 1))
     return ls.Gaussians(

@@ -236,11 +236,11 @@ def test_rasterised_view_without_visible_objects_shows_only_the_background(
 def test_background_is_composited_under_the_transparent_frame(backend: str, name: str) -> None:
     """For any background, the frame is the transparent frame plus (1 - alpha) times the background."""
     case = next(case for case in cases() if case.name == name)
-    bare, over = (
+    transparent, over = (
         renderer_of(backend, ls.RenderConfig(background=b, lighting=False)).render(case.scene, case.camera)
         for b in (None, (0.3, 0.9, 0.6))
     )
-    expected = bare.color + (1.0 - bare.alpha)[..., None] * np.array([0.3, 0.9, 0.6], np.float32)
+    expected = transparent.color + (1.0 - transparent.alpha)[..., None] * np.array([0.3, 0.9, 0.6], np.float32)
     assert_close(over.color, expected, atol=1e-6)
 
 

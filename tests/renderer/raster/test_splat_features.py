@@ -118,19 +118,21 @@ def test_gpu_schedule_gives_equal_features_and_feature_gradients(monkeypatch: py
 def test_features_of_an_instance_equal_those_of_a_set_stored_transformed() -> None:
     """Depths and normals of a transformed instance equal those of a set stored with its transform applied."""
     gaussians, camera = cloud(9, degree=0), view()
-    place = np.eye(4)
-    place[:3, :3] = 1.3 * np.array([[np.cos(0.7), 0.0, np.sin(0.7)], [0.0, 1.0, 0.0], [-np.sin(0.7), 0.0, np.cos(0.7)]])
-    place[:3, 3] = 0.1, -0.2, 0.3
-    shown, placed = with_features(ls.Scene([ls.SplatInstance(gaussians, place)]), camera)
-    same, baked = with_features(ls.Scene([ls.transform(gaussians, place)]), camera)
+    transform = np.eye(4)
+    transform[:3, :3] = 1.3 * np.array(
+        [[np.cos(0.7), 0.0, np.sin(0.7)], [0.0, 1.0, 0.0], [-np.sin(0.7), 0.0, np.cos(0.7)]]
+    )
+    transform[:3, 3] = 0.1, -0.2, 0.3
+    shown, transformed = with_features(ls.Scene([ls.SplatInstance(gaussians, transform)]), camera)
+    same, baked = with_features(ls.Scene([ls.transform(gaussians, transform)]), camera)
     np.testing.assert_allclose(shown, same, atol=2e-5)
-    means = baked.sets[0].means @ place[:3, :3]
-    assert np.abs(placed.sets[0].means - means).max() < 2e-4 * np.abs(means).mean()
-    assert placed.camera_from_world is not None and baked.camera_from_world is not None
-    np.testing.assert_allclose(placed.camera_from_world, baked.camera_from_world, rtol=2e-4, atol=2e-3)
+    means = baked.sets[0].means @ transform[:3, :3]
+    assert np.abs(transformed.sets[0].means - means).max() < 2e-4 * np.abs(means).mean()
+    assert transformed.camera_from_world is not None and baked.camera_from_world is not None
+    np.testing.assert_allclose(transformed.camera_from_world, baked.camera_from_world, rtol=2e-4, atol=2e-3)
     aside = np.eye(4)
     aside[0, 3] = 100.0  # not visible
-    both = ls.Scene([ls.SplatInstance(gaussians, place), ls.SplatInstance(gaussians, aside)])
+    both = ls.Scene([ls.SplatInstance(gaussians, transform), ls.SplatInstance(gaussians, aside)])
     assert len(ls.gradients.SurfaceFeatures.of(both, camera).values) == 2 * gaussians.count
     _, twice = with_features(both, camera)
     assert twice.features is not None and not twice.features[gaussians.count :].any()

@@ -134,21 +134,21 @@ def test_differentiable_raster_frames_equal_ordinary_raster_frames() -> None:
 def test_raster_gradients_of_instances_are_transformed_and_summed() -> None:
     """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), view()
-    place = np.eye(4)
-    turn = ls.transform(gaussians, place)  # a copy
+    transform = np.eye(4)
+    copied = ls.transform(gaussians, transform)  # a copy
     angle, scale = 0.7, 1.3
-    place[:3, :3] = scale * np.array(
+    transform[:3, :3] = scale * np.array(
         [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
     )
-    place[:3, 3] = 0.1, -0.2, 0.3
-    placed = gradients_of(ls.Scene([ls.SplatInstance(turn, place)]), camera)
-    baked = gradients_of(ls.Scene([ls.transform(gaussians, place)]), camera)
-    close(placed.sets[0].means, baked.sets[0].means @ place[:3, :3])
-    close(placed.sets[0].scales, scale * baked.sets[0].scales)
-    close(placed.sets[0].opacities, baked.sets[0].opacities)
-    assert placed.camera_from_world is not None and baked.camera_from_world is not None
-    close(placed.camera_from_world, baked.camera_from_world)
-    check_instances(gaussians, place, lambda scene: gradients_of(scene, camera))
+    transform[:3, 3] = 0.1, -0.2, 0.3
+    transformed = gradients_of(ls.Scene([ls.SplatInstance(copied, transform)]), camera)
+    baked = gradients_of(ls.Scene([ls.transform(gaussians, transform)]), camera)
+    close(transformed.sets[0].means, baked.sets[0].means @ transform[:3, :3])
+    close(transformed.sets[0].scales, scale * baked.sets[0].scales)
+    close(transformed.sets[0].opacities, baked.sets[0].opacities)
+    assert transformed.camera_from_world is not None and baked.camera_from_world is not None
+    close(transformed.camera_from_world, baked.camera_from_world)
+    check_instances(gaussians, transform, lambda scene: gradients_of(scene, camera))
 
 
 def close(value: np.ndarray, expected: np.ndarray) -> None:
@@ -181,7 +181,10 @@ def test_splats_behind_a_mesh_have_zero_raster_gradients() -> None:
     [
         ((np.zeros((3, 3, 3)), None), r"^dL_dcolor has shape \(3, 3, 3\), expected \(30, 36, 3\)$"),
         ((np.zeros((30, 36, 3)), np.zeros(4)), r"^dL_dalpha has shape \(4,\), expected \(30, 36\)$"),
-        ((np.full((30, 36, 3), np.nan), None), r"^dL_dcolor: 3,240 of 3,240 values are not finite, expected finite numbers$"),
+        (
+            (np.full((30, 36, 3), np.nan), None),
+            r"^dL_dcolor: 3,240 of 3,240 values are not finite, expected finite numbers$",
+        ),
     ],
 )
 def test_splat_gradients_refuse_image_gradients_of_wrong_shape_or_not_finite(

@@ -119,9 +119,9 @@ def rim(seed: int, camera: ls.Camera, degrees: float) -> ls.Gaussians:
     """Returns Gaussians of about a hundredth of a radian, within six degrees of the edge of the image."""
     rng = np.random.default_rng(seed)
     angle, turn = np.radians(rng.uniform(degrees - 6.0, degrees, 200)), rng.uniform(0.0, 2.0 * np.pi, 200)
-    ways = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=-1)
+    directions = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=-1)
     return ls.Gaussians(
-        means=3.0 * ways @ camera.world_from_camera[:3, :3].T + camera.eye,
+        means=3.0 * directions @ camera.world_from_camera[:3, :3].T + camera.eye,
         rotations_wxyz=rng.normal(size=(200, 4)),
         scales=rng.uniform(0.012, 0.018, (200, 1)) * np.exp(rng.uniform(-2.0, 0.0, (200, 3))),
         opacities=np.full(200, 0.9),

@@ -131,28 +131,28 @@ def test_gpu_schedule_zeroes_unscented_gradients_behind_opaque_tiles(
 def test_unscented_gradients_of_instances_are_transformed_and_summed() -> None:
     """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), VIEWS["fisheye"]
-    angle, scale, place = 0.7, 1.3, np.eye(4)
-    turn = [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
-    place[:3, :3], place[:3, 3] = scale * np.array(turn), (0.1, -0.2, 0.3)
-    placed = gradients_of(ls.Scene([ls.SplatInstance(gaussians, place)]), camera)
-    baked = gradients_of(ls.Scene([ls.transform(gaussians, place)]), camera)
-    close(placed.sets[0].means, baked.sets[0].means @ place[:3, :3])
-    close(placed.sets[0].scales, scale * baked.sets[0].scales)
-    close(placed.sets[0].opacities, baked.sets[0].opacities)
-    check_instances(gaussians, place, lambda scene: gradients_of(scene, camera))
+    angle, scale, transform = 0.7, 1.3, np.eye(4)
+    rotation = [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
+    transform[:3, :3], transform[:3, 3] = scale * np.array(rotation), (0.1, -0.2, 0.3)
+    transformed = gradients_of(ls.Scene([ls.SplatInstance(gaussians, transform)]), camera)
+    baked = gradients_of(ls.Scene([ls.transform(gaussians, transform)]), camera)
+    close(transformed.sets[0].means, baked.sets[0].means @ transform[:3, :3])
+    close(transformed.sets[0].scales, scale * baked.sets[0].scales)
+    close(transformed.sets[0].opacities, baked.sets[0].opacities)
+    check_instances(gaussians, transform, lambda scene: gradients_of(scene, camera))
 
 
 @pytest.mark.parametrize("name", ["barrel", "fisheye"])
 def test_unscented_gradients_of_the_pose_are_in_camera_axes(name: str) -> None:
     """The camera is rotated and translated together with its rays; the set is transformed."""
-    camera, gaussians, place = VIEWS[name], cloud(8, count=9, degree=2), np.eye(4)
-    place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    place[:3, 3] = 0.1, -0.2, 0.3
+    camera, gaussians, transform = VIEWS[name], cloud(8, count=9, degree=2), np.eye(4)
+    transform[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    transform[:3, 3] = 0.1, -0.2, 0.3
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")
-    renderer.render(ls.Scene([ls.SplatInstance(gaussians, place)]), camera)
+    renderer.render(ls.Scene([ls.SplatInstance(gaussians, transform)]), camera)
     found = renderer.gradients(*by_pixels(camera), pose=True).camera_from_world
     assert found is not None and not found[3].any()
-    parameters, pose = Parameters.of(ls.transform(gaussians, place), BACKGROUND), camera.camera_from_world
+    parameters, pose = Parameters.of(ls.transform(gaussians, transform), BACKGROUND), camera.camera_from_world
     slopes, expected = np.zeros(6), np.zeros(6)
     for number, twist in enumerate(np.eye(6)):
         generator = np.zeros((4, 4))

@@ -52,11 +52,11 @@ def test_radiance_cache_bounces_between_two_plates_match_the_closed_form(frames:
     """For emission M and albedos a1, a2: J1 = M1 / (1 - a1 a2) and J2 = a2 J1 per channel, for all bounces."""
     rng = np.random.default_rng(0)
     lower, upper = np.array([albedo, 0.5, 0.2]), np.array([albedo, 0.3, 0.9])
-    shine = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
+    emission = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
     rig = CacheRig(history=4)
 
     def sampled(position: np.ndarray) -> Samples:
-        return plates(position, shine, [lower, upper])
+        return plates(position, emission, [lower, upper])
 
     for frame in range(frames):
         rig.insert(sampled(on_plates(rng, 1500)), frame)
@@ -64,7 +64,7 @@ def test_radiance_cache_bounces_between_two_plates_match_the_closed_form(frames:
         rig.cache.evict(frame)
     probes = sampled(on_plates(rng, 2000))
     found, is_upper = rig.look_up(probes), probes.position[:, 2] > 1
-    truth = shine[0] / (1 - lower * upper)
+    truth = emission[0] / (1 - lower * upper)
     assert found[~is_upper].mean(0) == pytest.approx(truth, rel=0.01)
     assert found[is_upper].mean(0) == pytest.approx(truth * upper, rel=0.01)
 
@@ -73,10 +73,10 @@ def test_radiance_cache_bounces_light_four_times_a_frame() -> None:
     """Plates of albedo 0.5 reflect radiance 1 of lights: the sum is 1 + 1/2 + ... + 1/16 after one frame."""
     rng = np.random.default_rng(6)
     rig = CacheRig(bounces=8192)
-    shine, half = np.ones((2, 3)), np.full((2, 3), 0.5)
-    rig.insert(plates(on_plates(rng, 4000), shine, half), 0)
-    rig.bounce(0, lambda host: (plates(between_plates(rng, host), shine, half), True))
-    found = rig.look_up(plates(on_plates(rng, 500), shine, half))
+    emission, half = np.ones((2, 3)), np.full((2, 3), 0.5)
+    rig.insert(plates(on_plates(rng, 4000), emission, half), 0)
+    rig.bounce(0, lambda host: (plates(between_plates(rng, host), emission, half), True))
+    found = rig.look_up(plates(on_plates(rng, 500), emission, half))
     assert found == pytest.approx(1.9375, rel=1e-5)
 
 
@@ -182,8 +182,8 @@ def test_radiance_cache_leaks_no_light_through_walls_to_short_rays(distance: flo
             bright = np.where(host["is_active"], host["position"][:, 0], 0.0) < 0.37
             position = np.where(bright[:, None], [-2.0, 4.0, 2.0], [3.0, 4.0, 2.0])
             facing = np.where(bright[:, None], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0])
-            shine = np.outer(bright.astype(float), np.ones(3))
-            return made_samples(position, normal=facing, radiance=shine, albedo=0.0), host["is_active"]
+            radiance = np.outer(bright.astype(float), np.ones(3))
+            return made_samples(position, normal=facing, radiance=radiance, albedo=0.0), host["is_active"]
 
         rig.bounce(frame, hits)
     found = rig.look_up(floor_of_two_rooms(rng, 2000, 0.38, 1.0, distance))[:, 0]
@@ -303,8 +303,8 @@ def flown(frames: int, *, bounces: int) -> np.ndarray:
         from_eye = 12.0 * 4.0 ** np.sin(np.pi * frame / frames)
 
         def lit(position: np.ndarray, distance: float = 1e6, eye: float = from_eye) -> Samples:
-            shine = 1.0 + 0.5 * np.sin(position[:, 0])
-            return made_samples(position, radiance=np.outer(shine, np.ones(3)), from_eye=eye, distance=distance)
+            radiance = 1.0 + 0.5 * np.sin(position[:, 0])
+            return made_samples(position, radiance=np.outer(radiance, np.ones(3)), from_eye=eye, distance=distance)
 
         rig.insert(lit(on_floor(rng, 3000)), frame)
         far = np.array([1000.0, 0.0, 0.0])

@@ -73,9 +73,9 @@ def test_reprojection_of_static_screen_probes_is_the_identity(extent: float) -> 
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
     sequence.place(surfaces)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
-    own = np.arange(60)
-    np.testing.assert_array_equal(after["source"][own], own)
-    np.testing.assert_array_equal(after["position"][own], before["position"][own])
+    indices = np.arange(60)
+    np.testing.assert_array_equal(after["source"][indices], indices)
+    np.testing.assert_array_equal(after["position"][indices], before["position"][indices])
     part = slice(0, 60 * CELLS)
     np.testing.assert_allclose(carried.radiance[part], cells.radiance[part], rtol=1e-6)
     np.testing.assert_allclose(carried.nearness[part], cells.nearness[part], rtol=1e-6)
@@ -94,12 +94,12 @@ def test_screen_probes_keep_their_position_while_samples_and_camera_move(moves: 
     surfaces = visible_box(box_camera(0.1 * (moves == "camera")), extent, subpixel(3))
     sequence.place(surfaces)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
-    went_on = np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0))
-    source = after["source"][went_on].astype(int)
-    stayed = (after["position"][went_on] == before["position"][source]).all(1)
-    assert len(went_on) > 50 and stayed.mean() > 0.9
+    continued = np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0))
+    source = after["source"][continued].astype(int)
+    unmoved = (after["position"][continued] == before["position"][source]).all(1)
+    assert len(continued) > 50 and unmoved.mean() > 0.9
     assert np.isin(before["position"][source][:, 0], surfaces.position[:, 0].astype(np.float32)).mean() < 0.5
-    for i, j in zip(went_on[stayed].tolist(), source[stayed].tolist(), strict=True):
+    for i, j in zip(continued[unmoved].tolist(), source[unmoved].tolist(), strict=True):
         np.testing.assert_array_equal(one(carried, i).samples, one(cells, j).samples)
 
 
@@ -302,7 +302,7 @@ def test_irradiance_look_ups_in_screen_probes_match_the_reference(extent: float)
     pixels = np.random.default_rng(4).choice(160 * 96, 60, replace=False)
     points = np.stack([pixels % 160, pixels // 160], axis=1).astype(np.float64) + 0.5
     found = looked_up(sequence, surfaces, pixels, points, surfaces.normal[pixels], glossy=False)
-    known = fields(sequence.probes.probes)
+    probes = fields(sequence.probes.probes)
     radiance = device_array(sequence.probes.light.radiance).numpy().astype(np.float64).reshape(-1, CELLS, 3)
     adaptive, camera = device_array(sequence.probes.adaptive_of).numpy(), surfaces.camera
     compared = cut_off = 0
@@ -313,13 +313,13 @@ def test_irradiance_look_ups_in_screen_probes_match_the_reference(extent: float)
             if not (0 <= x < 10 and 0 <= y < 6):
                 continue
             for i in (y * 10 + x, adaptive[y * 10 + x]):
-                if i >= 0 and known["is_placed"][i]:
-                    apart = float(np.linalg.norm(known["pixel"][i] - point) / 16)
-                    value = oracle.probe_irradiance(radiance[i], surfaces.normal[pixel], known["normal"][i])
-                    position, normal = known["position"][i], known["normal"][i]
-                    distance, wide = float(known["distance"][i]), float(known["extent"][i])
+                if i >= 0 and probes["is_placed"][i]:
+                    apart = float(np.linalg.norm(probes["pixel"][i] - point) / 16)
+                    value = oracle.probe_irradiance(radiance[i], surfaces.normal[pixel], probes["normal"][i])
+                    position, normal = probes["position"][i], probes["normal"][i]
+                    distance, wide = float(probes["distance"][i]), float(probes["extent"][i])
                     nearer = min(distance, float(surfaces.distance[pixel]))
-                    if oracle.is_cut_off(point, known["pixel"][i], nearer, surfaces.distance.reshape(96, 160)):
+                    if oracle.is_cut_off(point, probes["pixel"][i], nearer, surfaces.distance.reshape(96, 160)):
                         cut_off += 1
                         continue
                     around.append((apart, oracle.Probe(position, normal, distance, wide, value)))

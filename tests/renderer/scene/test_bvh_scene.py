@@ -55,15 +55,17 @@ def test_instances_of_one_gaussian_set_share_its_bvh(backend: str) -> None:
     """Three instances of two sets have two BVHs, which are built once."""
     first, second = random_gaussians(1, 50), random_gaussians(2, 30)
     positions = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
-    scene = ls.Scene([ls.SplatInstance(g, place) for g, place in zip((first, second, first), positions, strict=True)])
+    scene = ls.Scene(
+        [ls.SplatInstance(g, transform) for g, transform in zip((first, second, first), positions, strict=True)]
+    )
     renderer = renderer_of(backend, TRACE)
     renderer.render(scene, view())
     trees = bvh_ids(renderer)
     assert len(trees) == 2
     rows = renderer._scene.splat_instances.numpy()
     assert rows["asset"].tolist() == [0, 1, 0] and rows["first"].tolist() == [0, 50, 80]
-    for row, place in zip(rows, positions, strict=True):
-        inverse = np.linalg.inv(place)
+    for row, transform in zip(rows, positions, strict=True):
+        inverse = np.linalg.inv(transform)
         np.testing.assert_allclose(row["object_from_world"], inverse[:3, :3], rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(row["object_from_world_offset"], inverse[:3, 3], rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(row["world_from_object"] @ row["world_from_object"].T, np.eye(3), atol=1e-6)
@@ -94,7 +96,7 @@ def test_rearranged_gaussian_sets_keep_their_bvhs(backend: str, change: str) -> 
     warm = renderer_of(backend, TRACE)
     warm.render(ls.Scene([first, second]), view())
     a, b = bvh_ids(warm)
-    kept = warm._scene.bvh._cached  # so that a new tree cannot have an old one's identity
+    old_bvhs = warm._scene.bvh._cached  # so that a new tree cannot have an old one's identity
     other = random_gaussians(7, 60)
     scenes: dict[str, tuple[list[ls.Gaussians], list[int | None]]] = {
         "count": ([random_gaussians(7, 61), second], [None, b]),
@@ -109,10 +111,10 @@ def test_rearranged_gaussian_sets_keep_their_bvhs(backend: str, change: str) -> 
     }
     splats, expected = scenes[change]
     assert_as_new(warm, backend, ls.Scene(splats))
-    for tree, known in zip(bvh_ids(warm), expected, strict=True):
-        assert tree == known if known is not None else tree not in (a, b), change
+    for tree, old in zip(bvh_ids(warm), expected, strict=True):
+        assert tree == old if old is not None else tree not in (a, b), change
     assert_as_new(warm, backend, ls.Scene([first, second]))
-    assert [one.gaussians for one in kept] == [first, second]
+    assert [one.gaussians for one in old_bvhs] == [first, second]
 
 
 def test_each_capture_is_traced_with_the_kernel_degree_it_stores(backend: str) -> None:
@@ -168,7 +170,9 @@ def test_deep_bvhs_are_traversed_with_a_larger_stack(pipeline: ls.Pipeline, monk
     ball = ls.gaussians_from_mesh(ls.sphere(), 900, seed=3)
     positions = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
     light = ls.LightPoint((0.0, -3.0, 0.0), intensity=20.0)
-    few, many = (ls.Scene([ls.SplatInstance(ball, place) for place in positions[:n]], lights=[light]) for n in (1, 12))
+    few, many = (
+        ls.Scene([ls.SplatInstance(ball, transform) for transform in positions[:n]], lights=[light]) for n in (1, 12)
+    )
     settings = ls.RenderConfig(pipeline=pipeline, samples=1)
     frames = []
     for limit in (TRAVERSE_STACK_SMALL, 0):

@@ -25,31 +25,31 @@ from support.scenes.raster_scenes import front_camera, joined, random_gaussians
 def polished() -> ls.Scene:
     """Returns a relightable capture with every attribute as an array."""
     ball = ls.gaussians_from_mesh(sphere(0.5, rows=10, columns=16), 900, seed=3)
-    own: dict[str, Any] = {
+    attributes: dict[str, Any] = {
         "normals": ball.means / np.linalg.norm(ball.means, axis=1, keepdims=True),
         "albedo": np.full((ball.count, 3), 0.7, np.float32),
         "roughness": np.full(ball.count, 0.2, np.float32),
         "metallic": np.full(ball.count, 1.0, np.float32),
     }
-    splats = ls.SplatInstance(dataclasses.replace(ball, **own), material=ls.MaterialPbr())
+    splats = ls.SplatInstance(dataclasses.replace(ball, **attributes), material=ls.MaterialPbr())
     return ls.Scene(splats=[splats], lights=[ls.LightPoint((1.0, 2.0, -2.0), intensity=20.0)])
 
 
 @pytest.fixture
 def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     """Makes uploads copy arrays, whose memory becomes NaN once a copy is freed."""
-    kept: list[np.ndarray] = []
+    alive: list[np.ndarray] = []
     share = assets.as_device_array
 
     def copy(values: np.ndarray, dtype: type[object], device: str) -> DeviceArray:
         memory = np.array(values)
         array = share(memory, dtype, device)
-        kept.append(memory)
+        alive.append(memory)
         weakref.finalize(array, memory.fill, np.nan)
         return array
 
     monkeypatch.setattr(assets, "as_device_array", copy)
-    return kept
+    return alive
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))

@@ -203,17 +203,17 @@ def test_new_and_replaced_instances_have_no_previous_positions() -> None:
 
 def test_instances_of_one_asset_are_matched_in_order_between_frames() -> None:
     """Two instances that swap positions count as moved; removing an earlier instance changes nothing."""
-    gaussians, mesh, there = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES["all three"]
+    gaussians, mesh, moved_transform = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES["all three"]
     sequence = Sequence()
-    sequence.show(ls.SplatInstance(gaussians, HERE), ls.SplatInstance(gaussians, there))
-    sequence.show(ls.SplatInstance(gaussians, there), ls.SplatInstance(gaussians, HERE))
+    sequence.show(ls.SplatInstance(gaussians, HERE), ls.SplatInstance(gaussians, moved_transform))
+    sequence.show(ls.SplatInstance(gaussians, moved_transform), ls.SplatInstance(gaussians, HERE))
     points = points_near(HERE)
-    close(sequence.splats_before(1, points), moved(there @ np.linalg.inv(HERE), points))
+    close(sequence.splats_before(1, points), moved(moved_transform @ np.linalg.inv(HERE), points))
     first, second = ls.SplatInstance(capture(8)), ls.MeshInstance(octahedron((0.0, 0.0, 0.0), 0.3))
     sequence.show(first, second, ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE))
-    sequence.show(ls.SplatInstance(gaussians, there), ls.MeshInstance(mesh, there))
-    points = points_near(there)
-    close(sequence.splats_before(0, points), moved(HERE @ np.linalg.inv(there), points))
+    sequence.show(ls.SplatInstance(gaussians, moved_transform), ls.MeshInstance(mesh, moved_transform))
+    points = points_near(moved_transform)
+    close(sequence.splats_before(0, points), moved(HERE @ np.linalg.inv(moved_transform), points))
     close(sequence.mesh_before(0, 3), points_of(ls.MeshInstance(mesh, HERE), 3))
 
 

@@ -23,13 +23,15 @@ def mixed_scene() -> ls.Scene:
     for number in range(8):
         random = np.random.default_rng(number)
         scale = 10.0 ** random.uniform(-2.0, 2.0)
-        here = random_gaussians(number, 40, center=(0.0, 0.0, 0.0), extent=(0.8, 0.8, 0.8), scale_range=(0.02, 0.5))
-        here = replace(here, means=here.means / scale, scales=here.scales / scale)
-        place = (random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), random.uniform(1.0, 5.0))
+        gaussians = random_gaussians(
+            number, 40, center=(0.0, 0.0, 0.0), extent=(0.8, 0.8, 0.8), scale_range=(0.02, 0.5)
+        )
+        gaussians = replace(gaussians, means=gaussians.means / scale, scales=gaussians.scales / scale)
+        position = (random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), random.uniform(1.0, 5.0))
         axis = tuple(random.normal(size=3).tolist())
         material = ls.MaterialPbr(roughness=0.6) if number % 2 else None
         instances.append(
-            ls.SplatInstance(here, similarity(axis, random.uniform(0.0, 3.0), scale, place), material=material)
+            ls.SplatInstance(gaussians, similarity(axis, random.uniform(0.0, 3.0), scale, position), material=material)
         )
     return ls.Scene(instances, [], [ls.LightPoint((0.0, -2.0, 1.0), intensity=30.0)])
 
@@ -48,8 +50,12 @@ def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np
         t, index, alpha = [], [], []
         for order, world in worlds.items():
             found = hits(world, ray)
-            own = found.counts & ((world.instance[found.index] % 2 == 1) == (order is PEAK))
-            t, index, alpha = [*t, *found.t[own]], [*index, *found.index[own]], [*alpha, *found.alpha[own]]
+            selected = found.counts & ((world.instance[found.index] % 2 == 1) == (order is PEAK))
+            t, index, alpha = (
+                [*t, *found.t[selected]],
+                [*index, *found.index[selected]],
+                [*alpha, *found.alpha[selected]],
+            )
         sequence = np.lexsort((index, t))
         alphas, relit = np.array(alpha)[sequence], worlds[MEAN].instance[np.array(index, int)[sequence]] % 2 == 1
         through = np.cumprod(np.concatenate([[1.0], 1.0 - alphas]))

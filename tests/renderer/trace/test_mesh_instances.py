@@ -72,29 +72,29 @@ def test_hits_on_thousands_of_mesh_instances_equal_a_loop_over_instances(paralle
 def test_refitted_top_level_tree_gives_the_hits_of_a_new_tree(parallel: bool) -> None:
     """The refitted tree contains all instances, and is rebuilt once its boxes are too loose."""
     launcher, meshes = Launcher("cpu", 1, parallel=parallel), shapes()
-    kept = MeshBvhScene(launcher)
+    bvhs = MeshBvhScene(launcher)
     builds = []
     start = crowd(300, 3, meshes)
     nudged = [replace(one, world_from_object=similarity(offset=(0.01, 0.0, 0.02)) @ one.transform) for one in start]
     for instances in (start, nudged, crowd(300, 4, meshes), start[:250]):
-        kept.sync(ls.Scene([], instances))
-        builds.append(kept.graph_key)
-        nodes, order = (device_array(array).numpy() for array in (kept.data.tlas_nodes, kept.data.tlas_order))
+        bvhs.sync(ls.Scene([], instances))
+        builds.append(bvhs.graph_key)
+        nodes, order = (device_array(array).numpy() for array in (bvhs.data.tlas_nodes, bvhs.data.tlas_order))
         leaves = nodes["link"] < 0
         instance = order[~nodes["link"][leaves]]
         low, high = (np.stack([nodes[f"{side}_{k}"] for k in "xyz"], axis=-1)[leaves] for side in ("low", "high"))
         assert sorted(instance) == list(range(len(instances)))
-        assert (low <= kept.boxes.low[instance]).all() and (high >= kept.boxes.high[instance]).all()
+        assert (low <= bvhs.boxes.low[instance]).all() and (high >= bvhs.boxes.high[instance]).all()
     assert builds[0] == builds[1] != builds[2] != builds[3], "nudged instances are refitted, others built anew"
 
 
 def test_adding_a_mesh_does_not_rebuild_the_trees_of_other_meshes() -> None:
     """Trees are freed with the last of the meshes that were built together."""
     launcher, (one, two, three) = Launcher("cpu", 1), shapes()
-    kept = MeshBvhScene(launcher)
+    bvhs = MeshBvhScene(launcher)
     trees = []
     for meshes in ([one, two], [one, two, three], [two, three], [three], []):
-        kept.sync(ls.Scene([], [ls.MeshInstance(mesh) for mesh in meshes]))
-        trees.append([id(held) for held in kept._trees])
+        bvhs.sync(ls.Scene([], [ls.MeshInstance(mesh) for mesh in meshes]))
+        trees.append([id(held) for held in bvhs._trees])
     assert [len(held) for held in trees] == [1, 2, 2, 1, 0]
     assert trees[0] == trees[1][:1] and trees[1] == trees[2] and trees[3] == trees[2][1:]

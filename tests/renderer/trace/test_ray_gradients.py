@@ -125,14 +125,14 @@ POSED = {
 @pytest.mark.parametrize("kind", POSED)
 def test_ray_gradients_of_the_pose_are_in_camera_axes(kind: str) -> None:
     """The camera is rotated and translated together with its rays; the set is transformed."""
-    camera, gaussians, place = POSED[kind], replace(cloud(8, COUNT, degree=2), kernel_degree=3), np.eye(4)
-    place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    place[:3, 3] = 0.1, -0.2, 0.3
+    camera, gaussians, transform = POSED[kind], replace(cloud(8, COUNT, degree=2), kernel_degree=3), np.eye(4)
+    transform[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    transform[:3, 3] = 0.1, -0.2, 0.3
     renderer = ls.DifferentiableRenderer(config(), "cpu")
-    renderer.render(ls.Scene([ls.SplatInstance(gaussians, place)]), camera)
+    renderer.render(ls.Scene([ls.SplatInstance(gaussians, transform)]), camera)
     found = renderer.gradients(*by_pixels(camera), pose=True).camera_from_world
     assert found is not None and not found[3].any()
-    parameters, pose = Parameters.of(ls.transform(gaussians, place), BACKGROUND, camera), camera.camera_from_world
+    parameters, pose = Parameters.of(ls.transform(gaussians, transform), BACKGROUND, camera), camera.camera_from_world
     slopes, expected = np.zeros(6), np.zeros(6)
     for number, twist in enumerate(np.eye(6)):
         generator = np.zeros((4, 4))
@@ -269,17 +269,17 @@ def test_differentiable_traced_frames_equal_ordinary_traced_frames() -> None:
 def test_ray_gradients_of_instances_are_transformed_and_summed() -> None:
     """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = replace(cloud(9, degree=0), kernel_degree=4), view()
-    angle, scale, place = 0.7, 1.3, np.eye(4)
-    place[:3, :3] = scale * np.array(
+    angle, scale, transform = 0.7, 1.3, np.eye(4)
+    transform[:3, :3] = scale * np.array(
         [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
     )
-    place[:3, 3] = 0.1, -0.2, 0.3
-    placed = gradients_of(ls.Scene([ls.SplatInstance(gaussians, place)]), camera).sets[0]
-    baked = gradients_of(ls.Scene([ls.transform(gaussians, place)]), camera).sets[0]
-    close(placed.means, baked.means @ place[:3, :3])
-    close(placed.scales, scale * baked.scales)
-    close(placed.opacities, baked.opacities)
-    check_instances(gaussians, place, lambda scene: gradients_of(scene, camera))
+    transform[:3, 3] = 0.1, -0.2, 0.3
+    transformed = gradients_of(ls.Scene([ls.SplatInstance(gaussians, transform)]), camera).sets[0]
+    baked = gradients_of(ls.Scene([ls.transform(gaussians, transform)]), camera).sets[0]
+    close(transformed.means, baked.means @ transform[:3, :3])
+    close(transformed.scales, scale * baked.scales)
+    close(transformed.opacities, baked.opacities)
+    check_instances(gaussians, transform, lambda scene: gradients_of(scene, camera))
 
 
 def close(value: np.ndarray, expected: np.ndarray) -> None:

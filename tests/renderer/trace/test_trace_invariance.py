@@ -312,8 +312,8 @@ def test_ellipsoid_normals_of_ray_packets_equal_those_of_single_rays(strategy: l
     """
     config = settings(strategy, normal_method=ls.config.NormalMethod.ELLIPSOID)
     together, alone = (render(backend, full_scene(), view(), config) for backend in ("cpu", "cpu as cuda"))
-    apart = np.abs(together.normal - alone.normal).max(axis=-1)
-    assert (apart <= 2e-6).mean() > 0.99 and apart.mean() < 2e-7
+    difference = np.abs(together.normal - alone.normal).max(axis=-1)
+    assert (difference <= 2e-6).mean() > 0.99 and difference.mean() < 2e-7
     assert_equal(together, render("cpu", full_scene(), view(), settings(strategy)), ("color", "alpha", "depth"))
     assert np.abs(together.normal - render("cpu", full_scene(), view(), settings(strategy)).normal).max() > 0.1
 
