@@ -47,13 +47,14 @@ def denoised_light(frame: FrameData) -> FloatArray:
     shadow = np.divide(np.maximum(-light, 0.0), captured, out=np.zeros_like(light), where=captured > 0.0)
     added = _denoised(np.maximum(light, 0.0), _guides(frame))
     taken = captured * _denoised(shadow, {})
-    return np.where(_untouched(frame)[..., None], frame.light, added - taken)
+    return np.where(_unlit_pixels(frame)[..., None], frame.light, added - taken)
 
 
-def _untouched(frame: FrameData) -> Flags:
-    """Returns where pixels show only captures and background, and no pixel around them is changed by light, (H, W).
+def _unlit_pixels(frame: FrameData) -> Flags:
+    """Returns a mask of the pixels that show only unlit captures and background, shape (H, W).
 
-    A single pixel is no proof: its few samples may miss a dim light or a thin shadow.
+    A pixel counts as unlit only if light changes no pixel around it either: the few samples of one pixel may miss a dim
+    light or a thin shadow.
     """
     assert frame.light is not None and frame.captured_weight is not None
     is_captured = frame.captured_weight >= 1.0 - WEIGHT_ROUNDING

@@ -241,9 +241,9 @@ class Frame(FrameData):
         """Returns the frame with its light denoised by Open Image Denoise (extra ``denoise``).
 
         Captured radiance is not denoised, and pixels that show only captured radiance keep their exact values. Albedo
-        and normals guide the denoiser where they are free of noise, as in all pipelines but ``PATH`` with strategies
-        that are not stochastic: ``RenderConfig.aovs`` must then contain ``albedo``. All images other than the light and
-        the colour, including alpha, are unchanged.
+        and normals guide the denoiser if they are free of noise: in all pipelines but ``PATH``, unless the strategy is
+        stochastic. ``RenderConfig.aovs`` must then contain ``albedo``. All images other than the light and the colour,
+        including alpha, are unchanged.
 
         Returns:
             A new frame, to which no samples can be added; this frame itself if it is already denoised.
@@ -262,7 +262,7 @@ class Frame(FrameData):
 
     @staticmethod
     def check_denoiser() -> None:
-        """Raises an error before frames are rendered if the denoiser is not installed.
+        """Checks that the denoiser is installed; call this before frames are rendered to be denoised.
 
         Raises:
             MissingExtraError: The denoiser is not installed.

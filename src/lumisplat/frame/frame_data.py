@@ -79,9 +79,9 @@ class FrameData:
     stats: FrameStats | None = None
     """Times and counts of the rendering; None: unknown."""
     captured: FloatArray | None = None
-    """Captured part of a lit frame as an unlit frame shows it, including the background: display-referred sRGB, (H, W,
-    3), premultiplied by ``captured_weight``. Splat sets whose material emits less than their full colour are not in
-    ``captured`` but entirely in ``light``."""
+    """Captured part of a lit frame as an unlit frame shows it, including the background: display-referred sRGB, shape
+    (H, W, 3), premultiplied by ``captured_weight``. Splat sets whose material emits less than their full colour are not
+    in ``captured`` but entirely in ``light``."""
     captured_weight: FloatArray | None = None
     """Fraction of the pixel that ``captured`` covers, 0..1, (H, W): 1 where only captures and the background are
     visible."""
@@ -94,7 +94,8 @@ class FrameData:
     emission: FloatArray | None = None
     """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3)."""
     reflection: FloatArray | None = None
-    """Linear radiance that surfaces show of other surfaces, by mirrors, glass and glossy reflections, (H, W, 3)."""
+    """Linear radiance that surfaces show of other surfaces, through mirrors, glass and glossy reflections, (H, W, 3).
+    """
     hits: FloatArray | None = None
     """Number of Gaussians that a ray or a raster pixel blends, averaged over samples, (H, W)."""
     shadow_ratio: FloatArray | None = None
@@ -118,13 +119,13 @@ class FrameData:
     sum of ``direct_diffuse``, ``direct_glossy``, ``indirect_diffuse``, ``indirect_glossy`` and ``emission`` is
     ``color``."""
     direct_glossy: FloatArray | None = None
-    """Direct light that the first surface of a path-traced frame reflects as highlight or mirror image, or refracts:
+    """Direct light that the first surface of a path-traced frame refracts, or reflects as highlight or mirror image:
     linear radiance, (H, W, 3)."""
     indirect_diffuse: FloatArray | None = None
     """Indirect light scattered diffusely by the first surface of a path-traced frame: linear radiance, (H, W, 3)."""
     indirect_glossy: FloatArray | None = None
-    """Indirect light that the first surface of a path-traced frame reflects as glossy or refracts: linear radiance,
-    (H, W, 3)."""
+    """Indirect light that the first surface of a path-traced frame refracts, or reflects as highlight or mirror image:
+    linear radiance, (H, W, 3)."""
     bounces: FloatArray | None = None
     """Linear radiance of a path-traced frame by number of scattering events, (max_bounces + 2, H, W, 3). The sum over
     the first axis is ``light``, except for changes of light on shadow catchers."""

@@ -80,7 +80,7 @@ def matte_channels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matte:
-    """For each pixel, the names that cover most of it, and the fraction that each name covers."""
+    """Names that cover most of each pixel, and the fraction of the pixel that each name covers."""
 
     kind: str
     """Name of the matte for compositors: ``CryptoObject`` or ``CryptoMaterial``."""

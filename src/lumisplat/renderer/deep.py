@@ -315,8 +315,8 @@ def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
 
     radiance, weight = layers.light.astype(np.float64), layers.weight[:, None].astype(np.float64)
     area_lights = np.where(weight > 0.0, 0.0, radiance)
-    rest, shone, weights = radiance - area_lights, summed(area_lights), summed(weight)
-    factor = target / np.maximum(shone, _TINY)
+    rest, from_lights, weights = radiance - area_lights, summed(area_lights), summed(weight)
+    factor = target / np.maximum(from_lights, _TINY)
     area_lights *= np.where(weights > 0.0, np.minimum(factor, 1.0), factor)[layers.pixel]
     sums = summed(rest)
     is_black = sums <= 0.0

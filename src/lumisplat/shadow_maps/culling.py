@@ -32,7 +32,7 @@ PARALLEL_PARTS = 2**16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CulledCasters:
-    """For each cell, the list of the casters that light rays through the cell may intersect."""
+    """Lists, for each cell (a square of texels), the casters that light rays through the cell may intersect."""
 
     lists: CasterLists
     """The caster lists on the device."""

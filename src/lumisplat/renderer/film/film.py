@@ -235,10 +235,10 @@ class Film:
                 images[name] = copies.lazy(partial(self._channel, size, copies, name))
         for name in ("probes", "cache_cells"):
             if name in self._plan.aovs:
-                images[name] = copies.lazy(partial(self._whole, size, copies, name))
+                images[name] = copies.lazy(partial(self._integers, size, copies, name))
         if "motion" in self._plan.aovs:
             images["motion"] = copies.lazy(lambda: np.nan_to_num(self._layer(size, copies, "motion")))
-            images["motion_known"] = copies.lazy(lambda: self._known(size, copies, "motion"))
+            images["motion_known"] = copies.lazy(lambda: self._is_number(size, copies, "motion"))
         if "sample_count" in self._plan.aovs:
             images["sample_count"] = copies.lazy(lambda: copies.words("count").view(np.int32).reshape(*reversed(size)))
         if "lights" in self._plan.aovs:
@@ -328,12 +328,12 @@ class Film:
         return cls._layer(size, copies, name)[..., 0]
 
     @classmethod
-    def _whole(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
+    def _integers(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
         """Returns the first channel of a layer from copies as integers, shape (H, W)."""
         return cls._channel(size, copies, name).astype(np.int32)
 
     @classmethod
-    def _known(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
+    def _is_number(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
         """Returns 1 where a layer's first channel is a number and 0 where it is NaN, shape (H, W)."""
         return (~np.isnan(cls._channel(size, copies, name))).astype(np.int32)
 

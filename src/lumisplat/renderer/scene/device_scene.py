@@ -110,7 +110,7 @@ class DeviceScene:
 
     @property
     def shading(self) -> DeviceArray:
-        """All shading data, as a ShadingScene table with one row; synchronised in sampled frames."""
+        """Shading data of the scene, as a ShadingScene table with one row; synchronised in sampled frames."""
         return self._shading.data
 
     @property

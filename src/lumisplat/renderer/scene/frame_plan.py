@@ -106,7 +106,7 @@ ON_ALL = SplatShadows(on_reflecting=True, on_shadow_catchers=True)
 
 @dataclass(frozen=True, slots=True)
 class FramePlan:
-    """Which passes a frame runs, computed from settings and scene."""
+    """Passes that a frame runs, computed from settings and scene."""
 
     is_lit: bool
     """True if lights illuminate reflecting surfaces."""
@@ -326,7 +326,7 @@ def may_adapt(config: RenderConfig) -> bool:
 
 
 def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
-    """Returns whether some light casts shadows or, in path tracing, some emissive surface."""
+    """Returns whether some light, or in path tracing some emissive surface, casts shadows."""
     if config.shadows is Shadows.OFF:
         return False
     casts = any(light.enabled and light.casts_shadow for light in scene.lights)

@@ -218,7 +218,7 @@ class LightState:
     strengths: list[npt.NDArray[np.float64]]
     """Strength of each light by channel, shape (3,) each."""
     rest: Sequence[object]
-    """All other values of lights, transforms of emissive objects, and materials."""
+    """Values of lights other than type and strength, transforms of emissive objects, and materials."""
     objects: Sequence[object]
     """Gaussian sets and meshes with their transforms: the objects that reflect light and cast shadows."""
 

@@ -43,7 +43,7 @@ class ShadingTables:
         self._attributes: DeviceArray
         self._version: int | None = None
         self.data: Any = None
-        """All shading data as a ShadingScene table with one row, for kernels; written by ``sync``."""
+        """Shading data as a ShadingScene table with one row, for kernels; written by ``sync``."""
         self.lights: tuple[Light, ...] = ()
         """Enabled lights of the scene, without the headlight."""
         self.has_headlight = False

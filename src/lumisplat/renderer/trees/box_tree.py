@@ -49,9 +49,9 @@ class Level:
     ends: DeviceArray
     """Index after the last item of each node of the BVHs."""
     edges: DeviceArray
-    """For each node of the level, the first item of each child, and the end of the last child; output of the split."""
+    """First item of each child of each node of the level, and the end of the last child; output of the split."""
     inner: DeviceArray
-    """For each node of the level, the number of children that are inner nodes; output of the split."""
+    """Number of children that are inner nodes, for each node of the level; output of the split."""
 
 
 Split = Callable[[Level], None]
