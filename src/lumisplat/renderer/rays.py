@@ -157,7 +157,7 @@ class RayLoader:
         return arrays
 
     def load(self, scene: DeviceScene, first: int, count: int, inputs: list[DeviceArray], rays: RayData) -> None:
-        """Starts ``count`` uploaded rays of the scene's current sample; ``first`` is the first index within its query."""
+        """Starts ``count`` uploaded rays of the scene's current sample; ``first`` is the index of the first one."""
         self._launcher.run_banded(
             camera_ray_kernels.load_rays, len(rays.t_max), first, count, scene.sample, *inputs, rays
         )
