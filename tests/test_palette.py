@@ -14,8 +14,8 @@ from support.oracles import palette_oracle
 def clusters(count: int, components: int, centers: int = 12, seed: int = 3) -> np.ndarray:
     """Returns vectors around a few centres, float32."""
     rng = np.random.default_rng(seed)
-    places = rng.normal(0.0, 1.0, (centers, components))
-    return (places[rng.integers(0, centers, count)] + rng.normal(0.0, 0.1, (count, components))).astype(np.float32)
+    centres = rng.normal(0.0, 1.0, (centers, components))
+    return (centres[rng.integers(0, centers, count)] + rng.normal(0.0, 0.1, (count, components))).astype(np.float32)
 
 
 def squared_error(values: np.ndarray, entries: np.ndarray, labels: np.ndarray) -> float:
@@ -29,14 +29,14 @@ def test_nearest_palette_entries_match_float64(components: int, threads: int) ->
     """Each vector gets the nearest entry of its own group, even if another group has a nearer one."""
     values = clusters(500, components)
     group = np.random.default_rng(1).integers(0, 4, len(values))
-    shares = np.array([1, 16, 17, 40])
+    counts = np.array([1, 16, 17, 40])
     launcher = Launcher("cpu", threads=threads)
     launcher.load([palette_kernels])
-    entries = _Entries(values, group, shares)
+    entries = _Entries(values, group, counts)
     labels, distances = _Search(launcher, values, group, entries.first_row).nearest(entries.values)
-    for g, (row, share) in enumerate(zip(entries.first_row, shares, strict=False)):
+    for g, (row, count) in enumerate(zip(entries.first_row, counts, strict=False)):
         inside = group == g
-        own = entries.values[16 * row : 16 * row + share]
+        own = entries.values[16 * row : 16 * row + count]
         expected, squares = palette_oracle.nearest(values[inside], own)
         np.testing.assert_allclose(distances[inside], squares, rtol=1e-5, atol=1e-10)
         np.testing.assert_array_equal(labels[inside] - 16 * row, expected)

@@ -79,15 +79,15 @@ def test_baked_integrating_sphere_matches_path_tracing() -> None:
     escapes at grazing angles, where neighbours are too near to cast a shadow, and the light has facets.
     """
     radius, albedo, shines = 0.2, 0.5, 20.0
-    lamp = ball(radius, diffuse(0.0, shines), rows=16)
+    emitter = ball(radius, diffuse(0.0, shines), rows=16)
     walls = splats_of(ball(1.0, diffuse(albedo), hollow=True), 600)
-    scene = ls.Scene([walls], [lamp], lights=[])
+    scene = ls.Scene([walls], [emitter], lights=[])
     (shown,) = baked(scene, replace(PATH, samples=4), directions=16).splats
     outwards = even_directions(100).astype(np.float32)
     rays = (0.5 * outwards, outwards)
-    seen = ls.trace_rays(ls.Scene([shown]), *rays, TRACE, device="cpu").radiance.mean(axis=0)
+    radiance = ls.trace_rays(ls.Scene([shown]), *rays, TRACE, device="cpu").radiance.mean(axis=0)
     paths = ls.trace_rays(scene, *rays, replace(PATH, samples=256), device="cpu").radiance.mean(axis=0)
-    np.testing.assert_allclose(seen, encode_srgb(paths), rtol=0.005)
+    np.testing.assert_allclose(radiance, encode_srgb(paths), rtol=0.005)
     direct = np.pi * shines * radius**2
     light = albedo / np.pi * direct / (1.0 - albedo * (1.0 - radius**2))
     np.testing.assert_allclose(encode_srgb(paths), encode_srgb(np.full(3, light)), rtol=0.03)
@@ -118,10 +118,10 @@ def test_baked_sh_do_not_depend_on_the_transform_of_the_instance() -> None:
 
 def test_bake_leaves_unlit_captures_and_all_shapes_unchanged() -> None:
     """A capture without a material stays the same object; a lit one keeps shapes and normals, but no materials."""
-    kept = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
+    unlit = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
     lit = replace(floor(60), name="lit")
-    result = baked(ls.Scene([kept, lit], lights=[SUN], up="y-up"), TRACE, directions=8)
-    assert result.splats[0] is kept
+    result = baked(ls.Scene([unlit, lit], lights=[SUN], up="y-up"), TRACE, directions=8)
+    assert result.splats[0] is unlit
     assert result.up == (0.0, 1.0, 0.0) and not result.lights and not result.meshes
     shown = result.splats[1]
     assert shown.name == "lit" and shown.material is None

@@ -81,8 +81,8 @@ def test_baked_highlight_is_within_1_db_of_the_best_sh() -> None:
     learnt = views_around(scene)
     found: dict[int, float] = {}
     for degree in (0, 3):
-        known = bench.best_sh(learnt, np.zeros((scene.gaussian_count, (degree + 1) ** 2, 3)), 0.03)
-        gaussians = replace(scene.splats[0].gaussians, sh=known.astype(np.float32))
+        best = bench.best_sh(learnt, np.zeros((scene.gaussian_count, (degree + 1) ** 2, 3)), 0.03)
+        gaussians = replace(scene.splats[0].gaussians, sh=best.astype(np.float32))
         found[degree] = decibels(ls.Scene([ls.SplatInstance(gaussians)]), scene)
         baked = decibels(ls.bake(scene, TRACE, degree=degree, device="cpu"), scene)
         print(f"degree {degree}: baked {baked:.2f} dB, best {found[degree]:.2f} dB")

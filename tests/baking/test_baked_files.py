@@ -62,16 +62,16 @@ def test_spz_stores_baked_colours_within_its_quantisation(baked, tmp_path):
     """
     again = loaded(baked, tmp_path / "baked.spz")
     basis = sh_basis(even_directions(200), 3)
-    held = np.concatenate([baked.sh[:, :1], np.clip(baked.sh[:, 1:], -1.0, 127.0 / 128.0)], axis=1)
-    assert (held != baked.sh).mean() < 1e-3
-    colors, expected = (np.einsum("dk,nkc->ndc", basis, sh) for sh in (again.sh, held))
+    clipped = np.concatenate([baked.sh[:, :1], np.clip(baked.sh[:, 1:], -1.0, 127.0 / 128.0)], axis=1)
+    assert (clipped != baked.sh).mean() < 1e-3
+    colors, expected = (np.einsum("dk,nkc->ndc", basis, sh) for sh in (again.sh, clipped))
     bound = 0.5 * np.abs(basis) @ STEPS
     off = np.abs(colors - expected).max(axis=(0, 2))
     assert (off <= bound + 1e-6).all()
     assert off.max() > 0.5 * 0.5 * SH_C0 * STEPS[0]  # quantisation has an effect
     # Frames of the baked shapes are as near, because they blend these colours.
     same_shapes = frames(replace(baked, sh=again.sh))
-    assert np.abs(same_shapes - frames(replace(baked, sh=held))).max() <= bound.max() + 1e-6
+    assert np.abs(same_shapes - frames(replace(baked, sh=clipped))).max() <= bound.max() + 1e-6
 
 
 def test_frames_of_a_bake_saved_as_spz_match_to_45_db(baked, tmp_path):

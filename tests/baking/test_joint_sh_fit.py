@@ -53,12 +53,12 @@ def test_joint_sh_fit_recovers_the_true_sh_from_noiseless_rays() -> None:
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
     blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
     start = truth + rng.normal(0.0, 0.1, truth.shape)
-    known = Pixels(blend.pixel_colors(truth), 0.0, some.ray, some.gaussian, some.weight, some.direction)
-    found = refitted_sh(blend, known, start, np.zeros(GAUSSIANS))
+    exact = Pixels(blend.pixel_colors(truth), 0.0, some.ray, some.gaussian, some.weight, some.direction)
+    found = refitted_sh(blend, exact, start, np.zeros(GAUSSIANS))
     assert np.abs(found - truth).mean() < 0.5 * np.abs(start - truth).mean()
     assert (
-        np.square(blend.pixel_colors(found) - known.colors).mean()
-        < 0.01 * np.square(blend.pixel_colors(start) - known.colors).mean()
+        np.square(blend.pixel_colors(found) - exact.colors).mean()
+        < 0.01 * np.square(blend.pixel_colors(start) - exact.colors).mean()
     )
 
 
@@ -82,7 +82,7 @@ def test_few_later_rays_do_not_override_many_earlier_ones_in_a_fit() -> None:
     many, few = noisy(rng, truth, RAYS), noisy(rng, truth, RAYS // 20)
     first = refitted_sh(*many, np.zeros_like(truth), np.zeros(GAUSSIANS))
     then, heedless = (
-        refitted_sh(*few, first, known) for known in (many[1].information(GAUSSIANS), np.zeros(GAUSSIANS))
+        refitted_sh(*few, first, information) for information in (many[1].information(GAUSSIANS), np.zeros(GAUSSIANS))
     )
     off, off_then, off_heedless = (np.square(found - truth).mean() for found in (first, then, heedless))
     assert off_then < 1.05 * off

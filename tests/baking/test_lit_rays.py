@@ -110,8 +110,8 @@ def test_unbaked_captures_and_meshes_do_not_bias_sample_rays(
     splats, meshes = ([sheet, other], []) if isinstance(other, ls.SplatInstance) else ([sheet], [other])
     sun = ls.LightDirectional((1.0, -1.0, 0.0), intensity=0.5)  # the shadow of the veil is beside the sheet
     shown = pixels_of(ls.Scene(splats, meshes, [sun]), TRACE, monkeypatch)
-    share = np.bincount(shown.ray, shown.weight)
-    colors = (shown.colors / share[:, None])[share > 0.5]
+    coverage = np.bincount(shown.ray, shown.weight)
+    colors = (shown.colors / coverage[:, None])[coverage > 0.5]
     assert len(colors) > 500
     np.testing.assert_allclose(colors, encode_srgb(0.8 / np.pi * 0.5 * np.sqrt(0.5)), atol=2e-3)
 

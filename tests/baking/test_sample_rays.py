@@ -104,13 +104,13 @@ def test_gaussians_in_corners_get_as_many_usable_sample_rays(monkeypatch: pytest
     scene = ls.Scene([inside], lights=[ls.LightPoint((0.0, 0.0, 0.0))])
     found: list[np.ndarray] = []
     origins: list[np.ndarray] = []
-    seen = JointShFit._choose_usable
+    choose_usable = JointShFit._choose_usable
 
     def noted(self: JointShFit, drawn: DrawnRays, wanted: np.ndarray) -> Any:
-        rays, kept = seen(self, drawn, wanted)
-        found.append(wanted - kept)
+        rays, usable = choose_usable(self, drawn, wanted)
+        found.append(wanted - usable)
         origins.append(rays.origins)
-        return rays, kept
+        return rays, usable
 
     monkeypatch.setattr(JointShFit, "_choose_usable", noted)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)

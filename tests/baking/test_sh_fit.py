@@ -87,9 +87,9 @@ def test_view_weights_favour_visible_lit_and_front_sides() -> None:
     np.testing.assert_allclose(unknown[0], distance[0])
     assert unknown[1, 2:].max() < 0.01 * unknown[1, :2].min()
     assert unknown[2, :2].max() < 0.01 * unknown[2, 2:].min()
-    known = view_weights(front, light, distance, has_front=True)
-    assert known[0, 2:].max() < 0.1 * known[0, :2].min()
-    assert known[2, :2].max() < 0.2 * known[2, 2:].min()  # a dark front is the outside of a wall
+    weights = view_weights(front, light, distance, has_front=True)
+    assert weights[0, 2:].max() < 0.1 * weights[0, :2].min()
+    assert weights[2, :2].max() < 0.2 * weights[2, 2:].min()  # a dark front is the outside of a wall
     dark = view_weights(front, 0.0 * light, 0.0 * distance, has_front=True)
     assert (dark > 0.0).all()
 

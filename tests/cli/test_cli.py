@@ -157,15 +157,15 @@ TRACE_OPTIONS = (
 
 def configured(work: Workspace, monkeypatch: pytest.MonkeyPatch, *args: str) -> ls.RenderConfig:
     """Returns the settings with which a command asks for its renderer; nothing is rendered."""
-    asked = []
+    configs = []
 
     def refuse(config: ls.RenderConfig, *_: object, **__: object) -> None:
-        asked.append(config)
+        configs.append(config)
         raise ls.DeviceError("not today")
 
     monkeypatch.setattr("lumisplat.create_renderer", refuse, raising=False)
     assert work.run(*args).err.endswith("error: not today\n")
-    return asked[0]
+    return configs[0]
 
 
 def test_render_options_of_the_ray_tracer_reach_its_settings(work, monkeypatch, caplog):
@@ -229,12 +229,12 @@ def test_render_without_cameras_frames_the_scene(work):
     """A capture alone gives one image of the requested size in which the capture is visible."""
     args = ("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64")
     assert work.run(*args, "--device", "cpu").status == 0
-    picture = read_image(work.path("first.png"))["srgb"]
-    assert picture.shape == (64, 64, 3)
+    image = read_image(work.path("first.png"))["srgb"]
+    assert image.shape == (64, 64, 3)
     scene = ls.Scene([work.capture("capture.ply")])
     framed = ls.render(scene, ls.frame_camera(scene, width=64, height=64), device="cpu")
-    np.testing.assert_array_equal(picture, (np.clip(framed.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
-    assert (picture > 0).any(axis=2).mean() > 0.2
+    np.testing.assert_array_equal(image, (np.clip(framed.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+    assert (image > 0).any(axis=2).mean() > 0.2
 
 
 @pytest.mark.parametrize(

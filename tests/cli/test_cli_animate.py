@@ -96,16 +96,16 @@ def disc_gaussians(means: np.ndarray, scales: tuple[float, float, float], color:
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball that moves over a floor below a light."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     across = np.linspace(-1.5, 1.5, 16)
     floor = np.stack(np.meshgrid(across, [0.0], across), axis=-1).reshape(-1, 3)
-    ls.save(place.path("floor.ply"), disc_gaussians(floor, (0.12, 0.01, 0.12), 0.7))
+    ls.save(workspace.path("floor.ply"), disc_gaussians(floor, (0.12, 0.01, 0.12), 0.7))
     rng = np.random.default_rng(1)
     ball = rng.normal(size=(80, 3))
     ball = [0.0, 0.6, 0.0] + 0.2 * ball / np.linalg.norm(ball, axis=1)[:, None]
-    ls.save(place.path("ball.ply"), disc_gaussians(ball, (0.06, 0.06, 0.06), 0.4))
-    place.path("scene.toml").write_text(SCENE)
-    return place
+    ls.save(workspace.path("ball.ply"), disc_gaussians(ball, (0.06, 0.06, 0.06), 0.4))
+    workspace.path("scene.toml").write_text(SCENE)
+    return workspace
 
 
 def animate(work: Workspace, folder: str, *options: str):
@@ -145,11 +145,11 @@ def test_animate_frames_equal_those_of_the_library(work):
 def test_animate_continues_an_interrupted_animation(work, monkeypatch):
     """Ctrl-C leaves finished frames; the same command makes only missing frames, and all equal an uninterrupted run."""
     assert animate(work, "whole").status == 0
-    render, seen = Renderer.render, []
+    render, rendered = Renderer.render, []
 
     def interrupted(self, scene, camera, **options):
-        seen.append(camera)
-        if len(seen) == 3:
+        rendered.append(camera)
+        if len(rendered) == 3:
             raise KeyboardInterrupt
         return render(self, scene, camera, **options)
 
@@ -168,29 +168,29 @@ def test_animate_continues_an_interrupted_animation(work, monkeypatch):
     for name, time in times.items():
         assert (work.path("frames") / name).stat().st_mtime_ns == time
     assert animate(work, "frames").status == 0
-    assert len(seen) == 3 + 2  # the two that were missing
+    assert len(rendered) == 3 + 2  # the two that were missing
 
 
 def test_animate_frames_of_a_range_equal_those_of_the_whole(work, monkeypatch):
     """Lights are estimated around the actors of frame 0, whichever frames are rendered."""
     text = RELIT[: RELIT.index("[[lights]]")] + RELIT[RELIT.index("[[actors]]") :]
     work.path("scene.toml").write_text(text)
-    lamp = disc_gaussians(np.array([[0.6, 2.0, 0.4]]), (0.05, 0.05, 0.05), 1.5)
+    light = disc_gaussians(np.array([[0.6, 2.0, 0.4]]), (0.05, 0.05, 0.05), 1.5)
     floor = work.capture("floor.ply")
-    both = {name: np.concatenate([getattr(floor, name), getattr(lamp, name)]) for name in floor.arrays()}
+    both = {name: np.concatenate([getattr(floor, name), getattr(light, name)]) for name in floor.arrays()}
     ls.save(work.path("floor.ply"), replace(floor, **both))
-    places = []
+    positions = []
 
-    def estimated(scene, place, *args, **_):
-        places.append(tuple(place))
+    def estimated(scene, position, *args, **_):
+        positions.append(tuple(position))
         # By its looks: the floor is not lit by it.
-        return ls.inverse.estimate_lights(scene, place, *args, config=ls.config.LightEstimationConfig(evidence=0.0))
+        return ls.inverse.estimate_lights(scene, position, *args, config=ls.config.LightEstimationConfig(evidence=0.0))
 
     # By its module: `lumisplat.relight` is the function of that name.
     monkeypatch.setattr(importlib.import_module("lumisplat.relighting.avatar_lighter"), "estimate_lights", estimated)
     assert animate(work, "whole").status == 0
     assert animate(work, "part", "--frames", "2:").status == 0
-    assert places[0] == places[1] and len(places) == 2
+    assert positions[0] == positions[1] and len(positions) == 2
     whole = frames(work, "whole")
     assert frames(work, "part") == {name: whole[name] for name in names(2, 3)}
     assert animate(work, "part", "--frames", ":1").status == 0
@@ -255,10 +255,10 @@ def test_animate_writes_a_video_of_its_frames(work):
     assert done.out.splitlines()[1] == f"{work.path('out.mp4')} (10 frames a second, 0.40 s)"
     with av.open(str(work.path("out.mp4"))) as container:
         stream = container.streams.video[0]
-        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        images = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
         assert stream.average_rate == 10
     shown = [255.0 * ls.load_image(work.path("frames") / name) for name in names(0, 1, 2, 3)]
-    off = np.array([[np.abs(picture - other).mean() for other in shown] for picture in pictures])
+    off = np.array([[np.abs(image - other).mean() for other in shown] for image in images])
     assert off.argmin(axis=1).tolist() == [0, 1, 2, 3]
     assert animate(work, "frames", "--video", "@out.gif", "--frames", "1:3").status == 0
     assert work.path("out.gif").read_bytes().startswith(b"GIF89a")
@@ -290,8 +290,8 @@ def test_animate_advises_to_continue_an_overwrite_without_overwrite(work, monkey
     monkeypatch.setattr(Renderer, "render", interrupted)
     done = animate(work, "frames", "--frames", "0:1", "--overwrite")
     assert done.status == 130
-    told = f"{work.path('frames')} holds 0 of 1 frame; the same command without --overwrite continues"
-    assert done.err == f"interrupted: {told}\n"
+    message = f"{work.path('frames')} holds 0 of 1 frame; the same command without --overwrite continues"
+    assert done.err == f"interrupted: {message}\n"
 
 
 def test_animate_at_another_frame_rate_keeps_the_duration(work):
@@ -366,8 +366,8 @@ def test_animate_logs_black_sides_of_actors_with_a_remedy(work, caplog):
 
 def test_animate_accepts_a_capture_without_lights_around_the_actors(work, caplog) -> None:
     """Actors cast no shadow and are brightened as if the capture surrounded them; log lines report both."""
-    lamp = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
-    work.path("scene.toml").write_text(RELIT.replace(lamp, ""))
+    light = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
+    work.path("scene.toml").write_text(RELIT.replace(light, ""))
     outcome = work.run("animate", "@scene.toml", "-o", "@out", "--device", "cpu")
     assert outcome.status == 0, outcome.err
     lines = [record.getMessage() for record in caplog.records]
@@ -376,7 +376,7 @@ def test_animate_accepts_a_capture_without_lights_around_the_actors(work, caplog
     assert sum("of display white" in line for line in lines) <= 1
     gamma = float(re.findall(r"is then ([\d.]+)\)", gain)[0])
     assert 1.0 / 0.75 * 2.0 < gamma <= 64.0
-    given = RELIT.replace(lamp, "") + f"\n[animation.lighting.transfer]\ngamma = {gamma}\n"
+    given = RELIT.replace(light, "") + f"\n[animation.lighting.transfer]\ngamma = {gamma}\n"
     work.path("scene.toml").write_text(given)
     assert work.run("animate", "@scene.toml", "-o", "@given", "--device", "cpu").status == 0
     one, other = (ls.load_image(work.path(f"{name}/frame_0000.png")) for name in ("out", "given"))

@@ -18,16 +18,16 @@ LIGHT = '[[lights]]\ntype = "directional"\ndirection = [0, -1, 0]\nintensity = 2
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball with albedo, a capture without, a mesh, and scenes of these."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    ls.save(place.path("ball.ply"), ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 150))
-    ls.save(place.path("plain.ply"), one_gaussian())
-    place.path("flag.obj").write_text("v 0 2 0\nv 1 2 0\nv 0 2 1\nf 1 2 3\n")
+    workspace = Workspace(tmp_path, capsys)
+    ls.save(workspace.path("ball.ply"), ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 150))
+    ls.save(workspace.path("plain.ply"), one_gaussian())
+    workspace.path("flag.obj").write_text("v 0 2 0\nv 1 2 0\nv 0 2 1\nf 1 2 3\n")
     placed = '[[splats]]\npath = "ball.ply"\nposition = [1, 2, 3]\nscale = 2.0\n[splats.material]\ntype = "pbr"\n'
     plain = '[[splats]]\npath = "plain.ply"\n'
-    place.path("both.toml").write_text(placed + plain + '[[meshes]]\npath = "flag.obj"\n' + LIGHT)
-    place.path("dark.toml").write_text(placed)
-    place.path("plain.toml").write_text(plain + LIGHT)
-    return place
+    workspace.path("both.toml").write_text(placed + plain + '[[meshes]]\npath = "flag.obj"\n' + LIGHT)
+    workspace.path("dark.toml").write_text(placed)
+    workspace.path("plain.toml").write_text(plain + LIGHT)
+    return workspace
 
 
 @pytest.mark.parametrize("name", ["baked.ply", "baked.compressed.ply", "baked.spz"])

@@ -18,17 +18,17 @@ from support.scenes.raster_scenes import random_gaussians
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """Returns a folder with a larger capture, some of it in blocks, and three cameras, one of which sees a part."""
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     capture = random_gaussians(5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0))
-    ls.save(place.path("town.ply"), capture)
+    ls.save(workspace.path("town.ply"), capture)
     up = (0.0, -1.0, 0.0)
     cameras = [
         ls.Camera.look_at((0.3, 0.2, 0.1), (5.0, 0.0, 3.0), up, width=64, height=48, fov_y=0.9, name="inside"),
         ls.Camera.look_at((-20.0, -4.0, 0.0), (0.0, 0.0, 0.0), up, width=64, height=48, fov_y=0.1, name="far"),
         ls.Camera.look_at((0.0, -900.0, 0.0), (0.0, -1000.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, name="away"),
     ]
-    ls.save_cameras(place.path("views.json"), cameras)
-    return place
+    ls.save_cameras(workspace.path("views.json"), cameras)
+    return workspace
 
 
 def made(work: Workspace, *options: str) -> str:
@@ -51,9 +51,9 @@ def test_blocks_command_writes_blocks_and_info_describes_them(work: Workspace) -
     assert f"town: 3,000 Gaussians in {count} blocks, cubes of 3 and less, 1 coarser level" in line
     outcome = work.run("info", "@town")
     assert "3,000" in outcome.out and f"{count}" in outcome.out and "coarser" in outcome.out
-    (known,) = json.loads(work.run("info", "@town/blocks.json", "--json").out)
-    assert known["kind"] == "blocks" and known["blocks"] == count > 20
-    assert known["level_gaussians"] == [3000, sum(block.levels[1].count for block in index.blocks)]
+    (facts,) = json.loads(work.run("info", "@town/blocks.json", "--json").out)
+    assert facts["kind"] == "blocks" and facts["blocks"] == count > 20
+    assert facts["level_gaussians"] == [3000, sum(block.levels[1].count for block in index.blocks)]
     assert work.run("convert", "@town", "@again.ply").status == 0
     assert work.capture("again.ply").count == 3000
 
@@ -102,19 +102,19 @@ def test_render_of_blocks_equals_render_of_the_whole_capture(work: Workspace, mo
 def test_render_holds_the_blocks_of_one_view_in_memory(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks of the last view are released, also by the renderer, before those of the next view are read."""
     made(work)
-    held: list[Callable[[], object]] = []
+    references: list[Callable[[], object]] = []
     load = ls.io.load_blocks
 
     def watching(index: ls.io.BlockIndex, parts: list[ls.io.BlockPart]) -> ls.Gaussians:
-        assert not any(one() is not None for one in held)
+        assert not any(one() is not None for one in references)
         loaded = load(index, parts)
-        held.extend((weakref.ref(loaded.means), weakref.ref(loaded.sh)))
+        references.extend((weakref.ref(loaded.means), weakref.ref(loaded.sh)))
         return loaded
 
     monkeypatch.setattr(ls.io, "load_blocks", watching)
     outcome = work.run("render", "@town", "--cameras", "@views.json", "-o", "@seen", "--device", "cpu")
     assert outcome.status == 0, outcome.err
-    assert len(held) == 4
+    assert len(references) == 4
 
 
 def test_render_lod_pixels_loads_coarser_levels_of_far_blocks(work: Workspace) -> None:

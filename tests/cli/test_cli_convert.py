@@ -135,9 +135,9 @@ def test_convert_columns_r3dg_writes_materials_in_columns_of_r3dg(
     outcome = work.run("convert", "@made.ply", "-o", "@theirs.ply", "--columns", "r3dg", "--incident")
     assert outcome.status == 0 and "roughness from 0.09 to 0.99" in caplog.text
     assert b"base_color_0" in (work.path("theirs.ply")).read_bytes()[:4000]
-    kept = ls.load(work.path("theirs.ply"), incident=True)
-    assert isinstance(kept, ls.Gaussians) and kept.incident is not None
-    np.testing.assert_array_equal(kept.incident, light)
+    loaded = ls.load(work.path("theirs.ply"), incident=True)
+    assert isinstance(loaded, ls.Gaussians) and loaded.incident is not None
+    np.testing.assert_array_equal(loaded.incident, light)
     assert work.run("convert", "@theirs.ply", "@ours.ply").status == 0
     back = work.capture("ours.ply")
     same(replace(back, sh=back.sh[:, : plain.sh.shape[1]]), replace(made, incident=None, roughness=back.roughness))

@@ -38,11 +38,11 @@ path = "capture.ply"
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    place.path("set.toml").write_text(SETTINGS)
-    place.path("scene.toml").write_text(SCENE)
-    place.path("cone.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
-    return place
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("set.toml").write_text(SETTINGS)
+    workspace.path("scene.toml").write_text(SCENE)
+    workspace.path("cone.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
+    return workspace
 
 
 def contents(work: Workspace, folder: str) -> dict[str, bytes]:
@@ -100,8 +100,8 @@ def test_dataset_options_set_cameras_environment_and_exposure(work) -> None:
     records = [json.loads(work.path(f"near/views/view_00000{index}.json").read_text()) for index in range(2)]
     assert all(np.abs(np.array(record["camera"]["camera_from_world"])[:3, 3]).max() < 0.5 for record in records)
     assert all(record["camera"]["exposure"] == 1.5 for record in records)
-    turns = [record["lights"][-1]["rotation_wxyz"] for record in records]
-    assert records[0]["lights"][-1]["name"] == "sky" and turns[0] != turns[1]
+    rotations = [record["lights"][-1]["rotation_wxyz"] for record in records]
+    assert records[0]["lights"][-1]["name"] == "sky" and rotations[0] != rotations[1]
 
 
 @pytest.mark.parametrize(

@@ -18,20 +18,20 @@ from support.scenes.path_scenes import ball, diffuse
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball as a capture, and a scene file."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     lit = ls.gaussians_from_mesh(ball(0.5, diffuse(0.6)), 700)
-    ls.save(place.path("ball.ply"), replace(lit, albedo=None, roughness=None, normals=None))
+    ls.save(workspace.path("ball.ply"), replace(lit, albedo=None, roughness=None, normals=None))
     ls.save(
-        place.path("few.ply"),
+        workspace.path("few.ply"),
         ls.Gaussians(*(column[:9] for column in (lit.means, lit.rotations_wxyz, lit.scales, lit.opacities, lit.sh))),
     )
     rng = np.random.default_rng(0)
     means, opacities, scales = rng.uniform(-1.0, 1.0, (700, 3)), np.full(700, 0.2), np.full((700, 3), 0.04)
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (700, 1))
-    ls.save(place.path("fog.ply"), ls.Gaussians(means, turns, scales, opacities, np.zeros((700, 1, 3))))
-    ls.save(place.path("point.ply"), ls.Gaussians(0.0 * means, turns, scales, opacities, np.zeros((700, 1, 3))))
-    place.path("scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
-    return place
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (700, 1))
+    ls.save(workspace.path("fog.ply"), ls.Gaussians(means, rotations, scales, opacities, np.zeros((700, 1, 3))))
+    ls.save(workspace.path("point.ply"), ls.Gaussians(0.0 * means, rotations, scales, opacities, np.zeros((700, 1, 3))))
+    workspace.path("scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
+    return workspace
 
 
 def test_delight_gives_a_capture_albedo_roughness_and_normals(work):
@@ -60,8 +60,8 @@ def test_delight_gives_a_capture_albedo_roughness_and_normals(work):
     outward = after.means / np.linalg.norm(after.means, axis=1, keepdims=True)
     assert np.einsum("ij,ij->i", after.normals, outward).min() > 0.5
     assert np.ptp(after.albedo.mean(axis=1)) < 0.2
-    sky = ls.io.load_radiance(work.path("sky.exr"))
-    assert sky.shape[1] == 2 * sky.shape[0] and sky.min() > 0.0
+    environment = ls.io.load_radiance(work.path("sky.exr"))
+    assert environment.shape[1] == 2 * environment.shape[0] and environment.min() > 0.0
 
 
 def test_delight_writes_materials_to_gltf_as_to_ply(work):

@@ -36,10 +36,10 @@ def test_demo_writes_an_image_for_each_camera_and_lit_images(work, monkeypatch):
     monkeypatch.setattr(ls, "demo_cameras", lambda: ls.load_cameras(work.path("cameras.json")))
     outcome = work.run("demo", "-o", "@demo", "--save-assets", "--width", "64")
     assert outcome.status == 0
-    pictures = {"left.png", "right.png"}
+    images = {"left.png", "right.png"}
     lit = {"lit-raster.png", "lit-trace.png", "lit-hybrid.png", "lit-aovs.png", "lit-swing.gif"}
-    assert {path.name for path in work.path("demo").iterdir()} == pictures | lit | {"demo.ply", "transforms.json"}
-    assert {Path(line).name for line in outcome.out.split()} == pictures | lit
+    assert {path.name for path in work.path("demo").iterdir()} == images | lit | {"demo.ply", "transforms.json"}
+    assert {Path(line).name for line in outcome.out.split()} == images | lit
     args = ("render", "@demo/demo.ply", "--cameras", "@demo/transforms.json", "--frames", "left", "--width", "64")
     assert work.run(*args, "-o", "@again.png").status == 0
     first, again = (read_image(work.path(name))["srgb"] for name in ("demo/left.png", "again.png"))

@@ -22,24 +22,24 @@ SINGULAR = [[0.0] * 4, [0.0] * 4, [0.0] * 4, [0.0, 0.0, 0.0, 1.0]]
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with files that are wrong in some way."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    place.path("a_file").write_text("in the way of a folder")
-    place.path("empty.ply").write_bytes(b"")
-    place.path("short.ply").write_bytes(place.path("capture.ply").read_bytes()[:-7])
-    place.path("capture.xyz").write_text("0 0 0\n")
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("a_file").write_text("in the way of a folder")
+    workspace.path("empty.ply").write_bytes(b"")
+    workspace.path("short.ply").write_bytes(workspace.path("capture.ply").read_bytes()[:-7])
+    workspace.path("capture.xyz").write_text("0 0 0\n")
     axes = "".join(f"property float {axis}\n" for axis in "xyz")
-    place.path("points.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n0 0 0\n")
-    place.path("no_frames.json").write_text('{"frames": []}')
-    place.path("broken.json").write_text('{"frames": [')
-    place.write_cameras("zero_width.json", w=0)
-    place.write_cameras("singular.json", transform_matrix=SINGULAR)
-    place.path("typo.toml").write_text('[[splats]]\npath = "capture.ply"\nscael = 2\n')
-    place.path("quintic.toml").write_text('[[splats]]\npath = "capture.ply"\nkernel_degree = 9\n')
-    place.path("settings.toml").write_text('[[meshes]]\npath = "mesh.obj"\n[render]\nsampels = 4\n')
-    place.path("views.toml").write_text('[[meshes]]\npath = "mesh.obj"\n\n[[cameras]]\ntarget = [0, 0, 0]\n')
-    place.path("sky.hdr").write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n\2\2")
-    place.path("lost.toml").write_text('[[splats]]\npath = "lost.ply"\n')
-    return place
+    workspace.path("points.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n0 0 0\n")
+    workspace.path("no_frames.json").write_text('{"frames": []}')
+    workspace.path("broken.json").write_text('{"frames": [')
+    workspace.write_cameras("zero_width.json", w=0)
+    workspace.write_cameras("singular.json", transform_matrix=SINGULAR)
+    workspace.path("typo.toml").write_text('[[splats]]\npath = "capture.ply"\nscael = 2\n')
+    workspace.path("quintic.toml").write_text('[[splats]]\npath = "capture.ply"\nkernel_degree = 9\n')
+    workspace.path("settings.toml").write_text('[[meshes]]\npath = "mesh.obj"\n[render]\nsampels = 4\n')
+    workspace.path("views.toml").write_text('[[meshes]]\npath = "mesh.obj"\n\n[[cameras]]\ntarget = [0, 0, 0]\n')
+    workspace.path("sky.hdr").write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n\2\2")
+    workspace.path("lost.toml").write_text('[[splats]]\npath = "lost.ply"\n')
+    return workspace
 
 
 @pytest.mark.parametrize(
@@ -256,10 +256,10 @@ def test_errors_of_broken_files_show_no_python_exception(work, name, data):
     work.path(name).write_bytes(data)
     outcome = work.run("info", f"@{name}")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
-    said = outcome.err.partition(f"{name}: ")[2]
-    assert said
+    message = outcome.err.partition(f"{name}: ")[2]
+    assert message
     for internal in ("Error", "codec", "object at", "has no attribute", "BytesIO", "not subscriptable", "argument"):
-        assert internal not in said
+        assert internal not in message
 
 
 def test_render_checks_the_output_before_loading_files(work):
@@ -298,8 +298,10 @@ def test_too_long_file_name_is_reported_in_one_line(work):
     outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frames", "left", "-o", "@" + "x" * 300 + ".png")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert "cannot be written: File name too long" in outcome.err
-    said = work.run("info", "@" + "x" * 300 + ".ply").err
-    assert "cannot be read: File name too long" in said or "no such file" in said  # the latter from Python 3.14 on
+    message = work.run("info", "@" + "x" * 300 + ".ply").err
+    assert (
+        "cannot be read: File name too long" in message or "no such file" in message
+    )  # the latter from Python 3.14 on
 
 
 def test_debug_option_shows_the_traceback_of_an_error(work):

@@ -28,11 +28,11 @@ def shown(work: Workspace, background: str = "black") -> np.ndarray:
 @pytest.fixture
 def work(tmp_path, capsys) -> Workspace:
     """Returns a folder with a capture and images of it; errors of the held-out v0, v2 and v4 increase."""
-    place = Workspace(tmp_path, capsys)
-    truth = shown(place)
+    workspace = Workspace(tmp_path, capsys)
+    truth = shown(workspace)
     images = [np.clip(truth + 0.02 * k, 0.0, 1.0) for k in range(6)]
-    write_nerfstudio_images(place.path("photos"), CAMERAS, images)
-    return place
+    write_nerfstudio_images(workspace.path("photos"), CAMERAS, images)
+    return workspace
 
 
 def evaluate(work: Workspace, *options: str, folder: str = "@photos") -> dict[str, list[str]]:
@@ -47,17 +47,17 @@ def test_evaluate_table_has_means_and_the_worst_views_first(work):
     table = evaluate(work, "--hold-out", "2")
     assert list(table) == ["", "mean of 3 views", "v4", "v2", "v0"]
     assert table[""] == ["psnr", "ssim", "ms-ssim", "flip"]
-    photographs = ls.io.load_training_images(work.path("photos"), hold_out=2).held_out
+    views = ls.io.load_training_images(work.path("photos"), hold_out=2).held_out
     truth = shown(work)
-    psnrs = [ls.metrics.psnr(truth, view.pixels()) for view in photographs]
+    psnrs = [ls.metrics.psnr(truth, view.pixels()) for view in views]
     assert psnrs[0] > 55.0 and 20.0 < psnrs[2] < 25.0
-    assert [table[view.name][0] for view in photographs] == [f"{value:.2f}" for value in psnrs]
+    assert [table[view.name][0] for view in views] == [f"{value:.2f}" for value in psnrs]
     assert float(table["mean of 3 views"][0]) == pytest.approx(np.mean(psnrs), abs=0.006)
     expected = [
-        ls.metrics.ssim(truth, photographs[2].pixels()),
-        ls.metrics.ms_ssim(truth, photographs[2].pixels(), scales=2),
+        ls.metrics.ssim(truth, views[2].pixels()),
+        ls.metrics.ms_ssim(truth, views[2].pixels(), scales=2),
     ]
-    assert table["v4"][1:] == [f"{value:.4f}" for value in (*expected, ls.metrics.flip(truth, photographs[2].pixels()))]
+    assert table["v4"][1:] == [f"{value:.4f}" for value in (*expected, ls.metrics.flip(truth, views[2].pixels()))]
 
 
 def test_evaluate_logs_fewer_scales_of_ms_ssim_for_small_images(work, caplog):
@@ -73,16 +73,16 @@ def test_evaluate_output_has_metrics_and_images_of_the_worst_views(work):
     assert {file for file in work.files() if file.startswith("report")} == {
         "report/metrics.json", "report/v0.png", "report/v2.png", "report/v4.png",
     }  # fmt: skip
-    told = json.loads(work.path("report/metrics.json").read_text())
-    assert [view["name"] for view in told["views"]] == ["v0", "v2", "v4"]
-    assert told["mean"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in told["views"]]))
-    assert all(view["compared"] == 1.0 for view in told["views"])
-    assert (told["ms_ssim_scales"], told["scale"]) == (2, 1.0)
+    report = json.loads(work.path("report/metrics.json").read_text())
+    assert [view["name"] for view in report["views"]] == ["v0", "v2", "v4"]
+    assert report["mean"]["psnr"] == pytest.approx(np.mean([view["psnr"] for view in report["views"]]))
+    assert all(view["compared"] == 1.0 for view in report["views"])
+    assert (report["ms_ssim_scales"], report["scale"]) == (2, 1.0)
     beside = np.asarray(Image.open(work.path("report/v4.png")))
-    photograph, picture, difference = np.split(beside.astype(int), 3, axis=1)
-    np.testing.assert_array_equal(photograph, np.asarray(Image.open(work.path("photos/images/v4.png"))))
+    image, picture, difference = np.split(beside.astype(int), 3, axis=1)
+    np.testing.assert_array_equal(image, np.asarray(Image.open(work.path("photos/images/v4.png"))))
     np.testing.assert_allclose(picture, 255.0 * shown(work), atol=0.501)
-    np.testing.assert_allclose(difference, np.minimum(4 * np.abs(photograph - picture), 255), atol=4)
+    np.testing.assert_allclose(difference, np.minimum(4 * np.abs(image - picture), 255), atol=4)
 
 
 def test_evaluate_does_not_compare_masked_pixels(work):
@@ -98,11 +98,11 @@ def test_evaluate_does_not_compare_masked_pixels(work):
     work.path("photos/masks").mkdir()
     Image.fromarray(mask).save(work.path("photos/masks/v3.png"))
     work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "3", "-o", "@masked")
-    told = {view["name"]: view for view in json.loads(work.path("masked/metrics.json").read_text())["views"]}
-    assert told["v3"]["compared"] == pytest.approx(24 * 32 / (36 * 48))
+    report = {view["name"]: view for view in json.loads(work.path("masked/metrics.json").read_text())["views"]}
+    assert report["v3"]["compared"] == pytest.approx(24 * 32 / (36 * 48))
     view = ls.io.load_training_images(work.path("photos"), hold_out=3).held_out[1]
-    assert told["v3"]["psnr"] == pytest.approx(ls.metrics.psnr(shown(work), view.pixels(), region=mask > 0), abs=1e-6)
-    assert told["v3"]["psnr"] == pytest.approx(float(before[0]), abs=1.0)
+    assert report["v3"]["psnr"] == pytest.approx(ls.metrics.psnr(shown(work), view.pixels(), region=mask > 0), abs=1e-6)
+    assert report["v3"]["psnr"] == pytest.approx(float(before[0]), abs=1.0)
     difference = np.asarray(Image.open(work.path("masked/v3.png")))[:, 96:]
     assert not difference[mask == 0].any() and difference[mask > 0].any()
 

@@ -18,12 +18,12 @@ COMMAND = ("evaluate", "@ball.ply", "@set", "--materials", "--device", "cpu", "-
 @pytest.fixture
 def work(tmp_path, capsys) -> Workspace:
     """Returns a folder with a capture, and the set that it was made from with a known error in one view."""
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     ball = painted_ball()
-    ls.save(place.path("ball.ply"), ball)
-    write_relightable_set(place.path("set"), ball)
-    write_layer(place.path("set"), "roughness", "r_003", np.full((32, 32, 1), 0.5))
-    return place
+    ls.save(workspace.path("ball.ply"), ball)
+    write_relightable_set(workspace.path("set"), ball)
+    write_layer(workspace.path("set"), "roughness", "r_003", np.full((32, 32, 1), 0.5))
+    return workspace
 
 
 def table(out: str) -> dict[str, str]:
@@ -54,10 +54,10 @@ def test_evaluate_materials_writes_metrics_and_comparison_images(work):
     assert {name for name in work.files() if name.startswith("report")} == {
         "report/metrics.json", "report/r_002.png", "report/r_003.png",
     }  # fmt: skip
-    told = json.loads(work.path("report/metrics.json").read_text())
-    assert told["all"]["albedo_scale"] == pytest.approx([1.0, 1.0, 1.0], abs=1e-4)
-    assert [view["name"] for view in told["views"]] == ["r_002", "r_003"]
-    assert set(told["views"][0]["relit"]["dusk"]) == {"psnr", "ssim", "flip"}
+    report = json.loads(work.path("report/metrics.json").read_text())
+    assert report["all"]["albedo_scale"] == pytest.approx([1.0, 1.0, 1.0], abs=1e-4)
+    assert [view["name"] for view in report["views"]] == ["r_002", "r_003"]
+    assert set(report["views"][0]["relit"]["dusk"]) == {"psnr", "ssim", "flip"}
     beside = np.asarray(Image.open(work.path("report/r_003.png"))).astype(int)
     assert beside.shape == (4 * 32, 3 * 32, 3)
     found, truth, difference = np.split(beside[64:96], 3, axis=1)

@@ -43,9 +43,9 @@ height = 48
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """Returns a folder with a scene."""
-    place = Workspace(tmp_path, capsys)
-    place.path("scene.toml").write_text(SCENE)
-    return place
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("scene.toml").write_text(SCENE)
+    return workspace
 
 
 def test_export_writes_capture_mesh_light_and_camera_of_a_scene(
@@ -55,13 +55,13 @@ def test_export_writes_capture_mesh_light_and_camera_of_a_scene(
     outcome = work.run("export", "@scene.toml", "-o", "@scene.glb")
     assert outcome.status == 0
     assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
-    said = [message for message in caplog.messages if "scene.glb: " in message]
-    assert [message.partition("scene.glb: ")[2] for message in said] == ["glTF cannot store area lights (panel)"]
+    logged = [message for message in caplog.messages if "scene.glb: " in message]
+    assert [message.partition("scene.glb: ")[2] for message in logged] == ["glTF cannot store area lights (panel)"]
     scene, before = ls.load(work.path("scene.glb")), ls.load(work.path("scene.toml"))
     assert isinstance(scene, ls.Scene)
     assert isinstance(before, ls.Scene)
-    turn = np.array([1.0, -1.0, -1.0])
-    np.testing.assert_array_equal(scene.splats[0].world_means, before.splats[0].world_means * turn)
+    signs = np.array([1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(scene.splats[0].world_means, before.splats[0].world_means * signs)
     np.testing.assert_allclose(scene.meshes[0].bounds()[1][1], -before.meshes[0].bounds()[0][1])
     (camera,) = ls.load_cameras(work.path("scene.glb"))
     np.testing.assert_allclose(camera.eye, (0.0, 1.0, 3.0), atol=1e-12)
@@ -87,10 +87,10 @@ def test_capture_converted_for_blender_matches_the_exported_glb(work: Workspace)
     """Blender's glTF importer rotates y up to z up, its PLY importer does not (docs/guide/gltf.md#blender)."""
     assert work.run("export", "@capture.ply", "@mesh.obj", "-o", "@all.glb").status == 0
     assert work.run("convert", "@capture.ply", "--rotate", "-90", "0", "0", "-o", "@turned.ply").status == 0
-    scene, turned = ls.load(work.path("all.glb")), ls.load(work.path("turned.ply"))
-    assert isinstance(scene, ls.Scene) and isinstance(turned, ls.Gaussians)
+    scene, rotated = ls.load(work.path("all.glb")), ls.load(work.path("turned.ply"))
+    assert isinstance(scene, ls.Scene) and isinstance(rotated, ls.Gaussians)
     x, y, z = scene.splats[0].world_means.T
-    np.testing.assert_allclose(turned.means, np.stack([x, -z, y], axis=1), atol=1e-5)
+    np.testing.assert_allclose(rotated.means, np.stack([x, -z, y], axis=1), atol=1e-5)
 
 
 def test_export_joins_files_and_cameras_to_a_scene(work: Workspace) -> None:
@@ -106,9 +106,9 @@ def test_exported_scene_renders_the_same_image(work: Workspace) -> None:
     for name in ("scene.toml", "scene.glb"):
         options = ["--cameras", f"@{name}", "--lighting", "off", "-o", f"@{name}.png"]
         assert work.run("render", f"@{name}", *options).status == 0
-    pictures = [ls.load_image(work.path(f"{name}.png")) for name in ("scene.toml", "scene.glb")]
-    assert pictures[0].max() > 0.2
-    np.testing.assert_allclose(pictures[1], pictures[0], atol=1.001 / 255)
+    images = [ls.load_image(work.path(f"{name}.png")) for name in ("scene.toml", "scene.glb")]
+    assert images[0].max() > 0.2
+    np.testing.assert_allclose(images[1], images[0], atol=1.001 / 255)
 
 
 def test_convert_writes_and_reads_glb_captures_without_changes(work: Workspace) -> None:

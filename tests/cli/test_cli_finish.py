@@ -22,15 +22,15 @@ RENDER = ("render", "@scene.toml", "--device", "cpu")
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a ball below an environment; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    place.path("scene.toml").write_text(SKY + CAMERA)
-    return place
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("scene.toml").write_text(SKY + CAMERA)
+    return workspace
 
 
 def noise(work: Workspace, name: str) -> float:
     """Returns the mean difference of neighbouring pixels."""
-    picture = read_image(work.path(name))["srgb"].astype(float)
-    return float(np.abs(np.diff(picture, axis=1)).mean())
+    pixels = read_image(work.path(name))["srgb"].astype(float)
+    return float(np.abs(np.diff(pixels, axis=1)).mean())
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])

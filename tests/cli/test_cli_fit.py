@@ -66,23 +66,23 @@ enabled = false
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a room with wrong lights, and rasterised images of it with the true ones."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    place.path("floor.obj").write_text(
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("floor.obj").write_text(
         "v -4 0 -3\nv 4 0 -3\nv 4 0 5\nv -4 0 5\nv -4 4 -3\nv 4 4 -3\nf 4 3 2 1\nf 1 2 6 5\n"
     )
     corners = [(x, y, z) for x in (-0.5, 0.5) for y in (0.0, 1.0) for z in (-0.5, 0.5)]
     sides = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
     lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f " + " ".join(map(str, side)) for side in sides]
-    place.path("box.obj").write_text("\n".join(lines) + "\n")
-    place.path("truth.toml").write_text(ROOM.format(box=[0.2, 0.4, 0.7], left=[1.0, 0.5, 0.25], strength=4.0))
-    place.path("room.toml").write_text(ROOM.format(box=[0.2, 0.4, 0.7], left=[1.0, 1.0, 1.0], strength=1.0))
-    place.path("grey.toml").write_text(ROOM.format(box=[0.4, 0.4, 0.4], left=[1.0, 0.5, 0.25], strength=4.0))
-    for camera in ls.load_cameras(place.path("truth.toml")):
+    workspace.path("box.obj").write_text("\n".join(lines) + "\n")
+    workspace.path("truth.toml").write_text(ROOM.format(box=[0.2, 0.4, 0.7], left=[1.0, 0.5, 0.25], strength=4.0))
+    workspace.path("room.toml").write_text(ROOM.format(box=[0.2, 0.4, 0.7], left=[1.0, 1.0, 1.0], strength=1.0))
+    workspace.path("grey.toml").write_text(ROOM.format(box=[0.4, 0.4, 0.4], left=[1.0, 0.5, 0.25], strength=4.0))
+    for camera in ls.load_cameras(workspace.path("truth.toml")):
         name = camera.name.removesuffix(".png")
-        scene = ls.load(place.path("truth.toml"))
+        scene = ls.load(workspace.path("truth.toml"))
         assert isinstance(scene, ls.Scene)
-        ls.render(scene, camera, device="cpu").save(place.path(f"{name}.png"))
-    return place
+        ls.render(scene, camera, device="cpu").save(workspace.path(f"{name}.png"))
+    return workspace
 
 
 FIT = ("--pipeline", "raster", "--samples", "1", "--environment-degree", "none", "--device", "cpu")
@@ -110,8 +110,8 @@ def test_fit_writes_fitted_lights_to_a_new_scene_file(work):
     assert [camera.name for camera in ls.load_cameras(work.path("fitted.toml"))] == ["door", "window.png"]
     # An image of the fitted scene is the photograph.
     camera = ls.load_cameras(work.path("fitted.toml"))[0]
-    picture = ls.render(scene, camera, device="cpu").pixels_srgb()
-    assert ls.metrics.psnr(picture, ls.load_image(work.path("door.png"))) > 40.0
+    image = ls.render(scene, camera, device="cpu").pixels_srgb()
+    assert ls.metrics.psnr(image, ls.load_image(work.path("door.png"))) > 40.0
 
 
 def test_fit_writes_a_fitted_environment_beside_the_scene_file(work):
@@ -158,14 +158,14 @@ def test_fit_of_several_images_writes_a_report(work):
     """Cameras are found by name or by image name; the report has images side by side and metrics."""
     done = work.run("fit", "@room.toml", "@door.png", "@window.png", "-o", "@a.toml", "--report", "@report", *FIT)
     assert done.status == 0, done.err
-    with Image.open(work.path("report/door.png")) as picture:
-        assert picture.size == (3 * 64, 48)
+    with Image.open(work.path("report/door.png")) as image:
+        assert image.size == (3 * 64, 48)
     report = json.loads(work.path("report/report.json").read_text())
     assert [view["residual"] < 0.02 for view in report["views"]] == [True, True]
     assert [light["light"] for light in report["lights"]] == ["left", "right"]
-    for told in report["lights"]:
-        power = lights_of(work, "a.toml")[told["light"]]
-        assert [told["red"], told["green"], told["blue"]] == pytest.approx(list(power), rel=1e-5)
+    for fitted in report["lights"]:
+        power = lights_of(work, "a.toml")[fitted["light"]]
+        assert [fitted["red"], fitted["green"], fitted["blue"]] == pytest.approx(list(power), rel=1e-5)
     swapped = work.run("fit", "@room.toml", "@window.png", "--camera", "window.png", "-o", "@b.toml", *FIT)
     assert swapped.status == 0
     np.testing.assert_allclose(lights_of(work, "b.toml")["right"], (4.0, 4.0, 4.0), rtol=0.03)
@@ -239,9 +239,9 @@ def test_fit_reports_mistakes_in_one_line(work, arguments, message):
 
 def test_fit_help_states_the_time_of_a_fit(work):
     """The help also states the time with ``--positions``."""
-    told = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
-    assert "half a minute on a CPU core, and with --positions four" in told
-    assert "directions of spots and suns; takes minutes" in told
+    text = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
+    assert "half a minute on a CPU core, and with --positions four" in text
+    assert "directions of spots and suns; takes minutes" in text
 
 
 def test_fit_writes_fitted_colours_of_a_capture_to_a_new_file(work):

@@ -28,10 +28,10 @@ def test_frame_camera_shows_the_whole_bounding_box(up, size):
     scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3, center=(5.0, -2.0, 9.0))),), up=up)
     low, high = scene.bulk_bounds()
     corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
-    seen = pixels(ls.frame_camera(scene, width=size[0], height=size[1]), corners)
-    assert (seen[:, 2] > 0.0).all()
-    assert (seen[:, :2] >= 0.0).all() and (seen[:, :2] <= size).all()
-    assert (np.ptp(seen[:, :2], axis=0) / size).max() > 0.75
+    projected = pixels(ls.frame_camera(scene, width=size[0], height=size[1]), corners)
+    assert (projected[:, 2] > 0.0).all()
+    assert (projected[:, :2] >= 0.0).all() and (projected[:, :2] <= size).all()
+    assert (np.ptp(projected[:, :2], axis=0) / size).max() > 0.75
 
 
 @pytest.mark.parametrize(("up", "above"), [("y-down", (0, -1, 0)), ("y-up", (0, 1, 0)), ("z-up", (0, 0, 1))])
@@ -108,6 +108,6 @@ def test_cameras_are_selected_by_name_or_by_file_stem():
 def test_depth_layer_images_are_red_near_and_blue_far():
     """The guide states these colours."""
     frame = ls.render(ls.Scene([], [quad(2.0, 0.2), quad(4.0, 4.0)]), front_camera(33, 33), device="cpu")
-    picture = layer_pictures(frame, "depth")["depth"]
-    near, far = picture[16, 16], picture[2, 2]
+    image = layer_pictures(frame, "depth")["depth"]
+    near, far = image[16, 16], image[2, 2]
     assert near[0] > near[2] and far[2] > far[0]

@@ -41,11 +41,11 @@ fps = 10.0
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a scene file that has everything."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     walk = (2, "translation", [0.0, 0.5], [[0, 0, 0], [0, 1, 0]])
     TubeRig(clips={"walk": [walk]}).write(tmp_path / "tube.glb")
-    place.path("scene.toml").write_text(SCENE)
-    return place
+    workspace.path("scene.toml").write_text(SCENE)
+    return workspace
 
 
 def test_info_prints_actors_animation_and_world_bounds_of_a_scene(work):

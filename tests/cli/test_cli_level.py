@@ -18,13 +18,13 @@ GROUND = np.random.default_rng(0).uniform((-3.0, -0.01, -3.0), (3.0, 0.01, 3.0),
 THING = np.random.default_rng(1).uniform((-0.5, -1.5, -0.5), (0.5, 0.0, 0.5), (1000, 3))
 
 
-def garden(**said: object) -> ls.Gaussians:
+def garden(**stated: object) -> ls.Gaussians:
     """Returns objects on a ground, y down."""
     means = np.concatenate([GROUND, THING])
     count = len(means)
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     sizes, colors = np.full((count, 3), 0.03), np.zeros((count, 1, 3))
-    return replace(ls.Gaussians(means, turns, sizes, np.full(count, 0.9), colors), **said)
+    return replace(ls.Gaussians(means, rotations, sizes, np.full(count, 0.9), colors), **stated)
 
 
 def test_trained_captures_store_up_and_first_view(tmp_path: Path) -> None:
@@ -63,8 +63,8 @@ def test_convert_level_rotates_the_ground_to_horizontal(
     monkeypatch.chdir(tmp_path)
     ls.save("tilted.ply", ls.transform(garden(), rotation_degrees=(15.0, 0.0, 10.0)))
     assert main(["convert", "tilted.ply", "level.ply", "--level"]) == 0
-    said = capsys.readouterr().out
-    assert "by the ground at height" in said and "turned by 18.0 degrees, it is y-down" in said
+    printed = capsys.readouterr().out
+    assert "by the ground at height" in printed and "turned by 18.0 degrees, it is y-down" in printed
     level = load_gaussians(tmp_path / "level.ply")
     assert level.up == (0.0, -1.0, 0.0)
     assert np.ptp(level.means[:2000, 1]) < 0.05
@@ -79,9 +79,9 @@ def test_convert_edits_preserve_up_and_first_view_of_a_capture(tmp_path: Path, m
     ls.save("a.ply", garden(up="y-down", first_view=view))
     edits = ["--box", "-2,-2,-2,2,2,2", "--decimate", "50%", "--rotate", "90,0,0"]
     assert main(["convert", "a.ply", "b.spz", *edits]) == 0
-    turned = load_gaussians(tmp_path / "b.spz")
-    np.testing.assert_allclose(present(turned.up), (0.0, 0.0, -1.0), atol=1e-9)
-    np.testing.assert_allclose(present(turned.first_view).eye, (0.0, 5.0, -1.0), atol=1e-6)
+    rotated = load_gaussians(tmp_path / "b.spz")
+    np.testing.assert_allclose(present(rotated.up), (0.0, 0.0, -1.0), atol=1e-9)
+    np.testing.assert_allclose(present(rotated.first_view).eye, (0.0, 5.0, -1.0), atol=1e-6)
 
 
 def test_convert_level_refuses_a_capture_without_a_ground(

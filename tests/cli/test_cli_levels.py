@@ -36,12 +36,12 @@ def test_render_lod_selects_a_level_of_a_streamed_sog(work: Workspace) -> None:
     """The option applies to a file, and to entries of a scene file without a level."""
     for scene in ("@city", "@scene.toml"):
         work.path("scene.toml").write_text('[[splats]]\npath = "city"\n')
-        pictures: list[bytes] = []
+        images: list[bytes] = []
         for options in ([], ["--lod", "2"]):
             outcome = work.run("render", scene, "-o", "@out.png", "--width", "16", "--height", "16", *options)
             assert (outcome.status, outcome.err) == (0, "")
-            pictures.append(work.path("out.png").read_bytes())
-        assert pictures[0] != pictures[1]
+            images.append(work.path("out.png").read_bytes())
+        assert images[0] != images[1]
 
 
 @pytest.mark.parametrize(("keys", "count"), [("lod = 2", 8), ("lod_budget = 30", 23), ("", 23)])

@@ -63,9 +63,9 @@ offset = 5
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a lit scene; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    place.path("scene.toml").write_text(SCENE)
-    return place
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("scene.toml").write_text(SCENE)
+    return workspace
 
 
 class Stage:
@@ -379,12 +379,12 @@ def test_render_lights_a_scene_in_each_pipeline(work):
     """The mesh of a scene file with a light is lit, and brighter with more exposure."""
     args = ("render", "@scene.toml", "-o", "@a.png", "--frames", "far", "--device", "cpu", "--background", "black")
     for pipeline in ("raster", "trace", "hybrid"):
-        pictures = []
+        images = []
         for exposure in ("-2", "0"):
             assert work.run(*args, "--pipeline", pipeline, "--exposure", exposure, "--samples", "1").status == 0
-            pictures.append(read_image(work.path("a.png"))["srgb"].astype(int))
-        assert pictures[0].max() > 5
-        assert (pictures[1] >= pictures[0]).all() and pictures[1].sum() > 1.2 * pictures[0].sum()
+            images.append(read_image(work.path("a.png"))["srgb"].astype(int))
+        assert images[0].max() > 5
+        assert (images[1] >= images[0]).all() and images[1].sum() > 1.2 * images[0].sum()
 
 
 def hints(options: type) -> dict[str, str]:
@@ -412,9 +412,9 @@ DEFAULTS: dict[str, Any] = {
 
 def test_defaults_in_the_help_of_light_options_are_the_library_defaults() -> None:
     """The default of an option is that of the setting with its name."""
-    told = hints(Render) | hints(EnvironmentOptions)
+    defaults = hints(Render) | hints(EnvironmentOptions)
     for name, value in DEFAULTS.items():
-        assert told[name] == getattr(value, "value", value)
+        assert defaults[name] == getattr(value, "value", value)
 
 
 def test_info_lists_lights_cameras_and_settings_of_a_scene_file(work, sky):

@@ -33,8 +33,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 def test_help_of_commands_does_not_show_none(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     """An optional option lists the values that it accepts."""
     assert main([command, "--help"]) == 0
-    told = capsys.readouterr().out
-    assert f"lumisplat {command}" in told and not re.search(r"\bNone\b", told)
+    printed = capsys.readouterr().out
+    assert f"lumisplat {command}" in printed and not re.search(r"\bNone\b", printed)
 
 
 def messages() -> list[str]:

@@ -19,28 +19,28 @@ from support.scenes.raster_scenes import random_gaussians
 @pytest.fixture
 def work(tmp_path, capsys) -> Workspace:
     """Returns a folder with images, folders of them, and an avatar in a room."""
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     rng = np.random.default_rng(1)
-    picture = rng.uniform(0.2, 0.8, (16, 20, 3))
+    image = rng.uniform(0.2, 0.8, (16, 20, 3))
     for folder, change in (("ours", 0.1), ("theirs", 0.0)):
-        place.path(folder).mkdir()
+        workspace.path(folder).mkdir()
         for index in range(3):
-            write_png(place.path(folder) / f"frame_{index}.png", np.clip(picture + index * change, 0, 1))
-    place.path("empty").mkdir()
-    place.path("fewer").mkdir()
+            write_png(workspace.path(folder) / f"frame_{index}.png", np.clip(image + index * change, 0, 1))
+    workspace.path("empty").mkdir()
+    workspace.path("fewer").mkdir()
     for index in (0, 2):
-        write_png(place.path("fewer") / f"frame_{index}.png", picture)
-    write_png(place.path("a.png"), np.full((16, 20, 3), 102 / 255))
-    write_png(place.path("b.png"), np.full((16, 20, 3), 51 / 255))
-    write_png(place.path("small.png"), np.full((16, 19, 3), 0.5))
+        write_png(workspace.path("fewer") / f"frame_{index}.png", image)
+    write_png(workspace.path("a.png"), np.full((16, 20, 3), 102 / 255))
+    write_png(workspace.path("b.png"), np.full((16, 20, 3), 51 / 255))
+    write_png(workspace.path("small.png"), np.full((16, 19, 3), 0.5))
     room = random_gaussians(3, count=300)
     avatar = random_gaussians(4, count=60)
-    ls.save(place.path("room.ply"), replace(room, means=1.2 * (room.means - room.means.mean(axis=0))))
+    ls.save(workspace.path("room.ply"), replace(room, means=1.2 * (room.means - room.means.mean(axis=0))))
     figure = replace(avatar, means=0.3 * (avatar.means - avatar.means.mean(axis=0)))
-    ls.save(place.path("avatar.ply"), figure)
-    ls.save(place.path("relit.ply"), ls.editing.scale_light(figure, np.full((60, 3), [0.9, 0.7, 0.5])))
-    ls.save(place.path("lost.ply"), replace(figure, means=figure.means + np.array([50.0, 0.0, 0.0], np.float32)))
-    return place
+    ls.save(workspace.path("avatar.ply"), figure)
+    ls.save(workspace.path("relit.ply"), ls.editing.scale_light(figure, np.full((60, 3), [0.9, 0.7, 0.5])))
+    ls.save(workspace.path("lost.ply"), replace(figure, means=figure.means + np.array([50.0, 0.0, 0.0], np.float32)))
+    return workspace
 
 
 def rows(text: str) -> dict[str, list[str]]:
@@ -72,13 +72,13 @@ def test_metrics_pairs_images_of_two_folders_by_name(work):
 def test_metrics_json_has_all_metrics_in_full_precision(work):
     """Infinity is "inf"."""
     done = work.run("metrics", "@ours", "@theirs", "--metrics", "psnr,flip", "--json")
-    told = json.loads(done.out)
-    assert [image["name"] for image in told["images"]] == ["frame_0", "frame_1", "frame_2"]
-    assert told["images"][0]["psnr"] == told["mean"]["psnr"] == "inf"
-    flips = [image["flip"] for image in told["images"]]
+    report = json.loads(done.out)
+    assert [image["name"] for image in report["images"]] == ["frame_0", "frame_1", "frame_2"]
+    assert report["images"][0]["psnr"] == report["mean"]["psnr"] == "inf"
+    flips = [image["flip"] for image in report["images"]]
     pair = [ls.load_image(work.path(f"{folder}/frame_2.png")) for folder in ("ours", "theirs")]
     assert flips[2] == ls.metrics.flip(*pair)
-    assert told["mean"]["flip"] == pytest.approx(sum(flips) / 3.0)
+    assert report["mean"]["flip"] == pytest.approx(sum(flips) / 3.0)
 
 
 def test_metrics_compares_shadow_strengths_of_images(work):
@@ -94,8 +94,8 @@ def test_metrics_compares_shadow_strengths_of_images(work):
     assert table["x"] == ["0.2000", "1.0000", "1.0000"]
     assert table["y"] == ["-", "0.0000", "0.0000"]
     assert table["mean"] == ["0.2000", "0.5000", "0.5000"]
-    told = json.loads(work.run("metrics", "@mine", "@truth", "--metrics", "sae", "--json").out)
-    assert told["images"][1] == {"name": "y", "sae": None}
+    report = json.loads(work.run("metrics", "@mine", "@truth", "--metrics", "sae", "--json").out)
+    assert report["images"][1] == {"name": "y", "sae": None}
 
 
 def test_metrics_compares_an_exr_in_display_colours(work):
@@ -118,8 +118,8 @@ def test_metrics_composites_transparent_images_over_black(work):
 def test_metrics_compares_the_light_of_an_avatar_and_a_scene(work):
     """Values equal those of the library; with ``--before``, the table has the gain."""
     avatar, relit, room = (work.capture(name) for name in ("avatar.ply", "relit.ply", "room.ply"))
-    told = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)
-    assert told == {name: getattr(ls.metrics, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
+    report = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)
+    assert report == {name: getattr(ls.metrics, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
     options = ("--before", "@avatar.ply", "--radius", "2")
     done = work.run("metrics", "@relit.ply", "--scene", "@room.ply", *options)
     table = rows(done.out)
@@ -138,9 +138,9 @@ def test_metrics_drop_invalid_leaves_out_invalid_gaussians(work):
     args = ("metrics", "@nan.ply", "--scene", "@room.ply", "--radius", "2", "--json")
     refused = work.run(*args)
     assert refused.status == 2 and "--drop-invalid" in refused.err
-    told = json.loads(work.run(*args, "--drop-invalid").out)
+    report = json.loads(work.run(*args, "--drop-invalid").out)
     avatar, room = (work.capture(name) for name in ("avatar.ply", "room.ply"))
-    assert told["ncm_ab"] == ls.metrics.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
+    assert report["ncm_ab"] == ls.metrics.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
 
 
 def test_metrics_of_one_avatar_print_one_column(work):

@@ -87,15 +87,15 @@ def test_render_logs_no_path_noise_if_denoised_or_of_other_pipelines(lines) -> N
 
 def test_logged_noise_covers_95_percent_of_the_pixels() -> None:
     """The variance layer gives a smaller relative error in 95 % of the pixels."""
-    floor, lamp = ls.plane(6.0, 6.0), ls.LightSphere((0.0, 2.0, 0.0), 0.4, intensity=9.0)
+    floor, light = ls.plane(6.0, 6.0), ls.LightSphere((0.0, 2.0, 0.0), 0.4, intensity=9.0)
     camera = ls.Camera.look_at((0, 2, 3), (0, 0, 0), (0, 1, 0), width=24, height=16)
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4, aovs=("variance",))
     renderer = ls.create_renderer(config, "cpu")
-    frame = renderer.render(ls.Scene(meshes=[floor], lights=[lamp]), camera, progress=lambda label, share: None)
+    frame = renderer.render(ls.Scene(meshes=[floor], lights=[light]), camera, progress=lambda label, fraction: None)
     assert frame.variance is not None and frame.stats is not None and frame.stats.noise is not None
     weights = (0.2126, 0.7152, 0.0722)
     errors = (frame.variance @ weights) ** 0.5 / (frame.color @ weights).clip(0.01)
     below = float((errors <= frame.stats.noise * 1.0001).mean())
     assert 0.95 <= below < 0.96
-    stats = renderer.render(ls.Scene(meshes=[floor], lights=[lamp]), camera).stats
+    stats = renderer.render(ls.Scene(meshes=[floor], lights=[light]), camera).stats
     assert stats is not None and stats.noise is None

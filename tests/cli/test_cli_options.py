@@ -133,10 +133,10 @@ def test_former_options_are_answered_with_their_present_form(option: str, capsys
     assert main([command, "a.toml", option, "8"]) == 2
     error = capsys.readouterr().err
     assert re.match(rf"error: {option} is (a setting|now)[: ]", error) and error.count("\n") == 1
-    known = {name for name, _ in settings(ls.RenderConfig())} | {"meshes.crease_angle_degrees"}
-    known |= {LIGHTING + name for name, _ in settings(ls.config.AvatarLightingConfig())}
+    setting_names = {name for name, _ in settings(ls.RenderConfig())} | {"meshes.crease_angle_degrees"}
+    setting_names |= {LIGHTING + name for name, _ in settings(ls.config.AvatarLightingConfig())}
     for name in re.findall(r"--set ([\w.]+)=", error):
-        assert name in known
+        assert name in setting_names
     for typed in re.findall(r"(--[a-z-]+)", error.partition(" is ")[2]):
         assert typed in options_of(Delight if command == "delight" else Render)
 
@@ -175,17 +175,17 @@ def test_defaults_and_ranges_in_help_equal_those_of_settings(command: str, confi
     names = declared.keys() - of_words
     options = {field.name: field.default for field in fields(COMMANDS[command]) if field.name in names}
     for name, default in options.items():
-        said = next(
+        shown_default = next(
             (one for one in getattr(hints[name], "__metadata__", ()) if hasattr(one, "help_behavior_hint")), None
         )
-        if said is None or "default" not in (said.help_behavior_hint or ""):
+        if shown_default is None or "default" not in (shown_default.help_behavior_hint or ""):
             assert not default, name  # a flag, or what help knows no default of
             continue
         assert default is None, name
         value, limits = getattr(config, name), declared[name].range
         text = ",".join(value) if isinstance(value, tuple) else f"{getattr(value, 'value', value)}"
-        shown = said.help_behavior_hint.removeprefix("(default: ").removesuffix(")")
+        shown = shown_default.help_behavior_hint.removeprefix("(default: ").removesuffix(")")
         assert shown in (text, f"{value:g}" if isinstance(value, float) else text), name
-        numbers = re.fullmatch(r"([\d.]+?)(?:\.\.|-)([\d.]+)", said.metavar or "")
+        numbers = re.fullmatch(r"([\d.]+?)(?:\.\.|-)([\d.]+)", shown_default.metavar or "")
         if numbers:
             assert tuple(map(float, numbers.groups())) == (limits.low, limits.high), name

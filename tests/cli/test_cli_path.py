@@ -38,18 +38,18 @@ def test_render_camera_path_moves_between_cameras_of_a_file(work) -> None:
     """Each second at ``--fps`` moves from one camera to the next."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
     assert outcome.status == 0 and "5 images" in outcome.out
-    way = ls.io.load_camera_path(work.path("way.json"))
+    camera_path = ls.io.load_camera_path(work.path("way.json"))
     for k in range(5):
-        assert same(work, f"out/frame_{k:05d}.png", way.at(k / 2))
+        assert same(work, f"out/frame_{k:05d}.png", camera_path.at(k / 2))
 
 
 def test_orbit_camera_path_is_stretched_to_the_video(work) -> None:
     """Frames of another path are refused."""
     args = ("orbit", "@capture.ply", "-o", "@out", "--seconds", "0.2", "--fps", "20", *SIZE)
     assert work.run(*args, "--camera-path", "@way.json").status == 0
-    way = ls.io.load_camera_path(work.path("way.json"))
+    camera_path = ls.io.load_camera_path(work.path("way.json"))
     for k in range(4):
-        assert same(work, f"out/frame_{k:04d}.png", way.at(2.0 * k / 3))
+        assert same(work, f"out/frame_{k:04d}.png", camera_path.at(2.0 * k / 3))
     refused = work.run(*args)
     assert refused.status == 2 and "holds frames of other settings or files (" in refused.err
 
@@ -62,9 +62,9 @@ def test_animate_moves_the_camera_by_keyframes_of_a_scene_file(work) -> None:
     )
     outcome = work.run("animate", "@scene.toml", "-o", "@out", *SIZE)
     assert outcome.status == 0, outcome.err
-    way = ls.io.load_camera_path(work.path("scene.toml"))
+    camera_path = ls.io.load_camera_path(work.path("scene.toml"))
     for k in range(3):
-        assert same(work, f"out/frame_{k:04d}.png", way.at(k / 3))
+        assert same(work, f"out/frame_{k:04d}.png", camera_path.at(k / 3))
 
 
 def test_render_cameras_accepts_a_camera_path_of_nerfstudio(work) -> None:

@@ -59,9 +59,9 @@ PASSES = ("surfaces", "direct", "indirect", "filters", "sum")
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a lit scene; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    place.path("scene.toml").write_text(SCENE)
-    return place
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("scene.toml").write_text(SCENE)
+    return workspace
 
 
 def test_realtime_image_is_the_last_frame_of_its_warm_up(work, monkeypatch):

@@ -16,19 +16,21 @@ from support.scenes.raster_scenes import flat_sh, one_gaussian
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
     """Returns a folder with a white ball without normals, and a room with red light from +x only."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     ball = ls.gaussians_from_mesh(shapes.sphere(0.5), 400)
     white = flat_sh(np.ones((400, 3)))
-    ls.save(place.path("ball.ply"), ls.Gaussians(ball.means, ball.rotations_wxyz, ball.scales, ball.opacities, white))
-    ls.save(place.path("room.ply"), one_gaussian((4.0, 0.0, 0.0), 1.5, 1.0, (1.0, 0.2, 0.2)))
-    place.path("two.toml").write_text('[[splats]]\npath = "ball.ply"\n[[splats]]\npath = "room.ply"\n')
+    ls.save(
+        workspace.path("ball.ply"), ls.Gaussians(ball.means, ball.rotations_wxyz, ball.scales, ball.opacities, white)
+    )
+    ls.save(workspace.path("room.ply"), one_gaussian((4.0, 0.0, 0.0), 1.5, 1.0, (1.0, 0.2, 0.2)))
+    workspace.path("two.toml").write_text('[[splats]]\npath = "ball.ply"\n[[splats]]\npath = "room.ply"\n')
     # Half a turn about y: what is +x in the room is -x for the ball.
-    place.path("turned.toml").write_text(
+    workspace.path("turned.toml").write_text(
         '[[splats]]\npath = "ball.ply"\nrotation_wxyz = [0, 0, 1, 0]\nposition = [0, 0, 0]\nscale = 0.5\n'
     )
-    place.path("white.toml").write_text('[render]\nbackground = [1, 1, 1]\n[[splats]]\npath = "dust.ply"\n')
-    ls.save(place.path("dust.ply"), one_gaussian((0.0, 0.0, 50.0), 1e-3, 1e-3, (1.0, 1.0, 1.0)))
-    return place
+    workspace.path("white.toml").write_text('[render]\nbackground = [1, 1, 1]\n[[splats]]\npath = "dust.ply"\n')
+    ls.save(workspace.path("dust.ply"), one_gaussian((0.0, 0.0, 50.0), 1e-3, 1e-3, (1.0, 1.0, 1.0)))
+    return workspace
 
 
 def lit_sides(place: Workspace, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -94,14 +96,14 @@ def test_relight_options_equal_arguments_of_the_library(work):
 
 def test_relight_at_a_dim_position_prints_a_suitable_gamma(work):
     """The gamma preserves the avatar's brightness."""
-    told = work.run("relight", "@ball.ply", "@room.ply", "-o", "@a.ply", "--device", "cpu").out
-    assert "to keep the avatar about as bright as it was: --gamma" in told
+    printed = work.run("relight", "@ball.ply", "@room.ply", "-o", "@a.ply", "--device", "cpu").out
+    assert "to keep the avatar about as bright as it was: --gamma" in printed
 
 
 def test_relight_in_darkness_prints_advice_without_a_gamma(work):
     """No gamma would help."""
-    told = work.run("relight", "@ball.ply", "@dust.ply", "-o", "@a.ply", "--device", "cpu").out
-    assert "there is almost no light" in told and "--gamma" not in told
+    printed = work.run("relight", "@ball.ply", "@dust.ply", "-o", "@a.ply", "--device", "cpu").out
+    assert "there is almost no light" in printed and "--gamma" not in printed
 
 
 @pytest.mark.parametrize(

@@ -33,11 +33,11 @@ def test_train_relightable_writes_materials_and_an_environment(
     assert isinstance(found, ls.Gaussians)
     assert found.albedo is not None and found.roughness is not None and found.normals is not None
     assert found.sh_degree == 1
-    sky = ls.LightEnvironment(ls.io.load_radiance(tmp_path / "out" / "a.environment.exr"))
-    assert sky.image is not None and sky.image.shape == (16, 32, 3) and sky.image.min() > 0.0
+    environment = ls.LightEnvironment(ls.io.load_radiance(tmp_path / "out" / "a.environment.exr"))
+    assert environment.image is not None and environment.image.shape == (16, 32, 3) and environment.image.min() > 0.0
     report = output.with_suffix(".training") / "materials"
-    told = json.loads((report / "materials.json").read_text())
-    assert told["gaussians"] == found.count and told["error"] > 0.0
+    metrics = json.loads((report / "materials.json").read_text())
+    assert metrics["gaussians"] == found.count and metrics["error"] > 0.0
     assert len(list(report.glob("*.png"))) == 3
     # However bright the sky is: 0.3 of display white on average, but for what is brighter than white.
     assert decode_srgb(np.asarray(Image.open(report / "environment.png")) / 255.0).mean() == pytest.approx(
@@ -51,23 +51,23 @@ def test_train_relightable_estimates_materials_from_refined_poses(
 ) -> None:
     """The images have the refined cameras; missing values are null."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
-    seen: list[ls.io.TrainingImages] = []
+    image_sets: list[ls.io.TrainingImages] = []
     find = ls.inverse.find_materials
 
     def spied(
-        capture: ls.Gaussians, photographs: ls.io.TrainingImages, *rest: Any, **options: Any
+        capture: ls.Gaussians, images: ls.io.TrainingImages, *rest: Any, **options: Any
     ) -> ls.inverse.FoundMaterials:
-        seen.append(photographs)
-        return find(capture, photographs, *rest, **options)
+        image_sets.append(images)
+        return find(capture, images, *rest, **options)
 
     monkeypatch.setattr(ls.inverse, "find_materials", spied)
     command = ["train", str(folder), "-o", str(output), *SHORT[:-1], "0", "--relightable", "--refine-poses"]
     assert main(command) == 0
-    told = json.loads((tmp_path / "a.training" / "poses.json").read_text())["frames"]
-    poses = {Path(frame["file_path"]).stem: np.array(frame["transform_matrix"]) for frame in told}
+    frames = json.loads((tmp_path / "a.training" / "poses.json").read_text())["frames"]
+    poses = {Path(frame["file_path"]).stem: np.array(frame["transform_matrix"]) for frame in frames}
     before = {one.name: one.camera.eye for one in ls.io.load_training_images(folder).training}
-    assert {one.name for one in seen[0].training} == set(before)
-    for one in seen[0].training:
+    assert {one.name for one in image_sets[0].training} == set(before)
+    for one in image_sets[0].training:
         np.testing.assert_allclose(one.camera.eye, poses[one.name][:3, 3], atol=1e-6)
         assert np.linalg.norm(one.camera.eye - before[one.name]) > 1e-5
     report = tmp_path / "a.training" / "materials" / "materials.json"

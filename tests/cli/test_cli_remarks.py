@@ -62,16 +62,16 @@ def test_render_logs_no_black_sides_if_light_reaches_all_sides(scene: ls.Scene) 
 def test_render_logs_a_capture_with_albedo_but_without_a_material() -> None:
     """Users who run ``delight`` and add lights expect the capture to be lit."""
     found = replace(one_gaussian(), albedo=np.full((1, 3), 0.5, np.float32))
-    kept = ls.SplatInstance(found)
+    unlit = ls.SplatInstance(found)
     for lights in ([LAMP, SECOND], [SKY]):
-        (line,) = remarks(ls.Scene([kept, RELIT], [], lights))
+        (line,) = remarks(ls.Scene([unlit, RELIT], [], lights))
         assert line.startswith("captures with an albedo stay unlit without a material")
-    assert remarks(ls.Scene([kept], [], [SKY]), lighting=False) == []
+    assert remarks(ls.Scene([unlit], [], [SKY]), lighting=False) == []
     for scene in (
-        ls.Scene([kept]),
-        ls.Scene([kept], [], [replace(SKY, enabled=False)]),
-        ls.Scene([replace(kept, material=ls.MaterialPbr())], [], [SKY]),
-        ls.Scene([replace(kept, shadow_catcher=True)], [], [SKY]),
+        ls.Scene([unlit]),
+        ls.Scene([unlit], [], [replace(SKY, enabled=False)]),
+        ls.Scene([replace(unlit, material=ls.MaterialPbr())], [], [SKY]),
+        ls.Scene([replace(unlit, shadow_catcher=True)], [], [SKY]),
     ):
         assert remarks(scene) == []
 
@@ -110,9 +110,9 @@ def test_commands_log_black_sides_once_and_not_with_an_environment(
     work = Workspace(tmp_path, capsys)
     scene = '[[splats]]\npath = "capture.ply"\nshadow_catcher = true\n[[meshes]]\npath = "mesh.obj"\n'
     scene += '[[lights]]\ntype = "point"\nposition = [0, 0, 9]\n'
-    sky = "[environment]\nintensity = 0.3\nvisible = false\n"
+    environment = "[environment]\nintensity = 0.3\nvisible = false\n"
     options = ("--width", "16", "--device", "cpu", *(("--seconds", "0.08") if command == "orbit" else ()))
-    for name, text, count in (("dark", scene, 1), ("sky", scene + sky, 0)):
+    for name, text, count in (("dark", scene, 1), ("sky", scene + environment, 0)):
         caplog.clear()
         work.path(f"{name}.toml").write_text(text)
         with caplog.at_level(logging.WARNING, "lumisplat"):

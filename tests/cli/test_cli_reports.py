@@ -30,8 +30,8 @@ def test_full_disk_keeps_the_former_report_files(tmp_path: Path) -> None:
             write_comparison(disk / "door.png", [(NOISE, NOISE[::-1])])
         assert sorted(os.listdir(disk)) == ["door.png", "report.json"]
         assert json.loads((disk / "report.json").read_text()) == {"psnr": 31.0}
-        with Image.open(disk / "door.png") as picture:
-            assert picture.size == (12, 4)
+        with Image.open(disk / "door.png") as image:
+            assert image.size == (12, 4)
 
 
 def test_temporary_file_of_a_report_survives_other_writers(tmp_path: Path) -> None:

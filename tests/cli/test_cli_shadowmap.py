@@ -18,9 +18,9 @@ LIGHT = "0,0,-6"
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workspace:
     """Returns a folder with a capture around z = 4 and a small mesh before it."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
+    workspace = Workspace(tmp_path, capsys)
     (tmp_path / "mesh.obj").write_text("v -0.3 -0.3 1\nv 0.3 -0.3 1\nv 0 0.3 1\nf 1 2 3\n")
-    return place
+    return workspace
 
 
 def run(work: Workspace, *args: str) -> tuple[int, str, str]:
@@ -100,13 +100,13 @@ def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workspace) -> N
     (work.folder / "up.obj").write_text("v -0.3 0 1\nv 0.3 0 1\nv 0 2 1\nf 1 2 3\n")
     entry = '[[meshes]]\npath = "up.obj"\nupright = true\n'
     shadows: dict[str, np.ndarray] = {}
-    for name, said, line in (
+    for name, up_line, line in (
         ("own", "", "up is y-down, as in the capture"),
         ("down", 'up = "y-down"\n', "up is y-down, as in the capture"),
         ("up", 'up = "y-up"\n', "up is y-up, as their scene.toml says"),
         ("tilted", "up = [0, -3, 4]\n", "up is 0,-0.6,0.8, as their scene.toml says"),
     ):
-        work.path(f"{name}.toml").write_text(said + entry)
+        work.path(f"{name}.toml").write_text(up_line + entry)
         args = ("shadowmap", f"@{name}.toml", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
         outcome = work.run(*args, "-o", f"@{name}.ply")
         assert outcome.status == 0, outcome.err
@@ -124,8 +124,8 @@ def test_shadowmap_places_casting_meshes_on_the_ground_of_the_capture(
     put = work.run(*args, "-o", "@put.ply")
     assert put.status == 0 and "mesh.obj has no position: it stands upright on the ground" in caplog.text
     caplog.clear()
-    kept = work.run(*args, "--keep-coordinates", "-o", "@kept.ply")
-    assert kept.status == 0 and not caplog.text
+    unmoved = work.run(*args, "--keep-coordinates", "-o", "@kept.ply")
+    assert unmoved.status == 0 and not caplog.text
     capture = work.capture("capture.ply")
     placed = ls.insert(ls.Scene([capture]), ls.load(work.path("mesh.obj")))  # pyright: ignore[reportArgumentType]
     lighter = ls.AvatarLighter(

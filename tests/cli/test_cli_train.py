@@ -24,10 +24,10 @@ def test_train_continues_with_the_same_command(tmp_path: Path, capsys: pytest.Ca
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0
     assert "of 30 steps" in (first := capsys.readouterr().out) and "the same command continues" in first
     assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0
-    told = capsys.readouterr().out
-    assert "held out" in told and "120 Gaussians, 30 of 30 steps" in told and "continues" not in told
-    held = output.read_bytes()
-    assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0 and output.read_bytes() == held
+    printed = capsys.readouterr().out
+    assert "held out" in printed and "120 Gaussians, 30 of 30 steps" in printed and "continues" not in printed
+    stored = output.read_bytes()
+    assert main(["train", str(folder), "-o", str(output), *SHORT]) == 0 and output.read_bytes() == stored
     asset = ls.load(output)
     assert isinstance(asset, ls.Gaussians) and asset.count == 120
 
@@ -39,8 +39,8 @@ def test_train_by_ray_tracing_stores_the_kernel_degree(tmp_path: Path, capsys: p
     assert main(["train", str(folder), "-o", str(output), *rays, "--device", "cpu"]) == 0
     asset = ls.load(output)
     assert isinstance(asset, ls.Gaussians) and asset.kernel_degree == 4
-    told = capsys.readouterr().out.split()
-    measured = told[told.index("mean") + 1]
+    printed = capsys.readouterr().out.split()
+    measured = printed[printed.index("mean") + 1]
     assert main(["evaluate", str(output), str(folder), "--pipeline", "trace", "--device", "cpu"]) == 0
     again = capsys.readouterr().out.split()
     assert float(again[again.index("views") + 1]) == pytest.approx(float(measured), abs=0.011)
@@ -74,8 +74,8 @@ def test_train_reports_mistakes_in_one_line(
     folder = write_training_folder(tmp_path / "set", 3)
     before = sorted(tmp_path.rglob("*"))
     assert main(["train", str(folder), "--device", "cpu", *options]) == 2
-    told = capsys.readouterr().err
-    assert problem in told and told.strip().count("\n") == 0
+    printed = capsys.readouterr().err
+    assert problem in printed and printed.strip().count("\n") == 0
     assert sorted(tmp_path.rglob("*")) == before
 
 

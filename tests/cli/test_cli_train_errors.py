@@ -76,9 +76,9 @@ def test_train_refuses_a_checkpoint_of_other_settings(tmp_path: Path, capsys: py
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Returns a folder of images, and the files of a finished training of them."""
-    place = tmp_path_factory.mktemp("whole")
-    assert main(["train", str(write_training_folder(place / "set")), "-o", str(place / "a.ply"), *SHORT]) == 0
-    return place
+    folder = tmp_path_factory.mktemp("whole")
+    assert main(["train", str(write_training_folder(folder / "set")), "-o", str(folder / "a.ply"), *SHORT]) == 0
+    return folder
 
 
 @pytest.mark.parametrize(

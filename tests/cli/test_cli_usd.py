@@ -53,9 +53,9 @@ duration = 1.0
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
     """Returns a folder with a scene; the package usd-core is needed."""
     usd_core()
-    place = Workspace(tmp_path, capsys)
-    place.path("scene.toml").write_text(SCENE)
-    return place
+    workspace = Workspace(tmp_path, capsys)
+    workspace.path("scene.toml").write_text(SCENE)
+    return workspace
 
 
 @pytest.mark.parametrize("name", ["scene.usda", "scene.usdc", "scene.usdz", "scene.usd"])
@@ -129,21 +129,21 @@ def test_animate_renders_an_animated_usd(work: Workspace) -> None:
     usd_core()
     ball = ls.Actor(ls.sphere(0.5), ls.Keyframes([0.0, 1.0], [(-1.0, 0.0, 4.0), (1.0, 0.0, 4.0)]), name="ball")
     views = [ls.Camera.look_at((x, 0, 0), (0, 0, 4), up=(0, 1, 0), width=32, height=24, name="eye") for x in (0, 1)]
-    lamp = ls.Scene(lights=[ls.LightPoint((0.0, 3.0, 1.0), intensity=20.0)], up="y-up")
+    scene = ls.Scene(lights=[ls.LightPoint((0.0, 3.0, 1.0), intensity=20.0)], up="y-up")
     path = ls.CameraPath(views, times=[0.0, 1.0])
-    ls.save(work.path("walk.usdc"), ls.Animation(lamp, [ball], fps=2.0, frame_count=3, camera_path=path))
+    ls.save(work.path("walk.usdc"), ls.Animation(scene, [ball], fps=2.0, frame_count=3, camera_path=path))
     outcome = work.run("animate", "@walk.usdc", "-o", "@frames", "--format", "npz")
     assert (outcome.status, outcome.err) == (0, "") and "3 frames in" in outcome.out
     read = ls.load_animation(work.path("walk.usdc"))
     renderer = ls.create_renderer(device="cpu")
-    pictures: list[np.ndarray] = []
+    images: list[np.ndarray] = []
     for frame, time in enumerate(read.times):
         assert read.camera_path is not None
         (shown,) = read.actors_at(float(time))
         still = ls.Scene(meshes=[expect_kind(ls.MeshInstance, shown)], lights=read.scene.lights, up="y-up")
-        pictures.append(renderer.render(still, read.camera_path.at(float(time))).color)
-        with np.load(work.path(f"frames/frame_{frame:04d}.npz")) as held:
-            np.testing.assert_array_equal(held["color"], pictures[-1])
-    assert not np.array_equal(pictures[0], pictures[1])
+        images.append(renderer.render(still, read.camera_path.at(float(time))).color)
+        with np.load(work.path(f"frames/frame_{frame:04d}.npz")) as arrays:
+            np.testing.assert_array_equal(arrays["color"], images[-1])
+    assert not np.array_equal(images[0], images[1])
     again = work.run("animate", "@walk.usdc", "-o", "@frames", "--format", "npz")
     assert "3 of them were there" in again.out

@@ -73,9 +73,9 @@ def test_render_view_shadow_shows_a_lit_scene(work):
     )
     args = ("render", "@scene.toml", "--cameras", "@cameras.json", "--frames", "left", "--device", "cpu")
     assert work.run(*args, "--view", "shadow", "-o", "@a.png").status == 0
-    picture = read_image(work.path("a.png"))["srgb"]
-    assert tuple(picture[24, 32]) == (255, 255, 255)
-    assert tuple(picture[0, 0]) == (23, 33, 82)
+    image = read_image(work.path("a.png"))["srgb"]
+    assert tuple(image[24, 32]) == (255, 255, 255)
+    assert tuple(image[0, 0]) == (23, 33, 82)
     assert work.run(*args, "--aov", "albedo,lights", "-o", "@b.exr").status == 0
     channels = read_image(work.path("b.exr"))
     assert {"albedo.R", "light.lamp.direct.G", "light.lamp.shadow.B"} < set(channels)
@@ -120,9 +120,9 @@ def test_sixteen_bit_depth_image_stores_its_range(work):
     frame = ls.render(mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0], device="cpu")
     assert frame.depth_range is not None
     near, far = frame.depth_range
-    with Image.open(work.path("a.depth16.png")) as picture:
-        texts, values = dict(picture.info), np.asarray(picture, np.int64)
-        assert picture.mode == "I;16"
+    with Image.open(work.path("a.depth16.png")) as image:
+        texts, values = dict(image.info), np.asarray(image, np.int64)
+        assert image.mode == "I;16"
     assert (float(texts["depth_near"]), float(texts["depth_far"])) == (near, far)
     assert f"from {near:.6g} (1) to {far:.6g} (65535)" in outcome.out
     hit = np.isfinite(frame.depth)

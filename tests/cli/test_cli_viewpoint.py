@@ -41,8 +41,8 @@ def test_viewpoint_angles_equal_those_of_frame_camera(work) -> None:
     """Angles are in degrees on the command line, in radians in Python."""
     scene = ls.Scene([work.capture("capture.ply")])
     camera = ls.frame_camera(scene, azimuth=math.radians(30), elevation=math.radians(-10), distance=6.0, **SIZE)
-    picture = shown(work, "--azimuth", "30", "--elevation", "-10", "--distance", "6")
-    np.testing.assert_array_equal(picture, expected(work, camera))
+    image = shown(work, "--azimuth", "30", "--elevation", "-10", "--distance", "6")
+    np.testing.assert_array_equal(image, expected(work, camera))
     lens = ls.frame_camera(scene, fov_y=math.radians(20), target=(0.2, 0.1, 4.0), **SIZE)
     np.testing.assert_array_equal(shown(work, "--fov", "20", "--target", "0.2 0.1 4"), expected(work, lens))
 
@@ -121,8 +121,8 @@ def test_single_gltf_or_usd_file_is_rendered_by_its_own_cameras(work) -> None:
     assert sorted(path.name for path in work.path("out").iterdir()) == ["left.png", "top.png"]
     for camera in ls.load_cameras(work.path("box.glb"), **SIZE):
         frame = ls.render(ls.io.load(work.path("box.glb")), camera, device="cpu")  # pyright: ignore[reportArgumentType]
-        picture = read_image(work.path("out") / f"{camera.name}.png")["srgb"]
-        np.testing.assert_array_equal(picture, (np.clip(frame.pixels_srgb(), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+        image = read_image(work.path("out") / f"{camera.name}.png")["srgb"]
+        np.testing.assert_array_equal(image, (np.clip(frame.pixels_srgb(), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
     assert work.run("render", "@box.glb", "--azimuth", "40", "-o", "@own", *options).status == 0
     assert [path.name for path in work.path("own").iterdir()] == ["front.png"]
     work.capture("capture.ply")

@@ -150,9 +150,9 @@ def test_settings_of_wrong_type_or_range_are_refused_when_created(
 def test_layer_settings_in_any_order_or_iterable_are_equal() -> None:
     """A layer named twice counts once."""
     names: Any = (name for name in ("hits", "albedo", "hits"))
-    asked = ls.RenderConfig(aovs=names)
-    assert asked == ls.RenderConfig(aovs=("albedo", "hits"))
-    assert asked.aovs == ("albedo", "hits")
+    config = ls.RenderConfig(aovs=names)
+    assert config == ls.RenderConfig(aovs=("albedo", "hits"))
+    assert config.aovs == ("albedo", "hits")
 
 
 def test_settings_accept_numpy_numbers() -> None:

@@ -39,11 +39,11 @@ def test_random_numbers_of_data_sets_fill_their_ranges_uniformly() -> None:
 @pytest.mark.parametrize("count", [20, 101, 1000])
 def test_data_set_splits_have_their_fractions_of_any_number_of_views(count: int) -> None:
     """Counts are within three views for any seed; the split of a view does not depend on the number of views."""
-    shares = (0.7, 0.2, 0.1)
+    fractions = (0.7, 0.2, 0.1)
     for seed in range(20):
-        parts = [split_of(seed, view, shares) for view in range(count)]
-        for part, share in zip(("train", "val", "test"), shares, strict=True):
-            assert abs(parts.count(part) - share * count) < 2.5, (seed, part)
+        parts = [split_of(seed, view, fractions) for view in range(count)]
+        for part, fraction in zip(("train", "val", "test"), fractions, strict=True):
+            assert abs(parts.count(part) - fraction * count) < 2.5, (seed, part)
     assert {split_of(0, view, (0.0, 0.0, 1.0)) for view in range(50)} == {"test"}
 
 

@@ -67,11 +67,11 @@ def test_data_set_layers_match_the_geometry_of_the_scene(folder, index: int) -> 
     camera = camera_of(record)
     ids, depth = image(folder, record, "instance"), np.load(folder / record["files"]["depth"])
     assert ids.dtype == np.uint8 and (depth.dtype, depth.shape) == (np.float32, (24, 32))
-    things = {thing["name"]: thing for thing in record["things"]}
-    assert [*things] == ["floor", "block", "duck"] and [thing["id"] for thing in things.values()] == [1, 2, 3]
+    objects = {entry["name"]: entry for entry in record["things"]}
+    assert [*objects] == ["floor", "block", "duck"] and [entry["id"] for entry in objects.values()] == [1, 2, 3]
     # The floor is the plane y = 0.
     origins, directions = world_rays(camera)
-    floor = ids == things["floor"]["id"]
+    floor = ids == objects["floor"]["id"]
     along = -origins[..., 1] / directions[..., 1]
     view_depth = along * (directions @ camera.camera_from_world[2, :3])
     np.testing.assert_allclose(depth[floor], view_depth[floor], rtol=1e-5)
@@ -81,17 +81,17 @@ def test_data_set_layers_match_the_geometry_of_the_scene(folder, index: int) -> 
     assert not image(folder, record, "normal")[ids == 0].any()
     # Points of surfaces are in the boxes of their things.
     points = origins + along_rays(camera, depth)[..., None] * directions
-    for thing in things.values():
-        rows, columns = np.nonzero(ids == thing["id"])
-        assert len(rows) == thing["visible_pixels"]
+    for entry in objects.values():
+        rows, columns = np.nonzero(ids == entry["id"])
+        assert len(rows) == entry["visible_pixels"]
         if not len(rows):
-            assert thing["bbox"] is None
+            assert entry["bbox"] is None
             continue
-        left, top, width, height = thing["bbox"]
+        left, top, width, height = entry["bbox"]
         assert (left, top) == (columns.min(), rows.min())
         assert (left + width, top + height) == (columns.max() + 1, rows.max() + 1)
-        own = transform_points(np.linalg.inv(thing["world_from_object"]), points[rows, columns])
-        low, high = np.array(thing["box_low"]), np.array(thing["box_high"])
+        own = transform_points(np.linalg.inv(entry["world_from_object"]), points[rows, columns])
+        low, high = np.array(entry["box_low"]), np.array(entry["box_high"])
         margin = 1e-3 * np.linalg.norm(high - low)
         assert (own >= low - margin).all() and (own <= high + margin).all()
     categories = image(folder, record, "category")
@@ -140,7 +140,7 @@ def test_data_set_loads_as_training_images(folder) -> None:
 def test_data_set_shards_contain_the_files_of_their_views(folder) -> None:
     """A shard has at most three views of one split; members are adjacent, equal to the files, and without times."""
     shards = sorted((folder / "shards").iterdir())
-    seen = {}
+    stored = {}
     for shard in shards:
         with tarfile.open(shard) as tar:
             members = tar.getmembers()
@@ -150,13 +150,13 @@ def test_data_set_shards_contain_the_files_of_their_views(folder) -> None:
             assert {(member.mtime, member.uid, member.uname) for member in members} == {(0, 0, "")}
             for key in keys:
                 record = record_of(folder, int(key.split("_")[1]))
-                seen[key] = record["split"]
+                stored[key] = record["split"]
                 assert shard.name.startswith(f"{record['split']}-00000")
                 for layer, file in record["files"].items():
                     name = f"{key}.png" if layer == "color" else f"{key}.{layer}{Path(file).suffix}"
                     assert member_bytes(tar, name) == (folder / file).read_bytes()
                 assert json.loads(member_bytes(tar, f"{key}.json")) == record
-    assert len(seen) == VIEWS
+    assert len(stored) == VIEWS
 
 
 def member_bytes(tar: tarfile.TarFile, name: str) -> bytes:

@@ -61,8 +61,8 @@ def test_dome_cameras_of_a_data_set_are_within_their_ranges() -> None:
             width=32,
             height=24,
         )
-        share = np.dot(middle - camera.eye, forward) / np.linalg.norm(whole.eye - middle)
-        assert 0.85 <= share <= 1.15
+        relative_distance = np.dot(middle - camera.eye, forward) / np.linalg.norm(whole.eye - middle)
+        assert 0.85 <= relative_distance <= 1.15
 
 
 def test_default_dome_cameras_of_a_data_set_see_the_whole_scene() -> None:
@@ -101,8 +101,8 @@ def test_data_set_cameras_near_given_ones_move_within_their_limits() -> None:
         nearest = min((0, 1), key=lambda k, eye=view.camera.eye: float(np.linalg.norm(given[k].eye - eye)))
         used.add(nearest)
         assert np.linalg.norm(view.camera.eye - given[nearest].eye) <= 0.02 * DIAGONAL
-        turn = view.camera.camera_from_world[:3, :3] @ given[nearest].camera_from_world[:3, :3].T
-        assert math.degrees(math.acos(min(1.0, 0.5 * (np.trace(turn) - 1.0)))) <= 4.0 + 1e-6
+        rotation = view.camera.camera_from_world[:3, :3] @ given[nearest].camera_from_world[:3, :3].T
+        assert math.degrees(math.acos(min(1.0, 0.5 * (np.trace(rotation) - 1.0)))) <= 4.0 + 1e-6
     assert used == {0, 1}
     with pytest.raises(ls.SceneError, match=r"poses\.where is cameras, but no cameras were given"):
         ls.dataset.DatasetViews(block_scene(), small_config(poses=poses), device="cpu")
@@ -112,7 +112,7 @@ def test_data_set_objects_stand_on_the_ground_without_contact(object_file) -> No
     """Objects stand upright on the floor or the block with the right size and free space; cameras look at one."""
     objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 4), size=(0.05, 0.1))
     poses = ls.config.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
-    turns, looked_at = set(), 0
+    rotations, looked_at = set(), 0
     for view in views_of(small_config(objects=objects, poses=poses)):
         spheres = []
         for thing in view.things:
@@ -125,7 +125,7 @@ def test_data_set_objects_stand_on_the_ground_without_contact(object_file) -> No
             radius = 0.5 * scale * np.linalg.norm(thing.high - thing.low)
             assert 0.05 * DIAGONAL <= 2.0 * radius <= 0.1 * DIAGONAL
             np.testing.assert_allclose(matrix[:3, 1] / scale, (0.0, 1.0, 0.0), atol=1e-9)
-            turns.add(round(float(np.arctan2(matrix[0, 2], matrix[0, 0])), 3))
+            rotations.add(round(float(np.arctan2(matrix[0, 2], matrix[0, 0])), 3))
             lowest = corners[:, 1].min()
             assert min(abs(lowest), abs(lowest - 1.0)) < 1e-4
             middle = transform_points(matrix, center[None])[0]
@@ -139,15 +139,15 @@ def test_data_set_objects_stand_on_the_ground_without_contact(object_file) -> No
         if aimed:
             middle, radius = spheres[aimed[0]]
             assert 3.0 <= np.linalg.norm(middle - eye) / radius <= 5.0 + 1e-6
-    assert looked_at == COUNT and len(turns) > COUNT
+    assert looked_at == COUNT and len(rotations) > COUNT
 
 
 def test_data_set_objects_stand_upright_for_any_up_direction(object_file, tmp_path) -> None:
     """Captures have y down, meshes y up; both stand upright in scenes of either kind."""
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
-    turned = ls.MeshInstance(ls.plane(4.0, 4.0), rotation_degrees=(180.0, 0.0, 0.0))
+    rotated = ls.MeshInstance(ls.plane(4.0, 4.0), rotation_degrees=(180.0, 0.0, 0.0))
     block = ls.MeshInstance(ls.box(1.0), position=(0.0, -0.5, 0.0))
-    for scene, up in ((block_scene(), 1.0), (ls.Scene(meshes=[turned, block], up="y-down"), -1.0)):
+    for scene, up in ((block_scene(), 1.0), (ls.Scene(meshes=[rotated, block], up="y-down"), -1.0)):
         for file, own_up in ((object_file, 1.0), (str(tmp_path / "ball.ply"), -1.0)):
             objects = ls.config.DatasetObjects(files=(file,), count=(1, 1), size=(0.05, 0.05))
             thing = ls.dataset.DatasetViews(scene, small_config(objects=objects), device="cpu").view(0).things[2]
@@ -165,11 +165,11 @@ def test_data_set_labels_have_the_instance_indices_of_frames(object_file, tmp_pa
     kinds = set()
     for view in views_of(small_config(objects=objects, poses=ls.config.DatasetPoses(seen=0.0)), scene):
         instances = (*view.scene.splats, *view.scene.meshes)
-        assert sorted(place for thing in view.things for place in thing.instances) == list(range(len(instances)))
+        assert sorted(number for thing in view.things for number in thing.instances) == list(range(len(instances)))
         assert [thing.id for thing in view.things] == list(range(1, len(view.things) + 1))
         for thing in view.things:
             kinds.add(thing.kind)
-            assert [isinstance(instances[place], ls.SplatInstance) for place in thing.instances] == {
+            assert [isinstance(instances[number], ls.SplatInstance) for number in thing.instances] == {
                 "capture": [True],
                 "mesh": [False],
                 "scene": [False, False],
@@ -253,8 +253,8 @@ def test_data_set_captures_stay_unlit_and_receive_shadows_of_objects(object_file
     objects = ls.config.DatasetObjects(files=(object_file,), count=(1, 1))
     view = views_of(small_config(poses=poses, objects=objects), capture)[0]
     assert len(view.scene.lights) == 2 and view.scene.splats[0].shadow_catcher
-    kept = replace(objects, shadows=False)
-    assert not views_of(small_config(poses=poses, objects=kept), capture)[0].scene.splats[0].shadow_catcher
+    unshadowed = replace(objects, shadows=False)
+    assert not views_of(small_config(poses=poses, objects=unshadowed), capture)[0].scene.splats[0].shadow_catcher
 
 
 def test_impossible_data_set_poses_are_explained_in_one_line() -> None:

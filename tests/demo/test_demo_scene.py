@@ -52,10 +52,10 @@ def test_baked_daylight_of_the_demo_only_darkens_the_albedo(demo: ls.Scene) -> N
     gaussians = demo.splats[0].gaussians
     assert gaussians.albedo is not None
     shown = decode_srgb(np.clip(gaussians.sh[:, 0] * SH_C0 + 0.5, 0.0, 1.0)).sum(axis=1)
-    share = shown / np.maximum(gaussians.albedo.sum(axis=1), 1e-3)
-    assert share.max() < 1.01
-    assert np.percentile(share, 5) < 0.5
-    assert np.percentile(share, 95) > 0.7
+    fraction = shown / np.maximum(gaussians.albedo.sum(axis=1), 1e-3)
+    assert fraction.max() < 1.01
+    assert np.percentile(fraction, 5) < 0.5
+    assert np.percentile(fraction, 95) > 0.7
     for instance in demo.meshes:
         assert instance.mesh.colors is not None
         assert 0.0 <= instance.mesh.colors.min() < instance.mesh.colors.max() <= 1.0
@@ -83,10 +83,10 @@ def test_demo_frames_have_no_holes_from_any_demo_camera(demo: ls.Scene) -> None:
 
 def test_building_the_demo_scene_reports_progress_from_0_to_1(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
     """Reported fractions never decrease."""
-    heard = demo_and_progress[1]
-    assert heard[0] == 0.0
-    assert heard == sorted(heard)
-    assert heard[-1] == 1.0
+    reported = demo_and_progress[1]
+    assert reported[0] == 0.0
+    assert reported == sorted(reported)
+    assert reported[-1] == 1.0
 
 
 @pytest.fixture(scope="module")

@@ -147,14 +147,14 @@ def test_demo_plane_faces_up_with_uv_along_x_and_z() -> None:
 @given(st.tuples(*[st.floats(0.5, 3.0)] * 3), st.floats(-3.0, 3.0))
 def test_transforming_a_mesh_scales_its_volume_and_keeps_its_normals(scales: tuple[float, ...], angle: float) -> None:
     """An affine map multiplies volume by its determinant, and normals stay perpendicular to their surface."""
-    turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+    rotation = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
     matrix = np.eye(4)
-    matrix[:3, :3] = turn @ np.diag(scales)
+    matrix[:3, :3] = rotation @ np.diag(scales)
     matrix[:3, 3] = (1.0, -2.0, 0.5)
     before = shapes.icosphere(1.0, subdivisions=3)
     after = shapes.transform_mesh(before, matrix)
     assert volume_and_area(after)[0] == pytest.approx(np.prod(scales) * volume_and_area(before)[0], rel=1e-4)
-    gradient = before.positions / np.array(scales) @ turn.T
+    gradient = before.positions / np.array(scales) @ rotation.T
     gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
     np.testing.assert_allclose(present(after.normals), gradient, atol=1e-4)
 

@@ -71,8 +71,8 @@ def flip_of_flat_colors(srgb: tuple[float, float, float], reference: tuple[float
         difference = hunt(a) - hunt(b)
         return (abs(difference[0]) + math.hypot(*difference[1:])) ** 0.7
 
-    share = distance(srgb, reference) / distance((0, 1, 0), (0, 0, 1))
-    return share * 0.95 / 0.4 if share < 0.4 else 0.95 + (share - 0.4) / 0.6 * 0.05
+    fraction = distance(srgb, reference) / distance((0, 1, 0), (0, 0, 1))
+    return fraction * 0.95 / 0.4 if fraction < 0.4 else 0.95 + (fraction - 0.4) / 0.6 * 0.05
 
 
 def test_psnr_matches_hand_computed_values():

@@ -49,8 +49,8 @@ def test_normal_errors_are_exact_for_small_angles(degrees):
     truth /= np.linalg.norm(truth, axis=1, keepdims=True)
     side = np.cross(truth, RANDOM.normal(size=3))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    turned = np.cos(np.radians(degrees)) * truth + np.sin(np.radians(degrees)) * side
-    np.testing.assert_allclose(normal_errors(0.3 * turned, truth), degrees, rtol=1e-9, atol=1e-6)
+    rotated = np.cos(np.radians(degrees)) * truth + np.sin(np.radians(degrees)) * side
+    np.testing.assert_allclose(normal_errors(0.3 * rotated, truth), degrees, rtol=1e-9, atol=1e-6)
 
 
 def test_missing_normal_counts_as_an_error_of_90_degrees():
@@ -78,6 +78,6 @@ def test_environment_psnr_weights_pixels_by_solid_angle():
     truth = np.full((64, 128, 3), 0.5)
     found = truth.copy()
     found[:4] = 0.0  # one row of 16 is black instead of display value 0.735
-    share = (1.0 - np.cos(np.pi / 16.0)) / 2.0
+    fraction = (1.0 - np.cos(np.pi / 16.0)) / 2.0
     display = 1.055 * 0.5 ** (1.0 / 2.4) - 0.055
-    assert environment_psnr(found, truth) == pytest.approx(-10.0 * np.log10(share * display**2), abs=0.15)
+    assert environment_psnr(found, truth) == pytest.approx(-10.0 * np.log10(fraction * display**2), abs=0.15)

@@ -31,5 +31,5 @@ def test_pre_commit_hooks_and_make_check_run_the_same_commands() -> None:
 def test_versions_of_checking_tools_are_pinned() -> None:
     """The extra [dev] pins each tool, so that new rules of a release cannot fail a check."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    held = {re.split(r"[\[=]", requirement)[0] for requirement in extras["dev"] if "==" in requirement}
-    assert held == {"ruff", "pyright", "typos", "pre-commit", "pre-commit-hooks"}
+    pinned = {re.split(r"[\[=]", requirement)[0] for requirement in extras["dev"] if "==" in requirement}
+    assert pinned == {"ruff", "pyright", "typos", "pre-commit", "pre-commit-hooks"}

@@ -35,9 +35,18 @@ class Foreign:
 
 
 def _gaussians(of: Callable[[Any], Any]) -> ls.Gaussians:
-    known = random_gaussians(2, count=5, degree=1)
+    gaussians = random_gaussians(2, count=5, degree=1)
     return ls.Gaussians(
-        *(of(values) for values in (known.means, known.rotations_wxyz, known.scales, known.opacities, known.sh)),
+        *(
+            of(values)
+            for values in (
+                gaussians.means,
+                gaussians.rotations_wxyz,
+                gaussians.scales,
+                gaussians.opacities,
+                gaussians.sh,
+            )
+        ),
         normals=of(np.tile((0.0, 0.0, 1.0), (5, 1))),
         albedo=of(np.full((5, 3), 0.25)),
         roughness=of(np.full(5, 0.5)),

@@ -17,7 +17,7 @@ FOUND = [(0.0, 2.0, 0.0), (3.0, 2.0, 0.0)]
 
 def searched(monkeypatch: pytest.MonkeyPatch, light_positions: list[tuple[float, float, float]], unit: float) -> dict:
     """Returns the score of a capture with two estimated lights and a sun from +x; the true sun is 30 degrees off."""
-    lights = [ls.LightPoint(place) for place in FOUND]
+    lights = [ls.LightPoint(position) for position in FOUND]
     estimate = SimpleNamespace(lights=lights, evidence=np.array([0.3, 0.2]))
     sun = SimpleNamespace(light=ls.LightDirectional((-1.0, 0.0, 0.0)), confidence=0.5)
     monkeypatch.setattr(ls.inverse, "estimate_lights", lambda *_: estimate)

@@ -38,13 +38,13 @@ def anchors(page: Path) -> set[str]:
 
 def test_cited_method_pages_and_anchors_exist() -> None:
     """An anchor is a heading or an equation of a page of docs/method."""
-    known = {page.name: anchors(page) for page in METHOD}
+    page_anchors = {page.name: anchors(page) for page in METHOD}
     found = [(path, *match.groups()) for path, text in texts() for match in CITED.finditer(text)]
     assert len(found) > 30
     lost = [
         f"{path.relative_to(ROOT)}: {page}#{anchor}"
         for path, page, anchor in found
-        if page not in known or (anchor and anchor not in known[page])
+        if page not in page_anchors or (anchor and anchor not in page_anchors[page])
     ]
     assert not lost
 
@@ -63,8 +63,8 @@ def test_method_pages_name_existing_source_files(page: Path) -> None:
     """Paths are relative to the package or the root of the repository."""
     named = re.findall(r"`((?:[\w-]+/)+[\w-]*(?:\.py|\.md)?)`", page.read_text())
     assert named
-    places = [ROOT / "src" / "lumisplat", ROOT]
-    assert not [name for name in named if not any((place / name).exists() for place in places)]
+    folders = [ROOT / "src" / "lumisplat", ROOT]
+    assert not [name for name in named if not any((folder / name).exists() for folder in folders)]
 
 
 def test_equation_labels_of_method_pages_are_unique_and_referenced() -> None:

@@ -83,8 +83,8 @@ def test_lights_of_the_relightable_room_survive_saving_and_loading(tool: ModuleT
     lights = (*tool.capture_lights(), tool.ball())
     tool.save_lights(tmp_path / "lamps.toml", lights)
     scene: Any = ls.load(tmp_path / "lamps.toml")
-    for stored, lamp in zip(scene.lights, lights, strict=True):
-        assert asdict(stored) == asdict(lamp)
+    for stored, light in zip(scene.lights, lights, strict=True):
+        assert asdict(stored) == asdict(light)
 
 
 @pytest.mark.deep
@@ -98,17 +98,17 @@ def test_images_of_the_relightable_room_match_the_path_tracer(tool: ModuleType, 
     views = ls.io.load_training_images(made).held_out
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=15, background=None, aovs=("albedo",))
     renderer = ls.create_renderer(config, "cpu")
-    for light, pictures in {"lamps": "test", "relit/window": "relit/window", "relit/evening": "relit/evening"}.items():
+    for light, folder in {"lamps": "test", "relit/window": "relit/window", "relit/evening": "relit/evening"}.items():
         lit: Any = ls.load(made / f"{light}.toml")
         for view in views:
             mask = view.mask()
             assert mask is not None
-            picture = ls.load_image(made / pictures / f"{view.name}.png")
+            image = ls.load_image(made / folder / f"{view.name}.png")
             frame = renderer.render(ls.Scene(meshes=matt, lights=lit.lights), view.camera)
             shown = frame.pixels_srgb()[..., :3]
-            assert ls.metrics.psnr(shown, picture[..., :3], region=mask >= 0.5) > 34.0
+            assert ls.metrics.psnr(shown, image[..., :3], region=mask >= 0.5) > 34.0
             darker = encode_srgb(0.7 * decode_srgb(shown)).astype(np.float32)
-            assert ls.metrics.psnr(darker, picture[..., :3], region=mask >= 0.5) < 30.0
+            assert ls.metrics.psnr(darker, image[..., :3], region=mask >= 0.5) < 30.0
             albedo = read_exr(made / "truth" / "albedo" / f"{view.name}.exr")
             assert frame.albedo is not None
             true = np.stack([albedo[channel] for channel in "RGB"], axis=-1)

@@ -74,8 +74,8 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import trimesh
 
     parts = [trimesh.creation.icosphere(3, radius) for radius in (0.8, 0.5, 0.3)]
-    for part, place in zip(parts, [(0.0, 0.0, 0.0), (0.9, 0.6, 0.2), (-0.2, 0.9, 0.7)], strict=True):
-        part.apply_translation(place)
+    for part, position in zip(parts, [(0.0, 0.0, 0.0), (0.9, 0.6, 0.2), (-0.2, 0.9, 0.7)], strict=True):
+        part.apply_translation(position)
     path = tmp_path_factory.mktemp("meshes") / "balls.obj"
     trimesh.util.concatenate(parts).export(path)
     return path
@@ -133,8 +133,8 @@ def test_images_of_the_relightable_set_match_the_path_tracer(tool, made, balls, 
     image = ls.io.load_radiance(folder / f"{environment}.exr")
     for wrong in (image[:, ::-1], np.roll(image, image.shape[1] // 2, axis=1), 1.15 * image):
         write_exr(folder / "wrong.exr", {name: wrong[..., i] for i, name in enumerate("RGB")})
-        picture = seen(tool, folder, balls, "wrong")[1].pixels_srgb()[..., :3]
-        assert ls.metrics.psnr(picture, images[1], region=insides[1]) < 32.0
+        rendered = seen(tool, folder, balls, "wrong")[1].pixels_srgb()[..., :3]
+        assert ls.metrics.psnr(rendered, images[1], region=insides[1]) < 32.0
 
 
 @pytest.mark.deep
@@ -196,13 +196,15 @@ def test_gltf_dielectric_of_mitsuba_matches_the_specification(
     )
     count = 1 << 18
     numbers = np.random.default_rng(4).random((5, count)).astype(np.float32)
-    height, turn = numbers[0], 2.0 * np.pi * numbers[1]
-    out = np.stack([np.sqrt(1.0 - height**2) * np.cos(turn), np.sqrt(1.0 - height**2) * np.sin(turn), height], axis=1)
+    height, azimuth = numbers[0], 2.0 * np.pi * numbers[1]
+    out = np.stack(
+        [np.sqrt(1.0 - height**2) * np.cos(azimuth), np.sqrt(1.0 - height**2) * np.sin(azimuth), height], axis=1
+    )
     view, up = np.array([np.sin(np.radians(degrees)), 0.0, np.cos(np.radians(degrees))]), np.array([0.0, 0.0, 1.0])
-    place = mi.SurfaceInteraction3f()
-    place.wi = mi.Vector3f(*map(float, view))
+    interaction = mi.SurfaceInteraction3f()
+    interaction.wi = mi.Vector3f(*map(float, view))
     seen_along = mi.Vector3f(*(mi.Float(column) for column in out.astype(np.float32).T.copy()))
-    value = np.array(bsdf.eval(mi.BSDFContext(), place, seen_along, mi.Bool(True))).T
+    value = np.array(bsdf.eval(mi.BSDFContext(), interaction, seen_along, mi.Bool(True))).T
     half = (view + out) / np.linalg.norm(view + out, axis=1, keepdims=True)
     mirrored = oracle.schlick([0.04], 1.0, np.sum(view * half, axis=1))
     alpha = roughness**2
@@ -211,7 +213,7 @@ def test_gltf_dielectric_of_mitsuba_matches_the_specification(
     expected = height[:, None] * ((1.0 - mirrored) * base / np.pi + mirrored * facets[:, None])
     np.testing.assert_allclose(value, expected, rtol=2e-3, atol=1e-5)
     chance = mi.Point2f(mi.Float(numbers[3]), mi.Float(numbers[4]))
-    _, weight = bsdf.sample(mi.BSDFContext(), place, mi.Float(numbers[2]), chance, mi.Bool(True))
+    _, weight = bsdf.sample(mi.BSDFContext(), interaction, mi.Float(numbers[2]), chance, mi.Bool(True))
     np.testing.assert_allclose(np.array(weight).mean(axis=1), 2.0 * np.pi * expected.mean(axis=0), rtol=0.02)
 
 

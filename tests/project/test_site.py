@@ -50,11 +50,11 @@ def test_site_search_finds_pages_by_words_of_other_programs_first(index: dict[st
     for word in WORDS:
         found = [
             (len(word) / len(entry), index["docnames"][page])
-            for entry, places in index["indexentries"].items()
-            for page, _, is_main in places
+            for entry, positions in index["indexentries"].items()
+            for page, _, is_main in positions
             if word.lower() in entry and 2 * len(word) >= len(entry) and is_main
         ]
-        first[word] = {page for share, page in found if share == max(found)[0]}
+        first[word] = {page for fraction, page in found if fraction == max(found)[0]}
     assert first == {word: {expected[word.lower()]} for word in WORDS}
 
 

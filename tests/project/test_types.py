@@ -42,9 +42,9 @@ def _names(kind: ast.ClassDef) -> Iterator[str]:
 def _has(kind: type, name: str) -> bool:
     """Returns whether a class has an attribute or a method parameter; C++ methods list theirs in docstrings."""
     name, _, parameter = name.rstrip(")").partition("(")
-    known: Any = getattr(kind, "__dataclass_fields__", {})
+    dataclass_fields: Any = getattr(kind, "__dataclass_fields__", {})
     if not parameter:
-        return name in known or hasattr(kind, name) or name in inspect.signature(kind).parameters
+        return name in dataclass_fields or hasattr(kind, name) or name in inspect.signature(kind).parameters
     method = getattr(kind, name, None)
     try:
         return method is not None and parameter in inspect.signature(method).parameters

@@ -41,7 +41,7 @@ class Farm:
         )
         order = Order(FakeMaker(folder / "out", count=count), os.getcwd())
         self.driver = Driver(
-            *(self.ray, order, options, changes.get("device", "cpu"), lambda *told: self.shown.append(told)),
+            *(self.ray, order, options, changes.get("device", "cpu"), lambda *progress: self.shown.append(progress)),
             overwrite=False,
             video=None,
             clock=lambda: self.ray.now,
@@ -230,7 +230,7 @@ def test_farm_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None
     """The label also has the time that a worker needs for a frame."""
     farm = Farm(tmp_path, 4)
     farm.run()
-    of_frames = [told for told in farm.shown if told[0].startswith("frames, ")]
+    of_frames = [progress for progress in farm.shown if progress[0].startswith("frames, ")]
     assert [fraction for _, fraction in of_frames] == [0.0, 0.25, 0.5, 0.75, 1.0]
     assert of_frames[0][0] == "frames, 0 of 4" and of_frames[-1][0] == "frames, 4 of 4, 2 s of a worker each"
 

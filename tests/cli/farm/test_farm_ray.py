@@ -68,10 +68,10 @@ bins = 16
 def work(tmp_path, capsys, monkeypatch, ray) -> Workspace:
     """Returns a folder to run commands in; Warp's log level is restored afterwards."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
-    place = Workspace(tmp_path, capsys)
-    ls.save(place.path("ball.ply"), random_gaussians(2, count=20))
-    place.path("scene.toml").write_text(SCENE)
-    return place
+    workspace = Workspace(tmp_path, capsys)
+    ls.save(workspace.path("ball.ply"), random_gaussians(2, count=20))
+    workspace.path("scene.toml").write_text(SCENE)
+    return workspace
 
 
 def wait_for(condition: Callable[[], object]) -> None:
@@ -122,9 +122,9 @@ def test_errors_of_ray_workers_reach_the_farm_command(ray: Any, tmp_path: Path) 
 
 def files(folder: Path) -> dict[str, bytes]:
     """Returns the files of a job, except times and texts with durations."""
-    told = (".txt", "curve.json", "curve.png", ".toml")
+    varying = (".txt", "curve.json", "curve.png", ".toml")
     found = {str(path.relative_to(folder)): path for path in folder.rglob("[!.]*") if path.is_file()}
-    return {name: path.read_bytes() for name, path in found.items() if not name.endswith(told)}
+    return {name: path.read_bytes() for name, path in found.items() if not name.endswith(varying)}
 
 
 PATH = ("--pipeline", "path", "--lighting", "on", "--samples", "40")
@@ -312,8 +312,8 @@ def test_farm_reports_a_missing_ray_cluster_in_one_line(
     monkeypatch.setattr(importlib.import_module("ray"), "is_initialized", lambda: False)
     with pytest.raises(ls.ConfigError) as raised, connected(address, 1):
         pass
-    place = "at 127.0.0.1:1" if address == "auto" else "there"
-    assert str(raised.value).startswith(f"--address {address}: nothing listens {place}: ")
+    where = "at 127.0.0.1:1" if address == "auto" else "there"
+    assert str(raised.value).startswith(f"--address {address}: nothing listens {where}: ")
     assert "\n" not in str(raised.value)
 
 

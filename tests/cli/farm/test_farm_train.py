@@ -38,8 +38,8 @@ def test_farm_trained_captures_equal_those_of_separate_trainings(
     command = ["farm", "train", *folders, "-o", str(tmp_path / "captures"), *SHORT, "--seed", "5", "--workers", "2"]
     capsys.readouterr()
     assert main(command) == 0
-    told = capsys.readouterr()
-    assert "by 2 workers" in told.out and told.out.count("100 Gaussians, 20 of 20 steps") == 2, told
+    printed = capsys.readouterr()
+    assert "by 2 workers" in printed.out and printed.out.count("100 Gaussians, 20 of 20 steps") == 2, printed
     for name in ("one.ply", "one.txt", "two.txt", "train.json", "two.training/checkpoint.npz"):
         assert (tmp_path / "captures" / name).is_file()
     assert (tmp_path / "captures/two.ply").read_bytes() == (tmp_path / "two.ply").read_bytes()
@@ -61,8 +61,8 @@ def test_farm_train_settings_file_sets_options_per_image_folder(ray: Any, tmp_pa
     assert "[two] belongs to no given folder: there are one" in caplog.text
     assert main([*command, one, two]) == 0
     assert (tmp_path / "out/two.ply").read_bytes() == (tmp_path / "two.ply").read_bytes()
-    told = capsys.readouterr().out
-    assert "100 Gaussians" in told and "60 Gaussians" in told and "1 of them was there" in told
+    printed = capsys.readouterr().out
+    assert "100 Gaussians" in printed and "60 Gaussians" in printed and "1 of them was there" in printed
     own.write_text("[two]\ncap = 70\nantialiased = true\n")
     assert main([*command, one, two]) == 2
     assert "holds frames of other settings or files (settings of two" in capsys.readouterr().err
@@ -81,8 +81,10 @@ def test_farm_train_continues_after_stop_after(ray: Any, tmp_path: Path, capsys:
     command = ["farm", "train", folder, "-o", str(tmp_path / "out"), *long, "--workers", "1"]
     capsys.readouterr()
     assert main([*command, "--stop-after", "0.01s"]) == 0
-    told = capsys.readouterr().out
-    assert " of 200 steps" in told and "200 of 200" not in told and told.endswith("the same command continues\n")
+    printed = capsys.readouterr().out
+    assert (
+        " of 200 steps" in printed and "200 of 200" not in printed and printed.endswith("the same command continues\n")
+    )
     assert (tmp_path / "out/one.unfinished.txt").is_file() and not (tmp_path / "out/one.txt").exists()
     assert main(command) == 0
     assert "200 of 200 steps" in capsys.readouterr().out
@@ -111,8 +113,8 @@ def test_farm_train_reports_mistakes_in_the_settings_file_in_one_line(
     (tmp_path / "a").mkdir()
     (tmp_path / "own.toml").write_text(content)
     assert main(["farm", "train", "a", "--settings", "own.toml", "--device", "cpu"]) == 2
-    told = capsys.readouterr()
-    assert message in told.err and told.err.strip().count("\n") == 0 and told.out == ""
+    printed = capsys.readouterr()
+    assert message in printed.err and printed.err.strip().count("\n") == 0 and printed.out == ""
     assert not (tmp_path / "captures").exists()
 
 
@@ -135,8 +137,8 @@ def test_farm_train_reports_mistakes_in_options_in_one_line(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a").mkdir()
     assert main(["farm", "train", *options, "--device", "cpu"]) == 2
-    told = capsys.readouterr()
-    assert message in told.err and told.err.strip().count("\n") == 0 and told.out == ""
+    printed = capsys.readouterr()
+    assert message in printed.err and printed.err.strip().count("\n") == 0 and printed.out == ""
     assert not (tmp_path / "captures").exists()
 
 

@@ -119,11 +119,11 @@ def test_one_of_two_processes_with_different_settings_gets_the_folder(tmp_path: 
         environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
         commands = [[sys.executable, "-c", PROGRAM, str(folder), kind] for kind in ("one", "other")]
         runs = [subprocess.Popen(each, env=environment, stderr=subprocess.PIPE, text=True) for each in commands]
-        told = [run.communicate()[1] for run in runs]
+        errors = [run.communicate()[1] for run in runs]
         statuses = [run.returncode for run in runs]
-        assert sorted(statuses) == [0, 2], told
+        assert sorted(statuses) == [0, 2], errors
         assert len(FakeMaker(folder).contents) == 6
-        refused = told[statuses.index(2)]
+        refused = errors[statuses.index(2)]
         assert "another run has begun there, which differs in kind" in refused or "settings or files (kind" in refused
 
 

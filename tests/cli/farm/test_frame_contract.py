@@ -118,10 +118,10 @@ def test_run_stops_if_another_run_starts_in_its_frame_folder(tmp_path: Path) -> 
         other.begin(True)
         job.write(frame, index)
 
-    for spoilt in (replace(job, render=overtaken_while_rendering), replace(job, write=overtaken_while_writing)):
-        spoilt.frames.begin(True)
+    for overtaken_job in (replace(job, render=overtaken_while_rendering), replace(job, write=overtaken_while_writing)):
+        overtaken_job.frames.begin(True)
         with pytest.raises(ls.ConfigError, match="this one stops, so that frames do not mix"):
-            spoilt.make(3, lambda *_: None)
+            overtaken_job.make(3, lambda *_: None)
         assert not list((tmp_path / "out").glob("*.png"))
 
 

@@ -106,9 +106,9 @@ def test_edited_materials_are_saved_as_the_document_shows_them() -> None:
     """The edit may change the type of the material."""
     mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialPbr(roughness=0.1, base_color=(0.1, 0.2, 0.3)))
     document = ls.io.SceneDocument.of(mesh).changed(0, material={"type": "simple", "diffuse": 0.5})
-    seen = expect_kind(ls.MaterialSimple, document.scene().meshes[0].mesh.material)
+    shown = expect_kind(ls.MaterialSimple, document.scene().meshes[0].mesh.material)
     saved = expect_kind(ls.MaterialSimple, round_trip(document).meshes[0].mesh.material)
-    assert (saved.diffuse, saved.base_color) == (seen.diffuse, seen.base_color) == ((0.5,) * 3, (0.1, 0.2, 0.3))
+    assert (saved.diffuse, saved.base_color) == (shown.diffuse, shown.base_color) == ((0.5,) * 3, (0.1, 0.2, 0.3))
 
 
 def test_saved_environment_images_keep_every_float_bit() -> None:

@@ -118,8 +118,8 @@ def test_gltf_mesh_instances_have_translation_rotation_and_scale(tmp_path: Path)
     scene = loaded(tmp_path, gltf)
     assert len(scene.meshes) == 3 and len({id(one.mesh) for one in scene.meshes}) == 1
     for one, position, rotation, size in zip(scene.meshes, positions, rotations, sizes, strict=True):
-        stood = (QUAD * size) @ rotation_matrix(rotation[[3, 0, 1, 2]].astype(np.float64)).T + position + (0, 0, 7)
-        np.testing.assert_allclose(QUAD @ one.transform[:3, :3].T + one.transform[:3, 3], stood, atol=1e-6)
+        expected = (QUAD * size) @ rotation_matrix(rotation[[3, 0, 1, 2]].astype(np.float64)).T + position + (0, 0, 7)
+        np.testing.assert_allclose(QUAD @ one.transform[:3, :3].T + one.transform[:3, 3], expected, atol=1e-6)
 
 
 def test_gltf_instance_attributes_are_optional_or_normalized_integers(tmp_path: Path) -> None:

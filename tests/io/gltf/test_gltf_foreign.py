@@ -108,14 +108,14 @@ def whole_scene() -> tuple[ls.Scene, ls.Camera]:
         for one in materials
     ]
     materials_of_capture = {"albedo": np.full((9, 3), 0.5), "roughness": np.full(9, 0.5), "normals": np.ones((9, 3))}
-    turned = ls.SplatInstance(capture(9, 3, **materials_of_capture), position=(1, 2, 3), rotation_degrees=(10, 20, 30))
+    rotated = ls.SplatInstance(capture(9, 3, **materials_of_capture), position=(1, 2, 3), rotation_degrees=(10, 20, 30))
     lights = [
         ls.LightPoint((1, 2, 3), (0.25, 0.5, 1.0), 5.0, range=8.0, name="bulb"),
         ls.LightSpot((0, 5, 0), (0, -0.8, 0.6), outer_angle=np.pi / 2.0),
         ls.LightDirectional((0, -1, 0)),
     ]
     camera = ls.Camera.look_at((0, 1, 6), (0, 0, 0), width=320, height=200, fov_y=0.7, name="front")
-    return ls.Scene(splats=[turned], meshes=meshes, lights=lights, up="y-up"), camera
+    return ls.Scene(splats=[rotated], meshes=meshes, lights=lights, up="y-up"), camera
 
 
 @pytest.mark.parametrize("extension", ["glb", "gltf"])
@@ -145,17 +145,17 @@ def test_gltf_files_of_splat_transform_are_read_as_the_source_ply(tmp_path: Path
     command = FOLDER / "node_modules" / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
     node(command, tmp_path / "a.ply", tmp_path / "a.glb")
     read = load_gaussians(tmp_path / "a.glb")
-    turned = ls.transform(read, rotation_degrees=(0, 180, 0))
-    order = np.argsort(turned.means[:, 0])[
+    rotated = ls.transform(read, rotation_degrees=(0, 180, 0))
+    order = np.argsort(rotated.means[:, 0])[
         np.argsort(np.argsort(given.means[:, 0]))
     ]  # splat-transform may reorder the Gaussians
-    turned = turned.subset(order)
-    np.testing.assert_allclose(turned.means, given.means, rtol=0, atol=1e-5)
-    np.testing.assert_allclose(turned.scales, given.scales, rtol=1e-4)
-    np.testing.assert_allclose(turned.opacities, given.opacities, rtol=0, atol=1e-5)
-    np.testing.assert_allclose(turned.sh, given.sh, rtol=0, atol=1e-5)
+    rotated = rotated.subset(order)
+    np.testing.assert_allclose(rotated.means, given.means, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(rotated.scales, given.scales, rtol=1e-4)
+    np.testing.assert_allclose(rotated.opacities, given.opacities, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(rotated.sh, given.sh, rtol=0, atol=1e-5)
     # The axes of an ellipsoid may have the opposite sign.
-    axes = [matrices_from_quaternions(one.rotations_wxyz) for one in (turned, given)]
+    axes = [matrices_from_quaternions(one.rotations_wxyz) for one in (rotated, given)]
     np.testing.assert_allclose(np.abs(np.einsum("nji,njk->nik", *axes)), np.tile(np.eye(3), (50, 1, 1)), atol=1e-4)
 
 

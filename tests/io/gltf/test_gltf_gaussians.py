@@ -73,8 +73,8 @@ def test_sh_of_gltf_gaussians_rotate_with_the_axes(tmp_path: Path) -> None:
         color = 0.5 + SH_C0 * values["SH_DEGREE_0_COEF_0"]
         for n, factor in enumerate((-y, z, -x)):
             color = color + 0.4886025119029199 * factor * values[f"SH_DEGREE_1_COEF_{n}"]
-        seen = colors_along(read, np.tile(HALF_TURN @ direction, (read.count, 1)))
-        np.testing.assert_allclose(seen, np.maximum(color, 0.0), rtol=0, atol=1e-6)
+        rotated_color = colors_along(read, np.tile(HALF_TURN @ direction, (read.count, 1)))
+        np.testing.assert_allclose(rotated_color, np.maximum(color, 0.0), rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(

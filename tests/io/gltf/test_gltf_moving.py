@@ -174,8 +174,8 @@ def test_rotating_gltf_captures_may_have_a_constant_nonuniform_scale(tmp_path: P
         (instance,) = moving.actors_at(time)
         splat = expect_kind(ls.SplatInstance, instance)
         cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-        turned = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]) @ np.diag([1.0, 2.0, 0.5])
-        expected = capture(6).means @ CAPTURE_FROM_FILE[:3, :3].T @ turned.T
+        rotation_and_scale = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]) @ np.diag([1.0, 2.0, 0.5])
+        expected = capture(6).means @ CAPTURE_FROM_FILE[:3, :3].T @ rotation_and_scale.T
         np.testing.assert_allclose(splat.world_means, expected, atol=1e-4)
 
 

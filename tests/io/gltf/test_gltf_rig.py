@@ -368,7 +368,7 @@ def test_downloaded_walk_cycle_avatar_ends_as_it_begins(data_dir: Path) -> None:
     rig = ls.avatars.load_rig(path, vertex_colors=False)
     assert len(rig.clips) == 1
     assert rig.duration() == pytest.approx(29.0 / 30.0)
-    first, middle, last = (rig.pose(share * rig.duration()).positions for share in (0.0, 0.5, 1.0))
+    first, middle, last = (rig.pose(fraction * rig.duration()).positions for fraction in (0.0, 0.5, 1.0))
     np.testing.assert_allclose(first, last, atol=1e-5)
     assert 0.02 < np.abs(middle - first).max() < 0.2
     shown = expect_kind(ls.Scene, ls.load(path)).meshes[0].mesh

@@ -86,8 +86,8 @@ def test_single_capture_is_written_to_gltf_with_y_up_gaussians(path: Path) -> No
     assert gltf["nodes"] == [{"mesh": 0}]
     (primitive,) = gltf["meshes"][0]["primitives"]
     bounds = gltf["accessors"][primitive["attributes"]["POSITION"]]
-    turned = given.means * np.array([1, -1, -1], np.float32)
-    assert (bounds["min"], bounds["max"]) == (turned.min(axis=0).tolist(), turned.max(axis=0).tolist())
+    rotated = given.means * np.array([1, -1, -1], np.float32)
+    assert (bounds["min"], bounds["max"]) == (rotated.min(axis=0).tolist(), rotated.max(axis=0).tolist())
     extension = primitive["extensions"]["KHR_gaussian_splatting"]
     assert (extension["kernel"], extension["colorSpace"]) == ("ellipse", "srgb_rec709_display")
     assert (primitive["mode"], gltf["extensionsUsed"]) == (0, ["KHR_gaussian_splatting"])

@@ -144,8 +144,8 @@ def test_quantized_gltf_positions_are_decoded(tmp_path: Path) -> None:
 def test_gltf_texture_transform_rotates_counter_clockwise() -> None:
     """A quarter turn maps +u to -v, which is up in the image; scale applies first, offset last."""
     uvs = np.array([(1, 0), (0, 1)], dtype=np.float32)
-    turned = UvTransform(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).apply(uvs)
-    np.testing.assert_allclose(turned, [(10, 18), (13, 20)], atol=1e-5)
+    rotated = UvTransform(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).apply(uvs)
+    np.testing.assert_allclose(rotated, [(10, 18), (13, 20)], atol=1e-5)
 
 
 def test_gltf_texture_selects_its_set_of_texture_coordinates(tmp_path: Path) -> None:

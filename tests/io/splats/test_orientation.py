@@ -176,10 +176,10 @@ def test_rotating_a_capture_rotates_its_up_and_first_view() -> None:
     moved = ls.transform(one, scale=3.0, rotation_degrees=(20.0, 130.0, 70.0), translation=(1.0, -2.0, 5.0))
     view = present(moved.first_view)
 
-    def seen(camera: ls.Camera, means: np.ndarray) -> np.ndarray:
+    def in_camera(camera: ls.Camera, means: np.ndarray) -> np.ndarray:
         return (np.c_[means, np.ones(len(means))] @ camera.camera_from_world.T)[:, :3]
 
-    np.testing.assert_allclose(seen(view, moved.means), 3.0 * seen(VIEW, one.means), atol=1e-5)
+    np.testing.assert_allclose(in_camera(view, moved.means), 3.0 * in_camera(VIEW, one.means), atol=1e-5)
     assert view.focus_distance == pytest.approx(3.0 * VIEW.focus_distance)
     rotated = ls.transform(one, rotation_degrees=(20.0, 130.0, 70.0))
     np.testing.assert_allclose(present(moved.up), present(rotated.up))
@@ -189,8 +189,8 @@ def test_rotating_a_capture_rotates_its_up_and_first_view() -> None:
 def test_first_view_in_json_is_eye_target_up_and_numbers(tmp_path: Path) -> None:
     """Other programs can read these values without knowing the matrices of Lumisplat."""
     ls.save(tmp_path / "meta.json", stated())
-    held = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
-    assert held["first_view"] == {
+    stored = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
+    assert stored["first_view"] == {
         "eye": [1.0, 2.0, 3.0],
         "target": [0.1, 0.2, 0.3],
         "up": pytest.approx((-VIEW.camera_from_world[1, :3]).tolist()),

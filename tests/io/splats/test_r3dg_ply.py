@@ -46,8 +46,10 @@ def test_r3dg_ply_has_the_130_columns_of_relightable_3d_gaussians(tmp_path: Path
     columns = dict(zip(names, rows.T, strict=True))
     albedo = present(first.albedo).astype(np.float64)
     inner = slice(2, None)  # limits are logits of 20
-    share = (albedo[inner, 1] - 0.03) / 0.77
-    np.testing.assert_allclose(columns["base_color_1"][inner], np.log(share / (1.0 - share)), rtol=1e-4, atol=1e-6)
+    fraction = (albedo[inner, 1] - 0.03) / 0.77
+    np.testing.assert_allclose(
+        columns["base_color_1"][inner], np.log(fraction / (1.0 - fraction)), rtol=1e-4, atol=1e-6
+    )
     np.testing.assert_array_equal(columns["base_color_1"][:2], [-20.0, 20.0])
     np.testing.assert_array_equal(columns["incidents_rest_17"], light[:, 3, 1])
     np.testing.assert_array_equal(columns["ny"], present(first.normals)[:, 1])
@@ -111,16 +113,16 @@ def test_incident_light_of_r3dg_plys_is_read_only_on_request(tmp_path: Path) -> 
     for columns, coefficients in (("lumisplat", 4), ("r3dg", 16)):
         ls.save(tmp_path / "a.ply", made, columns=cast(Any, columns))
         assert load_gaussians(tmp_path / "a.ply").incident is None
-        asked = ls.load(tmp_path / "a.ply", incident=True)
-        assert isinstance(asked, ls.Gaussians)
-        found = present(asked.incident)
+        with_incident = ls.load(tmp_path / "a.ply", incident=True)
+        assert isinstance(with_incident, ls.Gaussians)
+        found = present(with_incident.incident)
         assert found.shape == (200, coefficients, 3) and not found[:, 4:].any()
         np.testing.assert_array_equal(found[:, :4], light)
-        np.testing.assert_allclose(present(asked.albedo), present(made.albedo), rtol=1e-6)
+        np.testing.assert_allclose(present(with_incident.albedo), present(made.albedo), rtol=1e-6)
     plain = replace(made, incident=None)
     ls.save(tmp_path / "b.ply", plain, columns="r3dg")
-    asked = ls.load(tmp_path / "b.ply", incident=True)
-    assert isinstance(asked, ls.Gaussians) and not present(asked.incident).any()
+    with_incident = ls.load(tmp_path / "b.ply", incident=True)
+    assert isinstance(with_incident, ls.Gaussians) and not present(with_incident.incident).any()
 
 
 def test_incident_light_rotates_with_the_capture() -> None:

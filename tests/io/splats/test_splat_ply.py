@@ -152,11 +152,11 @@ def test_ply_captures_with_missing_properties_are_refused_by_name(
 def test_progress_of_loading_a_ply_rises_to_one(tmp_path: Path) -> None:
     """Reported fractions never decrease."""
     ls.save(tmp_path / "long.ply", capture(10_000, degree=3))
-    seen: list[float] = []
-    ls.load(tmp_path / "long.ply", progress=seen.append)
-    assert seen == sorted(seen)
-    assert len(seen) > 2
-    assert seen[-1] == 1.0
+    reported: list[float] = []
+    ls.load(tmp_path / "long.ply", progress=reported.append)
+    assert reported == sorted(reported)
+    assert len(reported) > 2
+    assert reported[-1] == 1.0
 
 
 def _columns(gaussians: ls.Gaussians, folder: Path) -> tuple[list[str], np.ndarray]:
@@ -198,8 +198,8 @@ def test_rgb_properties_of_a_ply_replace_missing_f_dc(tmp_path: Path, kind: str,
     whole = capture(40, degree=0)
     names, values = _columns(whole, tmp_path)
     indices = [k for k, name in enumerate(names) if not name.startswith("f_dc")]
-    shares = np.random.default_rng(3).uniform(0.0, 1.0, (40, 3))
-    colors = (np.round(scale * shares) if scale > 1 else shares).astype(dtype)
+    fractions = np.random.default_rng(3).uniform(0.0, 1.0, (40, 3))
+    colors = (np.round(scale * fractions) if scale > 1 else fractions).astype(dtype)
     rows = np.empty(40, [(names[k], "<f4") for k in indices] + [(name, dtype) for name in ("red", "green", "blue")])
     for k in indices:
         rows[names[k]] = values[:, k]

@@ -50,11 +50,11 @@ def test_find_poses_refuses_images_without_texture(tmp_path):
         write_png(tmp_path / "images" / f"grey {k}.png", np.full((60, 80, 3), 0.5))
     reported: list[tuple[str, float]] = []
     with pytest.raises(ls.FormatError, match="no poses were found for its 3 images: they have too little texture"):
-        ls.io.find_poses(tmp_path, progress=lambda what, share: reported.append((what, share)))
+        ls.io.find_poses(tmp_path, progress=lambda what, fraction: reported.append((what, fraction)))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}
     steps = ["extracting features", "selecting pairs", "matching images", "finding poses"]
     assert list(dict.fromkeys(what.partition(",")[0] for what, _ in reported)) == steps
-    assert all(0.0 <= share <= 1.0 for _, share in reported)
+    assert all(0.0 <= fraction <= 1.0 for _, fraction in reported)
 
 
 @needs_colmap
@@ -81,21 +81,21 @@ def test_interrupted_find_poses_continues_with_stored_results(tmp_path, data_dir
     for image in sorted(source.iterdir())[10:20]:
         shutil.copy(image, tmp_path / "images")
 
-    def until(step: str, share: float):
+    def until(step: str, fraction: float):
         def report(what: str, done: float) -> None:
-            if what.startswith(step) and done >= share:
+            if what.startswith(step) and done >= fraction:
                 raise KeyboardInterrupt
 
         return report
 
-    for step, share, summary in (
+    for step, fraction, summary in (
         ("extracting features", 0.3, "features of 4 of 10 images, 0 matched pairs"),
         ("matching images", 0.5, "features of 10 of 10 images, 32 matched pairs"),
         ("finding poses", 0.5, "features of 10 of 10 images, 45 matched pairs"),
     ):
         caplog.clear()
         with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {summary}; the same command continues"):
-            ls.io.find_poses(tmp_path, ordered=True, progress=until(step, share))
+            ls.io.find_poses(tmp_path, ordered=True, progress=until(step, fraction))
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
     assert ls.io.find_poses(tmp_path, ordered=True).is_dir()
     assert "continues from features of 10 of 10 images, 45 matched pairs" in caplog.text
@@ -119,18 +119,18 @@ def test_find_poses_matches_the_given_poses_of_the_fox(tmp_path, data_dir):
         shutil.copy(image, tmp_path / "images" / f"a {image.name}")
     model = ls.io.find_poses(tmp_path)
     assert model == tmp_path / "sparse" / "0"
-    known = {f"a {camera.name}": camera for camera in ls.load_cameras(source / "transforms.json")}
+    expected = {f"a {camera.name}": camera for camera in ls.load_cameras(source / "transforms.json")}
     found = ls.load_cameras(model)
     assert len(found) >= 20
-    assert found[0].fx == pytest.approx(known[found[0].name].fx, rel=0.03)
+    assert found[0].fx == pytest.approx(expected[found[0].name].fx, rel=0.03)
     ours = np.stack([camera.eye for camera in found])
-    theirs = np.stack([known[camera.name].eye for camera in found])
+    theirs = np.stack([expected[camera.name].eye for camera in found])
     rotation, scale = similarity(ours, theirs)
     moved = scale * (ours - ours.mean(axis=0)) @ rotation.T + theirs.mean(axis=0)
     radius = np.linalg.norm(theirs - theirs.mean(axis=0), axis=1).max()
     assert np.linalg.norm(moved - theirs, axis=1).max() < 0.02 * radius
     for camera in found:
-        between = camera.camera_from_world[:3, :3] @ rotation.T @ known[camera.name].camera_from_world[:3, :3].T
+        between = camera.camera_from_world[:3, :3] @ rotation.T @ expected[camera.name].camera_from_world[:3, :3].T
         assert np.degrees(np.arccos(0.5 * (np.trace(between) - 1.0))) < 1.5
     read = ls.io.load_training_images(tmp_path)
     assert read.points is not None and len(read.points) > 500

@@ -77,10 +77,10 @@ def test_every_eighth_training_image_by_name_is_held_out(tmp_path):
     cameras = [replace(camera, name=f"v{k:02d}") for k, camera in enumerate(ring_cameras(18, 8, 6))]
     write_nerfstudio_images(tmp_path, cameras[::-1])
     names = [camera.name for camera in cameras]
-    for step, held in ((8, names[::8]), (3, names[::3]), (0, []), (50, names[:1])):
+    for step, expected in ((8, names[::8]), (3, names[::3]), (0, []), (50, names[:1])):
         found = ls.io.load_training_images(tmp_path, hold_out=step)
-        assert [view.name for view in found.held_out] == held
-        assert [view.name for view in found.training] == [name for name in names if name not in held]
+        assert [view.name for view in found.held_out] == expected
+        assert [view.name for view in found.training] == [name for name in names if name not in expected]
 
 
 def test_blender_test_file_defines_the_held_out_images(tmp_path):

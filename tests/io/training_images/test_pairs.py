@@ -23,15 +23,17 @@ def walk_features(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
     frames = []
     for k in range(count):
         at = (4 * (k % period) + np.arange(32)) % len(objects)
-        seen = objects[at] + rng.uniform(0.0, 0.03, (32, 128))
-        frames.append((seen / np.linalg.norm(seen, axis=1, keepdims=True)).astype(np.float32)[rng.permutation(32)])
+        features = objects[at] + rng.uniform(0.0, 0.03, (32, 128))
+        frames.append(
+            (features / np.linalg.norm(features, axis=1, keepdims=True)).astype(np.float32)[rng.permutation(32)]
+        )
     return frames
 
 
 def test_all_pairs_of_few_images_are_matched_without_features() -> None:
     """Every pair is selected whether images are ordered or not, and no features are computed to compare images."""
     for count, ordered in ((2, False), (ALL_PAIRS_UP_TO, False), (2, True), (NEXT_FRAMES, True)):
-        pairs = compared_pairs(count, pytest.fail, ordered, lambda share: None)
+        pairs = compared_pairs(count, pytest.fail, ordered, lambda fraction: None)
         assert pairs == [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
@@ -57,7 +59,7 @@ def test_unordered_images_are_matched_with_similar_images() -> None:
     count, period = 60, 60
     order = np.random.default_rng(3).permutation(count)
     frames = walk_features(count, period)
-    pairs = compared_pairs(count, lambda: [frames[k] for k in order], False, lambda share: None)
+    pairs = compared_pairs(count, lambda: [frames[k] for k in order], False, lambda fraction: None)
     apart = [(order[j] - order[i]) % period for i, j in pairs]
     assert all(min(a, period - a) < 8 for a in apart)
     assert {(min(i, j), max(i, j)) for i, j in pairs} == {*pairs}
@@ -72,8 +74,8 @@ def test_images_without_features_are_matched_with_none() -> None:
     """Empty descriptors are no error."""
     nothing = np.zeros((0, 128), np.float32)
     one = np.eye(1, 128, dtype=np.float32)
-    assert similar_pairs([nothing, one, nothing, one], 0, lambda share: None) == []
-    assert similar_pairs([], 0, lambda share: None) == []
+    assert similar_pairs([nothing, one, nothing, one], 0, lambda fraction: None) == []
+    assert similar_pairs([], 0, lambda fraction: None) == []
 
 
 def test_largest_image_features_are_selected_for_comparison() -> None:

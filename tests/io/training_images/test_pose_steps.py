@@ -89,13 +89,15 @@ def test_find_poses_uses_and_logs_the_largest_model(colmap: ColmapStub, tmp_path
     """The log counts images without a pose by their original names."""
     colmap.models = [(0, 1, 2), (3, 4, 5, 6, 7)]
     reported: list[tuple[str, float]] = []
-    model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda step, share: reported.append((step, share)))
+    model = ls.io.find_poses(
+        write_images(tmp_path, 9), progress=lambda step, fraction: reported.append((step, fraction))
+    )
     assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(3, 8)]
     assert "2 separate models, of 5 and 3 images: the largest is used" in caplog.text
     assert "no pose was found for 4 of 9 images (of day 0.png, of day 1.png, of day 2.png, ...)" in caplog.text
     placing = [entry for entry in reported if entry[0].startswith("finding poses")]
     assert ("finding poses, 8 of 9 images", 8 / 9) in placing, "images of all models count"
-    assert [share for _, share in placing] == sorted(share for _, share in placing)
+    assert [fraction for _, fraction in placing] == sorted(fraction for _, fraction in placing)
 
 
 def test_find_poses_does_not_log_models_without_further_images(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
@@ -109,7 +111,7 @@ def test_find_poses_reports_progress_of_the_bundle_adjustment(colmap: ColmapStub
     """The last adjustment of many images takes long, and the progress bar explains why it stays at 99 %."""
     colmap.models = [range(5)]
     reported: list[tuple[str, float]] = []
-    ls.io.find_poses(write_images(tmp_path, 5), progress=lambda step, share: reported.append((step, share)))
+    ls.io.find_poses(write_images(tmp_path, 5), progress=lambda step, fraction: reported.append((step, fraction)))
     assert reported[-2:] == [("finding poses, bundle adjustment", 0.99), ("finding poses", 1.0)]
 
 

@@ -96,6 +96,6 @@ def _pinhole(camera: ls.Camera) -> ls.Camera:
 
 def _large(camera: ls.Camera) -> np.ndarray:
     """Returns the analytic image of a camera; pixels without a ray are grey."""
-    seen = render_image(camera)
-    seen[~camera.ray_directions().any(axis=-1)] = 0.5
-    return seen
+    image = render_image(camera)
+    image[~camera.ray_directions().any(axis=-1)] = 0.5
+    return image

@@ -52,7 +52,9 @@ def test_sharpest_frame_of_each_video_interval_is_extracted(tmp_path: Path) -> N
     images = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
     reported: list[float] = []
     files = ls.io.extract_frames(
-        write_video(tmp_path / "a.mp4", images), tmp_path / "walk", progress=lambda _, share: reported.append(share)
+        write_video(tmp_path / "a.mp4", images),
+        tmp_path / "walk",
+        progress=lambda _, fraction: reported.append(fraction),
     )
     assert [file.relative_to(tmp_path).as_posix() for file in files] == [f"walk/images/{n:04}.jpg" for n in (1, 2, 3)]
     for file, number in zip(files, sharp, strict=True):

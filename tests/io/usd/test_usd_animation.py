@@ -107,9 +107,9 @@ def test_rigs_and_rigged_gaussians_are_written_to_usd_as_time_samples(
         np.testing.assert_array_equal(
             expect_kind(ls.MeshInstance, seen_skin).mesh.positions, expect_kind(ls.MeshInstance, skin).mesh.positions
         )
-        read, known = (expect_kind(ls.SplatInstance, one).gaussians for one in (seen_fur, fur))
+        read, expected = (expect_kind(ls.SplatInstance, one).gaussians for one in (seen_fur, fur))
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
-            np.testing.assert_allclose(getattr(read, name), getattr(known, name), atol=1e-7)
+            np.testing.assert_allclose(getattr(read, name), getattr(expected, name), atol=1e-7)
         np.testing.assert_allclose(seen_fur.transform, fur.transform, atol=1e-12)
     ends, middle = (saved.actors[0].at(float(t))[0] for t in saved.times[:2]), loaded.actors[0].at(0.125)[0]
     mean = np.mean([expect_kind(ls.MeshInstance, one).mesh.positions for one in ends], axis=0)

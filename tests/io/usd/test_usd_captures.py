@@ -91,8 +91,8 @@ def test_captures_written_to_usd_are_upright_in_other_programs(tmp_path: Path) -
     ls.save(tmp_path / "capture.usdc", capture(5))
     stage = usd_core().Stage.Open(str(tmp_path / "capture.usdc"))
     geom = usd_core("UsdGeom")
-    place = geom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/World/gaussians"))
-    assert list(place.Transform(usd_core("Gf").Vec3d(1, -2, 3))) == [1, 2, -3]
+    transform = geom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/World/gaussians"))
+    assert list(transform.Transform(usd_core("Gf").Vec3d(1, -2, 3))) == [1, 2, -3]
     assert geom.GetStageUpAxis(stage) == "Y" and geom.GetStageMetersPerUnit(stage) == 1.0
 
 
@@ -283,8 +283,8 @@ def test_nested_usd_transforms_rotate_and_stretch_gaussians(tmp_path: Path) -> N
         (axes @ axes.transpose(0, 2, 1))[0], matrix @ np.diag([1.0, 4.0, 9.0]) @ matrix.T, atol=1e-5
     )
     # Basis functions of degree 1 are -y, z, -x; the rotation maps x to y and y to -x.
-    seen = expect_kind(ls.Scene, ls.load(tmp_path / "a.usda")).splats[0].gaussians.sh[0, :, 0]
-    np.testing.assert_allclose(seen, (0.0, 3.0, 2.0, -1.0), atol=1e-6)
+    coefficients = expect_kind(ls.Scene, ls.load(tmp_path / "a.usda")).splats[0].gaussians.sh[0, :, 0]
+    np.testing.assert_allclose(coefficients, (0.0, 3.0, 2.0, -1.0), atol=1e-6)
 
 
 def test_invalid_usd_particles_are_refused_or_dropped_on_request(tmp_path: Path) -> None:

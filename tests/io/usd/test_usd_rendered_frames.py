@@ -38,10 +38,10 @@ def test_usd_round_trip_renders_frames_with_identical_noise(
     camera = ls.Camera.look_at((2.0, -1.5, -3.0), (0, 0, 0), (0, -1, 0), width=64, height=48, name="view")
     path = tmp_path / "a.usdc"
     ls.save(path, scene, cameras=[camera])
-    again, (seen,) = expect_kind(ls.Scene, ls.load(path)), ls.load_cameras(path)
+    again, (loaded_camera,) = expect_kind(ls.Scene, ls.load(path)), ls.load_cameras(path)
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.SOFT, samples=4), "cpu")
     before = renderer.render(scene, camera).pixels_srgb()
-    after = renderer.render(again, replace(seen, fx=camera.fx, fy=camera.fy)).pixels_srgb()
+    after = renderer.render(again, replace(loaded_camera, fx=camera.fx, fy=camera.fy)).pixels_srgb()
     assert before.std() > 0.05
     error = np.mean((before - after) ** 2, dtype=np.float64)
     assert -10.0 * np.log10(max(error, 1e-30)) >= (120.0 if {"rect", "spot"} & {*names} else 300.0)
