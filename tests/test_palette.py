@@ -12,7 +12,7 @@ from support.oracles import palette_oracle
 
 
 def clusters(count: int, components: int, centers: int = 12, seed: int = 3) -> np.ndarray:
-    """Returns vectors around a few centres, float32."""
+    """Returns float32 vectors around ``centers`` random points."""
     rng = np.random.default_rng(seed)
     centres = rng.normal(0.0, 1.0, (centers, components))
     return (centres[rng.integers(0, centers, count)] + rng.normal(0.0, 0.1, (count, components))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Baked light against analytic results and path-traced frames, and properties that a bake must keep."""
+"""Baked light compared with analytic results and path-traced frames, and invariants of a bake."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def test_ply_stores_baked_sh_to_the_bit(baked, tmp_path):
     """Frames differ by the float32 rounding of scales that are saved as logarithms."""
     again = loaded(baked, tmp_path / "baked.ply")
     np.testing.assert_array_equal(again.sh, baked.sh)
-    assert np.abs(baked.sh[:, 1:]).max() > 0.05  # there is detail to lose
+    assert np.abs(baked.sh[:, 1:]).max() > 0.05  # the bake depends on the view
     np.testing.assert_allclose(frames(again), frames(baked), atol=2e-5)
 
 
@@ -69,7 +69,7 @@ def test_spz_stores_baked_colours_within_its_quantisation(baked, tmp_path):
     off = np.abs(colors - expected).max(axis=(0, 2))
     assert (off <= bound + 1e-6).all()
     assert off.max() > 0.5 * 0.5 * SH_C0 * STEPS[0]  # quantisation has an effect
-    # Frames of the baked shapes are as near, because they blend these colours.
+    # Frames of the baked shapes have at most the same error, because they blend these colours.
     same_shapes = frames(replace(baked, sh=again.sh))
     assert np.abs(same_shapes - frames(replace(baked, sh=clipped))).max() <= bound.max() + 1e-6
 

@@ -1,4 +1,4 @@
-"""The joint SH fit of a bake: its matrices against NumPy, and SH that are known."""
+"""Tests the joint SH fit of a bake against NumPy, and against the SH from which its rays were computed."""
 
 from __future__ import annotations
 

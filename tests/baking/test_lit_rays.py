@@ -1,4 +1,4 @@
-"""Sample rays of a bake against lit frames: sorting by peaks, segments, and division by reflected colours."""
+"""Sample rays of a bake compared with lit frames: sorting by peaks, segments, and division by reflected colours."""
 
 from __future__ import annotations
 

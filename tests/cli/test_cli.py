@@ -1,4 +1,4 @@
-"""Tests the commands with correct arguments."""
+"""Tests render, info, convert, bench and the help with correct arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests ``lumisplat animate``: frames do not depend on how they were made, are whole, and of equal settings."""
+"""Tests ``lumisplat animate``: continued frames of equal settings, videos, and mistakes."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_animate_continues_an_interrupted_animation(work, monkeypatch):
     for name, time in times.items():
         assert (work.path("frames") / name).stat().st_mtime_ns == time
     assert animate(work, "frames").status == 0
-    assert len(rendered) == 3 + 2  # the two that were missing
+    assert len(rendered) == 3 + 2  # only the two missing frames
 
 
 def test_animate_frames_of_a_range_equal_those_of_the_whole(work, monkeypatch):
@@ -183,10 +183,10 @@ def test_animate_frames_of_a_range_equal_those_of_the_whole(work, monkeypatch):
 
     def estimated(scene, position, *args, **_):
         positions.append(tuple(position))
-        # By its looks: the floor is not lit by it.
+        # Without the evidence of lit surfaces: the floor of this scene is unlit.
         return ls.inverse.estimate_lights(scene, position, *args, config=ls.config.LightEstimationConfig(evidence=0.0))
 
-    # By its module: `lumisplat.relight` is the function of that name.
+    # The module is looked up by name, as `lumisplat.relight` is a function.
     monkeypatch.setattr(importlib.import_module("lumisplat.relighting.avatar_lighter"), "estimate_lights", estimated)
     assert animate(work, "whole").status == 0
     assert animate(work, "part", "--frames", "2:").status == 0

@@ -17,7 +17,7 @@ from support.scenes.raster_scenes import random_gaussians
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
-    """Returns a folder with a larger capture, some of it in blocks, and three cameras, one of which sees a part."""
+    """Returns a folder with a larger capture, some of it in blocks, and three cameras, one of which sees few blocks."""
     workspace = Workspace(tmp_path, capsys)
     capture = random_gaussians(5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0))
     ls.save(workspace.path("town.ply"), capture)
@@ -88,7 +88,7 @@ def test_render_of_blocks_equals_render_of_the_whole_capture(work: Workspace, mo
         np.testing.assert_array_equal(pixels(work.path(f"seen/{name}.png")), pixels(work.path(f"whole/{name}.png")))
     assert (
         len(loaded) == 2 and 0 < min(loaded) and max(loaded) < len(ls.io.open_blocks(work.path("town")).blocks)
-    )  # nothing where nothing is seen
+    )  # the camera "away" sees no block and loads none
     for source, out in (("@town.ply", "front"), ("@town", "front_seen")):
         assert work.run("render", source, "--width", "48", "-o", f"@{out}.png", "--device", "cpu").status == 0
     np.testing.assert_array_equal(pixels(work.path("front_seen.png")), pixels(work.path("front.png")))

@@ -26,7 +26,7 @@ _CASES = (
     (("farm", "render", "a.ply", "--pipeline", "tr"), ["trace"]),
     (("animate", "--workers"), []),
 )
-"""What has been typed, and what it is completed to."""
+"""Typed words, and the completions of the last word."""
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
             "--scale 2 --rotate 180 0 90 --translate 1 -2 3",
             lambda g: ls.transform(g, scale=2, rotation_degrees=(180, 0, 90), translation=(1, -2, 3)),
         ),
-        # In the order of the help, not of the command line: the sphere is of the file.
+        # Edits are applied in the order of the help, so the sphere is in coordinates of the file.
         (
             "--translate 50 0 0 --decimate 10 --sphere 0 0 4 1.5",
             lambda g: ls.transform(

@@ -48,11 +48,11 @@ def test_demo_writes_an_image_for_each_camera_and_lit_images(work, monkeypatch):
         assert isinstance(swing, GifImageFile)
         assert (swing.size, swing.n_frames) == ((16, swing.height), 24)
         frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(swing)]
-    # There and back: the way back shows the same pictures, and the light moves.
+    # The light moves there and back, so the second half shows the frames of the first in reverse.
     assert all(np.array_equal(frames[k], frames[24 - k]) for k in range(1, 12))
     assert np.abs(frames[0].astype(int) - frames[12]).max() > 20
     pipelines = [read_image(work.path(f"demo/lit-{name}.png"))["srgb"] for name in ("raster", "trace", "hybrid")]
     assert read_image(work.path("demo/lit-aovs.png"))["srgb"].shape == (48, 64, 3)
-    np.testing.assert_array_equal(pipelines[0], pipelines[2])  # nothing here reflects
+    np.testing.assert_array_equal(pipelines[0], pipelines[2])  # no surface reflects, so raster and hybrid agree
     assert pipelines[1].mean() > 10.0
     assert not np.array_equal(pipelines[1], pipelines[2])  # thick Gaussians look different along rays

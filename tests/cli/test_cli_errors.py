@@ -326,7 +326,9 @@ def test_commands_end_silently_if_their_output_pipe_closes(work):
     """Printing into ``| head -1`` closes the pipe."""
     for arguments in ("--help", "info capture.ply", "convert capture.ply copy.ply"):
         command = [sys.executable, "-m", "lumisplat", *arguments.split()]
-        environment = os.environ | {"PYTHONUNBUFFERED": "1"}  # the pipe is met inside the command, not after it
+        environment = os.environ | {
+            "PYTHONUNBUFFERED": "1"
+        }  # the command finds the pipe closed, not the interpreter at exit
         pipe = subprocess.PIPE
         with subprocess.Popen(command, stdout=pipe, stderr=pipe, cwd=work.folder, env=environment) as process:
             assert process.stdout and process.stderr

@@ -88,9 +88,9 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 FIT = ("--pipeline", "raster", "--samples", "1", "--environment-degree", "none", "--device", "cpu")
 
 
-def lights_of(place: Workspace, name: str) -> dict[str, np.ndarray]:
+def lights_of(work: Workspace, name: str) -> dict[str, np.ndarray]:
     """Returns the powers of a scene file's lights by name."""
-    scene = ls.load(place.path(name))
+    scene = ls.load(work.path(name))
     assert isinstance(scene, ls.Scene)
     return {light.name: np.array(light.color) * light.intensity for light in scene.lights}
 
@@ -108,7 +108,7 @@ def test_fit_writes_fitted_lights_to_a_new_scene_file(work):
     scene = ls.load(work.path("fitted.toml"))
     assert isinstance(scene, ls.Scene) and len(scene.meshes) == 2 and len(scene.lights) == 3
     assert [camera.name for camera in ls.load_cameras(work.path("fitted.toml"))] == ["door", "window.png"]
-    # An image of the fitted scene is the photograph.
+    # The fitted scene renders the image that was given.
     camera = ls.load_cameras(work.path("fitted.toml"))[0]
     image = ls.render(scene, camera, device="cpu").pixels_srgb()
     assert ls.metrics.psnr(image, ls.load_image(work.path("door.png"))) > 40.0

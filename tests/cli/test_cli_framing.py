@@ -16,7 +16,7 @@ from support.scenes.raster_scenes import front_camera, joined, one_gaussian, qua
 
 
 def pixels(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
-    """Returns pixel and view depth of world points, shape (N, 3)."""
+    """Returns pixel x, pixel y and view depth of N world points, shape (N, 3)."""
     x, y, z = camera.camera_from_world[:3, :3] @ points.T + camera.camera_from_world[:3, 3:]
     return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
 

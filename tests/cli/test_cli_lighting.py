@@ -242,7 +242,7 @@ def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sk
     for light in (plain, quarter):
         np.testing.assert_allclose(turned(light.rotation_wxyz, (0, 1, 0)), UP[up], atol=1e-12)
     np.testing.assert_allclose(turned(plain.rotation_wxyz, (0, 0, -1)), AHEAD[up], atol=1e-12)
-    # Counter-clockwise from above: what was ahead is then on the left.
+    # The rotation is counter-clockwise from above, so the direction ahead moves to the left.
     left = np.cross(UP[up], AHEAD[up])
     np.testing.assert_allclose(turned(quarter.rotation_wxyz, (0, 0, -1)), left, atol=1e-12)
 

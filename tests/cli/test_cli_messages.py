@@ -1,4 +1,4 @@
-"""Tests messages in terms of the command line, and numbers as they are typed."""
+"""Tests that messages name options instead of Python names, and that options accept several notations of numbers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from support.files.cli_files import Workspace
 
 SOURCES = Path(ls.__file__).parent
 PYTHON_NAME = re.compile(r"\b(?:[A-Z]\w*Config\.[a-z]\w*|[A-Z]\w+\.[A-Z][A-Z_]+)\b")
-"""A setting or a choice as Python names it."""
+"""Pattern of a setting or an enum member as Python names it."""
 
 
 @pytest.fixture

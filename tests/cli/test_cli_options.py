@@ -1,4 +1,4 @@
-"""Tests laws of the options: their number, the length of their help, and that --set reaches every setting."""
+"""Tests limits of the options: their number, the length of their help, and that --set reaches every setting."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def test_defaults_and_ranges_in_help_equal_those_of_settings(command: str, confi
             (one for one in getattr(hints[name], "__metadata__", ()) if hasattr(one, "help_behavior_hint")), None
         )
         if shown_default is None or "default" not in (shown_default.help_behavior_hint or ""):
-            assert not default, name  # a flag, or what help knows no default of
+            assert not default, name  # a flag, or an option whose help has no default
             continue
         assert default is None, name
         value, limits = getattr(config, name), declared[name].range

@@ -1,4 +1,4 @@
-"""Tests the time of frames: in the progress bar, and in a line before many slow ones."""
+"""Tests the remaining time of frames, in the progress bar and in a log line before many slow frames."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_frames_limited_by_time_or_noise_print_their_samples(work, caplog) -> No
     assert timed.status == 0 and timed.out.endswith("), 1 sample\n"), timed.err
     enough = work.run(*path, "--set=noise=0.9", "--stats")
     assert re.search(r"\), 16 samples, noise 0\.\d{3}\n", enough.out) and "noise" in enough.out
-    caplog.clear()  # that the frame of one sample is grainy, which test_cli_noise.py asks
+    caplog.clear()  # drops the line about the noise of one sample, see test_cli_noise.py
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*path, "--set=noise=0.0001", "--samples", "18").status == 0
     (line,) = [record.getMessage() for record in caplog.records if "noise" in record.getMessage()]

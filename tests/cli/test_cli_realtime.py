@@ -49,10 +49,10 @@ fps = 10
 [environment]
 intensity = 0.1
 """
-"""Behind the camera of the scene; light of the sky is noisy."""
+"""Scene file text after the camera: its keyframes, and an environment, whose light is noisy."""
 
 PASSES = ("surfaces", "direct", "indirect", "filters", "sum")
-"""Those of docs/method/realtime.md, in its order, of a scene without mirrors."""
+"""Passes of docs/method/realtime.md in order, for a scene without mirrors."""
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     )
     ls.save(workspace.path("room.ply"), one_gaussian((4.0, 0.0, 0.0), 1.5, 1.0, (1.0, 0.2, 0.2)))
     workspace.path("two.toml").write_text('[[splats]]\npath = "ball.ply"\n[[splats]]\npath = "room.ply"\n')
-    # Half a turn about y: what is +x in the room is -x for the ball.
+    # A half turn about y maps +x of the room to -x of the ball.
     workspace.path("turned.toml").write_text(
         '[[splats]]\npath = "ball.ply"\nrotation_wxyz = [0, 0, 1, 0]\nposition = [0, 0, 0]\nscale = 0.5\n'
     )
@@ -33,9 +33,9 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return workspace
 
 
-def lit_sides(place: Workspace, name: str) -> tuple[np.ndarray, np.ndarray]:
+def lit_sides(work: Workspace, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Returns mean colours of the ball's half towards +x, and of the other half."""
-    loaded = ls.load(place.path(name))
+    loaded = ls.load(work.path(name))
     assert isinstance(loaded, ls.Gaussians)
     colors = loaded.sh[:, 0] * 0.28209479 + 0.5
     front = loaded.means[:, 0] > 0.0

@@ -39,7 +39,7 @@ def test_train_relightable_writes_materials_and_an_environment(
     metrics = json.loads((report / "materials.json").read_text())
     assert metrics["gaussians"] == found.count and metrics["error"] > 0.0
     assert len(list(report.glob("*.png"))) == 3
-    # However bright the sky is: 0.3 of display white on average, but for what is brighter than white.
+    # The image is exposed to a mean of 0.3 of display white, however bright the environment is.
     assert decode_srgb(np.asarray(Image.open(report / "environment.png")) / 255.0).mean() == pytest.approx(
         0.3, abs=0.05
     )

@@ -15,7 +15,9 @@ from support.scenes.training_scenes import write_training_folder
 SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--prune-below", "0", "--device", "cpu")
 
 
-def test_interrupted_training_continues_with_the_same_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_interrupted_training_continues_with_the_same_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The output has scores and the file; a finished training has nothing left to do."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "out" / "a.ply"
     assert main(["train", str(folder), "-o", str(output), *SHORT, "--stop-after", "0.01s"]) == 0

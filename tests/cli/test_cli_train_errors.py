@@ -1,4 +1,4 @@
-"""Tests failures of ``lumisplat train``: one line each, and no work is lost."""
+"""Tests failures of ``lumisplat train``: each failure is one line, and no finished work is lost."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from support.scenes.training_scenes import write_training_folder
 SHORT = ("--iterations", "60", "--cap", "120", "--sh-degree", "1", "--device", "cpu")
 
 
-def told(capsys: pytest.CaptureFixture[str]) -> str:
+def error_line(capsys: pytest.CaptureFixture[str]) -> str:
     """Returns the single line of standard error."""
     text = capsys.readouterr().err
     assert text.startswith("error: ") and text.count("\n") == 1, text
@@ -39,7 +39,7 @@ def test_train_refuses_a_single_image(tmp_path: Path, capsys: pytest.CaptureFixt
     """Depth needs several images."""
     folder = write_training_folder(tmp_path / "set", 1)
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
-    assert "transforms.json: has a single image, expected two or more" in told(capsys)
+    assert "transforms.json: has a single image, expected two or more" in error_line(capsys)
     assert not (tmp_path / "a.training").exists()
 
 
@@ -49,7 +49,7 @@ def test_train_refuses_a_mask_that_is_black_everywhere(tmp_path: Path, capsys: p
     (folder / "masks").mkdir()
     Image.fromarray(np.zeros((40, 40), np.uint8)).save(folder / "masks" / "01.png")
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
-    assert "01.png: is black everywhere, so no pixel of its image would be used" in told(capsys)
+    assert "01.png: is black everywhere, so no pixel of its image would be used" in error_line(capsys)
     assert not (tmp_path / "a.training").exists()
 
 
@@ -69,7 +69,7 @@ def test_train_refuses_a_checkpoint_of_other_settings(tmp_path: Path, capsys: py
         assert main([*command, *option]) == 2
         file = tmp_path / "a.training" / "checkpoint.npz"
         advice = "use the earlier settings, or overwrite it"
-        assert told(capsys) == f"error: {file}: was trained {problem}: {advice}\n"
+        assert error_line(capsys) == f"error: {file}: was trained {problem}: {advice}\n"
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
@@ -109,7 +109,7 @@ def test_train_on_a_disk_that_fills_up_loses_no_file(
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", full)
         assert main(command) == 2
-    line = told(capsys)
+    line = error_line(capsys)
     assert file in line and "cannot be written: No space left on device" in line
     assert (tmp_path / "a.training" / "checkpoint.npz").exists()
     assert not list(tmp_path.rglob(".*lumisplat*")), "no half of a file"
@@ -133,7 +133,7 @@ def test_train_reports_a_full_disk_in_one_line(
         while True:
             file.write(bytes(4096))
     assert main(command) == 2
-    assert "cannot be written: No space left on device" in told(capsys)
+    assert "cannot be written: No space left on device" in error_line(capsys)
     ballast.unlink()
     subprocess.run(["mount", "-o", "remount,size=2m", str(disk)], check=True)
     assert main(command) == 0 and steps < 60

@@ -1,4 +1,4 @@
-"""OpenUSD files through the commands."""
+"""Tests OpenUSD files as input and output of the commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``--view`` and ``--aov`` of ``lumisplat render``."""
+"""Tests ``--view`` and ``--aov`` of ``lumisplat render``."""
 
 from __future__ import annotations
 

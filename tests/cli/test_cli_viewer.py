@@ -1,4 +1,4 @@
-"""``lumisplat view``: what it prints, what it refuses, and how it ends."""
+"""Tests ``lumisplat view``: the printed address, refused requests and files, and interruption."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from support.scenes.raster_scenes import random_gaussians
 pytest.importorskip("viser", reason="the extra view is not installed")
 
 PATIENCE_S = 300.0
-"""How long anything may take on a busy machine; nothing waits that long unless it is wrong."""
+"""Seconds after which a wait fails, long enough for a busy machine."""
 
 
 @pytest.fixture

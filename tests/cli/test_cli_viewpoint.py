@@ -1,4 +1,4 @@
-"""A camera of one's own on the command line: ``--eye``, ``--target``, ``--azimuth`` and so on."""
+"""Tests options that place a camera: ``--eye``, ``--target``, ``--azimuth`` and so on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings at the door: of the right type and in their range, or refused in one line."""
+"""Tests that settings are refused in one line when created with a wrong type or a value out of range."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ REFUSED = {
     (ls.ShadowConfig, ls.config.HitDistance.MEAN),
     *((ls.TrainConfig, kind) for kind in (ls.Pipeline.HYBRID, ls.Pipeline.PATH, ls.Pipeline.REALTIME)),
 }
-"""Members that settings do not take; tests of their own say so."""
+"""Pairs of settings and enum members that these settings refuse, as other tests check."""
 
 
 @pytest.mark.parametrize(("settings", "name", "kind"), CHOICES)

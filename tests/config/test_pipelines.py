@@ -1,4 +1,4 @@
-"""Pipelines: what each name means is stated once, and asked nowhere else."""
+"""Tests that a pipeline is defined by its visibility and integrator, and that no other module compares names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of screen probes are checked."""
+"""Tests that settings of screen probes are refused if out of range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Qualities of frames in real time: what they change, and what they leave."""
+"""Tests which settings the quality presets of real-time frames change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Declarations of settings: what they refuse, what they accept, and what follows from them."""
+"""Tests declarations of settings: refused and accepted values, and help that is made of a declaration."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ GIVEN: dict[type, dict[str, Any]] = {
     ls.Animation: {"scene": ls.Scene()},
     ls.Actor: {"subject": random_gaussians(0, 1)},
 }
-"""Classes of scenes, with what they need."""
+"""Scene classes whose fields are settings, and the arguments that each class requires."""
 RELATED = {"inner_angle", "outer_angle", "window", "kernel_degree", "grow_turn", "flatness", "normals", "depth_spread",
            "normal_smoothness", "projection", "frame_count"}  # fmt: skip
 """Fields whose values other fields restrict further."""

@@ -1,4 +1,4 @@
-"""Random numbers of views, and the geometry by which poses and objects are accepted."""
+"""Random numbers of data set views, and the geometry that decides whether a pose or an object is accepted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of data sets: layers against known geometry, cameras read by others, shards, settings."""
+"""Files of data sets: layers compared with the geometry of the scene, cameras, shards and settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VIEWS = 12
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Data set with all layers, an inserted object and shards."""
+    """Returns the folder of a data set with all layers, an inserted object and shards."""
     home = tmp_path_factory.mktemp("dataset")
     (home / "duck.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
     summary = ls.dataset.render_dataset(block_scene(), home / "set", config_of(home), device="cpu")
@@ -51,10 +51,10 @@ def camera_of(record: dict) -> ls.Camera:
 
 def image(folder: Path, record: dict, layer: str) -> np.ndarray:
     """Returns a layer that is stored as PNG."""
-    return picture(folder / record["files"][layer])
+    return png_pixels(folder / record["files"][layer])
 
 
-def picture(path: Path) -> np.ndarray:
+def png_pixels(path: Path) -> np.ndarray:
     """Returns the pixels of a PNG file."""
     with Image.open(path) as opened:
         return np.asarray(opened)
@@ -79,7 +79,7 @@ def test_data_set_layers_match_the_geometry_of_the_scene(folder, index: int) -> 
     upward = np.round(127.5 * (1.0 + camera.camera_from_world[:3, 1]))
     assert np.abs(image(folder, record, "normal")[floor].astype(float) - upward).max() <= 1.0
     assert not image(folder, record, "normal")[ids == 0].any()
-    # Points of surfaces are in the boxes of their things.
+    # Points of surfaces are in the boxes of their objects.
     points = origins + along_rays(camera, depth)[..., None] * directions
     for entry in objects.values():
         rows, columns = np.nonzero(ids == entry["id"])
@@ -97,12 +97,12 @@ def test_data_set_layers_match_the_geometry_of_the_scene(folder, index: int) -> 
     categories = image(folder, record, "category")
     table = json.loads((folder / "layers.json").read_text())["categories"]
     assert table == {"floor": 1, "block": 2, "duck": 3}
-    np.testing.assert_array_equal(categories, ids)  # one thing of each
+    np.testing.assert_array_equal(categories, ids)  # one object of each category
     np.testing.assert_array_equal(
         image(folder, record, "mask"), np.where(image(folder, record, "alpha") >= 128, 255, 0)
     )
     white = image(folder, record, "albedo")[floor & (image(folder, record, "alpha") == 255)]
-    assert white.min() == white.max() > 200  # as bright in shadow as in light
+    assert white.min() == white.max() > 200  # albedo is as bright in shadow as in light
 
 
 def along_rays(camera: ls.Camera, depth: np.ndarray) -> np.ndarray:
@@ -177,7 +177,7 @@ def test_finishing_a_data_set_again_writes_the_same_bytes(folder, tmp_path) -> N
     ls.dataset.finish_dataset(folder, config)
     assert {name: (folder / name).read_bytes() for name in names} == before
     assert ls.dataset.finish_dataset(folder, replace(config, views=VIEWS + 2)).missing == 2
-    assert picture(folder / "contact_sheet.png").shape == (6 * 150, 200 * 8, 3)
+    assert png_pixels(folder / "contact_sheet.png").shape == (6 * 150, 200 * 8, 3)
 
 
 def test_existing_data_set_views_are_not_rendered_again(folder, monkeypatch) -> None:
@@ -191,7 +191,7 @@ def test_data_set_ids_of_more_than_255_objects_are_16_bit(tmp_path) -> None:
     scene = ls.Scene(meshes=[*block_scene().meshes, *([ls.MeshInstance(ls.box(0.01), position=(9, 9, 9))] * 300)])
     config = small_config(views=1, layers="instance,category", poses=ls.config.DatasetPoses(seen=0.0))
     ls.dataset.render_dataset(scene, tmp_path, config, device="cpu")
-    assert picture(tmp_path / "instance/view_000000.png").dtype == np.uint16
+    assert png_pixels(tmp_path / "instance/view_000000.png").dtype == np.uint16
 
 
 def test_data_sets_refuse_realtime_frames_and_albedo_of_unlit_views(tmp_path) -> None:

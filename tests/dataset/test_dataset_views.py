@@ -87,7 +87,7 @@ def test_data_set_cameras_in_free_space_keep_their_clearance() -> None:
     for view in views_of(small_config(poses=poses)):
         eye, forward = view.camera.eye, view.camera.camera_from_world[2, :3]
         assert 0.0 <= eye[1] <= 0.9
-        # Rays to 32 sides see what is near, if not its nearest point.
+        # Rays in 32 directions hit near surfaces, though not exactly their nearest point.
         assert distance_to_block(eye) >= 0.8 * 0.05 * DIAGONAL and eye[1] >= 0.8 * 0.05 * DIAGONAL
         assert -60.0 - 1e-9 <= math.degrees(math.asin(forward[1])) <= -10.0 + 1e-9
 

@@ -114,7 +114,7 @@ def test_long_toml_words_and_numbers_are_not_taken_for_dotted_keys(tmp_path: Pat
 
 
 def _gltf(path: Path, count: int) -> Path:
-    """Returns a glTF file with ``count`` nodes, the last of which has the camera."""
+    """Writes a glTF file with ``count`` nodes, the last of which has the camera, and returns its path."""
     nodes: list[dict[str, Any]] = [{"translation": [k, 0, 0], "name": str(k)} for k in range(count)]
     nodes[-1]["camera"] = 0
     lens = {"type": "perspective", "perspective": {"yfov": 1.0}}
@@ -145,7 +145,7 @@ def test_loading_cameras_of_a_gltf_without_any_computes_no_transforms(
 
 
 def _faces(path: Path, empty: int) -> Path:
-    """Returns a PLY file with one triangle among faces without corners."""
+    """Writes a PLY file with one triangle among ``empty`` faces without corners, and returns its path."""
     header = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n"
     header += "".join(f"property float {axis}\n" for axis in "xyz")
     header += f"element face {empty + 1}\nproperty list uchar int vertex_indices\nend_header\n"
@@ -161,7 +161,7 @@ def test_empty_ply_faces_take_linear_work(tmp_path: Path) -> None:
     mesh = ls.load(many)
     assert isinstance(mesh, ls.Mesh)
     assert mesh.face_count == 1
-    # Building the Python lists takes one line per row and list; parsing a row takes ten.
+    # Building the Python lists takes one line for each row and list; parsing a row would take ten.
     assert _lines(lambda: ls.load(many)) - _lines(lambda: ls.load(few)) < 4 * 2700
     few.write_bytes(few.read_bytes()[:-1])
     with pytest.raises(ls.FormatError, match="truncated"):

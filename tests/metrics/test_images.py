@@ -1,4 +1,4 @@
-"""PSNR, SSIM and FLIP: hand-computed values, and changes that must not change the metrics."""
+"""PSNR, SSIM and FLIP: hand-computed values, and transformations that leave the metrics unchanged."""
 
 from __future__ import annotations
 

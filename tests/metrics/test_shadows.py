@@ -127,7 +127,7 @@ def test_shadow_metrics_ignore_shadows_outside_the_region():
     assert ls.metrics.sm_iou(shadow, reference, region=region) == 1.0
     assert ls.metrics.boundary_f(shadow, reference, region=region) == 1.0
     assert ls.metrics.sm_iou(shadow, reference) < 1.0
-    # The left edge, x = 4, lies outside: of the square's boundary, top, right and bottom are left.
+    # The left edge of the square, x = 4, is outside of the region; its top, right and bottom edges are inside.
     cut = square(4, 4, 4)
     cut[:, 4] = 0.0
     assert ls.metrics.boundary_f(cut, reference, tolerance=0.0, region=region) == 1.0

@@ -128,9 +128,9 @@ MORE_NARROW = {
         "shadow_maps",
     },
     "palette": {"constants", "errors", "runtime", "device", "kernels", "palette"},
-    "io": HOST_ONLY | {"palette"},  # as it writes SOG; see test_host_only_folders_do_not_import_warp
+    "io": HOST_ONLY | {"palette"},  # writing SOG needs the palette, which io imports lazily
     "viewer": {"public", "viewer"},
-    "cli": {"public", "io", "cli"},  # of io, documented functions
+    "cli": {"public", "io", "cli"},  # only documented functions of io
     "__main__": {"cli"},
 } | dict.fromkeys(HOST_ONLY - {"constants", "io"}, HOST_ONLY)
 """Allowed imports of a top folder or kind of file, where the order of layers alone would allow more."""
@@ -188,7 +188,7 @@ def imports(node: ast.AST, lazy: bool = False, typing: bool = False) -> Iterator
 
 
 def imported_modules(path: Path, typing: bool = False) -> Iterator[str]:
-    """Yields the dotted names of our modules that a file imports, see `imports`."""
+    """Yields the dotted names of the modules of Lumisplat that a file imports, see `imports`."""
     for full, _ in imports(tree(path), typing=typing):
         head, *rest = full.split(".")
         if head == "lumisplat":

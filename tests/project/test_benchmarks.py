@@ -22,7 +22,7 @@ from support.scenes import raster_scenes
 
 BENCH = Path(timing.__file__).parent
 CPU_ONLY = {"mitsuba_peer.py"}
-"""Compares with a renderer that runs on the CPU."""
+"""Benchmarks that compare with a renderer that runs on the CPU."""
 
 
 def renderer_as_on_a_gpu(config: ls.RenderConfig | None = None, device: str = "auto", **options: Any) -> ls.Renderer:

@@ -1,4 +1,4 @@
-"""Commit subjects of the history."""
+"""Tests the length of commit subjects in the history."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ TAKERS: dict[str, Callable[[Callable[[Any], Any]], Any]] = {
     "psnr": lambda of: ls.metrics.psnr(of(IMAGE), of(IMAGE[::-1])),
     "rays": _hits,
 }
-"""Parts of the interface that take arrays, each as a function of what the arrays are given as."""
+"""Public functions and classes that take arrays, each as a function of the conversion of its arrays."""
 
 
 def _same(one: Any, other: Any) -> None:

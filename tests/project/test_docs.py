@@ -33,7 +33,7 @@ OTHERS_PROGRAMS = [
     for page in PAGES
     for package, block in re.findall(r"<!-- runnable with (\w+) -->\n```python\n(.*?)```", page.read_text(), re.DOTALL)
 ]
-"""Programs with packages that are no dependencies."""
+"""Programs of the docs that need a package which is no dependency of Lumisplat."""
 SCENE_FILES = [
     pytest.param(block, id=f"{page.stem}-{number}")
     for page in PAGES
@@ -48,7 +48,7 @@ COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?
 
 @pytest.fixture
 def beside(tmp_path, monkeypatch):
-    """Working folder with a capture, meshes, a rig, frames, an environment, images and a camera file."""
+    """Makes and enters a folder with a capture, meshes, a rig, frames, an environment, images and a camera file."""
     import trimesh
 
     from lumisplat.io.images.exr import write_exr

@@ -28,7 +28,7 @@ SUBMODULES = (
     "rays",
     "training",
 )
-"""Public modules by topic, for everything beyond the first ten minutes."""
+"""Public submodules, one for each topic."""
 
 PUBLIC = [("", name) for name in ls.__all__ if name not in SUBMODULES] + [
     (module, name) for module in SUBMODULES for name in getattr(ls, module).__all__

@@ -1,4 +1,4 @@
-"""Rooms of tools/make_relightable_room.py match our path tracer on the same meshes."""
+"""Rooms of tools/make_relightable_room.py match the path tracer of Lumisplat on the same meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sets of tools/make_relightable_set.py match our path tracer on the same meshes."""
+"""Sets of tools/make_relightable_set.py match the path tracer of Lumisplat on the same meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from support.oracles import bsdf_oracle as oracle
 
 ROOT = Path(__file__).resolve().parents[2]
 LIT_IN = {"environment": "test", "relit/sunny": "relit/sunny", "relit/studio": "relit/studio"}
-"""Folders of pictures by their environment."""
+"""Folder of the images lit by each environment."""
 SIZE = 32
 
 
@@ -82,7 +82,7 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def seen(tool: ModuleType, folder: Path, mesh: Path, environment: str | None) -> list[ls.Frame]:
-    """Renders the meshes of a Lambertian set with our path tracer; None for any light."""
+    """Renders the meshes of a Lambertian set with Lumisplat's path tracer in an environment; None for any light."""
     meshes: list[ls.MeshInstance] = []
     for instance in tool.scene_of(mesh).meshes:
         material: Any = replace(instance.mesh.material, specular=0.0, metallic=0.0, base_color=(1.0, 1.0, 1.0))
@@ -165,7 +165,9 @@ def test_roughness_of_the_relightable_set_is_interpolated(tool, made, balls) -> 
         roughness, inside = layer(folder, "roughness", index, "Y")
         points = ls.Mesh(frame.position[inside], [[0, 1, 2]], frame.normal[inside])
         expected = tool.roughness_of(ls.MeshInstance(points), scene)
-        assert np.median(np.abs(roughness[inside][:, 0] - expected)) < 0.005  # of a pixel, and in its middle
+        assert (
+            np.median(np.abs(roughness[inside][:, 0] - expected)) < 0.005
+        )  # the layer is a mean over the pixel, the expected value at its centre
         assert np.ptp(roughness[inside]) > 0.3
         pair = [ls.load_image(one / "relit" / "studio" / f"r_{index:03}.png") for one in (folder, matt)]
         assert ls.metrics.psnr(*pair, region=inside) < 35.0

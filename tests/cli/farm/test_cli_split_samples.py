@@ -1,4 +1,4 @@
-"""Tests ``--tiles samples``: workers share the samples of a frame, and killed ones lose nothing."""
+"""Tests ``--tiles samples``: workers share the samples of a frame, and killed workers lose no finished samples."""
 
 from __future__ import annotations
 

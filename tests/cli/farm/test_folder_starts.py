@@ -1,4 +1,4 @@
-"""Tests simultaneous runs in an empty folder: equal settings share it, and of others only one run starts."""
+"""Tests simultaneous runs in an empty folder: equal settings share it, of different settings only one run starts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def at_once(tasks: list[Callable[[], None]]) -> list[Exception]:
 
 
 def starts(folder: FrameFolder, seeds: list[int], *, overwrite: bool = False) -> list[Callable[[], None]]:
-    """Returns runs with the given settings that start."""
+    """Returns functions that each start a run with one of the seeds."""
     return [lambda seed=seed: folder.prepare({"seed": f"{seed}"}, overwrite) for seed in seeds]
 
 
@@ -142,4 +142,4 @@ except ls.LumisplatError as error:
     print(error, file=sys.stderr)
     raise SystemExit(getattr(error, "status", 2))
 """
-"""Makes frames in a process of its own."""
+"""Program that makes frames in a child process."""

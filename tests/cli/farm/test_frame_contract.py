@@ -67,7 +67,7 @@ def test_render_resume_keeps_images_of_the_same_settings_only(work) -> None:
     refused = render(work, "out", "--resume", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0")
     assert refused.status == 2 and "holds frames of other settings or files (raster.sh_degree" in refused.err
     assert render(work, "out", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0").status == 0
-    assert not work.path("out/render.json").exists()  # it spoke of other pictures
+    assert not work.path("out/render.json").exists()  # the file described images of other settings
     assert "holds frames, but no render.json" in render(work, "out", "--resume").err
 
 
@@ -213,4 +213,4 @@ def test_stored_settings_have_every_option_that_images_depend_on(work) -> None:
     options = {field.name for field in fields(Render) if not is_dataclass(field.default_factory)}
     missing = options - stamp.keys() - {"viewpoint", "light"}
     assert missing == {"output", "resume", "frames", "tiles", "debug", "stats", "changes"}
-    assert {"trace.hits_per_pass", "seed", "crease_angle"} <= stamp.keys()  # which --set changes
+    assert {"trace.hits_per_pass", "seed", "crease_angle"} <= stamp.keys()  # settings that have no option of their own

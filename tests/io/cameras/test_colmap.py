@@ -36,7 +36,7 @@ def write_binary(folder: Path, images=IMAGES, lenses=LENSES) -> Path:
 
 
 def write_text(folder: Path) -> Path:
-    """Writes the same model as text; one image has no 2D points, so its second line is empty."""
+    """Writes the model of `write_binary` as text; one image has no 2D points, so its second line is empty."""
     lines = ["# Camera list with one line of data per camera:"]
     lines += [f"{n} {name} 640 480 {' '.join(map(str, values))}" for n, (name, _, values) in LENSES.items()]
     (folder / "cameras.txt").write_text("\n".join(lines) + "\n")

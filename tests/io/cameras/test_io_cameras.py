@@ -194,12 +194,12 @@ def test_lens_distortion_survives_saving_and_loading_cameras(tmp_path: Path) -> 
 
 
 def pose(*diagonal: float) -> dict:
-    """Returns a file content with one frame that has this diagonal pose."""
+    """Returns the content of a camera file with one frame whose pose has the given diagonal."""
     return {**FILE, "frames": [{**FRAME, "transform_matrix": np.diag([*diagonal, 1.0]).tolist()}]}
 
 
 def without(content: dict, *names: str) -> dict:
-    """Returns the content without some keys."""
+    """Returns the content without the given keys."""
     return {key: value for key, value in content.items() if key not in names}
 
 

@@ -1,4 +1,4 @@
-"""Animations in documents: they equal those of the file or program."""
+"""Scene documents with animations: the animation equals that of the opened file or of the program."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def assert_same_camera(mine: ls.Camera, other: ls.Camera) -> None:
-    """Checks that all fields are equal up to rounding."""
+    """Checks that all fields of two cameras are equal up to rounding."""
     for field in fields(other):
         first, second = getattr(mine, field.name), getattr(other, field.name)
         if isinstance(second, float | np.ndarray | tuple):
@@ -80,7 +80,7 @@ def assert_same_camera(mine: ls.Camera, other: ls.Camera) -> None:
 
 
 def assert_same_animation(mine: ls.Animation | None, other: ls.Animation) -> None:
-    """Checks that actors, times, cameras, settings and the number of static objects are equal."""
+    """Checks that two animations have equal actors, times, cameras and settings, and as many static objects."""
     mine = present(mine)
     assert (mine.fps, mine.frame_count, mine.lighting) == (other.fps, other.frame_count, other.lighting)
     assert (len(mine.scene.splats), len(mine.scene.meshes)) == (len(other.scene.splats), len(other.scene.meshes))

@@ -1,4 +1,4 @@
-"""Object identity under edits: unchanged objects stay the same, as renderers need; unused ones are freed."""
+"""Object identity in edited documents: unedited objects stay the same objects, and unused objects are freed."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_document_edits_do_not_check_large_arrays_again(monkeypatch: pytest.Monk
     isfinite = np.isfinite
     monkeypatch.setattr(np, "isfinite", lambda values: (checked.append(np.size(values)), isfinite(values))[1])
     changed = document.changed(0, material={"roughness": 0.1}).changed(1, rotation_wxyz=[0.0, 1.0, 0.0, 0.0])
-    assert max(checked, default=0) <= 16  # a matrix, not the 96 numbers of the image
+    assert max(checked, default=0) <= 16  # the size of a matrix; the image has 96 numbers
     assert changed.entry(0).meshes[0].mesh.positions is scene.meshes[0].mesh.positions
     environment = changed.entry(1).lights[0]
     assert isinstance(environment, ls.LightEnvironment) and environment.rotation_wxyz == (0.0, 1.0, 0.0, 0.0)

@@ -30,7 +30,7 @@ FAR = st.just(math.inf) | POSITIVE
 
 @st.composite
 def spots(draw: st.DrawFn) -> ls.LightSpot:
-    """Generates spots with all angles, also adjacent ones."""
+    """Generates spot lights with all angles, also with an inner angle one float below the outer one."""
     outer = draw(st.just(math.pi / 2) | st.floats(1e-3, math.pi / 2))
     inner = draw(st.just(math.nextafter(outer, 0.0)) | st.floats(0.0, outer, exclude_max=True))
     return ls.LightSpot(draw(POINT), draw(DIRECTION), inner_angle=inner, outer_angle=outer, range=draw(FAR))

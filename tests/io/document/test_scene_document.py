@@ -99,7 +99,7 @@ def assert_same_scene(found: Any, expected: ls.Scene) -> None:
 
 
 def assert_same(mine: Any, other: Any) -> None:
-    """Checks that all fields are equal; numbers to one unit in the last place, because angles are in degrees."""
+    """Checks that all fields are equal; numbers to one unit in the last place, as files store degrees."""
     assert type(mine) is type(other)
     for field in () if other is None else fields(other):
         first, second = getattr(mine, field.name), getattr(other, field.name)

@@ -65,7 +65,7 @@ NAMERS: dict[str, tuple[Callable[[Path, str], Path], bytes]] = {
 
 @pytest.fixture(params=NAMERS)
 def namer(request) -> tuple[Callable[[Path, str], Path], bytes]:
-    """Returns one of `NAMERS`."""
+    """Returns a writer of `NAMERS`, and the content of the file to which it refers."""
     return NAMERS[request.param]
 
 

@@ -1,6 +1,6 @@
 """Exchange of glTF files with other programs, if Node and its packages are installed.
 
-They are searched in ~/.cache/lumisplat/node, or in the folder in LUMISPLAT_NODE:
+Node and the packages are searched in ~/.cache/lumisplat/node, or in the folder in LUMISPLAT_NODE:
 ``npm install --prefix ~/.cache/lumisplat/node gltf-validator @playcanvas/splat-transform@2.7.1 three``.
 """
 

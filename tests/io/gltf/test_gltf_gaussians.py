@@ -31,7 +31,7 @@ DIRECTIONS = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, -0.8, 0.0), (-0.48
 
 
 def matrices(xyzw: np.ndarray) -> np.ndarray:
-    """Returns rotation matrices of x, y, z, w quaternions, by the extension's equation for C."""
+    """Returns rotation matrices of quaternions x, y, z, w by the equation of KHR_gaussian_splatting."""
     x, y, z, w = xyzw.astype(np.float64).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -42,13 +42,13 @@ def matrices(xyzw: np.ndarray) -> np.ndarray:
 
 
 def covariances(xyzw: np.ndarray, scales: np.ndarray, linear: np.ndarray) -> np.ndarray:
-    """Returns ``M C C^T M^T``, where C is the rotation times the scales."""
+    """Returns ``M C C^T M^T``, where M is ``linear`` and C a rotation times its scales."""
     axes = linear @ (matrices(xyzw) * scales[:, None, :].astype(np.float64))
     return axes @ axes.transpose(0, 2, 1)
 
 
 def capture_covariances(gaussians: ls.Gaussians, linear: np.ndarray) -> np.ndarray:
-    """Returns the covariances of a capture under a matrix, shape (3, 3)."""
+    """Returns the covariances of a capture's Gaussians, transformed by a matrix of shape (3, 3)."""
     return covariances(np.roll(gaussians.rotations_wxyz, -1, axis=1), gaussians.scales, linear)
 
 

@@ -45,7 +45,7 @@ def gltf_of(nodes: list[dict[str, Any]], clips: dict[str, list[tuple[int, Sample
 
 
 def written(path: Path, nodes: list[dict[str, Any]], samplers: list[tuple[int, Sampler]]) -> ls.Animation:
-    """Writes such a file, and returns its animation."""
+    """Writes a file of `gltf_of` with one clip, and returns its animation."""
     path.write_bytes(gltf_of(nodes, {"walk": samplers}).glb())
     return ls.load_animation(path)
 
@@ -128,7 +128,7 @@ def test_gltf_animations_over_4000_s_of_cameras_or_captures_are_refused(tmp_path
 
 
 def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
-    """Returns the animation of a file with a capture whose node has these properties and this sampler."""
+    """Returns the animation of a glTF file with one capture, whose node has these properties and this sampler."""
     ls.save(folder / "still.gltf", capture(6))
     document = json.loads((folder / "still.gltf").read_text())
     moved = gltf_of([{}], {"walk": [(0, sampler)]})

@@ -238,7 +238,7 @@ def without_skin(rig: TubeRig) -> None:
 
 
 def keys(rig: TubeRig, path: str, times: list, values: list, interpolation: str = "LINEAR", node: int = 3) -> None:
-    """Returns a document with one track."""
+    """Gives the rig one clip with a single animated channel."""
     rig.clips["clip"] = [(node, path, times, values, interpolation)]
 
 

@@ -26,7 +26,7 @@ def pixels(seed: int, height: int = 5, width: int = 40, levels: int = 256) -> np
 
 
 def load(tmp_path: Path, data: bytes) -> np.ndarray:
-    """Loads a file of these bytes."""
+    """Writes the bytes to an .hdr file, and loads it."""
     (tmp_path / "a.hdr").write_bytes(data)
     return ls.io.load_radiance(tmp_path / "a.hdr")
 

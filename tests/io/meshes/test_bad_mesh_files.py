@@ -186,7 +186,7 @@ def two_parents(gltf: Gltf) -> None:
 
 
 def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None]:
-    """Sets keys of an item."""
+    """Returns a function that sets keys of an item of a glTF document."""
     return lambda gltf: gltf.json[collection][index].update(values)
 
 

@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def load(folder: Path, text: str) -> ls.Scene:
-    """Loads the scene of a scene file."""
+    """Writes a scene file, and loads its scene."""
     (folder / "scene.toml").write_text(text)
     scene = ls.load(folder / "scene.toml")
     assert isinstance(scene, ls.Scene)

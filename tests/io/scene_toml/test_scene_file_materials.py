@@ -82,7 +82,7 @@ def test_textures_of_scene_file_materials_are_relative_to_the_file(tmp_path: Pat
     assert isinstance(material, ls.MaterialPbr)
     np.testing.assert_array_equal(material.normal_texture, TEXELS)
     assert (material.normal_scale, material.emissive, material.base_color_texture) == (0.5, (2.0,) * 3, None)
-    assert material.metallic == 0.25  # of the file
+    assert material.metallic == 0.25  # the value of the mesh file
 
 
 def test_scene_file_texture_wraps_are_set_for_each_texture(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def read(folder: Path, text: str) -> ls.Scene:
-    """Loads the scene of a scene file."""
+    """Writes a scene file, and loads its scene."""
     (folder / "scene.toml").write_text(text)
     return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
 

@@ -113,7 +113,7 @@ def test_randomly_mutated_capture_files_load_or_are_refused(tmp_path: Path, name
 
 
 def mutated(original: bytes, rng: np.random.Generator) -> bytes:
-    """Returns data with one kind of damage; the head is hit more often."""
+    """Returns data with one kind of damage, most often near the beginning."""
     reach = len(original) if rng.random() < 0.5 else min(len(original), 400)
     start, size = int(rng.integers(0, reach)), int(rng.integers(1, 64))
     head, piece, tail = original[:start], original[start : start + size], original[start + size :]

@@ -1,4 +1,4 @@
-"""PLY files of trainers of relightable captures, packed by hand, and how they are distinguished from Lumisplat's."""
+"""PLY files of trainers of relightable captures, packed by hand, and how they differ from those of Lumisplat."""
 
 from __future__ import annotations
 

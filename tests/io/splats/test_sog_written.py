@@ -25,7 +25,7 @@ FIELDS = ("means", "rotations_wxyz", "scales", "opacities", "sh")
 
 
 def written(folder: Path, gaussians: ls.Gaussians) -> tuple[ls.Gaussians, ls.Gaussians]:
-    """Returns a capture in the order of the file, and the capture read back."""
+    """Writes a capture as SOG, and returns it in the order of the file and as read back."""
     ls.save(folder / "a.sog", gaussians)
     return gaussians.subset(morton_order(gaussians.means)), load_gaussians(folder / "a.sog")
 
@@ -209,7 +209,7 @@ def test_frames_of_a_capture_saved_as_sog_match_to_60_db(tmp_path: Path, data_di
 
 
 def splat_transform() -> list[str]:
-    """Returns the command of PlayCanvas's splat-transform, or skips the test and says what is missing."""
+    """Returns the command of PlayCanvas's splat-transform, or skips the test with the reason."""
     command = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
     if not command:
         pytest.skip("needs PlayCanvas's splat-transform: npm install -g @playcanvas/splat-transform@2.7.1")

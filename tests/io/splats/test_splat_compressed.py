@@ -112,7 +112,7 @@ def test_compressed_ply_counts_gaussians_with_coarse_positions(
     stray = np.concatenate([means, [[1e4, 0.0, 0.0]]])
     assert "the positions of 256 Gaussians" in saved_with(stray)  # one chunk, where the curve runs last along x
     farther = np.concatenate([means, [[1e8, 0.0, 0.0]]])
-    assert "the positions of 256 Gaussians" in saved_with(farther)  # and only that one, however far the stray
+    assert "the positions of 256 Gaussians" in saved_with(farther)  # only the chunk of the outlier, however far it is
 
 
 def test_morton_order_of_coincident_points_is_defined() -> None:

@@ -39,10 +39,11 @@ def half_step(values: np.ndarray, levels: int) -> float:
 def steps(name: str, gaussians: Gaussians) -> Steps:
     """Returns the tolerances of a format.
 
-    Compressed PLY: the coarsest of 11+10+11 bits over a chunk, which spans at most the whole set; rotation 10 bits over
-    sqrt(2); opacity and colour 8 bits; SH 256 bins over -4..4. SPZ: 12 fractional bits, log scale in 1/16, colour
-    byte = 255 * 0.15 DC, SH in 1/128, rotation 9 bits over sqrt(1/2) (8 over 2 before version 3), half floats in
-    version 1. SOG: 16 bits over the range of log(1 + |x|), whose derivative is 1 + |x|; bytes elsewhere.
+    Compressed PLY has 11, 10 and 11 bits for a position in its chunk, which spans at most the whole capture, 10 bits
+    over sqrt(2) for rotations, 8 bits for opacity and colour, and 256 steps over -4..4 for SH. SPZ has 12 fractional
+    bits for positions, sixteenths for log scales, a byte of 255 * 0.15 times SH degree 0 for colours, steps of 1/128
+    for other SH, and 9 bits over sqrt(1/2) for rotations (8 over 2 before version 3); version 1 has half floats. SOG
+    has 16 bits over the range of log(1 + |x|), whose derivative is 1 + |x|, for positions, and bytes elsewhere.
     """
     logs = np.log(gaussians.scales)
     if name.endswith(".compressed.ply"):

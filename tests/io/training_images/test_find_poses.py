@@ -137,7 +137,7 @@ def test_find_poses_matches_the_given_poses_of_the_fox(tmp_path, data_dir):
 
 
 def similarity(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, float]:
-    """Returns the rotation and scale that best align centred points with others (Umeyama 1991)."""
+    """Returns the rotation and scale that best align centred points with ``target`` (Umeyama 1991)."""
     a, b = points - points.mean(axis=0), target - target.mean(axis=0)
     u, sizes, v = np.linalg.svd(b.T @ a)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])

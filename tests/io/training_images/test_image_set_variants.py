@@ -174,7 +174,7 @@ def _without_points(text: bytes) -> bytes:
 
 
 def _with_points(text: bytes) -> bytes:
-    """Adds lines of 2D points that have as many words as lines of images with numeric names."""
+    """Adds lines of 2D points that have as many words as the lines of images, whose names become numbers."""
     return text.replace(b"\n\n", b"\n1.5 2.5 7 3.5 4.5 8 5.5 6.5 9 1.5 2.5 -1\n")
 
 

@@ -18,7 +18,7 @@ BYTES = np.random.default_rng(4).integers(0, 256, (7, 3), np.uint8)
 
 
 def folder_with(folder: Path, **values: Any) -> Path:
-    """Writes ten images whose transforms.json has further keys."""
+    """Writes ten images whose transforms.json has these further keys."""
     return write_nerfstudio_images(folder, ring_cameras(10, 8, 6), **values)
 
 
@@ -35,7 +35,7 @@ def write_points(path: Path, positions: np.ndarray, colors: np.ndarray | None = 
 
 
 def names(found: tuple[Any, ...]) -> list[int]:
-    """Returns the numbers of the views."""
+    """Returns the numbers in the names of the views."""
     return [int(view.name.removeprefix("view_")) for view in found]
 
 

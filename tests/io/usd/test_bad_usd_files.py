@@ -33,7 +33,7 @@ WORDS = ["nan", "-1", "1e39", "0", "99999999999", "inf", "x", '"s"', "[]", "()",
 
 @pytest.fixture(autouse=True)
 def little_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Limits the child's processor time to one second: files of these tests are read in milliseconds."""
+    """Limits the processor time of the child process to one second; files of these tests take milliseconds."""
     monkeypatch.setattr(process, "USD_CPU_SECONDS", 1)
 
 
@@ -173,7 +173,7 @@ def test_wrong_bytes_in_tables_of_a_binary_usd_do_not_crash(tmp_path: Path, step
 
 
 def crate_with(path: Path, name: bytes, number: int) -> bytes:
-    """Returns a binary layer in which a section claims another number of entries."""
+    """Returns a binary USD layer whose section ``name`` claims ``number`` entries."""
     ls.save(path, capture(5))
     data = bytearray(path.read_bytes())
     (table,) = struct.unpack_from("<q", data, 16)
@@ -217,7 +217,7 @@ def test_impossible_usd_counts_take_no_memory_of_this_process(tmp_path: Path) ->
         refused(path)
     command = [sys.executable, "-c", MOST_MEMORY, *map(str, paths)]
     most = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    assert 0 < int(most) < 300_000  # kB, most of them the library itself
+    assert 0 < int(most) < 300_000  # kB, mostly of the USD library
 
 
 def laughs(depth: int) -> str:
@@ -241,7 +241,7 @@ def test_exponentially_nested_usd_references_are_refused(tmp_path: Path, monkeyp
 
 
 def limits_with_textures(path: Path) -> list[int]:
-    """Returns the child's memory limit before any texture, and after one and two textures of a megabyte."""
+    """Returns the memory limit of the child process before any texture, and after one and two of a megabyte."""
     found = [resource.getrlimit(resource.RLIMIT_DATA)[0]]
     for _ in range(2):
         process.raise_limit_for_asset(2**20)
@@ -259,7 +259,7 @@ def test_each_usd_texture_raises_the_memory_limit_of_the_child(tmp_path: Path) -
 
 
 def crashing(path: Path) -> None:
-    """Kills the process, as a fault in the library does."""
+    """Kills its process, as a fault in the USD library does."""
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
@@ -274,7 +274,7 @@ def sleeping(path: Path) -> None:
 
 
 def halving(path: Path, factor: float) -> list[object]:
-    """Returns a value and a function that stays in the child."""
+    """Returns the factor, and a function that multiplies by it and runs in the child process."""
     return [factor, process.Remote(lambda argument: np.full(3, factor * argument))]
 
 
@@ -326,7 +326,7 @@ def test_each_remote_call_to_a_usd_child_has_a_time_limit(tmp_path: Path) -> Non
 
 
 def limits(path: Path) -> tuple[int, int]:
-    """Returns the child's limits before it asks for a layer."""
+    """Returns the limits of the child process before it opens a layer."""
     return resource.getrlimit(resource.RLIMIT_DATA)[0], resource.getrlimit(resource.RLIMIT_CPU)[0]
 
 
@@ -345,7 +345,7 @@ def test_limits_of_the_usd_child_grow_with_file_size_from_the_start(
 
 
 def exhausted(path: Path) -> None:
-    """Raises the error that the library raises when memory is exhausted."""
+    """Raises the error that the USD library raises when memory is exhausted."""
     raise FormatError(path, "damaged, or not a USD file: std::bad_alloc")
 
 

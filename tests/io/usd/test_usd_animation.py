@@ -24,7 +24,7 @@ LATE = ls.Keyframes([0.5, 1.0], [(0, 0, 0), (3, 0, 0)])
 
 
 def camera(step: int) -> ls.Camera:
-    """Returns a camera of a path that approaches and zooms."""
+    """Returns the camera at a step of a path that approaches and zooms."""
     return ls.Camera.look_at((3, 2, 1 + step), (0, 0, 0), width=64, height=36, fov_y=0.7 - 0.1 * step, name="moving")
 
 

@@ -22,7 +22,7 @@ LENS = """float focalLength = 50
 
 
 def cameras(path: Path, inputs: str, head: str = 'upAxis = "Y"', **size: int) -> list[ls.Camera]:
-    """Returns the cameras of a stage with one camera."""
+    """Writes a stage with one camera of these inputs, and returns its cameras."""
     return ls.load_cameras(write_usda(path / "a.usda", f'def Camera "view" {{\n{inputs}\n}}', head), **size)
 
 

@@ -19,7 +19,7 @@ AT = """double3 xformOp:translate = (1, 2, 3)
 
 
 def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schemas: str = "") -> Light:
-    """Returns the light of a stage with one light."""
+    """Writes a stage with one light of these inputs, and returns the loaded light."""
     applied = f"( prepend apiSchemas = [{schemas}] )" if schemas else ""
     body = f'def {kind} "lamp" {applied} {{\n{inputs}\n}}'
     (found,) = expect_kind(ls.Scene, ls.load(write_usda(path / "a.usda", body, head))).lights

@@ -31,7 +31,7 @@ def mesh(extra: str = "", geometry: str = QUAD, name: str = "quad", applied: str
 
 
 def bound(name: str = "mat") -> tuple[str, str]:
-    """Returns the schema that allows material bindings, and the binding, as text."""
+    """Returns, as text, the schema that allows material bindings, and a binding to the material ``name``."""
     return '( prepend apiSchemas = ["MaterialBindingAPI"] )', f"rel material:binding = </{name}>"
 
 
@@ -71,7 +71,7 @@ ST = """texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] ( interpolat
 
 
 def quad_material(path: Path, inputs: str, nodes: str = "", extra: str = "") -> ls.MaterialPbr:
-    """Returns the material of a quad."""
+    """Writes a quad with a material of these inputs, and returns the loaded material."""
     applied, binding = bound()
     scene = load_scene(path, mesh(f"{extra}\n{binding}", applied=applied) + material(inputs, nodes))
     return expect_kind(ls.MaterialPbr, scene.meshes[0].mesh.material)
