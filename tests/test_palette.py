@@ -73,7 +73,7 @@ def test_palette_of_two_levels_is_no_worse_than_one_level() -> None:
 
 
 def test_palette_of_few_distinct_vectors_is_exact() -> None:
-    """No more vectors are distinct than there are entries, however often each vector occurs."""
+    """Vectors repeat, but at most as many are distinct as the palette has entries."""
     values = np.repeat(clusters(37, 45), np.arange(1, 38), axis=0)
     palette = fit_palette(np.random.default_rng(0).permutation(values), 256, "cpu")
     assert len(palette.entries) == 37
@@ -82,7 +82,7 @@ def test_palette_of_few_distinct_vectors_is_exact() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 64])
 def test_palette_of_identical_vectors_has_one_entry(count: int) -> None:
-    """One vector, or many identical ones, are given."""
+    """The palette is made of one vector, or of many identical vectors."""
     for values in (np.ones((1, 9), np.float32), np.ones((50, 9), np.float32)):
         palette = fit_palette(values, count, "cpu")
         np.testing.assert_array_equal(palette.entries, np.ones((1, 9)))

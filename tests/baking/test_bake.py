@@ -179,7 +179,7 @@ def test_bakes_with_equal_seeds_are_equal_to_the_bit(monkeypatch: pytest.MonkeyP
 
 
 def test_baked_gaussians_inside_a_closed_body_have_finite_colours() -> None:
-    """They have hardly any light, no NaN, and no value out of range."""
+    """Gaussians inside have hardly any light, no NaN, and no value out of range."""
     hidden = replace(splats_of(ball(0.4, diffuse(0.5)), 40))
     scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 150), hidden], lights=[SKY])
     for instance in baked(scene, replace(PATH, samples=2), directions=8).splats:

@@ -58,7 +58,7 @@ def test_denoising_a_bake_removes_noise_of_constant_light_but_no_colour():
 
 
 def test_denoising_a_bake_keeps_the_light_of_dark_albedos():
-    """Albedos far below `SHARED_COLOR_MIN` would lose half of their light and more if it were a divisor."""
+    """Dividing by `SHARED_COLOR_MIN` in place of a far smaller albedo would lose half of the light and more."""
     rng = np.random.default_rng(5)
     weights = neighbours(rng)
     for color in (0.004, (0.6, 0.01, 0.004)):
@@ -110,7 +110,7 @@ def test_partial_coverage_of_rays_does_not_bias_baked_brightness():
 
 
 def test_denoising_a_bake_removes_noise_at_partial_coverage():
-    """A half of the samples whose one path hits nothing carries no information on the noise."""
+    """A half of the samples with a single path, which hits nothing, carries no information on the noise."""
     rng = np.random.default_rng(4)
     weights, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
     found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)

@@ -120,9 +120,9 @@ def test_fitting_a_bake_in_parts_of_gaussians_costs_under_1_db(monkeypatch: pyte
 
 @pytest.mark.deep
 def test_baked_room_is_within_1_db_of_the_best_sh() -> None:
-    """A closed room of 1,300 Gaussians from 16 views, against SH that know the bake and 40 other views.
+    """The room has 1,300 Gaussians and 16 views; the best SH are fitted from the bake and 40 other views.
 
-    The target is 1 dB: 29.7 dB against 30.6. Larger scenes miss it (docs/benchmarks.md#bake).
+    The target is 1 dB: 29.7 dB against 30.6. Larger scenes miss the target (docs/benchmarks.md#bake).
     """
     case = bench.cases(100)["room"]()
     rng = np.random.default_rng(0)

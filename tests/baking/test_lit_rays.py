@@ -48,10 +48,10 @@ def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("shines", [False, True])
 def test_sample_rays_of_a_bake_across_colour_edges_match_frames(shines: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Path tracing hits a white or a dark Gaussian at random; the averaged light is blended over sorted hits of both.
+    """Path tracing hits a white or a dark Gaussian at random; the mean is compared with a blend of sorted hits.
 
-    Sorted by means, as by viewers of captures, rays across edges would be some hundredths too bright. With the albedo
-    of Gaussians that emit captured colours, edges would keep their noise.
+    If hits were sorted by means of Gaussians, as viewers do, rays across edges would be some hundredths too bright.
+    With the albedo of Gaussians that emit captured colours, edges would keep their noise.
     """
     scene = ls.Scene([patched_ball(shines=shines)], lights=[SKY])
     shown = pixels_of(scene, DIRECT, monkeypatch)
@@ -117,7 +117,7 @@ def test_unbaked_captures_and_meshes_do_not_bias_sample_rays(
 
 
 def test_reflected_colours_of_a_bake_equal_the_shaded_ones() -> None:
-    """They are the albedo, or captured colours of an emissive capture, plus the white specular part of dielectrics."""
+    """Reflected colours are the albedo, or captured colours of an emissive capture, plus white specular reflection."""
     captured, albedo = np.array([0.2, 0.4, 0.6]), np.array([0.5, 0.3, 0.0])
     gaussians = ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4)
     sh = np.broadcast_to((captured - 0.5) / SH_C0, (gaussians.count, 1, 3)).astype(np.float32)

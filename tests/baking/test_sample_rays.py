@@ -35,7 +35,7 @@ def small() -> ls.SplatInstance:
 
 
 def test_sample_ray_origins_have_uniform_squared_distances() -> None:
-    """The camera distance is at most that of the view, and its pdf grows linearly."""
+    """A ray's camera distance is at most that of the view, and the pdf of the distance grows linearly."""
     instance = small()
     drawn = drawn_rays(instance, 30)
     away = np.linalg.norm(drawn.origins - instance.gaussians.means[:, None], axis=2)
@@ -78,7 +78,7 @@ def test_sample_rays_depend_on_gaussian_seed_and_iteration_only() -> None:
 
 
 def test_distributions_of_sample_rays_are_stored_once() -> None:
-    """They are written in parts into allocated arrays, and take less memory than 16 rays to each Gaussian."""
+    """Distributions are written in parts into allocated arrays, and take less memory than 16 rays to each Gaussian."""
     part = rays_of(small())
     count = len(part.gaussian)
     names = SampleRays.__slots__

@@ -42,7 +42,7 @@ def test_sh_fit_keeps_colours_of_an_unviewed_side_in_range() -> None:
 
 
 def test_sh_fit_does_not_turn_noise_into_view_dependence() -> None:
-    """The fit of one colour with noise is the colour, with the noise of a mean over all directions."""
+    """A noisy constant colour is fitted by that colour, with the noise of a mean over all directions."""
     rng = np.random.default_rng(2)
     along = directions()
     noisy = 0.5 + 0.1 * rng.normal(size=(N, D, 3))
@@ -77,7 +77,7 @@ def test_evenly_spread_directions_integrate_sh_up_to_degree_3() -> None:
 
 
 def test_view_weights_favour_visible_lit_and_front_sides() -> None:
-    """Weights grow with the viewing distance; a dark side has little, unless both are dark; known fronts have more."""
+    """Weights grow with the viewing distance. The darker of two sides has little weight, and a known front has more."""
     front = np.tile([True, True, False, False], (3, 1))
     light = np.ones((3, 4, 3))
     light[1, 2:] = 0.0
@@ -95,7 +95,10 @@ def test_view_weights_favour_visible_lit_and_front_sides() -> None:
 
 
 def test_views_of_an_invisible_side_of_a_gaussian_are_mirrored() -> None:
-    """Directions on a side without weight are mirrored at the Gaussian's plane; with weight on both sides they stay."""
+    """View directions on a side without weight are mirrored at the Gaussian's plane.
+
+    With weight on both sides they stay.
+    """
     along = directions()
     normals = np.tile([0.0, 0.0, 1.0], (N, 1))
     front = along[..., 2] < 0.0

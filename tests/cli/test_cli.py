@@ -106,7 +106,7 @@ def test_render_width_and_height_apply_to_cameras_without_a_size(work):
 
 
 def test_render_set_options_equal_the_settings_of_the_library(work):
-    """The image equals the one that the library renders with equal settings."""
+    """The image equals that of `ls.render` with equal settings."""
     ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
     scene = ls.Scene([work.capture("bands.ply")])
     camera = ls.load_cameras(work.path("cameras.json"))[0]
@@ -308,7 +308,7 @@ def test_stats_of_traced_frames_have_no_tile_counts(work):
 
 
 def test_render_with_the_trace_pipeline_equals_the_library(work, monkeypatch):
-    """The image shows glass before a capture; progress reports each sample."""
+    """The image shows glass in front of a capture; progress is reported for each sample."""
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
         '[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, -2]\n'
@@ -496,7 +496,7 @@ def test_help_lines_end_at_the_width_of_the_terminal(capsys, monkeypatch):
 
 
 def test_help_imports_neither_warp_nor_numpy():
-    """Help imports no file library either, so that it appears at once."""
+    """Help also imports no file library, so that help appears at once."""
     program = (
         "import sys, lumisplat.cli; lumisplat.cli.main(['--help']);"
         "print(sorted({'warp', 'numpy', 'zstandard', 'OpenEXR', 'PIL', 'rich.progress'} & set(sys.modules)))"

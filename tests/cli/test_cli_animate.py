@@ -207,7 +207,7 @@ def test_animate_of_a_still_scene_writes_equal_frames(work):
 
 @pytest.mark.parametrize("option", OTHER)
 def test_animate_refuses_a_folder_with_frames_of_other_settings(work, option):
-    """The error names the changes, and the frames stay; ``--overwrite`` renders all frames anew."""
+    """The error names the changed settings, and the frames stay; ``--overwrite`` renders all frames anew."""
     work.path("scene.toml").write_text(SCENE_FOR.get(option, SCENE))
     assert animate(work, "frames", "--frames", "0:2").status == 0
     before = frames(work, "frames")
@@ -225,7 +225,7 @@ def test_animate_refuses_a_folder_with_frames_of_other_settings(work, option):
 
 
 def test_animate_refuses_a_folder_with_frames_of_changed_files(work):
-    """Size and time of the scene file and of the files that it names are compared."""
+    """The size and modification time of the scene file, and of the files that the scene file names, are compared."""
     assert animate(work, "frames", "--frames", "0:1").status == 0
     status = work.path("ball.ply").stat()
     os.utime(work.path("ball.ply"), ns=(status.st_atime_ns, status.st_mtime_ns + 10**9))
@@ -249,7 +249,7 @@ def test_animate_refuses_a_folder_with_frames_but_no_settings(work):
 
 
 def test_animate_writes_a_video_of_its_frames(work):
-    """The video has the frames in order at their rate, also if they existed before."""
+    """The video has the frames in order at their rate, even if the frames existed before."""
     assert animate(work, "frames").status == 0
     done = animate(work, "frames", "--video", "@out.mp4")
     assert done.out.splitlines()[1] == f"{work.path('out.mp4')} (10 frames a second, 0.40 s)"
@@ -341,7 +341,7 @@ def test_animate_renders_actors_in_a_scene_without_captures(work):
 
 
 def test_animate_logs_options_without_effect_once(work, caplog):
-    """The line belongs to the lit scene, whose light only casts shadows, as there are no meshes."""
+    """The logged option belongs to the lit scene, whose light only casts shadows, as there are no meshes."""
     assert animate(work, "frames", "--frames", "0:2", "--set=response.kernel_degree=2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
     assert lines == [
@@ -352,7 +352,7 @@ def test_animate_logs_options_without_effect_once(work, caplog):
 
 
 def test_animate_logs_black_sides_of_actors_with_a_remedy(work, caplog):
-    """The line names the option and a valid key of the scene file."""
+    """The log line names the option and a valid key of the scene file."""
     work.path("dark.toml").write_text(RELIT)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run("animate", "@dark.toml", "-o", "@frames", "--frames", "0").status == 0
@@ -365,7 +365,7 @@ def test_animate_logs_black_sides_of_actors_with_a_remedy(work, caplog):
 
 
 def test_animate_accepts_a_capture_without_lights_around_the_actors(work, caplog) -> None:
-    """Actors cast no shadow and are brightened as if the capture surrounded them; log lines report both."""
+    """Actors cast no shadow and are brightened as if the capture surrounded them; two log lines report this."""
     light = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
     work.path("scene.toml").write_text(RELIT.replace(light, ""))
     outcome = work.run("animate", "@scene.toml", "-o", "@out", "--device", "cpu")
@@ -469,7 +469,7 @@ def test_fingerprints_of_frames_cover_all_files_of_a_scene(tmp_path):
 
 
 def test_animate_removes_temporary_files_of_a_killed_run(work, monkeypatch) -> None:
-    """The temporary file of animate.json has the name pattern of all temporary files, and is removed with them."""
+    """The temporary file of animate.json has the name pattern of all temporary files, so it is removed with those."""
     names: list[str] = []
     link_file = os.link
 

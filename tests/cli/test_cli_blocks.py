@@ -137,7 +137,7 @@ def test_render_lod_pixels_loads_coarser_levels_of_far_blocks(work: Workspace) -
 
 
 def test_lit_frames_of_blocks_load_the_whole_capture(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
-    """Pipelines other than raster and scenes of several files load it, too; a log line reports it."""
+    """Other pipelines than raster, and scenes of several files, also load all blocks; a log line reports the reason."""
     made(work)
     outcome = work.run(
         "render", "@town", "--pipeline", "trace", "--cameras", "@views.json", "--frames", "far", "-o", "@a.png",

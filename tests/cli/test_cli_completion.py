@@ -104,7 +104,7 @@ def options_with_values(command: dict[str, Any], name: str) -> Iterator[tuple[st
 
 
 def test_completion_knows_which_options_take_a_value(scripts: dict[str, Path]) -> None:
-    """In each command, the word behind a flag is a file, and the word behind another option its value."""
+    """In each command, the word behind a flag is a file, and the word behind any other option is its value."""
     kinds = cli._commands(cli._Command)
     farmed = cli._commands(get_args(get_type_hints(kinds.pop("farm"), include_extras=True)["what"])[0])
     kinds |= {f"farm {name}": kind for name, kind in farmed.items()}

@@ -76,7 +76,7 @@ def test_delight_writes_materials_to_gltf_as_to_ply(work):
 
 
 def test_delight_writes_no_environment_image_for_a_room(work, monkeypatch):
-    """A line reports it, in place of a black image."""
+    """A line reports that there is no environment, in place of a black image."""
     capture = ls.load(work.path("ball.ply"))
     assert isinstance(capture, ls.Gaussians)
     found = ls.inverse.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")

@@ -24,7 +24,7 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 
 
 def test_doctor_prints_versions_devices_cache_and_extras(work: Workspace) -> None:
-    """The tables are of this machine."""
+    """The tables describe the machine that runs the test."""
     shown = " ".join(work.run("doctor").out.split())
     assert f"Lumisplat {ls.__version__}" in shown and "warp-lang 1." in shown
     assert " works" in shown and "compiled kernels folder" in shown and "view" in shown

@@ -150,7 +150,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     ],
 )
 def test_every_mistake_on_the_command_line_is_one_line(work, monkeypatch, args, named):
-    """Each mistake ends with status 2 and one line on standard error that names it, and writes no file."""
+    """Each mistake ends with status 2, prints one line on standard error that names the mistake, and writes no file."""
     monkeypatch.chdir(work.folder)
     before = work.files()
     outcome = work.run(*args)

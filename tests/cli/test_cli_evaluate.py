@@ -108,7 +108,7 @@ def test_evaluate_does_not_compare_masked_pixels(work):
 
 
 def test_evaluate_composites_transparent_images_over_the_background(work):
-    """RGBA renders agree if both are composited over the same colour, and not over another."""
+    """RGBA renders equal the images if both are composited over black, and differ if one is composited over white."""
     frame = ls.render(
         ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], ls.RenderConfig(background=None), device="cpu"
     )

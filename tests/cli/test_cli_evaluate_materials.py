@@ -48,7 +48,7 @@ def test_evaluate_materials_table_equals_the_values_of_the_library(work):
 
 
 def test_evaluate_materials_writes_metrics_and_comparison_images(work):
-    """The report has metrics of all views, and rows of estimate, truth and difference for the worst ones."""
+    """The report has metrics of all views, and for the worst views images of estimate, truth and difference."""
     done = work.run(*COMMAND, "-o", "@report")
     assert done.status == 0 and "metrics.json, and the worst views: found, true" in done.out
     assert {name for name in work.files() if name.startswith("report")} == {
@@ -66,7 +66,7 @@ def test_evaluate_materials_writes_metrics_and_comparison_images(work):
 
 
 def test_evaluate_materials_compares_the_environment_of_the_capture(work):
-    """The file is found beside the capture by its name, or given."""
+    """The environment image is found beside the capture by its name, or given by an option."""
     write_radiance(work.path("ball.environment.exr"), 2.0 * panorama())
     beside = table(work.run(*COMMAND).out)["environment, one scale a channel"]
     assert float(beside) > 100.0

@@ -64,7 +64,7 @@ enabled = false
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
-    """Returns a folder with a room with wrong lights, and rasterised images of it with the true ones."""
+    """Returns a folder with a scene file of a room whose lights are wrong, and images with the true lights."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     workspace = Workspace(tmp_path, capsys)
     workspace.path("floor.obj").write_text(

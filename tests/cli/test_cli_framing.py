@@ -106,7 +106,7 @@ def test_cameras_are_selected_by_name_or_by_file_stem():
 
 
 def test_depth_layer_images_are_red_near_and_blue_far():
-    """The guide states these colours."""
+    """The guide documents red as near and blue as far."""
     frame = ls.render(ls.Scene([], [quad(2.0, 0.2), quad(4.0, 4.0)]), front_camera(33, 33), device="cpu")
     image = layer_pictures(frame, "depth")["depth"]
     near, far = image[16, 16], image[2, 2]

@@ -94,7 +94,7 @@ def test_info_prints_interior_media_of_transmissive_meshes(work):
 
 
 def test_info_reports_meshes_with_black_vertex_colours(work):
-    """Such a mesh stays black under any light."""
+    """A mesh with black vertex colours stays black under any light."""
     rig = TubeRig()
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     rig.write(work.path("black.glb"))
@@ -105,7 +105,7 @@ def test_info_reports_meshes_with_black_vertex_colours(work):
 
 @pytest.mark.parametrize("command", ["render", "info"])
 def test_render_and_info_report_mistakes_in_the_animation_table(work, command):
-    """A scene file is checked whole, also by commands that show one moment of it."""
+    """``render`` and ``info`` show one moment, but check the whole scene file."""
     work.path("scene.toml").write_text(SCENE + "durations = 3.0\n")
     outcome = work.run(command, "@scene.toml", *(("-o", "@a.png") if command == "render" else ()))
     assert outcome.status == 2 and "durations" in outcome.err and outcome.err.count("\n") == 1

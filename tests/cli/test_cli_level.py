@@ -28,7 +28,7 @@ def garden(**stated: object) -> ls.Gaussians:
 
 
 def test_trained_captures_store_up_and_first_view(tmp_path: Path) -> None:
-    """Both come from the cameras, are stored in the file, and are used by renders."""
+    """Up and first view come from the cameras, are stored in the file, and are used by renders."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = ls.TrainConfig(iterations=20, cap=80, sh_degree=1, prune_below=0.0)
     result = ls.train(folder, config, output=output, device="cpu")
@@ -43,7 +43,7 @@ def test_trained_captures_store_up_and_first_view(tmp_path: Path) -> None:
 def test_render_logs_a_guessed_up_direction_but_not_a_stated_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The line has a remedy."""
+    """The log line names a remedy."""
     monkeypatch.chdir(tmp_path)
     ls.save("guess.ply", capture(20))
     ls.save("stated.ply", replace(capture(20), up="z-up"))

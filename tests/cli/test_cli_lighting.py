@@ -115,7 +115,7 @@ def test_render_uses_cameras_and_settings_of_a_scene_file(work, monkeypatch):
 
 
 def test_render_options_override_settings_of_a_scene_file(work, monkeypatch):
-    """Each option changes only its setting, also back to the library's default."""
+    """Each option changes only its setting, even back to the library's default."""
     stage = Stage(monkeypatch)
     options = ("--pipeline", "raster", "--samples", "auto", "--shadows", "hard", "--tone-map", "none")
     options += (
@@ -231,7 +231,10 @@ def turned(wxyz: Any, vector: tuple[float, float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("up", UP)
 def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sky, up):
-    """Its zenith is up, its centre ahead of the default camera; ``--environment-rotation`` is about the vertical."""
+    """The zenith of the image is up, its centre ahead of the default camera.
+
+    ``--environment-rotation`` is about the vertical.
+    """
     stage = Stage(monkeypatch)
     args = ("render", "@mesh.obj", "-o", "@a.png", "--up", up, "--environment", "@sky.exr")
     assert work.run(*args).status == 0
@@ -248,7 +251,7 @@ def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sk
 
 
 def test_render_environment_replaces_that_of_the_scene(work, monkeypatch, sky):
-    """Other lights stay; up is that of the scene, y down with a capture."""
+    """Other lights stay; up is the up direction of the scene, y down with a capture."""
     stage = Stage(monkeypatch)
     text = SCENE + '[environment]\ncolor = [1, 0, 0]\n[[splats]]\npath = "capture.ply"\n'
     work.path("both.toml").write_text(text)
@@ -339,7 +342,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
     ],
 )
 def test_light_options_without_effect_are_logged(settings: dict[str, Any], scene: ls.Scene, lines: list[str]) -> None:
-    """Each reason is one line; options with an effect are not in it."""
+    """Each reason is one line, which lists only the options without effect."""
     config = changed_config(ls.RenderConfig(), settings)
     assert list(unused_options(config, scene, GIVEN, LIGHT)) == lines
     assert not list(unused_options(config, scene, {}, EnvironmentOptions()))
@@ -368,7 +371,7 @@ def test_light_options_without_effect_are_logged(settings: dict[str, Any], scene
     ],
 )
 def test_settings_that_a_pipeline_ignores_are_logged(pipeline: str, lines: list[str]) -> None:
-    """The pipelines are raster, path and others; adaptive is refused instead."""
+    """Three pipelines are checked; the setting adaptive, which the path pipeline would ignore, is refused instead."""
     names = ("trace.strategy", "glossy_reflections", "path.primary", "adaptive")
     given = {name: f"--set {name}" for name in names}
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
@@ -411,7 +414,7 @@ DEFAULTS: dict[str, Any] = {
 
 
 def test_defaults_in_the_help_of_light_options_are_the_library_defaults() -> None:
-    """The default of an option is that of the setting with its name."""
+    """The default of each option is the default of the setting with its name."""
     defaults = hints(Render) | hints(EnvironmentOptions)
     for name, value in DEFAULTS.items():
         assert defaults[name] == getattr(value, "value", value)

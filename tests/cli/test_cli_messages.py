@@ -143,7 +143,7 @@ def test_numbers_with_spaces_behind_an_option_are_joined(typed: list[str], joine
 
 
 def test_vector_options_accept_commas_and_spaces() -> None:
-    """Both may be mixed."""
+    """One vector may also mix commas and spaces."""
     for text in ("1,-2,3", "1 -2 3", " 1, -2,  3 "):
         assert vector("--eye", text) == (1.0, -2.0, 3.0)
     for text in ("", "1,2", "1,2,x", "1,2,3,4"):
@@ -184,7 +184,7 @@ def test_frame_range_with_a_step_of_0_is_refused() -> None:
 
 
 def test_info_refuses_a_folder_of_several_captures_with_their_names(work):
-    """A streamed SOG without its lod-meta.json is such a folder."""
+    """The folder is a streamed SOG without its lod-meta.json."""
     for name in ("1_0", "0_0"):
         (work.path("streamed") / name).mkdir(parents=True)
         (work.path("streamed") / name / "meta.json").write_text("{}")

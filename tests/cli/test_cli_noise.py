@@ -74,7 +74,7 @@ def test_render_with_one_sample_logs_no_noise_estimate(lines) -> None:
     ids=["smooth", "kept capture", "noise given", "unlit"],
 )
 def test_render_logs_nothing_about_frames_with_little_noise(lines, scene: str, options: tuple[str, ...]) -> None:
-    """The setting noise hides the line, too."""
+    """Setting ``noise`` also suppresses the log line."""
     assert lines(scene, *options) == []
 
 

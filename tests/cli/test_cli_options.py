@@ -120,7 +120,7 @@ def test_set_option_changes_one_setting_and_no_other() -> None:
 def test_mistakes_of_the_set_option_are_reported_in_one_line(
     text: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The line has the typed text, and a similar valid one."""
+    """The line has the typed text, and a similar valid text."""
     assert main(["render", "a.ply", "--set", text]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"error: --set {text}: ") and message in error and error.count("\n") == 1

@@ -35,7 +35,7 @@ def same(work: Workspace, name: str, camera: ls.Camera) -> bool:
 
 
 def test_render_camera_path_moves_between_cameras_of_a_file(work) -> None:
-    """Each second at ``--fps`` moves from one camera to the next."""
+    """The camera moves from one camera of the file to the next in a second, at ``--fps`` frames a second."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
     assert outcome.status == 0 and "5 images" in outcome.out
     camera_path = ls.io.load_camera_path(work.path("way.json"))

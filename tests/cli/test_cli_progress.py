@@ -48,7 +48,7 @@ def test_durations_are_printed_in_seconds_minutes_or_hours(seconds: float, spoke
 
 
 def test_text_behind_a_comma_updates_the_same_progress_bar(monkeypatch) -> None:
-    """Samples and noise change the text of one bar, which disappears at the end."""
+    """Samples and noise change the text behind the comma of one bar, which disappears at the end."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     with progress_bars() as report:
         bars = next(cell.cell_contents for cell in report.__closure__ or () if isinstance(cell.cell_contents, Progress))
@@ -92,7 +92,7 @@ def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
     ],
 )
 def test_remaining_time_of_slow_frames_is_announced_once(work, monkeypatch, caplog, options, ways) -> None:
-    """The line comes after the second frame, as the first may compile kernels, and names faster options."""
+    """The line follows the second frame, as the first may compile kernels, and names options that save time."""
     monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", 0.0)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES, *options).status == 0

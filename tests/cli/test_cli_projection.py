@@ -26,7 +26,7 @@ def work(tmp_path, capsys) -> Workspace:
 
 
 def test_unscented_projection_renders_fisheyes_by_the_raster_pipeline(work):
-    """The image equals the library's; without the setting, the error names it."""
+    """The image equals the library's; without the setting, the error names the setting."""
     ls.save(work.folder / "a.ply", random_gaussians(3, count=30))
     (work.folder / "fisheye.json").write_text(json.dumps(FISHEYE))
     shown = ("render", "@a.ply", "--cameras", "@fisheye.json", "-o", "@a.npz", "--device", "cpu")

@@ -93,7 +93,7 @@ def test_realtime_image_is_the_last_frame_of_its_warm_up(work, monkeypatch):
     ],
 )
 def test_realtime_pipeline_refuses_options_that_it_cannot_apply(work, options, message):
-    """Each refusal prints one line, and writes no image."""
+    """Each refusal prints one line, and no image is written."""
     outcome = work.run("render", "@scene.toml", "-o", "@out/a.exr", "--device", "cpu", *options)
     assert outcome.status == 2
     assert message in outcome.err
@@ -135,7 +135,7 @@ def test_realtime_quality_applies_to_animate_and_orbit(work, command):
 
 
 def test_stats_list_the_passes_of_realtime_frames(work):
-    """Passes are in the order of the method, each followed by its stages."""
+    """Passes are in the order of docs/method/realtime.md, each followed by its stages."""
     work.path("scene.toml").write_text(SCENE.replace("max_bounces = 0", ""))
     out = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--stats", "--device", "cpu").out
     shown = [line.split("  ")[0] for line in out.splitlines() if line.endswith("ms") and not line.startswith("  ")]

@@ -21,7 +21,7 @@ SHORT = ("--iterations", "30", "--cap", "120", "--sh-degree", "1", "--device", "
 def test_train_relightable_writes_materials_and_an_environment(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All are files, and the environment lights other scenes."""
+    """Materials are columns of the PLY; the environment is an image that lights other scenes."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "out" / "a.ply"
     command = ["train", str(folder), "-o", str(output), *SHORT, "--relightable"]
     assert main([*command, "--stop-after", "0.01s"]) == 0
@@ -49,7 +49,7 @@ def test_train_relightable_writes_materials_and_an_environment(
 def test_train_relightable_estimates_materials_from_refined_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The images have the refined cameras; missing values are null."""
+    """Materials are estimated with the refined cameras; missing values are null in the report."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     image_sets: list[ls.io.TrainingImages] = []
     find = ls.inverse.find_materials

@@ -78,7 +78,7 @@ def test_render_logs_a_capture_with_albedo_but_without_a_material() -> None:
 
 @pytest.mark.parametrize("pipeline", ["path", "realtime"])
 def test_render_logs_objects_lit_by_captures_alone(pipeline: str) -> None:
-    """The line names ``--capture-gain``, and is absent with a gain or with lights."""
+    """The line names ``--capture-gain``, and is absent if a gain or a light is given."""
     scene = ls.Scene([KEPT], [WALL])
     (line,) = remarks(scene, pipeline=pipeline)
     assert line.startswith("captures alone light added objects") and "--capture-gain auto" in line

@@ -35,7 +35,7 @@ def test_full_disk_keeps_the_former_report_files(tmp_path: Path) -> None:
 
 
 def test_temporary_file_of_a_report_survives_other_writers(tmp_path: Path) -> None:
-    """Other processes remove temporary files of killed runs in the same folder."""
+    """Writers remove temporary files of killed runs in their folder, but not those of running processes."""
     with comparisons._replaced(tmp_path / "report.json") as temporary:
         temporary.write_text("{}")
         ls.save(tmp_path / "other.ply", ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4))

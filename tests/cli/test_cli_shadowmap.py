@@ -32,7 +32,7 @@ def run(work: Workspace, *args: str) -> tuple[int, str, str]:
 
 
 def test_shadowmap_saves_a_capture_with_shadows(work: Workspace) -> None:
-    """Gaussians behind the mesh are darker, others unchanged; the casters are not part of the result."""
+    """Gaussians behind the mesh are darker and others unchanged; the meshes that cast shadows are not saved."""
     status, out, err = run(work, "--light", LIGHT, "--direct", "1", "-o", "@dark.ply")
     assert (status, err) == (0, "")
     before, after = ls.load(work.path("capture.ply")), ls.load(work.path("dark.ply"))
@@ -47,7 +47,7 @@ def test_shadowmap_saves_a_capture_with_shadows(work: Workspace) -> None:
 
 
 def test_shadowmap_saves_a_shadow_map_as_npz(work: Workspace) -> None:
-    """The file is the library's map with the given settings."""
+    """The .npz equals the library's shadow map with the same settings."""
     status, out, err = run(work, "--sun", "0,0,1", "--resolution", "128", "--strength", "2", "-o", "@sun.npz")
     assert (status, err) == (0, "")
     assert "bins of" in out
@@ -119,7 +119,7 @@ def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workspace) -> N
 def test_shadowmap_places_casting_meshes_on_the_ground_of_the_capture(
     work: Workspace, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """`render` places them alike; ``--keep-coordinates`` leaves them at their coordinates."""
+    """``--keep-coordinates`` leaves the meshes at the coordinates of their file."""
     args = ("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
     put = work.run(*args, "-o", "@put.ply")
     assert put.status == 0 and "mesh.obj has no position: it stands upright on the ground" in caplog.text

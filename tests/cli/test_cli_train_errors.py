@@ -121,7 +121,7 @@ def test_train_on_a_disk_that_fills_up_loses_no_file(
 def test_train_reports_a_full_disk_in_one_line(
     disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The file system is really full; with free space, the same command continues."""
+    """The file system of this test is really full; with free space, the same command continues."""
     folder, output = write_training_folder(tmp_path / "set"), disk / "a.ply"
     monkeypatch.setattr(train, "CHECKPOINT_EVERY_S", 0.0)
     command = ["train", str(folder), "-o", str(output), *SHORT]

@@ -30,7 +30,7 @@ def problem(capsys: pytest.CaptureFixture[str], line: str) -> str:
 def test_unknown_option_named_like_a_setting_is_answered_with_set(
     command: str, typed: str, answer: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The line is what to type: the setting by its path, with the given value."""
+    """The line is what to type: ``--set`` with the path of the setting and the given value."""
     assert problem(capsys, f"{command} a.ply {typed}") == answer
 
 

@@ -159,7 +159,7 @@ def test_set_crease_angle_of_meshes_changes_normals(work) -> None:
 
 
 def test_cryptomattes_are_written_into_the_exr(work: Workspace) -> None:
-    """They are additional parts with the names of files; the image stays the first part."""
+    """Cryptomattes are additional parts with the names of files; the image stays the first part."""
     outcome = work.run("render", "@capture.ply", "@mesh.obj", "--width", "24", "--aov", "cryptomatte", "-o", "@out.exr")
     assert outcome.status == 0
     file: Any

@@ -73,7 +73,7 @@ def test_view_leaves_out_unreadable_files(capture: Path) -> None:
 
 
 def test_view_admits_other_machines_only_with_the_host_option(capture: Path) -> None:
-    """Standard error warns of it, and the token is still needed."""
+    """Standard error warns of open access, and the token is still needed."""
     with serving(str(capture), "--host", "0.0.0.0") as (process, address):
         assert status(address) == 200 and status(address.partition("?")[0]) == 401
         process.send_signal(signal.SIGINT)

@@ -109,9 +109,9 @@ def test_bench_accepts_viewpoint_options(work) -> None:
 
 
 def test_single_gltf_or_usd_file_is_rendered_by_its_own_cameras(work) -> None:
-    """Each camera gives an image with its name.
+    """Each camera of the file gives an image with its name.
 
-    A viewpoint option replaces the cameras, and beside a capture they are not used.
+    A viewpoint option replaces the cameras, and they are not used if a capture is given, too.
     """
     mesh = ls.MeshInstance(ls.box(1.0), name="box")
     cameras = [ls.Camera.look_at(eye, (0, 0, 0), **SIZE, name=name) for name, eye in SIDES.items()]

@@ -156,7 +156,7 @@ def test_layer_settings_in_any_order_or_iterable_are_equal() -> None:
 
 
 def test_settings_accept_numpy_numbers() -> None:
-    """They give the frame of Python numbers, and a background becomes a tuple."""
+    """The frame equals that of Python numbers, and a background array becomes a tuple."""
     one, two = np.int64(1), np.int32(2)
     trace: dict[str, Any] = {
         "hits_per_pass": np.int64(8),
@@ -272,6 +272,6 @@ def test_backgrounds_are_accepted_as_text(text: str, color: tuple[float, float, 
 
 
 def test_single_layer_name_is_accepted_as_text() -> None:
-    """One name needs no tuple, and several may be one text."""
+    """A single name needs no tuple, and a text may list several names."""
     assert ls.RenderConfig(aovs=cast(Any, "hits")).aovs == ("hits",)
     assert ls.RenderConfig(aovs=cast(Any, "hits, albedo")).aovs == ("albedo", "hits")

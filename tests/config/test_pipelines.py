@@ -40,7 +40,7 @@ def test_pipelines_with_bounces_light_scenes_without_lights(pipeline: ls.Pipelin
 
 
 def test_unused_settings_are_listed_with_the_frames_that_use_them() -> None:
-    """Settings are used by other pipelines, by lit frames, or by frames with shadows."""
+    """The text for an unused setting names other pipelines, lit frames, or frames with shadows."""
     unused = ls.RenderConfig(pipeline=ls.Pipeline.RASTER, shadows=ls.Shadows.OFF).unused_settings(lit=True)
     assert unused["max_bounces"] == "Used by the pipelines trace, hybrid, path, realtime."
     assert unused["realtime"] == "Used by the pipeline realtime."
@@ -50,7 +50,7 @@ def test_unused_settings_are_listed_with_the_frames_that_use_them() -> None:
 
 
 def test_frames_that_are_exact_with_one_sample_use_no_random_numbers() -> None:
-    """Such frames are unlit, sorted, and rasterised by projected ellipses.
+    """An exact frame is unlit, sorted, and rasterised by projected ellipses.
 
     Lit, stochastic or unscented frames use seed and samples.
     """

@@ -106,7 +106,7 @@ def test_settings_accept_exactly_their_declared_range(kind: Any, one: Setting) -
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
 def test_every_setting_has_a_docstring_without_its_range(kind: Any) -> None:
-    """Ranges and units are declared, and added to the help from there."""
+    """Ranges and units are declared beside the setting, and added to the help automatically."""
     undocumented = {"position", "color", "enabled", "casts_shadow", "name", "wrap_v", "scene", "subject", "gaussians",
                     "actors", "cameras", "alpha", "alpha_mode", "alpha_cutoff"}  # fmt: skip
     for one in settings_of(kind):
@@ -134,7 +134,7 @@ def test_help_of_a_settings_class_describes_each_field(kind: Any) -> None:
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
 def test_default_settings_pass_their_checks_unchanged(kind: Any) -> None:
-    """Created objects do not check defaults, so this test does."""
+    """Settings check defaults only in this test, not when created."""
     for one, field in zip(settings_of(kind), fields(kind), strict=True):
         if field.default is MISSING or one.kind == "other":
             continue
@@ -181,7 +181,7 @@ SCALARS = st.one_of(
 
 @drawn(SCALARS)
 def test_setting_is_accepted_if_and_only_if_in_its_range(value: Any) -> None:
-    """The range is stated here independently; the error is one line with name and value."""
+    """The test states the range of each setting independently; the error is one line with name and value."""
     number = plain(value)
     is_whole, is_number = type(number) is int, type(number) in (int, float)
     taken = {
@@ -245,7 +245,7 @@ def test_settings_of_groups_have_dotted_names_with_their_declaration() -> None:
 
 
 def test_converter_of_a_setting_accepts_more_types_than_it_stores() -> None:
-    """The converter gets the value and the field's name, and its errors are those of the field."""
+    """The converter gets the value and the field's name, and errors of the converter name the field."""
 
     def doubled(value: str | float, name: str = "number") -> float:
         if value == "no":
@@ -265,7 +265,7 @@ def test_converter_of_a_setting_accepts_more_types_than_it_stores() -> None:
 
 @pytest.mark.parametrize("stops", [np.float32(0.5), np.array(0.5), [0.5, np.float64(0.5)], np.array([0.5, 0.5])])
 def test_exposures_of_fitted_images_accept_numbers_of_any_type(stops: Any) -> None:
-    """One number applies to all images, or each image has a separate one."""
+    """One number applies to all images; a list has a number for each image."""
     from lumisplat.relighting.fitting.parameters import _stops
 
     assert _stops(stops, [1.0, 2.0]).tolist() == [0.5, 0.5]

@@ -57,7 +57,7 @@ def test_random_rotations_of_data_sets_are_uniform() -> None:
 
 
 def test_winding_number_is_1_inside_a_box_and_0_outside() -> None:
-    """It is -1 inside a box that faces inwards."""
+    """The winding number is -1 inside a box whose triangles face inwards."""
     mesh = ls.box((2.0, 1.0, 1.0))
     triangles = mesh.positions[mesh.indices].astype(np.float64)
     for point, expected in (((0.9, 0.4, -0.4), 1.0), ((1.1, 0.0, 0.0), 0.0), ((0.0, 5.0, 0.0), 0.0)):

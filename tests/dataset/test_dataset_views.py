@@ -109,7 +109,7 @@ def test_data_set_cameras_near_given_ones_move_within_their_limits() -> None:
 
 
 def test_data_set_objects_stand_on_the_ground_without_contact(object_file) -> None:
-    """Objects stand upright on the floor or the block with the right size and free space; cameras look at one."""
+    """Objects stand upright on the floor or the block with the right size and distance; a camera aims at one object."""
     objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 4), size=(0.05, 0.1))
     poses = ls.config.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
     rotations, looked_at = set(), 0
@@ -143,7 +143,7 @@ def test_data_set_objects_stand_on_the_ground_without_contact(object_file) -> No
 
 
 def test_data_set_objects_stand_upright_for_any_up_direction(object_file, tmp_path) -> None:
-    """Captures have y down, meshes y up; both stand upright in scenes of either kind."""
+    """Captures have y down and meshes y up, but stand upright in y-up and y-down scenes."""
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     rotated = ls.MeshInstance(ls.plane(4.0, 4.0), rotation_degrees=(180.0, 0.0, 0.0))
     block = ls.MeshInstance(ls.box(1.0), position=(0.0, -0.5, 0.0))
@@ -156,7 +156,7 @@ def test_data_set_objects_stand_upright_for_any_up_direction(object_file, tmp_pa
 
 
 def test_data_set_labels_have_the_instance_indices_of_frames(object_file, tmp_path) -> None:
-    """Frames number captures before meshes; an object may be either, or contain several of both."""
+    """Frames number captures before meshes; an object is a capture, a mesh, or several of each."""
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     ls.save(tmp_path / "pair.glb", ls.Scene(meshes=[ls.box(0.2), ls.MeshInstance(ls.box(0.1), position=(0.3, 0, 0))]))
     files = (object_file, str(tmp_path / "ball.ply"), str(tmp_path / "pair.glb"))
@@ -224,7 +224,7 @@ def test_data_set_lights_are_within_their_ranges() -> None:
 
 
 def test_data_set_environments_are_rotated_about_the_vertical() -> None:
-    """The scene's own environment is rotated, too; brightness is within its range, and other lights are unchanged."""
+    """The environment of the scene is rotated, too; brightness is within its range, and other lights are unchanged."""
     own = (ls.LightEnvironment(intensity=2.0), ls.LightPoint((0.0, 3.0, 0.0)))
     angles = set()
     for view in views_of(

@@ -22,7 +22,7 @@ def grid(half: float, y: float) -> np.ndarray:
 
 
 def lit(casters: np.ndarray, points: np.ndarray, normal: tuple[float, float, float], light: Daylight) -> np.ndarray:
-    """Returns the irradiance at points that share a normal."""
+    """Returns the irradiance of daylight at points with one normal, shadowed by ``casters``."""
     return irradiance(casters, points, np.tile(normal, (len(points), 1)), light)
 
 
@@ -71,7 +71,7 @@ def test_baked_bounce_light_comes_from_below_and_less_into_corners() -> None:
 
 
 def test_strong_baked_daylight_rolls_off_below_one() -> None:
-    """However bright, the result stays in 0..1 and keeps its order."""
+    """Brighter light gives a brighter result, which stays within 0..1."""
     plane = grid(0.1, 0.0)
     values = [
         lit(plane, plane, (0, 1, 0), Daylight(sun_direction=(0, 1, 0), sun_color=(s, s, s)))[:, 0].mean()

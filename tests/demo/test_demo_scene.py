@@ -111,7 +111,7 @@ def test_relit_demo_has_the_gaussians_and_meshes_of_the_demo(demo: ls.Scene, lit
 
 
 def test_relit_demo_contains_no_baked_daylight(lit: ls.Scene) -> None:
-    """The room is black with all lights off, and the garden emits its captured radiance."""
+    """The room is black with all lights off, while the garden still emits its captured radiance."""
     camera = ls.demo_cameras(160, 90, count=1)[0]
     off = replace(lit, lights=(ls.LightPoint((0.0, 1.0, 0.0), intensity=0.0),))
     dark = ls.render(off, camera, ls.RenderConfig(shadows=ls.Shadows.OFF), device="cpu")

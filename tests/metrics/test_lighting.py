@@ -60,7 +60,7 @@ def test_paa_y_matches_hand_computed_values():
 
 
 def test_irradiance_fit_recovers_all_16_sh_coefficients(monkeypatch):
-    """The coefficients are exact without the penalty, and a little smoother with it."""
+    """The coefficients are exact without the smoothness penalty, and a little smoother with the penalty."""
     rng = np.random.default_rng(1)
     true = np.concatenate([[4.0], rng.uniform(-0.3, 0.3, 15)])
     normals = all_around()
@@ -137,7 +137,7 @@ def test_apf_y_matches_hand_computed_values():
 
 
 def test_luminance_and_lab_match_reference_values():
-    """CIE Y has its standard weights; L*a*b* under D65 is that of red, green, blue, white and two greys."""
+    """CIE Y has its standard weights; L*a*b* under D65 is checked for red, green, blue, white and two greys."""
     assert luminance([0.5, 0.25, 1.0]) == pytest.approx(0.1063 + 0.1788 + 0.0722)
     expected = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86], [100.0, 0.0, 0.0]]
     np.testing.assert_allclose(lab([*np.eye(3), np.ones(3)]), expected, atol=0.03)

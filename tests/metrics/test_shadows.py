@@ -66,7 +66,7 @@ def test_boundary_f_matches_hand_computed_values():
 
 
 def test_shadow_boundaries_within_the_tolerance_agree():
-    """A shadow off by the tolerance has the full score; a shadow off by one pixel more has not."""
+    """A shadow off by the tolerance has the full score, and a shadow off by one pixel more has a lower score."""
     assert ls.metrics.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
     assert 0.0 < ls.metrics.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
 

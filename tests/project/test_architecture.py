@@ -230,7 +230,7 @@ def test_modules_import_only_their_own_and_lower_layers() -> None:
 
 
 def test_imports_between_modules_have_no_cycles() -> None:
-    """Imports inside functions and those for type checkers count, too."""
+    """Imports inside functions and imports for type checkers count, too."""
     targets = {module_name(path): {*imported_modules(path, typing=True)} - {module_name(path), ""} for path in FILES}
     done: set[str] = set()
     while ready := {name for name in targets.keys() - done if targets[name] & targets.keys() <= done}:
@@ -239,7 +239,7 @@ def test_imports_between_modules_have_no_cycles() -> None:
 
 
 def test_host_only_folders_do_not_import_warp() -> None:
-    """They import Warp neither directly nor indirectly."""
+    """Folders of code for the host import Warp neither directly nor through other modules."""
     files = [path for path in FILES if kind(module_name(path)) in HOST_ONLY]
     for path in files:
         assert not [full for full, _ in imports(tree(path)) if full.split(".")[0] == "warp"], path

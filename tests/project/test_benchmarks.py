@@ -48,7 +48,7 @@ def test_benchmarks_refuse_missing_devices_in_one_line(capsys: pytest.CaptureFix
 
 
 def test_benchmarks_time_the_stages_of_gpu_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stage times come from a synchronised frame, the frame time from another one."""
+    """Stage times come from a synchronised frame, the frame time from a second frame."""
     monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
     case = raster_scenes.cases()[3]
     timed = timing.TimedRenderer(case.config, "cuda").render(case.scene, case.camera)

@@ -135,7 +135,7 @@ def _same(one: Any, other: Any) -> None:
 
 @pytest.mark.parametrize("name", TAKERS)
 def test_dlpack_arrays_give_the_same_results_as_numpy_arrays(name: str) -> None:
-    """Every listed function and class accepts both."""
+    """Every listed function and class accepts DLPack arrays and NumPy arrays."""
     _same(TAKERS[name](np.asarray), TAKERS[name](Foreign))
 
 

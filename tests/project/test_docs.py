@@ -126,7 +126,7 @@ def test_every_python_block_of_the_docs_is_checked():
 
 
 def test_every_public_name_is_on_the_api_page():
-    """The page documents each public name by its import path, and each submodule."""
+    """The page lists each public name by its import path, and each submodule."""
     listed = (ROOT / "docs" / "api.md").read_text()
     described = re.search(r"automodule:: lumisplat.errors\n +:members: (.*)", listed)
     assert described

@@ -45,7 +45,7 @@ def test_public_names_of_lumisplat_are_at_most_95_and_sorted() -> None:
 
 @pytest.mark.parametrize(("module", "name"), PUBLIC)
 def test_every_public_name_exists_with_a_docstring(module: str, name: str) -> None:
-    """Its ``__name__`` is the public name."""
+    """The ``__name__`` of an object is its public name."""
     value = getattr(getattr(ls, module) if module else ls, name)
     assert inspect.getdoc(value)
     assert callable(value)
@@ -99,7 +99,7 @@ def test_attribute_error_of_a_moved_name_points_to_its_submodule() -> None:
     ],
 )
 def test_every_error_is_a_lumisplat_error_and_a_built_in_error(error: str, builtin: type) -> None:
-    """Callers may catch either."""
+    """Callers may catch `LumisplatError` or the built-in error."""
     assert issubclass(getattr(ls, error), ls.LumisplatError)
     assert issubclass(getattr(ls, error), builtin)
 

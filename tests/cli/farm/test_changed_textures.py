@@ -81,7 +81,7 @@ def test_frames_are_refused_after_a_gltf_texture_changed(work, name: str, uri: s
 
 
 def test_fingerprint_of_a_binary_usd_includes_its_textures(work) -> None:
-    """Layers and textures of a .usdc count at all times, and those of referenced layers."""
+    """The fingerprint covers all time samples of a .usdc, and the layers that it references."""
     sdf = pytest.importorskip("pxr.Sdf")
     usd = pytest.importorskip("pxr.Usd")
     for name in ("one.usdc", "other.usd"):

@@ -63,7 +63,7 @@ def test_tiles_merged_from_sample_blocks_equal_a_whole_render(work) -> None:
 
 
 def test_sample_blocks_are_removed_once_their_tile_is_written(work, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Interrupted in the second tile, the first tile exists without its blocks, and the next run renders the rest."""
+    """After an interruption in the second tile, only the first tile exists, and the next run renders the rest."""
     options = ("@capture.ply", *OPTIONS, "--samples", "40", "-o", "@out.exr", "--tiles", "2x1,samples")
     made: list[range] = []
     render = ls.farm.render_samples

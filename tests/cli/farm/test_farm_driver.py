@@ -179,7 +179,7 @@ def test_farm_replaces_workers_that_die_while_starting_only_once(tmp_path: Path)
 
 
 def test_farm_workers_continue_if_a_scene_file_is_deleted(tmp_path: Path, caplog: Any) -> None:
-    """A replacement that cannot load the scene is not used; without workers, the other frames fail with its error."""
+    """A replacement worker that cannot load the scene is not used; without workers, all frames left fail."""
     gone = ls.errors.MissingFileError("garden.ply", "no such file")
 
     def trouble(worker: int, index: int | None) -> Answer | Exception | None:
@@ -204,7 +204,7 @@ def test_farm_does_not_use_a_worker_with_different_scene_files(tmp_path: Path, c
 
 
 def test_farm_refuses_several_workers_for_a_realtime_sequence(tmp_path: Path) -> None:
-    """A real-time frame depends on the frames before it, so one worker makes all."""
+    """A real-time frame depends on the frames before, so one worker makes all frames."""
     with pytest.raises(ls.ConfigError, match="workers cannot share them"):
         Farm(tmp_path, 9, in_sequence=True).run()
     farm = Farm(tmp_path, 9, in_sequence=True, workers=1)
@@ -290,7 +290,10 @@ def test_farm_ends_a_hanging_worker_after_the_frame_timeout(tmp_path: Path, capl
 def test_farm_workers_get_gpus_or_cores_of_the_cluster(
     tmp_path: Path, changes: dict[str, Any], needs: dict[str, float], count: int
 ) -> None:
-    """Each worker has a GPU if there are any, shared if there are fewer GPUs than workers; otherwise it has cores."""
+    """Each worker has a GPU if the cluster has any, shared if it has fewer GPUs than workers.
+
+    Otherwise it has CPU cores.
+    """
     farm = Farm(tmp_path, 9, **changes)
     farm.run()
     assert farm.ray.needs == {"max_restarts": 0, "max_task_retries": 0} | needs and farm.ray.started == count

@@ -95,9 +95,9 @@ def expected(count: int) -> dict[str, str]:
 def test_frames_of_killed_ray_workers_are_made_by_others(
     ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One worker is killed and one exits during a frame.
+    """One worker is killed during frame 2 and one exits during frame 7.
 
-    All frames exist, and only these two frames were started twice.
+    All frames exist, and only frames 2 and 7 were started twice.
     """
     maker = FakeMaker(tmp_path / "out", count=12, wrong={2: "kill", 7: "exit"})
     lines = farm(ray, maker)
@@ -290,7 +290,7 @@ def strangers_modules(folder: Path) -> None:
 
 @pytest.mark.deep
 def test_farm_workers_do_not_import_modules_of_the_working_folder(work: Workspace) -> None:
-    """The installed command does not import them either, and its ports are open to this machine only."""
+    """The installed command ``lumisplat`` does not import such modules either, and opens ports to this machine only."""
     strangers_modules(work.folder)
     ls.save(work.path("one.ply"), one_gaussian())
     command = [str(Path(sys.executable).with_name("lumisplat")), "farm", "render", "one.ply", "--width", "16"]

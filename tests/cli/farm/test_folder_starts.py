@@ -58,7 +58,7 @@ def test_one_of_several_runs_with_different_settings_uses_a_folder(tmp_path: Pat
 
 
 def test_simultaneous_runs_with_equal_settings_share_a_frame_folder(tmp_path: Path) -> None:
-    """Tasks of a job array start like this."""
+    """Tasks of a job array start simultaneously in one folder."""
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
         assert at_once(starts(folder, [3] * 8)) == []

@@ -180,7 +180,7 @@ def alone(job: FrameJob) -> str:
 def test_failed_frames_have_another_exit_status_than_mistakes(
     tmp_path: Path, wrong: dict[int, str], kind: type[Exception]
 ) -> None:
-    """Errors that all frames share are mistakes (2); errors of one frame or of the disk are failures (3)."""
+    """Errors of all frames are mistakes with exit status 2; errors of one frame or of the disk have status 3."""
     with pytest.raises(ls.LumisplatError) as raised:
         alone(FakeMaker(tmp_path / "out", wrong=wrong).open_frames(lambda *_: None))
     assert isinstance(raised.value, kind)

@@ -106,7 +106,7 @@ def test_streaming_refuses_unsupported_plys_and_drops_materials(
 
 
 def test_proposed_block_cell_size_suits_captures_with_far_outliers(tmp_path: Path) -> None:
-    """The proposed edge length makes few cubes, yet most cubes hold few enough Gaussians to become one block."""
+    """The proposed edge length makes few cubes, yet most cubes have few enough Gaussians for a single block."""
     for far in (1.0, 1000.0):
         rng = np.random.default_rng(5)
         means = rng.uniform(-4.0, 4.0, (20_000, 3))

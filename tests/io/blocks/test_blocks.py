@@ -92,7 +92,7 @@ VIEWS = {
 
 
 def test_every_gaussian_is_written_to_exactly_one_block(tmp_path: Path) -> None:
-    """However the capture is chunked, no block exceeds its maximum count, and its bounds contain its Gaussians."""
+    """For any chunk size, no block exceeds its maximum count, and the bounds of a block contain its Gaussians."""
     capture = street()
     written = ls.io.write_blocks(tmp_path / "a", chunks(capture), 4.0, block_max=150)
     index = ls.io.open_blocks(tmp_path / "a")

@@ -93,7 +93,7 @@ def test_error_for_unsupported_colmap_camera_names_the_model(tmp_path, model, na
     ],
 )
 def test_damaged_colmap_models_are_refused_with_the_file_name(tmp_path, break_it, message):
-    """The error is one line."""
+    """The error is one line and begins with the file's path."""
     write_binary(tmp_path)
     break_it(tmp_path)
     with pytest.raises(ls.FormatError, match=message) as caught:

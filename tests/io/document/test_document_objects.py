@@ -63,7 +63,7 @@ def test_moving_an_entry_keeps_its_mesh_capture_and_material_objects(kind: Entry
 
 @pytest.mark.usefixtures("folder")
 def test_editing_a_light_keeps_the_posed_objects_of_actors() -> None:
-    """At one time, an actor's pose stays the same object; at another time it is a new one."""
+    """An actor's pose at one time stays the same object; a pose at another time is a new object."""
     document, _ = ls.io.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
     document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     pose = document.scene(0.5).splats[0]

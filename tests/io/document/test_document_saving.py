@@ -135,7 +135,7 @@ def test_saving_a_document_never_overwrites_foreign_asset_files() -> None:
 
 
 def test_document_with_an_unsavable_actor_writes_no_files() -> None:
-    """An actor that a program made has no file; the error names it."""
+    """The actor was made by a program, so there is no file to name; the error names the actor."""
     capture = random_gaussians(1, count=4)
     with pytest.raises(ls.FormatError, match="walker was made by a program"):
         ls.io.SceneDocument.of(ls.Animation(ls.Scene([capture]), [ls.Actor(capture, name="walker")])).save("scene.toml")
@@ -167,7 +167,7 @@ def test_saving_a_scene_elsewhere_changes_only_values_that_are_paths() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, all names are text")
 def test_scene_files_refuse_to_store_undecodable_file_names() -> None:
-    """TOML files are UTF-8 text, so they cannot hold a file name that is not."""
+    """TOML files are UTF-8 text, which cannot store a Latin-1 file name."""
     name = os.fsdecode(b"wei\xdf.ply")
     ls.save(name, random_gaussians(1, count=4))
     with pytest.raises(ls.FormatError, match=r"scene.toml: cannot be written: the name of a file that it refers to"):

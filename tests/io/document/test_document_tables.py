@@ -93,7 +93,7 @@ def test_documents_write_numpy_numbers_as_toml_numbers() -> None:
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_documents_save_the_enabled_one_of_several_environments(order: tuple[int, int], tmp_path: Path) -> None:
-    """A scene may have several environments, a scene file only one."""
+    """A scene may have several environments, a scene file only a single one."""
     environments = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
     document = ls.io.SceneDocument.of(ls.Scene(lights=[environments[k] for k in order]))
     document.save(tmp_path / "scene.toml")
@@ -118,7 +118,7 @@ def test_document_edits_accept_arrays_tuples_and_paths() -> None:
 
 @pytest.mark.parametrize("matrix", [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), "here"])
 def test_documents_refuse_invalid_transforms_in_one_line(matrix: Any) -> None:
-    """The value is a 3 x 3 matrix, zero, NaN or text."""
+    """The transform is a 3 x 3 matrix, a zero matrix, NaN or text."""
     document = ls.io.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
     with pytest.raises(ls.SceneError, match="world_from_file"):
         document.placed(0, matrix)

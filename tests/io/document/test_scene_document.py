@@ -271,7 +271,7 @@ def test_documents_save_in_memory_scenes_with_asset_files(tmp_path: Path) -> Non
 
 
 def test_in_memory_actors_of_documents_can_be_hidden_but_not_saved(tmp_path: Path) -> None:
-    """The error names the actor."""
+    """The error of saving names the actor."""
     still = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     motion = ls.Keyframes([0.0, 1.0], [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], still, [1.0, 1.0])
     animation = ls.Animation(ls.Scene([row()]), [ls.Actor(row(), motion, name="walker")], fps=10.0, frame_count=11)
@@ -343,7 +343,7 @@ def tilted(degrees: float) -> np.ndarray:
 
 
 def test_upright_document_objects_stay_upright_when_up_changes(tmp_path: Path) -> None:
-    """They rotate about their foot and keep their size; captures, lights and tilted objects stay."""
+    """Upright objects rotate about their foot and keep their size; captures, lights and tilted objects stay."""
     ls.save(tmp_path / "row.ply", row())
     (tmp_path / "two.obj").write_text(TWO)
     (tmp_path / "scene.toml").write_text(
@@ -411,7 +411,7 @@ def test_upright_environments_rotate_when_up_of_a_document_changes(tmp_path: Pat
 
 @pytest.mark.parametrize("up", ["upwards", (0.0, 0.0, 0.0), (math.nan, 0.0, 1.0)])
 def test_documents_refuse_an_invalid_up_in_one_line(up: Any) -> None:
-    """The value is an unknown word, a zero vector or NaN; the document is unchanged."""
+    """Up is an unknown word, a zero vector or NaN; the document is unchanged."""
     document = ls.io.SceneDocument.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="up is"):
         document.with_up(up)

@@ -102,7 +102,7 @@ def test_npz_archives_with_overlapping_members_are_refused(tmp_path: Path) -> No
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
 def test_npz_reader_names_pipes_folders_and_missing_files(tmp_path: Path) -> None:
-    """None of these paths is opened."""
+    """The reader opens neither the pipe nor the folder."""
     os.mkfifo(tmp_path / "pipe.npz")
     with pytest.raises(ls.FormatError, match=r"pipe\.npz: is a device, a pipe or a socket"):
         read_arrays(tmp_path / "pipe.npz", KIND)

@@ -44,7 +44,7 @@ ROUND_TRIPS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]
 @pytest.mark.parametrize("stem", [FOREIGN, FACES, "plain"], ids=["latin-1", "emoji", "plain"])
 @pytest.mark.parametrize("suffix", ROUND_TRIPS)
 def test_every_format_accepts_any_file_name_the_system_allows(tmp_path: Path, stem: str, suffix: str) -> None:
-    """The folder's name is not UTF-8 either, and no other file is left behind."""
+    """The folder's name is also not UTF-8, and no other file is left behind."""
     write, read = ROUND_TRIPS[suffix]
     path = tmp_path / FOREIGN / f"{stem}{suffix}"
     write(path)

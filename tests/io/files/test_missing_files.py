@@ -50,7 +50,7 @@ def test_unreadable_existing_files_are_not_reported_as_missing(tmp_path: Path) -
 
 
 def test_missing_file_errors_survive_pickling(tmp_path: Path) -> None:
-    """Worker processes raise these errors; message and path survive."""
+    """Worker processes raise missing file errors; message and path survive."""
     with pytest.raises(ls.errors.MissingFileError) as raised:
         ls.load(tmp_path / "none.ply")
     error = pickle.loads(pickle.dumps(raised.value))

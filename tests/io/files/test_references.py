@@ -98,7 +98,7 @@ def test_backslashes_in_references_are_slashes_unless_a_file_has_them(tmp_path: 
 
 
 def test_paths_in_scene_files_may_have_backslashes(tmp_path: Path) -> None:
-    """Scene files written on Windows have such paths."""
+    """Scene files written on Windows have backslashes in paths."""
     (tmp_path / "parts").mkdir()
     _obj_library(tmp_path / "parts", "none.mtl")
     (tmp_path / "scene.toml").write_text("[[meshes]]\npath = 'parts\\tri.obj'\n")
@@ -106,7 +106,7 @@ def test_paths_in_scene_files_may_have_backslashes(tmp_path: Path) -> None:
 
 
 def test_option_allow_outside_permits_references_to_other_folders(tmp_path: Path, capsys) -> None:
-    """The error message names this option."""
+    """The error message about a refused reference names the option."""
     (tmp_path / "model").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
     path = _mtl_texture(tmp_path / "model", "../wood.png")
@@ -187,7 +187,7 @@ def test_scene_files_refuse_pipes_and_devices_in_every_path_entry(tmp_path: Path
 
 
 def test_named_pipe_as_camera_image_counts_as_missing_image(tmp_path: Path) -> None:
-    """A frame without a size needs its image, which a pipe is not."""
+    """The camera has no size, so the size of its image is needed, which a pipe does not have."""
     os.mkfifo(tmp_path / "image.png")
     frame = {"file_path": "image.png", "transform_matrix": np.eye(4).tolist()}
     (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": [frame]}))

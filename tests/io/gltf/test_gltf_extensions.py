@@ -68,7 +68,7 @@ def test_gltf_specular_glossiness_recognizes_metals(
 def test_gltf_specular_glossiness_recovers_grey_metallic_materials(
     tmp_path: Path, base: float, metallic: float
 ) -> None:
-    """Diffuse and specular colours computed from a grey base colour and metalness give both back."""
+    """Base colour and metalness are computed back from the diffuse and specular colours that they give."""
     mirrored = 0.04 * (1.0 - metallic) + base * metallic
     scattered = base * (1.0 - metallic) * 0.96 / (1.0 - mirrored)
     material = glossy(tmp_path, diffuseFactor=[scattered] * 3 + [1], specularFactor=[mirrored] * 3)
@@ -93,7 +93,7 @@ def test_gltf_specular_glossiness_textures_are_converted(tmp_path: Path, caplog:
 
 
 def test_gltf_metallic_roughness_wins_over_specular_glossiness(tmp_path: Path) -> None:
-    """Programs that write both have converted the material themselves."""
+    """Programs that write both kinds of values have converted the material themselves."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {GLOSSY: {"diffuseFactor": [0, 0, 1, 1]}}
     assert pbr_of(loaded(tmp_path, gltf).meshes[0].mesh).base_color == (0.5, 0.25, 1.0)
@@ -163,7 +163,7 @@ def test_gltf_instancing_applies_to_captures_and_animated_meshes(tmp_path: Path)
 def test_invalid_gltf_instance_attributes_name_their_node(
     tmp_path: Path, arrays: dict[str, np.ndarray], problem: str
 ) -> None:
-    """The error is one line."""
+    """The error is one line that names the node."""
     with pytest.raises(ls.FormatError, match=problem):
         loaded(tmp_path, instanced(quad_gltf(), **arrays))
 
@@ -200,7 +200,7 @@ def test_gltf_textures_of_unsupported_formats_are_dropped_and_named(
 def test_unknown_gltf_extensions_are_logged_by_name(
     tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """They are found wherever they are used, listed or not; extensions that cannot change the image are not logged."""
+    """Unknown extensions of any item are found; extensions that cannot change the image are not logged."""
     gltf = quad_gltf()
     item = gltf.json["materials"][0] if "materials" in name else gltf.json["nodes"][0]
     item["extensions"] = {name: {}, "KHR_xmp_json_ld": {}}

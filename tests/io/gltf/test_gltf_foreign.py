@@ -138,7 +138,10 @@ def test_khronos_validator_accepts_written_gltf_files(tmp_path: Path, extension:
 
 
 def test_gltf_files_of_splat_transform_are_read_as_the_source_ply(tmp_path: Path) -> None:
-    """splat-transform rotates a PLY by a half turn about z, Lumisplat about x. The results differ by one about y."""
+    """splat-transform rotates a PLY by a half turn about z, Lumisplat about x.
+
+    The results differ by a half turn about y.
+    """
     needed("@playcanvas/splat-transform")
     given = capture(50, 3)
     ls.save(tmp_path / "a.ply", given)

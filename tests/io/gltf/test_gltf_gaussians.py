@@ -133,7 +133,7 @@ def test_negative_scales_of_gltf_gaussians_are_read_as_logarithms(
 def test_opacities_of_gltf_gaussians_outside_0_to_1_are_logits(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Opacities are also logits if the scales are logarithms; a log line reports it."""
+    """Opacities are also logits if the scales are logarithms; a log line reports logits."""
     logits = np.array([-3.0, 0.0, 0.5, 2.0, 4.0], np.float32)
     read = loaded_gaussians(tmp_path, splat_gltf(stored_values() | {"OPACITY": logits}))
     np.testing.assert_allclose(read.opacities, 1.0 / (1.0 + np.exp(-logits)), rtol=1e-6)
@@ -166,7 +166,7 @@ def test_linear_colours_of_gltf_gaussians_are_encoded_as_srgb(
 
 
 def test_gltf_gaussians_ignore_color_0_and_the_material(tmp_path: Path) -> None:
-    """Both are fallbacks for programs without Gaussian support."""
+    """COLOR_0 and the material are fallbacks for programs without Gaussian support."""
     plain = loaded_gaussians(tmp_path, splat_gltf())
     gltf = splat_gltf(stored_values() | {"COLOR_0": np.zeros((5, 4), np.uint8)})
     gltf.add("materials", pbrMetallicRoughness={"baseColorFactor": [1, 0, 0, 1]})

@@ -189,7 +189,7 @@ def test_gltf_captures_scaled_to_zero_by_animation_are_refused(tmp_path: Path, s
 
 @pytest.mark.parametrize("key", ["shadow_catcher", "shadow_only"])
 def test_animated_gltf_captures_keep_shadow_catcher_and_sh_degree(tmp_path: Path, key: str) -> None:
-    """The flag is stored under its current key or its old one."""
+    """The flag is stored under its current key shadow_catcher or its old key shadow_only."""
     sampler = ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], "LINEAR")
     moving = moving_capture(tmp_path, sampler, extras={"lumisplat": {key: True, "sh_degree": 0}})
     (instance,) = moving.actors_at(0.5)

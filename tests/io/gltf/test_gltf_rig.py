@@ -331,7 +331,7 @@ def test_animated_gltf_nodes_must_not_have_a_matrix(tmp_path: Path) -> None:
 
 
 def test_black_vertex_colours_of_textured_meshes_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
-    """Such colours are masks; other colours stay, and so do black ones of meshes without a texture."""
+    """Black colours on a texture are masks; other colours stay, and so do black colours of meshes without a texture."""
     texture = np.zeros((2, 2, 3), np.uint8)
     plain, textured = ls.MaterialPbr(), ls.MaterialPbr(base_color_texture=texture)
     black, gray = np.zeros((4, 3), np.float32), np.full((4, 3), 0.2, np.float32)

@@ -95,7 +95,7 @@ def test_single_capture_is_written_to_gltf_with_y_up_gaussians(path: Path) -> No
 
 
 def test_gltf_color_0_of_written_gaussians_is_their_linear_mean_colour(path: Path) -> None:
-    """Programs without Gaussian support show points in this colour, which glTF defines as linear."""
+    """Programs without Gaussian support show points in COLOR_0, which glTF defines as linear."""
     given = capture(6, sh=np.linspace(-3.0, 3.0, 6 * 4 * 3).reshape(6, 4, 3))
     ls.save(path, given)
     gltf, data = document(path), path.read_bytes()
@@ -109,7 +109,7 @@ def test_gltf_color_0_of_written_gaussians_is_their_linear_mean_colour(path: Pat
 
 
 def test_captures_used_twice_are_written_to_gltf_once(path: Path) -> None:
-    """Both instances keep their transforms, materials and settings."""
+    """The capture's two instances keep their transforms, materials and settings."""
     given = capture(20)
     material = ls.MaterialPbr(roughness=0.25, sheen_color=(0.1, 0.2, 0.3), name="cloth")
     simple = ls.MaterialSimple(ambient=(0.5, 0.5, 0.5), shininess=9.0)
@@ -289,7 +289,7 @@ def test_textures_of_meshes_without_uvs_are_not_written_to_gltf(path: Path) -> N
 
 
 def test_materials_and_textures_used_twice_are_written_to_gltf_once(path: Path) -> None:
-    """Meshes and materials that share an item refer to its one copy."""
+    """Meshes with one material, and materials with one texture, refer to the same item of the file."""
     shared = texels(1)
     material = ls.MaterialPbr(base_color_texture=shared, emissive=(1.0, 1.0, 1.0))
     shared = material.base_color_texture

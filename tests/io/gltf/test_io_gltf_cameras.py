@@ -65,7 +65,7 @@ def test_gltf_cameras_look_along_minus_z_with_y_up(tmp_path: Path) -> None:
 def test_aspect_ratio_of_a_gltf_camera_is_fitted_into_the_image_size(
     tmp_path: Path, aspect: float | None, given: dict[str, int], size: tuple[int, int]
 ) -> None:
-    """The size is 1280 x 720 or the requested one; fov_y is unchanged."""
+    """The image size is 1280 x 720 or the requested size; fov_y is unchanged."""
     (camera,) = read(tmp_path, camera_gltf(perspective(aspectRatio=aspect)), **given)
     assert (camera.width, camera.height) == size
     assert camera.fov_y == pytest.approx(0.8)

@@ -111,7 +111,7 @@ def test_gltf_spot_with_equal_cone_angles_gets_a_narrow_edge(
 @pytest.mark.parametrize("kind", ["point", "spot"])
 @pytest.mark.parametrize("reach", [0.0, -0.0, -1.0])
 def test_gltf_light_range_of_zero_or_less_is_read_as_infinite(tmp_path: Path, kind: str, reach: float, caplog) -> None:
-    """Programs such as three.js write 0; a log line reports it."""
+    """Programs such as three.js write 0; a log line reports the infinite range."""
     (light,) = read(tmp_path, light_gltf({"type": kind, "name": "bulb", "range": reach})).lights
     assert isinstance(light, ls.LightPoint | ls.LightSpot) and light.range == math.inf
     assert f"lights[0] 'bulb': range {reach:g} is read as infinite" in caplog.text

@@ -103,7 +103,7 @@ TRANSFORM = {"KHR_texture_transform": {"scale": [2.0, 2.0]}}
 def test_gltf_textures_need_the_coordinates_of_the_base_colour_texture(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Textures with another set or transform of coordinates are dropped; one log line names them."""
+    """Textures with another set or transform of coordinates are dropped; one log line names the textures."""
     gltf = textured(
         normalTexture={"index": 2, "texCoord": 1},
         occlusionTexture={"index": 3},

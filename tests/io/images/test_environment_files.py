@@ -170,7 +170,7 @@ def test_truncated_exr_is_refused(tmp_path: Path) -> None:
 def test_negative_and_nonfinite_radiance_becomes_0_and_is_counted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One log line counts both kinds; valid files log nothing."""
+    """One log line counts nonfinite and negative values; valid files log nothing."""
     plane = np.ones((2, 4), np.float32)
     bad = plane.copy()
     bad[0] = (np.nan, np.inf, -np.inf, -0.5)

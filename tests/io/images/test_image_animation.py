@@ -59,7 +59,7 @@ def test_static_pixels_of_a_saved_gif_do_not_flicker(tmp_path: Path) -> None:
 
 
 def test_gif_dithering_preserves_the_mean_colour(tmp_path: Path) -> None:
-    """Neighbouring pixels average to colours between those of the palette, without banding."""
+    """Neighbouring pixels average to colours that the palette lacks, without banding."""
     rows = np.linspace(0.2, 0.4, 240)[:, None, None]
     other = np.random.default_rng(1).uniform(0.0, 1.0, (240, 240, 3))
     frame = np.concatenate([np.broadcast_to(rows * (1.0, 0.8, 0.9), (240, 120, 3)), other], axis=1)

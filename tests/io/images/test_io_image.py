@@ -96,7 +96,7 @@ def test_image_writers_refuse_invalid_shapes_before_creating_a_file(tmp_path: Pa
 
 @pytest.mark.parametrize("extension", ["png", "exr", "npz"])
 def test_image_writers_report_an_unwritable_folder_and_leave_no_file(tmp_path: Path, extension: str) -> None:
-    """The path of the folder is that of a file; the error names the output."""
+    """The folder's path belongs to a file; the error names the output."""
     (tmp_path / "out").write_text("in the way")
     path = tmp_path / "out" / f"a.{extension}"
     image = np.zeros((2, 2, 3), np.float32)

@@ -83,7 +83,7 @@ def test_exr_joined_from_window_files_equals_the_whole_image(tmp_path: Path) -> 
 
 
 def test_camera_windows_cover_each_pixel_exactly_once() -> None:
-    """The numbers of columns and rows are arbitrary up to one window per step of pixels; more are refused."""
+    """An image may be cut into as many windows as it has steps of 16 pixels; more windows are refused."""
     for columns, rows in ((1, 1), (5, 4), (2, 3), (5, 1)):
         count = np.zeros(SIZE[::-1], int)
         for window in windows(columns, rows):

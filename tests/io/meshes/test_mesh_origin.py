@@ -59,7 +59,7 @@ def test_meshes_in_map_coordinates_get_a_float64_origin(
 
 @pytest.mark.parametrize("end", ["glb", "usdc", "ply"])
 def test_saved_meshes_keep_their_float64_origin(tmp_path: Path, end: str) -> None:
-    """The node's transform stores the origin, even if it shears; PLY positions are doubles."""
+    """The node's transform stores the origin, even if the transform shears; PLY positions are doubles."""
     if end == "usdc":
         pytest.importorskip("pxr")
     mesh = loaded(written(tmp_path, "obj", UTM))

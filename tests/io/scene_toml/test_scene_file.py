@@ -106,7 +106,7 @@ def test_scene_file_key_shadow_only_is_an_alias_of_shadow_catcher(folder: Path) 
 
 
 def test_scene_files_with_comments_crlf_and_byte_order_mark_load(folder: Path) -> None:
-    """Editors on Windows write such files."""
+    """Editors on Windows write such line ends and byte order marks."""
     text = '\N{BYTE ORDER MARK}# a scene\r\n[[meshes]] # one\r\npath = "mesh.obj"\r\n'
     (folder / "scene.toml").write_bytes(text.encode())
     assert len(expect_kind(ls.Scene, ls.load(folder / "scene.toml")).meshes) == 1
@@ -177,7 +177,7 @@ def test_error_in_a_file_of_a_scene_file_names_that_file(folder: Path) -> None:
 
 
 def test_up_given_to_load_applies_if_the_scene_file_states_none(folder: Path) -> None:
-    """Without either, up is the default of meshes; upright entries follow it."""
+    """If neither states up, it is the default of meshes; upright entries follow up."""
     entry = '[[meshes]]\npath = "mesh.obj"\nupright = true\n'
     load_text(folder, entry)
     alone, given = (expect_kind(ls.Scene, ls.load(folder / "scene.toml", up=up)) for up in (None, (0, -2, 0)))

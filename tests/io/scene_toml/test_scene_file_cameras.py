@@ -58,7 +58,7 @@ def test_scene_file_camera_equals_look_at_with_the_same_values(tmp_path: Path) -
 
 
 def test_scene_file_camera_defaults_to_a_y_up_pinhole_in_focus(tmp_path: Path) -> None:
-    """The name is generated."""
+    """The size is 1280 x 720, and the name is generated."""
     first, second = load(tmp_path, "[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\n" * 2)
     expected = ls.Camera.look_at((0, 0, 4), (0, 0, 0))
     assert (first.width, first.height, first.fx, first.exposure) == (1280, 720, expected.fx, 0.0)
@@ -193,14 +193,14 @@ def test_invalid_up_of_a_scene_file_is_refused_at_its_line(tmp_path: Path, text:
 
 
 def test_up_key_of_a_scene_file_is_the_up_of_the_loaded_scene(tmp_path: Path) -> None:
-    """Framing without cameras and upright entries use this direction, too."""
+    """Framing without cameras and upright entries use this up direction, too."""
     ls.save(tmp_path / "a.ply", one_gaussian())
     scene = ls.load(write_scene(tmp_path, 'up = "z-up"\n[[splats]]\npath = "a.ply"\n'))
     assert isinstance(scene, ls.Scene) and scene.up_direction == (0.0, 0.0, 1.0)
 
 
 def test_lens_distortion_of_a_scene_file_camera_is_read(tmp_path: Path) -> None:
-    """Moving cameras have the distortion, too; an error names its line."""
+    """A moving camera keeps the distortion; an error names the line."""
     text = "[[cameras]]\neye = [0, 1, 4]\ntarget = [0, 0, 0]\ndistortion = [-0.1, 0.02, 0, 0, 0.001, -0.002]\n"
     (camera,) = load(tmp_path, text)
     assert camera.distortion == (-0.1, 0.02, 0.0, 0.0, 0.001, -0.002)

@@ -76,7 +76,7 @@ def test_every_light_type_of_a_scene_file_is_read(tmp_path: Path) -> None:
 
 
 def test_scene_file_spot_may_have_an_outer_angle_of_90_degrees(tmp_path: Path) -> None:
-    """A spot with a small outer angle needs no inner angle either."""
+    """The outer angle may also be 0.5 degrees without an inner angle."""
     text = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\nouter_angle_degrees = {}\n'
     for degrees in (0.5, 90):
         (spot,) = load_scene(tmp_path, text.format(degrees)).lights

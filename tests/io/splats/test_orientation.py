@@ -48,7 +48,7 @@ def test_every_capture_format_preserves_up_and_first_view(tmp_path: Path, name: 
 
 
 def test_openusd_preserves_up_and_first_view_of_a_capture(tmp_path: Path) -> None:
-    """They are custom data of the particle field."""
+    """Both are custom data of the particle field."""
     pytest.importorskip("pxr")
     ls.save(tmp_path / "a.usda", stated())
     assert_states(load_gaussians(tmp_path / "a.usda"))
@@ -56,7 +56,7 @@ def test_openusd_preserves_up_and_first_view_of_a_capture(tmp_path: Path) -> Non
 
 
 def test_blocks_preserve_up_and_first_view_of_a_capture(tmp_path: Path) -> None:
-    """The index stores both, and all functions that load blocks return both."""
+    """The index stores up and first view, and all functions that load blocks return both."""
     index = ls.io.write_blocks(tmp_path / "blocks", [stated()], 10.0)
     assert_states(load_gaussians(tmp_path / "blocks"))
     assert_states(ls.io.thin_blocks(index))
@@ -162,7 +162,10 @@ def test_damaged_up_and_first_view_comments_of_a_ply_are_ignored(tmp_path: Path,
 
 
 def test_edits_of_a_capture_preserve_its_up_and_first_view() -> None:
-    """Cutting, decimating and sorting preserve both; merging takes both from the first capture that has them."""
+    """Cutting, decimating and sorting preserve up and first view.
+
+    Merging takes both from the first capture that has them.
+    """
     one = stated()
     box = ls.editing.crop(one, ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
     for edited in (box, ls.editing.decimate(one, 20), ls.editing.sort_morton(one), ls.editing.limit_sh_degree(one, 0)):
@@ -187,7 +190,7 @@ def test_rotating_a_capture_rotates_its_up_and_first_view() -> None:
 
 
 def test_first_view_in_json_is_eye_target_up_and_numbers(tmp_path: Path) -> None:
-    """Other programs can read these values without knowing the matrices of Lumisplat."""
+    """Other programs can read eye, target and up without knowing the matrices of Lumisplat."""
     ls.save(tmp_path / "meta.json", stated())
     stored = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
     assert stored["first_view"] == {

@@ -170,7 +170,7 @@ def test_edits_of_a_capture_with_an_origin_use_absolute_coordinates() -> None:
 
 
 def test_blocks_command_refuses_a_capture_with_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Blocks store absolute float32 positions, which would round such a capture."""
+    """Blocks store absolute float32 positions, which would round positions in map coordinates."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["blocks", str(tmp_path / "far.ply"), "-o", str(tmp_path / "far.blocks")]) == 2
     log_line = capsys.readouterr().err

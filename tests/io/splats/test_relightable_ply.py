@@ -135,7 +135,7 @@ def test_materials_of_other_trainers_are_saved_as_linear_values(tmp_path: Path) 
 
 
 def test_ply_of_a_capture_without_materials_has_no_material_comment(tmp_path: Path) -> None:
-    """Its file is the same as before materials were supported."""
+    """The header of the saved PLY has no comments."""
     ls.save(tmp_path / "plain.ply", capture(3))
     assert load_gaussians(tmp_path / "plain.ply").comments == ()
 
@@ -164,7 +164,7 @@ def test_materials_of_older_lumisplat_plys_without_comment_are_read(tmp_path: Pa
 def test_materials_of_unknown_trainers_are_dropped_with_the_reason(
     tmp_path: Path, row: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The encoding is unknown, so a log line names the reason and the comment that declares it."""
+    """The encoding is unknown, so a log line names the reason and the comment that would declare linear values."""
     path = write(tmp_path / "unknown.ply", GEOMETRY | ROTATION | SH | row)
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         loaded = load_gaussians(path)
@@ -197,7 +197,7 @@ def test_materials_with_a_missing_ply_column_are_dropped(
 
 
 def test_ply_materials_marked_linear_but_out_of_range_are_refused(tmp_path: Path) -> None:
-    """A comment marks them as linear, so values outside 0..1 mean damage."""
+    """A comment marks the materials as linear, so values outside 0..1 mean damage."""
     path = write(
         tmp_path / "a.ply", GEOMETRY | ROTATION | SH | {"roughness": 2.0}, comment="lumisplat materials linear"
     )

@@ -20,7 +20,7 @@ def write_frames(folder: Path, names: list[str], counts: list[int] | None = None
 
 
 def test_frames_of_a_sequence_are_sorted_by_number(tmp_path: Path) -> None:
-    """Numbers in names compare as numbers of any width; other files and hidden ones are ignored."""
+    """Numbers in names compare as numbers of any width; hidden files and files of other formats are ignored."""
     write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
     (tmp_path / "notes.txt").write_text("no frame")
     (tmp_path / "._f_3.ply").write_text("left by a file manager")

@@ -97,7 +97,7 @@ def test_leaves_of_streamed_sog_are_small_and_inside_their_parents(tmp_path: Pat
 
 
 def test_streamed_sog_stores_any_number_of_coincident_gaussians(tmp_path: Path) -> None:
-    """All, or all but one, are at one position, which no split can separate."""
+    """All Gaussians, or all but one, are at one position, which no split can separate."""
     for far in (0.0, 500.0):
         means = np.zeros((260, 3))
         means[0, 1] = far

@@ -101,14 +101,14 @@ def test_capture_without_a_valid_gaussian_is_refused_with_drop_invalid() -> None
 
 
 def test_log_scales_that_underflow_become_the_smallest_scale() -> None:
-    """The exponential of such a log scale is zero in float32."""
+    """The exponential of a log scale of -200 is zero in float32."""
     columns = stored(1)
     columns.log_scales[0] = (-200.0, -50.0, 0.0)
     np.testing.assert_allclose(gaussians_from_columns("a.ply", columns).scales, [[SCALE_MIN, SCALE_MIN, 1.0]])
 
 
 def test_log_scales_that_overflow_are_refused() -> None:
-    """The infinite exponential is counted for its property."""
+    """The exponential of a log scale of 100 is infinite, and counted for its property."""
     columns = stored(3)
     columns.log_scales[2, 1] = 100.0
     with pytest.raises(FormatError, match="1 NaN or infinite values in scale_1"):

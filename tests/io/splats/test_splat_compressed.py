@@ -96,7 +96,7 @@ def test_morton_order_puts_neighbouring_points_next_to_each_other() -> None:
 def test_compressed_ply_counts_gaussians_with_coarse_positions(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One distant outlier makes the positions of its chunk of 256 coarse, and a warning counts them."""
+    """One distant outlier makes the positions of its chunk of 256 Gaussians coarse, and a warning counts the 256."""
     rng = np.random.default_rng(0)
     means = rng.random((1000, 3)).astype(np.float32)
 

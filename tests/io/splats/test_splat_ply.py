@@ -272,7 +272,7 @@ def test_ply_with_scales_and_opacities_after_activation_is_recognised(
 def test_comment_lumisplat_logits_overrides_the_guess_of_encoding(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The log line that reports the guess proposes this comment, and is absent with the comment."""
+    """The log line about the guess proposes this comment; with the comment, nothing is logged."""
     whole = capture(100, degree=0)
     path = _activated(tmp_path, whole, scales=True, opacities=True, comment="comment lumisplat logits\n")
     np.testing.assert_allclose(load_gaussians(path).scales, np.exp(whole.scales), rtol=1e-6)

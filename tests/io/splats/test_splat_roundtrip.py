@@ -152,7 +152,7 @@ def test_invalid_kernel_degree_comments_of_a_ply_are_refused(tmp_path: Path, sta
 def test_spz_logs_a_dropped_kernel_degree_other_than_the_default(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """SPZ cannot store the kernel degree; one log line names a degree of 4, and there is none for 2."""
+    """SPZ cannot store the kernel degree; a degree of 4 is logged, and the default of 2 is not."""
     ls.save(tmp_path / "usual.spz", capture(5))
     assert not caplog.records
     ls.save(tmp_path / "quartic.spz", capture(5, kernel_degree=4))

@@ -217,7 +217,7 @@ def test_spz_axes_extension_mirrors_the_capture(
 
 
 def test_spz_axes_with_exchanged_y_and_z_are_refused(tmp_path: Path) -> None:
-    """Such axes cannot be converted by mirroring."""
+    """Axes with exchanged y and z cannot be converted by mirroring."""
     path = v4(tmp_path / "rfu.spz", flags=2, extensions=struct.pack("<III", COORDINATES, 4, 16))
     with pytest.raises(FormatError, match="SPZ_ADOBE_coordinate_system 16"):
         ls.load(path)

@@ -152,7 +152,7 @@ def test_training_image_whose_file_name_has_a_backslash_is_found(tmp_path: Path)
 
 
 def test_training_image_paths_with_backslashes_cannot_leave_the_folder(tmp_path: Path) -> None:
-    """Such a path is checked like one with slashes."""
+    """A path with backslashes is checked like a path with slashes."""
     write_nerfstudio_images(tmp_path / "set", ring_cameras(2, 16, 12))
     content = json.loads((tmp_path / "set/transforms.json").read_text())
     content["frames"][0]["file_path"] = "..\\view_0.png"
@@ -180,7 +180,7 @@ def _with_points(text: bytes) -> bytes:
 
 @pytest.mark.parametrize("change", [_marked, _wide, _without_points, _with_points])
 def test_colmap_text_may_have_a_byte_order_mark_and_no_points(tmp_path: Path, change: Callable[[bytes], bytes]) -> None:
-    """Other programs write such images.txt files, in UTF-8 or UTF-16."""
+    """Other programs write images.txt files in UTF-8 or UTF-16 with a mark, or without 2D points."""
     write_colmap_images(tmp_path, ring_cameras(4, 16, 12), POINTS, text=True)
     for name in ("images", "cameras", "points3D"):
         file = tmp_path / f"sparse/0/{name}.txt"

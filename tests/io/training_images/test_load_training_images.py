@@ -72,7 +72,7 @@ def test_colmap_points_are_loaded_with_training_images(tmp_path, text):
 def test_every_eighth_training_image_by_name_is_held_out(tmp_path):
     """The first image and every eighth after it are held out, ordered by name and not by file order.
 
-    None with hold_out=0.
+    With hold_out=0, all images are training images.
     """
     cameras = [replace(camera, name=f"v{k:02d}") for k, camera in enumerate(ring_cameras(18, 8, 6))]
     write_nerfstudio_images(tmp_path, cameras[::-1])
@@ -84,9 +84,9 @@ def test_every_eighth_training_image_by_name_is_held_out(tmp_path):
 
 
 def test_blender_test_file_defines_the_held_out_images(tmp_path):
-    """These are the images of transforms_test.json, else of transforms_val.json, else every eighth.
+    """Held out are the images of transforms_test.json, else those of transforms_val.json, else every eighth image.
 
-    None with hold_out=0.
+    With hold_out=0, all images are training images.
     """
     cameras = ring_cameras(6, 16, 12)
     parts = {"train": cameras[:3], "test": cameras[3:5], "val": cameras[4:]}
@@ -210,7 +210,7 @@ def test_target_of_parallel_cameras_ignores_their_direction():
 
 
 def test_training_image_cache_stays_within_its_byte_limit(tmp_path, monkeypatch):
-    """Recently used images are cached, others decoded again with the same pixels; a limit of 0 caches none."""
+    """Recently used images are cached, others decoded again with the same pixels; a limit of 0 caches no image."""
     from lumisplat.io.training_images import loading as module
 
     write_nerfstudio_images(tmp_path, ring_cameras(5))

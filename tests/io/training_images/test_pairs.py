@@ -38,7 +38,7 @@ def test_all_pairs_of_few_images_are_matched_without_features() -> None:
 
 
 def test_video_frames_are_matched_with_earlier_views_of_the_same_place() -> None:
-    """Frames are paired with the next ones, and with those of the camera's second round that show the same objects."""
+    """Frames are paired with the next frames, and with frames of the second round that show the same objects."""
     count, period = 80, 40
     reported: list[float] = []
     pairs = compared_pairs(count, lambda: walk_features(count, period), True, reported.append)

@@ -101,7 +101,7 @@ def test_find_poses_uses_and_logs_the_largest_model(colmap: ColmapStub, tmp_path
 
 
 def test_find_poses_does_not_log_models_without_further_images(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
-    """COLMAP also returns models of two images, and models whose images the largest one has, too."""
+    """COLMAP also returns models of two images, and models whose images are all in the largest model."""
     colmap.models = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
     ls.io.find_poses(write_images(tmp_path, 9))
     assert caplog.text == ""

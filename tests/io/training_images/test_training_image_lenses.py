@@ -24,7 +24,7 @@ LENSES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_undistorted_training_images_match_rays_of_a_pinhole(tmp_path, lens, scale):
-    """An image rendered through the lens and undistorted matches one rendered with pinhole rays to a few bytes."""
+    """An image rendered through the lens and undistorted equals an image of the pinhole to a few bytes."""
     cameras = ring_cameras(2, 120, 90, **lens)
     folder = write_nerfstudio_images(tmp_path, cameras, [_large(camera) for camera in cameras])
     for view in ls.io.load_training_images(folder, hold_out=0, scale=scale).training:

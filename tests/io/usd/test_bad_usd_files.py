@@ -59,7 +59,7 @@ def test_truncated_usd_files_are_refused_at_any_length(tmp_path: Path, extension
 
 
 def test_usd_read_error_names_the_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library's message repeats the absolute path and that the layer cannot be opened; Lumisplat removes both."""
+    """The message of the library repeats the absolute path and that the layer cannot be opened; both are removed."""
     usd_core()
     monkeypatch.chdir(tmp_path)
     for name, content in {"a.usda": "#usda 1.0\ndef Mesh (", "a.usdc": "no crate at all", "a.usdz": "no zip"}.items():
@@ -144,7 +144,7 @@ def test_2000_mutated_usd_files_of_each_kind_load_or_are_refused(tmp_path: Path,
 
 @pytest.mark.parametrize(("extension", "count"), [(".usda", 8), (".usdc", 16)])
 def test_few_mutated_usd_animations_load_or_are_refused(tmp_path: Path, extension: str, count: int) -> None:
-    """The mutations are 8 of a text file and 16 of a binary one."""
+    """Eight mutations are of a text file and 16 of a binary file."""
     usd_core()
     check_mutations(tmp_path, extension, range(count), moves=True)
 
@@ -295,7 +295,7 @@ def test_crashed_or_hung_usd_child_process_gives_a_one_line_error(
 
 
 def test_usd_child_process_lives_as_long_as_its_remote_functions(tmp_path: Path) -> None:
-    """Two results in use at once have a child process each, which ends with its result."""
+    """Two results in use at once have a child process each; a child ends with its result."""
     usd_core()
     first, second = (process.read_in_child(tmp_path / "a.usda", halving, factor)[1] for factor in (0.5, 2.0))
     np.testing.assert_array_equal([first(4.0), second(4.0)], np.array([[2.0] * 3, [8.0] * 3]))
@@ -369,7 +369,7 @@ def test_usd_child_imports_nothing_from_the_working_folder(tmp_path: Path) -> No
 
 
 def test_ended_usd_child_is_not_killed_again(tmp_path: Path) -> None:
-    """Another process may have its id by then."""
+    """Another process may have the id of the ended child by then."""
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
     ls.load(tmp_path / "a.usda")
@@ -399,7 +399,7 @@ def test_usd_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) 
 
 
 def test_usd_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
-    """A pipe named with arguments looked like a missing file, and the library waited for its writer."""
+    """Before, a pipe named with arguments looked like a missing file, and the library waited for its writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
     body = 'def "a" ( references = @./pipe.usda:SDF_FORMAT_ARGS:target=x@ ) {\n}'

@@ -214,7 +214,7 @@ def test_load_shows_the_first_time_code_of_a_usd_animation(tmp_path: Path) -> No
 
 
 def test_usd_time_samples_of_a_parent_prim_move_its_children(tmp_path: Path) -> None:
-    """Without a stated time range, the samples define it."""
+    """The stage states no time range, so the samples define the range."""
     body = """def Xform "p" {
         double xformOp:rotateY.timeSamples = { 0: 0, 24: 90 }
         uniform token[] xformOpOrder = ["xformOp:rotateY"]

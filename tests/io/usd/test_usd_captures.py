@@ -75,7 +75,7 @@ def test_captures_written_to_usd_pass_the_validators_of_usd_core(tmp_path: Path,
 
 
 def test_sh_count_and_colour_space_of_captures_are_written_to_usd(tmp_path: Path) -> None:
-    """The schema itself leaves both open."""
+    """The schema of particle fields leaves both open."""
     usd = usd_core()
     ls.save(tmp_path / "a.usdc", capture(5, 2))
     stage = usd.Stage.Open(str(tmp_path / "a.usdc"))

@@ -272,7 +272,7 @@ def test_usd_vertex_colours_need_a_shader_that_reads_them(tmp_path: Path) -> Non
 
 
 def test_usd_instances_share_one_mesh(tmp_path: Path) -> None:
-    """Two instances by reference, one below the other, are one mesh with two transforms and names."""
+    """Two instances refer to one prim, one instance below the other: one mesh has two transforms and names."""
     body = (
         'class "P" {\n def Xform "tree" {\n' + mesh() + "}\n}\n"
         """def Xform "one" ( instanceable = true\n references = </P/tree> ) {
@@ -317,7 +317,7 @@ def test_usd_point_instances_are_scaled_rotated_then_translated(tmp_path: Path) 
 
 
 def test_usd_cubes_spheres_and_planes_have_their_sizes(tmp_path: Path) -> None:
-    """A plane also has its axis."""
+    """A plane also has its axis, and a cone is skipped."""
     body = """def Cube "c" {\n double size = 3\n }
     def Sphere "s" {\n double radius = 2\n }
     def Plane "p" {\n double width = 4\n double length = 6\n uniform token axis = "X"\n }

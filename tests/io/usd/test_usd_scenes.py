@@ -175,7 +175,7 @@ def test_single_mesh_is_written_to_usd_as_a_scene(tmp_path: Path) -> None:
 
 
 def test_single_usd_capture_loads_as_gaussians_unless_it_has_settings(tmp_path: Path) -> None:
-    """The transform is applied to the Gaussians, with y down; a material or shadow catcher flag makes it a scene."""
+    """The transform is applied to the Gaussians, with y down; a material or shadow catcher flag makes a scene."""
     usd_core()
     ls.save(tmp_path / "a.usdc", ls.Scene([ls.SplatInstance(capture(5), position=(1, 2, 3))], up="y-down"))
     loaded = expect_kind(ls.Gaussians, ls.load(tmp_path / "a.usdc"))
