@@ -117,7 +117,7 @@ ENVIRONMENT_SHARE_STEPS = 2**24
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Luminance weights of linear Rec.709 RGB."""
 
-# --- Tone mapping (docs/method/lighting.md#pictures) ---
+# --- Tone mapping (docs/method/lighting.md#developed-frames) ---
 
 RADIANCE_MAX = 2.0**64
 """Upper bound to which radiance is clamped: far above the white of every tone mapper, far below the largest float32."""

@@ -1,6 +1,6 @@
 """Development of lit frames into images: exposure, tone mapping, and captured colours that keep their tones.
 
-The equations are in docs/method/lighting.md#pictures.
+The equations are in docs/method/lighting.md#developed-frames.
 """
 
 from __future__ import annotations

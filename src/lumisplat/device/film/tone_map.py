@@ -1,6 +1,6 @@
 """Tone mapping on the device, equal to `lumisplat.math.tone_map` on the host, and conversion of pixels to bytes.
 
-The equations are in docs/method/lighting.md#pictures.
+The equations are in docs/method/lighting.md#developed-frames.
 """
 
 import warp as wp
