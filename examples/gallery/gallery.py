@@ -2,7 +2,7 @@
 
     python examples/gallery/gallery.py DATA NAME -o OUT [--width 1280] [--samples 16] [--unlit] [--environments hdri]
 
-DATA holds splats/playbot, splats/biker.spz, splats/logo_sog and meshes/spot.obj, teapot.obj, statue.glb.
+DATA holds splats/playbot, splats/biker.spz, splats/logo_sog and meshes/spot.obj, statue.glb.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial import cKDTree
 
 import lumisplat as ls
 
@@ -61,7 +62,8 @@ def sky(elevation: float, azimuth: float, height: int = 512) -> list[ls.LightEnv
     horizon = (1 - day) * np.array([0.42, 0.15, 0.11]) + day * np.array([0.62, 0.74, 0.90])
     glow = np.array([1.0, 0.42, 0.14]) * (1.3 * np.exp(10.0 * (cosine - 1.0)) + 6.0 * np.exp(90.0 * (cosine - 1.0)))
     image = zenith + (horizon - zenith) * np.exp(-3.5 * up) + glow * (0.35 + 0.65 * np.exp(-3.0 * up))
-    image = np.where(towards[..., 1:2] < 0.0, 0.12 * horizon, image)
+    haze = np.exp(np.minimum(towards[..., 1:2], 0.0) / 0.03)  # distant ground, which fades into the horizon
+    image *= haze + (1.0 - haze) * 0.12
     warmth = np.clip(elevation / 35.0, 0.0, 1.0)
     color = (1.0, 0.50 + 0.42 * warmth, 0.22 + 0.60 * warmth)
     strength = 16.0 * float(np.clip((elevation + 1.5) / 6.0, 0.0, 1.0))
@@ -69,14 +71,12 @@ def sky(elevation: float, azimuth: float, height: int = 512) -> list[ls.LightEnv
     return [ls.LightEnvironment(image.astype(np.float32)), rays]
 
 
-def photographed(file: Path, intensity: float, degrees: float) -> ls.LightEnvironment:
-    """Returns an environment map turned about the vertical."""
-    half = np.radians(degrees) / 2.0
-    return ls.LightEnvironment(
-        ls.io.load_radiance(file),
-        intensity=intensity,
-        rotation_wxyz=(float(np.cos(half)), 0.0, float(np.sin(half)), 0.0),
-    )
+def night_sky(height: int = 256) -> ls.LightEnvironment:
+    """Returns a blue night, brighter at the horizon."""
+    up = np.cos(np.pi * (np.arange(height) + 0.5) / height)[:, None, None]
+    glow = np.exp(-4.0 * np.maximum(up, 0.0)) * np.exp(np.minimum(up, 0.0) / 0.03)
+    image = np.array([0.004, 0.008, 0.022]) + glow * np.array([0.018, 0.030, 0.060])
+    return ls.LightEnvironment(np.repeat(image, 2 * height, axis=1).astype(np.float32))
 
 
 def camera(
@@ -87,12 +87,25 @@ def camera(
     return replace(view, exposure=exposure)
 
 
-def ground(color: tuple[float, float, float], height: float = 0.0, roughness: float = 0.9) -> ls.MeshInstance:
-    """Returns a wide floor."""
-    return ls.MeshInstance(
-        ls.plane(2000, 2000, material=ls.MaterialPbr(base_color=color, roughness=roughness, specular=0.0)),
-        position=(0.0, height, 0.0),
-    )
+def square(color: tuple[float, float, float]) -> ls.MeshInstance:
+    """Returns a paved square of 60 m."""
+    return ls.MeshInstance(ls.plane(60, 60, material=ls.MaterialPbr(base_color=color, roughness=0.7)))
+
+
+def earth() -> ls.MeshInstance:
+    """Returns the soil under the meadow, no wider than the meadow."""
+    soil = ls.MaterialPbr(base_color=EARTH, roughness=0.9, specular=0.0)
+    return ls.MeshInstance(ls.plane(9.8, 11.8, material=soil), position=(0.0, -0.06, -2.95))
+
+
+def smoothed(means: np.ndarray, normals: np.ndarray, neighbours: int = 48) -> np.ndarray:
+    """Returns each Gaussian's normal averaged with those of its neighbours."""
+    _, nearest = cKDTree(means).query(means, neighbours, workers=-1)
+    total = np.zeros_like(normals)
+    for k in range(neighbours):
+        other = normals[nearest[:, k]]
+        total += other * np.maximum((other * normals).sum(axis=1, keepdims=True), 0.0)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-6)
 
 
 class Captures:
@@ -104,15 +117,19 @@ class Captures:
         self.loaded: dict[str, ls.Gaussians] = {}
 
     def gaussians(self, name: str) -> ls.Gaussians:
-        """Loads a capture, with normals fitted to neighbouring Gaussians, as single axes are too noisy."""
+        """Loads a capture, with normals fitted to neighbouring Gaussians, as single axes are too noisy.
+
+        Normals of hard surfaces are averaged, too; those of fur differ from hair to hair.
+        """
         if name not in self.loaded:
             loaded = ls.load(self.data / "splats" / name)
             assert isinstance(loaded, ls.Gaussians)
-            self.loaded[name] = replace(loaded, normals=ls.estimate_normals(loaded, "pca"))
+            normals = ls.estimate_normals(loaded, "pca")
+            self.loaded[name] = replace(loaded, normals=normals if "logo" in name else smoothed(loaded.means, normals))
         return self.loaded[name]
 
     def robot(self, transform: np.ndarray = Y_UP) -> list[ls.SplatInstance]:
-        """Returns the robot and its ground: Gaussians of its lamps stay as captured, all others are relit."""
+        """Returns the robot and its ground: Gaussians that glow stay as captured, all others are relit."""
         capture = self.gaussians("playbot/0_0/meta.json")
         red, green, blue = (0.5 + 0.2821 * capture.sh[:, 0, :]).T
         x, y, _ = capture.means.T
@@ -121,7 +138,7 @@ class Captures:
         shines = teal | hot
         surface = ls.MaterialSimple(emissive=(0.15,) * 3, diffuse=(0.85,) * 3)
         return [
-            ls.SplatInstance(capture.subset(shines), transform, name="lamps"),
+            ls.SplatInstance(capture.subset(shines), transform, name="lights"),
             ls.SplatInstance(capture.subset(~shines), transform, material=surface, name="robot"),
         ]
 
@@ -130,7 +147,7 @@ class Captures:
         level = self.gaussians("playbot/3_0/meta.json")
         turf = level.subset(level.means[:, 1] > -0.13)
         red, green, blue = turf.sh[:, 0, :].T
-        glows = np.minimum(green, blue) - red > 0.15  # lit by the robot's lamp, which the copies lack: made dark grey
+        glows = np.minimum(green, blue) - red > 0.15  # lit by the robot, which the copies lack: made dark grey
         sh = turf.sh.copy()
         sh[glows] = np.minimum(sh[glows].min(axis=2, keepdims=True), 0.0)
         turf = replace(turf, sh=sh)
@@ -141,9 +158,9 @@ class Captures:
             for i, k in tiles
         ]
 
-    def biker(self, transform: np.ndarray, shininess: float = 30.0) -> ls.SplatInstance:
+    def biker(self, transform: np.ndarray) -> ls.SplatInstance:
         """Returns the biker, relit; a little captured light hides the noise of his normals."""
-        mixed = ls.MaterialSimple(emissive=(0.3,) * 3, diffuse=(0.9,) * 3, specular=(0.04,) * 3, shininess=shininess)
+        mixed = ls.MaterialSimple(emissive=(0.3,) * 3, diffuse=(0.9,) * 3, specular=(0.015,) * 3, shininess=12.0)
         return ls.SplatInstance(self.gaussians("biker.spz"), transform, material=mixed)
 
     def logo(self, transform: np.ndarray) -> ls.SplatInstance:
@@ -160,7 +177,7 @@ class Captures:
 
 def sunset(captures: Captures, width: int, elevation: float = 7.0) -> Shot:
     """Returns the robot in the last sun."""
-    scene = ls.Scene([*captures.robot(), *captures.meadow()], [ground(EARTH, -0.06)], sky(elevation, 264.0 - elevation))
+    scene = ls.Scene([*captures.robot(), *captures.meadow()], [earth()], sky(elevation, 264.0 - elevation))
     low = 1.0 - float(np.clip(elevation / 30.0, 0.0, 1.0))
     return scene, camera(*MEADOW, width, exposure=0.1 + 0.7 * low)
 
@@ -168,62 +185,55 @@ def sunset(captures: Captures, width: int, elevation: float = 7.0) -> Shot:
 def night(captures: Captures, width: int, angle: float = 40.0) -> Shot:
     """Returns the robot at night, by a lantern and the moon."""
     around = np.radians(angle)
-    place = (0.8 * np.sin(around), 0.22, 0.8 * np.cos(around))
-    lantern = ls.LightSphere(place, 0.022, (1.0, 0.5, 0.16), 1600.0)
+    position = (0.8 * np.sin(around), 0.22, 0.8 * np.cos(around))
+    lantern = ls.LightSphere(position, 0.014, (1.0, 0.5, 0.16), 3950.0)
     moon = ls.LightDirectional((0.6, -0.7, 0.5), (0.45, 0.6, 1.0), 0.7, angle=0.02)
-    dark = ls.LightEnvironment(color=(0.010, 0.016, 0.035))
     scene = ls.Scene(
         [*captures.robot(), *captures.meadow()],
-        [ground(EARTH, -0.06), lamp(lantern)],
-        [replace(lantern, visible=False), moon, dark],
+        [earth(), ball_of(lantern)],
+        [replace(lantern, visible=False), moon, night_sky()],
     )
     return scene, camera(*MEADOW, width, exposure=0.9)
 
 
-def lamp(light: ls.LightSphere) -> ls.MeshInstance:
-    """Returns a ball that looks like a light, smaller than it, for the pipelines that do not show lights."""
-    glow = ls.MaterialSimple(emissive=tuple(1.6 * np.array(light.color)), base_color=(1.0, 1.0, 1.0))
+def ball_of(light: ls.LightSphere) -> ls.MeshInstance:
+    """Returns a glowing ball inside a sphere light, for the pipelines that do not show lights."""
+    glow = ls.MaterialSimple(emissive=tuple(12.0 * np.array(light.color)), base_color=(1.0, 1.0, 1.0))
     return ls.MeshInstance(ls.sphere(0.9 * light.radius, material=glow), position=light.position)
 
 
 def cow(captures: Captures, width: int, time: float = 0.55) -> Shot:
     """Returns a cow in the meadow, which stays as captured and takes her shadow."""
-    body = replace(captures.mesh("spot.obj"), material=ls.MaterialPbr(base_color=(0.4, 0.36, 0.32), roughness=0.45))
+    body = replace(
+        captures.mesh("spot.obj"), material=ls.MaterialPbr(base_color=(0.36, 0.10, 0.04), roughness=0.5, clearcoat=1.0)
+    )
     hop = 0.05 * abs(np.sin(4.0 * np.pi * time))
     at = (-0.75 + 2.2 * time, 0.135 + hop, 0.72)
     spot = ls.MeshInstance(body, position=at, rotation_degrees=(0, 250, 0), scale_by=0.19)
-    place = ls.SplatInstance(
-        captures.gaussians("playbot/0_0/meta.json"),
-        Y_UP,
-        material=ls.MaterialSimple(ambient=(0.2,) * 3),
-        shadow_catcher=True,
-    )
-    scene = ls.Scene([place, *captures.meadow()], [spot, ground(EARTH, -0.06)], sky(22.0, 255.0))
+    meadow = [
+        replace(one, material=ls.MaterialSimple(ambient=(0.2,) * 3), shadow_catcher=True)
+        for one in (ls.SplatInstance(captures.gaussians("playbot/0_0/meta.json"), Y_UP), *captures.meadow())
+    ]
+    scene = ls.Scene(meadow, [spot], sky(24.0, 235.0))
     return scene, camera((0.85, 0.40, 2.55), (0.1, 0.42, 0.0), 0.5, width)
 
 
-def teapot(captures: Captures, width: int) -> Shot:
-    """Returns a polished teapot that mirrors the robot, and a ball of glass."""
-    chrome = replace(
-        captures.mesh("teapot.obj"), material=ls.MaterialPbr(base_color=(0.95, 0.93, 0.9), metallic=1.0, roughness=0.0)
-    )
-    glass = ls.sphere(
-        0.11, rows=96, material=ls.MaterialPbr(base_color=(1, 1, 1), roughness=0.0, transmission=1.0, ior=1.5)
-    )
-    pot = ls.stand_on_ground(
-        ls.MeshInstance(chrome, position=(0.5, 0, 0.55), rotation_degrees=(0, 30, 0), scale_by=0.1),
-        height=0.02,
-        up="y-up",
-    )
-    ball = ls.MeshInstance(glass, position=(-0.15, 0.13, 0.8))
-    scene = ls.Scene([*captures.robot(), *captures.meadow()], [pot, ball, ground(EARTH, -0.06)], sky(16.0, 250.0))
-    return scene, camera((0.75, 0.44, 2.8), (0.08, 0.43, 0.0), 0.5, width, exposure=0.3)
+def lake(captures: Captures, width: int, elevation: float = 4.0) -> Shot:
+    """Returns the robot on an island in a lake, which mirrors it and the evening sky."""
+    water = ls.MaterialPbr(base_color=(0.004, 0.010, 0.012), roughness=0.0)
+    surface = ls.MeshInstance(ls.plane(60, 60, material=water), position=(0.0, -0.03, 0.0))
+    island = [
+        replace(one, gaussians=one.gaussians.subset(np.hypot(*(one.gaussians.means.T[::2] - [[0.02], [-0.02]])) < 0.56))
+        for one in captures.robot()
+    ]
+    scene = ls.Scene(island, [surface], sky(elevation, 335.0))
+    return scene, camera((0.8, 0.42, 4.2), (0.0, 0.03, 0.0), 0.5, width, exposure=0.8)
 
 
 def biker(captures: Captures, width: int) -> Shot:
     """Returns the biker in the evening light of Venice."""
-    place = photographed(captures.environments / "sunset.exr", 1.0, 0.0)
-    scene = ls.Scene([captures.biker(turned(80))], [], [place])
+    venice = ls.LightEnvironment(ls.io.load_radiance(captures.environments / "sunset.exr"))
+    scene = ls.Scene([captures.biker(turned(80))], [], [venice])
     return scene, camera((0.7, 2.2, 3.9), (0.15, 2.35, 0.0), 0.5, width, exposure=0.3)
 
 
@@ -256,21 +266,6 @@ def fur(captures: Captures, width: int) -> Shot:
     return scene, camera((0.6, 2.5, 6.6), (0.25, 1.2, 0.0), 0.58, width)
 
 
-def three(captures: Captures, width: int) -> Shot:
-    """Returns three captures on one floor, under one light."""
-    robot = [
-        replace(one, world_from_object=scaled(one.world_from_object, 2.2, (-2.5, 0.08, -0.5)))
-        for one in captures.robot()
-    ]
-    logo = captures.logo(turned(-35))
-    logo = replace(logo, world_from_object=scaled(logo.world_from_object, 0.62, (2.1, 0.17, 0.0)))
-    key = ls.LightSphere((-4.5, 6.0, 4.5), 0.7, (1.0, 0.82, 0.62), 230.0, visible=False)
-    rim = ls.LightSphere((4.5, 4.0, -3.0), 0.7, (0.4, 0.55, 1.0), 110.0, visible=False)
-    fill = ls.LightEnvironment(color=(0.5, 0.55, 0.7), intensity=0.12, visible=False)
-    scene = ls.Scene([*robot, captures.biker(turned(95)), logo], [backdrop((0.22, 0.21, 0.21), 3.5)], [key, rim, fill])
-    return scene, camera((0.2, 2.1, 9.2), (-0.35, 1.3, 0.0), 0.56, width, exposure=0.2)
-
-
 def scaled(transform: np.ndarray | None, size: float, place: tuple[float, float, float]) -> np.ndarray:
     """Returns a transform made larger and moved."""
     assert transform is not None
@@ -293,7 +288,7 @@ def statue(captures: Captures, width: int) -> Shot:
         )
         for one in loaded.meshes
     ]
-    scene = ls.Scene([captures.biker(turned(70))], [*parts, ground((0.16, 0.15, 0.14), 0.0)], sky(14.0, 250.0))
+    scene = ls.Scene([captures.biker(turned(70))], [*parts, square((0.34, 0.31, 0.28))], sky(14.0, 250.0))
     return scene, camera((-0.6, 1.3, 7.2), (0.8, 1.95, 0.0), 0.64, width, exposure=0.1)
 
 
@@ -305,7 +300,7 @@ def flight(captures: Captures, width: int, time: float = 0.5) -> Shot:
 
 
 PICTURES: dict[str, Callable[[Captures, int], Shot]] = {
-    one.__name__: one for one in (sunset, night, cow, teapot, biker, studio, fur, three, statue)
+    one.__name__: one for one in (sunset, night, cow, lake, biker, studio, fur, statue)
 }
 VIDEOS: dict[str, tuple[Callable[[Captures, int, float], Shot], list[float], int]] = {
     "hero": (sunset, list(np.linspace(32.0, -3.5, 16)), 10),
@@ -367,7 +362,7 @@ def main() -> None:
     if options.name in ("hero", "flight"):
         frames += frames[-2:0:-1]
     frames[0].save(
-        options.output, save_all=True, append_images=frames[1:], duration=1000 // fps, loop=0, quality=82, method=6
+        options.output, save_all=True, append_images=frames[1:], duration=1000 // fps, loop=0, quality=90, method=6
     )
 
 
