@@ -118,7 +118,7 @@ def _write_layer(path: Path, layer: str, frame: Frame) -> None:
         with atomic_write(path) as temporary, Path(temporary).open("wb") as file:
             np.save(file, depth_along_z(frame), allow_pickle=False)
     elif layer == "normal":
-        write_png(path, normal_picture(frame))
+        write_png(path, normals_as_bytes(frame))
     elif layer == "albedo":
         if frame.albedo is None:
             raise ConfigError("layers has 'albedo', which unlit views do not have: add lights, or remove the layer")
@@ -128,8 +128,8 @@ def _write_layer(path: Path, layer: str, frame: Frame) -> None:
     elif layer == "mask":
         write_gray_png(path, np.where(frame.alpha >= 0.5, 255, 0).astype(np.uint8))
     else:
-        shown = ("depth", "normal", *(("albedo",) if frame.albedo is not None else ()))
-        frame.save(path, shown)
+        aovs = ("depth", "normal", *(("albedo",) if frame.albedo is not None else ()))
+        frame.save(path, aovs)
 
 
 def depth_along_z(frame: Frame) -> FloatArray:
@@ -138,13 +138,13 @@ def depth_along_z(frame: Frame) -> FloatArray:
     return np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
 
 
-def normal_picture(frame: Frame) -> npt.NDArray[np.uint8]:
+def normals_as_bytes(frame: Frame) -> npt.NDArray[np.uint8]:
     """Returns the normals in camera axes as bytes, 127.5 (1 + normal), shape (H, W, 3); 0 0 0 without a surface."""
     # Not BLAS: its last bits depend on the number of threads.
     normal = np.einsum("hwi,ji->hwj", frame.normal.astype(np.float64), frame.camera.camera_from_world[:3, :3])
-    shown = np.clip(127.5 * (1.0 + normal) + 0.5, 0.0, 255.0)
-    seen = np.isfinite(frame.depth) & frame.normal.any(axis=2)
-    return np.where(seen[..., None], shown, 0.0).astype(np.uint8)
+    levels = np.clip(127.5 * (1.0 + normal) + 0.5, 0.0, 255.0)
+    has_surface = np.isfinite(frame.depth) & frame.normal.any(axis=2)
+    return np.where(has_surface[..., None], levels, 0.0).astype(np.uint8)
 
 
 def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfig) -> dict[str, Any]:

@@ -231,18 +231,18 @@ def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
     from PIL import Image
 
     layers = [layer for layer in records[0]["files"] if layer not in _NOT_ON_SHEET]
-    shown = records[: max(1, _SHEET_TILES // len(layers))]
+    on_sheet = records[: max(1, _SHEET_TILES // len(layers))]
     size = records[0]["camera"]["width"], records[0]["camera"]["height"]
     width, height = _TILE_WIDTH, max(1, round(_TILE_WIDTH * size[1] / size[0]))
-    together = max(1, _SHEET_COLUMNS // len(layers))
-    rows = -(-len(shown) // together)
-    sheet = Image.new("RGB", (min(together, len(shown)) * len(layers) * width, rows * height))
-    for number, record in enumerate(shown):
-        left, top = number % together * len(layers) * width, number // together * height
+    views_per_row = max(1, _SHEET_COLUMNS // len(layers))
+    rows = -(-len(on_sheet) // views_per_row)
+    sheet = Image.new("RGB", (min(views_per_row, len(on_sheet)) * len(layers) * width, rows * height))
+    for number, record in enumerate(on_sheet):
+        left, top = number % views_per_row * len(layers) * width, number // views_per_row * height
         for column, layer in enumerate(layers):
             tile = _tile(folder / record["files"][layer], layer)
-            how = Image.Resampling.NEAREST if layer in ("instance", "category") else Image.Resampling.BOX
-            sheet.paste(tile.resize((width, height), how), (left + column * width, top))
+            resampling = Image.Resampling.NEAREST if layer in ("instance", "category") else Image.Resampling.BOX
+            sheet.paste(tile.resize((width, height), resampling), (left + column * width, top))
     with atomic_write(path) as temporary:
         sheet.save(temporary, format="PNG")
 
@@ -268,8 +268,8 @@ def _gray(depth: FloatArray) -> np.ndarray:
     """Returns depth as grey bytes, shape (H, W, 3): the nearest surface white, pixels without a surface black."""
     surface = depth > 0.0
     near, far = (depth[surface].min(), depth[surface].max()) if surface.any() else (0.0, 1.0)
-    share = (far - depth) / max(float(far - near), 1e-9)
-    gray = np.where(surface, _FAR + (_NEAR - _FAR) * share, 0.0)
+    nearness = (far - depth) / max(float(far - near), 1e-9)
+    gray = np.where(surface, _FAR + (_NEAR - _FAR) * nearness, 0.0)
     return np.repeat((255.0 * np.clip(gray, 0.0, 1.0)).astype(np.uint8)[..., None], 3, axis=2)
 
 

@@ -100,7 +100,7 @@ class Catalogue:
                 scene.
         """
         instances = (*self._scene.splats, *self._scene.meshes)
-        own = zip(instances, self._names, self._boxes, strict=True)
+        labelled = zip(instances, self._names, self._boxes, strict=True)
         return [
             DatasetThing(
                 id=index + 1,
@@ -114,7 +114,7 @@ class Catalogue:
                 low=low,
                 high=high,
             )
-            for index, (instance, name, (low, high)) in enumerate(own)
+            for index, (instance, name, (low, high)) in enumerate(labelled)
         ]
 
 
@@ -128,7 +128,8 @@ def id_images(
         things: Labels of the view.
     """
     last = max((index for thing in things for index in thing.instances), default=-1)
-    ids, categories = np.zeros(last + 2, np.uint16), np.zeros(last + 2, np.uint16)  # index -1 is the last entry
+    # Index -1, the background, reads the last entry, which stays 0.
+    ids, categories = np.zeros(last + 2, np.uint16), np.zeros(last + 2, np.uint16)
     for thing in things:
         ids[list(thing.instances)] = thing.id
         categories[list(thing.instances)] = thing.category_id

@@ -45,27 +45,29 @@ class LightSampler:
         needs_light: bool,
     ) -> None:
         self._config, self._space, self._environments, self._where = config, space, list(environments), where
-        own_lights = [light for light in space.scene.lights if light.enabled] if config.own else []
-        is_dark = needs_light and not own_lights and not environments and config.points[1] == 0
+        scene_lights = [light for light in space.scene.lights if light.enabled] if config.own else []
+        is_dark = needs_light and not scene_lights and not environments and config.points[1] == 0
         self._suns = config.suns if config.suns is not None else (1, 1) if is_dark else (0, 0)
-        self._own = own_lights
+        self._scene_lights = scene_lights
 
     @property
     def has_lights(self) -> bool:
         """True if some view can have a light."""
-        return bool(self._own or self._environments or self._suns[1] or self._config.points[1])
+        return bool(self._scene_lights or self._environments or self._suns[1] or self._config.points[1])
 
     def lights(self, draws: Draws) -> tuple[Light, ...]:
         """Returns the lights of a view."""
         config = self._config
         angle, brightness = 2.0 * math.pi * draws.unit() * config.turned, draws.factor(config.brightness)
-        which, ambient = draws.unit(), draws.between(config.ambient)
+        selector, ambient = draws.unit(), draws.between(config.ambient)
         ambient_color = self._color(draws)
         suns = [self._sun(draws, number) for number in range(draws.whole(self._suns))]
         points = [self._point_light(draws, number) for number in range(draws.whole(config.points))]
-        lights = [self._rotated(light, angle, brightness) for light in self._own if not self._is_replaced(light)]
+        lights = [
+            self._rotated(light, angle, brightness) for light in self._scene_lights if not self._is_replaced(light)
+        ]
         if self._environments:
-            chosen = self._environments[int(which * len(self._environments))]
+            chosen = self._environments[int(selector * len(self._environments))]
             lights.append(self._rotated(chosen, angle, brightness))
         elif (suns or points) and not any(isinstance(light, LightEnvironment) for light in lights) and ambient > 0.0:
             lights.append(LightEnvironment(color=ambient_color, intensity=ambient, visible=False, name="sky"))

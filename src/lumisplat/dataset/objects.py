@@ -156,13 +156,13 @@ class ObjectPlacer:
         across = np.stack(level_axes(space.up))
         under = starts[:, None] + radius * (_FOOTPRINT @ across)
         heights = space.ground_heights(under.reshape(-1, 3)).reshape(len(starts), -1)
-        good: Flags = np.asarray(np.isfinite(heights).all(axis=1))
-        heights = np.where(good[:, None], heights, 0.0)
-        good &= heights.max(axis=1) - heights.min(axis=1) <= 2.0 * radius * self._config.unevenness
+        is_usable: Flags = np.asarray(np.isfinite(heights).all(axis=1))
+        heights = np.where(is_usable[:, None], heights, 0.0)
+        is_usable &= heights.max(axis=1) - heights.min(axis=1) <= 2.0 * radius * self._config.unevenness
         centers = starts + (heights.max(axis=1) - foot - starts @ space.up)[:, None] * space.up
         for other in others:
-            good &= np.linalg.norm(centers - other.center, axis=1) >= radius + other.radius
-        rows = np.flatnonzero(good)
+            is_usable &= np.linalg.norm(centers - other.center, axis=1) >= radius + other.radius
+        rows = np.flatnonzero(is_usable)
         if not rows.size:
             return None
         free = rows[space.hemispheres_free(centers[rows], np.full(rows.size, radius))]
@@ -170,24 +170,24 @@ class ObjectPlacer:
 
     def _scale(self, asset: Asset, draws: Draws) -> float:
         """Returns the random scale factor of an object."""
-        own, wanted = draws.factor(self._config.scale), draws.factor(self._config.size)
-        return own if self._config.own_size else 0.5 * wanted * self._space.diagonal / asset.radius
+        scale, size = draws.factor(self._config.scale), draws.factor(self._config.size)
+        return scale if self._config.own_size else 0.5 * size * self._space.diagonal / asset.radius
 
     def _rotation(self, asset: Asset, draws: Draws) -> Doubles:
         """Returns the random rotation of an object, shape (3, 3)."""
-        share, first, second = draws.units(3)
+        u1, u2, u3 = draws.units(3)
         if not self._config.upright:
-            return rotation_matrix(uniform_quaternion(share, first, second))
+            return rotation_matrix(uniform_quaternion(u1, u2, u3))
         upright = rotation_matrix(self._space.scene.upright_wxyz) @ rotation_matrix(asset.scene.upright_wxyz).T
-        return axis_rotation(self._space.up, 2.0 * math.pi * first) @ upright
+        return axis_rotation(self._space.up, 2.0 * math.pi * u2) @ upright
 
 
-def uniform_quaternion(share: float, first: float, second: float) -> Doubles:
+def uniform_quaternion(u1: float, u2: float, u3: float) -> Doubles:
     """Maps three uniform random numbers of 0..1 to a uniformly distributed random rotation (Shoemake 1992).
 
     Returns:
         A unit quaternion, scalar first, shape (4,).
     """
-    one, other = math.sqrt(1.0 - share), math.sqrt(share)
-    a, b = 2.0 * math.pi * first, 2.0 * math.pi * second
-    return np.array([other * math.cos(b), one * math.sin(a), one * math.cos(a), other * math.sin(b)])
+    r1, r2 = math.sqrt(1.0 - u1), math.sqrt(u1)
+    a, b = 2.0 * math.pi * u2, 2.0 * math.pi * u3
+    return np.array([r2 * math.cos(b), r1 * math.sin(a), r1 * math.cos(a), r2 * math.sin(b)])

@@ -59,15 +59,17 @@ class PoseSampler:
         blocked = hidden = 0
         most = 0.0
         for _ in range(_TRIES):
-            camera, wanted = self._sampled(view, draws, objects)
+            camera, target_object = self._sampled(view, draws, objects)
             if not self._is_free(camera.eye, objects):
                 blocked += 1
-            elif wanted is not None and not self._space.is_visible(camera.eye, wanted.center, wanted.radius):
+            elif target_object is not None and not self._space.is_visible(
+                camera.eye, target_object.center, target_object.radius
+            ):
                 hidden += 1
-            elif (share := self._space.surface_fraction(camera)) >= self._poses.seen:
+            elif (visible_fraction := self._space.surface_fraction(camera)) >= self._poses.seen:
                 return camera
             else:
-                most = max(most, share)
+                most = max(most, visible_fraction)
         raise SceneError(
             f"view {view}: none of {_TRIES} poses is usable: {blocked} are nearer to a surface than poses.clearance "
             f"({self._poses.clearance:g} of the diagonal), in {hidden} the target object is hidden, in the others "
@@ -78,15 +80,15 @@ class PoseSampler:
     def _sampled(self, view: int, draws: Draws, objects: Sequence[PlacedObject]) -> tuple[Camera, PlacedObject | None]:
         """Returns a random camera, and the inserted object that it looks at or None if it looks at the scene."""
         fov = math.radians(draws.between(self._poses.fov))
-        looks_at_object, which = draws.unit() < self._poses.at_objects, draws.unit()
-        wanted = objects[int(which * len(objects))] if objects and looks_at_object else None
+        looks_at_object, selector = draws.unit() < self._poses.at_objects, draws.unit()
+        target_object = objects[int(selector * len(objects))] if objects and looks_at_object else None
         if self._poses.where is PosePlaces.CAMERAS:
-            wanted = None
+            target_object = None
             eye, right, forward = self._near_camera(draws)
         elif self._poses.where is PosePlaces.INSIDE:
-            eye, right, forward = self._inside(draws, wanted)
+            eye, right, forward = self._inside(draws, target_object)
         else:
-            eye, right, forward = self._on_dome(draws, fov, wanted)
+            eye, right, forward = self._on_dome(draws, fov, target_object)
         lean = axis_rotation(forward, math.radians(draws.between((-self._poses.roll, self._poses.roll))))
         focal = self._center_of_view[1] / math.tan(0.5 * fov)
         camera = Camera(
@@ -100,26 +102,28 @@ class PoseSampler:
             near=_NEAR * self._space.diagonal,
             name=f"view_{view:06d}",
         )
-        return camera, wanted
+        return camera, target_object
 
-    def _on_dome(self, draws: Draws, fov: float, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
+    def _on_dome(
+        self, draws: Draws, fov: float, target_object: PlacedObject | None
+    ) -> tuple[Doubles, Doubles, Doubles]:
         """Returns the eye, right and forward vectors of a random camera that looks inwards from around its target.
 
         Args:
             draws: Random numbers of the view.
             fov: Vertical field of view, radians.
-            wanted: Object to look at; None looks at the scene.
+            target_object: Object to look at; None looks at the scene.
         """
         poses, space = self._poses, self._space
         azimuth, elevation = (math.radians(draws.between(ends)) for ends in (poses.azimuth, poses.elevation))
-        shares = draws.units(3) - 0.5
+        offsets = draws.units(3) - 0.5
         factor, radii = draws.between(poses.distance), draws.between(poses.object_distance)
         front = front_vector(space.up)
         level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(space.up, front)
         backward = math.cos(elevation) * level + math.sin(elevation) * space.up
-        if wanted is not None:
-            return _looking(wanted.center + radii * wanted.radius * backward, -backward, space.up)
-        target = space.middle + poses.aim * shares * (space.high - space.low)
+        if target_object is not None:
+            return _looking(target_object.center + radii * target_object.radius * backward, -backward, space.up)
+        target = space.middle + poses.aim * offsets * (space.high - space.low)
         framing = frame_camera(
             space.scene,
             azimuth=azimuth,
@@ -134,12 +138,12 @@ class PoseSampler:
         )  # single precision, as the corners of the space
         return _looking(target + factor * distance * backward, -backward, space.up)
 
-    def _inside(self, draws: Draws, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
+    def _inside(self, draws: Draws, target_object: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
         """Returns the eye, right and forward vectors of a camera at a random position in the scene's box.
 
         Args:
             draws: Random numbers of the view.
-            wanted: Object to look at; None looks in a random direction.
+            target_object: Object to look at; None looks in a random direction.
         """
         poses, space = self._poses, self._space
         eye = space.low + draws.units(3) * (space.high - space.low)
@@ -149,8 +153,8 @@ class PoseSampler:
         first, second = level_axes(space.up)
         forward = math.cos(pitch) * (math.cos(azimuth) * first + math.sin(azimuth) * second)
         forward += math.sin(pitch) * space.up
-        if wanted is not None and (distance := np.linalg.norm(wanted.center - eye)) > 0.0:
-            forward = (wanted.center - eye) / distance
+        if target_object is not None and (distance := np.linalg.norm(target_object.center - eye)) > 0.0:
+            forward = (target_object.center - eye) / distance
         return _looking(eye, forward, space.up)
 
     def _near_camera(self, draws: Draws) -> tuple[Doubles, Doubles, Doubles]:

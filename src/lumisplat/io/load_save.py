@@ -630,7 +630,7 @@ def _has_faces(header: PlyHeader) -> bool:
 
 def _in_folder(path: Path) -> Path:
     """Returns the camera file in a folder of images; returns ``path`` itself if it is a file, or has no camera file."""
-    if not os.path.isdir(path):  # also False for names that are too long
+    if not os.path.isdir(path):  # a name that is too long also gives False
         return path
     from lumisplat.io.training_images.loading import find_model
 

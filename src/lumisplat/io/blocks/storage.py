@@ -411,7 +411,7 @@ class _Writer:
         keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
         low = keys.min(axis=0)
         size = keys.max(axis=0) - low + 1
-        if math.prod(size.tolist()) <= 2**16:  # 16-bit keys sort ten times faster
+        if math.prod(size.tolist()) <= 2**16:  # 16-bit codes sort ten times faster
             offsets = keys - low
             codes = ((offsets[:, 0] * size[1] + offsets[:, 1]) * size[2] + offsets[:, 2]).astype(np.uint16)
             order = np.argsort(codes, kind="stable")

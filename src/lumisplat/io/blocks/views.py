@@ -200,7 +200,7 @@ def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], 
         steepest = max(abs(center + 0.5), abs(size + 0.5 - center)) / focal + margin
         reach = _REACH * scale * math.sqrt(1.0 + steepest * steepest)
         ends = (first - center - _DILATION_PX) / focal, (first + count - center + _DILATION_PX) / focal
-        # Valid in front of the eye. For a block partly behind it, the test is linear and so is the near plane.
+        # Exact in front of the eye. The test and the near plane are linear, so it also holds for blocks partly behind.
         outside |= (across - ends[1] * z > reach[:, None]).all(axis=1)
         outside |= (ends[0] * z - across > reach[:, None]).all(axis=1)
     nearest: Doubles = np.maximum(z.min(axis=1), near)

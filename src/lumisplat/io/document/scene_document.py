@@ -122,7 +122,7 @@ class SceneDocument:
         """Returns the entry kind of a file: ``"splats"`` if it contains only a capture, otherwise ``"meshes"``."""
         return _heading_of(Path(path))
 
-    # --- What it holds ---
+    # --- Content ---
 
     def entry(self, number: int) -> SceneEntry:
         """Returns the entry with the id ``number``.

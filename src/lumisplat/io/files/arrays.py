@@ -71,7 +71,7 @@ def checked_array(
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "fiub" or array.ndim != len(shape):
         raise ValueError(f"no array {name} of {len(shape)} axes")
-    if any(wanted not in (None, length) for wanted, length in zip(shape, array.shape, strict=True)):
+    if any(expected_length not in (None, length) for expected_length, length in zip(shape, array.shape, strict=True)):
         raise ValueError(f"{name} has the shape {array.shape}, expected {shape}")
     with np.errstate(all="ignore"):
         values = array.astype(dtype)

@@ -18,7 +18,7 @@ from lumisplat.io.files.source import PathLike
 
 try:
     import fcntl
-except ImportError:  # Windows has no such locks, so leftovers stay
+except ImportError:  # Windows has no file locks, so temporary files of killed processes stay
     fcntl = None
 
 _STEM_BYTES = 64
@@ -172,7 +172,7 @@ def _locked_file(target: Path) -> tuple[Path, int]:
         lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         if fcntl is None:
             return temporary, lock
-        with suppress(OSError):  # no locks on some network file systems, where leftovers stay, too
+        with suppress(OSError):  # some network file systems have no locks, so temporary files stay there, too
             fcntl.flock(lock, fcntl.LOCK_EX)
         if os.fstat(lock).st_nlink:
             return temporary, lock

@@ -117,7 +117,7 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         cx=0.5 * width,
         cy=0.5 * height,
         camera_from_world=pose,
-        near=getattr(lens, "znear", None) or NEAR_PLANE,  # orthographic cameras may have 0
+        near=getattr(lens, "znear", None) or NEAR_PLANE,  # orthographic cameras may have a near plane of 0
         name=name,
         model=model,
         **{name: extras[name] for name in extras if name not in ("width", "height")},

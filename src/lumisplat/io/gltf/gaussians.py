@@ -328,7 +328,7 @@ class GltfCaptures:
             stretch[:3, :3] = (v.T * factors) @ v
             world_from_node = world_from_node.copy()
             world_from_node[:3, :3] = u @ v
-            stretch = np.round(stretch, 9) + 0.0  # equal for all rotations of the node
+            stretch = np.round(stretch, 9) + 0.0  # rounded, so that it is equal for all rotations of the node
             gaussians = self._stretched_capture(gaussians, CAPTURE_FROM_FILE @ stretch @ CAPTURE_FROM_FILE)
         settings = instance_settings(lumisplat_extras(self.file.model.nodes[index]))
         return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)

@@ -324,10 +324,10 @@ def usable_colors(path: PathLike, colors: FloatArray, material: Material, name: 
     black = float((colors.max(axis=1) < RIG_BLACK_COLOR).mean())
     if black <= RIG_BLACK_FRACTION:
         return colors
-    share, is_textured = round(100.0 * black), material.base_color_texture is not None
+    percentage, is_textured = round(100.0 * black), material.base_color_texture is not None
     line = "%s: COLOR_0 makes %d %% of the vertices of %r black: "
     line += "the mesh has a texture, and COLOR_0 is left out" if is_textured else f"if it is no colour, {advice}"
-    _log.warning(line, path, share, name)
+    _log.warning(line, path, percentage, name)
     return None if is_textured else colors
 
 

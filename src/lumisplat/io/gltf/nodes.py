@@ -288,8 +288,8 @@ def _known_settings(stored: dict[str, Any] | None, names: Iterable[str]) -> dict
 
 def _non_default_fields(item: Any, names: Iterable[str]) -> dict[str, Any]:
     """Returns the named fields that differ from their defaults, as JSON values."""
-    wanted = set(names)
-    values = {field: getattr(item, field.name) for field in fields(item) if field.name in wanted}
+    selected = set(names)
+    values = {field: getattr(item, field.name) for field in fields(item) if field.name in selected}
     return {
         field.name: list(cast("tuple[Any, ...]", value)) if isinstance(value, tuple) else value
         for field, value in values.items()

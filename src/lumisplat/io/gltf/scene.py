@@ -126,14 +126,16 @@ def holds_one_capture(path: PathLike) -> bool:
         with parsing(path, "a glTF file"):
             file = GltfFile(Path(path))
             nodes = [file.model.nodes[index] for index in scene_nodes(file)]
-            shown = [primitive for node in nodes if node.mesh is not None for primitive in _primitives(file, node.mesh)]
+            visible_primitives = [
+                primitive for node in nodes if node.mesh is not None for primitive in _primitives(file, node.mesh)
+            ]
             has_lights_or_cameras = any(LIGHTS in (node.extensions or {}) or node.camera is not None for node in nodes)
             more = (
                 has_lights_or_cameras
                 or _has_settings(file, scene_nodes(file))
                 or any(INSTANCING in (n.extensions or {}) for n in nodes)
             )
-            return len(shown) == 1 and holds_gaussians(shown[0]) and not more
+            return len(visible_primitives) == 1 and holds_gaussians(visible_primitives[0]) and not more
     except LumisplatError:
         return False
 

@@ -416,7 +416,7 @@ def plain_value(value: object) -> Any:
 
 def toml_text(values: Mapping[str, Any]) -> str:
     """Formats a document: values first, then tables, then arrays of tables. Arrays of numbers stay on one line."""
-    import tomlkit  # takes 20 ms, which readers do not need
+    import tomlkit  # takes 20 ms to import, and reading does not need it
 
     return tomlkit.dumps(plain_value(values))
 

@@ -78,9 +78,9 @@ class MaterialColumns:
         if name not in self.sigmoids:
             return values
         factor, offset = self.sigmoids[name]
-        with np.errstate(divide="ignore"):  # values at the limits
-            share = np.clip((values.astype(np.float64) - offset) / factor, 0.0, 1.0)
-            logits = np.log(share) - np.log1p(-share)
+        with np.errstate(divide="ignore"):  # values at the limits become infinite logits
+            fraction = np.clip((values.astype(np.float64) - offset) / factor, 0.0, 1.0)
+            logits = np.log(fraction) - np.log1p(-fraction)
         return np.clip(logits, -LOGIT_MAX, LOGIT_MAX).astype(np.float32)
 
     def limits(self, name: str) -> tuple[np.float32, np.float32]:
@@ -372,7 +372,7 @@ def _rows_to_keep(
     return ~invalid
 
 
-@np.errstate(all="ignore")  # as in `gaussians_from_columns`
+@np.errstate(all="ignore")  # overflows and signalling NaN count as invalid
 def invalid_rows(columns: SplatColumns) -> tuple[npt.NDArray[np.bool_], str]:
     """Returns a mask that is True for each invalid Gaussian, shape (N,), and a text that describes their problems."""
     invalid, problems = _invalid_rows(columns, _linear_scales(columns))
@@ -454,7 +454,7 @@ def _logits(opacities: Floats) -> Floats:
     return np.clip(np.log(opacities) - np.log1p(-opacities), -LOGIT_MAX, LOGIT_MAX)
 
 
-@np.errstate(divide="ignore")  # logits of 0 and 1
+@np.errstate(divide="ignore")  # the logits of 0 and 1 are infinite
 def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Callable[[Floats], Floats]) -> FloatArray:
     """Finds float32 numbers that decode to ``values`` bit for bit, or as closely as possible.
 

@@ -59,7 +59,7 @@ def orientation_values(up: Vector | None, view: Camera | None) -> dict[str, Any]
             "target": _rounded(view.eye + view.focus_distance * forward),
             "up": _rounded(-down),
             "fov_y": _rounded([view.fov_y])[0],
-            "width": max(1, round(view.width * view.fy / view.fx)),  # for square pixels
+            "width": max(1, round(view.width * view.fy / view.fx)),  # the width with square pixels
             "height": view.height,
         }
     return values
@@ -81,7 +81,7 @@ def orientation_of(path: PathLike, values: object) -> Orientation:
             _log.warning("%s: %s: not used", os.fspath(path), error)
     if "first_view" in stated:
         try:
-            with np.errstate(all="ignore"):  # huge numbers are refused
+            with np.errstate(all="ignore"):  # an overflow makes the camera invalid
                 view = _view_of(stated["first_view"])
         except (SceneError, KeyError, TypeError, ValueError, OverflowError) as error:
             _log.warning("%s: its first view is not used: %s", os.fspath(path), _reason(error))

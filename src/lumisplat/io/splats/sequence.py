@@ -28,7 +28,7 @@ def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians
         return frame
 
     sequence = GaussianSequence(_frame_paths(folder), fps, load_frame)
-    sequence.at(0.0)  # raises errors that all frames share now
+    sequence.at(0.0)  # reports an error that all frames have before rendering begins
     return sequence
 
 

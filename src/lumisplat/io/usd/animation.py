@@ -152,7 +152,7 @@ def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles,
     try:
         for transform in transforms:
             check_similarity(transform[:3, :3])
-    except SceneError:  # keep the first transform fixed, and animate the rest
+    except SceneError:  # keep the first transform fixed, and animate the motion relative to it
         rest = transforms[0]
         transforms = np.asarray(transforms @ np.linalg.inv(rest), np.float64)
     motion = Keyframes(seconds, transforms[:, :3, 3], *_rotations_and_scales(file, prim, transforms))

@@ -237,8 +237,8 @@ def _normals(file: UsdFile, prim: Any) -> Attribute | None:
     if found is not None:
         return found
     values = array(file, prim, "normals", 3)
-    how = str(pxr().UsdGeom.PointBased(prim).GetNormalsInterpolation())
-    return None if values is None else Attribute(values, how, f"{prim.GetPath()}.normals")
+    interpolation_name = str(pxr().UsdGeom.PointBased(prim).GetNormalsInterpolation())
+    return None if values is None else Attribute(values, interpolation_name, f"{prim.GetPath()}.normals")
 
 
 def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | None:

@@ -73,9 +73,9 @@ def _holds_one_capture(path: Path) -> bool:
     """Looks for a single particle field in the current process; see `holds_one_capture`."""
     with reading_usd(path):
         file = open_usd(path)
-        shown = [one.prim for one in placed_prims(file) if one.visible and not one.is_degenerate]
-        fields = [one for one in shown if is_field(one)]
-        others = (is_light(one) or UsdMeshes.reads(one) or str(one.GetTypeName()) == "Camera" for one in shown)
+        visible_prims = [one.prim for one in placed_prims(file) if one.visible and not one.is_degenerate]
+        fields = [one for one in visible_prims if is_field(one)]
+        others = (is_light(one) or UsdMeshes.reads(one) or str(one.GetTypeName()) == "Camera" for one in visible_prims)
         if len(fields) != 1 or any(others):
             return False
         return not (_settings(fields[0]) or UsdMaterials(file).bound_to(fields[0], remark=False))

@@ -260,7 +260,7 @@ def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
     """Reads the bytes of an asset, a file of its own or an uncompressed entry of a .usdz package."""
     ar, name = pxr().Ar, asset_name(asset)
     found = str(getattr(asset, "resolvedPath", "")) or name
-    if found == name and file.path.suffix.lower() == ".usdz":  # unresolved: look into the package itself
+    if found == name and file.path.suffix.lower() == ".usdz":  # a path that is not resolved may lie in the package
         found = ar.JoinPackageRelativePath([os.fspath(file.path), os.path.normpath(name)])
     if not ar.IsPackageRelativePath(found):
         return read_reference(file.path, found)
