@@ -78,7 +78,7 @@ def test_diagnosis_reports_kernels_that_fail_to_compile_or_run(monkeypatch: pyte
 def test_diagnosis_reports_an_unusable_kernel_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     """A cache that is a file, or a nearly full disk, is reported with path, reason and advice."""
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(diagnostics, "_trial", lambda _: None)
+    monkeypatch.setattr(diagnostics, "_kernel_problem", lambda _: None)
     with monkeypatch.context() as patch:
         patch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file" / "kernels"))
         assert any(

@@ -52,7 +52,7 @@ Gaussians whose density varies a thousandfold."""
 REBUILD_COST = 1.5
 """Growth of a refitted BVH's cost, relative to its root's surface area, that triggers a rebuild."""
 
-STRAY_SHARE = 0.01
+OUTLIER_SHARE = 0.01
 """Fraction of the Gaussians at each end of an axis that a capture's extent ignores, so that outliers do not stretch
 it.
 """
@@ -317,7 +317,7 @@ RADIANCE_LEAST = 1e-4
 GAUSSIANS_LEAST = 64
 """Fewest Gaussians that can form a surface."""
 
-OPACITY_SEEN = 0.1
+SURFACE_OPACITY_MIN = 0.1
 """Smallest opacity of the Gaussians that form a surface."""
 
 SURFACE_DEPTH_EXTENT, SURFACE_DEPTH_SCALES = 0.02, 2.0
@@ -345,7 +345,7 @@ DAMPING_START, DAMPING_MAX = 1e-3, 1e4
 
 # --- Materials and light from images (docs/method/relightable.md) ---
 
-SKY_CHUNK = 128
+ENVIRONMENT_CHUNK = 128
 """Gaussians whose gradients with respect to the environment one thread sums."""
 
 SPREAD_SHARE = 0.3

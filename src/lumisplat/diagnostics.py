@@ -137,8 +137,8 @@ def diagnose() -> Diagnosis:
         The findings. Problems are reported in it, and never raised.
     """
     cache = _cache()
-    with _room_for_kernels(cache):
-        devices = tuple(_tried(device) for device in wp.get_devices())
+    with _writable_cache(cache):
+        devices = tuple(_tested_device(device) for device in wp.get_devices())
     return Diagnosis(
         version=metadata.version(_DISTRIBUTION),
         python=f"{platform.python_version()}, {sys.executable}",
@@ -153,7 +153,7 @@ def diagnose() -> Diagnosis:
 
 
 @contextlib.contextmanager
-def _room_for_kernels(cache: CacheFacts) -> Generator[None]:
+def _writable_cache(cache: CacheFacts) -> Generator[None]:
     """Uses a temporary kernel cache if the real one cannot be written, so that devices are tested all the same."""
     if cache.problem is None:
         yield
@@ -168,10 +168,10 @@ def _room_for_kernels(cache: CacheFacts) -> Generator[None]:
             wp.config.kernel_cache_dir = before
 
 
-def _tried(device: Any) -> DeviceFacts:
+def _tested_device(device: Any) -> DeviceFacts:
     """Tests a device by running a kernel on it, and describes it."""
     try:
-        problem = _trial(device)
+        problem = _kernel_problem(device)
     except (LumisplatError, OSError) as error:
         problem = " ".join(str(error).split())
     except Exception as error:  # Warp raises bare exceptions for whatever a driver or a compiler says
@@ -190,7 +190,7 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _trial(device: Any) -> str | None:
+def _kernel_problem(device: Any) -> str | None:
     """Runs a kernel that squares numbers; returns what is wrong with the results, or None."""
     launcher = Launcher(device.alias)
     launcher.load([trial_kernels])
@@ -241,11 +241,11 @@ def _packages(extra: str) -> tuple[PackageFacts, ...]:
     from packaging.requirements import Requirement
 
     found: list[PackageFacts] = []
-    for line in metadata.requires(_DISTRIBUTION) or []:
-        needed = Requirement(line)
+    for requirement in metadata.requires(_DISTRIBUTION) or []:
+        needed = Requirement(requirement)
         is_general = needed.marker is None or needed.marker.evaluate({"extra": ""})
-        is_asked = needed.marker is None or needed.marker.evaluate({"extra": extra})
-        if needed.name == _DISTRIBUTION or not is_asked or (extra and is_general):
+        is_required = needed.marker is None or needed.marker.evaluate({"extra": extra})
+        if needed.name == _DISTRIBUTION or not is_required or (extra and is_general):
             continue
         try:
             installed = metadata.version(needed.name)

@@ -256,14 +256,14 @@ _RENAMED = {"lamps": "points", "lamp_lux": "point_lux", "sky": "ambient", "sky_s
 """Former names of settings, with the present ones."""
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
+def suggestion(name: str, names: Iterable[str]) -> str:
     """Returns what an unknown name is called now, or a question with the most similar one; else lists all names."""
-    known = list(known)
-    if _RENAMED.get(name) in known:
+    names = list(names)
+    if _RENAMED.get(name) in names:
         return f"it is called {_RENAMED[name]!r} now"
-    near = difflib.get_close_matches(name, known, n=1)
-    near = near or [one for one in known if len(name) > 2 and one.startswith(name)]
-    return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
+    near = difflib.get_close_matches(name, names, n=1)
+    near = near or [one for one in names if len(name) > 2 and one.startswith(name)]
+    return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(names)}"
 
 
 def quoted(value: object) -> str:

@@ -277,14 +277,14 @@ def _setting(one: Any, hint: Any, text: str) -> Setting:
 def _declared(hint: Any) -> tuple[Any, Range | OneOf | None, bool]:
     """Returns the plain type of a hint, its limits, and whether None is accepted."""
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    rest = [option for option in options if option is not types.NoneType]
+    plain_types = [option for option in options if option is not types.NoneType]
     limits = None
-    if len(rest) == 1 and get_origin(rest[0]) is Annotated:
-        base, *extras = get_args(rest[0])
+    if len(plain_types) == 1 and get_origin(plain_types[0]) is Annotated:
+        base, *extras = get_args(plain_types[0])
         limits = next((extra for extra in extras if isinstance(extra, Range | OneOf)), None)
         inner, _, is_optional = _declared(base)
-        return inner, limits, is_optional or len(rest) < len(options)
-    return (rest[0] if len(rest) == 1 else hint), limits, len(rest) < len(options)
+        return inner, limits, is_optional or len(plain_types) < len(options)
+    return (plain_types[0] if len(plain_types) == 1 else hint), limits, len(plain_types) < len(options)
 
 
 _KINDS: dict[Any, Kind] = {

@@ -53,9 +53,9 @@ def mime_bundle(
         exclude: MIME types that the notebook refuses; None: none.
     """
     mime = mime_type(pixels)
-    wanted = [kind for kind in (mime, "text/plain") if (not include or kind in include) and kind not in (exclude or ())]
-    data = {"text/plain": text} if "text/plain" in wanted else {}
-    if mime not in wanted:
+    kinds = [kind for kind in (mime, "text/plain") if (not include or kind in include) and kind not in (exclude or ())]
+    data = {"text/plain": text} if "text/plain" in kinds else {}
+    if mime not in kinds:
         return data, {}
     picture = base64.b64encode(encoded(pixels, mime)).decode("ascii")
     return {mime: picture} | data, {mime: {"width": pixels.shape[1], "height": pixels.shape[0]}}

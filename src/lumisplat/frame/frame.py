@@ -381,16 +381,16 @@ class Frame(FrameData):
     def _warn_of_nonfinite(self, path: str | os.PathLike[str], layers: Collection[str]) -> None:
         """Warns how many saved pixels are not finite, and how many samples the renderer left out for that reason."""
         encoded_finite = _PICTURE in self._fetches() and self._picture().dtype == np.uint8
-        bad = np.zeros(self.camera.image_size[::-1], bool) if encoded_finite else ~self._finite()
+        nonfinite = np.zeros(self.camera.image_size[::-1], bool) if encoded_finite else ~self._finite()
         fields = [name for name in RADIANCE if name in layers or ("lights" in layers and name.startswith("light_"))]
         for name in fields:
             values: FloatArray | None = getattr(self, name)
             if values is not None:
-                per_light = values.reshape(-1, *bad.shape, 1 if name in ("hits", "history") else 3)
-                bad |= ~np.isfinite(per_light).all(axis=(0, 3))
-        if count := np.count_nonzero(bad):
-            fate = "stored as they are" if Path(path).suffix.lower() == ".npz" else "black"
-            _log.warning("%s: %d pixels are not finite and are %s in the file", os.fspath(path), count, fate)
+                per_light = values.reshape(-1, *nonfinite.shape, 1 if name in ("hits", "history") else 3)
+                nonfinite |= ~np.isfinite(per_light).all(axis=(0, 3))
+        if count := np.count_nonzero(nonfinite):
+            stored_as = "stored as they are" if Path(path).suffix.lower() == ".npz" else "black"
+            _log.warning("%s: %d pixels are not finite and are %s in the file", os.fspath(path), count, stored_as)
         if self.stats and self.stats.nonfinite_count:
             count = self.stats.nonfinite_count
             _log.warning(

@@ -68,8 +68,8 @@ class LightLayers(NamedTuple):
 
 def present_layers(frame: FrameData) -> tuple[str, ...]:
     """Returns the layers that ``frame`` has, in the order of `LAYERS`."""
-    asked = (*AOVS, _MATTE)
-    return tuple(layer for layer in LAYERS if layer not in asked or frame.has(_field(layer)))
+    requestable = (*AOVS, _MATTE)
+    return tuple(layer for layer in LAYERS if layer not in requestable or frame.has(_field(layer)))
 
 
 def layer_names(layers: object) -> tuple[str, ...]:
@@ -89,10 +89,14 @@ def check_layer(frame: FrameData, layer: str) -> None:
     if layer not in LAYERS:
         raise ConfigError(f"unknown layer '{layer}', expected some of {', '.join(LAYERS)}")
     if layer not in present_layers(frame):
-        wanted = _field(layer) if layer == _MATTE else layer
-        asked = frame.config is not None and wanted in frame.config.aovs
-        name = "it" if wanted == layer else f"'{wanted}'"
-        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else f"add {name} to RenderConfig.aovs"
+        aov = _field(layer) if layer == _MATTE else layer
+        is_requested = frame.config is not None and aov in frame.config.aovs
+        name = "it" if aov == layer else f"'{aov}'"
+        why = (
+            "only lit frames have it (RenderConfig.lighting=True)"
+            if is_requested
+            else f"add {name} to RenderConfig.aovs"
+        )
         raise ConfigError(f"the frame has no '{layer}': {why}")
 
 

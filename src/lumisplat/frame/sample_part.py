@@ -146,9 +146,9 @@ class _Merger:
             self._sums[name] += values
         self._sums["squares"] += between
         for name, means in _means(part).items():
-            held = self._means[name]
-            self._means[name] = np.where(before > 0.0, held, 0.0) + np.where(
-                more > 0.0, (means - np.where(before > 0.0, held, 0.0)) * share, 0.0
+            mean = self._means[name]
+            self._means[name] = np.where(before > 0.0, mean, 0.0) + np.where(
+                more > 0.0, (means - np.where(before > 0.0, mean, 0.0)) * share, 0.0
             )
         self._count = self._count + _counts(part)
         self._end += part.count

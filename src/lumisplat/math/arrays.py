@@ -211,8 +211,8 @@ def weighted_quantile(values: Doubles, weights: Doubles, share: float) -> float:
             ignored.
         share: Fraction 0..1; 0 gives the smallest value, 1 the largest.
     """
-    kept = weights > 0.0
-    order = np.argsort(values[kept], kind="stable")
-    ordered, counted = values[kept][order], weights[kept][order]
+    is_weighted = weights > 0.0
+    order = np.argsort(values[is_weighted], kind="stable")
+    ordered, counted = values[is_weighted][order], weights[is_weighted][order]
     below: Doubles = np.cumsum(counted) - 0.5 * counted
     return float(np.interp(float(below[0] + share * (below[-1] - below[0])), below, ordered))

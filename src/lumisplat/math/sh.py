@@ -40,9 +40,9 @@ def sh_basis(directions: npt.ArrayLike, degree: int, dtype: type[np.floating] = 
 
 def even_directions(count: int) -> npt.NDArray[np.float64]:
     """Returns unit directions spread evenly over the sphere (Fibonacci lattice), shape (count, 3)."""
-    turns = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * turns / count
-    angle, ring = np.pi * (1.0 + np.sqrt(5.0)) * turns, np.sqrt(1.0 - z * z)
+    steps = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * steps / count
+    angle, ring = np.pi * (1.0 + np.sqrt(5.0)) * steps, np.sqrt(1.0 - z * z)
     return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
 
 

@@ -110,8 +110,8 @@ def lit_picture(
     """
     captured, weight, light = (np.asarray(values, np.float32) for values in (captured, weight, light))
     result = np.array(captured)
-    whole = weight >= 1.0 - WEIGHT_ROUNDING
-    changed = ~whole | (light != 0.0).any(axis=-1) if exposure == 0.0 else np.ones_like(whole)
+    is_covered = weight >= 1.0 - WEIGHT_ROUNDING
+    changed = ~is_covered | (light != 0.0).any(axis=-1) if exposure == 0.0 else np.ones_like(is_covered)
     radiance, gain = captured_radiance(captured[changed], weight[changed]), np.float32(exposure_gain(exposure))
     with np.errstate(over="ignore"):  # what overflows is clipped
         lit, before = (np.clip(gain * part, 0.0, RADIANCE_MAX) for part in (radiance + light[changed], radiance))
@@ -130,9 +130,9 @@ def _neutral(light: _Light) -> _Light:
     least = np.minimum(light.min(axis=-1, keepdims=True), 2.0 * NEUTRAL_TOE)
     color = light - (least - least**2 / (4.0 * NEUTRAL_TOE))
     peak = color.max(axis=-1, keepdims=True)
-    room = 1.0 - NEUTRAL_START
+    headroom = 1.0 - NEUTRAL_START
     bright = np.maximum(peak, NEUTRAL_START)
-    compressed = 1.0 - room**2 / (bright + room - NEUTRAL_START)
+    compressed = 1.0 - headroom**2 / (bright + headroom - NEUTRAL_START)
     saturation = 1.0 / (NEUTRAL_DESATURATION * (bright - compressed) + 1.0)
     highlight: _Light = compressed + saturation * (color * (compressed / bright) - compressed)
     result: _Light = np.where(peak < NEUTRAL_START, color, highlight)
@@ -187,9 +187,9 @@ def remove_tone_map(display: npt.ArrayLike, tone_map: ToneMap) -> Doubles:
 def _without_neutral(shown: npt.NDArray[np.floating]) -> Doubles:
     """Inverts `_neutral`: returns the linear light of linear display values."""
     peak = np.minimum(shown.max(axis=-1, keepdims=True), _WHITE)
-    room = 1.0 - NEUTRAL_START
+    headroom = 1.0 - NEUTRAL_START
     bright = np.maximum(peak, NEUTRAL_START)
-    before = room**2 / (1.0 - bright) - room + NEUTRAL_START
+    before = headroom**2 / (1.0 - bright) - headroom + NEUTRAL_START
     saturation = 1.0 / (NEUTRAL_DESATURATION * (before - bright) + 1.0)
     color = (bright + (shown - bright) / saturation) * (before / bright)
     color = np.where(peak < NEUTRAL_START, shown, color)

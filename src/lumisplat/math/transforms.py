@@ -134,8 +134,8 @@ def rigid_from_twist(twist: npt.ArrayLike) -> Doubles:
     Args:
         twist: Rotation vector in radians, then velocity, shape (6,).
     """
-    turn, velocity = np.split(np.asarray(twist, np.float64), 2)
-    cross, angle = cross_matrix(turn), float(np.linalg.norm(turn))
+    rotation_vector, velocity = np.split(np.asarray(twist, np.float64), 2)
+    cross, angle = cross_matrix(rotation_vector), float(np.linalg.norm(rotation_vector))
     first, second, third = _series(angle)
     motion = np.eye(4)
     motion[:3, :3] += first * cross + second * cross @ cross
@@ -152,10 +152,10 @@ def twist_from_rigid(motion: npt.ArrayLike) -> Doubles:
     )
     angle = math.atan2(float(np.linalg.norm(skew)), 0.5 * (float(np.trace(rotation)) - 1.0))
     first, second, third = _series(angle)
-    turn = skew / first
-    cross = cross_matrix(turn)
+    rotation_vector = skew / first
+    cross = cross_matrix(rotation_vector)
     of_velocity = np.eye(3) + second * cross + third * cross @ cross
-    return np.asarray(np.concatenate([turn, np.linalg.solve(of_velocity, offset)]), np.float64)
+    return np.asarray(np.concatenate([rotation_vector, np.linalg.solve(of_velocity, offset)]), np.float64)
 
 
 def _series(angle: float) -> tuple[float, float, float]:

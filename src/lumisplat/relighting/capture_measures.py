@@ -20,9 +20,9 @@ from lumisplat.constants import (
     GAUSSIANS_LEAST,
     ISOTROPIC_RATIO,
     ISOTROPIC_SHARE_MAX,
-    OPACITY_SEEN,
     SURFACE_DEPTH_EXTENT,
     SURFACE_DEPTH_SCALES,
+    SURFACE_OPACITY_MIN,
 )
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, three_numbers
@@ -99,7 +99,7 @@ def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> Surf
         seed: Seed of the rays.
     """
     least, middle, largest = np.sort(gaussians.scales.astype(np.float64), axis=1).T
-    areas = np.where(gaussians.opacities >= OPACITY_SEEN, middle * largest * gaussians.opacities, 0.0)
+    areas = np.where(gaussians.opacities >= SURFACE_OPACITY_MIN, middle * largest * gaussians.opacities, 0.0)
     weights = areas / areas.sum()
     has_normals = gaussians.normals is not None
     return SurfaceMeasure(
@@ -123,7 +123,7 @@ def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
         SceneError: ``gaussians`` is not a `Gaussians`.
     """
     check_argument("surface_remark", gaussians, Gaussians, "Gaussians")
-    visible = np.count_nonzero(gaussians.opacities >= OPACITY_SEEN)
+    visible = np.count_nonzero(gaussians.opacities >= SURFACE_OPACITY_MIN)
     if visible < GAUSSIANS_LEAST or not np.ptp(gaussians.means, axis=0).any():
         return None
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device)

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from lumisplat.config import DelightConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.constants import GAUSSIANS_LEAST, OPACITY_SEEN, RADIANCE_LEAST
+from lumisplat.constants import GAUSSIANS_LEAST, RADIANCE_LEAST, SURFACE_OPACITY_MIN
 from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import write_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_view
@@ -148,11 +148,11 @@ def estimate_materials(
     config = config or DelightConfig()
     check_argument("delight", gaussians, Gaussians, "Gaussians")
     check_kind("config", config, DelightConfig)
-    visible = int(np.count_nonzero(gaussians.opacities >= OPACITY_SEEN))
+    visible = int(np.count_nonzero(gaussians.opacities >= SURFACE_OPACITY_MIN))
     if visible < GAUSSIANS_LEAST:
         raise SceneError(
             f"no surface to estimate materials of: {visible} of {gaussians.count} Gaussians have an opacity of at "
-            f"least {OPACITY_SEEN}, expected {GAUSSIANS_LEAST} or more"
+            f"least {SURFACE_OPACITY_MIN}, expected {GAUSSIANS_LEAST} or more"
         )
     if gaussians.albedo is not None:
         _log.warning("the albedo of the capture is replaced by one estimated from its captured colours")

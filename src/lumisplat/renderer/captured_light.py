@@ -131,6 +131,6 @@ def _are_same_captures(now: tuple[SplatInstance, ...], before: tuple[SplatInstan
 
 
 @cache
-def _warn_once(line: str) -> None:
+def _warn_once(message: str) -> None:
     """Logs a warning once per process, however many renderers are created."""
-    _log.warning("%s", line)
+    _log.warning("%s", message)

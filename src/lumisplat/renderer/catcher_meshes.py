@@ -66,8 +66,11 @@ def catcher_config(config: RenderConfig) -> RenderConfig:
 def catcher_scenes(scene: Scene) -> list[Scene]:
     """Returns scenes that need the same kernels as `with_caught_shadows`, so that these can be compiled in advance."""
     added, catchers = _added(scene), tuple(one for one in scene.meshes if one.shadow_catcher)
-    bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
-    return [bare, replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes))]
+    without_objects = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
+    return [
+        without_objects,
+        replace(added, lights=without_objects.lights, meshes=(*added.meshes, *without_objects.meshes)),
+    ]
 
 
 def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_ratio: bool) -> Frame:
@@ -82,15 +85,22 @@ def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_r
     assert frame.captured is not None and frame.captured_weight is not None and frame.light is not None
     catchers = tuple(one for one in scene.meshes if one.shadow_catcher)
     added = _added(scene)
-    bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
-    seen, lit = render(bare), render(replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes)))
-    there = (seen.instance_index >= 0) & ~_is_in_front(frame, scene, seen)
-    caught = there & (lit.instance_index >= len(added.splats) + len(added.meshes)) & (seen.color > 0.0).any(axis=2)
-    ratio = np.ones_like(seen.color)
-    known = caught[..., None] & (seen.color > 0.0)  # a light may have no red, green or blue
-    ratio[known] = lit.color[known] / seen.color[known]
-    ratio = np.where(there[..., None], _dilated(ratio, caught), np.float32(1.0))
-    reflected = np.where(there[..., None], _reflections(scene, added, catchers, render), np.float32(0.0))
+    without_objects = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
+    unshadowed, shadowed = (
+        render(without_objects),
+        render(replace(added, lights=without_objects.lights, meshes=(*added.meshes, *without_objects.meshes))),
+    )
+    shows_catcher = (unshadowed.instance_index >= 0) & ~_is_in_front(frame, scene, unshadowed)
+    caught = (
+        shows_catcher
+        & (shadowed.instance_index >= len(added.splats) + len(added.meshes))
+        & (unshadowed.color > 0.0).any(axis=2)
+    )
+    ratio = np.ones_like(unshadowed.color)
+    is_defined = caught[..., None] & (unshadowed.color > 0.0)  # a light may have no red, green or blue
+    ratio[is_defined] = shadowed.color[is_defined] / unshadowed.color[is_defined]
+    ratio = np.where(shows_catcher[..., None], _dilated(ratio, caught), np.float32(1.0))
+    reflected = np.where(shows_catcher[..., None], _reflections(scene, added, catchers, render), np.float32(0.0))
     captured = captured_radiance(frame.captured, frame.captured_weight)
     clear = 1.0 - frame.alpha if frame.background is None else np.zeros_like(frame.alpha)
     shown = np.clip(frame.captured_weight + clear, 0.0, 1.0)[..., None]
@@ -114,8 +124,8 @@ def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
     first, index = len(scene.splats), frame.instance_index
     if len(numbers) == 0:
         return frame
-    seen = numbers[np.clip(index - first, 0, len(numbers) - 1)]
-    return replace(frame, instance_index=np.where(index >= first, first + seen, index).astype(np.int32))
+    shown = numbers[np.clip(index - first, 0, len(numbers) - 1)]
+    return replace(frame, instance_index=np.where(index >= first, first + shown, index).astype(np.int32))
 
 
 def _added(scene: Scene) -> Scene:
@@ -183,39 +193,39 @@ def _without_diffuse(material: object) -> MaterialPbr:
     return replace(material, base_color=color, base_color_texture=None, emissive=0.0, transmission=0.0)
 
 
-def _is_in_front(frame: Frame, scene: Scene, seen: Frame) -> Flags:
+def _is_in_front(frame: Frame, scene: Scene, catchers: Frame) -> Flags:
     """Returns a mask of the pixels whose captured surface is in front of the catcher, shape (H, W).
 
     The surface counts as in front if its distance from the catcher exceeds the thickness of its Gaussians.
     """
-    height = ((frame.position - seen.position) * seen.normal).sum(axis=2)
+    height = ((frame.position - catchers.position) * catchers.normal).sum(axis=2)
     thickness = np.zeros_like(height)
     for number, splats in enumerate(scene.splats):
         at = (frame.instance_index == number) & (frame.gaussian_index >= 0)
         largest = splats.gaussians.scales[frame.gaussian_index[at]].max(axis=1) * splats.scale
         thickness[at] = _offset(frame) * largest
     is_captured = np.isfinite(frame.depth) & (frame.instance_index < len(scene.splats))
-    return is_captured & (frame.depth < seen.depth) & (height > thickness)
+    return is_captured & (frame.depth < catchers.depth) & (height > thickness)
 
 
 def _offset(frame: Frame) -> float:
     return (frame.config or RenderConfig()).shadow_rays.offset
 
 
-def _dilated(image: FloatArray, known: Flags) -> FloatArray:
-    """Extends an image by `CATCHER_FILL_PX` beyond the pixels in ``known``, with the mean of neighbouring pixels."""
-    values, known = np.where(known[..., None], image, np.float32(0.0)), known.copy()
+def _dilated(image: FloatArray, is_defined: Flags) -> FloatArray:
+    """Extends an image by `CATCHER_FILL_PX` beyond pixels in ``is_defined``, with the mean of neighbouring pixels."""
+    values, is_defined = np.where(is_defined[..., None], image, np.float32(0.0)), is_defined.copy()
     filled = image.copy()
     for _ in range(CATCHER_FILL_PX):
-        counts = _around(known.astype(np.float32)[..., None])
-        means = _around(values) / np.maximum(counts, 1.0)
-        fresh = ~known & (counts[..., 0] > 0.0)
+        counts = _neighborhood_sum(is_defined.astype(np.float32)[..., None])
+        means = _neighborhood_sum(values) / np.maximum(counts, 1.0)
+        fresh = ~is_defined & (counts[..., 0] > 0.0)
         values[fresh] = filled[fresh] = means[fresh]
-        known |= fresh
+        is_defined |= fresh
     return filled
 
 
-def _around(image: FloatArray) -> FloatArray:
+def _neighborhood_sum(image: FloatArray) -> FloatArray:
     """Returns the sum over the 3 x 3 pixels around each pixel."""
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
     return np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1)).sum(axis=(3, 4), dtype=np.float32)

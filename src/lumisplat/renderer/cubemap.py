@@ -122,9 +122,9 @@ def face_pixels(directions: Doubles, face_px: int) -> IntArray:
     Returns:
         Row in `CubeFaces` of each direction's pixel, shape (N,).
     """
-    seen = np.stack([directions @ camera.camera_from_world[:3, :3].T for camera in _cube(face_px).cameras])
-    face = np.argmax(seen[:, :, 2], axis=0)
-    x, y, z = seen[face, np.arange(len(directions))].T
+    in_view = np.stack([directions @ camera.camera_from_world[:3, :3].T for camera in _cube(face_px).cameras])
+    face = np.argmax(in_view[:, :, 2], axis=0)
+    x, y, z = in_view[face, np.arange(len(directions))].T
     column, row = (np.clip((0.5 + 0.5 * axis / z) * face_px, 0, face_px - 1).astype(np.int32) for axis in (x, y))
     return (face * face_px + row) * face_px + column
 

@@ -210,21 +210,25 @@ class _DeepTracer:
         depth = self._depths(traced, pixel, profile.t)
         weight = (in_front - profile.transmittance).astype(np.float32)
         gaussians = _Layers(pixel, depth, weight, weight[:, None] * color, np.zeros(len(pixel), bool))
-        left = np.ones(len(ray_indices), np.float32)
+        transmittance = np.ones(len(ray_indices), np.float32)
         ends = np.flatnonzero(np.diff(profile.first))
-        left[ends] = profile.transmittance[profile.first[ends + 1] - 1]
-        left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray ended in front of the mesh
-        behind = [gaussians, *(self._light_layers(light, traced, pixel) for light in self._area_lights)]
+        transmittance[ends] = profile.transmittance[profile.first[ends + 1] - 1]
+        transmittance[transmittance <= self._gaussians.config.trace.transmittance_min] = (
+            0.0  # the ray ended in front of the mesh
+        )
+        layers = [gaussians, *(self._light_layers(light, traced, pixel) for light in self._area_lights)]
         if self._scene.meshes:
-            behind.append(self._mesh_layers(traced, left))
+            layers.append(self._mesh_layers(traced, transmittance))
         if self._environment is not None:
-            hit = np.flatnonzero(np.isinf(traced.mesh_distance) & traced.directions.any(axis=1) & (left > 0.0))
+            hit = np.flatnonzero(np.isinf(traced.mesh_distance) & traced.directions.any(axis=1) & (transmittance > 0.0))
             far, shown = (
                 np.full(len(hit), _ENVIRONMENT_DEPTH, np.float32),
                 _environment_radiance(self._environment, traced.directions[hit]),
             )
-            behind.append(_Layers(hit, far, left[hit], left[hit, None] * shown, np.ones(len(hit), bool)))
-        return _Layers.of(behind)
+            layers.append(
+                _Layers(hit, far, transmittance[hit], transmittance[hit, None] * shown, np.ones(len(hit), bool))
+            )
+        return _Layers.of(layers)
 
     def _light_layers(self, light: AreaLight, traced: PixelProfile, pixel: Rows) -> _Layers:
         """Returns the hits of rays on a visible area light, which adds radiance and blocks none.
@@ -232,24 +236,24 @@ class _DeepTracer:
         ``pixel`` holds the pixel index of each Gaussian hit in ``traced``.
         """
         distance = light.distances(traced.origins, traced.directions.astype(np.float64))
-        left = np.ones(len(distance), np.float32)
+        transmittance = np.ones(len(distance), np.float32)
         in_front = traced.gaussians.t < distance[pixel]
-        np.minimum.at(left, pixel[in_front], traced.gaussians.transmittance[in_front])
-        reaches = left > self._gaussians.config.trace.transmittance_min
+        np.minimum.at(transmittance, pixel[in_front], traced.gaussians.transmittance[in_front])
+        reaches = transmittance > self._gaussians.config.trace.transmittance_min
         hit = np.flatnonzero((distance < traced.mesh_distance) & traced.directions.any(axis=1) & reaches)
         depth = self._depths(traced, hit, distance[hit].astype(np.float32))
-        radiance = left[hit, None] * (np.array(light.color) * light.intensity).astype(np.float32)
+        radiance = transmittance[hit, None] * (np.array(light.color) * light.intensity).astype(np.float32)
         return _Layers(hit, depth, np.zeros(len(hit), np.float32), radiance, np.ones(len(hit), bool))
 
-    def _mesh_layers(self, traced: PixelProfile, left: FloatArray) -> _Layers:
-        """Returns the hits on the meshes where rays end; ``left`` is each ray's transmittance in front of its mesh."""
-        end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (left > 0.0))
+    def _mesh_layers(self, traced: PixelProfile, transmittance: FloatArray) -> _Layers:
+        """Returns the hits on the meshes where rays end; ``transmittance`` ends in front of the meshes."""
+        end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (transmittance > 0.0))
         if not len(end):
-            return _Layers(end, left[end], left[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
+            return _Layers(end, transmittance[end], transmittance[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
         shown = self._meshes.trace_rays(self._behind, traced.origins[end], traced.directions[end]).radiance
         depth = self._depths(traced, end, traced.mesh_distance[end])
-        light = left[end, None] * decode_srgb(shown).astype(np.float32)
-        return _Layers(end, depth, left[end], light, np.ones(len(end), bool))
+        light = transmittance[end, None] * decode_srgb(shown).astype(np.float32)
+        return _Layers(end, depth, transmittance[end], light, np.ones(len(end), bool))
 
     def _depths(self, traced: PixelProfile, pixel: Rows, distance: FloatArray) -> FloatArray:
         """Converts distances along the rays of ``pixel`` to view depth; fisheye cameras use the distance itself."""
@@ -274,9 +278,9 @@ class _DeepTracer:
         if len(starts):
             weight, contribution = np.add.reduceat(weight, starts), np.add.reduceat(contribution, starts)
         in_front = through[starts]
-        is_seen = (weight > 0.0) | contribution.any(axis=1)
-        starts, ends, in_front = starts[is_seen], ends[is_seen], np.maximum(in_front[is_seen], _TINY)
-        color, alpha = contribution[is_seen] / in_front[:, None], np.minimum(weight[is_seen] / in_front, 1.0)
+        is_visible = (weight > 0.0) | contribution.any(axis=1)
+        starts, ends, in_front = starts[is_visible], ends[is_visible], np.maximum(in_front[is_visible], _TINY)
+        color, alpha = contribution[is_visible] / in_front[:, None], np.minimum(weight[is_visible] / in_front, 1.0)
         counts = np.bincount(layers.pixel[starts], minlength=count)
         near, far = layers.depth[starts], layers.depth[ends]
         return _Samples(counts, near, far, color.astype(np.float32), alpha.astype(np.float32))
@@ -315,21 +319,21 @@ def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
 
     radiance, weight = layers.light.astype(np.float64), layers.weight[:, None].astype(np.float64)
     area_lights = np.where(weight > 0.0, 0.0, radiance)
-    rest, from_lights, weights = radiance - area_lights, summed(area_lights), summed(weight)
+    others, from_lights, weights = radiance - area_lights, summed(area_lights), summed(weight)
     factor = target / np.maximum(from_lights, _TINY)
     area_lights *= np.where(weights > 0.0, np.minimum(factor, 1.0), factor)[layers.pixel]
-    sums = summed(rest)
+    sums = summed(others)
     is_black = sums <= 0.0
     factor = np.maximum(target - summed(area_lights), 0.0) / np.where(is_black, np.maximum(weights, _TINY), sums)
-    return area_lights + np.where(is_black[layers.pixel], weight, rest) * factor[layers.pixel]
+    return area_lights + np.where(is_black[layers.pixel], weight, others) * factor[layers.pixel]
 
 
 def _environment_radiance(environment: LightEnvironment, directions: FloatArray) -> FloatArray:
     """Returns an environment's radiance in unit directions of world space, (N, 3)."""
     image = np.ones((1, 1, 3)) if environment.image is None else environment.image
     world_from_environment = matrices_from_quaternions(np.array([environment.rotation_wxyz]))[0]
-    seen = panorama_lookup(image, directions.astype(np.float64) @ world_from_environment)
-    return (seen * environment.color * environment.intensity).astype(np.float32)
+    radiance = panorama_lookup(image, directions.astype(np.float64) @ world_from_environment)
+    return (radiance * environment.color * environment.intensity).astype(np.float32)
 
 
 def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, float]]:
@@ -370,10 +374,10 @@ def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
         from_eye = means - camera.eye
         depth[unknown] = np.linalg.norm(from_eye, axis=1) if is_fisheye else from_eye @ forward
     flat = depth.ravel()
-    known = np.flatnonzero(~np.isnan(flat))
-    if not len(known):
+    filled = np.flatnonzero(~np.isnan(flat))
+    if not len(filled):
         return np.zeros(flat.size, np.float32)
-    return np.interp(np.arange(flat.size), known, flat[known]).astype(np.float32)
+    return np.interp(np.arange(flat.size), filled, flat[filled]).astype(np.float32)
 
 
 def _view_colors(scene: Scene, camera: Camera) -> FloatArray:

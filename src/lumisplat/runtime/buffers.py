@@ -120,10 +120,10 @@ class Buffers:
         if view is not None:
             return view
         size = math.prod(shape)
-        held = self._arrays.get(name)
-        if held is None or held.size < size:
-            held = self._allocate(name, dtype, max(size, 1))
-        view = held[:size].reshape(shape) if size else held[:size]
+        array = self._arrays.get(name)
+        if array is None or array.size < size:
+            array = self._allocate(name, dtype, max(size, 1))
+        view = array[:size].reshape(shape) if size else array[:size]
         self._views[(name, shape)] = view
         return view
 

@@ -240,7 +240,7 @@ class Launcher:
             bands: Number of bands; more bands balance uneven work better. None: one per thread.
         """
         if not self.is_cuda:
-            self._stop_if_asked()
+            self._raise_if_stopped()
         bands = min(bands or self.threads, count)
         if self.threads == 1 or bands < 2:
             self.run(kernel, count, 0, *inputs)
@@ -253,7 +253,7 @@ class Launcher:
             launch: Any = None
             try:
                 for start, end in pending:
-                    self._stop_if_asked()
+                    self._raise_if_stopped()
                     launch = self._run_band(launch, kernel, start, end, inputs)
             finally:
                 for _ in pending:  # drains the queue, so that no band starts after an error
@@ -308,7 +308,7 @@ class Launcher:
         finally:
             self._stop = None
 
-    def _stop_if_asked(self) -> None:
+    def _raise_if_stopped(self) -> None:
         if self._stop is not None and self._stop():
             raise StoppedError("the frame was stopped by its caller")
 
@@ -356,18 +356,18 @@ class Launcher:
         """
         if not self.can_capture:
             return work()
-        held = self._graphs.get(name)
-        if held is None or held.key != key:
+        replayed = self._graphs.get(name)
+        if replayed is None or replayed.key != key:
             self._graphs.pop(name, None)  # frees the old result before the work allocates
             result = work()
             self._graphs[name] = _Replayed(key)
             return result
-        if held.graph is None:
+        if replayed.graph is None:
             with wp.ScopedCapture(device=self.device) as capture:
-                held.result = work()
-            held.graph = capture.graph
-        wp.capture_launch(held.graph)  # pyright: ignore[reportArgumentType]
-        return cast(Result, held.result)
+                replayed.result = work()
+            replayed.graph = capture.graph
+        wp.capture_launch(replayed.graph)  # pyright: ignore[reportArgumentType]
+        return cast(Result, replayed.result)
 
     def drop_graphs(self) -> None:
         """Frees all graphs and their return values."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from lumisplat.constants import SKY_CHUNK, SPREAD_SHARE, SURFACE_ALPHA
+from lumisplat.constants import ENVIRONMENT_CHUNK, SPREAD_SHARE, SURFACE_ALPHA
 from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
@@ -103,7 +103,7 @@ class LitGaussians:
         gradient = MaterialGradient()
         gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))
         gradient.roughness = get("materials.by_roughness", wp.float32, count)
-        chunks = -(-count // SKY_CHUNK)
+        chunks = -(-count // ENVIRONMENT_CHUNK)
         by_environment = get("materials.by_sky", wp.vec3, (chunks, self._directions))
         inputs = (self._eye, self._materials, self._light, self._by_radiance)
         with self._launcher.stage("materials: backward"):

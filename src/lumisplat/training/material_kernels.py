@@ -5,7 +5,7 @@ The equations are in docs/method/relightable.md.
 
 import warp as wp
 
-from lumisplat.constants import SH_C0, SKY_CHUNK
+from lumisplat.constants import ENVIRONMENT_CHUNK, SH_C0
 from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.material.microfacets import diffuse_factor, highlight_factor
 from lumisplat.device.math.color import encode_srgb
@@ -16,7 +16,7 @@ from lumisplat.device.training import DirectionalLight, GaussianMaterials, incid
 
 wp.set_module_options({"enable_backward": False})
 
-CHUNK = wp.constant(SKY_CHUNK)
+CHUNK = wp.constant(ENVIRONMENT_CHUNK)
 SH_CONSTANT = wp.constant(wp.float32(SH_C0))
 
 

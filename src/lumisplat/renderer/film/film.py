@@ -348,11 +348,13 @@ class Film:
         direct, arrived = (cls._layers(size, copies, kind, count) for kind in ("direct", "arrived"))
         return np.clip(np.divide(arrived, direct, out=np.ones_like(arrived), where=direct > 0.0), 0.0, 1.0)
 
-    def _restore(self, samples: int, held: Mapping[str, FloatArray], images: dict[str, npt.NDArray[Any]]) -> None:
+    def _restore(
+        self, samples: int, accumulated: Mapping[str, FloatArray], images: dict[str, npt.NDArray[Any]]
+    ) -> None:
         """Uploads the accumulated arrays of ``samples`` samples, and the images that further samples do not change."""
         arrays = self._accumulated()
         implied = {"sums"} if samples == 1 else set[str]()  # a frame of one sample holds that sample in its images
-        if missing := arrays.keys() - held.keys() - implied:
+        if missing := arrays.keys() - accumulated.keys() - implied:
             names = ", ".join(sorted(missing))
             raise ConfigError(
                 f"cannot resume a frame that lacks accumulated images: {names}; render it again with these settings"
@@ -361,9 +363,9 @@ class Film:
         if self._plan.is_lit:
             self._lit.upload(images | {"color": images["lit_color"]})
         for name, array in arrays.items():
-            if name in held:
-                array.assign(_elements(held[name], array))
-        if "sums" not in held:
+            if name in accumulated:
+                array.assign(_elements(accumulated[name], array))
+        if "sums" not in accumulated:
             self._launcher.run_banded(film_kernels.restore_sums, self._pixel_count, self._data)
         self._samples = samples
 
@@ -439,9 +441,9 @@ def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
     """Returns the images of a part of a frame: its stored surfaces, and zeros for images that its sums determine."""
     width, height = part.size
     empty = np.zeros((height, width), np.float32)
-    dark = np.zeros((height, width, 3), np.float32)
-    lit = {"captured_weight": empty, "light": dark, "lit_color": dark}
-    return {"color": dark, "alpha": empty, **part.surfaces, **lit}
+    black = np.zeros((height, width, 3), np.float32)
+    lit = {"captured_weight": empty, "light": black, "lit_color": black}
+    return {"color": black, "alpha": empty, **part.surfaces, **lit}
 
 
 def _elements(words: FloatArray, array: DeviceArray) -> npt.NDArray[Any]:

@@ -100,9 +100,9 @@ def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
         ) from None
     if array.shape != shape:
         raise SceneError(f"{name} has shape {array.shape}, expected {shape}")
-    bad = array.size - int(np.isfinite(array).sum())
-    if bad:
-        raise SceneError(f"{name}: {bad:,} of {array.size:,} values are not finite, expected finite numbers")
+    nonfinite = array.size - int(np.isfinite(array).sum())
+    if nonfinite:
+        raise SceneError(f"{name}: {nonfinite:,} of {array.size:,} values are not finite, expected finite numbers")
     return array
 
 

@@ -37,10 +37,10 @@ class LightWarnings:
         """Warns if rays of the last sample left the inside of a mesh without having entered the mesh."""
         if not plan.has_media or self._has_warned_of_media:
             return
-        is_left = buffers.get("wave.unentered", wp.int32, len(scene.meshes)).numpy()
-        if is_left.any():
+        unentered = buffers.get("wave.unentered", wp.int32, len(scene.meshes)).numpy()
+        if unentered.any():
             self._has_warned_of_media = True
-            number = int(np.argmax(is_left))
+            number = int(np.argmax(unentered))
             name = scene.meshes[number].name or scene.meshes[number].mesh.name
             _log.warning(
                 "rays leave the inside of %s without entering it: unless the camera is inside, a transmissive mesh "

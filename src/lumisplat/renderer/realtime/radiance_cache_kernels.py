@@ -475,10 +475,10 @@ def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], 
     """Counts the tiles that remained, and the new tiles for which there is space. Runs as one thread."""
     remaining = ends[ends.shape[0] - 1]
     if is_early:
-        room = wp.min(tiles.counts[COUNT_NEW], grid.tiles - remaining)
+        added = wp.min(tiles.counts[COUNT_NEW], grid.tiles - remaining)
         tiles.counts[COUNT_EVICTED] += tiles.counts[COUNT_LIVE] - remaining
-        tiles.counts[COUNT_DROPPED] += tiles.counts[COUNT_NEW] - room
-        tiles.counts[COUNT_NEW] = room
+        tiles.counts[COUNT_DROPPED] += tiles.counts[COUNT_NEW] - added
+        tiles.counts[COUNT_NEW] = added
     tiles.counts[COUNT_LIVE] = remaining
 
 

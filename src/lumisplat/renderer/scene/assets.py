@@ -64,18 +64,18 @@ def sync_splat_assets(scene: Scene, cached: list[SplatAsset], device: str) -> li
     for number, instance in enumerate(scene.splats):
         numbers.setdefault(id(instance.gaussians), []).append(number)
     sets = [scene.splats[instances[0]].gaussians for instances in numbers.values()]
-    known = {id(asset.gaussians): asset for asset in cached if id(asset.gaussians) in numbers}
+    still_used = {id(asset.gaussians): asset for asset in cached if id(asset.gaussians) in numbers}
     replaced = {
         id(gaussians): asset
         for asset, gaussians in zip(cached, sets, strict=False)
         if not shares_memory(device)
-        and not {id(asset.gaussians), id(gaussians)} & known.keys()
+        and not {id(asset.gaussians), id(gaussians)} & still_used.keys()
         and are_alike(asset.gaussians, gaussians)
     }
-    cached[:] = known.values()
+    cached[:] = still_used.values()
     assets: list[SplatAsset] = []
     for gaussians, instances in zip(sets, numbers.values(), strict=True):
-        asset = known.get(id(gaussians)) or replaced.pop(id(gaussians), None)
+        asset = still_used.get(id(gaussians)) or replaced.pop(id(gaussians), None)
         if asset is None or asset.instances != tuple(instances):
             ids = DeviceArray(np.array(instances, np.int32), device=device)
         else:

@@ -129,8 +129,8 @@ def image_field(camera: Camera) -> float:
     """
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1)
-    seen = np.linalg.norm(undistort(shown.astype(np.float64), camera.distortion), axis=-1)
-    widest = np.nanmax(seen, initial=0.0) if not np.isnan(seen).any() else distortion_reach(camera.distortion)
+    radii = np.linalg.norm(undistort(shown.astype(np.float64), camera.distortion), axis=-1)
+    widest = np.nanmax(radii, initial=0.0) if not np.isnan(radii).any() else distortion_reach(camera.distortion)
     return float(np.tan(np.clip(np.arctan(widest) + FIELD_MARGIN, 0.0, FIELD_MAX)))
 
 

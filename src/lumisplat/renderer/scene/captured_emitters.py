@@ -115,11 +115,11 @@ class _AssetCache(Generic[Result]):
 
     def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Result]:
         """Returns the function's result for each asset, computed only if not cached."""
-        known = {id(asset): found for asset, found in self._cached}
+        cached = {id(asset): found for asset, found in self._cached}
         for asset in assets:
-            if id(asset) not in known:
-                known[id(asset)] = self._find(asset)
-        self._cached = [(asset, known[id(asset)]) for asset in assets]
+            if id(asset) not in cached:
+                cached[id(asset)] = self._find(asset)
+        self._cached = [(asset, cached[id(asset)]) for asset in assets]
         return [found for _, found in self._cached]
 
 
@@ -163,12 +163,12 @@ def boxes_of(gaussians: Gaussians) -> Boxes:
         if len(parts[largest].members) < 2:
             break
         parts += builder.halves(parts.pop(largest))
-    all_of_it = _all_of(gaussians, EMITTER_FLOOR * sum(box.power for box in parts))
+    enclosing = _enclosing_box(gaussians, EMITTER_FLOOR * sum(box.power for box in parts))
     return Boxes(
-        np.stack([all_of_it.center, *(box.center for box in parts)]),
-        np.stack([all_of_it.axes, *(box.axes for box in parts)]),
-        np.stack([all_of_it.half, *(box.half for box in parts)]),
-        np.array([all_of_it.power, *(box.power for box in parts)]),
+        np.stack([enclosing.center, *(box.center for box in parts)]),
+        np.stack([enclosing.axes, *(box.axes for box in parts)]),
+        np.stack([enclosing.half, *(box.half for box in parts)]),
+        np.array([enclosing.power, *(box.power for box in parts)]),
     )
 
 
@@ -213,7 +213,7 @@ class _GaussianBoxes(NamedTuple):
         return [self.box(box.members[order[:middle]]), self.box(box.members[order[middle:]])]
 
 
-def _all_of(gaussians: Gaussians, power: float) -> _Box:
+def _enclosing_box(gaussians: Gaussians, power: float) -> _Box:
     low, high = _bounds(gaussians, 1)
     return _Box(0.5 * (low + high), np.eye(3), 0.5 * (high - low), power, np.zeros(0, np.int64))
 

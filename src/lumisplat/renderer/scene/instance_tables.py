@@ -159,8 +159,8 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, pla
 
 def absorption_of(material: MaterialPbr) -> np.ndarray:
     """Returns the absorption coefficient inside a mesh of this material, per scene unit, by channel, shape (3,)."""
-    left = np.maximum(material.attenuation_color, np.finfo(np.float32).tiny)
-    return -np.log(left) / material.attenuation_distance
+    transmitted = np.maximum(material.attenuation_color, np.finfo(np.float32).tiny)
+    return -np.log(transmitted) / material.attenuation_distance
 
 
 def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:

@@ -232,13 +232,13 @@ def cumulative_distribution(weights: npt.NDArray[np.floating]) -> npt.NDArray[np
 
 
 def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
-    seen: set[str] = set()
+    used: set[str] = set()
     result: list[str] = []
     for name, number in names:
         unique = name
-        while unique in seen:
+        while unique in used:
             unique = f"{unique}_{number}"
-        seen.add(unique)
+        used.add(unique)
         result.append(unique)
     return tuple(result)
 

@@ -212,20 +212,20 @@ class StochasticBvh:
 
     def assets(self, scene: DeviceScene, settings: DeviceArray, *, ray_count: int) -> DeviceArray | None:
         """Returns the assets to trace in the current sample; their BVHs are shrunk once enough rays are traced."""
-        whole = scene.bvh.assets
-        if whole is self._whole and self._is_fresh:
+        original = scene.bvh.assets
+        if original is self._whole and self._is_fresh:
             return self._assets
         self._rays += ray_count
         if self._rays < SHRINK_RAYS_PER_GAUSSIAN * scene.gaussian_count:
-            return whole
+            return original
         nodes = self._shrunk_nodes(scene, settings)
-        self._assets, self._whole, self._is_fresh = self._upload(scene, nodes), whole, True
+        self._assets, self._whole, self._is_fresh = self._upload(scene, nodes), original, True
         return self._assets
 
     def _shrunk_nodes(self, scene: DeviceScene, settings: DeviceArray) -> list[DeviceArray]:
         nodes: list[DeviceArray] = []
-        for number, (asset, held) in enumerate(zip(scene.assets, scene.bvh.cached, strict=True)):
-            bvh = held.bvh
+        for number, (asset, cached) in enumerate(zip(scene.assets, scene.bvh.cached, strict=True)):
+            bvh = cached.bvh
             if asset.instance_ids.shape[0] > SHRINK_INSTANCES_MAX:
                 nodes.append(bvh.nodes)
                 continue
@@ -240,8 +240,8 @@ class StochasticBvh:
 
     def _upload(self, scene: DeviceScene, nodes: list[DeviceArray]) -> DeviceArray:
         rows: list[AssetBvh] = []
-        for held, shrunk in zip(scene.bvh.cached, nodes, strict=True):
+        for cached, shrunk in zip(scene.bvh.cached, nodes, strict=True):
             row = AssetBvh()
-            row.nodes, row.particles, row.gaussians = shrunk, held.bvh.particles, held.data
+            row.nodes, row.particles, row.gaussians = shrunk, cached.bvh.particles, cached.data
             rows.append(row)
         return self._buffers.table(f"{self._name}.assets", AssetBvh, rows)

@@ -147,9 +147,9 @@ class BoxTree:
 
     def _link_levels(self, split: Split, scratch: Buffers, counts: npt.NDArray[np.int64]) -> DeviceArray:
         """Splits the nodes level by level; returns the links of all nodes to their children."""
-        room = len(counts) + int(counts.sum())
-        begins, ends = (scratch.get(name, wp.int32, room) for name in ("begins", "ends"))
-        links = scratch.get("links", ChildLinks, room)
+        capacity = len(counts) + int(counts.sum())
+        begins, ends = (scratch.get(name, wp.int32, capacity) for name in ("begins", "ends"))
+        links = scratch.get("links", ChildLinks, capacity)
         last = np.cumsum(counts).astype(np.int32)
         ends[: len(counts)].assign(last)
         begins[: len(counts)].assign((last - counts).astype(np.int32))

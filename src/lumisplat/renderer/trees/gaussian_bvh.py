@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
-from lumisplat.constants import REBUILD_COST, STRAY_SHARE
+from lumisplat.constants import OUTLIER_SHARE, REBUILD_COST
 from lumisplat.device.structs.bvh import Box, Particle
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.renderer.trees import gaussian_bvh_kernels as kernels
@@ -104,5 +104,5 @@ def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
     The box is computed from a sample of the means, without outliers.
     """
     means = device_array(gaussians.means)[:: -(-len(gaussians.means) // BOUNDS_SAMPLES)].numpy()
-    low, high = np.quantile(means, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
+    low, high = np.quantile(means, [OUTLIER_SHARE, 1.0 - OUTLIER_SHARE], axis=0)
     return low, high

@@ -92,8 +92,10 @@ class MeshBvhScene:
             return
         meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
         self._sync_trees(meshes)
-        held = {key: (asset, root) for asset, trees in enumerate(self._trees) for key, root in trees.root_of.items()}
-        assets, roots = np.array([held[id(instance.mesh)] for instance in scene.meshes]).T
+        roots_of = {
+            key: (asset, root) for asset, trees in enumerate(self._trees) for key, root in trees.root_of.items()
+        }
+        assets, roots = np.array([roots_of[id(instance.mesh)] for instance in scene.meshes]).T
         transforms = np.array([instance.transform for instance in scene.meshes])
         synced = assets.tobytes(), roots.tobytes(), transforms.tobytes(), [trees.build for trees in self._trees]
         if synced == self._synced:
@@ -110,8 +112,8 @@ class MeshBvhScene:
     def _sync_trees(self, meshes: dict[int, Mesh]) -> None:
         """Drops BVHs built together if all their meshes are unused, and builds BVHs of new meshes."""
         used = [trees for trees in self._trees if trees.root_of.keys() & meshes.keys()]
-        held = {key for trees in used for key in trees.root_of}
-        missing = [mesh for key, mesh in meshes.items() if key not in held]
+        existing = {key for trees in used for key in trees.root_of}
+        missing = [mesh for key, mesh in meshes.items() if key not in existing]
         if missing:
             used.append(TriangleTrees(self._launcher, missing))
         if [trees.build for trees in used] == [trees.build for trees in self._trees]:

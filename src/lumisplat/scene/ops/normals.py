@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from lumisplat.config import NormalEstimate
 from lumisplat.config.checks import enum_member, is_number
-from lumisplat.constants import CREASE_ANGLE, STRAY_SHARE
+from lumisplat.constants import CREASE_ANGLE, OUTLIER_SHARE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions
@@ -187,7 +187,7 @@ def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int
 
 def _bounds_without_strays(points: Doubles) -> tuple[Doubles, Doubles]:
     """Returns the corners of a box around all points except those far outside the outer quantiles."""
-    low, high = np.quantile(points, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
+    low, high = np.quantile(points, [OUTLIER_SHARE, 1.0 - OUTLIER_SHARE], axis=0)
     margin = 0.5 * (high - low)
     return np.maximum(points.min(axis=0), low - margin), np.minimum(points.max(axis=0), high + margin)
 
