@@ -118,9 +118,9 @@ def lit_picture(
     largest = np.maximum(lit, before).max(axis=-1, keepdims=True)
     difference = np.abs(lit - before).max(axis=-1, keepdims=True)
     captured_part = 1.0 - np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0.0)
-    untouched = encode_srgb(before)
-    shown = apply_tone_map(lit, tone_map) + captured_part * (untouched - apply_tone_map(before, tone_map))
-    shown = np.where(lit >= before, np.maximum(shown, untouched), np.minimum(shown, untouched))
+    unchanged = encode_srgb(before)
+    shown = apply_tone_map(lit, tone_map) + captured_part * (unchanged - apply_tone_map(before, tone_map))
+    shown = np.where(lit >= before, np.maximum(shown, unchanged), np.minimum(shown, unchanged))
     result[changed] = np.clip(shown, 0.0, 1.0)
     return result
 
