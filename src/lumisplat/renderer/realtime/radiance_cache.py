@@ -131,9 +131,9 @@ class RadianceCache:
         """Returns ray origins in the cells that have waited longest since their last ray.
 
         Each cell gets one ray, or several if cells are few. The caller traces a cosine-weighted ray from each point,
-        inserts the hits, and passes them to `add_bounces`. The number of points is fixed by the settings. Up to half of
-        the points go to coarse cells, which long rays hit, and the rest to fine cells, which short rays hit. Only whole
-        tiles are listed; the remaining points are inactive.
+        inserts the hits, and passes them to `add_bounces`. The number of points is fixed by the settings. Fine cells,
+        which short rays hit, get one point each, and more than half of all points only if coarse cells, which long rays
+        hit, need no more. Only whole tiles are listed; the remaining points are inactive.
         """
         run, buffers, tiles = self._launcher.run_banded, self._buffers, self.tiles
         points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)
