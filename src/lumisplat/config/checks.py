@@ -138,10 +138,10 @@ def _short(number: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """Few integers that a field accepts."""
+    """Few integers, or members of an enum, that a field accepts."""
 
-    values: tuple[int, ...]
-    """The accepted integers."""
+    values: tuple[int, ...] | tuple[Enum, ...]
+    """The accepted values."""
 
     def expected(self, kind: type = int) -> str:
         """Returns the integers in the words of messages: ``4, 8 or 16``."""
@@ -222,24 +222,23 @@ def check_kind(name: str, value: object, kind: type[_Kind], error: type[Lumispla
     return value
 
 
-def enum_member(name: str, value: object, kind: type[_Choice], error: type[LumisplatError] = ConfigError) -> _Choice:
-    """Returns a member of ``kind``, given itself or by its value: ``Pipeline.TRACE`` or ``"trace"``.
+def enum_member(
+    name: str, value: object, members: Iterable[_Choice], error: type[LumisplatError] = ConfigError
+) -> _Choice:
+    """Returns one of the members of an enum, given itself or by its value: ``Pipeline.TRACE`` or ``"trace"``.
 
     Raises:
         LumisplatError: ``value`` is anything else.
     """
-    if isinstance(value, kind):
-        return value
-    if isinstance(value, str):
-        for member in kind:
-            if member.value == value:
-                return member
-    raise refusal(error, name, value, f"expected {choices(kind)}")
+    for member in members:
+        if value is member or (isinstance(value, str) and member.value == value):
+            return member
+    raise refusal(error, name, value, f"expected {choices(members)}")
 
 
-def choices(kind: type[Enum]) -> str:
-    """Returns the values of an enum in the words of messages: ``'raster', 'trace' or 'hybrid'``."""
-    *others, last = (f"'{member.value}'" for member in kind)
+def choices(members: Iterable[Enum]) -> str:
+    """Returns the values of an enum's members in the words of messages: ``'raster', 'trace' or 'hybrid'``."""
+    *others, last = (f"'{member.value}'" for member in members)
     return f"{', '.join(others)} or {last}"
 
 

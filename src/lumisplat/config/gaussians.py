@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated
 
-from lumisplat.config.checks import OneOf, Range, refusal
+from lumisplat.config.checks import OneOf, Range
 from lumisplat.config.setting import Share, take_fields
 from lumisplat.constants import HIT_COUNTS, KERNEL_DEGREE_MAX, SH_DEGREE_MAX, SHADOW_OFFSET
-from lumisplat.errors import ConfigError
 
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
@@ -236,9 +235,9 @@ class ShadowConfig:
     """Transmittance of Gaussians along a shadow ray."""
     hits: Annotated[int, OneOf(HIT_COUNTS)] = HITS_PER_PASS
     """Gaussians that ``FIRST_HITS`` multiplies."""
-    hit_distance: HitDistance = HitDistance.PEAK
-    """Distance along a shadow ray at which a Gaussian is hit, ``PEAK`` or ``HULL``: orders the hits of ``FIRST_HITS``.
-    The other methods do not depend on it."""
+    hit_distance: Annotated[HitDistance, OneOf((HitDistance.PEAK, HitDistance.HULL))] = HitDistance.PEAK
+    """Distance along a shadow ray at which a Gaussian is hit: orders the hits of ``FIRST_HITS``. The other methods do
+    not depend on it."""
     offset: Annotated[float, Range(0.0, 100.0)] = SHADOW_OFFSET
     """Distance within which Gaussians do not shadow a splat surface, as a factor of their largest scale or that of the
     surface's own Gaussian, whichever is less (docs/method/shadows.md#offset). Gaussians of another layer always cast
@@ -260,12 +259,7 @@ class ShadowConfig:
     color_strength: Annotated[float, Range(0.0, 5.0)] = 0.0
     """Strength of the tint of partial shadows by the colour of the Gaussians that cast them, like stained glass."""
 
-    def __post_init__(self) -> None:
-        take_fields(self)
-        if self.hit_distance is HitDistance.MEAN:
-            raise refusal(
-                ConfigError, "hit_distance", self.hit_distance.value, "expected 'peak' or 'hull' for shadow rays"
-            )
+    __post_init__ = take_fields
 
     @property
     def changes_shadows(self) -> bool:

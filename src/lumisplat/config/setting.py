@@ -24,7 +24,7 @@ import re
 import sys
 import textwrap
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import Enum
 from functools import cache
@@ -148,7 +148,7 @@ class Setting:
     range: Range = _ANY
     """Range of numbers, and of both numbers of spans."""
     choices: tuple[Enum, ...] = ()
-    """Members of the field's enum."""
+    """Members of the field's enum that it accepts."""
     numbers: tuple[int, ...] = ()
     """The few integers that the field accepts; empty if it accepts all of the range."""
     group: type[Any] | None = None
@@ -175,7 +175,7 @@ class Setting:
             case "flag":
                 return "True or False"
             case "choice":
-                return choices(type(self.choices[0]))
+                return choices(self.choices)
             case "whole":
                 return OneOf(self.numbers).expected() if self.numbers else self.range.expected(int)
             case "number":
@@ -258,8 +258,9 @@ def _setting(one: Any, hint: Any, text: str) -> Setting:
     base, limits, is_optional = _declared(hint)
     converter = one.metadata.get("converter")
     kind: Kind = getattr(converter, "kind", None) or _kind(base)
-    members = tuple(base) if kind == "choice" else ()
-    helps = [text, *_choice_help(base)] if members else [text]
+    values: tuple[Any, ...] = limits.values if isinstance(limits, OneOf) else ()
+    members = values or tuple(base) if kind == "choice" else ()
+    helps = [text, *_choice_help(base, members)] if members else [text]
     return Setting(
         one.name,
         kind,
@@ -267,7 +268,7 @@ def _setting(one: Any, hint: Any, text: str) -> Setting:
         is_optional,
         limits if isinstance(limits, Range) else Range(),
         members,
-        limits.values if isinstance(limits, OneOf) else (),
+        () if members else values,
         base if kind == "group" else None,
         default,
         getattr(converter, "is_linear", True),
@@ -341,7 +342,8 @@ def _take_kind(  # noqa: PLR0911
         case "flag":
             return lambda value, name: check_flag(name, value, error)
         case "choice":
-            return lambda value, name: enum_member(name, value, base, error)
+            members: Any = limits.values if isinstance(limits, OneOf) else base
+            return lambda value, name: enum_member(name, value, members, error)
         case "text":
             return lambda value, name: check_text(name, value, error)
         case "group":
@@ -363,11 +365,11 @@ def _span(value: object, name: str, limits: Range, kind: type, error: type[Lumis
     return kind(numbers[0]), kind(numbers[1])
 
 
-def _choice_help(cls: type[Enum]) -> list[str]:
-    """Returns the meaning of each member of an enum, shortened to its first sentence."""
+def _choice_help(cls: type[Enum], members: Iterable[Enum]) -> list[str]:
+    """Returns the meaning of members of an enum, each shortened to its first sentence."""
     helps = docstrings_of(cls)
     firsts = {name: _SENTENCE_END.split(" ".join(text.split()), 1)[0].rstrip(".") for name, text in helps.items()}
-    return [f"{member.value}: {firsts[member.name]}." for member in cls if member.name in firsts]
+    return [f"{member.value}: {firsts[member.name]}." for member in members if member.name in firsts]
 
 
 @cache

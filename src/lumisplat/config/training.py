@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated
 
-from lumisplat.config.checks import Range, refusal
+from lumisplat.config.checks import OneOf, Range, refusal
 from lumisplat.config.gaussians import Projection
 from lumisplat.config.pipelines import Pipeline
 from lumisplat.config.setting import Seed, Share, take_fields
@@ -112,7 +112,7 @@ class TrainConfig:
     coarse: Annotated[int, Range(0, 4)] = 0
     """Number of times that the image size is halved at the start; all smaller sizes together take a quarter of the
     iterations."""
-    pipeline: Pipeline = Pipeline.RASTER
+    pipeline: Annotated[Pipeline, OneOf(tuple(one for one in Pipeline if one.is_differentiable))] = Pipeline.RASTER
     """Renderer of the training: ``RASTER``, or ``TRACE``, whose gradients of rays take several times longer and which
     needs MCMC."""
     projection: Projection = Projection.EWA
@@ -145,10 +145,6 @@ class TrainConfig:
         return max(self.flatness, self.normals, self.depth_spread, self.normal_smoothness) > 0.0
 
     def _check_pipeline(self) -> None:
-        if not self.pipeline.is_differentiable:
-            raise refusal(
-                ConfigError, "pipeline", self.pipeline.value, "expected 'raster' or 'trace', which can be trained"
-            )
         if self.pipeline.rasterises and self.kernel_degree != KERNEL_DEGREE:
             raise refusal(ConfigError, "kernel_degree", self.kernel_degree, "which needs rays: use Pipeline.TRACE")
         if not self.pipeline.rasterises and self.projection is not Projection.EWA:

@@ -15,6 +15,7 @@ from hypothesis import given, strategies as st
 
 import lumisplat as ls
 from lumisplat.config.render import AOVS
+from lumisplat.config.setting import all_settings
 from support.files.scene_files import refuses, write_scene
 
 
@@ -97,10 +98,8 @@ def configs(kind: type) -> st.SearchStrategy[Any]:
     """Generates settings of a stage with random fields."""
     chosen = dict(SETTINGS[kind])
     for name, hint in get_type_hints(kind).items():
-        if (kind, name) == (ls.ShadowConfig, "hit_distance"):
-            chosen[name] = st.sampled_from([ls.config.HitDistance.PEAK, ls.config.HitDistance.HULL])
-        elif isinstance(hint, type) and issubclass(hint, Enum):
-            chosen[name] = st.sampled_from(hint)
+        if isinstance(hint, type) and issubclass(hint, Enum):
+            chosen[name] = st.sampled_from(all_settings(kind)[name].choices)
         elif hint is bool:
             chosen[name] = st.booleans()
         elif hint in SETTINGS:
