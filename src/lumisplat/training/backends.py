@@ -1,6 +1,7 @@
-"""Training backends: draw the trained Gaussians and return gradients of the frame, entirely on the device.
+"""Training backends: each renders the trained Gaussians and returns gradients of the frame, entirely on the device.
 
-Three backends find primary hits: a rasteriser of ellipses, a ray tracer, and a rasteriser along camera rays.
+Three backends find primary hits: a rasteriser of ellipses, a ray tracer, and a rasteriser that evaluates Gaussians
+along camera rays.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from lumisplat.training.losses import SurfaceLoss
 
 
 class _Backend:
-    """Base of the backends: a scene with one Gaussian set that shares means and SH coefficients with the parameters."""
+    """Base class of the training backends; its scene holds one Gaussian set."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
@@ -68,11 +69,11 @@ class _Backend:
 
     @property
     def data(self) -> GaussianData:
-        """Drawn Gaussians on the device; available after the first frame."""
+        """Gaussians of the backend's scene on the device; available after the first frame."""
         return self._scene.assets[0].data
 
     def _sync(self, camera: Camera, sh_degree: int) -> Scene:
-        """Uploads the scene of a frame and returns it."""
+        """Uploads the scene and the camera of a frame, and returns the scene."""
         key = self._gaussians, sh_degree, self._config
         if self._synced_for != key:
             scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
@@ -83,7 +84,7 @@ class _Backend:
         return scene
 
     def _alias_parameters(self) -> None:
-        """Lets the drawn Gaussians use the means and SH coefficients of the parameters, without copies."""
+        """Lets the scene's Gaussians share the means and SH coefficients of the trained parameters, without copies."""
         self.data.means, self.data.sh = self._parameters.means, self._parameters.sh
 
     def _activate(self) -> None:
@@ -124,7 +125,8 @@ class TrainingRaster(_Backend):
     def bind(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
         """Sets the Gaussians that later frames draw, as `_Backend.bind`.
 
-        The rasteriser reads no table of Gaussian sets, so one assignment of the arrays lasts until the next call.
+        The rasteriser reads no table of Gaussian sets, so `_alias_parameters` runs once per ``bind``, in the next
+        frame.
         """
         super().bind(gaussians, parameters)
         self._is_bound = True
@@ -133,7 +135,7 @@ class TrainingRaster(_Backend):
         """Renders a frame and returns its pixels.
 
         Args:
-            camera: A pinhole.
+            camera: A pinhole camera.
             sh_degree: SH degree of the colours.
             background: Display-referred sRGB behind the Gaussians.
         """
@@ -150,7 +152,7 @@ class TrainingRaster(_Backend):
     def compare_surfaces(
         self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, counted: float, gradient: PixelGradient
     ) -> SurfaceMaps:
-        """Evaluates the surface terms of the last frame, as `SurfaceLoss.differentiate`."""
+        """Evaluates the surface terms of the loss on the last frame, as `SurfaceLoss.differentiate`."""
         return surfaces.differentiate(self._scene, self.drawn, pixels, target, counted=counted, gradient=gradient)
 
     def backward(
@@ -160,13 +162,14 @@ class TrainingRaster(_Backend):
         surfaces: SurfaceLoss | None = None,
         record: SplatRecord | None = None,
     ) -> GaussianGradient:
-        """Returns the gradient with respect to the Gaussians of the last frame.
+        """Returns the gradient of the loss with respect to the Gaussians of the last frame.
 
         Args:
             pixels: Pixels of the last frame.
             gradient: Gradient of the loss with respect to ``pixels``.
-            surfaces: Surface terms evaluated for the last frame; None if there are none.
-            record: Receives the gradient of the surface terms with respect to normals; None to skip it.
+            surfaces: Surface terms evaluated for the last frame; None if the loss has none.
+            record: Densification statistics, to which the normal gradients of the surface terms are added; None to skip
+                them.
         """
         self.by_splats(pixels, gradient)
         by_features = None if surfaces is None else surfaces.backward(self._scene, self.drawn, self.by_splat)
@@ -178,7 +181,7 @@ class TrainingRaster(_Backend):
         return by_gaussians
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
-        """Returns the gradient with respect to the splats of the last frame, ``SplatGradient``.
+        """Returns the gradient of the loss with respect to the splats of the last frame, ``SplatGradient``.
 
         Elements of splats that were not drawn are undefined.
 
@@ -190,20 +193,23 @@ class TrainingRaster(_Backend):
         return self.by_splat
 
     def flatten(self, weight: float, gradient: GaussianGradient) -> None:
-        """Adds the gradient of the flatness term: ``weight`` times the mean smallest scale of the drawn Gaussians."""
+        """Adds the gradient of the flatness term to ``gradient``.
+
+        The term is ``weight`` times the mean, over all Gaussians, of the smallest scale of each drawn Gaussian.
+        """
         count = self._gaussians.count
         inputs = (weight / count, self.drawn.splats.rects, self.data, gradient)
         self._launcher.run_banded(surface_kernels.flatten, count, *inputs)
 
     def channels(self) -> FeatureChannels:
-        """Returns the renderer of further feature channels of the last frame."""
+        """Returns a renderer that blends further features, such as depths or normals, with the last frame's weights."""
         return FeatureChannels(self._launcher, self._buffers, self._unlit, self._backward)
 
     def add_largest_weights(self, largest: DeviceArray) -> None:
-        """Updates the largest blending weight of each Gaussian with the last frame.
+        """Raises the largest blending weight of each Gaussian to its largest weight in the last frame.
 
         Args:
-            largest: Largest weights so far, shape (N,).
+            largest: Largest weight of each of N Gaussians in earlier frames, shape (N,); updated in place.
         """
         run, drawn, tiles = self._launcher.run_banded, self.drawn, math.prod(self._scene.tile_grid)
         starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects)
@@ -213,9 +219,9 @@ class TrainingRaster(_Backend):
         run(weight_kernels.reduce_largest, drawn.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """Returns the gradient with respect to the upper rows of ``camera_from_world``, shape (3, 4).
+        """Returns the gradient of the loss with respect to the upper rows of ``camera_from_world``, shape (3, 4).
 
-        The call follows ``backward``.
+        Requires a preceding call of ``backward``.
 
         Args:
             camera: Camera of the last frame.
@@ -231,7 +237,7 @@ class TrainingRaster(_Backend):
 
 
 class TrainingRays(_Backend):
-    """Ray traces one Gaussian set, with any kernel degree and any camera.
+    """Ray traces one Gaussian set, with any kernel degree and any camera model.
 
     Args:
         launcher: Runs the kernels.
@@ -314,7 +320,7 @@ class TrainingUnscented(_Backend):
         """Renders colour and alpha of a frame and returns its pixels.
 
         Args:
-            camera: A pinhole or a fisheye.
+            camera: A pinhole or fisheye camera.
             sh_degree: SH degree of the colours.
             background: Display-referred sRGB behind the Gaussians.
         """

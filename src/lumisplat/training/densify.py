@@ -23,13 +23,14 @@ RELOCATED_MAX = 51
 """Largest number of Gaussians at one position in the relocation formula; larger numbers are clamped. gsplat's value."""
 
 SPLIT_SCALE = 0.01
-"""Scale, as a fraction of the extent, above which a Gaussian is split instead of cloned. Kerbl et al. 2023."""
+"""Largest scale of a Gaussian, as a fraction of the camera extent, above which it is split instead of cloned. Kerbl et
+al. 2023."""
 
 SPLIT_SHRINKS = 1.6
 """Factor by which the scales of a split Gaussian are divided. Kerbl et al. 2023, section 5.2."""
 
 TOO_LARGE = 0.1
-"""Scale, as a fraction of the extent, above which a Gaussian is pruned."""
+"""Largest scale of a Gaussian, as a fraction of the camera extent, above which it is pruned."""
 
 TOO_LARGE_AFTER = 3000
 
@@ -41,7 +42,7 @@ RESET_OPACITY = 0.01
 
 Doubles = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
-TINY = 1e-30
+THRESHOLD_MIN = 1e-30
 """Lower bound of the gradient threshold, which avoids a division by zero."""
 
 
@@ -50,9 +51,9 @@ class DensifyStats:
     """Statistics gathered since the last densification, by which Gaussians are cloned and split."""
 
     iteration: int
-    """Number of iterations made."""
+    """Number of training iterations completed."""
     extent: float
-    """Camera extent, scene units."""
+    """Scene extent derived from the cameras, scene units; see `SceneScale.extent`."""
     screen_gradient: Doubles
     """Mean screen-space position gradient of each Gaussian, shape (N,), in units of half the image size.
 
@@ -63,9 +64,16 @@ class DensifyStats:
     The terms are summed over pixels, and averaged over the same frames as ``screen_gradient``."""
 
     def excess(self, config: TrainConfig) -> Doubles:
-        """Returns the gradient of each Gaussian over its threshold, shape (N,); above 1, it is cloned or split."""
-        by_pull = self.screen_gradient / max(config.grow_pull, TINY)
-        return np.maximum(by_pull, self.normal_gradient / config.grow_turn) if config.grow_turn > 0.0 else by_pull
+        """Returns the gradient of each of N Gaussians divided by its threshold, shape (N,).
+
+        Gaussians with a quotient above 1 are cloned or split.
+        """
+        screen_excess = self.screen_gradient / max(config.grow_pull, THRESHOLD_MIN)
+        return (
+            np.maximum(screen_excess, self.normal_gradient / config.grow_turn)
+            if config.grow_turn > 0.0
+            else screen_excess
+        )
 
 
 def densified(
@@ -92,9 +100,10 @@ def densified(
 
 
 def relocated(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
-    """Moves dead Gaussians onto living ones, chosen in proportion to opacity.
+    """Moves dead Gaussians onto living ones, chosen at random in proportion to opacity.
 
-    Opacities and scales of each group are reduced so that the group renders like the living Gaussian before.
+    A living Gaussian and the dead ones moved onto it form a group. Opacities and scales of the group are reduced so
+    that it renders like the living Gaussian did before.
     """
     opacities = parameters.opacities
     dead, alive = np.flatnonzero(opacities <= DEAD_OPACITY), np.flatnonzero(opacities > DEAD_OPACITY)
@@ -109,7 +118,7 @@ def relocated(parameters: TrainedParameters, config: TrainConfig, rng: np.random
 
 
 def grown(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
-    """Adds copies of existing Gaussians, chosen in proportion to opacity: `GROWTH` times as many, up to the cap."""
+    """Multiplies the number of Gaussians by `GROWTH`, up to the cap, with copies chosen in proportion to opacity."""
     more = min(config.cap, max(parameters.count + 1, int(GROWTH * parameters.count))) - parameters.count
     if more <= 0:
         return parameters
@@ -121,11 +130,11 @@ def grown(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Gen
 
 
 def relocate_sources(parameters: TrainedParameters, sources: Indices, degree: int) -> None:
-    """Reduces opacity and scales of the sources, so that a source with its copies renders like the source before.
+    """Reduces opacity and scales of copied Gaussians, so that each with its copies renders as it did before.
 
     Args:
         parameters: Gaussians, changed in place.
-        sources: Index of the source of each copy; repeated for several copies.
+        sources: For each copy, the index of the Gaussian that is copied.
         degree: Kernel degree.
     """
     unique, counts = np.unique(sources, return_counts=True)
@@ -135,13 +144,13 @@ def relocate_sources(parameters: TrainedParameters, sources: Indices, degree: in
 
 
 def relocation(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE) -> tuple[Doubles, Doubles]:
-    """Returns the opacity of each of several coinciding Gaussians and the factor of their scales.
+    """Returns the opacity of each of several coinciding Gaussians, and the factor of their scales, shape (N,) each.
 
-    Together they render like the Gaussian that they replace (equation 9 of the paper).
+    Together they render like the Gaussian that they replace (Kheradmand et al. 2024, equation 9).
 
     Args:
-        opacities: Opacity of the one Gaussian that they replace, shape (N,).
-        counts: Number of coinciding Gaussians, >= 2, shape (N,).
+        opacities: Opacity of each of N replaced Gaussians, shape (N,).
+        counts: Number of coinciding Gaussians that replace each of them, >= 2, shape (N,).
         degree: Kernel degree.
     """
     counts = np.minimum(counts, RELOCATED_MAX)
@@ -154,7 +163,7 @@ def relocation(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE)
 
 
 def line_integral_ratio(degree: int, power: int) -> float:
-    """Returns the line integral of the kernel through its mean over that of the kernel to the power ``power``."""
+    """Divides the kernel's integral along a line through the mean by that of the kernel to the power ``power``."""
     return 0.5 * (power + 1.0) if degree == 0 else float(power ** (1.0 / degree))
 
 
@@ -183,14 +192,17 @@ def cloned_and_split(
 
 
 def pruned(parameters: TrainedParameters, extent: float) -> TrainedParameters:
-    """Returns the Gaussians without nearly transparent ones and ones too large for the scene."""
+    """Removes nearly transparent Gaussians and those with a scale above `TOO_LARGE` times ``extent``."""
     return parameters.rows(
         (parameters.opacities >= DEAD_OPACITY) & (parameters.scales.max(axis=1) <= TOO_LARGE * extent)
     )
 
 
 def reset_opacities(parameters: TrainedParameters) -> None:
-    """Caps all opacities at `RESET_OPACITY`; Gaussians that no image needs stay transparent and are pruned."""
+    """Lowers all opacities to at most `RESET_OPACITY`.
+
+    Training raises the opacities that the images need again; the other Gaussians are pruned later.
+    """
     logits = parameters.values["logits"]
     np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1.0 - RESET_OPACITY))), out=logits)
     parameters.first["logits"][:] = 0.0

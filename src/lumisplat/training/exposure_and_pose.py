@@ -1,4 +1,4 @@
-"""Optimises the exposure and the pose of each training image (Kerbl et al. 2023, code; Lin et al. 2021)."""
+"""Optimises one exposure (Kerbl et al. 2023, code) and one pose (Lin et al. 2021) for each training image."""
 
 from __future__ import annotations
 
@@ -26,33 +26,37 @@ IDENTITY = np.eye(3, 4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposures:
-    """Exposures of the K training images; their mean is kept at the identity, otherwise the colours would drift."""
+    """Exposures of the K training images.
+
+    The mean over the images is kept at the identity, because a common exposure could be compensated by the Gaussians'
+    colours.
+    """
 
     values: Doubles
-    """Colour matrix and offset of each image, shape (K, 3, 4)."""
+    """Colour matrix, followed by an added colour in the last column, of each image, shape (K, 3, 4)."""
     adam: Adam
 
     @classmethod
     def neutral(cls, count: int) -> Exposures:
-        """Returns identity exposures."""
+        """Returns identity exposures for ``count`` images."""
         return cls(np.repeat(IDENTITY[None], count, axis=0), Adam.still((count, 12), by_rows=True))
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """Arrays on which the next update depends."""
+        """Exposures and Adam moments by name: all that the next update depends on."""
         return {"exposures": self.values} | self.adam.state("exposures")
 
     def restore(self, state: dict[str, Doubles]) -> None:
-        """Copies the arrays of a ``state``."""
+        """Copies the arrays of an earlier ``state`` into the exposures and Adam moments."""
         for name, values in self.state.items():
             values[:] = state[name]
 
     def move(self, number: int, gradient: Doubles, rate: float) -> None:
-        """Makes an Adam update of one exposure and restores the mean.
+        """Makes an Adam update of one exposure, then shifts all exposures so that their mean is the identity.
 
         Args:
             number: Index of the image.
-            gradient: Gradient of the loss with respect to its exposure, shape (3, 4).
+            gradient: Gradient of the loss with respect to the image's exposure, shape (3, 4).
             rate: Learning rate.
         """
         self.values[number] += rate * self.adam.step(gradient.reshape(12), row=number).reshape(3, 4)
@@ -76,14 +80,14 @@ class ExposedFrame:
         self._exposure.offset, self._exposure.background = wp.vec3(*exposure[:, 3]), wp.vec3(*background)
 
     def of(self, pixels: PixelData) -> PixelData:
-        """Returns the pixels with the exposure applied."""
+        """Returns a copy of a frame's pixels with the exposure applied."""
         exposed, count = PixelData(), len(pixels.alpha)
         exposed.color, exposed.alpha = self._buffers.get("exposed.color", wp.vec3, count), pixels.alpha
         self._launcher.run_banded(kernels.expose, count, self._exposure, pixels, exposed.color)
         return exposed
 
     def backward(self, pixels: PixelData, by_exposed: PixelGradient) -> tuple[PixelGradient, Doubles]:
-        """Returns the gradient with respect to the pixels before exposure, and by the exposure, shape (3, 4).
+        """Returns the gradients with respect to the pixels before exposure, and to the exposure, shape (3, 4).
 
         Args:
             pixels: Pixels of the frame before exposure.
@@ -105,7 +109,7 @@ class ExposedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Poses of the K training images, with their initial values.
+    """Current and initial poses of the K training images.
 
     A common motion of all cameras and Gaussians changes no image. The mean motion of the cameras in world space is
     therefore kept at 0.
@@ -117,11 +121,12 @@ class Poses:
     """Initial ``camera_from_world`` of each image, shape (K, 4, 4)."""
     adam: Adam
     length: float
-    """Translation in scene units that counts as much as one radian: the distance from the cameras to their target."""
+    """Translation, scene units, that counts as much as a rotation by one radian: the distance from the cameras to
+    their common target."""
 
     @classmethod
     def of(cls, cameras: Sequence[Camera], length: float) -> Poses:
-        """Returns the initial poses of cameras.
+        """Returns the poses of the cameras, as current and as initial values.
 
         Raises:
             SceneError: A camera has a rolling shutter or an aperture, so a single pose does not describe it.
@@ -138,24 +143,24 @@ class Poses:
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """Arrays on which the next update depends."""
+        """Poses and Adam moments by name: all that the next update depends on."""
         return {"poses": self.values} | self.adam.state("poses")
 
     def restore(self, state: dict[str, Doubles]) -> None:
-        """Copies the arrays of a ``state``."""
+        """Copies the arrays of an earlier ``state`` into the poses and Adam moments."""
         for name, values in self.state.items():
             values[:] = state[name]
 
     def posed(self, number: int, camera: Camera) -> Camera:
-        """Returns a camera of an image with its current pose."""
+        """Returns a copy of ``camera`` with the current pose of image ``number``."""
         return replace(camera, camera_from_world=self.values[number])
 
     def move(self, number: int, gradient: Doubles, rate: float) -> None:
-        """Makes an Adam update of one pose and removes the mean motion of all poses.
+        """Makes an Adam update of one pose, then moves all poses so that their mean motion is 0.
 
         Args:
             number: Index of the image.
-            gradient: Gradient of the loss with respect to the upper rows of ``camera_from_world``, shape (3, 4).
+            gradient: Gradient of the loss with respect to the first three rows of ``camera_from_world``, shape (3, 4).
             rate: Learning rate, radians.
         """
         by_parameters = self._twist_from_parameters.T @ twist_gradient(self.values[number], gradient)
@@ -167,10 +172,11 @@ class Poses:
 
     @property
     def _twist_from_parameters(self) -> Doubles:
-        """Matrix from optimised parameters to a twist of the camera, shape (6, 6).
+        """Matrix that maps the optimised parameters to a twist of the camera, shape (6, 6).
 
         The parameters are a rotation about the point on the optical axis at distance ``length``, and a translation. A
-        rotation about the camera itself looks like a translation, so the two would cancel for many iterations.
+        rotation about the camera's own centre changes the image almost like a translation, so optimising both would
+        make them cancel for many iterations.
         """
         point = np.array([0.0, 0.0, self.length])
         parameters = np.eye(6)
@@ -180,13 +186,14 @@ class Poses:
 
 
 def twist_gradient(pose: Doubles, gradient: Doubles) -> Doubles:
-    """Returns the gradient with respect to a twist of the camera, ``exp(twist) @ pose`` at 0, shape (6,).
+    """Returns the gradient of the loss with respect to a twist of the camera, shape (6,).
 
-    The twist is a rotation and a translation along the camera's axes.
+    The twist is a rotation, then a translation, along the camera's axes. It moves the pose to ``exp(twist) @ pose``;
+    the gradient is taken at a twist of 0.
 
     Args:
         pose: ``camera_from_world``, shape (4, 4).
-        gradient: Gradient of the loss with respect to its upper rows, shape (3, 4).
+        gradient: Gradient of the loss with respect to the first three rows of ``pose``, shape (3, 4).
     """
     m = gradient @ pose[:3].T
     return np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], *gradient[:, 3]])

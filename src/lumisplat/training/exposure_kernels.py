@@ -1,6 +1,7 @@
 """Kernels that apply an image's exposure to a frame, and return gradients with respect to frame and exposure.
 
-The equations are in docs/method/training.md#exposures.
+Exposures change the Gaussians' colours and leave the background as is. The equations are in
+docs/method/training.md#exposures.
 """
 
 import warp as wp
@@ -17,13 +18,13 @@ CHUNK = wp.constant(EXPOSURE_CHUNK)
 
 @wp.func
 def gaussian_color(pixels: PixelData, exposure: Exposure, i: int) -> wp.vec3:
-    """Returns the premultiplied colour of the Gaussians in a pixel, without the background."""
+    """Returns the premultiplied colour that the Gaussians add to a pixel, without the background."""
     return pixels.color[i] - (1.0 - pixels.alpha[i]) * exposure.background
 
 
 @wp.kernel
 def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.array[wp.vec3]):
-    """Item = pixel: applies the exposure to the Gaussians and adds the unchanged background."""
+    """Applies the exposure to the Gaussians' colour and adds the unchanged background. One item is one pixel."""
     i = start + wp.tid()
     alpha = pixels.alpha[i]
     exposed = exposure.matrix * gaussian_color(pixels, exposure, i) + alpha * exposure.offset
@@ -40,7 +41,7 @@ def differentiate_chunks(
     by_matrix_out: wp.array[wp.mat33],
     by_offset_out: wp.array[wp.vec3],
 ):
-    """Item = chunk of pixels: gradient with respect to each pixel, and the chunk's sum for the exposure."""
+    """Writes the gradient of each pixel, and the sum over a chunk for the exposure. One item is one chunk of pixels."""
     chunk = start + wp.tid()
     by_matrix = wp.mat33(0.0)
     by_offset = wp.vec3(0.0)

@@ -1,4 +1,4 @@
-"""Finds the materials of a capture and the light of its images: ``lumisplat.inverse.find_materials``."""
+"""Implements ``lumisplat.inverse.find_materials``: finds the materials of a capture and the light of its images."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ EXPOSURE_PIXELS = 64
 """Smallest number of unclipped pixels from which the exposure of an image is estimated."""
 
 EXPOSURE_RANGE = (0.08, 0.92)
-"""Range of display values that are clipped neither at black nor at white."""
+"""Display values between which a pixel counts as clipped neither at black nor at white."""
 
 EXPOSURE_SPREAD_MAX = 0.25
 """Standard deviation of exposures, stops, above which a warning is logged.
@@ -68,7 +68,7 @@ Photographs taken with one exposure measure 0.1, rendered images 0.01."""
 _log = logging.getLogger("lumisplat")
 
 ENVIRONMENT = ".environment.exr"
-"""Suffix of the environment image beside a capture."""
+"""Suffix that replaces ``.ply`` in the name of the environment image beside a capture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +81,10 @@ class FoundMaterials:
     environment: LightEnvironment
     """Environment around the capture, 16 x 32 pixels in world space, in units of display white."""
     error: float
-    """Mean absolute difference between images and relit views, display-referred, over the last epoch; NaN for 0
-    iterations."""
+    """Mean absolute difference between images and relit views over the last epoch, display-referred, 0..1; NaN if no
+    iteration was run."""
     too_light: float
-    """Fraction of Gaussians, weighted by visibility in the images, whose initial albedo was clamped at 1.
+    """Fraction of Gaussians, weighted by visibility in the images, whose initial albedo was above 1 and was clamped.
 
     Such Gaussians are highlights, or their irradiance was underestimated."""
 
@@ -220,7 +220,7 @@ class _Search:
         return state, incident
 
     def _normals(self, renderer: DifferentiableRenderer) -> tuple[Doubles, Doubles]:
-        """Returns the normals of the Gaussians and their summed blending weights over the images."""
+        """Returns each Gaussian's normal, and its blending weight summed over all pixels of the images."""
         cameras = [view.camera for view in self._views]
         normals, weights = rendered_normals(self._gaussians, cameras, renderer, self._progress)
         if not weights.any():
@@ -230,7 +230,7 @@ class _Search:
         return normals, weights
 
     def _warn_of_exposures(self, renderer: DifferentiableRenderer) -> None:
-        """Logs a warning if the exposures of the images differ."""
+        """Logs a warning if the brightness of the images varies by more than `EXPOSURE_SPREAD_MAX`."""
         spread = exposure_spread(self._gaussians, self._views, renderer, self._progress)
         if spread > EXPOSURE_SPREAD_MAX:
             _log.warning(
@@ -248,7 +248,7 @@ class _Search:
         )
 
     def _refined(self, state: SearchState, incident: IncidentRadiance | None) -> tuple[Materials, tuple[float, ...]]:
-        """Returns materials and environment after all iterations, and the errors of the last epoch.
+        """Runs the remaining iterations; returns materials and environment, and the L1 errors of the last epoch.
 
         Ctrl C ends the search after the current iteration.
 
@@ -318,11 +318,11 @@ def _write(output: Path, found: FoundMaterials) -> None:
 
 
 _INSIDE = 0.99
-"""Alpha, or pixel weight, above which a pixel is used to compare exposures."""
+"""Lower bound of alpha, and of the pixel's weight in the loss, for pixels whose exposures are compared."""
 
 
 def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], renderer: Renderer, report: Progress) -> float:
-    """Returns the standard deviation of the brightness of images relative to the capture, stops.
+    """Returns the standard deviation, over the images, of their brightness relative to the capture, stops.
 
     Args:
         gaussians: The capture.
@@ -343,10 +343,10 @@ def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], rendere
 
 
 def _stops_brighter(target: TargetPixels, frame: Frame) -> list[float]:
-    """Returns by how many stops an image is brighter than a frame: the ratio of medians over unclipped pixels.
+    """Returns how many stops an image is brighter than a frame, by the ratio of their medians over unclipped pixels.
 
     Returns:
-        An empty list if too few pixels are unclipped.
+        A list of that one number; an empty list if too few pixels are unclipped.
     """
     image, shown = target.color.mean(axis=2), frame.color.mean(axis=2)
     inside = frame.alpha > _INSIDE
@@ -364,21 +364,21 @@ def _stops_brighter(target: TargetPixels, frame: Frame) -> list[float]:
 VERSION = 1
 _OF_START, _OF_FIT = "start.", "fit."
 _MATERIAL_KEYS = {"albedo": "albedo", "roughness": "roughness", "normals": "normals", "environment": "sky"}
-"""Array names in the file, by field of `Materials`."""
+"""Name of each `Materials` field's array in the state file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchState:
-    """Complete state of a search, apart from its settings, images, capture and incident radiance."""
+    """Complete state of a search, without its settings, images, capture and incident radiance."""
 
     start: Materials
     """Initial materials and environment."""
     too_light: float
-    """Fraction of clamped initial albedos, as in `FoundMaterials`."""
+    """Fraction of Gaussians whose initial albedo was clamped, as in `FoundMaterials.too_light`."""
     iteration: int = 0
-    """Number of iterations made."""
+    """Number of iterations completed."""
     fit: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
-    """Optimised arrays and their Adam moments; empty before the first iteration."""
+    """Optimised arrays and their Adam moments by name, as `MaterialFit.state`; empty before the first iteration."""
     errors: tuple[float, ...] = ()
     """L1 errors of the latest iterations, at most one per image."""
 
@@ -387,7 +387,7 @@ class SearchState:
 class MaterialFiles:
     """State files of one search.
 
-    A damaged file, or one of another search, is ignored: a warning is logged and the search starts again.
+    A file that is damaged or belongs to another search is ignored: a warning is logged and the search starts again.
     """
 
     folder: Path
@@ -400,7 +400,7 @@ class MaterialFiles:
 
     @classmethod
     def of(cls, folder: Path, gaussians: Gaussians, images: str, config: MaterialsConfig) -> MaterialFiles:
-        """Returns the files of a search with this capture, fingerprint of the images, and settings."""
+        """Returns the files of the search with this capture, this fingerprint of the images and these settings."""
         stored = hashlib.sha256(json.dumps([VERSION, images, asdict(config), gaussians.antialiased]).encode())
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
             stored.update(getattr(gaussians, name).tobytes())
@@ -427,7 +427,7 @@ class MaterialFiles:
         write_state(self._state_path, arrays, about)
 
     def read(self) -> SearchState | None:
-        """Returns the stored state of the search; None if there is none."""
+        """Returns the stored state of the search; None if the file is missing, damaged or of another search."""
         content = self._read(self._state_path)
         if content is None:
             return None
@@ -452,7 +452,7 @@ class MaterialFiles:
                 raise ValueError("iteration does not match the state")
             return SearchState(start, float(stored["too_light"]), iteration, fit, errors)
         except (KeyError, TypeError, ValueError, OverflowError):
-            self._warn_anew(self._state_path)
+            self._warn_of_restart(self._state_path)
             return None
 
     def write_incident(self, incident: IncidentRadiance) -> None:
@@ -465,7 +465,7 @@ class MaterialFiles:
         write_state(self._incident_path, arrays, {"mark": self.fingerprint})
 
     def read_incident(self) -> IncidentRadiance | None:
-        """Returns the stored incident radiance; None if there is none."""
+        """Returns the stored incident radiance; None if the file is missing, damaged or of another search."""
         content = self._read(self._incident_path)
         if content is None:
             return None
@@ -477,7 +477,7 @@ class MaterialFiles:
                 seen=checked_array(content[1], "seen", (*pairs, 3), np.float32),
             )
         except ValueError:
-            self._warn_anew(self._incident_path)
+            self._warn_of_restart(self._incident_path)
             return None
 
     def remove_incident(self) -> None:
@@ -485,7 +485,7 @@ class MaterialFiles:
         self._incident_path.unlink(missing_ok=True)
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Returns metadata and arrays of a file; None if the file is missing, damaged or of another search."""
+        """Returns metadata and arrays of a state file; None if the file is missing, damaged or of another search."""
         try:
             arrays = read_arrays(path, "the state of a material search")
             stored: dict[str, Any] = json.loads(str(arrays.pop("about")))
@@ -498,11 +498,11 @@ class MaterialFiles:
                 raise
         except (ValueError, LookupError, TypeError, RecursionError):
             pass
-        self._warn_anew(path)
+        self._warn_of_restart(path)
         return None
 
     @staticmethod
-    def _warn_anew(path: Path) -> None:
+    def _warn_of_restart(path: Path) -> None:
         _log.warning(
             "%s: is damaged, or of another capture, other images or settings: the material search starts again", path
         )

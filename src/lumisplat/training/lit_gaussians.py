@@ -1,4 +1,4 @@
-"""Host pass that lights each Gaussian by its incident radiance, and returns gradients of its material."""
+"""Lights each Gaussian by its incident radiance, and returns gradients of its material; runs device kernels."""
 
 from __future__ import annotations
 
@@ -25,10 +25,12 @@ from lumisplat.scene.scene import Scene
 from lumisplat.training import material_gradient_kernels, material_kernels
 
 LIFT_SHORTEST = 4.0
-"""Height of ray origins above a Gaussian, in units of its smallest scale; its own response there is 3e-4."""
+"""Height of ray origins above a Gaussian, in units of its smallest scale. The Gaussian's response there is 3e-4, so it
+does not block its own rays."""
 
 LIFT_ALONG = 1.0
-"""Height of ray origins above a Gaussian, in units of its middle scale; neighbours reach that far above its plane."""
+"""Height of ray origins above a Gaussian, in units of its middle scale; overlapping neighbours reach that far above
+its plane."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,7 @@ class LitGaussians:
     Args:
         launcher: Runs the kernels.
         buffers: Owner of the device arrays.
-        means: Means of the Gaussians, shape (N, 3).
+        means: Means of the N Gaussians, shape (N, 3).
         incident: Incident radiance of each Gaussian.
     """
 
@@ -72,12 +74,12 @@ class LitGaussians:
         self._eye = wp.vec3()
 
     def shade(self, materials: Materials, eye: Doubles, sh_out: DeviceArray) -> None:
-        """Computes the radiance of each Gaussian towards an eye.
+        """Computes each Gaussian's radiance towards an eye point, for ``radiance`` and as display colour.
 
         Args:
             materials: Materials of the Gaussians.
-            eye: Eye position, world space.
-            sh_out: Receives the display-referred colour as SH coefficient of degree 0, shape (N,).
+            eye: Eye point in world space, shape (3,).
+            sh_out: Receives each Gaussian's display-referred colour as SH coefficient of degree 0, shape (N,).
         """
         self._eye, on = wp.vec3(*eye), self._materials
         on.normals, on.albedo = self._vectors("normals", materials.normals), self._vectors("albedo", materials.albedo)
@@ -88,7 +90,9 @@ class LitGaussians:
             self._launcher.run_banded(material_kernels.shade, self._count, *inputs)
 
     def decode(self, rects: DeviceArray, by_splats: DeviceArray) -> None:
-        """Converts the gradient of splat colours to that of linear radiance, for ``differentiate``.
+        """Converts the gradient with respect to splat colours to one with respect to linear radiance.
+
+        ``differentiate`` continues from the result.
 
         Args:
             rects: Tile rectangles of the splats of the last frame.
@@ -98,7 +102,7 @@ class LitGaussians:
         self._launcher.run_banded(material_kernels.decode_gradients, self._count, *inputs)
 
     def differentiate(self) -> Materials:
-        """Returns the gradient of the loss for materials and environment, one gradient per parameter."""
+        """Returns the gradient of the loss, after ``decode``, with one element for each number in `Materials`."""
         run, get, count = self._launcher.run_banded, self._buffers.get, self._count
         gradient = MaterialGradient()
         gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))
@@ -115,7 +119,7 @@ class LitGaussians:
 
     @property
     def radiance(self) -> Doubles:
-        """Radiance of the last ``shade``, linear, shape (N, 3)."""
+        """Linear radiance of each Gaussian from the last call of ``shade``, shape (N, 3)."""
         return np.array(self._radiance.numpy(), np.float64)
 
     def _vectors(self, name: str, values: Doubles | FloatArray) -> DeviceArray:
@@ -128,14 +132,14 @@ def _floats(values: Doubles | FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IncidentRadiance:
-    """Incident radiance of N Gaussians from K directions of equal solid angle."""
+    """Incident radiance of N Gaussians from K evenly spread directions."""
 
     directions: Doubles
     """Unit directions towards the light, shape (K, 3)."""
     open: FloatArray
-    """Transmittance to the environment, 0..1, shape (N, K)."""
+    """Transmittance from each Gaussian to the environment, 0..1, shape (N, K)."""
     seen: FloatArray
-    """Captured radiance of the Gaussians that block the rest, linear, in units of display white, shape (N, K, 3)."""
+    """Captured radiance that arrives from blocking Gaussians, linear, in units of display white, shape (N, K, 3)."""
 
     @property
     def solid_angle(self) -> float:
@@ -143,7 +147,7 @@ class IncidentRadiance:
         return 4.0 * np.pi / len(self.directions)
 
     def irradiance(self, normals: Doubles) -> Irradiance:
-        """Returns the irradiance over pi of Gaussians with these normals, shape (N, 3); the scene has no lights."""
+        """Returns the irradiance over pi of N Gaussians with the given normals, shape (N, 3), without emitters."""
         cosines = np.maximum(normals @ self.directions.T, 0.0).astype(np.float32)
         shares = cosines * np.float32(self.solid_angle / np.pi)
         return Irradiance(
@@ -156,10 +160,11 @@ class IncidentRadiance:
 def traced_incident(
     gaussians: Gaussians, normals: Doubles, directions: Doubles, renderer: Renderer, *, seed: int, report: Progress
 ) -> IncidentRadiance:
-    """Traces one ray from each Gaussian in each direction above its horizon.
+    """Traces one ray from each Gaussian in each of K directions above its horizon.
 
-    Rays are jittered within the solid angle of their direction. If half of it is blocked, about half of the rays
-    therefore reach the environment. Rays start above the Gaussian, at a height given by its scales.
+    Rays are jittered within the solid angle of their direction. Where half of that solid angle is blocked, about half
+    of the Gaussians' rays therefore reach the environment. Rays start above the Gaussian, at a height given by its
+    scales.
 
     Args:
         gaussians: The capture.
@@ -188,7 +193,7 @@ def traced_incident(
 
 
 def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Returns ray origins above the Gaussians, high enough that no Gaussian blocks its own ray, shape (N, 3)."""
+    """Returns a ray origin above each Gaussian, high enough that the Gaussian does not block its rays, shape (N, 3)."""
     scales = np.sort(gaussians.scales.astype(np.float64), axis=1)
     lift = np.maximum(LIFT_SHORTEST * scales[:, 0], LIFT_ALONG * scales[:, 1])
     return gaussians.means + lift[:, None] * normals
@@ -197,10 +202,11 @@ def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
 def rendered_normals(
     gaussians: Gaussians, cameras: Sequence[Camera], renderer: DifferentiableRenderer, report: Progress
 ) -> tuple[Doubles, Doubles]:
-    """Estimates the unit normal of each Gaussian towards the cameras, and its total blending weight.
+    """Estimates the unit normal of each of N Gaussians towards the cameras, and its total blending weight.
 
-    Each view gives a normal map of the surface at mean depth. The normal of a Gaussian is the mean over all pixels of
-    all views, with its blending weights. A Gaussian without such a pixel gets its shortest axis.
+    Each view gives a normal map of the surface at mean depth. The normal of a Gaussian is the mean of these maps over
+    all pixels of all views, weighted by the Gaussian's blending weights. A Gaussian visible in no pixel with a normal
+    gets its shortest axis.
 
     Args:
         gaussians: The capture.
@@ -232,12 +238,12 @@ def rendered_normals(
 
 
 def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Returns unit normals of the surface at mean depth, towards the camera, shape (H, W, 3); zero without a surface.
+    """Returns unit normals, towards the camera, of the surface at mean depth, shape (H, W, 3); zero without a surface.
 
     Args:
-        camera: A pinhole.
+        camera: A pinhole camera.
         depth: Alpha-blended view depths, not divided by alpha, shape (H, W).
-        alpha: Shape (H, W).
+        alpha: Alpha of each pixel, shape (H, W).
     """
     has = alpha > SURFACE_ALPHA
     z = np.where(has, depth / np.where(has, alpha, 1.0), 0.0).astype(np.float64)

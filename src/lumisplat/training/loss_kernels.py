@@ -18,10 +18,10 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler
 SSIM_C1 = 0.01**2
 
 SSIM_C2 = 0.03**2
-"""Stabilisation constants of Wang et al. 2004, section III-C, for images in 0..1."""
+"""Second stabilisation constant of SSIM for images in 0..1 (Wang et al. 2004, section III-C)."""
 
 COVERED_MIN = 1e-6
-"""Margin from 0 and 1 beyond which alpha is clamped in the cross entropy. Gao et al. 2024, code."""
+"""Smallest distance of alpha from 0 and 1 in the cross entropy; closer values are clamped. Gao et al. 2024, code."""
 
 TAPS = wp.constant(SSIM_WINDOW_PX)
 REACH = wp.constant(SSIM_WINDOW_PX // 2)
@@ -35,7 +35,7 @@ WINDOW = wp.constant(wp.types.vector(length=SSIM_WINDOW_PX, dtype=wp.float32)(*(
 
 @wp.func
 def mirrored(x: int, size: int) -> int:
-    """Returns a pixel position mirrored at the borders of an image."""
+    """Returns a pixel's column or row, mirrored at the borders of an image with ``size`` columns or rows."""
     if x < 0:
         x = -1 - x
     if x >= size:
@@ -45,20 +45,20 @@ def mirrored(x: int, size: int) -> int:
 
 @wp.func
 def sign(x: float) -> float:
-    """Derivative of the absolute value; 0 at 0, where Warp's sign is 1."""
+    """Returns the derivative of the absolute value: 0 at 0, where Warp's sign is 1."""
     return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
 
 
 @wp.func
 def entropy(alpha: float, wanted: float) -> float:
-    """Binary cross entropy between rendered and target alpha (Gao et al. 2024, code)."""
+    """Returns the binary cross entropy between rendered and target alpha (Gao et al. 2024, code)."""
     a = wp.clamp(alpha, COVERED_LEAST, 1.0 - COVERED_LEAST)
     return -(wanted * wp.log(a) + (1.0 - wanted) * wp.log(1.0 - a))
 
 
 @wp.func
 def entropy_derivative(alpha: float, wanted: float) -> float:
-    """Derivative of `entropy` by alpha; 0 where alpha is clamped."""
+    """Returns the derivative of `entropy` with respect to the rendered alpha; 0 where that alpha is clamped."""
     if alpha < COVERED_LEAST or alpha > 1.0 - COVERED_LEAST:
         return 0.0
     return (alpha - wanted) / (alpha * (1.0 - alpha))
@@ -66,7 +66,7 @@ def entropy_derivative(alpha: float, wanted: float) -> float:
 
 @wp.func
 def run_of(item: int, grid: LossGrid):
-    """Returns the row of a run of pixels, its first column and its end column."""
+    """Returns the row of an item's run of pixels, the run's first column, and the column after its last."""
     runs = (grid.width + grid.run - 1) // grid.run
     left = (item % runs) * grid.run
     return item // runs, left, wp.min(left + grid.run, grid.width)
@@ -74,7 +74,7 @@ def run_of(item: int, grid: LossGrid):
 
 @wp.kernel
 def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: TargetImage, maps_out: LossMaps):
-    """Item = run: blurs means, squares and products of frame and target along the row."""
+    """Blurs the values, squares and products of frame and target along the row. One item is one run of pixels."""
     y, left, right = run_of(start + wp.tid(), grid)
     width = grid.width
     row = y * width
@@ -103,7 +103,10 @@ def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: Targ
 
 @wp.kernel
 def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps, ssim_out: wp.array[float]):
-    """Item = run: blurs along columns, sums SSIM, and differentiates it by means, squares and products."""
+    """Computes SSIM, and its derivatives with respect to blurred values, squares and products. One item is one run.
+
+    The maps that `blur_rows` blurred along rows are blurred along columns first. The SSIM is summed over the run.
+    """
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
     width = grid.width
@@ -144,7 +147,7 @@ def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps,
 
 @wp.kernel
 def spread_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps):
-    """Item = run: blurs the derivatives along the row, the adjoint of `blur_rows`."""
+    """Blurs the derivatives of SSIM along the row, as the adjoint of `blur_rows`. One item is one run of pixels."""
     y, left, right = run_of(start + wp.tid(), grid)
     width = grid.width
     row = y * width
@@ -176,7 +179,10 @@ def differentiate_rows(
     by_alpha_out: wp.array[float],
     sums_out: wp.array[wp.vec4],
 ):
-    """Item = run: gradient of its pixels, and sums of L1, squared error, alpha error and cross entropy."""
+    """Writes the loss gradient of a run's pixels, and sums of four error terms over the run. One item is one run.
+
+    The terms are L1, squared error, alpha error and cross entropy of alpha.
+    """
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
     width = grid.width
@@ -221,7 +227,7 @@ def add_rows(
     ssim_out: wp.array[float],
     sums_out: wp.array[wp.vec4],
 ):
-    """Item = row: adds the sums of its runs."""
+    """Adds the sums of all runs of a row. One item is one row."""
     y = start + wp.tid()
     runs = (grid.width + grid.run - 1) // grid.run
     total = float(0.0)

@@ -1,4 +1,4 @@
-"""Host passes of the loss: image loss, and terms that align Gaussians with surfaces.
+"""Runs the kernels of the loss: image loss, and surface terms, which align Gaussians with surfaces.
 
 The surface terms are those of Huang et al. 2024 and Gao et al. 2024.
 """
@@ -56,8 +56,8 @@ class ImageLoss:
     Args:
         launcher: Runs the kernels.
         buffers: Owner of the device arrays.
-        ssim: Fraction of SSIM in the loss, 0..1; the rest is L1.
-        alpha: Weight of the alpha error.
+        ssim: Fraction of SSIM in the colour loss, 0..1; the rest is L1.
+        alpha: Weight of the absolute alpha error.
         entropy: Weight of the cross entropy of alpha.
     """
 
@@ -70,7 +70,7 @@ class ImageLoss:
         """Sum of the pixel weights of the loaded image."""
 
     def load(self, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None) -> TargetImage:
-        """Uploads an image; the result is valid until the next call.
+        """Uploads an image; the next call overwrites the returned arrays.
 
         Args:
             color: Display-referred sRGB, 0..1, shape (H, W, 3).
@@ -89,7 +89,7 @@ class ImageLoss:
     def differentiate(
         self, size: tuple[int, int], pixels: PixelData, target: TargetImage
     ) -> tuple[Loss, PixelGradient]:
-        """Returns the loss of a frame and its gradient with respect to the pixels.
+        """Returns the loss of a frame and the loss's gradient with respect to the frame's pixels.
 
         Args:
             size: Width and height in pixels.
@@ -126,7 +126,10 @@ class ImageLoss:
         return weights
 
     def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
-        """Returns weighted means; pixels of weight 0 count as equal to the image, with an SSIM of 1."""
+        """Returns the loss as means over pixels, weighted by the pixel weights, from the kernels' sums.
+
+        The kernels treat pixels of weight 0 as equal to the image, so their SSIM is 1; these pixels do not count.
+        """
         total = self.counted
         ssim = 1.0 - (3.0 * count - float(ssim_rows.sum(dtype=np.float64))) / (3.0 * total)
         means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total, total)
@@ -136,7 +139,7 @@ class ImageLoss:
 
 
 FEATURES = 5
-"""Number of feature channels: depth, squared depth and normal."""
+"""Number of feature channels: 1 for depth, 1 for squared depth, 3 for the normal."""
 
 
 class SurfaceLoss:
@@ -149,7 +152,7 @@ class SurfaceLoss:
         normals: Weight of 1 minus the cosine between the Gaussians' normal and the normal of the depth map.
         depth: Weight of the standard deviation of depth along a ray, in units of the extent.
         smooth: Weight of the difference between normals of neighbouring pixels, reduced at edges of the image.
-        middle: View depth that is subtracted from depth features, scene units.
+        middle: View depth in the middle of the scene, which is subtracted from depth features, scene units.
         extent: Scene extent, scene units.
     """
 
@@ -185,7 +188,10 @@ class SurfaceLoss:
         counted: float,
         gradient: PixelGradient,
     ) -> SurfaceMaps:
-        """Evaluates the terms, adds their gradient of alpha, and stores their gradient of features for ``backward``.
+        """Evaluates the surface terms of a frame and their gradients.
+
+        The gradient with respect to alpha is added to ``gradient``; that with respect to features is stored for
+        ``backward``.
 
         Args:
             scene: Device scene of the frame, with one Gaussian set in world space.
@@ -193,7 +199,7 @@ class SurfaceLoss:
             pixels: Pixels of the frame.
             target: Uploaded image with the weight of each pixel.
             counted: Sum of the pixel weights.
-            gradient: Receives the gradient with respect to alpha.
+            gradient: Gradient with respect to the pixels; its alpha is changed in place.
 
         Returns:
             Maps with the terms of each pixel.
@@ -219,9 +225,9 @@ class SurfaceLoss:
         return maps
 
     def backward(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray) -> DeviceArray:
-        """Returns the gradient with respect to the features of each Gaussian, shape (N, 5).
+        """Returns the gradient with respect to the features of each of N Gaussians, shape (N, 5).
 
-        The gradient with respect to splats is added to ``by_splat``.
+        The gradient with respect to the splats is added to ``by_splat``.
         """
         with self._launcher.stage("backward: surfaces"):
             return self._channels.backward(scene, drawn, self._shown, self._by_sums, by_splat)
@@ -235,14 +241,14 @@ class SurfaceLoss:
             scene: Device scene of the frame.
             drawn: Splats of the frame.
             by_features: Gradient with respect to features, from ``backward``.
-            record: Receives the sums.
+            record: Densification statistics, changed in place.
         """
         data: GaussianData = scene.assets[0].data
         inputs = (scene.camera, self._counted, drawn.splats.rects, data, by_features, record)
         self._launcher.run_banded(kernels.add_normal_gradients, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:
-        """Maps the gradient of features to means and rotations, and adds it to ``gradient``."""
+        """Adds the gradient of means and rotations that follows from the gradient of features to ``gradient``."""
         data: GaussianData = scene.assets[0].data
         inputs = (scene.camera, self._terms, data, by_features, gradient)
         self._launcher.run_banded(kernels.add_by_features, len(data.opacities), *inputs)

@@ -36,11 +36,11 @@ from lumisplat.training.trainer import frame_settings
 from lumisplat.training.views import TrainingView
 
 LOGIT_MAX = 16.0
-"""Largest magnitude of opacity logits."""
+"""Largest magnitude of opacity logits; opacities of 0 and 1 would have infinite ones."""
 
 
 class ColoredGaussians:
-    """Rasterises Gaussians of fixed geometry whose colours change.
+    """Rasterises Gaussians of fixed geometry in changing colours.
 
     Args:
         launcher: Runs the kernels.
@@ -78,7 +78,7 @@ class ColoredGaussians:
 
     @property
     def rects(self) -> DeviceArray:
-        """Tile rectangles of the splats of the last frame, ``TileRect``; empty for Gaussians not drawn."""
+        """Tile rectangle of each Gaussian's splat in the last frame, ``TileRect``; empty for Gaussians not drawn."""
         return self._raster.drawn.splats.rects
 
     def draw(self, camera: Camera, background: Color) -> PixelData:
@@ -86,7 +86,7 @@ class ColoredGaussians:
         return self._raster.draw(camera, 0, background)
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
-        """Returns the gradient with respect to the splats of the last frame, ``SplatGradient``.
+        """Returns the gradient of the loss with respect to the splats of the last frame, ``SplatGradient``.
 
         Elements of splats that were not drawn are undefined.
         """
@@ -94,7 +94,7 @@ class ColoredGaussians:
 
 
 def _unlit(gaussians: Gaussians) -> TrainedParameters:
-    """Returns the training parameters of a capture, with one SH coefficient per Gaussian."""
+    """Returns a capture's Gaussians as training parameters, with one zero SH coefficient for each Gaussian."""
     with np.errstate(divide="ignore"):  # opacities 0 and 1 have infinite logits
         opacities = gaussians.opacities.astype(np.float64)
         logits = np.log(opacities) - np.log1p(-opacities)
@@ -116,24 +116,27 @@ ENVIRONMENT_RATE = 0.05
 """Initial learning rate of the logarithm of the environment's radiance; it falls linearly to 0."""
 
 ENVIRONMENT_SMOOTHNESS = 1e-3
-"""Weight of squared differences between neighbouring directions, relative to the mean over pairs."""
+"""Weight of the smoothness term: squared differences of log radiance between neighbouring directions. The albedo term,
+a mean over pairs of Gaussians, has weight 1."""
 
 ENVIRONMENT_NEIGHBOURS = 6
 
 ENVIRONMENT_PRIOR = 1e-4
-"""Weight of the squared distance from the initial environment, relative to the mean over pairs."""
+"""Weight of the squared change of log radiance from the initial environment. The albedo term, a mean over pairs of
+Gaussians, has weight 1."""
 
 ENVIRONMENT_VISIBLE_MIN = 0.02
-"""Median visible fraction of the environment below which the scene counts as a closed room without one."""
+"""Fraction of the environment that the median Gaussian must see. Below it, the scene counts as a closed room, whose
+environment cannot be estimated."""
 
 CHROMA_WIDTH = 0.15
 """Difference of log chromaticity up to which two Gaussians are assumed to have the same albedo."""
 
 EDGE_WIDTH = 0.3
-"""Difference of log albedo above which a pair counts as a texture edge (Cauchy loss)."""
+"""Difference of log albedo above which the Cauchy loss treats a pair of Gaussians as lying across a texture edge."""
 
 ROUGHNESS_MIN = 0.1
-"""Smallest roughness that is found."""
+"""Smallest roughness that the fit can return."""
 
 NEIGHBOURS = 6
 """Number of nearest Gaussians whose materials are compared with those of each Gaussian."""
@@ -143,13 +146,15 @@ ALBEDO_RATE = 0.01
 ROUGHNESS_RATE = 0.02
 
 ENVIRONMENT_REFINE_RATE = 0.005
-"""Initial learning rate of log radiance; after half of the iterations, all rates fall to a tenth."""
+"""Initial learning rate of the environment's log radiance. In the second half of the iterations, all rates of the fit
+fall exponentially to a tenth."""
 
 ALBEDO_SMOOTHNESS = 0.05
-"""Weight of squared differences between neighbours, of the change of log albedo from its initial value."""
+"""Weight of squared differences, between neighbouring Gaussians, of the change of log albedo since the start of the
+fit."""
 
 ROUGHNESS_SMOOTHNESS = 0.05
-"""Weight of squared differences of roughness between neighbours."""
+"""Weight of squared differences of roughness between neighbouring Gaussians."""
 
 SSIM_FRACTION = 0.2
 """Fraction of SSIM in the image loss, as in training."""
@@ -157,7 +162,7 @@ SSIM_FRACTION = 0.2
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
 _LOGIT_MAX = 7.0
 _STATE_KEYS = ("albedo", "roughness", "sky")
-"""Keys of the optimised arrays in ``state`` and in files."""
+"""Names of the optimised arrays in `MaterialFit.state` and in state files."""
 
 
 class MaterialFit:
@@ -207,7 +212,7 @@ class MaterialFit:
         self._first = np.log(_sigmoid(self._albedo))
         self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._environment)]
         self.iteration = 0
-        """Number of iterations made."""
+        """Number of iterations completed."""
 
     @property
     def materials(self) -> Materials:
@@ -218,7 +223,7 @@ class MaterialFit:
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """Optimised arrays and their Adam moments; with the iteration, all that the next step depends on."""
+        """Optimised arrays and their Adam moments by name; the next step depends on them and on ``iteration`` only."""
         arrays: dict[str, Doubles] = {"albedo": self._albedo, "roughness": self._roughness, "sky": self._environment}
         for name, moments in zip(_STATE_KEYS, self._moments, strict=True):
             arrays |= {f"{name}.first": moments.first, f"{name}.second": moments.second}
@@ -229,7 +234,7 @@ class MaterialFit:
 
         Args:
             state: The ``state`` of a fit with the same initial materials.
-            iteration: Iterations made until then.
+            iteration: Number of iterations that the stored fit had completed.
         """
         self._albedo, self._roughness, self._environment = (state[name].copy() for name in _STATE_KEYS)
         self._moments = [
@@ -248,7 +253,7 @@ class MaterialFit:
         return loss
 
     def differentiate(self, view: TrainingView) -> tuple[Loss, Materials]:
-        """Returns the loss between the shaded Gaussians and an image, and its gradient of materials and environment."""
+        """Returns the loss between the shaded Gaussians and an image, and its gradient in the form of `Materials`."""
         image, camera = view.read(), view.camera
         target = self._loss.load(image.color, image.weight, None)
         self._lit.shade(self.materials, camera.eye, self._gaussians.sh)
@@ -259,7 +264,7 @@ class MaterialFit:
         return loss, self._lit.differentiate()
 
     def _move(self, gradient: Materials) -> None:
-        """Makes an Adam step in logits and logarithms, with the smoothness terms added."""
+        """Adds the smoothness gradients to ``gradient``, and makes an Adam step in logits and logarithms."""
         now = self.materials
         share = (now.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE
         changes = np.log(now.albedo) - self._first
@@ -295,7 +300,7 @@ def _logits(shares: Doubles) -> Doubles:
 
 
 def white_radiance(white: Irradiance, environment: Doubles) -> Doubles:
-    """Returns the radiance of white diffuse Gaussians under an environment of shape (K, 3): shape (N, 3)."""
+    """Returns the radiance of N white diffuse Gaussians, shape (N, 3), under an environment of K directions, (K, 3)."""
     return np.maximum(white.total(environment.astype(np.float32), np.zeros((0, 3))), RADIANCE_LEAST)
 
 
@@ -316,10 +321,10 @@ def fit_environment(
 ) -> Doubles:
     """Estimates the radiance of the environment in K directions, shape (K, 3).
 
-    The albedo of a diffuse surface is its radiance over that of a white one. Captured light varies with normal and
-    visibility; albedo does not. The estimate therefore minimises the differences of albedo over random pairs of
-    surfaces that may share one. A brighter environment over darker surfaces looks the same; the scale is chosen such
-    that the lightest surfaces have a usual albedo.
+    The albedo of a diffuse surface is its radiance divided by that of a white surface in its place. Captured radiance
+    varies with normal and visibility; albedo does not. The estimate therefore minimises differences of albedo over
+    random pairs of Gaussians with similar chromaticity. A brighter environment over darker surfaces would look the
+    same, so the scale is chosen such that the lightest surfaces have a typical albedo.
 
     Args:
         outgoing: Radiance of the Gaussians, shape (N, 3).
@@ -363,12 +368,15 @@ def fit_environment(
 
 
 def nearest_directions(directions: Doubles) -> np.ndarray:
-    """Returns the indices of the six nearest directions of each direction, shape (K, 6)."""
+    """Returns, for each of K directions, the indices of the six nearest other directions, shape (K, 6)."""
     return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + ENVIRONMENT_NEIGHBOURS]
 
 
 def smoothness_gradient(log_environment: Doubles, neighbours: np.ndarray) -> Doubles:
-    """Returns the gradient of the environment's smoothness term, shape (K, 3); neighbours are held fixed."""
+    """Returns the smoothness term's gradient with respect to the log radiance of K directions, shape (K, 3).
+
+    ``neighbours`` holds the indices of each direction's neighbours, shape (K, 6); their radiance is held fixed.
+    """
     return (
         ENVIRONMENT_SMOOTHNESS
         / len(log_environment)
@@ -380,13 +388,14 @@ HEIGHT, WIDTH = 16, 32
 
 
 def environment_image(directions: Doubles, environment: Doubles) -> FloatArray:
-    """Returns the image of a `LightEnvironment`, shape (16, 32, 3).
+    """Returns the environment as image of a `LightEnvironment`, shape (16, 32, 3).
 
-    Each pixel is a Gaussian-weighted mean of the directions around it; the width is half the angle between neighbours.
+    Each pixel is a Gaussian-weighted mean over the directions around it. The Gaussian's width is half the angle between
+    neighbouring directions.
 
     Args:
         directions: Evenly spread unit vectors, shape (K, 3).
-        environment: Radiances, shape (K, 3).
+        environment: Radiance in each direction, shape (K, 3).
     """
     pixel_directions = panorama_directions(HEIGHT, WIDTH).reshape(-1, 3)
     sharpness = len(directions) / np.pi  # 1 / (half of the angle)^2
@@ -397,17 +406,17 @@ def environment_image(directions: Doubles, environment: Doubles) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimilarPairs:
-    """P pairs of rows, whose differences are penalised."""
+    """P pairs of Gaussians whose materials should be similar, so that differences within a pair are penalised."""
 
     first: Rows
-    """First row of each pair, shape (P,)."""
+    """Index of the first Gaussian of each pair, shape (P,); ``second`` holds that of the second."""
     second: Rows
 
     def albedo_term(self, log_albedo: Doubles) -> tuple[float, Doubles]:
-        """Returns the penalty on albedo differences and its gradient with respect to log albedo, shape (N, 3).
+        """Returns the penalty on albedo differences, and its gradient with respect to log albedo, shape (N, 3).
 
-        The difference ``d`` of a pair costs ``w^2 log(1 + (d / w)^2) / 2``, so that texture edges count little. The
-        cost is weighted by the similarity of chromaticity, which is held fixed.
+        A pair whose log albedos differ by ``d`` costs ``w^2 log(1 + (d / w)^2) / 2``, w being `EDGE_WIDTH`, so that
+        texture edges count little. The cost is weighted by the pair's similarity of chromaticity, which is held fixed.
         """
         difference = log_albedo[self.first] - log_albedo[self.second]
         similarity = chroma_similarity(difference, CHROMA_WIDTH)
@@ -417,7 +426,7 @@ class SimilarPairs:
         return term, self._scattered(similarity * difference / (1.0 + ratio) * share, len(log_albedo))
 
     def square_term(self, values: Doubles) -> tuple[float, Doubles]:
-        """Returns half the mean squared difference of a quantity, and its gradient, shape (N,)."""
+        """Returns half the mean squared difference of ``values`` within pairs, and its gradient, shape (N,)."""
         difference = values[self.first] - values[self.second]
         share = 1.0 / max(len(self.first), 1)
         return 0.5 * share * float(difference @ difference), self._scattered(difference[:, None] * share, len(values))[
@@ -425,7 +434,7 @@ class SimilarPairs:
         ]
 
     def _scattered(self, by_difference: Doubles, count: int) -> Doubles:
-        """Sums the gradient with respect to differences into a gradient with respect to rows."""
+        """Sums the gradient with respect to each pair's difference into a gradient for each of ``count`` Gaussians."""
         columns = [
             np.bincount(self.first, column, count) - np.bincount(self.second, column, count)
             for column in by_difference.T
@@ -434,7 +443,7 @@ class SimilarPairs:
 
 
 def neighbour_pairs(means: FloatArray) -> SimilarPairs:
-    """Returns the pairs of each Gaussian with its `NEIGHBOURS` nearest Gaussians, or with fewer if there are fewer."""
+    """Pairs each Gaussian with its `NEIGHBOURS` nearest Gaussians, or with all others if there are fewer."""
     count = len(means)
     most = min(NEIGHBOURS, count - 1)
     if most < 1:

@@ -1,4 +1,4 @@
-"""Gradient of the radiance of lit Gaussians by their materials.
+"""Gradient of the radiance of lit Gaussians with respect to their materials.
 
 The module has no other kernel: Warp differentiates nested functions (``wp.grad``) correctly only if no other kernel of
 the module has called them; otherwise their derivatives are 0.
@@ -22,10 +22,10 @@ def differentiate(
     by_radiance: wp.array[wp.vec3],
     gradient_out: MaterialGradient,
 ):
-    """Item = Gaussian: gradient with respect to albedo, roughness and normal.
+    """Computes the gradient with respect to albedo, roughness and normal. One item is one Gaussian.
 
-    A view direction from below the horizon is mirrored; the mirrored direction is held fixed in the derivative by
-    normal.
+    A view direction below the horizon of the Gaussian's plane is mirrored to above it. The derivative with respect to
+    the normal treats the mirrored direction as constant.
     """
     i = start + wp.tid()
     by_albedo = wp.vec3(0.0)

@@ -22,14 +22,14 @@ SH_CONSTANT = wp.constant(wp.float32(SH_C0))
 
 @wp.func
 def widened_alpha(roughness: float, spread: float) -> float:
-    """Returns the microfacet alpha of a highlight widened to the spacing of the incident directions."""
+    """Returns the microfacet alpha of a roughness, widened to the spacing of the incident directions."""
     alpha = roughness * roughness
     return wp.sqrt(alpha * alpha + spread)
 
 
 @wp.func
 def srgb_derivative(linear: float) -> float:
-    """Derivative of the sRGB encoding."""
+    """Returns the derivative of the sRGB encoding at a linear value."""
     if linear <= 0.0031308:
         return 12.92
     return (1.055 / 2.4) * wp.pow(linear, 1.0 / 2.4 - 1.0)
@@ -44,7 +44,7 @@ def shade(
     radiance_out: wp.array[wp.vec3],
     sh_out: wp.array[wp.vec3],
 ):
-    """Item = Gaussian: linear radiance towards the eye, and its display-referred value as degree-0 SH coefficient."""
+    """Computes the radiance towards the eye, and its display value as SH of degree 0. One item is one Gaussian."""
     i = start + wp.tid()
     normal = materials.normals[i]
     roughness = materials.roughness[i]
@@ -78,7 +78,10 @@ def decode_gradients(
     radiance: wp.array[wp.vec3],
     by_radiance_out: wp.array[wp.vec3],
 ):
-    """Item = Gaussian: gradient of linear radiance; radiance above white only receives gradients that darken it."""
+    """Computes the gradient with respect to linear radiance. One item is one Gaussian.
+
+    The display clips radiance above white, so the gradient of such radiance is dropped unless it darkens.
+    """
     i = start + wp.tid()
     by_radiance = wp.vec3(0.0)
     if is_listed(rects[i]):
@@ -98,7 +101,7 @@ def differentiate_environment(
     by_radiance: wp.array[wp.vec3],
     by_environment_out: wp.array2d[wp.vec3],
 ):
-    """Item = chunk of Gaussians: the chunk's gradient of the environment's radiance, one row per chunk."""
+    """Computes a chunk's gradient with respect to the environment's radiance. One item is one chunk of Gaussians."""
     chunk = start + wp.tid()
     directions = light.directions.shape[0]
     for k in range(directions):

@@ -1,4 +1,4 @@
-"""Optimiser step: applies Adam to the parameters, and converts parameters to the Gaussians that are drawn."""
+"""Optimiser step: applies Adam to the parameters, and converts parameters to the Gaussians that are rendered."""
 
 import warp as wp
 
@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLA
 # Markov chain Monte Carlo (Kheradmand et al. 2024; values of gsplat)
 
 NOISE_SLOPE = 100.0
-"""Slope of the sigmoid that switches the MCMC noise off above `DEAD_OPACITY`."""
+"""Slope of the sigmoid over opacity that fades the MCMC noise out above `DEAD_OPACITY`."""
 
 BETA_1 = wp.constant(wp.float32(ADAM_BETA_1))
 BETA_2 = wp.constant(wp.float32(ADAM_BETA_2))
@@ -32,13 +32,13 @@ def sigmoid(x: float) -> float:
 
 @wp.func
 def step_of(rates: StepRates, rate: float, first: float, second: float) -> float:
-    """Returns the Adam step of a parameter."""
+    """Returns the Adam step of a parameter: its change."""
     return rate * first * rates.first_scale / (wp.sqrt(second * rates.second_scale) + EPSILON)
 
 
 @wp.func
 def step3_of(rates: StepRates, rate: float, first: wp.vec3, second: wp.vec3) -> wp.vec3:
-    """Returns the Adam steps of three components."""
+    """Returns the Adam step of a parameter with three components."""
     return wp.vec3(
         step_of(rates, rate, first[0], second[0]),
         step_of(rates, rate, first[1], second[1]),
@@ -48,13 +48,16 @@ def step3_of(rates: StepRates, rate: float, first: wp.vec3, second: wp.vec3) -> 
 
 @wp.func
 def wxyz_of(rotation: wp.quat) -> wp.vec4:
-    """Returns a quaternion in the scalar-first order of the parameters."""
+    """Reorders a Warp quaternion, scalar last, to the scalar-first order of the parameters."""
     return wp.vec4(rotation[3], rotation[0], rotation[1], rotation[2])
 
 
 @wp.kernel
 def activate(start: int, parameters: SplatParameters, gaussians_out: GaussianData):
-    """Item = Gaussian: converts parameters to rotation, scale and opacity; means and SH coefficients are shared."""
+    """Computes rotation, scale and opacity from the parameters. One item is one Gaussian.
+
+    Means and SH coefficients need no conversion: the rendered Gaussians share the parameters' arrays.
+    """
     i = start + wp.tid()
     q = wp.normalize(parameters.rotations[i])
     s = parameters.log_scales[i]
@@ -73,7 +76,7 @@ def update(
     first_inout: SplatParameters,
     second_inout: SplatParameters,
 ):
-    """Item = Gaussian: maps gradients to parameters, updates the Adam moments, and makes a step."""
+    """Converts gradients from Gaussians to parameters, and makes an Adam step. One item is one Gaussian."""
     i = start + wp.tid()
 
     by_mean = gradient.means[i]
@@ -121,7 +124,7 @@ def update(
 
 @wp.func
 def standard_normal(key: wp.uint32) -> wp.vec3:
-    """Returns three independent standard normal numbers (Box and Muller 1958)."""
+    """Returns three independent standard normal random numbers (Box and Muller 1958)."""
     radius = wp.sqrt(-2.0 * wp.log(1.0 - draw(key, wp.uint32(0))))
     other = wp.sqrt(-2.0 * wp.log(1.0 - draw(key, wp.uint32(1))))
     angle = TWO_PI * draw(key, wp.uint32(2))
@@ -130,7 +133,10 @@ def standard_normal(key: wp.uint32) -> wp.vec3:
 
 @wp.kernel
 def explore(start: int, noise: NoiseData, gaussians: GaussianData, parameters_inout: SplatParameters):
-    """Item = Gaussian: moves the mean by noise with the Gaussian's covariance; transparent Gaussians move farthest."""
+    """Adds noise with the Gaussian's covariance to its mean. One item is one Gaussian.
+
+    The noise grows with transparency: opaque Gaussians stay nearly in place.
+    """
     i = start + wp.tid()
     gate = noise.strength * sigmoid(SLOPE * (OPACITY_MIN - gaussians.opacities[i]))
     if gate > 0.0:
@@ -147,7 +153,7 @@ def add_screen_gradients(
     gradients: wp.array[SplatGradient],
     record_inout: SplatRecord,
 ):
-    """Item = Gaussian: adds the frame's screen-space position gradient to the densification statistics."""
+    """Adds the frame's screen-space position gradient to the densification statistics. One item is one Gaussian."""
     i = start + wp.tid()
     if rects[i].x0 < rects[i].x1:
         screen_gradient = gradients[i].center_absolute

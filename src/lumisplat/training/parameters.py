@@ -1,4 +1,4 @@
-"""Trained parameters of Gaussians on the host and on the device, and the initial Gaussians."""
+"""Parameters of trained Gaussians on the host and on the device, and the initial Gaussians of a training."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _ELEMENTS: dict[str, Any] = {
     "sh": wp.vec3,
 }
 NAMES = tuple(_ELEMENTS)
-"""Names of the parameters."""
+"""Names of the parameter arrays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedParameters:
-    """Unconstrained parameters of N Gaussians and their two Adam moments.
+    """Unconstrained parameters of N Gaussians, with the two Adam moments of each parameter.
 
     Each dictionary has the keys `NAMES` and float32 arrays with one row per Gaussian.
     """
@@ -77,7 +77,7 @@ class TrainedParameters:
         return TrainedParameters.new({name: self.values[name][rows] for name in NAMES})
 
     def concatenated(self, other: TrainedParameters) -> TrainedParameters:
-        """Returns these Gaussians followed by others."""
+        """Returns this object's Gaussians followed by those of another."""
         pairs = zip(self._parts, other._parts, strict=True)
         return TrainedParameters(*({name: np.concatenate([a[name], b[name]]) for name in NAMES} for a, b in pairs))
 
@@ -145,14 +145,15 @@ POSITIONS_MIN = 3
 Two positions do not constrain the depth of surfaces that only one camera sees."""
 
 POINTS_FRACTION_MIN = 0.05
-"""Known 3D points, as a fraction of the initial number of Gaussians, below which random points are added.
+"""Number of 3D points that come with the images, as a fraction of the initial number of Gaussians, below which random
+points are added.
 
 MCMC adds a twentieth of the current number in each densification and cannot grow from nearly nothing."""
 
 INITIAL_OPACITY = {"mcmc": 0.5, "adaptive": 0.1}
 
 INITIAL_SCALE = {"mcmc": 0.3, "adaptive": 1.0}
-"""Initial scale, as a fraction of the root mean square distance to the three nearest neighbours.
+"""Initial scale of a Gaussian, as a fraction of the root mean square distance to its three nearest neighbours.
 
 The value for MCMC lies between gsplat's 0.1 and 1."""
 
@@ -166,7 +167,9 @@ _log = logging.getLogger("lumisplat")
 
 NEIGHBOURS = 3
 PARALLEL = 1e-3
-"""Mean squared sine between the optical axes and their mean below which their intersection is undefined."""
+"""Spread of the cameras' viewing directions below which they count as parallel, so that they have no common target.
+
+The spread is the mean squared sine of the angle between a camera's optical axis and the mean axis."""
 PARALLEL_DISTANCE = 3.0
 
 
@@ -181,11 +184,11 @@ class SceneScale:
     distance: float
     """Median distance of the cameras from their common target, scene units.
 
-    If all cameras look in the same direction, three times the extent; 1 if all are at one position."""
+    Three times the extent if all cameras look in the same direction; 1 if all cameras are at one position."""
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> SceneScale:
-        """Estimates the scales from at least one camera."""
+        """Estimates both length scales from a list of at least one camera."""
         target, extent = camera_target(cameras), camera_extent(cameras)
         farthest = max(float(np.linalg.norm(camera.eye)) for camera in cameras)
         if extent < COINCIDENT_EXTENT * max(farthest, 1.0):  # no parallax, so distances are unknown
@@ -197,7 +200,7 @@ class SceneScale:
 
 
 def random_points(cameras: Sequence[Camera], scale: SceneScale, count: int, rng: np.random.Generator) -> Doubles:
-    """Returns random points inside the views of the cameras, near the distance of their target, shape (N, 3)."""
+    """Returns ``count`` random points inside the views of the cameras, near the distance of the cameras' target."""
     chosen = rng.integers(0, len(cameras), count)
     low, high = INITIAL_DEPTHS
     depths = scale.distance * rng.uniform(low, high, count)
@@ -213,10 +216,10 @@ def random_points(cameras: Sequence[Camera], scale: SceneScale, count: int, rng:
 def with_random_points(
     points: Doubles | None, colors: FloatArray | None, cameras: Sequence[Camera], config: TrainConfig
 ) -> tuple[Doubles | None, FloatArray | None]:
-    """Returns known points and colours, and adds random ones if the known points are too few.
+    """Returns the given points and colours, and adds random ones if there are too few.
 
     Args:
-        points: Known points in world space, shape (N, 3); None if there are none, which returns None.
+        points: Points that come with the images, world space, shape (N, 3). If None, the result is None, too.
         colors: Display-referred sRGB of ``points``, 0..1, shape (N, 3); None if unknown.
         cameras: Training cameras, in whose views the random points are placed.
         config: Training settings.
@@ -256,10 +259,10 @@ def warn_if_few_positions(cameras: Sequence[Camera]) -> None:
 
 
 def _camera_rays(camera: Camera, pixels: Doubles) -> Doubles:
-    """Returns the ray through each pixel position in camera space, shape (N, 3).
+    """Returns the ray through each of N pixel positions, in camera space, shape (N, 3).
 
-    Rays of pinholes have view depth 1, rays of distorted lenses length 1. Pixels outside the image circle of a lens get
-    the optical axis.
+    Rays of pinhole cameras have view depth 1, rays of distorted lenses length 1. Pixels outside the image circle of a
+    lens get the optical axis.
     """
     if is_curvilinear(camera):
         columns, rows = np.minimum(pixels.astype(int), (camera.width - 1, camera.height - 1)).T
@@ -271,10 +274,10 @@ def _camera_rays(camera: Camera, pixels: Doubles) -> Doubles:
 def first_gaussians(
     points: npt.NDArray[np.floating], colors: FloatArray | None, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
-    """Returns the initial Gaussians, one at each point, scaled to the distance of its neighbours.
+    """Returns the initial Gaussians: one at each of N points, scaled by the distance of the nearest points.
 
     Args:
-        points: World space, shape (N, 3).
+        points: Means of the Gaussians, world space, shape (N, 3).
         colors: Display-referred sRGB, 0..1, shape (N, 3); None for random colours.
         config: Training settings.
         rng: Random number generator.
@@ -296,7 +299,7 @@ def first_gaussians(
 
 
 def neighbour_distances(points: npt.NDArray[np.floating]) -> Doubles:
-    """Returns the root mean square distance of each point to its `NEIGHBOURS` nearest points, shape (N,).
+    """Returns the root mean square distance of each of N points to its `NEIGHBOURS` nearest points, shape (N,).
 
     A single point gets 1.
     """

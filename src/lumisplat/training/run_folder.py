@@ -37,9 +37,9 @@ _RUN_FILES = (
     *("checkpoint.npz", "curve.*", "metrics.json", "exposures.json", "poses*.json", "held out", "previews"),
     *("light.npz", "materials"),
 )
-"""Glob patterns of the files that training and the material search write, without the two marker files."""
+"""Glob patterns of the files that training and the material search write, without the files in `_MARKERS`."""
 _MARKERS = ("settings.toml", "materials.npz")
-"""Files that mark a folder as a training folder; they are removed last."""
+"""Files whose presence marks a folder as a training folder; when a folder is emptied, they are removed last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class RunFolder:
             path.unlink(missing_ok=True)
 
     def write_settings(self, config: TrainConfig, read_from: ReadFrom | None) -> None:
-        """Writes the source of the images and all settings, from which the training can be repeated."""
+        """Writes the source of the images and all training settings, enough to repeat the training."""
         tables = {"train": asdict(config)}
         if read_from is not None:
             background = read_from.background or "transparent"
@@ -103,7 +103,7 @@ class RunFolder:
         _write(self.path / "curve.json", json.dumps(curve.stored))
 
     def write_exposures(self, exposures: dict[str, Doubles]) -> None:
-        """Writes the exposure of each image by name, as three rows of four numbers."""
+        """Writes the exposure of each image, by the image's name, as three rows of four numbers."""
         stored = {name: exposure.tolist() for name, exposure in exposures.items()}
         _write(self.path / "exposures.json", json.dumps(stored, indent=2) + "\n")
 
@@ -126,10 +126,10 @@ class RunFolder:
 
 
 def forget_training(output: PathLike) -> None:
-    """Removes a capture and the files of its training, so that the next training starts again.
+    """Removes a capture and the files of its training, so that the next training starts from the beginning.
 
     Args:
-        output: Capture; files that `lumisplat.train` has not written are kept.
+        output: The capture. Files in its training folder that `lumisplat.train` has not written are not removed.
 
     Raises:
         FormatError: The folder beside the capture is not a training folder, or cannot be emptied.
@@ -181,19 +181,19 @@ class HeldOut:
         self._renderer: Renderer | None = None
         if images:
             background = images[0].background or (0.0, 0.0, 0.0)
-            drawn_by = config or TrainConfig()
-            raster = RasterConfig(projection=drawn_by.projection)
-            settings = RenderConfig(pipeline=drawn_by.pipeline, background=background, raster=raster, lighting=False)
+            training = config or TrainConfig()
+            raster = RasterConfig(projection=training.projection)
+            settings = RenderConfig(pipeline=training.pipeline, background=background, raster=raster, lighting=False)
             self._renderer = create_renderer(settings, device, threads=threads)
             self._renderer.render(Scene(), images[0].camera)  # compiles the kernels before training starts
 
     def psnr(self, gaussians: Gaussians) -> float | None:
-        """Returns the mean PSNR, dB; None if no image was held out."""
+        """Returns the mean PSNR over the held-out images, dB; None if no image was held out."""
         score = self.score(gaussians)
         return None if score is None else score.psnr
 
     def score(self, gaussians: Gaussians, progress: Callable[[str, float], None] | None = None) -> HeldOutScore | None:
-        """Returns the PSNR of each image over its mask; None if no image was held out."""
+        """Returns the PSNR of each held-out image over its mask; None if there is no image with a non-empty mask."""
         found: dict[str, float] = {}
         for number, image in enumerate(self._images):
             if progress is not None:
@@ -206,68 +206,72 @@ class HeldOut:
         return HeldOutScore(float(np.mean(list(found.values()))), found) if found else None
 
     def render(self, gaussians: Gaussians, image: TrainingImage) -> FloatArray:
-        """Returns the rendered view of an image's camera, display-referred, 0..1, shape (H, W, 3)."""
+        """Returns the view of the Gaussians by an image's camera, display-referred, 0..1, shape (H, W, 3)."""
         assert self._renderer is not None
         frame = self._renderer.render(Scene([gaussians]), image.camera)
         return np.clip(frame.color, 0.0, 1.0).astype(np.float32)
 
     def preview(self, gaussians: Gaussians, path: Path) -> None:
-        """Writes the first held-out image beside its rendered view."""
+        """Writes the first held-out image and, to its right, its rendered view; nothing if no image was held out."""
         if self._images:
             write_pair(path, self._images[0].pixels(), self.render(gaussians, self._images[0]))
 
     def write_pairs(self, gaussians: Gaussians, folder: Path) -> None:
-        """Writes each held-out image beside its rendered view."""
+        """Writes, for each held-out image, a file with the image and, to its right, its rendered view."""
         for image in self._images:
             write_pair(folder / f"{file_name(image.name)}.png", image.pixels(), self.render(gaussians, image))
 
 
 def file_name(name: str) -> str:
-    """Returns a unique name that all file systems accept; other characters become their code points."""
+    """Returns a file name, unique for each ``name``, that all file systems accept.
+
+    Characters other than letters, digits, "-", "_" and "." become "%" and their code points.
+    """
     return "".join(char if char.isalnum() or char in "-_." else f"%{ord(char):02X}" for char in name)
 
 
 def masked_psnr(shown: FloatArray, image: TrainingImage) -> float:
-    """Returns the PSNR of an image over its mask, dB."""
+    """Returns the PSNR of a rendered view against its image, over the image's mask, dB."""
     squared = ((shown - image.pixels()) ** 2).mean(axis=2)
     return decibels(float(np.average(squared, weights=image.mask())))
 
 
 def write_pair(path: Path, image: FloatArray, shown: FloatArray) -> None:
-    """Writes an image with its rendered view to its right."""
+    """Writes a PNG file with an image and, to its right, its rendered view."""
     pair = (255.0 * np.concatenate([image, shown], axis=1) + 0.5).astype(np.uint8)
     with atomic_write(path) as temporary:
         Image.fromarray(pair).save(temporary, format="PNG")
 
 
-EVERY = 50
-"""Iterations averaged in one point of the training curve."""
+CURVE_EVERY = 50
+"""Number of iterations that one point of the training curve averages."""
 SIZE = (960, 480)
 MARGIN = 50
-DOT = 3
-"""Radius of the dots of the held-out curve, pixels."""
+DOT_RADIUS = 3
+"""Radius of the dots on the held-out curve, pixels."""
 _TRAINING, _HELD_OUT, _LINES = (70, 120, 200), (210, 120, 30), (225, 225, 225)
 
 
 @dataclass(slots=True)
 class Curve:
-    """PSNR over iterations, of the training images and of the held-out images."""
+    """PSNR over the iterations of a training: on the training images, and on the held-out images."""
 
     steps: list[int] = field(default_factory=list[int])
-    """Last iteration of each point."""
+    """Last iteration of each point of the training curve."""
     squared: list[float] = field(default_factory=list[float])
-    """Mean squared error over the iterations of each point."""
+    """Mean squared error over the iterations that each point of the training curve averages."""
     measured: list[tuple[int, float]] = field(default_factory=list[tuple[int, float]])
-    """Iteration and held-out PSNR of each evaluation, dB."""
+    """Pairs of iteration and held-out PSNR in dB, one for each evaluation."""
     _sum: float = 0.0
     _count: int = 0
 
     @classmethod
     def of(cls, stored: dict[str, Any]) -> Curve:
-        """Returns the curve of a ``stored`` dictionary.
+        """Restores a curve from the dictionary that ``stored`` returned.
 
         Raises:
-            ValueError: The iterations or errors are impossible.
+            ValueError: The dictionary is not that of a curve: iterations do not ascend, or errors are negative or not
+                finite.
         """
         measured = [(int(step), float(value)) for step, value in stored["measured"]]
         steps, squared = [int(step) for step in stored["steps"]], [float(value) for value in stored["squared"]]
@@ -281,32 +285,35 @@ class Curve:
 
     @property
     def stored(self) -> dict[str, Any]:
-        """Curve as a JSON dictionary, exact to the bit; ``sum`` and ``count`` cover iterations since the last point."""
+        """Curve as a JSON dictionary, from which `of` restores every bit.
+
+        ``sum`` and ``count`` are the sum of squared errors and the number of iterations since the last point.
+        """
         points = {"steps": self.steps, "squared": self.squared, "measured": self.measured}
         return points | {"sum": self._sum, "count": self._count}
 
     def add(self, step: int, loss: Loss) -> None:
-        """Adds the loss of one iteration."""
+        """Adds the squared error of iteration ``step``; every `CURVE_EVERY` iterations, adds a point to the curve."""
         self._sum, self._count = self._sum + loss.squared, self._count + 1
-        if step % EVERY == 0:
+        if step % CURVE_EVERY == 0:
             self.steps.append(step)
             self.squared.append(self._sum / self._count)
             self._sum, self._count = 0.0, 0
 
     def measure(self, step: int, psnr: float | None) -> None:
-        """Adds an evaluation of the held-out images; does nothing for None."""
+        """Adds the PSNR of an evaluation of the held-out images; does nothing if ``psnr`` is None."""
         if psnr is not None:
             self.measured.append((step, psnr))
 
     @property
     def psnr(self) -> float:
-        """PSNR of the latest iterations, dB."""
+        """PSNR on the training images over the iterations since the last point, else of the last point, dB."""
         if self._count:
             return decibels(self._sum / self._count)
         return decibels(self.squared[-1]) if self.squared else 0.0
 
     def image(self) -> Image.Image:
-        """Returns the plotted curve: training images in blue, held-out images in orange."""
+        """Plots the curve: training images in blue, held-out images in orange."""
         image = Image.new("RGB", SIZE, "white")
         draw = ImageDraw.Draw(image)
         training = [(float(step), decibels(error)) for step, error in zip(self.steps, self.squared, strict=True)]
@@ -319,7 +326,7 @@ class Curve:
         for line, color in zip(lines, (_TRAINING, _HELD_OUT), strict=True):
             draw.line([axes.position(*point) for point in line], fill=color, width=2)
         for x, y in (axes.position(*point) for point in lines[1]):
-            draw.ellipse([x - DOT, y - DOT, x + DOT, y + DOT], fill=_HELD_OUT)
+            draw.ellipse([x - DOT_RADIUS, y - DOT_RADIUS, x + DOT_RADIUS, y + DOT_RADIUS], fill=_HELD_OUT)
         draw.text((MARGIN + 120, 16), "training", fill=_TRAINING)
         draw.text((MARGIN + 210, 16), "held out", fill=_HELD_OUT)
         return image
@@ -330,7 +337,7 @@ class _Axes:
     """Axes of the plot: iterations to the right, PSNR upwards."""
 
     last: float
-    """Last iteration, at the right end."""
+    """Largest iteration number, at the right end."""
     low: int
     """PSNR at the bottom, dB."""
     high: int
@@ -338,12 +345,12 @@ class _Axes:
 
     @classmethod
     def around(cls, points: Sequence[tuple[float, float]]) -> _Axes:
-        """Returns axes that contain all points."""
+        """Returns axes whose ranges contain all (iteration, PSNR) points."""
         values = [value for _, value in points]
         return cls(max(step for step, _ in points), math.floor(min(values)), math.ceil(max(values)) + 1)
 
     def position(self, step: float, value: float) -> tuple[float, float]:
-        """Returns the pixel position of a point."""
+        """Returns the pixel position of the point at iteration ``step`` and PSNR ``value``."""
         across, up = step / self.last, (value - self.low) / (self.high - self.low)
         return MARGIN + (SIZE[0] - 2 * MARGIN) * across, SIZE[1] - MARGIN - (SIZE[1] - 2 * MARGIN) * up
 
@@ -368,7 +375,7 @@ def round_step(least: float) -> int:
 
 
 def decibels(squared: float) -> float:
-    """Returns the PSNR of a mean squared error, dB; infinite for 0."""
+    """Returns the PSNR in dB for a mean squared error of values in 0..1; infinite for an error of 0."""
     return -10.0 * math.log10(squared) if squared > 0.0 else math.inf
 
 
@@ -377,25 +384,25 @@ _log = logging.getLogger("lumisplat")
 VERSION = 6
 _PARTS = ("values", "first", "second")
 RECORD = ("motion", "turns", "frames")
-"""Names of the arrays of a `SplatRecord`."""
+"""Names of the arrays of a `SplatRecord`, the densification statistics."""
 _PER_IMAGE = "photographs."
 _MAY_CHANGE = ("iterations", "prune_below")
-"""Settings that may differ when a training resumes; the new values apply to the remaining iterations."""
-BEGIN_ANEW = "remove it, or start again (--overwrite, overwrite=True)"
-_KIND = f"a training checkpoint: {BEGIN_ANEW}"
+"""Settings that may differ from the checkpoint's when a training resumes; the new values count from then on."""
+START_AGAIN = "remove it, or start again (--overwrite, overwrite=True)"
+_KIND = f"a training checkpoint: {START_AGAIN}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """Complete state of a training, apart from its settings and images."""
+    """Complete state of a training, without its settings and images."""
 
     iteration: int
-    """Number of iterations made."""
+    """Number of iterations completed."""
     parameters: TrainedParameters
     record: dict[str, FloatArray]
-    """Densification statistics of each Gaussian since the last densification."""
+    """Densification statistics of each Gaussian since the last densification, by the names in `RECORD`."""
     per_image: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
-    """Optimised exposures and poses with their moments."""
+    """Optimised exposures and poses of the images, with their Adam moments, by name."""
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: TrainConfig, images: str) -> None:
@@ -441,7 +448,7 @@ def read_checkpoint(path: Path, config: TrainConfig, images: str) -> tuple[Check
     Args:
         path: The file, .npz.
         config: Settings of the training that resumes.
-        images: Fingerprint of its images.
+        images: Fingerprint of the images of the training that resumes.
 
     Raises:
         FormatError: The file cannot be read, or belongs to other settings or images; the message names the first
@@ -475,7 +482,7 @@ def read_checkpoint(path: Path, config: TrainConfig, images: str) -> tuple[Check
 
 
 def check_images(path: Path, checkpoint: Checkpoint, now: Checkpoint) -> None:
-    """Raises a FormatError unless the per-image arrays of two checkpoints have the same names and shapes."""
+    """Raises a FormatError unless the exposures and poses of two checkpoints have the same names and shapes."""
     shapes = [{name: array.shape for name, array in state.per_image.items()} for state in (checkpoint, now)]
     if shapes[0] != shapes[1]:
         raise _damaged(path)
@@ -486,9 +493,9 @@ def _damaged(path: Path) -> FormatError:
 
 
 def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: str) -> None:
-    """Raises a FormatError unless a checkpoint has these settings and this fingerprint of the images."""
+    """Raises a FormatError unless a checkpoint was written with these settings and this fingerprint of the images."""
     if stored["version"] != VERSION:
-        raise FormatError(path, f"has checkpoint version {stored['version']}, expected {VERSION}: {BEGIN_ANEW}")
+        raise FormatError(path, f"has checkpoint version {stored['version']}, expected {VERSION}: {START_AGAIN}")
     settings = plain_settings(config)
     for name in dict.fromkeys([*settings, *stored["settings"]]):
         if name in _MAY_CHANGE:
@@ -508,7 +515,10 @@ def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: 
 
 
 def _check_steps(path: Path, done: int, before: int, now: int) -> None:
-    """Raises a FormatError if more iterations are done than requested; warns if the requested number has changed."""
+    """Raises a FormatError if a checkpoint has more than the ``now`` requested iterations.
+
+    Warns if ``now`` differs from ``before``, the number requested when the checkpoint was written.
+    """
     if done > now:
         raise FormatError(
             path,

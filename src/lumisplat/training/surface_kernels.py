@@ -2,8 +2,8 @@
 
 The features of a Gaussian are its view depth, the squared depth, and its normal. Depths are in units of the scene's
 extent, measured from a depth in the middle of the scene, so that variances keep their digits. The smoothness term
-penalises differences of normals except at image edges (Gao et al. 2024); differences are Sobel's over 8, and border
-pixels have none. The equations are in docs/method/training.md#surfaces.
+penalises differences of normals except at image edges (Gao et al. 2024). Differences are Sobel filters divided by 8;
+border pixels have none. The equations are in docs/method/training.md#surfaces.
 """
 
 import warp as wp
@@ -19,10 +19,11 @@ from lumisplat.device.training import SmoothnessMaps, SplatRecord, SurfaceMaps, 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 SURFACE_VARIANCE_MIN = 1e-6
-"""Variance of depth, extents^2, below which the depth term is constant. Gao et al. 2024, code."""
+"""Variance of depth along a ray, in squared scene extents, below which the depth term is constant. Gao et al. 2024,
+code."""
 
 SURFACE_SPREAD = 0.1
-"""Standard deviation of depth, extents, beyond which the depth term saturates.
+"""Standard deviation of depth along a ray, in scene extents, beyond which the depth term saturates.
 
 A larger spread comes from semi-transparent floaters before a surface has formed. Without saturation, a thin layer
 close to the cameras would minimise the term (decision 0071)."""
@@ -36,14 +37,14 @@ AREA_MIN = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def depth_of(view: CameraData, terms: SurfaceTerms, point: wp.vec3) -> float:
-    """Returns the view depth of a point as a feature."""
+    """Returns the depth feature of a point: its view depth from the middle of the scene, in scene extents."""
     forward = wp.vec3(view.world_from_camera[0, 2], view.world_from_camera[1, 2], view.world_from_camera[2, 2])
     return (wp.dot(forward, point - view.eye) - terms.middle) * terms.per_unit
 
 
 @wp.func
 def shortest_axis(scale: wp.vec3) -> int:
-    """Returns the index of the axis with the smallest scale; the first of equal ones."""
+    """Returns the index of the axis with the smallest scale; the lower index if scales are equal."""
     if scale[0] <= scale[1] and scale[0] <= scale[2]:
         return 0
     return wp.where(scale[1] <= scale[2], 1, 2)
@@ -51,7 +52,7 @@ def shortest_axis(scale: wp.vec3) -> int:
 
 @wp.func
 def normal_of(view: CameraData, gaussians: GaussianData, i: int) -> wp.vec3:
-    """Returns the shortest axis of a Gaussian, oriented towards the eye, in world space and of unit length."""
+    """Returns the unit normal of a Gaussian in world space: its shortest axis, with the sign that points to the eye."""
     axis = wp.vec3(0.0)
     axis[shortest_axis(gaussians.scales[i])] = 1.0
     normal = wp.quat_rotate(gaussians.rotations[i], axis)
@@ -66,7 +67,7 @@ def find_features(
     gaussians: GaussianData,
     features_out: wp.array2d[float],
 ):
-    """Item = Gaussian: writes depth, squared depth and normal."""
+    """Writes the Gaussian's depth, squared depth and normal. One item is one Gaussian."""
     i = start + wp.tid()
     depth = depth_of(camera[0], terms, gaussians.means[i])
     normal = normal_of(camera[0], gaussians, i)
@@ -78,7 +79,7 @@ def find_features(
 
 @wp.func
 def ray_at(view: CameraData, x: int, y: int) -> wp.vec3:
-    """Returns the ray of a pixel from the eye to view depth 1, world space."""
+    """Returns the vector in world space from the eye to the point of a pixel's ray at view depth 1."""
     u = (float(x) + 0.5 - view.raster_center[0]) / view.focal[0]
     v = (float(y) + 0.5 - view.raster_center[1]) / view.focal[1]
     return view.world_from_camera * wp.vec3(u, v, 1.0)
@@ -88,7 +89,7 @@ def ray_at(view: CameraData, x: int, y: int) -> wp.vec3:
 def surface_at(
     view: CameraData, terms: SurfaceTerms, sums: wp.array2d[float], alpha: wp.array[float], x: int, y: int
 ) -> wp.vec3:
-    """Returns the point at the mean depth of a pixel, relative to the eye."""
+    """Returns the vector in world space from the eye to the surface in a pixel: the point at mean depth."""
     i = y * view.width + x
     return (terms.middle + sums[i, 0] / (alpha[i] * terms.per_unit)) * ray_at(view, x, y)
 
@@ -101,7 +102,7 @@ def is_inner(view: CameraData, x: int, y: int) -> bool:
 
 @wp.func
 def normal_at(sums: wp.array2d[float], i: int) -> wp.vec3:
-    """Returns the normal from the features of an item."""
+    """Returns the normal among the five features of pixel or Gaussian ``i``."""
     return wp.vec3(sums[i, 2], sums[i, 3], sums[i, 4])
 
 
@@ -126,7 +127,11 @@ def compare_surfaces(
     maps_out: SurfaceMaps,
     by_sums_out: wp.array2d[float],
 ):
-    """Item = pixel: its terms, and gradients of its features and of the two tangents of its depth-map surface."""
+    """Evaluates the normal and the depth term, and their gradients, in a pixel. One item is one pixel.
+
+    Gradients are with respect to the pixel's blended features, its alpha, and the two tangents of the depth-map
+    surface: differences between the points of the right and left, and of the lower and upper neighbour.
+    """
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -187,7 +192,7 @@ def gather_surfaces(
     by_sums_inout: wp.array2d[float],
     by_alpha_inout: wp.array[float],
 ):
-    """Item = pixel: gradient with respect to its depth, gathered from the tangents of its neighbours."""
+    """Adds up a pixel's depth gradient from the tangent gradients of its four neighbours. One item is one pixel."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -218,7 +223,7 @@ def add_by_features(
     by_features: wp.array2d[float],
     gradient_inout: GaussianGradient,
 ):
-    """Item = Gaussian: maps the gradient of features to mean and rotation."""
+    """Adds the gradient of mean and rotation that follows from that of the features. One item is one Gaussian."""
     i = start + wp.tid()
     view = camera[0]
     depth = depth_of(view, terms, gaussians.means[i])
@@ -243,7 +248,7 @@ def add_normal_gradients(
     by_features: wp.array2d[float],
     record_inout: SplatRecord,
 ):
-    """Item = Gaussian: adds the magnitude of the gradient of its normal's rotation, if the Gaussian was drawn."""
+    """Adds the magnitude of the gradient with respect to rotating the normal, if drawn. One item is one Gaussian."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_normal = normal_at(by_features, i)
@@ -255,7 +260,7 @@ def add_normal_gradients(
 def flatten(
     start: int, weight: float, rects: wp.array[TileRect], gaussians: GaussianData, gradient_inout: GaussianGradient
 ):
-    """Item = Gaussian: adds the gradient with respect to its smallest scale, if the Gaussian was drawn."""
+    """Adds ``weight`` to the gradient of the smallest scale, if the Gaussian was drawn. One item is one Gaussian."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_scale = gradient_inout.scales[i]
@@ -269,13 +274,16 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLA
 
 @wp.func
 def sobel_weight(along: int, across: int) -> float:
-    """Returns the Sobel weight of a neighbour at an offset along and across the direction of the difference."""
+    """Returns the weight of a neighbour in a Sobel filter divided by 8.
+
+    ``along`` and ``across`` are the neighbour's offsets, -1..1, parallel and perpendicular to the derivative.
+    """
     return 0.125 * float(along * (2 - wp.abs(across)))
 
 
 @wp.func
 def edge_weight(change: wp.vec3) -> float:
-    """Returns the weight of the smoothness term, 0..1: 1 where the image is constant, less at its edges."""
+    """Returns the weight of the smoothness term for a colour difference: 1 for none, towards 0 at strong edges."""
     total = wp.exp(-wp.abs(change[0])) + wp.exp(-wp.abs(change[1])) + wp.exp(-wp.abs(change[2]))
     return total / 3.0
 
@@ -291,7 +299,7 @@ def sign3(v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def l1_norm(v: wp.vec3) -> float:
-    """Returns the sum of absolute values."""
+    """Returns the sum of the components' absolute values."""
     return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
 
 
@@ -304,7 +312,10 @@ def compare_smoothness(
     sums: wp.array2d[float],
     maps_out: SmoothnessMaps,
 ):
-    """Item = pixel: its smoothness term, and the gradient with respect to its two differences of normals."""
+    """Evaluates the smoothness term in a pixel. One item is one pixel.
+
+    Gradients are with respect to the differences of normals across the columns and across the rows.
+    """
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -337,7 +348,7 @@ def compare_smoothness(
 
 @wp.kernel
 def gather_smoothness(start: int, camera: wp.array[CameraData], maps: SmoothnessMaps, by_sums_inout: wp.array2d[float]):
-    """Item = pixel: gradient with respect to its normal, gathered from the differences of its neighbours."""
+    """Adds up a pixel's normal gradient from those of its neighbours' differences. One item is one pixel."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width

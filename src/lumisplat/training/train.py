@@ -1,4 +1,4 @@
-"""Trains a capture from a folder of images with known poses: ``lumisplat.train``."""
+"""Implements ``lumisplat.train``: trains a capture from a folder of images with known poses."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from lumisplat.training.views import TrainingView
 TRAINING_EXTENT = 4.4
 """Camera extent of every scene in the local frame in which Gaussians are trained, whatever the scene's unit.
 
-NeRF's synthetic sets have cameras four units around an object; the weights of scale regularisation and the noise
+NeRF's synthetic scenes have cameras four units from an object; the weights of scale regularisation and the noise
 strengths were chosen for that size."""
 
 _log = logging.getLogger("lumisplat")
@@ -55,7 +55,7 @@ PROGRESS_EVERY_S = 0.5
 EVALUATE_AT = (100, 200, 500)
 """Early iterations after which the held-out images are evaluated, because wrong poses show early."""
 EVALUATE_EVERY = 1000
-"""Iterations between two further evaluations of the held-out images."""
+"""Iterations between two later evaluations of the held-out images."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class TrainResult:
 
     gaussians: Gaussians
     iterations: int
-    """Iterations run so far, including those before a resume."""
+    """Number of iterations completed, including those of earlier calls that this call resumed."""
     is_finished: bool
     """True if all iterations were run; False if ``stop_after`` ended the training early."""
     score: HeldOutScore | None
@@ -74,8 +74,8 @@ class TrainResult:
     exposures: dict[str, Doubles] | None = None
     """Exposure of each training image by name, shape (3, 4); None if exposures were not optimised.
 
-    The first three columns multiply the display-referred colour, the last is added. The mean over images is the
-    identity."""
+    The first three columns are a matrix that multiplies the display-referred colour; the last column is added. The mean
+    over the images is the identity."""
     pruned: int = 0
     """Number of Gaussians removed at the end because their largest blending weight was below ``prune_below``."""
     cameras: tuple[Camera, ...] | None = None
@@ -236,7 +236,7 @@ class _Run:
             raise KeyboardInterrupt
 
     def finish(self, output: Path | None) -> TrainResult:
-        """Prunes, evaluates and writes the capture."""
+        """Prunes Gaussians, evaluates the held-out images, writes capture and report, and returns the result."""
         trained, pruned = self._pruned()
         exposures, cameras = self._exposures(), self._cameras()
         gaussians = _oriented(trained, cameras or tuple(image.camera for image in self._images.training))
@@ -259,9 +259,9 @@ class _Run:
         return self._frame.gaussians(self._trainer.gaussians())
 
     def _pruned(self) -> tuple[Gaussians, int]:
-        """Returns the Gaussians whose largest blending weight reaches ``prune_below``, and the number removed.
+        """Returns the Gaussians whose largest blending weight is at least ``prune_below``, and the number removed.
 
-        If no Gaussian reaches the threshold, all are returned and a warning is logged.
+        If all Gaussians are below, none is removed and a warning is logged.
         """
         gaussians, least = self._gaussians(), self._config.prune_below
         if least == 0.0:
@@ -313,7 +313,7 @@ class _Run:
 def training_frame(images: TrainingImages) -> LocalFrame:
     """Returns the local frame of training: centred on the cameras, and scaled to a camera extent of `TRAINING_EXTENT`.
 
-    The result of a training therefore depends neither on the scene's unit nor on its origin.
+    In this frame, the result of a training depends neither on the scene's unit nor on its origin.
     """
     return LocalFrame.of_cameras([image.camera for image in images.training], TRAINING_EXTENT)
 
@@ -328,5 +328,5 @@ def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
 
 
 def is_evaluated(step: int) -> bool:
-    """Returns whether the held-out images are evaluated after an iteration other than the last."""
+    """Returns whether the held-out images are evaluated after iteration ``step``, if it is not the last."""
     return step in EVALUATE_AT or step % EVALUATE_EVERY == 0

@@ -51,26 +51,27 @@ from lumisplat.training.run_folder import RECORD, Checkpoint
 from lumisplat.training.views import StepInput, TrainingView
 
 SURFACES_AFTER = 0.23
-"""Fraction of the iterations after which normal and depth terms count: 7,000 of 30,000 in the code of Huang et al.
-2024."""
+"""Fraction of the iterations after which normal and depth terms join the loss: 7,000 of 30,000 in the code of Huang et
+al. 2024."""
 
 POSES_AFTER = 0.1
 """Fraction of the iterations after which poses are refined; before that, the geometry is too coarse."""
 
 DENSIFY_AFTER = 500
-"""Iterations before the first densification; short trainings start after a sixtieth of their iterations."""
+"""Iterations before the first densification; trainings below 30,000 iterations start after a sixtieth of theirs."""
 
 DENSIFY_EVERY = 100
 """Iterations between two densifications."""
 
 DENSIFY_UNTIL = {"mcmc": 0.83, "adaptive": 0.5}
-"""Fraction of the iterations after which densification stops: gsplat's 25,000 and 15,000 of 30,000."""
+"""Fraction of the iterations after which densification stops: gsplat's 25,000 (MCMC) and 15,000 (adaptive) of 30,000.
+"""
 
 SH_REST_SHARE = 0.05
-"""Learning rate of the SH coefficients above degree 0, as a fraction of that of degree 0. Kerbl et al. 2023."""
+"""Learning rate of the SH coefficients above degree 0, as a fraction of the rate of degree 0. Kerbl et al. 2023."""
 
 NOISE_STRENGTH = 5e5
-"""Strength of the MCMC position noise, multiplied by the learning rate of the means. gsplat's value."""
+"""Factor between the learning rate of the means and the strength of the MCMC position noise. gsplat's value."""
 
 
 class DivergedError(LumisplatError, RuntimeError):
@@ -81,14 +82,14 @@ class Trainer:
     """Optimises Gaussians against training images.
 
     All random numbers are functions of the seed and the iteration. Two trainers with the same images, settings and
-    state therefore make the same updates to the bit, on any number of threads.
+    state therefore make updates that are equal to the bit, on any number of threads.
 
     Args:
         views: Training views, at least one.
         config: Training settings.
         background: Display-referred sRGB behind the Gaussians.
         points: Initial means in world space, shape (N, 3); None for random points.
-        colors: Display-referred sRGB of ``points``, 0..1, shape (N, 3).
+        colors: Display-referred sRGB of ``points``, 0..1, shape (N, 3); None for random colours.
         device: As in `lumisplat.create_renderer`.
         threads: As in `lumisplat.create_renderer`.
         progress: As in `lumisplat.create_renderer`.
@@ -128,7 +129,7 @@ class Trainer:
         """Camera poses in the order of the views; None if they are not refined."""
         self._background = background
         self.iteration = 0
-        """Number of iterations made."""
+        """Number of iterations completed."""
         rng = np.random.default_rng([config.seed, 0])
         if points is None:
             cameras = [view.camera for view in views]
@@ -148,7 +149,7 @@ class Trainer:
         return self._parameters().gaussians(self.config)
 
     def largest_weights(self) -> FloatArray:
-        """Returns the largest blending weight of each Gaussian over all pixels of all views, 0..1, shape (N,)."""
+        """Returns the largest blending weight of each of N Gaussians over all pixels of all views, 0..1, shape (N,)."""
         largest = self._buffers.get("weights.largest", wp.float32, self.count)
         largest.zero_()
         for number, view in enumerate(self._views):
@@ -210,18 +211,18 @@ class Trainer:
         return StepInput(number, camera, image.over(np.subtract(behind, view.background)), behind)
 
     def _number_of(self, iteration: int) -> int:
-        """Returns the index of the view of an iteration: each epoch visits all views in a new random order."""
+        """Returns the index of the view that an iteration uses; each epoch visits all views in a new random order."""
         epoch, index = divmod(iteration, len(self._views))
         order = np.random.default_rng([self.config.seed, 1, epoch]).permutation(len(self._views))
         return int(order[index])
 
     @property
     def _corrections(self) -> list[Exposures | Poses]:
-        """Per-image corrections that are optimised with the Gaussians: exposures and poses."""
+        """Exposures and poses of the images, if they are optimised."""
         return [correction for correction in (self.exposures, self.poses) if correction is not None]
 
     def _compare(self, step_input: StepInput, pixels: PixelData, target: TargetImage) -> tuple[Loss, PixelGradient]:
-        """Returns the loss of a frame and its gradient with respect to pixels, and updates the exposure of the image.
+        """Returns the loss of a frame and its gradient with respect to the pixels; also updates the image's exposure.
 
         Raises:
             DivergedError: The loss is not finite.
@@ -240,7 +241,10 @@ class Trainer:
         return loss, gradient
 
     def _backward(self, pixels: PixelData, target: TargetImage, gradient: PixelGradient) -> GaussianGradient:
-        """Returns the gradient of the Gaussians with surface terms, given that of the image loss by pixels."""
+        """Returns the gradient of the whole loss with respect to the Gaussians.
+
+        ``gradient`` is that of the image loss with respect to the pixels; surface and flatness terms are added to it.
+        """
         raster = self._backend
         if not isinstance(raster, TrainingRaster):
             return raster.backward(pixels, gradient)
@@ -264,7 +268,7 @@ class Trainer:
 
     @property
     def _done(self) -> float:
-        """Fraction of the iterations made, 0..1."""
+        """Fraction of the iterations completed, 0..1."""
         return self.iteration / self.config.iterations
 
     @property
@@ -274,9 +278,9 @@ class Trainer:
 
     @property
     def _halvings(self) -> int:
-        """Times that the sides of the images are halved now.
+        """Number of times that the sides of the images are halved in the current iteration.
 
-        The first quarter of the iterations goes from the smallest size to the last before full size.
+        Sizes grow from the smallest to full size over the first quarter of the iterations.
         """
         coarse = self.config.coarse
         return max(coarse - 4 * coarse * self.iteration // self.config.iterations, 0)
@@ -366,7 +370,7 @@ def decayed_rate(first: float, last: float, done: float) -> float:
     Args:
         first: Learning rate at the first iteration.
         last: Learning rate after the last iteration.
-        done: Fraction of the iterations made.
+        done: Fraction of the iterations completed, 0..1.
     """
     return first * (last / first) ** done
 

@@ -14,7 +14,7 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.camera import Camera
 
 LEAST_WEIGHT = 1e-6
-"""Smallest total weight of a downscaled pixel; it avoids a division by zero."""
+"""Lower bound of the total loss weight in a downscaled pixel, which avoids a division by zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ class TargetPixels:
     """Target alpha of the rendered frame, 0..1, shape (H, W); None if it is unknown."""
 
     def resized(self, size: tuple[int, int]) -> TargetPixels:
-        """Returns the pixels at another size; each pixel is the weighted mean over its area.
+        """Returns the pixels at another size; each new pixel is the mean over its area, weighted by the loss weights.
 
         Args:
             size: Width and height in pixels.
@@ -40,7 +40,10 @@ class TargetPixels:
         return TargetPixels(color, weight, alpha)
 
     def _mean_of(self, layer: FloatArray | None, weight: FloatArray | None, size: tuple[int, int]) -> FloatArray | None:
-        """Returns one layer at another size, as a mean with the weights of the loss."""
+        """Returns colour or alpha at another size, as means over areas weighted by the loss weights.
+
+        ``weight`` holds the loss weights at the new size.
+        """
         if layer is None or self.weight is None or weight is None:
             return None if layer is None else _resized(layer, size)
         shares, total = ((w if layer.ndim == 2 else w[..., None]) for w in (self.weight, weight))
@@ -64,7 +67,7 @@ class TrainingView:
 
     name: str
     camera: Camera
-    """Camera at the size of the image: a pinhole, unless the backend renders along rays."""
+    """Camera with the image's size in pixels: a pinhole camera, unless the training backend traces camera rays."""
     read: Callable[[], TargetPixels]
     """Reads the pixels of the image."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -80,7 +83,7 @@ class TrainingView:
         return cls(image.name, image.camera, read, image.background or (0.0, 0.0, 0.0))
 
     def downscaled(self, halvings: int) -> tuple[Camera, TargetPixels]:
-        """Returns the camera and the pixels with both sides halved ``halvings`` times; pixels are means over areas."""
+        """Returns camera and pixels with both sides halved ``halvings`` times; each pixel is the mean over its area."""
         if halvings == 0:
             return self.camera, self.read()
         width, height = (max(side >> halvings, 1) for side in (self.camera.width, self.camera.height))
@@ -100,7 +103,7 @@ class StepInput:
 
 
 def _resized(layer: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Returns an image of one or three channels at another size; pixels are means over areas."""
+    """Returns an image of one or three channels at another size; each pixel is the mean over its area."""
     channels = layer[..., None] if layer.ndim == 2 else layer
     parts = [
         np.asarray(Image.fromarray(channels[..., k]).resize(size, Image.Resampling.BOX), np.float32)

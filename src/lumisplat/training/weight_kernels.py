@@ -1,6 +1,6 @@
-"""Finds the largest blending weight of each Gaussian by blending each tile front to back once more.
+"""Finds the largest blending weight of each Gaussian, by blending each tile front to back without writing colours.
 
-The pass runs once per training, so one implementation serves all devices.
+The kernels run once per training, so CPUs and CUDA share one implementation.
 """
 
 import warp as wp
@@ -32,7 +32,7 @@ def find_largest_weights(
     meshes: MeshPixels,
     pairs_out: wp.array[float],
 ):
-    """Item = tile: writes the largest weight of each of its splats within the tile."""
+    """Writes the largest blending weight, within a tile, of each of the tile's splats. One item is one tile."""
     arrays = WeightArrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
@@ -54,7 +54,7 @@ def find_largest_ray_weights(
     limits: wp.array[float],
     pairs_out: wp.array[float],
 ):
-    """Item = tile: writes the largest weight of each of its Gaussians within the tile, along rays."""
+    """Writes the largest blending weight along the rays of a tile, of each of its splats. One item is one tile."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -67,7 +67,7 @@ def find_largest_ray_weights(
 
 @wp.kernel
 def reduce_largest(start: int, pair_starts: wp.array[int], pairs: wp.array[float], largest_inout: wp.array[float]):
-    """Item = Gaussian: updates its largest weight with those in its tiles."""
+    """Raises the Gaussian's largest weight to the largest one in its tiles. One item is one Gaussian."""
     i = start + wp.tid()
     largest = largest_inout[i]
     for k in range(pair_starts[i], pair_starts[i + 1]):
