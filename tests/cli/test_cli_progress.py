@@ -140,10 +140,10 @@ def test_progress_bar_keeps_percentage_and_times_in_80_columns(monkeypatch) -> N
     monkeypatch.setenv("COLUMNS", "80")
     with progress_bars() as report:
         bars = next(cell.cell_contents for cell in report.__closure__ or () if isinstance(cell.cell_contents, Progress))
-        report("frames, 3 of 20, 0.512 s of a worker each, 1 failed", 0.37)
+        report("frames, 3 of 20, 0.512 s per frame on one worker, 1 failed", 0.37)
         bars.tasks[0].fields["left"] = "2 h 5 min left"
         console = Console(width=80, color_system=None)
         with console.capture() as printed:
             console.print(bars.get_renderable())
     (row,) = printed.get().splitlines()
-    assert row.startswith("frames, 3 of 20, 0.512 s of a worker") and "37%" in row and row.endswith("2 h 5 min left")
+    assert row.startswith("frames, 3 of 20, 0.512 s per frame") and "37%" in row and row.endswith("2 h 5 min left")

@@ -232,7 +232,7 @@ def test_farm_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None
     farm.run()
     of_frames = [progress for progress in farm.shown if progress[0].startswith("frames, ")]
     assert [fraction for _, fraction in of_frames] == [0.0, 0.25, 0.5, 0.75, 1.0]
-    assert of_frames[0][0] == "frames, 0 of 4" and of_frames[-1][0] == "frames, 4 of 4, 2 s of a worker each"
+    assert of_frames[0][0] == "frames, 0 of 4" and of_frames[-1][0] == "frames, 4 of 4, 2 s per frame on one worker"
 
 
 def test_farm_makes_a_frame_after_the_frames_that_it_needs(tmp_path: Path) -> None:

@@ -230,7 +230,7 @@ class Driver:
         lost = f", {counted(self._lost, 'worker')} lost and replaced" if self._lost else ""
         return (
             f"{lines}\n{counted(len(self._done), frames.unit)} by {counted(self._count, 'worker')} in "
-            f"{duration_text(self.clock() - begun)}, {self._mean_seconds:.3g} s of a worker each{lost}"
+            f"{duration_text(self.clock() - begun)}, {self._mean_seconds:.3g} s per {frames.unit} on one worker{lost}"
         )
 
     @property
@@ -391,7 +391,7 @@ class Driver:
         if self._wanted == 0 or self._frames is None:
             return
         ended = len(self._done) + len(self._failed)
-        cost = f", {self._mean_seconds:.3g} s of a worker each" if self._mean_seconds else ""
+        cost = f", {self._mean_seconds:.3g} s per {self._frames.unit} on one worker" if self._mean_seconds else ""
         failed = f", {len(self._failed)} failed" if self._failed else ""
         self.report(f"{self._frames.unit}s, {ended} of {self._wanted}{cost}{failed}", ended / self._wanted)
 
