@@ -67,7 +67,7 @@ def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
     return new / old
 
 
-def test_floor_is_dark_only_in_the_actors_shadow() -> None:
+def test_actor_darkens_a_captured_floor_only_in_its_shadow() -> None:
     """The ball's shadow on the floor is a disc of radius 0.61: black inside, unchanged outside."""
     ground = floor()
     scene = lighter(ls.Scene(splats=[ground])).light([puppet()])
@@ -78,7 +78,7 @@ def test_floor_is_dark_only_in_the_actors_shadow() -> None:
     assert scene.splats[1].name == "puppet"
 
 
-def test_shadows_follow_the_actor() -> None:
+def test_shadow_on_a_capture_follows_the_moving_actor() -> None:
     """The next frame's shadow is at the actor's new position, and the previous one is gone."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]))
@@ -88,7 +88,7 @@ def test_shadows_follow_the_actor() -> None:
     assert (left[ground.means[:, 0] < 0.0] == 1.0).all()
 
 
-def test_static_actor_gives_equal_bits() -> None:
+def test_frames_of_an_actor_at_one_position_are_equal_to_the_bit() -> None:
     """Frames are equal, also after the actor has moved away and back, relit or not."""
     stage = lighter(ls.Scene(splats=[floor()]), lights=[LIGHT, replace(LIGHT, position=(1.0, 2.0, 1.0))], relight=True)
     first = stage.light([puppet()])
@@ -98,14 +98,14 @@ def test_static_actor_gives_equal_bits() -> None:
         np.testing.assert_array_equal(one.gaussians.sh, other.gaussians.sh)
 
 
-def test_shadows_remove_only_the_direct_fraction() -> None:
+def test_actor_shadow_removes_only_the_direct_fraction_of_the_light() -> None:
     """The other fraction of the light is never in shadow."""
     ground = floor()
     left = light_left(ground, lighter(ls.Scene(splats=[ground]), direct=0.6).light([puppet()]).splats[0].gaussians)
     assert left.min() == pytest.approx(0.4, abs=0.02)
 
 
-def test_shadows_of_several_lights_and_actors_combine() -> None:
+def test_shadow_factor_is_the_mean_transmittance_of_all_lights() -> None:
     """Two equal lights: factors are the mean of the transmittances of each light's map through all actors."""
     ground = floor()
     lights = [ls.LightDirectional((0.5, -1.0, 0.0)), ls.LightDirectional((-0.5, -1.0, 0.0))]
@@ -117,7 +117,7 @@ def test_shadows_of_several_lights_and_actors_combine() -> None:
     assert (left < 0.55).sum() > 20
 
 
-def test_only_shadowed_sets_become_new_objects() -> None:
+def test_captures_outside_any_actor_shadow_stay_the_same_objects() -> None:
     """Captured sets without a shadow stay the same objects."""
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
     # Equal bins for both, and no samples that depend on a receiver's index.
@@ -130,7 +130,7 @@ def test_only_shadowed_sets_become_new_objects() -> None:
     np.testing.assert_allclose(left[0], left[1], atol=0.01)
 
 
-def test_maps_are_built_once_per_light_then_rebuilt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shadow_maps_of_later_frames_reuse_the_memory_of_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """Device memory is that of the first frame."""
     built = []
     build = DeepShadowMap.build.__func__
@@ -148,13 +148,13 @@ def test_maps_are_built_once_per_light_then_rebuilt(monkeypatch: pytest.MonkeyPa
     assert len(built) == 2 and [shadow.bytes for shadow in built] == held
 
 
-def test_frame_without_actors_keeps_the_scenes_assets() -> None:
+def test_frame_without_actors_has_the_captures_of_the_scene() -> None:
     """All assets are the scene's own objects."""
     scene = ls.Scene(splats=[floor()])
     assert lighter(scene).light([]).splats[0] is scene.splats[0]
 
 
-def test_flags_disable_shadows_and_relighting() -> None:
+def test_flags_disable_shadow_or_relighting_of_single_actors() -> None:
     """One actor casts no shadow, one keeps its colours; both are in the frame."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), relight=True)
@@ -165,7 +165,7 @@ def test_flags_disable_shadows_and_relighting() -> None:
     assert kept == [False, True]
 
 
-def test_actors_are_lit_by_the_light_at_their_position() -> None:
+def test_relit_actor_is_lit_by_the_radiance_around_its_position() -> None:
     """Over the floor and under nothing, the lower side is lit, the upper is not; without relighting, all stays."""
     scene = ls.Scene(splats=[floor(cells=41)])
     normals = puppet().gaussians.means / 0.4
@@ -176,7 +176,7 @@ def test_actors_are_lit_by_the_light_at_their_position() -> None:
     assert lighter(scene).light([actor]).splats[1] is actor
 
 
-def test_normals_and_probes_are_cached(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Normals belong to a set, probes to a position: a static actor needs neither again, a moving one needs a probe."""
     calls: list[str] = []
     estimate, capture = avatar_lighter.estimate_normals, ls.avatars.EnvironmentProbe.capture
@@ -200,7 +200,7 @@ def test_normals_and_probes_are_cached(monkeypatch: pytest.MonkeyPatch) -> None:
     assert calls.count("normals") == 1 and calls.count("probe") == 2
 
 
-def test_mesh_actors_cast_shadows_and_stay_meshes() -> None:
+def test_mesh_actors_cast_shadows_on_captures_and_stay_meshes() -> None:
     """The frame is lit for the mesh; captured sets look as in an unlit frame."""
     ground = floor()
     pose = np.eye(4)
@@ -238,7 +238,7 @@ def test_captures_do_not_shadow_mesh_actors() -> None:
     assert enclosed == pytest.approx(open_air, rel=1e-3) and open_air > 0.05
 
 
-def test_given_lights_illuminate_meshes() -> None:
+def test_given_lights_illuminate_mesh_actors_without_a_probe() -> None:
     """A light without shadows and an environment are in the frame; no probe is added to them."""
     lights = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
     stage = lighter(ls.Scene(splats=[floor()]), lights, relight=True)
@@ -248,7 +248,7 @@ def test_given_lights_illuminate_meshes() -> None:
     assert [light.intensity for light in frame.lights] == [9.0, 9.0, 1.0]
 
 
-def test_captures_beside_mesh_actors_are_unlit() -> None:
+def test_reflecting_captures_beside_mesh_actors_are_rendered_unlit() -> None:
     """The lights are for meshes: reflecting sets and actors lose their materials."""
     sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_catcher=True)]
     actors = [ls.MeshInstance(icosphere(0.4)), replace(puppet(2.0), material=ls.MaterialPbr())]
@@ -258,7 +258,7 @@ def test_captures_beside_mesh_actors_are_unlit() -> None:
     assert not alone.lights and alone.splats[0].material is not None and alone.splats[1].shadow_catcher
 
 
-def test_scene_meshes_cast_shadows_without_actors() -> None:
+def test_meshes_of_the_scene_cast_shadows_on_captures_without_actors() -> None:
     """They were placed after the capture; their shadow multiplies with those of actors."""
     ground = floor()
     pose = np.eye(4)
@@ -271,7 +271,7 @@ def test_scene_meshes_cast_shadows_without_actors() -> None:
     assert both[ground.means[:, 0] < 0.0].min() < 0.05
 
 
-def test_lit_scene_keeps_its_lights_and_ray_traced_shadows(caplog: pytest.LogCaptureFixture) -> None:
+def test_reflecting_captures_keep_the_scene_lights_and_ray_traced_shadows(caplog: pytest.LogCaptureFixture) -> None:
     """Reflecting surfaces and shadow catchers get ray-traced shadows, and a warning says so."""
     sets = [
         ls.SplatInstance(floor(), material=ls.MaterialPbr()),
@@ -290,7 +290,7 @@ def test_lit_scene_keeps_its_lights_and_ray_traced_shadows(caplog: pytest.LogCap
     assert frame.splats[0] is sets[0] and frame.splats[1] is sets[1] and frame.splats[2] is not sets[2]
 
 
-def test_lights_are_estimated_once_around_the_first_actors() -> None:
+def test_missing_lights_are_estimated_once_around_the_first_actors() -> None:
     """The planted lamp is found, with the direct part of the irradiance at the position."""
     scene = ls.Scene(splats=[floor(), light_ball((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
     # The lamp does not light the floor: it is found by its score alone.
@@ -313,7 +313,7 @@ def test_lights_are_estimated_once_around_the_first_actors() -> None:
     assert arriving == pytest.approx(0.8 * np.pi * mean, rel=0.03)
 
 
-def test_light_inside_an_actor_warns_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_light_inside_an_actor_is_logged_once_as_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     """The actor then shadows everything; a light above a flat Gaussian wide enough to reach it is not inside."""
     within = ls.LightPoint((0.1, 1.02, 0.0), name="torch")
     above = ls.LightPoint((0.0, 1.3, 0.0), name="lantern")
@@ -327,7 +327,7 @@ def test_light_inside_an_actor_warns_once(caplog: pytest.LogCaptureFixture) -> N
     assert caplog.text.count("is inside an actor") == 1 and "'torch'" in caplog.text
 
 
-def test_region_radius_follows_the_actors() -> None:
+def test_shadow_region_radius_is_measured_from_the_actors_of_each_frame() -> None:
     """``region_radius`` is about the actors of each frame, not of the first."""
     ground = floor()
     slanted = ls.LightDirectional((1.0, -1.0, 0.0))
@@ -339,7 +339,7 @@ def test_region_radius_follows_the_actors() -> None:
     assert (left[ground.means[:, 0] > 0.5 + 0.4 + 0.8] == 1.0).all()
 
 
-def test_region_without_receivers_warns_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_shadow_region_without_receivers_is_logged_once_as_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     """Nothing is darkened."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), shadow_map=replace(SHADOW, region_radius=0.5))
@@ -349,7 +349,7 @@ def test_region_without_receivers_warns_once(caplog: pytest.LogCaptureFixture) -
     assert caplog.text.count("no receivers within 0.5 of the actors") == 1
 
 
-def test_disabled_shadows_need_no_lights() -> None:
+def test_avatar_lighter_without_shadows_estimates_no_lights() -> None:
     """No light is estimated."""
     scene = ls.Scene(splats=[floor()])
     frame = ls.AvatarLighter(scene, None, config(shadows=False), device="cpu").light([puppet()])
@@ -371,19 +371,21 @@ def test_disabled_shadows_need_no_lights() -> None:
         (ls.Scene(splats=[floor()]), None, [puppet()], "no light found"),
     ],
 )
-def test_invalid_scenes_lights_and_actors_are_refused(scene: Any, lights: Any, actors: Any, said: str) -> None:
+def test_avatar_lighter_refuses_invalid_scenes_lights_and_actors(
+    scene: Any, lights: Any, actors: Any, said: str
+) -> None:
     """Cases: no captured sets, no lights, actors of another type."""
     with pytest.raises(ls.SceneError, match=said):
         lighter(scene, lights).light(actors)
 
 
-def test_invalid_actor_flags_are_refused() -> None:
+def test_avatar_lighter_refuses_actor_flags_of_another_count() -> None:
     """Flags must be a list with one boolean per actor."""
     with pytest.raises(ls.SceneError, match="relit has 2 entries, expected 1"):
         lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
 
 
-def test_lights_of_an_unlit_scene_count_as_its_captured_light() -> None:
+def test_lights_of_an_unlit_scene_act_like_given_lights_on_actors() -> None:
     """Nothing reflects them, so they act as if given, and captured walls do not block them."""
     environment = ls.LightEnvironment(intensity=0.5, name="sky")
     bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))
@@ -401,7 +403,7 @@ def test_lights_of_an_unlit_scene_count_as_its_captured_light() -> None:
     assert lighter(ls.Scene(splats=bare, lights=[LIGHT]), None).light([shiny]).lights == (LIGHT,)
 
 
-def test_probes_include_the_background() -> None:
+def test_probe_of_an_actor_includes_the_background_radiance() -> None:
     """An isolated capture is surrounded by the background's radiance."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     actor = puppet()
@@ -413,7 +415,7 @@ def test_probes_include_the_background() -> None:
     assert decode_srgb(np.array(colors[1])) == pytest.approx(0.6, abs=0.01)
 
 
-def test_dark_actors_warn_once_with_advice(caplog: pytest.LogCaptureFixture) -> None:
+def test_dark_relit_actors_are_logged_once_with_a_gamma_as_advice(caplog: pytest.LogCaptureFixture) -> None:
     """The advice is a gamma; with such a gamma there is no warning."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
@@ -429,7 +431,7 @@ def test_dark_actors_warn_once_with_advice(caplog: pytest.LogCaptureFixture) -> 
         assert (advice in caplog.text) == bool(warnings)
 
 
-def test_light_that_hardly_reaches_the_capture_warns_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_light_that_hardly_reaches_the_capture_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     """The light is inside a hollow actor: inside no Gaussian, but the whole room is dark."""
     stage = lighter(ls.Scene(splats=[floor()]), [replace(LIGHT, position=(0.0, 1.0, 0.0), name="torch")])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -451,7 +453,7 @@ def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarr
     return light_left(actor.gaussians, white.light([actor]).splats[-1].gaussians)
 
 
-def test_given_sun_lights_actors() -> None:
+def test_given_sun_adds_its_irradiance_to_relit_actors() -> None:
     """A sun adds half of white's irradiance times the cosine; disabled suns and local lights add nothing."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     sun = sunny((0.0, -1.0, 0.0))
@@ -480,7 +482,7 @@ def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptur
     assert (ball_in(ls.Scene(splats=[roof]), [slanted]) - without).max() > 0.4
 
 
-def test_sun_in_the_probe_does_not_count_twice() -> None:
+def test_sun_irradiance_already_in_the_probe_is_subtracted() -> None:
     """The probe's irradiance towards the sun beyond its mean is subtracted: all of a weak sun, none in the dark."""
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -493,7 +495,7 @@ def test_sun_in_the_probe_does_not_count_twice() -> None:
     np.testing.assert_allclose(sun_beyond(probe, sunny((0, 1, 0), 1.0)), 1.0)
 
 
-def test_estimated_sun_casts_shadows_where_no_lights_are_found(caplog: pytest.LogCaptureFixture) -> None:
+def test_estimated_sun_casts_actor_shadows_where_no_lights_are_found(caplog: pytest.LogCaptureFixture) -> None:
     """The sun has the direct part of the irradiance at the actor."""
     towards = np.array([0.5, 0.7, 0.4])
     scene = ls.Scene(splats=[meadow((0.5, 0.7, 0.4))])
@@ -515,7 +517,7 @@ def points_of_sphere(center: tuple[float, float, float], radius: float) -> tuple
     return center + radius * normals, normals
 
 
-def test_relighting_reduces_paa_apf_and_ncm() -> None:
+def test_relighting_reduces_the_metrics_paa_apf_and_ncm_by_a_fifth() -> None:
     """A figure lit bluish from the side, among diffuse balls below a reddish ceiling: all fall by a fifth."""
     reddish, steps = np.array([1.0, 0.8, 0.6]), np.linspace(-8.0, 8.0, 33)
     ceiling = np.stack(np.meshgrid(steps, [2.5], steps, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -34,7 +34,7 @@ def centre_radiance(pipeline: ls.Pipeline, gain: float, material: ls.MaterialPbr
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.REALTIME], ids=["path", "realtime"])
-def test_one_stop_of_gain_doubles_captured_light_on_objects(pipeline: ls.Pipeline) -> None:
+def test_one_stop_of_capture_gain_doubles_captured_light_on_objects(pipeline: ls.Pipeline) -> None:
     """A mirror shows the capture unchanged, whatever the gain."""
     plain, doubled = (centre_radiance(pipeline, gain, diffuse(0.4)) for gain in (0.0, 1.0))
     np.testing.assert_allclose(doubled / plain, 2.0, rtol=0.03)
@@ -43,7 +43,7 @@ def test_one_stop_of_gain_doubles_captured_light_on_objects(pipeline: ls.Pipelin
     np.testing.assert_allclose(mirrored[0], mirrored[1], rtol=1e-5)
 
 
-def test_rough_metal_has_equal_gain_in_hybrid_and_path() -> None:
+def test_capture_gain_on_rough_metal_is_equal_in_hybrid_and_path() -> None:
     """Both pipelines show the same radiance in a grey shell."""
     metal = ls.MaterialPbr(base_color=(0.8, 0.6, 0.4), metallic=1.0, roughness=0.4)
     light = ls.LightPoint((0, 0, 2.5), intensity=1e-6)  # hybrid frames without any light are unlit
@@ -61,7 +61,7 @@ def test_rough_metal_has_equal_gain_in_hybrid_and_path() -> None:
     np.testing.assert_allclose(found[ls.Pipeline.HYBRID, 0.0], found[ls.Pipeline.PATH, 0.0], rtol=0.05)
 
 
-def test_estimated_gain_exposes_an_object_as_its_environment() -> None:
+def test_estimated_capture_gain_exposes_an_object_like_the_capture_around() -> None:
     """Walls of albedo 0.5 all around received twice their radiance: one stop; walls of half the sphere, two."""
     thing = ball(0.3, diffuse(0.5), rows=16)
     assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)], [thing]), device="cpu") == pytest.approx(
@@ -84,7 +84,7 @@ def test_estimated_gain_exposes_an_object_as_its_environment() -> None:
         (ls.Scene([shell(0.5)]), "give the position"),
     ],
 )
-def test_scenes_without_captured_light_are_refused(scene: ls.Scene, said: str) -> None:
+def test_capture_gain_estimate_refuses_scenes_without_captured_light(scene: ls.Scene, said: str) -> None:
     """The message is one line that says what is missing."""
     with pytest.raises(ls.SceneError, match=said):
         ls.avatars.estimate_capture_gain(scene, device="cpu")

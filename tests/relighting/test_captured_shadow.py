@@ -36,7 +36,7 @@ def test_shadow_of_one_light_multiplies_colors_by_transmittance() -> None:
     np.testing.assert_array_equal(dark.sh[3], lit.sh[3])
 
 
-def test_lights_are_weighted_by_irradiance_per_channel() -> None:
+def test_shadows_of_several_lights_are_weighted_by_irradiance_per_channel() -> None:
     """A red light at 2 and a white one at 1, both of 4 candela: red has fractions 1/5 and 4/5, green only the white."""
     red, white = ls.LightPoint((2, 0, 0), (1, 0, 0), 4.0), ls.LightPoint((0, 1, 0), (1, 1, 1), 4.0)
     lit = receivers((0.0, 0.0, 0.0))
@@ -46,7 +46,7 @@ def test_lights_are_weighted_by_irradiance_per_channel() -> None:
     np.testing.assert_allclose(dark, 1.0 - 0.5 * np.array([0.2 * 0.5 + 0.8 * 0.9, 0.9, 0.9]), atol=1e-5)
 
 
-def test_colors_without_light_are_unchanged() -> None:
+def test_shadows_do_not_change_colors_that_no_light_reaches() -> None:
     """Outside a spot's cone no light can be blocked; a channel without light keeps its bits."""
     spot = ls.LightSpot((0, 0, 0), (0, 0, 1), color=(1, 1, 0), intensity=3.0)
     lit = receivers([(0, 0, -1), (0, 0, 1)])
@@ -56,7 +56,7 @@ def test_colors_without_light_are_unchanged() -> None:
     assert linear(dark)[1, :2].max() < 1e-5
 
 
-def test_instance_transforms_are_respected() -> None:
+def test_shadow_weights_of_lights_follow_the_instance_transform() -> None:
     """The fractions of two lights follow the transform; the instance keeps everything but its colours."""
     pose = np.diag([2.0, 2.0, 2.0, 1.0])
     pose[0, 3] = 1.0
@@ -68,7 +68,7 @@ def test_instance_transforms_are_respected() -> None:
     np.testing.assert_array_equal(dark.transform, pose)
 
 
-def test_unshadowed_set_is_the_same_object() -> None:
+def test_capture_without_any_shadow_is_returned_as_the_same_object() -> None:
     """Fractions of several lights that sum to 1 up to rounding change nothing."""
     rng = np.random.default_rng(0)
     lit = receivers(rng.random((1000, 3)))
@@ -95,7 +95,7 @@ def test_unshadowed_set_is_the_same_object() -> None:
          ((math.cos(math.pi / 4) - math.cos(1.0)) / (math.cos(0.5) - math.cos(1.0))) ** 2),
     ],
 )  # fmt: skip
-def test_irradiance_of_each_light_type(light: ls.LightPoint, expected: float) -> None:
+def test_irradiance_of_each_light_type_equals_its_definition(light: ls.LightPoint, expected: float) -> None:
     """The values at the origin follow each light's definition."""
     np.testing.assert_allclose(facing_irradiance(light, np.zeros((1, 3)))[0], np.array([1, 0.5, 0]) * expected)
 
@@ -114,7 +114,9 @@ def test_irradiance_of_each_light_type(light: ls.LightPoint, expected: float) ->
         ({"direct": 1.5}, ls.ConfigError, "direct is 1.5"),
     ],
 )
-def test_invalid_arguments_are_refused(change: dict[str, Any], error: type[Exception], said: str) -> None:
+def test_shadowed_refuses_invalid_arguments_naming_them(
+    change: dict[str, Any], error: type[Exception], said: str
+) -> None:
     """The message names the argument."""
     arguments: dict[str, Any] = {
         "receivers": receivers([(0, 0, 0), (1, 0, 0)]),

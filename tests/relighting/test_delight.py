@@ -50,7 +50,7 @@ def ball() -> tuple[ls.Gaussians, np.ndarray]:
     return plain, albedo
 
 
-def test_environment_cells_tile_the_sphere() -> None:
+def test_solid_angles_of_environment_cells_sum_to_4_pi() -> None:
     """Solid angles sum to 4 pi, also after some cells are divided, and the cells integrate a cosine to pi."""
     cells = EnvironmentCells.even(6)
     finer = cells.of(np.arange(2, 36)).joined(cells.of(np.arange(2)).parts(3))
@@ -66,7 +66,7 @@ def test_environment_cells_tile_the_sphere() -> None:
     assert not len(cells.of(np.empty(0, int)).neighbours)
 
 
-def test_room_with_leaking_walls_is_a_room() -> None:
+def test_delight_takes_a_room_with_half_opaque_walls_for_a_room() -> None:
     """Trained walls leak; a ball in the open, or in haze, is no room."""
     assert is_room(0.5) and is_room(1.0)
     assert not is_room(0.0) and not is_room(0.3)
@@ -82,7 +82,7 @@ def is_room(opacity: float) -> bool:
     return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, has_normals=False)[1]
 
 
-def test_sides_spread_over_a_plane_from_one_vote() -> None:
+def test_side_vote_of_one_gaussian_spreads_over_its_plane_only() -> None:
     """The wall that stands on the plane keeps its own."""
     floor = np.stack([*np.meshgrid(np.arange(20.0), np.arange(20.0)), np.zeros((20, 20))], axis=-1).reshape(-1, 3)
     wall = floor[:, [2, 1, 0]] + (-0.5, 0.0, 0.5)
@@ -99,7 +99,7 @@ def test_sides_spread_over_a_plane_from_one_vote() -> None:
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
 
 
-def test_isolated_sheet_has_one_consistent_side() -> None:
+def test_delighted_normals_of_an_isolated_sheet_face_one_side() -> None:
     """Both sides are open, and the Gaussians' axes point either way."""
     sheet = ls.gaussians_from_mesh(ls.plane(2.0), 120)
     half_rotation = np.array((0.0, 1.0, 0.0, 0.0), np.float32)  # about an axis within the sheet
@@ -110,7 +110,7 @@ def test_isolated_sheet_has_one_consistent_side() -> None:
     assert normals is not None and len(np.unique(np.sign(normals[:, 1]))) == 1
 
 
-def test_surface_points_are_distributed_over_gaussians() -> None:
+def test_surface_points_have_the_mean_and_spread_of_their_gaussian() -> None:
     """Points have the Gaussian's mean and spread, and are at the peak along the normal."""
     rotation = np.array((0.8, 0.0, 0.6, 0.0))
     one = ls.Gaussians(
@@ -124,7 +124,7 @@ def test_surface_points_are_distributed_over_gaussians() -> None:
     assert np.allclose(points.std(axis=0), (0.25, 0.15, 0.0), atol=0.005)
 
 
-def test_irradiance_of_open_environment_and_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_irradiance_matches_a_constant_environment_and_a_white_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Cells together give a ball the irradiance pi; inside a ball of one colour, irradiance has that colour."""
     plain, _ = ball
     outward = np.asarray(plain.normals, np.float64)
@@ -141,7 +141,7 @@ def test_irradiance_of_open_environment_and_furnace(ball: tuple[ls.Gaussians, np
     assert np.allclose(lit, inside.observed + inside.environment.sum(axis=1, keepdims=True), atol=1e-5)
 
 
-def test_emitter_irradiance_follows_area_and_distance() -> None:
+def test_irradiance_of_a_captured_emitter_follows_area_and_distance() -> None:
     """A small emitter above a floor gives cos cos area / (pi d^2); below a screen it is dark."""
     emitter = ls.transform(ls.gaussians_from_mesh(ls.plane(0.2), 60), _lifted(2.0))
     floor = ls.gaussians_from_mesh(ls.plane(2.0), 200)
@@ -164,7 +164,7 @@ def _lifted(height: float) -> np.ndarray:
     return matrix
 
 
-def test_light_is_recovered_from_albedo_similarity() -> None:
+def test_light_is_recovered_from_pairs_of_similar_albedo() -> None:
     """Environment and emitter of known radiance over surfaces of two albedos are found, up to the prior."""
     cells = EnvironmentCells.even(4)
     environment = RNG.random((900, 16)) * cells.solid_angles
@@ -185,7 +185,7 @@ def test_light_is_recovered_from_albedo_similarity() -> None:
     )
 
 
-def test_albedo_in_constant_light_is_recovered(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_albedo_in_a_constant_environment_is_recovered_up_to_a_factor(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Delighting a ball in a constant environment changes its albedo by one factor, in the same order."""
     plain, albedo = ball
     captured = colored(plain, albedo)
@@ -200,7 +200,7 @@ def test_albedo_in_constant_light_is_recovered(ball: tuple[ls.Gaussians, np.ndar
     assert np.allclose(found.environment_image().mean(axis=(0, 1)), found.environment.mean(axis=0), rtol=0.2)
 
 
-def test_shading_is_removed_from_a_ball(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_removes_the_shading_of_a_ball_lit_from_above(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """The light comes from above, by the cosine's closed form: bands of albedo are recovered."""
     plain, albedo = ball
     up = np.asarray(plain.normals)[:, 1].astype(np.float64)
@@ -215,7 +215,7 @@ def test_shading_is_removed_from_a_ball(ball: tuple[ls.Gaussians, np.ndarray]) -
     assert spread(found) < 0.3 * spread(shown)
 
 
-def test_relighting_by_the_estimated_light_gives_the_capture() -> None:
+def test_relighting_by_the_estimated_light_reproduces_the_capture() -> None:
     """A dark ball, half of whose radiance is specular, is recovered, too."""
     one = ls.gaussians_from_mesh(ls.sphere(1.0), 150)
     both = ls.merge([one, ls.transform(one, translation=(6.0, 0.0, 0.0))])
@@ -237,7 +237,7 @@ def test_relighting_by_the_estimated_light_gives_the_capture() -> None:
     assert apart[False] < 0.08 and apart[True] > 0.25
 
 
-def test_channel_darker_than_its_specular_part_is_flagged(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_gaussian_darker_in_a_channel_than_its_specular_part_is_flagged(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Saturated colours become paler when relit; one dark channel suffices, unless `matt` is set."""
     captured = colored(ball[0], np.tile((0.6, 0.3, 0.004), (ball[0].count, 1)))
     found, matt = (
@@ -249,7 +249,7 @@ def test_channel_darker_than_its_specular_part_is_flagged(ball: tuple[ls.Gaussia
     assert not matt.is_too_dark.any()
 
 
-def test_capture_without_view_dependence_is_rough(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_capture_without_view_dependence_is_estimated_as_rough(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Zero SH of degree 1 give a rough surface; SH of degree 0 give 0.8 to the bit with confidence 0."""
     plain, albedo = ball
     flat = colored(plain, albedo)
@@ -263,7 +263,7 @@ def test_capture_without_view_dependence_is_rough(ball: tuple[ls.Gaussians, np.n
     assert not unknown.roughness_confidence.any()
 
 
-def test_given_normals_are_kept_to_the_bit(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_keeps_given_normals_to_the_bit(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """They may point inwards."""
     plain, albedo = ball
     inwards = -np.asarray(plain.normals)
@@ -272,7 +272,7 @@ def test_given_normals_are_kept_to_the_bit(ball: tuple[ls.Gaussians, np.ndarray]
     assert np.array_equal(np.asarray(found.normals), inwards)
 
 
-def test_equal_seeds_give_equal_bits(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_gives_equal_bits_for_equal_seeds_on_any_threads(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """The number of threads does not matter; another seed differs a little."""
     captured = colored(ball[0], ball[1])
     config = ls.DelightConfig(cells=4)
@@ -283,7 +283,7 @@ def test_equal_seeds_give_equal_bits(ball: tuple[ls.Gaussians, np.ndarray]) -> N
     assert 0.0 < np.abs(other - one).max() < 0.2
 
 
-def test_smoothing_keeps_constants_and_reduces_noise(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_neighbour_smoothing_keeps_constants_and_reduces_noise(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Noise shrinks by about the square root of the number of neighbours."""
     plain, _ = ball
     near = neighbours_of(plain)
@@ -292,7 +292,7 @@ def test_smoothing_keeps_constants_and_reduces_noise(ball: tuple[ls.Gaussians, n
     assert smoother.mean(RNG.standard_normal((plain.count, 1))).std() < 0.45
 
 
-def test_unlit_gaussians_take_the_albedo_of_neighbours() -> None:
+def test_gaussians_without_light_take_the_albedo_of_their_neighbours() -> None:
     """The radiance of a Gaussian without light does not determine its albedo."""
     points = np.array([(x, 0.0, 0.0) for x in range(5)])
     albedo = np.array([[0.5] * 3, [0.5] * 3, [9.0] * 3, [0.5] * 3, [0.5] * 3])
@@ -301,7 +301,7 @@ def test_unlit_gaussians_take_the_albedo_of_neighbours() -> None:
     assert np.allclose(steps.filled(albedo, light, near), 0.5, atol=1e-4)
 
 
-def test_captures_without_estimable_materials_are_refused(
+def test_delight_refuses_captures_without_estimable_materials(
     ball: tuple[ls.Gaussians, np.ndarray], caplog: pytest.LogCaptureFixture
 ) -> None:
     """One line each: no surface, all white, wrong types. A replaced albedo is reported."""
@@ -347,7 +347,7 @@ def thick_wall() -> ls.Gaussians:
 
 
 @pytest.mark.parametrize(("count", "scale", "opacity"), [(3000, 0.03, 0.1), (3000, 0.03, 0.5), (20_000, 0.01, 0.5)])
-def test_haze_has_no_surface(count: int, scale: float, opacity: float) -> None:
+def test_delight_refuses_isotropic_haze_without_a_surface(count: int, scale: float, opacity: float) -> None:
     """Thin or dense, of few or many Gaussians, it is refused in one line."""
     with pytest.raises(ls.SceneError, match="no surface to estimate materials of: Gaussians are isotropic"):
         ls.delight(haze(count, scale, opacity), device="cpu")
@@ -358,7 +358,7 @@ def is_refused(gaussians: ls.Gaussians, renderer: ls.Renderer, seed: int) -> boo
     return measure_surface(gaussians, renderer, seed).has_no_surface
 
 
-def test_opaque_gaussians_are_no_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_opaque_or_flat_gaussians_do_not_count_as_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Isotropic Gaussians on a surface, a dense ball full of them, and flat ones in any order."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     plain, _ = ball
@@ -372,7 +372,7 @@ def test_opaque_gaussians_are_no_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> 
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
-def test_external_captures_are_no_haze(data_dir: Path, name: str) -> None:
+def test_captures_of_other_programs_do_not_count_as_haze(data_dir: Path, name: str) -> None:
     """Few of their Gaussians are isotropic; even if all were, half of the rays would end at once."""
     capture = ls.load(data_dir / "splats" / name)
     assert isinstance(capture, ls.Gaussians)
@@ -392,7 +392,9 @@ def test_external_captures_are_no_haze(data_dir: Path, name: str) -> None:
     ],
     ids=["dense haze", "dense haze of many", "flat ones", "thin haze of flat ones", "a thick wall"],
 )
-def test_unclear_surface_is_reported_with_advice(capture: ls.Gaussians, fault: str, caplog: Any) -> None:
+def test_capture_with_an_unclear_surface_is_reported_with_advice(
+    capture: ls.Gaussians, fault: str, caplog: Any
+) -> None:
     """The line comes before the work of `delight`, and when a light fit lights the capture."""
     remark = ls.inverse.surface_remark(capture, device="cpu")
     assert remark is not None and fault in remark and "--flatness 0.3" in remark
@@ -407,7 +409,7 @@ def test_unclear_surface_is_reported_with_advice(capture: ls.Gaussians, fault: s
     assert [record.message for record in caplog.records] == [remark] and stop == ["delighting, finding sides"]
 
 
-def test_progress_covers_all_stages_and_never_decreases(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_progress_of_delight_covers_all_stages_and_never_decreases(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """The last fraction is 1."""
     reported: list[tuple[str, float]] = []
     ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
@@ -418,7 +420,7 @@ def test_progress_covers_all_stages_and_never_decreases(ball: tuple[ls.Gaussians
     assert list(stages)[:3] == ["finding sides", "tracing the light", "finding the light"]
 
 
-def test_light_is_fitted_with_one_blas_thread(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_fits_the_light_with_one_blas_thread(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """More threads would change the last bits, and wait for each other on busy cores."""
     threads: set[object] = set()
 
@@ -432,7 +434,7 @@ def test_light_is_fitted_with_one_blas_thread(ball: tuple[ls.Gaussians, np.ndarr
 
 
 @pytest.mark.parametrize("count", [64, 300, 3000])
-def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
+def test_gaussians_sampled_on_meshes_get_no_surface_remark(count: int) -> None:
     """Cases: few or many Gaussians, bodies and thin sheets, with normals and without."""
     for mesh in (box(2.0), sphere(1.0, rows=12), plane(3.0, 2.0)):
         gaussians = ls.gaussians_from_mesh(mesh, count)
@@ -441,7 +443,7 @@ def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
-def test_external_captures_have_a_surface(data_dir: Path, name: str) -> None:
+def test_captures_of_other_programs_get_no_surface_remark(data_dir: Path, name: str) -> None:
     """No remark is made on captures of others."""
     assert (
         ls.inverse.surface_remark(expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name)), device="cpu") is None
@@ -477,14 +479,16 @@ ALONE, GROUND, WALL = sphere(0.5), plane(6.0, 6.0), walls()[0]
     ],
     ids=["furnished room", "room without a side", "corner", "object", "object on the ground", "before a wall"],
 )
-def test_only_closed_captures_are_rooms(meshes: list[ls.Mesh], inside: bool) -> None:
+def test_delight_takes_only_closed_captures_for_rooms(meshes: list[ls.Mesh], inside: bool) -> None:
     """A remark says which, and how the light that the capture does not show was treated."""
     found = ls.inverse.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
     assert found.is_inside is inside
     assert found.remarks[0].startswith("taken for a closed room" if inside else "taken for an open scene")
 
 
-def test_remarks_count_impossible_albedos_and_unexplained_colors(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_material_remarks_count_impossible_albedos_and_unexplained_colors(
+    ball: tuple[ls.Gaussians, np.ndarray],
+) -> None:
     """Each remark gives its fraction of the Gaussians."""
     plain, _ = ball
     n = plain.count

@@ -47,7 +47,7 @@ def lobes() -> Lobes:
     return Lobes.of(3)
 
 
-def test_lobe_tables_match_the_equations(lobes: Lobes) -> None:
+def test_tabulated_bsdf_lobes_match_the_float64_equations(lobes: Lobes) -> None:
     """Both parts at each roughness are cosine-weighted means over a bin's directions, in float64."""
     samples = bin_samples()
     spread = SPREAD_SHARE**2 * 2.0 * np.pi / (samples.shape[0] * samples.shape[1])
@@ -63,7 +63,7 @@ def test_lobe_tables_match_the_equations(lobes: Lobes) -> None:
             assert np.allclose(table[number, ::5][:, rows], expected, rtol=2e-4, atol=2e-5)
 
 
-def test_local_frames_and_bins_are_consistent() -> None:
+def test_direction_samples_fall_into_their_bin_in_frames_about_normals() -> None:
     """Frames are rotations that take z to the normals; every sample of a bin is found in it."""
     normals = even_directions(50)
     frames = frames_of(normals)
@@ -75,7 +75,7 @@ def test_local_frames_and_bins_are_consistent() -> None:
     assert np.array_equal(bins_of(samples.reshape(-1, 3)), numbers)
 
 
-def test_sh_projection_keeps_representable_functions(lobes: Lobes) -> None:
+def test_sh_projection_keeps_low_degrees_and_removes_high_ones(lobes: Lobes) -> None:
     """Degree 1 passes up to the ridge; a function of degree 6 hardly does; degree 0 keeps the mean only."""
     low = sh_basis(lobes.views, 1)[:, 1:]
     assert np.abs(sh_projection(lobes.views, 3) @ low - low).max() < 0.02
@@ -84,7 +84,7 @@ def test_sh_projection_keeps_representable_functions(lobes: Lobes) -> None:
     assert np.allclose(sh_projection(lobes.views, 0), 1.0 / len(lobes.views))
 
 
-def test_irradiance_is_binned_by_direction() -> None:
+def test_irradiance_of_each_cell_is_in_the_bin_of_its_direction() -> None:
     """The irradiance of each cell, from environment and capture, is in the bin of its direction; none is lost."""
     normals = even_directions(9)
     cells = EnvironmentCells.even(4)
@@ -185,7 +185,7 @@ def fitted_roughness(plain: ls.Gaussians, normals: np.ndarray, arriving: np.ndar
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 0.7])
-def test_known_roughness_is_recovered(roughness: float) -> None:
+def test_roughness_is_recovered_from_sh_highlights_to_0_05(roughness: float) -> None:
     """SH of degree 3 represent the equations' radiance in any frame, also with noise of 1 of 255."""
     rough = fitted_roughness(*glossy(roughness, 3, 1.0 / 255.0))
     assert np.abs(rough.value - roughness).max() < 0.05
@@ -193,14 +193,16 @@ def test_known_roughness_is_recovered(roughness: float) -> None:
 
 
 @pytest.mark.parametrize(("roughness", "turns", "near", "flat"), [(0.5, 0.15, 0.03, 0.06), (0.6, 0.2, 0.1, 0.11)])
-def test_curvature_is_not_mistaken_for_roughness(roughness: float, turns: float, near: float, flat: float) -> None:
+def test_roughness_fit_does_not_mistake_curvature_for_roughness(
+    roughness: float, turns: float, near: float, flat: float
+) -> None:
     """Roughness on balls is nearly right; the same colours taken for a flat surface give a rougher one."""
     case = glossy(roughness, 3, 1.0 / 255.0, turns)
     assert np.abs(fitted_roughness(*case, 0.9).value - roughness).max() < near
     assert np.median(fitted_roughness(*case).value) > roughness + flat
 
 
-def test_normal_variance_follows_curvature() -> None:
+def test_normal_variance_is_the_square_of_curvature_times_scale() -> None:
     """The variance is the square of curvature times scale on a ball, and 0 on a plane and in isolation."""
     ball = ls.gaussians_from_mesh(ls.sphere(2.0), 800)
     normals = np.asarray(ball.normals, np.float64)
@@ -213,7 +215,7 @@ def test_normal_variance_follows_curvature() -> None:
     assert normal_variances(ball, normals, alone).max() < 1e-12
 
 
-def test_widened_lobes_add_normal_variance() -> None:
+def test_lobes_are_widened_by_the_normal_variance() -> None:
     """Weights sum to 1, a plane keeps its roughness, and variances add to those of the slopes."""
     grid = np.array(ROUGHNESS_GRID)
     variances = np.array((0.0, 0.005, 0.05))
@@ -224,7 +226,7 @@ def test_widened_lobes_add_normal_variance() -> None:
     assert np.allclose(shares @ grid, expected)
 
 
-def test_confidence_is_low_where_sh_cannot_show_highlights() -> None:
+def test_roughness_confidence_is_low_where_sh_cannot_show_highlights() -> None:
     """Degree 0 leaves the prior to the bit; the sharpest roughness is only known to be small."""
     unknown = fitted_roughness(*glossy(0.4, 0))
     assert (unknown.value == np.float32(ROUGHNESS_UNKNOWN)).all()
@@ -236,7 +238,7 @@ def test_confidence_is_low_where_sh_cannot_show_highlights() -> None:
     )
 
 
-def test_noise_is_not_mistaken_for_highlights() -> None:
+def test_roughness_fit_does_not_mistake_noise_for_highlights() -> None:
     """Random view dependence gives neither small roughness nor high confidence."""
     plain, normals, arriving = glossy(1.0, 3)
     rng = np.random.default_rng(8)

@@ -46,7 +46,7 @@ def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray)
     return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
 
 
-def test_emitter_light_is_not_counted_twice() -> None:
+def test_radiance_of_a_captured_emitter_is_not_counted_twice() -> None:
     """Observed irradiance contains a white square only if the square is no emitter."""
     both, normals = emitter_over_floor()
     groups = emitters_of(both, is_white(both, normals))
@@ -60,7 +60,7 @@ def test_emitter_light_is_not_counted_twice() -> None:
     np.testing.assert_array_equal(as_emitter.environment, as_white.environment)
 
 
-def test_emitters_are_one_sided_and_cast_shadows() -> None:
+def test_captured_emitters_are_one_sided_and_cast_shadows() -> None:
     """Surfaces below a screen, and above an emitter that faces down, are dark."""
     both, normals = emitter_over_floor(screen=True)
     groups = emitters_of(both, is_white(both, normals))
@@ -73,14 +73,14 @@ def test_emitters_are_one_sided_and_cast_shadows() -> None:
     assert not incident(above, facing_it, groups).emitters[EMITTER:].any()
 
 
-def test_transparent_white_gaussians_are_no_emitter() -> None:
+def test_transparent_white_gaussians_do_not_count_as_emitters() -> None:
     """Gaussians of opacity 0, as 8-bit formats store them, have no area."""
     both, normals = emitter_over_floor()
     clear = replace(both, opacities=np.where(np.arange(both.count) < EMITTER, 0.0, both.opacities))
     assert (emitters_of(clear, is_white(clear, normals)) == -1).all()
 
 
-def test_sun_is_located_by_refined_cells() -> None:
+def test_refined_environment_cells_locate_the_sun_to_10_degrees() -> None:
     """The brightest cells are divided: a ball in the sun loses its shading, and the brightest cell is the sun's."""
     plain = ls.gaussians_from_mesh(ls.sphere(1.0), 400)
     albedo = np.where(np.sin(6.0 * plain.means[:, 1]) > 0.0, 0.8, 0.4)
@@ -94,7 +94,7 @@ def test_sun_is_located_by_refined_cells() -> None:
     assert np.log(np.asarray(found.gaussians.albedo).mean(axis=1) / albedo).std() < 0.1
 
 
-def test_lightest_surfaces_get_a_typical_albedo() -> None:
+def test_light_is_scaled_until_the_lightest_surfaces_have_albedo_0_8() -> None:
     """The 95th percentile of the largest channel becomes 0.8, whatever other light arrives."""
     rng = np.random.default_rng(1)
     some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
@@ -135,7 +135,7 @@ def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
     assert initial_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
 
 
-def test_environment_image_respects_its_rotation() -> None:
+def test_environment_image_of_an_estimate_respects_its_rotation() -> None:
     """Radiance by direction is the same for every rotation of the image."""
     cells, environment = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
@@ -155,7 +155,7 @@ def test_environment_image_respects_its_rotation() -> None:
     assert np.median(np.abs(plain - environment[nearest])) < 0.01
 
 
-def test_median_radiance_excludes_highlights() -> None:
+def test_median_outgoing_radiance_excludes_highlights() -> None:
     """An SH lobe around one direction changes the median far less than the radiance there."""
     plain = with_color(ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 20), 0.2)
     towards = np.array([0.5, 0.8, 0.2]) / np.linalg.norm([0.5, 0.8, 0.2])

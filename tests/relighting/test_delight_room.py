@@ -37,7 +37,7 @@ def estimate(box: CapturedBox) -> MaterialEstimate:
     return ls.inverse.estimate_materials(box.gaussians, config, device="cpu")
 
 
-def test_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: MaterialEstimate) -> None:
+def test_estimate_of_a_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """Rays that escape pass gaps between Gaussians; the emitter is brighter than could be recorded."""
     assert estimate.is_inside and not len(estimate.cells) and estimate.environment.shape == (0, 3)
     assert not estimate.environment_image().any()
@@ -47,7 +47,7 @@ def test_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: Mate
     assert np.einsum("ij,ij->i", np.asarray(estimate.gaussians.normals), box.normals).min() > 0.9
 
 
-def test_albedo_of_a_room_is_separated_from_its_light(box: CapturedBox, estimate: MaterialEstimate) -> None:
+def test_delight_separates_the_albedo_of_a_room_from_its_light(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """Two colours differ by their ratio, while captured colours of one differ by more between walls."""
     albedo, light = np.asarray(estimate.gaussians.albedo, np.float64), box.albedo[:, 0] == ALBEDOS[0, 0]
     medians = [np.median(albedo[rows & ~box.is_emitter], axis=0) for rows in (light, ~light)]
@@ -56,7 +56,7 @@ def test_albedo_of_a_room_is_separated_from_its_light(box: CapturedBox, estimate
     assert spread[0] < 0.5 * spread[1]
 
 
-def test_confidence_is_the_observed_fraction_of_irradiance(box: CapturedBox, estimate: MaterialEstimate) -> None:
+def test_albedo_confidence_is_the_observed_fraction_of_irradiance(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """Right below the unknown emitter it is small, and where the emitter does not shine it is 1."""
     seen = 1.0 - box.direct.mean(axis=1) / box.irradiance.mean(axis=1)
     walls = ~box.is_emitter
@@ -65,7 +65,7 @@ def test_confidence_is_the_observed_fraction_of_irradiance(box: CapturedBox, est
     assert estimate.confidence[walls & (seen > 0.99)].min() > 0.9
 
 
-def test_unexplained_gaussian_is_flagged(box: CapturedBox, estimate: MaterialEstimate) -> None:
+def test_gaussian_too_bright_for_any_albedo_is_flagged(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """A Gaussian that is too light gets albedo 1 in its hue; its residual is the rest."""
     walls = ~box.is_emitter & ~estimate.out_of_range
     assert estimate.residual[walls].max() < 1e-5

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.deep
 
 @pytest.mark.usefixtures("data_dir")
 @pytest.mark.parametrize("name", ["room", "spot in the sun"])
-def test_albedo_and_relit_accuracy(name: str) -> None:
+def test_delighted_albedo_and_relit_images_reach_25_and_28_db(name: str) -> None:
     """Albedo has 25 dB, where captured colours have less than 18; 28 dB in a new light; 60 % of shadows are removed."""
     figures, _ = measured(CASES[name]("cpu"), "cpu")
     assert figures["captured_db"] < 18.0

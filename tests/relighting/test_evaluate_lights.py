@@ -75,7 +75,7 @@ def relit(result: ls.inverse.MaterialEvaluation) -> np.ndarray:
     return np.stack([view.pictures["relit/dusk"][0] for view in result.views])
 
 
-def test_lights_of_a_scene_file_relight_the_capture(folder, ball):
+def test_evaluation_relights_the_capture_by_the_lights_of_a_scene_file(folder, ball):
     """The default is 64 paths per pixel; another light gives another image."""
     assert ls.inverse.evaluate_materials(ball, folder, device="cpu").relit["dusk"].psnr > 55.0
     direct = ls.inverse.evaluate_materials(ball, folder, config=HYBRID, samples=4, device="cpu")
@@ -84,7 +84,7 @@ def test_lights_of_a_scene_file_relight_the_capture(folder, ball):
     assert ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr < 30.0
 
 
-def test_environment_is_not_compared_under_local_lights(folder, ball):
+def test_evaluation_compares_no_environment_under_local_lights(folder, ball):
     """A remark gives the reason, and the other metrics exist."""
     result = ls.inverse.evaluate_materials(ball, folder, environment=panorama(), samples=1, device="cpu")
     assert np.isnan(result.environment_psnr) and result.albedo_psnr > 100.0
@@ -99,7 +99,7 @@ def test_environment_is_not_compared_under_local_lights(folder, ball):
         ("", "dusk.toml"),
     ],
 )
-def test_light_file_with_other_content_is_refused(folder, ball, text, problem):
+def test_evaluation_refuses_a_light_file_with_other_content(folder, ball, text, problem):
     """The message is one line that names the file."""
     ls.save(folder / "relit" / "ball.ply", ball)
     (folder / "relit" / "dusk.toml").write_text(text)
@@ -108,7 +108,7 @@ def test_light_file_with_other_content_is_refused(folder, ball, text, problem):
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_masked_pixels_do_not_count(folder, ball):
+def test_masked_pixels_change_no_metric_of_the_evaluation(folder, ball):
     """Nonsense where a mask is black changes no metric."""
     before = ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu")
     text = (folder / "transforms_test.json").read_text()
@@ -134,7 +134,7 @@ def test_masked_pixels_do_not_count(folder, ball):
     )
 
 
-def test_default_samples_keep_noise_small(folder, ball):
+def test_default_samples_of_relit_images_keep_noise_small(folder, ball):
     """Three small lights in a dark environment: 64 samples per pixel, also with a config that sets none."""
     file = np.full((16, 32, 3), 0.05, np.float32)
     file[4, 3], file[6, 17], file[3, 25] = 60.0, 40.0, 50.0

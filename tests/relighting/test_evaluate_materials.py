@@ -49,7 +49,7 @@ def region(folder: Path, view: str) -> np.ndarray:
     return alpha >= 0.5
 
 
-def test_ground_truth_has_no_error(folder, ball):
+def test_evaluation_of_the_ground_truth_itself_has_no_error(folder, ball):
     """The test checks all metrics and images."""
     result = evaluate(ball, folder, panorama())
     np.testing.assert_allclose(result.albedo_scale, 1.0, atol=1e-6)
@@ -68,14 +68,14 @@ def test_ground_truth_has_no_error(folder, ball):
     assert "albedo_psnr=" in repr(result) and "dusk" in repr(result)
 
 
-def test_samples_do_not_blur_relit_images(folder, ball):
+def test_jittered_samples_do_not_blur_relit_images(folder, ball):
     """They average light, but go through pixel centres, as in training."""
     spread = replace(CONFIG, jitter=True)
     result = ls.inverse.evaluate_materials(ball, folder, config=spread, device="cpu")
     assert result.relit["dusk"].psnr > 55.0
 
 
-def test_rays_with_a_footprint_go_through_pixel_centres(folder, ball):
+def test_ray_traced_relit_captures_are_jittered_only_if_antialiased(folder, ball):
     """Splats do so, too; rays of antialiased captures have no footprint and are jittered."""
     spread = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=4)
     assert spread.jitter
@@ -87,7 +87,7 @@ def test_rays_with_a_footprint_go_through_pixel_centres(folder, ball):
         assert (by_default != central) == is_spread
 
 
-def test_albedo_scale_is_recovered(folder, ball):
+def test_evaluation_recovers_the_albedo_scale_of_each_channel(folder, ball):
     """One factor per channel serves all views; unscaled, the error is that of the factors in sRGB."""
     factors = np.array([0.5, 0.9, 1.6])
     expected = []
@@ -104,7 +104,7 @@ def test_albedo_scale_is_recovered(folder, ball):
     assert result.relit["dusk"].psnr < 35.0, "pictures are relit with the scaled albedo"
 
 
-def test_known_offsets_give_the_expected_metrics(folder, ball):
+def test_known_errors_of_layers_give_the_expected_metrics(folder, ball):
     """Display albedo is off by 0.1 in one of two views, roughness by 0.1, relit images by 0.05."""
     inside = region(folder, NAMES[0])
     displayed = encode_srgb(read_layer(folder, "albedo", NAMES[0]))
@@ -123,7 +123,7 @@ def test_known_offsets_give_the_expected_metrics(folder, ball):
     assert result.relit["dusk"].psnr == pytest.approx(-20.0 * np.log10(0.05), abs=0.3)
 
 
-def test_rotated_normals_give_their_angle(folder, ball):
+def test_normals_rotated_by_10_degrees_give_an_error_of_10_degrees(folder, ball):
     """Normals of the first view are rotated by 10 degrees: half of the pixels, as both views have equal regions."""
     normal = read_layer(folder, "normal", NAMES[0])
     side = np.cross(normal, (0.3, 0.5, 0.8))
@@ -136,7 +136,7 @@ def test_rotated_normals_give_their_angle(folder, ball):
     assert result.normal_mean == pytest.approx(10.0 * counts[0] / sum(counts), abs=1e-2)
 
 
-def test_pixels_outside_the_object_do_not_count(folder, ball):
+def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ball):
     """Nonsense outside changes nothing, nonsense inside does."""
     before = evaluate(ball, folder)
     rng = np.random.default_rng(1)
@@ -164,13 +164,13 @@ def test_pixels_outside_the_object_do_not_count(folder, ball):
     assert spoilt.relit["dusk"].psnr < 40.0
 
 
-def test_specular_strength_comes_from_the_data_set(folder, ball):
+def test_specular_strength_of_relit_images_comes_from_the_data_set(folder, ball):
     """A data set declared Lambertian is relit without highlights."""
     (folder / "set.json").write_text('{"specular": 0.0}')
     assert evaluate(ball, folder).relit["dusk"].psnr < 50.0
 
 
-def test_captured_colors_replace_a_missing_albedo(folder, ball):
+def test_evaluation_takes_captured_colors_for_a_missing_albedo(folder, ball):
     """They are decoded, without view dependence, and a remark says so."""
     bare = replace(ball, albedo=None, normals=None, roughness=None)
     bare = replace(bare, sh=np.concatenate([bare.sh, np.full((bare.count, 3, 3), 0.05)], axis=1))
@@ -187,7 +187,7 @@ def test_captured_colors_replace_a_missing_albedo(folder, ball):
     assert explicit.remarks == result.remarks[1:]
 
 
-def test_missing_ground_truth_is_reported(folder, ball):
+def test_evaluation_reports_missing_ground_truth_and_computes_the_rest(folder, ball):
     """Metrics of roughness and relit images are missing, the others exist."""
     for path in (folder / "truth" / "roughness").iterdir():
         path.unlink()
@@ -199,7 +199,7 @@ def test_missing_ground_truth_is_reported(folder, ball):
     assert [line.split(":")[0] for line in result.remarks] == ["no ground truth for roughness", "nothing is relit"]
 
 
-def test_progress_covers_layers_and_relit_images(folder, ball):
+def test_progress_of_the_evaluation_covers_layers_and_relit_images(folder, ball):
     """Progress goes from 0 to 1 for layers and for relit images."""
     stored: list[tuple[str, float]] = []
     ls.inverse.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: stored.append(now))
@@ -235,7 +235,7 @@ def not_finite(folder: Path, name: str) -> None:
         (not_finite, "normal", "r_002.exr: has values that are not finite"),
     ],
 )
-def test_incomplete_data_sets_are_refused(folder, ball, spoil, name, problem):
+def test_evaluation_refuses_incomplete_data_sets_naming_the_file(folder, ball, spoil, name, problem):
     """The message is one line that names the file."""
     spoil(folder, name)
     with pytest.raises(ls.FormatError) as caught:
@@ -243,7 +243,7 @@ def test_incomplete_data_sets_are_refused(folder, ball, spoil, name, problem):
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_folders_that_are_no_data_set_are_refused(tmp_path, ball, folder):
+def test_evaluation_refuses_invalid_folders_captures_and_environments(tmp_path, ball, folder):
     """Images without ground truth, no folder, a broken set.json; and invalid captures and environments."""
     with pytest.raises(ls.FormatError, match="no such folder"):
         evaluate(ball, tmp_path / "nowhere")
@@ -265,7 +265,7 @@ def test_folders_that_are_no_data_set_are_refused(tmp_path, ball, folder):
         evaluate(ball, folder, np.zeros((4, 4)))
 
 
-def test_environment_is_compared_after_scaling_channels(folder, ball):
+def test_evaluation_compares_environments_after_scaling_channels(folder, ball):
     """Twice as bright and redder is equally good; another environment is not."""
     assert evaluate(ball, folder, panorama() * (2.5, 2.0, 2.0)).environment_psnr > 100.0
     write_radiance(folder / "environment.exr", np.roll(panorama(), 8, axis=1))

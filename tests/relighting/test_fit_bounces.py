@@ -21,7 +21,7 @@ def bounced() -> np.ndarray:
     return image_of(closed(*three_lights()), VIEW, replace(PATHS, samples=96, seed=5))
 
 
-def test_path_traced_fit_of_a_closed_room(bounced):
+def test_path_traced_light_fit_of_a_closed_room_is_within_5_percent(bounced):
     """Lights are within 5 % with a quarter of the default samples."""
     lights = three_lights()
     found = ls.fit_lights(
@@ -31,7 +31,7 @@ def test_path_traced_fit_of_a_closed_room(bounced):
     assert not found.remarks
 
 
-def test_fit_without_bounces_is_biased(bounced):
+def test_light_fit_without_bounces_is_biased_by_over_20_percent(bounced):
     """Some light is wrong by a fifth and more, which is why path tracing is the default."""
     lights = three_lights()
     found = ls.fit_lights(
@@ -44,7 +44,7 @@ def test_fit_without_bounces_is_biased(bounced):
     assert max(off) > 0.2
 
 
-def test_few_samples_do_not_bias_powers(bounced):
+def test_light_fit_with_eight_samples_does_not_bias_powers(bounced):
     """Powers from eight samples are within 6 %, and on average within 2 %.
 
     Squares of noisy renders would make powers too weak. Robust weights, which take fireflies for objects that the scene
@@ -66,7 +66,7 @@ def test_few_samples_do_not_bias_powers(bounced):
     assert abs(np.mean(ratios) - 1.0) < 0.02
 
 
-def test_averaging_window_scales_with_resolution():
+def test_averaging_window_of_light_fits_scales_with_the_resolution():
     """The window reaches 2 pixels to each side at 64 pixels, 4 at 128. Twice as wide, a light was 2.8 % off at 64."""
     for width, radius in ((64, 2), (128, 4)):
         aovs = ("albedo", "lights", "direct_diffuse", "direct_glossy", "emission")
@@ -79,7 +79,7 @@ def test_averaging_window_scales_with_resolution():
         np.testing.assert_allclose(smooth.averaged(ramp)[inside], ramp[inside], rtol=1e-6)
 
 
-def test_averaging_window_ends_at_the_image_border():
+def test_averaging_window_of_light_fits_ends_at_the_image_border():
     """A corner of a floor that fills the image has a quarter of the neighbours of the centre."""
     floor = ls.Scene((), [ls.plane(40.0, 40.0)])
     above = ls.Camera.look_at((0.0, 3.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, fov_y=0.6)
@@ -93,7 +93,7 @@ def test_averaging_window_ends_at_the_image_border():
 
 @pytest.mark.deep
 @pytest.mark.parametrize("width", [64, 96])
-def test_path_traced_fit_with_default_samples(width):
+def test_path_traced_light_fit_with_default_samples_is_within_2_percent(width):
     """Each channel of each light is within 2 % if the image has little noise."""
     lights, camera, many = three_lights(), view(width, 3 * width // 4), replace(PATHS, samples=64)
     image = image_of(closed(*lights), camera, replace(PATHS, samples=256, seed=5))

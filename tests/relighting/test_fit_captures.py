@@ -49,7 +49,7 @@ def fitted(scene: ls.Scene, image: np.ndarray, **options) -> ls.inverse.LightFit
 
 
 @pytest.mark.parametrize("has_albedo", [True, False])
-def test_capture_color_is_one_factor_per_channel(has_albedo):
+def test_light_fit_recovers_the_colour_of_a_capture_by_one_factor_per_channel(has_albedo):
     """A capture that starts half as red and more blue gets its own two colours back, and the lights are found."""
     truth = room_with_capture(has_albedo=has_albedo)
     image = image_of(truth, SMALL, HYBRID)
@@ -65,7 +65,7 @@ def test_capture_color_is_one_factor_per_channel(has_albedo):
     assert not found.remarks
 
 
-def test_captures_are_among_all_base_colors():
+def test_fit_of_all_base_colors_includes_captures_with_a_material():
     """If all are fitted, only products are determined; a capture without a material has no colour to fit."""
     truth = room_with_capture()
     kept = replace(truth, splats=(*truth.splats, replace(truth.splats[0], material=None, name="kept")))
@@ -75,7 +75,7 @@ def test_captures_are_among_all_base_colors():
     assert found.scene.splats[1] is kept.splats[1]
 
 
-def test_capture_colors_stay_below_white():
+def test_fitted_colours_of_a_capture_stay_at_most_white():
     """The image shows more than it can reflect: Gaussians end at 1, and a remark counts them."""
     truth = room_with_capture()
     bright = replace(truth, lights=[replace(light, intensity=3.0 * light.intensity) for light in three_lights()])
@@ -86,7 +86,7 @@ def test_capture_colors_stay_below_white():
     assert any(line.startswith("ball: ") and "are white" in line for line in found.remarks)
 
 
-def test_relit_captures_count_and_unlit_ones_do_not():
+def test_light_fit_uses_pixels_of_relit_captures_but_not_of_unlit_ones():
     """Lights are within 5 %, with noise, for a relit ball beside an unlit box."""
     truth = room_with_capture()
     box = ls.gaussians_from_mesh(truth.meshes[-1].mesh, 300)

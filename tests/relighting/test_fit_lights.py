@@ -35,7 +35,7 @@ def fitted(scene: ls.Scene, images, cameras=None, **options) -> ls.inverse.Light
     return ls.fit_lights(scene, cameras or VIEW, images, **options)
 
 
-def test_three_lights_of_a_noiseless_image_are_exact():
+def test_light_fit_of_a_noiseless_image_finds_three_lights_exactly():
     """Nothing is left to explain."""
     lights = three_lights()
     found = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), VIEW))
@@ -46,7 +46,7 @@ def test_three_lights_of_a_noiseless_image_are_exact():
     assert not found.remarks
 
 
-def test_three_lights_with_noise_are_within_their_standard_errors():
+def test_light_fit_errors_with_noise_are_within_5_standard_errors():
     """Errors with noise and 8 bits are below 5 %."""
     lights = three_lights()
     found = fitted(closed(*initial_lights(*lights)), noisy(image_of(closed(*lights), VIEW)))
@@ -56,7 +56,7 @@ def test_three_lights_with_noise_are_within_their_standard_errors():
     assert (off < 5.0 * found.standard_errors).all()
 
 
-def test_light_that_is_off_gets_power_0():
+def test_light_fit_gives_power_0_to_a_light_that_is_off():
     """No power is negative, nor taken from another light."""
     lights = three_lights()
     dark = replace(lights[1], intensity=0.0)
@@ -67,7 +67,7 @@ def test_light_that_is_off_gets_power_0():
     assert exact.remarks == ("warm: the fit turned it off",)
 
 
-def test_keep_hues_fits_one_power_per_light():
+def test_light_fit_with_keep_hues_fits_one_power_per_light():
     """A blue light stays blue, and is about as strong as the white one in its position."""
     lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 1.0, 1.0), 3.0)
     tinted = replace(lamp, color=(0.5, 0.5, 1.0), intensity=0.1)
@@ -79,7 +79,7 @@ def test_keep_hues_fits_one_power_per_light():
     assert exact.lights[0].intensity == pytest.approx(4.0, rel=1e-3)
 
 
-def test_second_image_determines_a_hidden_light():
+def test_second_image_lowers_the_standard_errors_of_a_light_fit():
     """Only the second camera sees the light behind the box."""
     lights = three_lights()
     cameras = [VIEW, OTHER]
@@ -93,7 +93,7 @@ def test_second_image_determines_a_hidden_light():
     assert both.standard_errors.sum() < one.standard_errors.sum()
 
 
-def test_objects_missing_from_the_scene_do_not_bias_the_fit():
+def test_objects_missing_from_the_scene_do_not_bias_the_light_fit():
     """A black ball and a lit picture on the wall hide a sixth of the image: lights are within 5 %."""
     lights = three_lights()
     room = closed(*lights)
@@ -107,7 +107,7 @@ def test_objects_missing_from_the_scene_do_not_bias_the_fit():
     assert np.median(found.views[0].weights.min(axis=2)[changed]) < 0.05
 
 
-def test_clipped_pixels_are_left_out_and_counted():
+def test_light_fit_ignores_and_counts_clipped_pixels():
     """An image with three stops more exposure is partly white; the lights are right."""
     lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lights()]
     image = image_of(closed(*lights), VIEW)
@@ -120,7 +120,7 @@ def test_clipped_pixels_are_left_out_and_counted():
     assert ("clipped" in " ".join(found.remarks)) == (white.mean() > 0.2)
 
 
-def test_masked_pixels_are_left_out():
+def test_light_fit_ignores_and_counts_masked_pixels():
     """Half of the image is painted over."""
     lights = three_lights()
     image = image_of(closed(*lights), VIEW)
@@ -137,7 +137,7 @@ def test_masked_pixels_are_left_out():
     np.testing.assert_allclose(found.shares, given / given.sum(), rtol=0.01)
 
 
-def test_exposure_of_the_camera_is_applied():
+def test_light_fit_applies_the_exposure_of_the_camera():
     """A camera with two stops less gives the same lights."""
     lights = three_lights()
     darker = replace(VIEW, exposure=-2.0)
@@ -147,7 +147,7 @@ def test_exposure_of_the_camera_is_applied():
     assert_powers(given.lights, lights, 2e-3)
 
 
-def test_exposures_are_fitted_relative_to_the_first():
+def test_light_fit_finds_exposures_relative_to_the_first_image():
     """The first exposure is held, with a remark, if the scene emits no light; the second is found."""
     lights = three_lights()
     cameras = [VIEW, replace(OTHER, exposure=-1.3)]
@@ -158,7 +158,7 @@ def test_exposures_are_fitted_relative_to_the_first():
     assert "the exposure of image 0 stays 0 stops" in found.remarks[0]
 
 
-def test_emission_determines_the_exposure():
+def test_emissive_object_of_known_radiance_determines_the_fitted_exposure():
     """The scene has a sign of known radiance."""
     lights = three_lights()
     shining = replace(matte(0.0), emissive=(0.5, 0.4, 0.3))
@@ -178,7 +178,7 @@ def test_emission_determines_the_exposure():
 
 
 @pytest.mark.parametrize("tone_map", ["neutral", "agx"])
-def test_tone_maps_are_inverted(tone_map):
+def test_light_fit_inverts_the_tone_map_of_the_image(tone_map):
     """Lights of a tone-mapped image are wrong without ``tone_map``."""
     lights = three_lights()
     image = image_of(closed(*lights), VIEW, replace(DIRECT, tone_map=tone_map))
@@ -189,7 +189,7 @@ def test_tone_maps_are_inverted(tone_map):
         assert_powers(wrong.lights, lights, 0.01)
 
 
-def test_exr_images_are_linear_and_png_images_are_not(tmp_path):
+def test_light_fit_takes_exr_images_as_linear_without_clipping(tmp_path):
     """An EXR may have any brightness."""
     lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lights()]
     frame = ls.render(closed(*lights), VIEW, DIRECT, device="cpu")
@@ -213,7 +213,7 @@ def sh_environment(degree: int = 2) -> EnvironmentProbe:
     return EnvironmentProbe(coefficients)
 
 
-def test_sh_environment_is_recovered():
+def test_light_fit_recovers_an_sh_environment_of_degree_1():
     """The irradiance is right with degree 1 and few samples, and no radiance is negative."""
     truth, camera = sh_environment(1), view(48, 36)
     image = image_of(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
@@ -223,7 +223,7 @@ def test_sh_environment_is_recovered():
 
 
 @pytest.mark.deep
-def test_sh_environment_and_a_light_are_recovered():
+def test_light_fit_recovers_an_sh_environment_beside_a_light():
     """Beside an environment of degree 2, the light is within 3 %."""
     light = ls.LightPoint((3.0, 2.0, 3.2), (1.0, 0.7, 0.4), 1.5, name="lamp")
     truth, camera = sh_environment(2), view(64, 48)
@@ -249,7 +249,7 @@ def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> No
 
 
 @pytest.mark.parametrize("room", [open_above, closed])
-def test_unused_sh_environment_is_removed(room):
+def test_light_fit_removes_an_sh_environment_without_light_and_reports_it(room):
     """One remark reports that none of the environment's light was found, whether it is blocked or does not shine."""
     lights = three_lights()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
@@ -260,7 +260,7 @@ def test_unused_sh_environment_is_removed(room):
     assert_powers(found.lights, lights, 0.03)
 
 
-def test_red_environment_is_recovered():
+def test_light_fit_recovers_an_environment_with_two_black_channels():
     """Two channels are black everywhere, and so left out."""
     red, camera = ls.LightEnvironment(color=(1.0, 0.0, 0.0), intensity=0.4), view(32, 24)
     config = ls.RenderConfig(samples=16)
@@ -269,7 +269,7 @@ def test_red_environment_is_recovered():
     np.testing.assert_allclose(found.environment.radiance(np.eye(3))[:, 0], 0.4, rtol=0.05)
 
 
-def test_environment_with_an_image_keeps_it():
+def test_light_fit_keeps_the_image_of_an_environment_light():
     """An environment with an image is fitted as one light, and without SH unless they are asked for."""
     image = sh_environment().image(16)
     truth = ls.LightEnvironment(image, (1.0, 0.8, 0.6), 1.4, visible=False, name="sky")
@@ -283,7 +283,7 @@ def test_environment_with_an_image_keeps_it():
     assert_powers((light,), (truth,), 0.01)
 
 
-def test_lights_at_one_position_are_reported_as_indistinguishable():
+def test_light_fit_reports_lights_at_one_position_as_indistinguishable():
     """The sum of their powers is right."""
     light = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
     twin = replace(light, name="right")
@@ -292,7 +292,7 @@ def test_lights_at_one_position_are_reported_as_indistinguishable():
     np.testing.assert_allclose(power(found.lights[0]) + power(found.lights[1]), power(light), rtol=1e-3)
 
 
-def test_invisible_light_is_unchanged():
+def test_light_fit_leaves_lights_that_no_image_shows_unchanged():
     """One light shines into a box, and one is disabled."""
     lights = three_lights()
     hidden = ls.LightPoint((2.75, 0.85, 1.3), (1.0, 0.2, 0.1), 9.0, name="hidden")
@@ -303,7 +303,7 @@ def test_invisible_light_is_unchanged():
     assert found.remarks == ("hidden: none of its light appears in the images, so it is unchanged",)
 
 
-def test_parameters_that_no_light_has_are_reported():
+def test_light_fit_reports_requested_parameters_that_no_light_has():
     """Each parameter has its own remark."""
     lights = three_lights()
     small = view(32, 24)
@@ -314,7 +314,7 @@ def test_parameters_that_no_light_has_are_reported():
     )
 
 
-def test_base_colors_of_two_materials_are_recovered():
+def test_light_fit_recovers_the_base_colors_of_two_materials():
     """The lights and the walls' colours are known."""
     lights = three_lights()
     image = image_of(closed(*lights), VIEW)
@@ -333,7 +333,7 @@ def test_base_colors_of_two_materials_are_recovered():
     assert_powers(both.lights, lights, 5e-3)
 
 
-def test_product_of_all_base_colors_is_held():
+def test_fit_of_lights_and_all_base_colors_holds_the_mean_base_color():
     """Lights and surfaces are determined up to a factor, and a remark says so."""
     lights = three_lights()
     room, camera = closed(*lights), view(32, 24)

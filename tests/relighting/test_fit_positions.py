@@ -47,7 +47,7 @@ def assert_positions(found: tuple[object, ...], lights: tuple[ls.LightPoint, ...
         assert off < share * ROOM, (light.name, off)
 
 
-def test_position_of_a_light_is_recovered():
+def test_light_fit_recovers_the_position_of_a_light_to_2_percent():
     """A light 0.3 of the room away, with noise and 8 bits: within 2 % of the room, and 5 % of its power."""
     light = three_lights()[1]
     start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
@@ -58,7 +58,7 @@ def test_position_of_a_light_is_recovered():
     assert (found.position_errors < 0.02 * ROOM).all()
 
 
-def test_progress_is_reported_for_every_render(monkeypatch):
+def test_light_fit_reports_progress_for_every_render(monkeypatch):
     """The fraction never falls, and ends at 1."""
     light, rendered, reports = three_lights()[1], [], []
     both = LightLayers._both
@@ -73,7 +73,7 @@ def test_progress_is_reported_for_every_render(monkeypatch):
     assert list(dict.fromkeys(labels)) == ["fitting lights", *(f"fitting lights, {stage}" for stage in stages)]
 
 
-def test_position_is_recovered_between_unfitted_pixels():
+def test_light_fit_recovers_a_position_if_no_downscaled_pixel_is_whole():
     """Black dots leave no downscaled pixel whole, so the search runs at the full size."""
     light = three_lights()[1]
     image = image_of(closed(light), view(48, 36))
@@ -83,7 +83,7 @@ def test_position_is_recovered_between_unfitted_pixels():
     assert_positions(found.lights, (light,), 0.02)
 
 
-def test_lights_stay_in_the_box_of_the_scene():
+def test_fitted_light_positions_stay_within_the_bounds_of_the_scene():
     """A light far above is moved to the height of the walls at most."""
     light = ls.LightPoint((2.0, 9.0, 2.5), (1.0, 1.0, 1.0), 40.0)
     start = replace(light, position=(2.0, 2.0, 2.5), intensity=2.0)
@@ -95,7 +95,7 @@ def test_lights_stay_in_the_box_of_the_scene():
 
 @pytest.mark.deep
 @pytest.mark.parametrize("count", [1, 2])
-def test_positions_of_three_lights_are_recovered(count):
+def test_light_fit_recovers_the_positions_of_three_lights(count):
     """Lights displaced by 0.3 of the room are found from one and two images, with noise and 8 bits. They may swap."""
     lamps = three_lights()
     cameras = [view(), other_view()][:count]
@@ -110,7 +110,7 @@ def test_positions_of_three_lights_are_recovered(count):
 
 
 @pytest.mark.deep
-def test_position_with_a_soft_shadow_is_recovered():
+def test_light_fit_recovers_the_position_of_a_light_with_a_soft_shadow():
     """The penumbra adds noise."""
     light = replace(three_lights()[1], radius=0.1)
     start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
@@ -120,7 +120,7 @@ def test_position_with_a_soft_shadow_is_recovered():
     assert_powers(found.lights, (light,), 0.05)
 
 
-def test_radius_is_recovered_from_the_penumbra():
+def test_light_fit_recovers_the_radius_of_a_light_from_its_penumbra():
     """A sphere light that starts at a third of its radius is within a seventh, its power within 3 %."""
     lamp = ls.LightSphere((2.6, 2.2, 3.4), 0.35, (1.0, 0.9, 0.8), 12.0, name="ball")
     small = view(48, 36)
@@ -133,7 +133,7 @@ def test_radius_is_recovered_from_the_penumbra():
     assert power == pytest.approx(math.pi * 0.35**2 * 12.0, rel=0.03)
 
 
-def test_direction_and_cone_of_a_spot_are_recovered():
+def test_light_fit_recovers_the_direction_and_cone_of_a_spot():
     """The edge of its light determines both."""
     spot = ls.LightSpot((2.0, 2.8, 2.6), (0.2, -1.0, -0.3), (1.0, 0.9, 0.7), 8.0, inner_angle=0.35, outer_angle=0.6)
     start = replace(spot, direction=(0.05, -1.0, -0.1), inner_angle=0.25, outer_angle=0.75, intensity=3.0)
@@ -146,7 +146,7 @@ def test_direction_and_cone_of_a_spot_are_recovered():
     assert math.dist(light.position, spot.position) < 0.02 * ROOM
 
 
-def test_direction_of_a_sun_is_recovered():
+def test_light_fit_recovers_the_direction_of_a_sun():
     """Shadows determine the direction."""
     sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
     start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
@@ -158,7 +158,7 @@ def test_direction_of_a_sun_is_recovered():
     assert_powers((light,), (sun,), 0.02)
 
 
-def test_derivatives_do_not_depend_on_the_step():
+def test_light_fit_derivatives_by_position_do_not_depend_on_the_step():
     """Away from shadow edges, half the step gives the same derivative of each pixel by each coordinate."""
     light = replace(three_lights()[0], intensity=1.0)
     scene, images = closed(light), read_images(view(), image_of(closed(light), view()))

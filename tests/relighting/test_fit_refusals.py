@@ -24,7 +24,7 @@ def refusal(*images, scene: ls.Scene | None = None, cameras=None, **options) -> 
     return message
 
 
-def test_images_that_do_not_match_their_cameras_are_refused():
+def test_light_fit_refuses_images_that_do_not_match_their_cameras():
     """Another aspect ratio, or another number."""
     assert "the image is 96 x 96, but its camera" in refusal(np.full((96, 96, 3), 0.5))
     assert "1 cameras and 2 images" in refusal(GREY, GREY)
@@ -33,7 +33,7 @@ def test_images_that_do_not_match_their_cameras_are_refused():
     assert "expected (H, W, 3)" in refusal(np.full((72, 96, 4), 0.5))
 
 
-def test_image_size_may_differ_from_the_cameras():
+def test_light_fit_accepts_images_of_another_size_but_equal_aspect_ratio():
     """The image is larger or smaller, with the same aspect ratio."""
     for width in (48, 192):
         fit = ls.fit_lights(
@@ -47,7 +47,7 @@ def test_image_size_may_differ_from_the_cameras():
         assert fit.views[0].image.shape == (72, 96, 3)
 
 
-def test_images_without_usable_pixels_are_refused():
+def test_light_fit_refuses_images_without_usable_pixels():
     """Black, white all over, masked, or not finite."""
     assert "is black" in refusal(np.zeros((72, 96, 3)))
     assert "every pixel is clipped" in refusal(np.ones((72, 96, 3)))
@@ -58,7 +58,7 @@ def test_images_without_usable_pixels_are_refused():
     assert "has 3 pixels that are NaN" in refusal(holes)
 
 
-def test_scenes_without_anything_to_fit_are_refused():
+def test_light_fit_refuses_scenes_without_anything_to_fit():
     """No lights, none enabled, nothing visible, nothing asked for."""
     assert "no lights to fit" in refusal(GREY, scene=closed())
     off = [replace(light, enabled=False) for light in three_lights()]
@@ -70,7 +70,7 @@ def test_scenes_without_anything_to_fit_are_refused():
     assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lights()))
 
 
-def test_settings_out_of_range_are_refused_by_name():
+def test_light_fit_refuses_settings_out_of_range_by_name():
     """Messages name the setting."""
     assert "environment_degree" in refusal(GREY, environment_degree=5)
     assert "positions is 1" in refusal(GREY, positions=1)
@@ -83,7 +83,7 @@ def test_settings_out_of_range_are_refused_by_name():
     assert "base_colors is 'wood'" in refusal(GREY, base_colors="wood")
 
 
-def test_unreadable_image_files_are_refused_by_name(tmp_path):
+def test_light_fit_refuses_unreadable_image_files_by_name(tmp_path):
     """Messages name the file."""
     assert "photo.png" in refusal(tmp_path / "photo.png")
     (tmp_path / "text.png").write_text("no picture")

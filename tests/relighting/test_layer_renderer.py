@@ -21,7 +21,7 @@ def sheet() -> ls.Gaussians:
     return replace(plain, albedo=albedo, roughness=roughness, normals=np.tile([0.0, 1.0, 0.0], (plain.count, 1)))
 
 
-def test_layers_equal_the_gaussians_values() -> None:
+def test_rendered_material_layers_equal_the_values_of_the_gaussians() -> None:
     """Linear albedo, roughness and normals are exact, however much of a pixel is covered."""
     for opacity in (0.9, 0.2):
         some = replace(sheet(), opacities=np.full(500, opacity))
@@ -31,7 +31,7 @@ def test_layers_equal_the_gaussians_values() -> None:
         np.testing.assert_allclose(drawn["normal"], np.broadcast_to((0.0, 1.0, 0.0), (24, 24, 3)), atol=1e-3)
 
 
-def test_captured_colors_in_place_of_albedo_are_decoded() -> None:
+def test_captured_colors_that_replace_albedo_are_decoded_to_linear() -> None:
     """Display value 0.5 is 0.214 linear; values beyond black and white are clipped."""
     values = np.array([0.5, 1.3, -0.2])
     captured = replace(sheet(), albedo=None, sh=np.tile((values - 0.5) / SH_C0, (500, 1, 1)))

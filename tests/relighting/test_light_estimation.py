@@ -39,7 +39,7 @@ def assert_at(light: ls.LightPoint, position: tuple[float, float, float], radius
     assert np.linalg.norm(np.subtract(light.position, position)) < radius + 1e-5, light
 
 
-def test_planted_lamps_are_found_in_order() -> None:
+def test_estimated_lights_are_the_planted_lamps_brightest_first() -> None:
     """Three lamps, brightest first, at their positions and with their linear colours."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     for light, position, color in zip(found.lights, POSITIONS, COLORS, strict=True):
@@ -49,7 +49,7 @@ def test_planted_lamps_are_found_in_order() -> None:
     assert [light.name for light in found.lights] == ["estimated-1", "estimated-2", "estimated-3"]
 
 
-def test_result_refers_to_the_lights_gaussians() -> None:
+def test_light_estimate_reports_the_gaussian_at_each_light() -> None:
     """Instance and index give the Gaussian at the light's position."""
     room = three_lamps()
     found = ls.inverse.estimate_lights(ls.Scene(splats=[walls(seed=9), room]), CENTER, 2, config=looks())
@@ -57,7 +57,7 @@ def test_result_refers_to_the_lights_gaussians() -> None:
     np.testing.assert_allclose([light.position for light in found.lights], room.means[found.indices], atol=1e-6)
 
 
-def test_irradiance_at_the_character_is_as_requested() -> None:
+def test_estimated_lights_give_the_requested_irradiance_at_the_centre() -> None:
     """Irradiances sum to pi, divided by score over squared distance."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     arriving = sum(light.intensity / np.sum(np.subtract(light.position, CENTER) ** 2) for light in found.lights)
@@ -68,7 +68,7 @@ def test_irradiance_at_the_character_is_as_requested() -> None:
     assert facing_irradiance(dim.lights[0], CENTER[None]).max() < 0.5
 
 
-def test_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None:
+def test_light_estimation_takes_no_broad_bright_wall_for_a_light(caplog: pytest.LogCaptureFixture) -> None:
     """A wall as bright as the lamp is no light; a warning says that fewer lights were found."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         found = ls.inverse.estimate_lights(
@@ -79,7 +79,7 @@ def test_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None
     assert "found 1 light of the 3 requested" in caplog.text
 
 
-def test_compactness_0_accepts_broad_emitters() -> None:
+def test_light_estimation_with_compactness_0_accepts_broad_emitters() -> None:
     """Otherwise the wall alone is refused, with advice; at 0 it is a light, after any lamp."""
     room = room_with(bright_wall())
     with pytest.raises(ls.SceneError, match=r"nothing bright stands out.*lower compactness"):
@@ -93,7 +93,7 @@ def test_compactness_0_accepts_broad_emitters() -> None:
     assert_at(both.lights[0], POSITIONS[1])
 
 
-def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
+def test_light_estimation_prefers_a_lamp_to_a_view_dependent_highlight() -> None:
     """The sparkle, bright from one viewpoint only, ranks after a lamp of half its luminance."""
     position = np.array(POSITIONS[0])
     glint = highlight(POSITIONS[0], position - CENTER)
@@ -106,7 +106,7 @@ def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
     assert decode_srgb(colors_along(glint, away)).min() > 1.1
 
 
-def test_constancy_over_viewpoints_counts() -> None:
+def test_light_estimation_prefers_colours_constant_over_viewpoints() -> None:
     """A colour with less variance over the viewpoints wins over one with equal variance over all directions."""
     positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
     # Gradients of equal size: along the viewing direction, where viewpoints hardly matter, and across. The second is
@@ -124,7 +124,7 @@ def test_constancy_over_viewpoints_counts() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.98, 0.0), (0.98, 0.98), (-0.98, 0.4)])
-def test_wall_corners_have_the_walls_surrounding_score(x: float, y: float) -> None:
+def test_surrounding_score_is_high_at_wall_corners_and_low_at_lamps(x: float, y: float) -> None:
     """Inside, at an edge and in a corner, some octant is as bright as the wall; around a lamp, none is."""
     steps = np.linspace(-1.0, 1.0, 81)
     wall = np.stack(np.meshgrid(steps, steps, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -135,7 +135,7 @@ def test_wall_corners_have_the_walls_surrounding_score(x: float, y: float) -> No
     assert wall_level > 0.8 and lamp_level < 0.11
 
 
-def test_size_of_gaussians_does_not_change_the_score() -> None:
+def test_size_of_gaussians_does_not_change_their_light_score() -> None:
     """Gaussians ten times larger score no more."""
     room = three_lamps()
     large = replace(room, scales=room.scales * np.where(np.arange(room.count) % 2, 10.0, 1.0)[:, None])
@@ -144,7 +144,7 @@ def test_size_of_gaussians_does_not_change_the_score() -> None:
     np.testing.assert_array_equal(one.scores, other.scores)
 
 
-def test_instance_transforms_are_respected() -> None:
+def test_light_estimation_respects_instance_transforms() -> None:
     """Lamps of a capture rotated, scaled and moved are found at their new positions, with equal scores."""
     angle = 0.7
     pose = np.eye(4)
@@ -169,7 +169,7 @@ def test_light_estimation_is_deterministic() -> None:
     assert [light.position for light in one.lights] == [light.position for light in other.lights]
 
 
-def test_radius_and_separation_bound_the_search() -> None:
+def test_radius_and_separation_bound_the_light_search() -> None:
     """No light is beyond the radius, and none nearer to another than the separation."""
     near = looks(radius=2.1, emitter_size=0.25)
     distances = [np.linalg.norm(np.subtract(position, CENTER)) for position in POSITIONS]
@@ -179,7 +179,7 @@ def test_radius_and_separation_bound_the_search() -> None:
     assert len(ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=apart).lights) == 1
 
 
-def test_outlier_does_not_exclude_the_lamps() -> None:
+def test_very_bright_outlier_does_not_hide_lamps_from_light_estimation() -> None:
     """One Gaussian a hundred times brighter than white counts as a light, and the lamps still do."""
     stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
     found = ls.inverse.estimate_lights(
@@ -205,20 +205,20 @@ def test_outlier_does_not_exclude_the_lamps() -> None:
         ({"scene": captured(np.random.default_rng(0).random((100, 3)), np.zeros(3))}, "nothing bright stands out"),
     ],
 )
-def test_searches_without_lights_are_refused(change: dict[str, Any], said: str) -> None:
+def test_light_estimation_refuses_scenes_and_regions_without_lights(change: dict[str, Any], said: str) -> None:
     """No region, no Gaussians, no light."""
     with pytest.raises(ls.SceneError, match=said):
         ls.inverse.estimate_lights(**{"scene": walls(100), "center": CENTER} | change)
 
 
-def test_settings_of_another_type_are_refused() -> None:
+def test_light_estimation_refuses_settings_of_another_type() -> None:
     """Only a LightEstimationConfig, or None for the defaults, is accepted."""
     with pytest.raises(ls.ConfigError, match="config is 0, expected a LightEstimationConfig"):
         ls.inverse.estimate_lights(walls(100), CENTER, config=0)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("count", [0, True, 2.0])
-def test_invalid_counts_are_refused(count: Any) -> None:
+def test_light_estimation_refuses_an_invalid_number_of_lights(count: Any) -> None:
     """The number must be whole, and at least 1."""
     with pytest.raises(ls.ConfigError, match="expected a whole number"):
         ls.inverse.estimate_lights(walls(100), CENTER, count, config=looks())

@@ -22,7 +22,7 @@ LAMPS: tuple[Point, ...] = ((1.1, 2.4, 1.3), (-1.2, 2.2, -1.4))
 SUN: Point = (0.5, 0.7, 0.4)
 
 
-def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
+def test_light_estimation_finds_lamps_that_light_a_room_and_no_flowers() -> None:
     """Two lamps among white balls and a sheet of paper are found and nothing else, whatever the requested number."""
     found = ls.inverse.estimate_lights(room(LAMPS), CENTER, 4)
     positions = np.array([light.position for light in found.lights])
@@ -32,7 +32,7 @@ def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
     assert found.evidence.min() > 0.1
 
 
-def test_bright_objects_without_shading_evidence_are_no_lights() -> None:
+def test_bright_objects_that_light_nothing_are_no_estimated_lights() -> None:
     """Flowers in constant light are refused with advice; without evidence, they are accepted."""
     capture = meadow(None, ambient=1.0)
     with pytest.raises(ls.SceneError, match=r"no light found within .* none lights its surroundings; give a sun"):
@@ -41,7 +41,7 @@ def test_bright_objects_without_shading_evidence_are_no_lights() -> None:
     assert len(by_looks.lights) and (by_looks.evidence == 0.0).all()
 
 
-def test_lamp_outdoors_at_night_is_found() -> None:
+def test_light_estimation_finds_a_lamp_outdoors_at_night() -> None:
     """The ground is known there, and flowers on it need more evidence."""
     found = ls.inverse.estimate_lights(meadow(None, ((1.2, 2.2, 0.6),)), CENTER, 3)
     assert np.linalg.norm(np.subtract(found.lights[0].position, (1.2, 2.2, 0.6))) < 0.1
@@ -49,7 +49,7 @@ def test_lamp_outdoors_at_night_is_found() -> None:
 
 
 @pytest.mark.parametrize("sun", [SUN, pytest.param((-0.6, 0.5, 0.2), marks=pytest.mark.deep)])
-def test_sun_is_found_within_ten_degrees(sun: Point) -> None:
+def test_estimated_sun_direction_is_within_ten_degrees(sun: Point) -> None:
     """No flower in its light is a lamp."""
     capture = meadow(sun)
     found = ls.inverse.estimate_sun(capture, CENTER)
@@ -61,7 +61,7 @@ def test_sun_is_found_within_ten_degrees(sun: Point) -> None:
         ls.inverse.estimate_lights(capture, CENTER, 3)
 
 
-def test_no_sun_is_found_without_one() -> None:
+def test_sun_estimate_is_none_for_captures_without_a_sun() -> None:
     """Constant light, a room of lamps, a handful of Gaussians: None rather than a guess."""
     assert ls.inverse.estimate_sun(meadow(None, ambient=1.0), CENTER) is None
     assert ls.inverse.estimate_sun(room(LAMPS), CENTER) is None
@@ -72,13 +72,13 @@ def test_no_sun_is_found_without_one() -> None:
 
 
 @pytest.mark.deep
-def test_overcast_sky_is_no_sun() -> None:
+def test_sun_estimate_is_none_under_an_overcast_sky() -> None:
     """An overcast sky is brightest at its top, and objects cast soft shadows."""
     capture = lit_capture("overcast", 7)
     assert ls.inverse.estimate_sun(capture.scene, capture.center) is None
 
 
-def test_isolated_figure_has_no_light(data_dir: Path) -> None:
+def test_captured_figure_without_surroundings_gives_no_light_and_no_sun(data_dir: Path) -> None:
     """A figure without the lights that lit it: the error advises to give a sun, and no sun is found."""
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     beside = (-0.9, -1.3, 0.85)
@@ -88,7 +88,7 @@ def test_isolated_figure_has_no_light(data_dir: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.deep)])
-def test_sun_is_never_below_the_ground(seed: int) -> None:
+def test_estimated_sun_is_never_below_the_ground(seed: int) -> None:
     """The ground is also found from the middle of the capture, if no centre is given."""
     capture = lit_capture("sunny", seed)
     found = ls.inverse.estimate_sun(capture.scene)
@@ -98,7 +98,7 @@ def test_sun_is_never_below_the_ground(seed: int) -> None:
 
 
 @pytest.mark.deep
-def test_long_search_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sun_search_of_over_a_second_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     """Progress starts after a second and increases to 1; a short search reports nothing."""
     reports: list[tuple[str, float]] = []
     monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 1e9)
@@ -117,7 +117,7 @@ def surfaces(luminance: np.ndarray, normals: np.ndarray, blocks: np.ndarray) -> 
     return CapturedSurfaces(np.zeros((len(luminance), 3)), normals, luminance, blocks, cells)
 
 
-def test_regression_recovers_factor_and_share() -> None:
+def test_shading_regression_recovers_the_factor_of_a_light() -> None:
     """Luminance made of a smooth environment and one light gives its factor, and the share 1 of the rest."""
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(3000, 3))
@@ -133,7 +133,7 @@ def test_regression_recovers_factor_and_share() -> None:
     assert abs(again.share) < 1e-3
 
 
-def test_block_texture_is_seldom_significant() -> None:
+def test_random_texture_per_block_is_seldom_significant_as_shading() -> None:
     """Standard errors by blocks keep the false positive rate for random brightness and light per block."""
     rng = np.random.default_rng(1)
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))
@@ -147,7 +147,7 @@ def test_block_texture_is_seldom_significant() -> None:
     assert (significances < LIGHT_SIGNIFICANCE).all()
 
 
-def test_rays_are_blocked_by_solid_voxels() -> None:
+def test_solid_voxels_block_rays_through_them_only() -> None:
     """Rays through a wall of voxels are blocked; up to it and beside it, they are free."""
     solid = np.zeros((8, 8, 8), np.bool_)
     solid[4, 2:6, 2:6] = True

@@ -35,7 +35,7 @@ def smooth_probe(seed: int = 0, degree: int = 2) -> ls.avatars.EnvironmentProbe:
 
 
 @pytest.mark.parametrize("face_px", [1, 2, 7, 64])
-def test_cube_solid_angles_sum_to_4_pi(face_px: int) -> None:
+def test_solid_angles_of_cube_map_pixels_sum_to_4_pi(face_px: int) -> None:
     """Pixels in the middle of a face have a larger solid angle than those in its corners."""
     angles = cube_solid_angles(face_px)
     assert angles.shape == (face_px, face_px)
@@ -43,14 +43,14 @@ def test_cube_solid_angles_sum_to_4_pi(face_px: int) -> None:
     assert angles.max() == angles[face_px // 2, face_px // 2] and angles.min() == angles[0, 0] > 0.0
 
 
-def test_solid_angle_of_small_pixels_matches_the_limit() -> None:
+def test_solid_angles_of_small_cube_map_pixels_match_the_limit() -> None:
     """The limit is ``dx dy / (1 + x^2 + y^2)^(3/2)``."""
     x, y = np.meshgrid((np.arange(256) + 0.5) / 128.0 - 1.0, (np.arange(256) + 0.5) / 128.0 - 1.0)
     np.testing.assert_allclose(cube_solid_angles(256), (1.0 + x * x + y * y) ** -1.5 / 128.0**2, rtol=2e-5)
 
 
 @pytest.mark.parametrize("index", [*range(16), 24, 35, 80])
-def test_single_sh_basis_function_is_recovered(index: int) -> None:
+def test_probe_fit_recovers_each_single_sh_basis_function(index: int) -> None:
     """Only its own coefficient is not 0, also by rough quadrature."""
     directions, degree = unit(1, 3000), 3 if index < 16 else 8
     radiance = sh_basis(directions, degree)[:, index, None] * [1.0, 2.0, -3.0]
@@ -61,7 +61,7 @@ def test_single_sh_basis_function_is_recovered(index: int) -> None:
     np.testing.assert_allclose(probe.radiance(3.0 * directions[:100]), radiance[:100], atol=1e-5)
 
 
-def test_constant_radiance_is_recovered() -> None:
+def test_probe_fit_recovers_constant_radiance() -> None:
     """Radiance 1 is ``sqrt(4 pi)`` in the first coefficient; irradiance is pi."""
     probe = ls.avatars.EnvironmentProbe.fit(
         unit(2, 500), np.ones((500, 3)), np.random.default_rng(2).uniform(0.1, 1.0, 500)
@@ -73,7 +73,7 @@ def test_constant_radiance_is_recovered() -> None:
 
 
 @pytest.mark.parametrize(("count", "unit_of_weights"), [(800, 1.0), (20_000, 1.0), (800, 1e-4)])
-def test_ridge_is_independent_of_samples_and_weights(count: int, unit_of_weights: float) -> None:
+def test_ridge_of_a_probe_fit_is_independent_of_sample_count_and_weights(count: int, unit_of_weights: float) -> None:
     """A ridge shrinks evenly sampled radiance by ``1 / (1 + ridge)``, whatever the samples and unit of weights."""
     index = np.arange(count) + 0.5
     z, phi = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
@@ -86,7 +86,7 @@ def test_ridge_is_independent_of_samples_and_weights(count: int, unit_of_weights
     assert np.abs(free.coefficients).max() > 2.0
 
 
-def test_sample_of_weight_3_equals_three_samples() -> None:
+def test_probe_sample_of_weight_3_equals_three_samples() -> None:
     """Only the ratio of weights matters."""
     directions, radiance = unit(4, 60), np.random.default_rng(4).uniform(size=(60, 3))
     weights = np.random.default_rng(5).integers(1, 4, 60)
@@ -97,7 +97,7 @@ def test_sample_of_weight_3_equals_three_samples() -> None:
     np.testing.assert_allclose(weighted.coefficients, repeated.coefficients, atol=1e-6)
 
 
-def test_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
+def test_probe_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
     """The reference is a quadrature over the sphere, for radiance of degree 8 with every band."""
     probe = ls.avatars.EnvironmentProbe(np.random.default_rng(6).normal(size=(81, 3)))
     directions, weights = sphere_quadrature(400)
@@ -108,7 +108,7 @@ def test_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_colors_come_from_their_directions(pipeline: ls.Pipeline) -> None:
+def test_probe_has_each_colour_in_the_direction_of_its_object(pipeline: ls.Pipeline) -> None:
     """No axis is swapped or mirrored, at any position."""
     position = np.array([0.3, -1.2, 5.0])
     config = ls.RenderConfig(pipeline=pipeline)
@@ -121,7 +121,7 @@ def test_colors_come_from_their_directions(pipeline: ls.Pipeline) -> None:
         assert ((falls[axis] > falls[axis + 3]) == (COLORS[axis] > COLORS[axis + 3])).all()
 
 
-def test_cube_faces_are_not_mirrored() -> None:
+def test_cube_map_faces_are_not_mirrored_or_rotated() -> None:
     """A ball off the axes appears in its own direction, to a pixel, in each quarter of every face."""
     renderer = ls.create_renderer(ls.RenderConfig(), "cpu")
     for direction in unit(8, 24):
@@ -131,7 +131,7 @@ def test_cube_faces_are_not_mirrored() -> None:
         assert found @ direction > np.cos(np.radians(0.5)) * np.linalg.norm(found)
 
 
-def test_unlit_meshes_give_their_base_color() -> None:
+def test_probe_of_an_unlit_mesh_has_its_linear_base_color() -> None:
     """A mesh around the position gives its base colour, decoded, from all directions."""
     import trimesh
 
@@ -143,7 +143,7 @@ def test_unlit_meshes_give_their_base_color() -> None:
     np.testing.assert_allclose(probe.radiance(AXES), np.broadcast_to([0.5, 0.25, 0.125], (6, 3)), atol=2e-3)
 
 
-def test_uncovered_directions_have_the_background() -> None:
+def test_probe_has_the_background_in_uncovered_directions() -> None:
     """The background is decoded like captures; a transparent one is black, with a warning. White has radiance 1."""
     scene, background = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)]), (1.0, 0.5, 0.0)
     probe = ls.avatars.EnvironmentProbe.capture(
@@ -154,7 +154,7 @@ def test_uncovered_directions_have_the_background() -> None:
     np.testing.assert_array_equal(clear.coefficients, 0.0)
 
 
-def test_partly_covered_pixels_are_unpremultiplied_before_decoding() -> None:
+def test_partly_covered_probe_pixels_are_unpremultiplied_before_decoding() -> None:
     """A frame's EXR is decoded in the same way."""
     renderer = ls.create_renderer(ls.RenderConfig(background=None), "cpu")
     half = one_gaussian((0.0, 0.0, 4.0), 50.0, 0.5, (0.5, 0.5, 0.5))
@@ -163,7 +163,7 @@ def test_partly_covered_pixels_are_unpremultiplied_before_decoding() -> None:
     np.testing.assert_allclose(brightest, 0.5 * decode_srgb(np.array(0.5)), rtol=1e-2)
 
 
-def test_lit_scenes_are_not_decoded_or_clipped() -> None:
+def test_probe_of_a_lit_scene_is_neither_decoded_nor_clipped() -> None:
     """A visible environment of radiance 5 is recovered."""
     light = ls.LightEnvironment(color=(1.0, 0.5, 0.25), intensity=5.0)
     scene = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)], lights=[light])
@@ -172,7 +172,7 @@ def test_lit_scenes_are_not_decoded_or_clipped() -> None:
     np.testing.assert_allclose(probe.radiance(AXES), [[5.0, 2.5, 1.25]] * 6, rtol=1e-5)
 
 
-def test_near_clips_objects_at_the_position() -> None:
+def test_near_plane_of_a_probe_clips_objects_at_its_position() -> None:
     """A body at the position hides everything else, unless ``near`` is larger."""
     body = one_gaussian((0.1, 0.0, 0.1), 0.3, 1.0, (1.0, 0.0, 0.0))
     room = compass(np.zeros(3), 4.0)
@@ -185,7 +185,7 @@ def test_near_clips_objects_at_the_position() -> None:
     assert np.abs(hidden - expected).max() > 0.1
 
 
-def test_given_renderer_gives_the_same_probe() -> None:
+def test_probe_by_a_given_renderer_equals_the_probe_by_its_config() -> None:
     """The size of the faces hardly matters."""
     scene = ls.Scene([random_gaussians(9, 200, 2, (0.0, 0.0, 0.0))])
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.2, 0.3, 0.4)), "cpu")
@@ -197,7 +197,7 @@ def test_given_renderer_gives_the_same_probe() -> None:
     np.testing.assert_allclose(finer.coefficients, own.coefficients, atol=0.02)
 
 
-def test_image_has_the_probes_radiance() -> None:
+def test_probe_image_has_the_radiance_and_axes_of_an_environment_map() -> None:
     """The axes are those of environments: +y on top, -z in the middle, +x right; with a rotation, too."""
     probe = smooth_probe()
     image = probe.image(32)
@@ -212,7 +212,7 @@ def test_image_has_the_probes_radiance() -> None:
     np.testing.assert_allclose(turned, np.roll(image[::-1], 32, axis=1)[:, ::-1], atol=1e-5)
 
 
-def test_ringing_is_removed_from_images() -> None:
+def test_probe_image_is_not_negative_and_keeps_the_mean_radiance() -> None:
     """SH of strong contrasts become negative; the image does not, and keeps the mean, unlike plain clipping."""
     directions = unit(10, 5000)
     probe = ls.avatars.EnvironmentProbe.fit(directions, np.where(directions[:, :1] > 0.95, 10.0, 0.0) * np.ones(3))
@@ -224,7 +224,7 @@ def test_ringing_is_removed_from_images() -> None:
     np.testing.assert_array_equal(black.image(4), 0.0)
 
 
-def test_degree_3_suffices_for_irradiance() -> None:
+def test_sh_degree_3_gives_irradiance_within_6_percent() -> None:
     """Irradiance is within 6 % of the largest, for a lamp of 0.3 sr in a hundredth of its light."""
     directions, weights = sphere_quadrature(120)
     environment = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
@@ -235,14 +235,14 @@ def test_degree_3_suffices_for_irradiance() -> None:
 
 
 @pytest.mark.parametrize("wxyz", [(1, 0, 0, 0), (0.5, -0.5, 0.5, 0.5), (0.9, 0.1, -0.3, 0.2)])
-def test_environment_of_a_probe_has_its_sh(wxyz: tuple[float, ...]) -> None:
+def test_environment_light_made_of_a_probe_has_the_sh_of_the_probe(wxyz: tuple[float, ...]) -> None:
     """The rotation of the image does not matter."""
     probe = smooth_probe(degree=3)
     again = ls.avatars.EnvironmentProbe.from_light(probe.light(128, wxyz), 3)
     np.testing.assert_allclose(again.coefficients, probe.coefficients, atol=2e-3)
 
 
-def test_small_environment_images_are_interpolated() -> None:
+def test_probe_of_a_small_environment_image_interpolates_its_pixels() -> None:
     """The probe matches the renderers; colour and intensity count."""
     image = np.zeros((2, 4, 3), np.float32)
     image[0] = 1.0
@@ -254,7 +254,7 @@ def test_small_environment_images_are_interpolated() -> None:
 
 
 @pytest.mark.parametrize("normal", [(0, 1, 0), (0, 0, -1), (1, 0, 0), (-0.6, -0.64, 0.48)])
-def test_rendered_irradiance_matches_the_probe(normal: tuple[float, float, float]) -> None:
+def test_rendered_surface_under_a_probe_light_has_the_probe_irradiance(normal: tuple[float, float, float]) -> None:
     """White paper in the probe's environment has its irradiance over pi, from every side."""
     probe = smooth_probe(3)
     along = np.array(normal, float)
@@ -269,7 +269,7 @@ def test_rendered_irradiance_matches_the_probe(normal: tuple[float, float, float
     np.testing.assert_allclose(frame.color.mean(axis=(0, 1)), probe.irradiance(along) / np.pi, rtol=5e-3)
 
 
-def test_saved_probe_is_the_same_light(tmp_path) -> None:
+def test_saved_probe_file_has_the_same_radiance_to_the_bit(tmp_path) -> None:
     """The EXR holds linear radiance, to the bit."""
     probe = smooth_probe()
     probe.save(tmp_path / "deep" / "probe.exr", 48, (0, 1, 0, 0))
@@ -281,7 +281,7 @@ def test_saved_probe_is_the_same_light(tmp_path) -> None:
         probe.save(tmp_path / "probe.png")
 
 
-def test_nonfinite_pixels_are_left_out(caplog) -> None:
+def test_non_finite_pixels_of_probe_faces_are_ignored_and_counted(caplog) -> None:
     """They are counted; if none is finite, there is no probe."""
     inner = ls.create_renderer(ls.RenderConfig(background=(1.0, 1.0, 1.0)), "cpu")
 
@@ -306,7 +306,7 @@ def test_nonfinite_pixels_are_left_out(caplog) -> None:
         ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=cast(Any, Broken(slice(None))))
 
 
-def test_position_that_sees_nothing_warns(caplog) -> None:
+def test_probe_position_that_sees_nothing_is_logged_as_a_warning(caplog) -> None:
     """The probe then holds the background only."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 1.0), 0.01, 1e-3)])
     with caplog.at_level(logging.WARNING):
@@ -346,28 +346,28 @@ SCENE, LAMP = ls.Scene([one_gaussian()]), ls.LightPoint((0, 0, 0))
         (lambda: smooth_probe().image(8, (0, 0, 0, 0)), ls.SceneError, "rotation_wxyz"),
     ],
 )
-def test_invalid_arguments_are_refused(call, error: type[Exception], message: str) -> None:
+def test_environment_probe_refuses_invalid_arguments_in_one_line(call, error: type[Exception], message: str) -> None:
     """The message is one line that names the argument."""
     with pytest.raises(error) as caught:
         call()
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_renderer_and_config_exclude_each_other() -> None:
+def test_probe_capture_refuses_both_a_renderer_and_a_config() -> None:
     """Either defines how the scene is rendered."""
     renderer = ls.create_renderer(None, "cpu")
     with pytest.raises(ls.ConfigError, match="give one of the two"):
         ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), config=ls.RenderConfig(), renderer=renderer)
 
 
-def test_ridge_allows_few_directions() -> None:
+def test_probe_fit_with_a_ridge_accepts_fewer_directions_than_coefficients() -> None:
     """The SH then pass through the samples."""
     probe = ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3))
     np.testing.assert_allclose(probe.radiance(np.eye(3)), np.eye(3), atol=1e-5)
     assert np.abs(probe.coefficients).max() < 10.0
 
 
-def test_rotating_the_scene_rotates_the_probe() -> None:
+def test_probe_rotates_with_the_scene_around_it() -> None:
     """Radiance and irradiance rotate with a scene about the position."""
     scene = random_gaussians(12, 120, 0, (0.0, 0.0, 0.0))
     turn = rotation((1.0, 2.0, -0.5), 1.1)

@@ -51,7 +51,7 @@ def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
     "settings",
     [{}, {"exponent": 2.0}, {"exponent": 7.3, "rows": 24}, {"scale_max": 0.8}, {"rows": 8}, {"exponent": 0.5}],
 )
-def test_scales_match_the_equations(settings: dict) -> None:
+def test_relight_scales_match_the_equations_of_mir_et_al(settings: dict) -> None:
     """Normals exceed one batch, and some are along the axes."""
     config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
@@ -60,7 +60,7 @@ def test_scales_match_the_equations(settings: dict) -> None:
     assert (twin == 0.0).any() or config.exponent < 7.0
 
 
-def test_exponent_1_gives_irradiance_over_pi() -> None:
+def test_relight_scale_with_exponent_1_is_irradiance_over_pi() -> None:
     """The accuracy is that of the grid: 1 % at 16 rows, less at 64."""
     probe, normals = ls.avatars.EnvironmentProbe(np.abs(some_probe().coefficients)), unit(2, 200)
     exact = np.clip(probe.irradiance(normals) / np.pi, 0.0, 1e3)
@@ -70,7 +70,7 @@ def test_exponent_1_gives_irradiance_over_pi() -> None:
 
 
 @pytest.mark.parametrize("exponent", [1.0, 8.0, 64.0])
-def test_16_rows_are_within_1_percent(exponent: float) -> None:
+def test_relight_scales_of_a_grid_of_16_rows_are_within_1_percent(exponent: float) -> None:
     """The reference is a fine grid, for any lobe and any normal."""
     probe, normals = some_probe(), unit(3, 400)
     rough, fine = (
@@ -81,7 +81,7 @@ def test_16_rows_are_within_1_percent(exponent: float) -> None:
 
 
 @pytest.mark.parametrize("settings", [{}, {"exponent": 3.7}, {"exponent": 64.0}, {"rows": 61}])
-def test_constant_radiance_1_changes_no_bit(settings: dict) -> None:
+def test_relighting_by_constant_radiance_1_changes_no_bit(settings: dict) -> None:
     """Scales are exactly 1, for any lobe."""
     gaussians = random_gaussians(4, 1500, 3)
     even = np.zeros((16, 3))
@@ -91,7 +91,7 @@ def test_constant_radiance_1_changes_no_bit(settings: dict) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_white_environment_changes_nothing(pipeline: ls.Pipeline) -> None:
+def test_relighting_by_a_captured_white_environment_changes_nothing(pipeline: ls.Pipeline) -> None:
     """Rendered, fitted and averaged, display white is a factor of exactly 1."""
     config = ls.RenderConfig(pipeline=pipeline, background=(1.0, 1.0, 1.0))
     scene = ls.Scene([one_gaussian((0.0, 0.0, 2.0), color=(1.0, 1.0, 1.0), opacity=1e-3)])
@@ -100,7 +100,7 @@ def test_white_environment_changes_nothing(pipeline: ls.Pipeline) -> None:
     np.testing.assert_array_equal(ls.relight(gaussians, probe).sh, gaussians.sh)
 
 
-def test_gamma_scales_linear_light() -> None:
+def test_relight_gamma_scales_the_linear_light() -> None:
     """Constant radiance 1 at gamma g gives g times the linear light; grey at gamma 1 / grey gives the original."""
     gaussians = random_gaussians(7, 200)
     colors = display_colors(gaussians)
@@ -112,14 +112,14 @@ def test_gamma_scales_linear_light() -> None:
         np.testing.assert_allclose(relit[seen], expected[seen], atol=1e-5)
 
 
-def test_channels_are_relit_separately() -> None:
+def test_relighting_scales_each_colour_channel_separately() -> None:
     """Red light leaves red, and removes green and blue."""
     probe = ls.avatars.EnvironmentProbe.fit(unit(9, 100), np.tile([[0.5, 0.0, 0.0]], (100, 1)), degree=0)
     relit = display_colors(ls.relight(one_gaussian(color=(0.8, 0.8, 0.8)), probe))
     np.testing.assert_allclose(relit, [[encode_srgb(0.5 * decode_srgb(np.array(0.8))), 0.0, 0.0]], atol=1e-5)
 
 
-def test_side_towards_the_light_is_brighter() -> None:
+def test_relit_side_towards_the_light_is_brighter() -> None:
     """A ball under light from +x falls off from there; a glossier lobe falls off faster."""
     directions = unit(10, 20_000)
     environment = np.where(directions[:, :1] > 0.8, 5.0, 0.1) * np.ones(3)
@@ -135,7 +135,7 @@ def test_side_towards_the_light_is_brighter() -> None:
     assert np.corrcoef(x, relit[1.0])[0, 1] > 0.9
 
 
-def test_instance_rotation_turns_its_normals() -> None:
+def test_relighting_an_instance_rotates_normals_by_its_transform() -> None:
     """Translation and scale do not matter; everything but the colours stays."""
     gaussians = ls.gaussians_from_mesh(shapes.torus(), 800)
     pose = similarity((0.3, 1.0, -0.4), 2.0, 7.0, (5.0, -3.0, 1.0))
@@ -154,7 +154,7 @@ def test_instance_rotation_turns_its_normals() -> None:
             assert getattr(relit.gaussians, name) is values
 
 
-def test_given_normals_override_the_sets() -> None:
+def test_relighting_uses_given_normals_instead_of_stored_ones() -> None:
     """They may have any length."""
     gaussians = ls.gaussians_from_mesh(shapes.sphere(), 300)
     up = np.tile([[0.0, 3.0, 0.0]], (300, 1))
@@ -164,7 +164,7 @@ def test_given_normals_override_the_sets() -> None:
 
 
 @pytest.mark.parametrize(("name", "most"), [("relit.ply", 1e-5), ("relit.spz", 0.02)])
-def test_relit_colors_survive_saving(tmp_path, name: str, most: float) -> None:
+def test_saved_relit_capture_renders_like_the_relit_capture(tmp_path, name: str, most: float) -> None:
     """A saved set renders as the relit one, with view dependence; PLY has its colours to the bit."""
     relit = ls.relight(random_gaussians(11, 150, 2), some_probe(), ls.config.RelightConfig(gamma=0.6))
     ls.save(tmp_path / name, relit)
@@ -206,7 +206,9 @@ AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", 
         (lambda: ls.config.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],
 )
-def test_invalid_arguments_are_refused(call: Callable[[], object], error: type[Exception], message: str) -> None:
+def test_relight_refuses_invalid_arguments_in_one_line(
+    call: Callable[[], object], error: type[Exception], message: str
+) -> None:
     """The message is one line that names the argument."""
     with pytest.raises(error) as caught:
         call()

@@ -53,7 +53,7 @@ def shown_at(camera: ls.Camera) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["fox", "barrel"])
-def test_pinhole_distortion_equals_opencv(name):
+def test_pinhole_distortion_equals_the_formula_of_opencv(name):
     """Each pixel's ray, distorted by OpenCV's formula, projects to the pixel."""
     lens = LENSES[name]
     camera = camera_of(lens)
@@ -64,7 +64,7 @@ def test_pinhole_distortion_equals_opencv(name):
     )
 
 
-def test_fisheye_distortion_equals_opencv():
+def test_fisheye_distortion_equals_the_polynomial_of_opencv():
     """Each pixel's ray, distorted by OpenCV's polynomial of the angle, projects to the pixel."""
     camera = camera_of(FISHEYE, ls.CameraModel.FISHEYE)
     rays = camera.ray_directions().reshape(-1, 3)
@@ -72,7 +72,7 @@ def test_fisheye_distortion_equals_opencv():
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_undistortion_inverts_distortion(lens):
+def test_lens_undistortion_inverts_distortion_in_both_directions(lens):
     """Distortion and undistortion are inverse in both directions, within the lens's range."""
     rng = np.random.default_rng(3)
     angle, radius = rng.uniform(0, 2 * np.pi, 500), rng.uniform(0, 0.9 * min(1.2, distortion_reach(lens)), 500)
@@ -80,7 +80,7 @@ def test_undistortion_inverts_distortion(lens):
     np.testing.assert_allclose(undistort(distort(points, lens), lens), points, atol=1e-9)
 
 
-def test_no_rays_beyond_the_fold_of_distortion():
+def test_pixels_beyond_the_fold_of_the_distortion_have_no_ray():
     """Beyond the fold of the polynomial, pixels have no ray, so that the centre does not reappear at the edge."""
     lens = (-0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
     assert distortion_reach(lens) == pytest.approx(np.sqrt(1 / 1.5))
@@ -92,7 +92,7 @@ def test_no_rays_beyond_the_fold_of_distortion():
     np.testing.assert_array_equal(missing, shown > largest)
 
 
-def test_zero_distortion_changes_no_bits():
+def test_distortion_coefficients_of_zero_change_no_bits():
     """Coefficients of zero change nothing."""
     np.testing.assert_array_equal(camera_of(NONE).ray_directions(), camera_of([0] * 6).ray_directions())
     assert not camera_of(NONE).is_distorted
@@ -107,13 +107,13 @@ def test_zero_distortion_changes_no_bits():
         ({"distortion": FOX, "model": ls.CameraModel.ORTHOGRAPHIC}, "this one is orthographic"),
     ],
 )
-def test_invalid_distortions_are_refused(changes, message):
+def test_camera_refuses_invalid_distortion_coefficients(changes, message):
     """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         front_camera(**changes)
 
 
-def test_distortion_does_not_depend_on_image_size():
+def test_lens_distortion_does_not_depend_on_the_image_size():
     """Coefficients refer to tangents, not to pixels."""
     small, large = camera_of(BARREL).scaled(30, 20), camera_of(BARREL)
     corner = 0.25 * (large.ray_directions()[0, 0] + large.ray_directions()[1, 1])
@@ -121,7 +121,7 @@ def test_distortion_does_not_depend_on_image_size():
     np.testing.assert_allclose(small.ray_directions()[0, 0], corner / np.linalg.norm(corner), atol=2e-3)
 
 
-def test_points_near_the_camera_plane_overflow_silently() -> None:
+def test_distorting_points_near_the_camera_plane_overflows_without_a_warning() -> None:
     """Points nearly in the camera's plane become non-finite, without a warning of NumPy."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")

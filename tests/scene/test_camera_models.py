@@ -23,7 +23,7 @@ def posed(turn: np.ndarray, eye: tuple[float, float, float] = (0.0, 0.0, 0.0)) -
     return np.linalg.inv(world_from_camera)
 
 
-def test_pinhole_rays_project_back() -> None:
+def test_pinhole_rays_pass_through_the_pixel_centres() -> None:
     """Rays have unit length, and pass through the pixel centres."""
     camera = front_camera(7, 5, fx=4.0, fy=5.0, cx=3.0, cy=2.0)
     rays = camera.ray_directions()
@@ -33,7 +33,7 @@ def test_pinhole_rays_project_back() -> None:
     np.testing.assert_allclose(5.0 * rays[..., 1] / rays[..., 2] + 2.0, np.tile(np.arange(5)[:, None] + 0.5, 7))
 
 
-def test_fisheye_angles_are_distances_in_the_image() -> None:
+def test_angle_of_a_fisheye_ray_is_proportional_to_the_distance_in_the_image() -> None:
     """At 220 degrees over 220 rows, a pixel 100 rows from the centre has a ray 100 degrees off the axis."""
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=221, height=221, fov_y=np.radians(221.0), model=FISHEYE)
     rays = camera.ray_directions()
@@ -47,7 +47,7 @@ def test_fisheye_angles_are_distances_in_the_image() -> None:
     np.testing.assert_allclose(rays[170, 50], (-side, side, np.cos(diagonal)), atol=1e-12)
 
 
-def test_fisheye_has_no_rays_beyond_its_back() -> None:
+def test_fisheye_pixels_beyond_180_degrees_off_axis_have_no_ray() -> None:
     """At 360 degrees over the height, corners beyond theta = pi have no ray; all other pixels have a unit ray."""
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=64, height=64, fov_y=2.0 * np.pi, model=FISHEYE)
     rays = camera.ray_directions()
@@ -58,7 +58,7 @@ def test_fisheye_has_no_rays_beyond_its_back() -> None:
     np.testing.assert_allclose(np.linalg.norm(rays[~outside], axis=-1), 1.0)
 
 
-def test_orthographic_rays_are_parallel() -> None:
+def test_rays_of_an_orthographic_camera_are_parallel() -> None:
     """All rays are parallel to the axis; look_at covers as much as a pinhole camera would at the target."""
     arguments = {"eye": (0, 0, -4), "target": (0, 0, 0), "width": 30, "height": 20, "fov_y": 0.9}
     camera = ls.Camera.look_at(**arguments, model=ORTHOGRAPHIC)
@@ -69,7 +69,7 @@ def test_orthographic_rays_are_parallel() -> None:
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
-def test_scaled_keeps_the_view_of_every_model(model: ls.CameraModel) -> None:
+def test_scaled_keeps_the_view_of_every_camera_model(model: ls.CameraModel) -> None:
     """With twice as many pixels, the four that replace a pixel surround its ray; lens and shutter stay."""
     end = posed(rotation((0.0, 1.0, 0.0), 0.1))
     camera = front_camera(
@@ -92,7 +92,7 @@ def frame_of(camera: ls.Camera, depth: np.ndarray) -> ls.Frame:
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
-def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
+def test_depth_z_of_a_plane_facing_any_camera_model_is_constant(model: ls.CameraModel) -> None:
     """A plane at view depth 3 has depth_z 3 at every pixel, and behind a fisheye depth_z is negative."""
     camera = front_camera(24, 20, 6.0, model=model)
     z = camera.ray_directions()[..., 2]
@@ -125,7 +125,7 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
         ({"camera_from_world_end": np.diag([-1.0, 1.0, -1.0, 1.0])}, "rotated by 180 degrees from camera_from_world"),
     ],
 )
-def test_invalid_lenses_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_camera_refuses_invalid_lenses_and_shutters_naming_the_value(changes: dict[str, Any], message: str) -> None:
     """The error names the value and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message) as raised:
         front_camera(**changes)
@@ -140,13 +140,15 @@ def test_invalid_lenses_are_refused(changes: dict[str, Any], message: str) -> No
         (ORTHOGRAPHIC, 3.2, "fov_y is 3.2, expected radians between 0 and pi"),
     ],
 )
-def test_fields_of_view_have_bounds(model: ls.CameraModel, fov_y: float, message: str) -> None:
+def test_look_at_refuses_fields_of_view_beyond_the_range_of_the_model(
+    model: ls.CameraModel, fov_y: float, message: str
+) -> None:
     """A fisheye's field of view is at most a full turn."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Camera.look_at((0, 0, 0), (0, 0, 1), fov_y=fov_y, model=model)
 
 
-def test_look_at_focuses_on_its_target() -> None:
+def test_camera_look_at_focuses_on_its_target_by_default() -> None:
     """The default focus distance is that of the target."""
     camera = ls.Camera.look_at((1, 2, 3), (1, 2, 8), aperture=0.25)
     assert (camera.aperture, camera.focus_distance) == (0.25, 5.0)
@@ -154,7 +156,9 @@ def test_look_at_focuses_on_its_target() -> None:
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(-3.0, 3.0), st.floats(0.0, 6.0))
-def test_shutter_turn_leads_from_pose_to_pose(axis: tuple[float, float, float], angle: float, start: float) -> None:
+def test_shutter_rotation_and_motion_lead_from_the_first_pose_to_the_last(
+    axis: tuple[float, float, float], angle: float, start: float
+) -> None:
     """The first pose rotated by ``shutter_turn`` is the last one, and the eye moves by ``shutter_motion``."""
     if np.linalg.norm(axis) < 0.1:
         return
@@ -168,7 +172,7 @@ def test_shutter_turn_leads_from_pose_to_pose(axis: tuple[float, float, float], 
     np.testing.assert_allclose(camera.shutter_motion, (0.5, 0.0, -1.0), atol=1e-12)
 
 
-def test_still_shutters_have_zero_motion() -> None:
+def test_camera_with_equal_or_no_end_pose_has_no_shutter_motion() -> None:
     """Without an end pose, or with an equal one, motion and turn are exactly zero."""
     pose = posed(rotation((0.3, -0.5, 0.8), 1.234), (0.1, 0.2, 0.3))
     for end in (None, pose):
@@ -189,7 +193,7 @@ def test_still_shutters_have_zero_motion() -> None:
         ({"camera_from_world_end": np.eye(4)}, "has a rolling shutter"),
     ],
 )
-def test_raster_refuses_unsupported_cameras(changes: dict[str, Any], message: str) -> None:
+def test_raster_and_realtime_refuse_camera_features_they_do_not_support(changes: dict[str, Any], message: str) -> None:
     """The error names the feature, and the pipeline that supports it."""
     camera = front_camera(name="left")
     refuse_lens(camera, ls.Pipeline.RASTER)
@@ -201,7 +205,7 @@ def test_raster_refuses_unsupported_cameras(changes: dict[str, Any], message: st
         refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER, ls.config.Projection.UNSCENTED)
 
 
-def test_depth_z_agrees_with_ray_directions() -> None:
+def test_raster_depth_and_ray_directions_give_the_same_depth_z() -> None:
     """A flat Gaussian off the axis has one view depth, by the raster's depth and ``ray_directions``."""
     scene = ls.Scene([one_gaussian((0.9, -0.7, 3.0), (0.3, 0.3, 1e-4), 0.9)])
     frame = ls.render(scene, front_camera(), device="cpu")

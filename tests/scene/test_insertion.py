@@ -59,7 +59,7 @@ def test_inserted_mesh_stands_upright_on_the_ground(up: Any) -> None:
     np.testing.assert_allclose(tip[[0, 2]], [1.0, -0.5], atol=1e-6)
 
 
-def test_inserted_mesh_avoids_other_objects() -> None:
+def test_inserted_mesh_overlaps_no_other_object() -> None:
     """A mesh overlaps neither a captured block nor a mesh inserted before, and stands on the ground."""
     scene = ls.Scene([capture("y-down", ((0.0, 0.0),))], up="y-down")
     for _ in range(2):
@@ -102,7 +102,7 @@ CUPBOARD = [covered(ls.box((1.2, 2.0, 1.2)), (0.0, 1.0, 0.0))]
     [(ARCH, False, (0.6, 0.2)), (ARCH, True, (0.6, 0.2)), (TABLE, True, (0.8, 0.8)), (CUPBOARD, True, (0.6, 0.6))],
     ids=["between legs", "between legs on a floor", "under a table", "in a cupboard"],
 )
-def test_inserted_mesh_stands_neither_under_nor_inside_objects(
+def test_inserted_mesh_stands_neither_under_nor_inside_other_objects(
     there: list[np.ndarray], with_floor: bool, outside: tuple[float, float]
 ) -> None:
     """A mesh of half a unit avoids free space between legs, under a table and inside a cupboard."""
@@ -112,7 +112,7 @@ def test_inserted_mesh_stands_neither_under_nor_inside_objects(
     np.testing.assert_allclose(placed[:4, 1], 0.0, atol=0.07)
 
 
-def test_shadow_catcher_planes_are_no_obstacles() -> None:
+def test_inserted_mesh_may_stand_on_a_shadow_catcher_plane() -> None:
     """A mesh stands on a shadow-catching ground plane, but beside a box of similar size."""
     ground = ls.Scene([capture("y-down")], up="y-down")
     plane = ls.MeshInstance(ls.plane(8.0, 8.0), position=(0.0, -0.72, 0.0), up="y-down", shadow_catcher=True)
@@ -123,7 +123,7 @@ def test_shadow_catcher_planes_are_no_obstacles() -> None:
 
 
 @pytest.mark.parametrize(("height", "spread"), [(0.5, 0.0), (4.0, 0.0), (0.5, 200.0)])
-def test_mesh_without_ground_is_placed_in_the_first_view(
+def test_mesh_inserted_into_a_capture_without_ground_is_in_the_first_view(
     height: float, spread: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Before a wall, the whole mesh is in view in front of the wall, and a log line reports the missing ground."""
@@ -143,7 +143,7 @@ def test_mesh_without_ground_is_placed_in_the_first_view(
     assert "in view, without a ground, because none is visible" in caplog.text
 
 
-def test_mesh_stands_on_thick_floors_and_outside_hollow_objects() -> None:
+def test_inserted_mesh_stands_on_thick_floors_and_outside_hollow_objects() -> None:
     """A mesh stands on top of a slab with two sides, and outside an object whose normals face outwards."""
     slab = ls.Scene([gaussians_at(np.concatenate([floor_points(y) for y in (-0.15, 0.0)]))], up="y-down")
     np.testing.assert_allclose(corners(ls.insert(slab, cone(1.0)))[:4, 1], 0.0, atol=0.06)
@@ -153,7 +153,7 @@ def test_mesh_stands_on_thick_floors_and_outside_hollow_objects() -> None:
 
 
 @pytest.mark.parametrize("size", [0.15, 0.5])
-def test_sparse_gaussians_form_a_ground(size: float) -> None:
+def test_inserted_mesh_stands_on_a_ground_of_sparse_gaussians(size: float) -> None:
     """A mesh smaller than the distance between Gaussians stands on their ground."""
     sparse = ls.Scene([gaussians_at(floor_points(0.7, 13), scale=0.25)], up="y-down")
     placed = corners(ls.insert(sparse, cone(size), scale=1.0))
@@ -161,7 +161,7 @@ def test_sparse_gaussians_form_a_ground(size: float) -> None:
     np.testing.assert_allclose(placed[4, [0, 2]], 0.0, atol=1e-6)
 
 
-def test_mesh_stands_at_the_foot_of_a_lone_object() -> None:
+def test_mesh_inserted_beside_an_object_without_ground_stands_at_its_foot() -> None:
     """In a capture of a block without ground, the mesh stands beside it, as low as its lowest part."""
     whole = capture("y-down", ((0.0, 0.0),))
     kept = np.abs(whole.means[:, [0, 2]]).max(axis=1) < 0.52
@@ -174,7 +174,7 @@ def test_mesh_stands_at_the_foot_of_a_lone_object() -> None:
 
 
 @pytest.mark.parametrize(("height", "scaled"), [(1.0, False), (1000.0, True), (0.01, True)])
-def test_meshes_in_other_units_are_scaled_and_logged(
+def test_inserted_mesh_in_another_unit_is_scaled_and_logged(
     height: float, scaled: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Meshes in millimetres or kilometres become a quarter of the capture; meshes that fit keep their size."""
@@ -188,13 +188,13 @@ def test_meshes_in_other_units_are_scaled_and_logged(
     assert np.ptp(corners(ls.insert(ground, cone(height), scale=2.0))[:, 1]) == pytest.approx(2.0 * height, rel=1e-3)
 
 
-def test_scenes_without_captures_are_only_merged() -> None:
+def test_mesh_inserted_into_a_scene_without_captures_keeps_its_transform() -> None:
     """Without a capture, an inserted mesh keeps its transform."""
     scene = ls.insert(ls.Scene(meshes=[cone()]), cone(2.0))
     np.testing.assert_array_equal(scene.meshes[1].transform, np.eye(4))
 
 
-def test_inserted_lights_move_with_their_mesh() -> None:
+def test_lights_inserted_with_a_mesh_move_with_the_mesh() -> None:
     """A light above a mesh stays above it; an argument that is not a mesh is refused."""
     ground = ls.Scene([capture("y-down")], up="y-down")
     light = ls.LightSpot((0.0, 7.0, 0.0), (0.0, -1.0, 0.0))
@@ -227,7 +227,9 @@ def loaded(file: Path) -> ls.Scene:
     return scene
 
 
-def test_entry_without_position_stands_upright_and_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_scene_file_entry_without_position_stands_upright_and_is_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """One log line names the entry, and the key that disables placement."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         scene = loaded(scene_file(tmp_path, ""))
@@ -243,18 +245,18 @@ def test_entry_without_position_stands_upright_and_is_logged(tmp_path: Path, cap
     "keys",
     ["position = [0, 0, 0]", "rotation_wxyz = [1, 0, 0, 0]", "rotation_degrees = [0, 0, 0]", "upright = false"],
 )
-def test_entry_with_transform_keys_is_not_placed(tmp_path: Path, keys: str) -> None:
+def test_scene_file_entry_with_a_position_or_rotation_is_not_placed(tmp_path: Path, keys: str) -> None:
     """Any key of position or rotation leaves the mesh as in its file."""
     np.testing.assert_array_equal(loaded(scene_file(tmp_path, keys)).meshes[0].transform, np.eye(4))
 
 
-def test_ground_false_keeps_the_height(tmp_path: Path) -> None:
+def test_scene_file_entry_with_ground_false_keeps_its_height(tmp_path: Path) -> None:
     """With ``ground = false``, the mesh stands upright about the origin of its file."""
     transform = loaded(scene_file(tmp_path, "ground = false")).meshes[0].transform
     np.testing.assert_allclose(transform, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-12)
 
 
-def test_saved_scene_files_keep_transforms(tmp_path: Path) -> None:
+def test_meshes_of_a_saved_scene_file_keep_their_transforms(tmp_path: Path) -> None:
     """Older saved files, marked by a numeric up, are not placed; newly saved files store every transform."""
     old = loaded(scene_file(tmp_path, "", "up = [0.0, -1.0, 0.0]"))
     np.testing.assert_array_equal(old.meshes[0].transform, np.eye(4))
@@ -268,7 +270,7 @@ def test_saved_scene_files_keep_transforms(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded(tmp_path / "opened.toml").meshes[0].transform, seen.transform)
 
 
-def test_actors_without_positions_do_not_overlap(tmp_path: Path) -> None:
+def test_actors_of_a_scene_file_without_positions_do_not_overlap(tmp_path: Path) -> None:
     """Two actors of one file stand beside each other in a scene file with captures."""
     file = scene_file(tmp_path, "position = [3.0, 0.0, 3.0]")
     file.write_text(file.read_text() + '[[actors]]\npath = "cone.obj"\nform = "mesh"\n' * 2)
@@ -277,7 +279,7 @@ def test_actors_without_positions_do_not_overlap(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("-x", (-1, 0, 0))])
-def test_front_axis_faces_the_front_camera(tmp_path: Path, front: str, axis: Any) -> None:
+def test_front_axis_of_an_inserted_mesh_faces_the_front_camera(tmp_path: Path, front: str, axis: Any) -> None:
     """The front axis faces the front camera for meshes and actors, in Python, scene files and saved documents."""
     ground = ls.Scene([capture("y-down")], up="y-down")
     actor = f'[[actors]]\npath = "cone.obj"\nform = "mesh"\nfront = "{front}"\n'
@@ -290,7 +292,7 @@ def test_front_axis_faces_the_front_camera(tmp_path: Path, front: str, axis: Any
         ls.insert(ground, cone(), front="z")
 
 
-def test_front_alone_makes_a_mesh_upright(tmp_path: Path) -> None:
+def test_scene_file_entry_with_only_a_front_axis_stands_upright(tmp_path: Path) -> None:
     """A mesh with only a front axis is upright and rotated, also in a scene without captures."""
     scene_file(tmp_path, "")
     file = tmp_path / "meshes.toml"
@@ -306,7 +308,7 @@ def test_front_alone_makes_a_mesh_upright(tmp_path: Path) -> None:
     [("position = [0, 0, 0]", True), ("ground = 0.5", True), ("position = [0, 0, 0]\nupright = false", False),
      ("position = [0, 0, 0]\nrotation_wxyz = [1, 0, 0, 0]", False), ("position = [0, 0, 0]\nfront = '-z'", False)],
 )  # fmt: skip
-def test_position_without_rotation_is_logged(
+def test_scene_file_entry_with_a_position_but_no_rotation_is_logged(
     tmp_path: Path, keys: str, said: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """If the file's y is not up in the scene, one log line suggests ``upright``; explicit rotations log nothing."""

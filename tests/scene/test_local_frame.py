@@ -31,7 +31,7 @@ def ball(size: float = 1.0, count: int = 300) -> ls.Gaussians:
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
 @pytest.mark.parametrize("unit", [1.0, 1000.0, 1e-3])
-def test_cameras_see_the_same_in_a_local_frame(model: ls.CameraModel, unit: float) -> None:
+def test_local_frame_changes_no_projection_of_a_camera(model: ls.CameraModel, unit: float) -> None:
     """World points and their local points project to the same pixels, and poses convert back."""
     eye = UTM + np.array([1.0, 2.0, 3.0])
     camera = ls.Camera.look_at(eye, UTM, (0, 0, 1), model=model, width=64, height=48, near=0.5)
@@ -50,7 +50,7 @@ def test_cameras_see_the_same_in_a_local_frame(model: ls.CameraModel, unit: floa
     np.testing.assert_allclose(frame.world_pose(local.camera_from_world), camera.camera_from_world, atol=1e-8)
 
 
-def test_scenes_near_the_origin_need_no_local_frame() -> None:
+def test_scene_near_the_origin_is_rendered_in_world_space() -> None:
     """Scenes some sizes off the origin are used without copies."""
     scene = ls.Scene([ls.SplatInstance(ball(), position=(3.0, -2.0, 5.0))])
     frame, near = rendered_frame(scene)
@@ -60,7 +60,7 @@ def test_scenes_near_the_origin_need_no_local_frame() -> None:
     assert rendered_frame(ls.Scene())[1] == NEAR_PLANE
 
 
-def test_local_origin_stays_while_objects_move() -> None:
+def test_origin_of_the_local_frame_stays_while_objects_move() -> None:
     """The origin stays within some sizes of a moving object; lights and captures move alike in float64."""
     origins = set()
     for step in np.linspace(0.0, 3.0, 7):
@@ -82,7 +82,7 @@ def test_local_origin_stays_while_objects_move() -> None:
             np.testing.assert_array_equal(light.position, moved.splats[0].transform[:3, 3])
 
 
-def test_assets_far_from_their_origin_are_recentred_once() -> None:
+def test_capture_with_means_far_from_its_origin_is_recentred_once() -> None:
     """Distant float32 means are recentred once, and keep their world positions."""
     far = replace(ball(), means=ball().means + np.float32(65536.0))
     scene = ls.Scene([far])
@@ -93,7 +93,7 @@ def test_assets_far_from_their_origin_are_recentred_once() -> None:
     np.testing.assert_allclose(first.world_means + frame.origin, scene.splats[0].world_means, rtol=0, atol=1e-9)
 
 
-def test_local_origin_depends_on_distance_over_size() -> None:
+def test_local_origin_is_needed_at_a_distance_of_many_scene_sizes() -> None:
     """An origin is needed at a hundred sizes or more in any unit; strays and non-finite values do not count."""
     points = np.random.default_rng(1).normal(size=(500, 3))
     assert not needed_origin(points + 100.0, 0.05).any()
@@ -107,7 +107,7 @@ def test_local_origin_depends_on_distance_over_size() -> None:
     assert not needed_origin(spoilt, 0.05).any()
 
 
-def test_cameras_have_the_requested_extent_in_their_frame() -> None:
+def test_local_frame_of_cameras_gives_them_the_requested_extent() -> None:
     """The cameras' extent is as requested for any unit; coincident cameras keep the unit."""
     for unit in (1.0, 1000.0, 1e-3):
         eyes = unit * (UTM + np.random.default_rng(1).normal(size=(6, 3)))
@@ -118,7 +118,7 @@ def test_cameras_have_the_requested_extent_in_their_frame() -> None:
     assert LocalFrame.of_cameras(one, 4.4).unit == 1.0
 
 
-def test_gaussians_return_to_world_positions() -> None:
+def test_gaussians_of_a_local_frame_return_to_their_world_positions() -> None:
     """Gaussians keep their world positions, with an origin only where float32 needs one."""
     for origin, unit, needs in ((UTM, 2.0, True), (np.array([1.0, 2.0, 3.0]), 2.0, False)):
         back = LocalFrame(origin, unit).gaussians(ball())
@@ -127,14 +127,14 @@ def test_gaussians_return_to_world_positions() -> None:
         np.testing.assert_allclose(back.scales, unit * ball().scales, rtol=1e-6)
 
 
-def test_near_plane_is_halved_until_it_fits() -> None:
+def test_default_near_plane_is_halved_until_it_fits_the_scene_size() -> None:
     """The near plane is between 0.0005 and 0.001 of the size, and never above the default."""
     for size in (1e-6, 3e-3, 0.9, 1.0, 9.9):
         assert 0.5e-3 * size < default_near(size) <= 1e-3 * size
     assert default_near(10.0) == default_near(1e9) == default_near(0.0) == NEAR_PLANE
 
 
-def test_blocks_share_the_frame_of_the_whole_capture(tmp_path: Path) -> None:
+def test_blocks_of_a_capture_share_the_local_frame_of_the_whole(tmp_path: Path) -> None:
     """Each block of a capture gets the origin and near plane of the whole capture."""
     whole = ls.transform(ball(4.0), translation=(100.0, 0.0, 0.0))
     index = ls.io.write_blocks(tmp_path / "blocks", [whole], cell=1.0)

@@ -23,7 +23,7 @@ def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
     )
 
 
-def test_merged_keeps_order_and_pads_sh() -> None:
+def test_merged_captures_keep_their_order_and_pad_sh_with_zeros() -> None:
     """Rows follow each other; lower SH degrees are padded with zeros."""
     both = merge_gaussians([make(2, 1), make(3, 4)])
     np.testing.assert_array_equal(both.means[:, 0], [2, 2, 3, 3, 3])
@@ -31,19 +31,19 @@ def test_merged_keeps_order_and_pads_sh() -> None:
     assert both.albedo is not None
 
 
-def test_merge_drops_arrays_that_some_sets_lack() -> None:
+def test_merge_drops_optional_arrays_that_some_captures_lack() -> None:
     """An optional array is kept only if all sets have it."""
     assert merge_gaussians([make(2, 1), make(3, 1, albedo=False)]).albedo is None
 
 
-def test_merge_keeps_common_settings() -> None:
+def test_merge_keeps_settings_that_all_captures_share() -> None:
     """Settings that all sets share are those of the merged set and of its subsets."""
     both = merge_gaussians([replace(make(2, 1), kernel_degree=4, antialiased=True)] * 2)
     assert (both.kernel_degree, both.antialiased) == (4, True)
     assert both.subset(np.array([0, 3])).kernel_degree == 4
 
 
-def test_merge_refuses_empty_lists_and_mixed_settings() -> None:
+def test_merge_refuses_empty_lists_and_captures_of_different_kernels() -> None:
     """An empty list, and sets whose opacities or scales have different meanings, raise one clear error."""
     with pytest.raises(ls.SceneError, match="expected at least one"):
         merge_gaussians([])
@@ -53,7 +53,7 @@ def test_merge_refuses_empty_lists_and_mixed_settings() -> None:
         merge_gaussians([make(1, 1), replace(make(1, 1), kernel_degree=0)])
 
 
-def test_opaque_sets_merge_whatever_their_antialiasing(caplog: pytest.LogCaptureFixture) -> None:
+def test_opaque_captures_merge_whatever_their_antialiasing(caplog: pytest.LogCaptureFixture) -> None:
     """Opacities of 1 mean the same with and without dilation; those of trained captures do not."""
     opaque = replace(make(2, 1), opacities=np.full(2, 0.995, np.float32), antialiased=True)
     both = merge_gaussians([make(3, 1), opaque])

@@ -21,14 +21,14 @@ def moved(point: Any, **words: Any) -> np.ndarray:
     return ls.MeshInstance(BOX, **words).transform[:3] @ (*point, 1.0)
 
 
-def test_placement_scales_then_rotates_then_translates():
+def test_instance_placement_scales_then_rotates_then_translates():
     """A quarter turn about z takes x to y; rotations about x come first, about z last."""
     np.testing.assert_allclose(moved((1, 0, 0), position=(1, 2, 3), rotation_degrees=(0, 0, 90)), (1, 3, 3), atol=1e-12)
     np.testing.assert_allclose(moved((0, 1, 0), rotation_degrees=(90, 0, 90), scale_by=2.0), (0, 0, 2), atol=1e-12)
     np.testing.assert_allclose(moved((0, 1, 0), rotation_degrees=(0, 90, 90)), (-1, 0, 0), atol=1e-12)
 
 
-def test_up_makes_a_model_upright():
+def test_up_argument_of_an_instance_makes_its_mesh_upright():
     """A y-up model has its top along the scene's up, and its front towards the front camera."""
     for up in ls.Scene.UP_NAMES:
         scene = ls.Scene(up=up)
@@ -37,7 +37,7 @@ def test_up_makes_a_model_upright():
         np.testing.assert_allclose(moved((0, 0, 1), up=up), eye, atol=1e-12)
 
 
-def test_look_at_points_the_front_at_the_target():
+def test_look_at_argument_points_the_front_of_a_mesh_at_the_target():
     """+z points at the target, and the top stays as upright as possible."""
     words = {"position": (1, 1, 1), "look_at": (4, -3, 1), "up": "y-down"}
     np.testing.assert_allclose(moved((0, 0, 5), **words), (4, -3, 1), atol=1e-12)
@@ -49,7 +49,7 @@ def test_look_at_points_the_front_at_the_target():
     ("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("+x", (1, 0, 0)), ("-x", (-1, 0, 0))]
 )
 @pytest.mark.parametrize("up", ["y-down", "z-up"])
-def test_front_axis_can_be_chosen(front, axis, up):
+def test_chosen_front_axis_points_at_the_target_without_mirroring(front, axis, up):
     """The chosen axis points at the target or the front camera; the top stays up, and nothing is mirrored."""
     scene = ls.Scene(up=up)
     upward = np.array(scene.up_direction)
@@ -62,7 +62,7 @@ def test_front_axis_can_be_chosen(front, axis, up):
     assert np.linalg.det(ls.MeshInstance(BOX, up=up, front=front).transform[:3, :3]) == pytest.approx(1.0)
 
 
-def test_scene_files_set_the_front_axis(tmp_path):
+def test_front_key_of_a_scene_file_equals_the_front_argument(tmp_path):
     """The key ``front`` of a scene file gives the same transform as the argument of an instance."""
     scene = load_scene(
         tmp_path,
@@ -74,7 +74,7 @@ def test_scene_files_set_the_front_axis(tmp_path):
         np.testing.assert_array_equal(one.transform, ls.MeshInstance(BOX, up="y-up", **words).transform)
 
 
-def test_captures_take_the_same_placement_arguments():
+def test_splat_instances_take_the_placement_arguments_of_mesh_instances():
     """A splat instance is placed by the same arguments, and can be changed afterwards."""
     splat = ls.SplatInstance(one_gaussian((0, 0, 1)), position=(1, 0, 0), rotation_degrees=(0, 90, 0), scale_by=2.0)
     np.testing.assert_allclose(splat.world_means, [(3, 0, 0)], atol=1e-6)
@@ -97,7 +97,7 @@ def test_captures_take_the_same_placement_arguments():
         ({"look_at": (0, 5, 0)}, "straight above or below"),
     ],
 )
-def test_invalid_placement_arguments_are_refused(words, message):
+def test_instances_refuse_invalid_placement_arguments_in_one_line(words, message):
     """Both kinds of instances refuse invalid arguments in one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MeshInstance(BOX, **words)
@@ -106,7 +106,7 @@ def test_invalid_placement_arguments_are_refused(words, message):
 
 
 @pytest.mark.parametrize("up", [*ls.Scene.UP_NAMES, (0.2, -0.9, 0.1)])
-def test_stand_on_ground_moves_only_vertically(up):
+def test_stand_on_ground_moves_an_instance_only_along_up(up):
     """The lowest point is at the height along up, and only the vertical position changes."""
     instance = ls.MeshInstance(BOX, position=(3, 4, 5), rotation_degrees=(20, 30, 40))
     standing = ls.stand_on_ground(instance, 1.5, up=up)
@@ -117,7 +117,7 @@ def test_stand_on_ground_moves_only_vertically(up):
     np.testing.assert_allclose(np.cross(shift, upward), 0.0, atol=1e-9)
 
 
-def test_strays_do_not_lift_a_capture():
+def test_faint_strays_do_not_lift_a_capture_that_stands_on_the_ground():
     """A few faint Gaussians below a capture do not count for its lowest point."""
     bulk = random_gaussians(5, count=500)
     stray = joined(bulk, one_gaussian((0.0, 60.0, 0.0), opacity=0.3))
@@ -133,18 +133,18 @@ def test_strays_do_not_lift_a_capture():
         (ls.LightDirectional(position=(0, 4, 3)), (0.0, -0.8, -0.6)),
     ],
 )
-def test_lights_point_at_their_target(light, direction):
+def test_spot_and_directional_lights_point_at_their_target(light, direction):
     """A light's direction points at its target, and stays when other fields are replaced."""
     np.testing.assert_allclose(light.direction, direction, atol=1e-7)
     assert replace(light, intensity=3.0).direction == light.direction
 
 
-def test_disk_lights_face_their_target():
+def test_disk_light_faces_its_target_like_a_spot_light():
     """A disk light faces its target like a spot light."""
     np.testing.assert_allclose(ls.LightDisk((0, 4, 0), target=(3, 0, 0)).direction, (0.6, -0.8, 0.0), atol=1e-6)
 
 
-def test_rect_lights_face_their_target():
+def test_rect_light_faces_its_target_with_a_level_width():
     """A rect light faces its target with a level width."""
     light = ls.LightRect((0, 4, 0), target=(3, 0, 0), size=(2, 0.5))
     np.testing.assert_allclose(np.cross(light.edge_u, light.edge_v), np.array((0.6, -0.8, 0.0)), atol=1e-6)
@@ -166,7 +166,7 @@ def test_rect_lights_face_their_target():
         (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0), size=(1, 0)), "size is"),
     ],
 )
-def test_invalid_light_targets_are_refused(make, message):
+def test_lights_refuse_invalid_targets_in_one_line(make, message):
     """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         make()
@@ -201,7 +201,7 @@ size = [1, 2]
 """
 
 
-def test_scene_files_take_the_same_placement_keys(tmp_path):
+def test_scene_file_keys_place_shapes_and_aim_lights_like_arguments(tmp_path):
     """Scene files accept built-in shapes, angles in degrees, the ground along the file's up, and light targets."""
     scene = load_scene(tmp_path, FILE)
     first, second = scene.meshes
@@ -228,7 +228,7 @@ def test_scene_files_take_the_same_placement_keys(tmp_path):
         ("target = [3, 0, 0]", "target = [0, -4, 0]", "target of a spot is at its position"),
     ],
 )
-def test_invalid_placement_keys_are_refused(tmp_path, old, new, message):
+def test_scene_file_refuses_invalid_placement_keys_naming_the_line(tmp_path, old, new, message):
     """The error names the line of the scene file."""
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, FILE.replace(old, new, 1))
@@ -236,7 +236,7 @@ def test_invalid_placement_keys_are_refused(tmp_path, old, new, message):
 
 
 @pytest.mark.parametrize("mesh", [ls.box((1, 2, 3)), ls.sphere(2.0, rows=12), ls.plane(2, 3)])
-def test_shapes_face_outwards_and_have_normals_and_uvs(mesh):
+def test_built_in_shapes_face_outwards_and_have_normals_and_uvs(mesh):
     """Triangles face along their unit normals, and texture coordinates are within 0..1."""
     a, b, c = (mesh.positions[mesh.indices[:, k]].astype(float) for k in range(3))
     face = np.cross(b - a, c - a)
@@ -248,7 +248,7 @@ def test_shapes_face_outwards_and_have_normals_and_uvs(mesh):
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-6)
 
 
-def test_shapes_have_their_sizes():
+def test_built_in_shapes_have_the_requested_bounds_and_volume():
     """Bounds and volume match the sizes, and invalid sizes are refused."""
     np.testing.assert_allclose(ls.box((1, 2, 3)).bounds(), [(-0.5, -1, -1.5), (0.5, 1, 1.5)])
     np.testing.assert_allclose(ls.plane(2, 4).bounds(), [(-1, 0, -2), (1, 0, 2)])
@@ -265,7 +265,7 @@ def test_shapes_have_their_sizes():
             wrong()
 
 
-def test_smooth_normals_break_at_creases():
+def test_smooth_normals_of_a_mesh_break_at_creases():
     """A box stays faceted, a sphere becomes smooth, and a crease angle of 0 gives no normals."""
     sharp = ls.editing.smooth_normals(replace(BOX, normals=None))
     assert sharp.normals is not None
@@ -283,7 +283,7 @@ def test_smooth_normals_break_at_creases():
         ls.editing.smooth_normals(ball, 50)
 
 
-def test_objs_without_normals_are_smooth(tmp_path):
+def test_obj_files_without_normals_get_smooth_normals(tmp_path):
     """OBJ files without normals become smooth unless a small crease angle is set; scene files give it in degrees."""
     ball = ls.sphere(1.0, rows=8)
     lines = [f"v {x} {y} {z}" for x, y, z in ball.positions] + [
@@ -299,7 +299,7 @@ def test_objs_without_normals_are_smooth(tmp_path):
     assert normals is not None and np.abs(normals - instance.mesh.positions).max() > 0.1
 
 
-def test_crease_angle_applies_to_objs_of_a_scene_file(tmp_path):
+def test_crease_angle_of_load_applies_to_all_obj_files_of_a_scene_file(tmp_path):
     """The crease angle given to `load` applies to all OBJ files of a scene file without their own."""
     corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
     (tmp_path / "corner.obj").write_text(corners + "f 1 2 3\nf 1 3 4\nf 1 4 2\n")

@@ -21,7 +21,7 @@ def pixel_of(camera: ls.Camera, point: np.ndarray) -> np.ndarray:
 
 
 @given(coordinates, coordinates)
-def test_look_at_centres_the_target(eye: tuple[float, ...], target: tuple[float, ...]) -> None:
+def test_camera_look_at_centres_the_target_with_up_upward(eye: tuple[float, ...], target: tuple[float, ...]) -> None:
     """The target is at the image centre at its distance; up is up and right is right."""
     offset = np.subtract(target, eye)
     distance = float(np.linalg.norm(offset))
@@ -60,7 +60,7 @@ def test_look_at_centres_the_target(eye: tuple[float, ...], target: tuple[float,
         ({"camera_from_world": np.full((4, 4), np.nan)}, "non-finite"),
     ],
 )
-def test_invalid_cameras_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_camera_refuses_invalid_values_naming_each(changes: dict[str, Any], message: str) -> None:
     """The error names the value and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message):
         front_camera(**changes)
@@ -82,13 +82,13 @@ def test_invalid_cameras_are_refused(changes: dict[str, Any], message: str) -> N
         {"eye": (0, 0, 0), "target": (0, 0, 1), "up": (0, float("nan"), 0)},
     ],
 )
-def test_impossible_views_are_refused(arguments: dict[str, Any]) -> None:
+def test_camera_look_at_refuses_impossible_views(arguments: dict[str, Any]) -> None:
     """A camera needs a target, an up direction and a field of view."""
     with pytest.raises(ls.SceneError):
         ls.Camera.look_at(**arguments)
 
 
-def test_scaled_keeps_the_view() -> None:
+def test_scaled_camera_shows_points_at_the_same_image_fraction() -> None:
     """A point stays at the same fraction of the image at any size."""
     camera = front_camera(64, 48, cx=20.0, cy=30.0)
     point = np.array([0.3, -0.2, 2.0])

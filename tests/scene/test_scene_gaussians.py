@@ -24,7 +24,7 @@ def fields(**changes: Any) -> dict[str, Any]:
     } | changes
 
 
-def test_arrays_become_read_only_float32() -> None:
+def test_arrays_of_gaussians_become_read_only_float32() -> None:
     """Any input becomes read-only float32, and the caller's arrays stay writable."""
     means = np.ones((2, 3), dtype=np.float32)
     gaussians = ls.Gaussians(**fields(means=means, opacities=[0, 1]))
@@ -37,21 +37,21 @@ def test_arrays_become_read_only_float32() -> None:
     assert (gaussians.means == 1.0).all()
 
 
-def test_read_only_arrays_are_not_copied() -> None:
+def test_read_only_arrays_of_gaussians_are_not_copied() -> None:
     """Read-only arrays are used directly, so that a large capture is in memory once."""
     sh = np.zeros((2, 4, 3), dtype=np.float32)
     sh.flags.writeable = False
     assert np.shares_memory(ls.Gaussians(**fields(sh=sh)).sh, sh)
 
 
-def test_fields_are_frozen() -> None:
+def test_fields_of_gaussians_cannot_be_assigned() -> None:
     """A Gaussian set cannot be edited in place."""
     with pytest.raises(dataclasses.FrozenInstanceError):
         random_gaussians(0, 3).means = np.zeros((3, 3))  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-30, 1e30, -2.0])
-def test_quaternions_are_normalised(scale: float) -> None:
+def test_gaussians_normalise_quaternions_of_any_length(scale: float) -> None:
     """Quaternions may have any length above 0, however small or large."""
     rotations = scale * np.array([[1.0, 2.0, -3.0, 4.0], [0.0, 0.0, 1.0, 0.0]])
     unit = ls.Gaussians(**fields(rotations_wxyz=rotations)).rotations_wxyz
@@ -59,7 +59,7 @@ def test_quaternions_are_normalised(scale: float) -> None:
     np.testing.assert_allclose(unit[0] / unit[0, 0], [1.0, 2.0, -3.0, 4.0], rtol=1e-6)
 
 
-def test_normalising_twice_changes_nothing() -> None:
+def test_normalising_quaternions_and_normals_twice_changes_no_bits() -> None:
     """Unit quaternions and normals keep their bits, so that subsets and round trips do not drift."""
     once = dataclasses.replace(random_gaussians(3, 2000), normals=np.random.default_rng(0).normal(size=(2000, 3)))
     twice = once.subset(np.arange(2000))
@@ -90,27 +90,27 @@ def test_normalising_twice_changes_nothing() -> None:
         ({"metallic": [0.0, np.nan]}, "metallic has 1 non-finite"),
     ],
 )
-def test_invalid_values_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_gaussians_refuse_invalid_arrays_naming_the_property(changes: dict[str, Any], message: str) -> None:
     """The error names the property, the number of invalid values and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message) as caught:
         ls.Gaussians(**fields(**changes))
     assert "\n" not in str(caught.value)
 
 
-def test_zero_gaussians_are_refused() -> None:
+def test_a_set_of_zero_gaussians_is_refused() -> None:
     """Zero Gaussians are an error, not an empty image."""
     empty = fields(**{name: values[:0] for name, values in fields().items()})
     with pytest.raises(ls.SceneError, match="zero Gaussians"):
         ls.Gaussians(**empty)
 
 
-def test_values_beyond_float32_are_refused() -> None:
+def test_gaussians_refuse_values_that_overflow_float32() -> None:
     """A double that overflows float32 is refused instead of becoming infinite."""
     with pytest.raises(ls.SceneError, match="non-finite"):
         ls.Gaussians(**fields(means=np.full((2, 3), 1e300)))
 
 
-def test_subset_keeps_order_and_metadata() -> None:
+def test_subset_of_gaussians_keeps_the_given_order_and_metadata() -> None:
     """Rows are selected in the given order; flags and comments are preserved."""
     gaussians = dataclasses.replace(
         random_gaussians(1, 5, degree=2, antialiased=True), roughness=np.linspace(0, 1, 5), comments=("made",)
@@ -122,7 +122,7 @@ def test_subset_keeps_order_and_metadata() -> None:
     assert gaussians.subset(np.arange(5) == 2).means.tolist() == gaussians.means[2:3].tolist()
 
 
-def test_bounds_enclose_the_means() -> None:
+def test_bounds_of_gaussians_enclose_their_means() -> None:
     """The bounds are the box of the means."""
     low, high = random_gaussians(2, 50, center=(1.0, 2.0, 3.0), extent=(1.0, 1.0, 1.0)).bounds()
     assert (low >= [0, 1, 2]).all() and (high <= [2, 3, 4]).all() and (low < high).all()

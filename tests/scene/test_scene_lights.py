@@ -33,7 +33,7 @@ def test_default_light_is_white_and_casts_shadows(kind: type) -> None:
     assert (light.color, light.intensity, light.enabled, light.casts_shadow) == ((1.0, 1.0, 1.0), 1.0, True, True)
 
 
-def test_directions_become_unit() -> None:
+def test_light_directions_become_unit_vectors() -> None:
     """A direction may have any length, and be any kind of sequence."""
     spot = ls.LightSpot(position=[1, 2, 3], direction=np.array([0, 3, -4]))
     assert spot.position == (1.0, 2.0, 3.0)
@@ -41,7 +41,7 @@ def test_directions_become_unit() -> None:
     np.testing.assert_allclose(ls.LightDirectional((2.0, 0.0, 0.0)).direction, (1.0, 0.0, 0.0))
 
 
-def test_disk_lights_follow_transforms() -> None:
+def test_transform_moves_rotates_and_scales_a_disk_light() -> None:
     """Position, direction and radius follow a quarter turn about x, a scale of 2 and a translation."""
     matrix = np.array([[2, 0, 0, 1], [0, 0, -2, 0], [0, 2, 0, 0], [0, 0, 0, 1]], np.float64)
     disk = move_light(ls.LightDisk((0, 3, 0), (0, -1, 0), 0.25), matrix)
@@ -61,7 +61,7 @@ def test_disk_lights_follow_transforms() -> None:
     ],
     ids=lambda value: getattr(value, "kind", ""),
 )
-def test_light_extents_scale_with_transforms(light: Any, size: float) -> None:
+def test_transform_scales_the_extent_of_a_light_but_not_its_intensity(light: Any, size: float) -> None:
     """Extents of all lights scale with the transform; the intensity does not change."""
     moved: Any = move_light(light, np.diag([2.0, 2.0, 2.0, 1.0]))
     extent = np.linalg.norm(moved.edge_u) if isinstance(moved, ls.LightRect) else moved.radius
@@ -76,7 +76,7 @@ FLAT = [
 
 
 @pytest.mark.parametrize(("light", "area"), FLAT, ids=lambda value: getattr(value, "kind", ""))
-def test_flat_lights_are_one_sided(light: ls.LightRect | ls.LightDisk, area: float) -> None:
+def test_rect_and_disk_lights_emit_from_one_side_only(light: ls.LightRect | ls.LightDisk, area: float) -> None:
     """Rays from below hit a flat light in proportion to its area; rays from above miss it."""
     rng = np.random.default_rng(3)
     assert light.boundary()[:, 1] == pytest.approx(2.0)
@@ -92,7 +92,7 @@ def test_flat_lights_are_one_sided(light: ls.LightRect | ls.LightDisk, area: flo
     np.testing.assert_allclose(below, (area / 100, 0.5 * area / 100, 0.0), atol=1e-12)
 
 
-def test_environments_normalise_their_input() -> None:
+def test_environment_light_converts_its_image_and_rotation() -> None:
     """The image becomes read-only float32, the rotation a unit quaternion."""
     image = np.ones((2, 4, 3))
     light = ls.LightEnvironment(image=image, rotation_wxyz=(0, 2, 0, 0))
@@ -147,13 +147,13 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightEnvironment, {"visible": "no"}, "visible is 'no', expected True or False"),
     ],
 )
-def test_invalid_lights_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
+def test_lights_refuse_invalid_values_naming_each(kind: type, changes: dict[str, Any], message: str) -> None:
     """The error names the invalid value."""
     with pytest.raises(ls.SceneError, match=message):
         kind(**(REQUIRED[kind] | changes))
 
 
-def test_scene_accepts_one_enabled_environment() -> None:
+def test_scene_accepts_only_one_enabled_environment_light() -> None:
     """Further environments must be disabled; the number of other lights is not limited."""
     on, off = ls.LightEnvironment(), ls.LightEnvironment(enabled=False)
     lights = [on, off, ls.LightPoint(ORIGIN), ls.LightPoint(ORIGIN)]
@@ -166,7 +166,7 @@ def test_scene_accepts_one_enabled_environment() -> None:
     ("lights", "message"),
     [([quad(1.0)], "lights holds a Mesh"), (ls.LightPoint(ORIGIN), "lights is a LightPoint, expected a list")],
 )
-def test_invalid_light_lists_are_refused(lights: Any, message: str) -> None:
+def test_scene_refuses_lights_that_are_not_a_list_of_lights(lights: Any, message: str) -> None:
     """``lights`` must be a list of lights."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Scene(lights=lights)
@@ -182,7 +182,7 @@ def test_invalid_light_lists_are_refused(lights: Any, message: str) -> None:
         ({"shadow_catcher": 1}, "shadow_catcher is 1, expected True or False"),
     ],
 )
-def test_splat_instance_settings_are_validated(settings: dict[str, Any], message: str) -> None:
+def test_splat_instance_refuses_settings_of_wrong_types(settings: dict[str, Any], message: str) -> None:
     """Material, SH degree and ``shadow_catcher`` of an instance must have the right types."""
     with pytest.raises(ls.SceneError, match=message):
         ls.SplatInstance(random_gaussians(0, 3), **settings)

@@ -13,21 +13,21 @@ import lumisplat as ls
 TEXELS = np.zeros((2, 2, 3), np.uint8)
 
 
-def test_one_number_is_a_grey() -> None:
+def test_one_number_as_material_colour_sets_all_three_channels() -> None:
     """A colour may be given as one number for all three channels."""
     material = ls.MaterialSimple(diffuse=0.5, emissive=2)
     assert (material.diffuse, material.emissive) == ((0.5, 0.5, 0.5), (2.0, 2.0, 2.0))
     assert ls.MaterialPbr(base_color=np.float32(0.5)).base_color == (0.5, 0.5, 0.5)
 
 
-def test_default_simple_material_emits_captured_radiance() -> None:
+def test_default_simple_material_emits_the_captured_colours_only() -> None:
     """The defaults equal those of a splat set without material: it emits its captured colours, and reflects nothing."""
     material = ls.MaterialSimple()
     assert material.emissive == material.base_color == (1.0, 1.0, 1.0)
     assert material.ambient == material.diffuse == material.specular == (0.0, 0.0, 0.0)
 
 
-def test_smooth_is_roughness_zero() -> None:
+def test_only_pbr_materials_of_roughness_0_are_smooth() -> None:
     """Only PBR materials with roughness 0 reflect or refract rays."""
     assert ls.MaterialPbr(roughness=0.0).is_smooth
     assert not ls.MaterialPbr(roughness=1e-3).is_smooth
@@ -38,7 +38,7 @@ def test_smooth_is_roughness_zero() -> None:
     "name",
     [f"{kind}_texture" for kind in ("base_color", "metallic_roughness", "normal", "occlusion", "emissive")],
 )
-def test_textures_are_copied_and_frozen(name: str) -> None:
+def test_materials_copy_and_freeze_their_textures(name: str) -> None:
     """Each texture is copied and frozen, and must be 8-bit RGB or RGBA."""
     texels = TEXELS.copy()
     stored = getattr(replace(ls.MaterialPbr(), **{name: texels}), name)
@@ -66,7 +66,7 @@ def test_textures_are_copied_and_frozen(name: str) -> None:
         (ls.MaterialSimple, {"base_color_texture": TEXELS[0]}, "base_color_texture is uint8"),
     ],
 )
-def test_invalid_materials_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
+def test_materials_refuse_invalid_factors_and_textures(kind: type, changes: dict[str, Any], message: str) -> None:
     """The error names values outside of their physical range."""
     with pytest.raises(ls.SceneError, match=message):
         kind(**changes)

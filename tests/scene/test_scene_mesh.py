@@ -14,7 +14,7 @@ CORNERS = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 FACES = [[0, 1, 2]]
 
 
-def test_lists_become_read_only_arrays() -> None:
+def test_mesh_converts_lists_to_read_only_arrays() -> None:
     """Lists become read-only float32 and int32 arrays."""
     mesh = ls.Mesh(CORNERS, FACES)
     assert (mesh.vertex_count, mesh.face_count) == (3, 1)
@@ -23,7 +23,7 @@ def test_lists_become_read_only_arrays() -> None:
     assert mesh.bounds()[1].tolist() == [1.0, 1.0, 0.0]
 
 
-def test_checked_arrays_cannot_change_afterwards() -> None:
+def test_later_changes_of_the_callers_arrays_do_not_change_a_mesh() -> None:
     """Later changes of the caller's arrays do not change a mesh; a bad index would read out of bounds."""
     positions, indices = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32)
     mesh = ls.Mesh(positions, indices)
@@ -32,7 +32,7 @@ def test_checked_arrays_cannot_change_afterwards() -> None:
     np.testing.assert_array_equal(mesh.indices, [[0, 1, 2]])
 
 
-def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
+def test_mesh_normalises_normals_and_fills_missing_ones() -> None:
     """Unit normals keep their bits, others are normalised, and zeros become the area-weighted mean of the faces."""
     unit = np.array([0.26726124, 0.5345225, 0.8017837], np.float32)
     mesh = ls.Mesh(CORNERS, FACES, normals=[[0.0, 0.0, 5.0], [1e-30, 0.0, 0.0], unit.tolist()])
@@ -62,13 +62,13 @@ def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
         ({"colors": np.full((3, 3), 255)}, "colors: 3 of 3 are outside 0..1"),
     ],
 )
-def test_invalid_meshes_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_mesh_refuses_invalid_arrays_naming_the_array(changes: dict[str, Any], message: str) -> None:
     """The error names the array and both sides of the contradiction, in one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Mesh(**{"positions": CORNERS, "indices": FACES} | changes)
 
 
-def test_degenerate_triangles_are_removed_and_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_mesh_removes_and_logs_degenerate_triangles(caplog: pytest.LogCaptureFixture) -> None:
     """Triangles with invalid or repeated indices or collinear corners are removed; vertices and the rest stay."""
     positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.25, 0.75, 0], [1, 0, 0], [3e9, 3e9, 0]]
     whole = [[0, 1, 2], [0, 1, 3]]
@@ -82,7 +82,7 @@ def test_degenerate_triangles_are_removed_and_logged(caplog: pytest.LogCaptureFi
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int64, np.uint64])
-def test_indices_may_have_any_integer_type(kind: type) -> None:
+def test_mesh_indices_may_have_any_integer_type(kind: type) -> None:
     """Indices beyond 32 bits are out of range, and do not wrap around to a vertex."""
     far = np.array([[0, 1, 2], [0, 1, np.iinfo(kind).max]], dtype=kind)
     np.testing.assert_array_equal(ls.Mesh(CORNERS, far).indices, [[0, 1, 2]])
@@ -92,7 +92,7 @@ def test_indices_may_have_any_integer_type(kind: type) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-30, 1.0, 1e30])
-def test_small_and_thin_triangles_stay(size: float, caplog: pytest.LogCaptureFixture) -> None:
+def test_mesh_keeps_small_and_thin_triangles(size: float, caplog: pytest.LogCaptureFixture) -> None:
     """Only the shape counts: small triangles stay, and so do triangles that are thin from rounding to float32."""
     corners = np.array([[0, 0, 0], [1, 1 / 3, 0], [2, 2 / 3, 1e-7]], np.float32) * np.float32(size)
     assert ls.Mesh(corners, [[0, 1, 2]]).face_count == 1
@@ -101,7 +101,7 @@ def test_small_and_thin_triangles_stay(size: float, caplog: pytest.LogCaptureFix
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_corners_on_a_line_have_no_area(seed: int) -> None:
+def test_triangles_with_collinear_corners_have_no_area(seed: int) -> None:
     """Corners at whole multiples of a step along any line have no area."""
     rng = np.random.default_rng(seed)
     step, start = rng.integers(-999, 999, (2, 500, 1, 3))
@@ -110,7 +110,7 @@ def test_corners_on_a_line_have_no_area(seed: int) -> None:
     assert (check.without_area, check.out_of_range) == (500, 0)
 
 
-def test_rounding_makes_no_area() -> None:
+def test_rounding_to_float64_gives_collinear_triangles_no_area() -> None:
     """Collinear corners have no area, even if float64 rounding gives a small one."""
     step = np.random.default_rng(3).integers(2**21, 2**22, (500, 1, 3))
     corners = (step * [[2.0**-40], [1.0], [3.0]]).astype(np.float32)
@@ -119,7 +119,7 @@ def test_rounding_makes_no_area() -> None:
     assert check_triangles(corners.reshape(-1, 3), np.arange(1500).reshape(-1, 3)).without_area == 500
 
 
-def test_triangles_are_checked_in_chunks() -> None:
+def test_triangle_check_finds_bad_triangles_in_every_chunk() -> None:
     """Each triangle is judged by its own corners, however many there are."""
     indices = np.tile(np.array([[0, 1, 2]]), (200_000, 1))
     bad = np.array([0, 65_535, 65_536, 131_072, 199_999])
@@ -150,13 +150,13 @@ def test_triangles_are_checked_in_chunks() -> None:
         ({"base_color_texture": np.zeros((0, 4, 3), np.uint8)}, "expected uint8"),
     ],
 )
-def test_invalid_materials_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_pbr_material_refuses_values_outside_their_physical_range(changes: dict[str, Any], message: str) -> None:
     """The error names values outside of their physical range."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MaterialPbr(**changes)
 
 
-def test_texture_is_the_materials_own() -> None:
+def test_material_texture_is_a_frozen_copy_of_the_array() -> None:
     """The material's texture is a frozen copy, so that writing to the caller's array changes nothing."""
     texture = np.zeros((2, 2, 4), np.uint8)
     material = ls.MaterialPbr(base_color_texture=texture)

@@ -9,7 +9,7 @@ import lumisplat as ls
 from support.scenes.raster_scenes import quad, random_gaussians, rotation, similarity
 
 
-def test_similarity_transforms_are_kept() -> None:
+def test_splat_instance_keeps_a_similarity_transform_and_reports_its_scale() -> None:
     """A splat instance keeps rotation, uniform scale and translation, and reports its scale."""
     matrix = similarity((1.0, 2.0, 3.0), 0.7, 2.5, (1.0, 0.0, -4.0))
     instance = ls.SplatInstance(random_gaussians(0, 3), matrix)
@@ -37,7 +37,7 @@ TURN = similarity((1.0, 2.0, 3.0), 0.7, 3.0, (0.0, 0.0, 0.0))[:3, :3]
         (np.diag([1.0, -2.0, 1.0]), r"mirrors \(determinant -2\) and scales the axes by 1, 2 and 1"),
     ],
 )
-def test_splats_take_similarities_only(linear: np.ndarray, reason: str) -> None:
+def test_splat_instance_refuses_all_transforms_but_similarities(linear: np.ndarray, reason: str) -> None:
     """Splats refuse other transforms and report the numbers; a mesh accepts any invertible transform."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear
@@ -48,7 +48,7 @@ def test_splats_take_similarities_only(linear: np.ndarray, reason: str) -> None:
 
 
 @pytest.mark.parametrize("noise", [1e-5, -1e-5])
-def test_rounded_poses_are_similarities(noise: float) -> None:
+def test_transform_rounded_to_five_digits_still_counts_as_a_similarity(noise: float) -> None:
     """Matrices rounded to five digits are still accepted."""
     matrix = similarity((1.0, 2.0, 3.0), 0.7, 2.5, (1.0, 0.0, -4.0))
     matrix[:3, :3] += noise
@@ -56,20 +56,20 @@ def test_rounded_poses_are_similarities(noise: float) -> None:
 
 
 @pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, 0.0, 1.0]), np.full((4, 4), np.nan), np.eye(3), np.ones((4, 4))])
-def test_impossible_transforms_are_refused(matrix: np.ndarray) -> None:
+def test_instances_refuse_singular_non_finite_and_projective_transforms(matrix: np.ndarray) -> None:
     """Singular, non-finite, wrongly shaped and projective matrices are refused."""
     with pytest.raises(ls.SceneError, match="world_from_object"):
         ls.MeshInstance(quad(1.0), matrix)
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
-def test_extreme_scales_are_not_singular(factor: float) -> None:
+def test_very_small_and_very_large_scales_do_not_count_as_singular(factor: float) -> None:
     """Very small and very large objects are accepted."""
     matrix = similarity((0.0, 1.0, 0.0), 0.3, factor)
     assert ls.SplatInstance(random_gaussians(0, 3), matrix).scale == pytest.approx(factor)
 
 
-def test_bare_assets_are_placed_at_the_origin() -> None:
+def test_scene_wraps_gaussians_and_meshes_in_instances_at_the_origin() -> None:
     """Gaussians and meshes need no instance; lists become tuples."""
     scene = ls.Scene([random_gaussians(0, 7)], [quad(1.0)])
     assert isinstance(scene.splats, tuple) and isinstance(scene.splats[0], ls.SplatInstance)
@@ -78,7 +78,7 @@ def test_bare_assets_are_placed_at_the_origin() -> None:
     assert (ls.Scene().gaussian_count, ls.Scene().face_count) == (0, 0)
 
 
-def test_invalid_scene_content_is_refused() -> None:
+def test_scene_refuses_objects_of_a_wrong_type() -> None:
     """A mesh among the splats, or any other type, is named in the error."""
     with pytest.raises(ls.SceneError, match="splats holds a Mesh"):
         ls.Scene([quad(1.0)])  # pyright: ignore[reportArgumentType]
@@ -92,7 +92,7 @@ def test_invalid_scene_content_is_refused() -> None:
         ls.MeshInstance(random_gaussians(0, 3))  # pyright: ignore[reportArgumentType]
 
 
-def test_bounds_are_in_world_space() -> None:
+def test_bounds_of_a_scene_are_in_world_space() -> None:
     """The bounds contain means and vertices in world space."""
     gaussians = random_gaussians(4, 40, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0))
     turned = rotation((0.0, 0.0, 1.0), np.pi / 2)
@@ -106,7 +106,7 @@ def test_bounds_are_in_world_space() -> None:
 
 
 @pytest.mark.parametrize("matrix", [np.diag([1e-20, 1e-20, 1e-20, 1.0]), np.diag([1e20, 1e20, 1e20, 1.0])])
-def test_transforms_beyond_float32_are_refused(matrix: np.ndarray) -> None:
+def test_instances_refuse_transforms_that_overflow_float32(matrix: np.ndarray) -> None:
     """A scale that float32 cannot hold or invert is refused instead of becoming infinite."""
     with pytest.raises(ls.SceneError, match="scales or moves by more"):
         ls.MeshInstance(quad(1.0), matrix)

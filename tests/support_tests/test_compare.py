@@ -14,7 +14,7 @@ def image() -> np.ndarray:
     return np.random.default_rng(0).uniform(0.0, 1.0, (20, 30, 3))
 
 
-def test_equal_images_pass(image: np.ndarray) -> None:
+def test_image_comparisons_pass_for_equal_images(image: np.ndarray) -> None:
     """An image equals itself in every comparison, infinities included."""
     image[3, 4] = np.inf
     assert_close(image, image, atol=0.0)
@@ -23,7 +23,7 @@ def test_equal_images_pass(image: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("value", [0.02, -0.02, np.nan, np.inf, -np.inf])
-def test_one_wrong_value_fails(image: np.ndarray, value: float) -> None:
+def test_image_comparisons_fail_for_one_wrong_value(image: np.ndarray, value: float) -> None:
     """Every strict comparison finds a single wrong, NaN or infinite value."""
     wrong = image.copy()
     wrong[7, 8, 1] += value
@@ -35,7 +35,7 @@ def test_one_wrong_value_fails(image: np.ndarray, value: float) -> None:
         assert_images_alike(wrong, image, mean=0.01, within=0.01, share=1.0)
 
 
-def test_missing_surface_fails(image: np.ndarray) -> None:
+def test_image_comparison_fails_for_finite_against_infinite_depth(image: np.ndarray) -> None:
     """A finite depth differs from an infinite one, in both directions."""
     depth = image[..., 0].copy()
     depth[2, 2] = np.inf
@@ -44,13 +44,13 @@ def test_missing_surface_fails(image: np.ndarray) -> None:
             assert_close(actual, expected, atol=1.0)
 
 
-def test_different_shapes_fail(image: np.ndarray) -> None:
+def test_image_comparison_fails_for_different_shapes(image: np.ndarray) -> None:
     """The comparison refuses an image whose shape would only match by broadcasting."""
     with pytest.raises(AssertionError, match="shape"):
         assert_close(image[:1], image, atol=1.0)
 
 
-def test_band_tolerates_errors_only_inside(image: np.ndarray) -> None:
+def test_comparison_outside_a_band_tolerates_errors_only_inside_the_band(image: np.ndarray) -> None:
     """A wrong pixel inside the band passes up to the band's own tolerance; outside, the same error fails."""
     band = np.zeros((20, 30), bool)
     band[7, 8] = True
@@ -63,13 +63,13 @@ def test_band_tolerates_errors_only_inside(image: np.ndarray) -> None:
         assert_close_outside_band(wrong, image, np.roll(band, 1), atol=1e-6, band_atol=0.2)
 
 
-def test_band_that_covers_the_image_fails(image: np.ndarray) -> None:
+def test_comparison_outside_a_band_fails_if_the_band_covers_the_image(image: np.ndarray) -> None:
     """A band that covers most of the image fails, since the comparison would prove nothing."""
     with pytest.raises(AssertionError, match="too many"):
         assert_close_outside_band(image, image, np.ones((20, 30), bool), atol=1.0)
 
 
-def test_similar_images_meet_both_bounds(image: np.ndarray) -> None:
+def test_similar_images_must_meet_both_the_mean_and_the_share_bound(image: np.ndarray) -> None:
     """A small error everywhere exceeds the mean bound, a large one in a few pixels lowers the share of equal pixels."""
     with pytest.raises(AssertionError, match="mean absolute"):
         assert_images_alike(image + 0.003, image, mean=0.002, within=0.015, share=0.995)

@@ -51,7 +51,7 @@ def assert_as_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_optical_depth_equals_the_integral_of_absorption(seed):
+def test_oracle_optical_depth_equals_the_integral_of_absorption(seed):
     """Optical depth of random anisotropic Gaussians equals the quadrature before, within and behind them."""
     rng = np.random.default_rng(seed)
     gaussians = random_gaussians(seed, 6, scale_range=(0.01, 1.0))
@@ -73,7 +73,7 @@ def test_optical_depth_equals_the_integral_of_absorption(seed):
         ((0.1, -0.2, -0.3), 0.3, (0.1, -0.2, 4.0)),  # Behind the light, which is still in its tail.
     ],
 )
-def test_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
+def test_oracle_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
     """Optical depth stays exact where floats cancel: light inside, thin, distant, grazed or hindmost Gaussians."""
     gaussian = one_gaussian(mean, scale, 0.9, rotation=(0.9999, 0.004, -0.003, 0.002))
     direction = (np.array(aim) - LIGHT) / np.linalg.norm(np.array(aim) - LIGHT)
@@ -82,7 +82,7 @@ def test_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
         assert_as_quadrature(gaussian, LIGHT, direction, max(float(t), 1e-3))
 
 
-def test_average_absorption_reproduces_opacity_through_the_centre():
+def test_average_absorption_through_the_centre_reproduces_the_opacity():
     """Across the centre of an isotropic Gaussian, `avg` absorption gives the optical depth of its opacity."""
     for scale in (0.01, 0.2):
         field = oracle.absorbers(one_gaussian((0.0, 0.0, 4.0), scale, 0.7))
@@ -92,7 +92,7 @@ def test_average_absorption_reproduces_opacity_through_the_centre():
         assert half == pytest.approx(math.sqrt(1.0 - 0.7), abs=1e-6)
 
 
-def test_absorptions_equal_their_formulas():
+def test_oracle_absorptions_equal_the_formulas_of_mir_et_al():
     """Absorptions equal section 4.4 B by hand for scales 1, 2 and 4; opacity 1 counts as the largest alpha."""
     opacity, scales = np.array([1.0 - math.exp(-2.0)]), np.array([[1.0, 2.0, 4.0]])
     mean_precision = (1.0 + 1.0 / 4.0 + 1.0 / 16.0) / 3.0
@@ -111,7 +111,7 @@ def test_absorptions_equal_their_formulas():
 
 
 @given(st.floats(-40.0, 40.0), st.floats(0.01, 80.0))
-def test_erf_differences_keep_precision(low, width):
+def test_differences_of_erf_keep_their_precision_far_from_zero(low, width):
     """Differences of erf stay positive and additive far from 0, within the bounds of the asymptotic series."""
     high = low + width
     found = float(oracle.erf_difference(np.asarray(low), np.asarray(high)))
@@ -125,7 +125,7 @@ def test_erf_differences_keep_precision(low, width):
         assert found <= tail
 
 
-def test_transformed_casters_absorb_like_transformed_lights():
+def test_transformed_casters_absorb_like_inversely_transformed_lights():
     """A rotated, scaled and moved instance absorbs like its asset with the inversely transformed light."""
     asset = random_gaussians(3, 5)
     placed = SplatInstance(asset, similarity((1.0, 2.0, 0.5), 1.1, 0.7, (-0.4, 0.1, 4.0)))
@@ -140,7 +140,7 @@ def test_transformed_casters_absorb_like_transformed_lights():
 
 
 @given(vectors)
-def test_octahedral_encoding_preserves_directions(vector):
+def test_octahedral_encoding_and_decoding_preserve_directions(vector):
     """Directions survive a round trip through the octahedral square, and stay within it."""
     unit = np.array(vector) / np.linalg.norm(vector)
     place = oracle.encode_octahedral(unit)
@@ -149,14 +149,14 @@ def test_octahedral_encoding_preserves_directions(vector):
 
 
 @given(coordinate, coordinate)
-def test_octahedral_decoding_preserves_points(u, v):
+def test_octahedral_decoding_and_encoding_preserve_points_of_the_square(u, v):
     """Points of the square survive a round trip, except on the rim, where two points are one direction."""
     place = 0.999 * np.array([u, v])
     assert oracle.encode_octahedral(oracle.decode_octahedral(place)) == pytest.approx(place, abs=1e-12)
 
 
 @given(coordinate, st.sampled_from([-1.0, 1.0]), st.booleans())
-def test_octahedral_edges_fold_onto_themselves(along, side, vertical):
+def test_both_halves_of_an_octahedral_edge_decode_to_equal_directions(along, side, vertical):
     """Both halves of an edge of the square decode to the same directions, so that the map is continuous there."""
     near, far = [side, along], [side, -along]
     if vertical:
@@ -165,7 +165,7 @@ def test_octahedral_edges_fold_onto_themselves(along, side, vertical):
 
 
 @given(vectors, vectors)
-def test_octahedral_map_is_continuous(vector, turn):
+def test_octahedral_encoding_is_continuous_on_the_sphere(vector, turn):
     """A small step on the sphere is a small step on the square, up to the mirrored point across the rim."""
     unit = np.array(vector) / np.linalg.norm(vector)
     other = unit + 1e-7 * np.array(turn)
@@ -176,7 +176,7 @@ def test_octahedral_map_is_continuous(vector, turn):
     assert min(np.abs(a - c).max() for c in mirrored) < 3e-6
 
 
-def test_texels_beyond_an_edge_are_neighbours_on_the_sphere():
+def test_octahedral_texels_beyond_an_edge_are_neighbours_on_the_sphere():
     """The texel beyond an edge of the square mirrors the last texel in the plane y = 0 or x = 0."""
     size = 16
     centers = oracle.decode_octahedral(oracle.texel_centers(size))
@@ -188,14 +188,14 @@ def test_texels_beyond_an_edge_are_neighbours_on_the_sphere():
         assert centers[y, x] == pytest.approx(centers[inside, along] * [-1.0, 1.0, 1.0])
 
 
-def test_texels_beyond_a_corner_are_at_the_pole():
+def test_octahedral_texels_beyond_a_corner_are_at_the_opposite_corner():
     """All four corners are -z, so the texel beyond a corner is at the opposite corner."""
     x, y = oracle.wrapped(np.array([-1, 8, -1, 8]), np.array([-1, -1, 8, 8]), 8)
     assert list(zip(x, y, strict=True)) == [(7, 7), (0, 7), (7, 0), (0, 0)]
 
 
 @given(vectors)
-def test_cube_encoding_preserves_directions(vector):
+def test_cube_map_encoding_and_decoding_preserve_directions(vector):
     """Directions survive a round trip through all cube faces."""
     unit = np.array(vector) / np.linalg.norm(vector)
     face, place = oracle.encode_cube(unit)
@@ -207,7 +207,7 @@ def test_cube_encoding_preserves_directions(vector):
 
 
 @pytest.mark.parametrize("layout", list(AtlasLayout))
-def test_tables_store_the_closed_form(layout):
+def test_deep_shadow_tables_store_the_closed_form_transmittance(layout):
     """At the centres of texels and bins, a lookup returns the stored closed-form transmittance on all faces."""
     light = np.array([0.0, 0.0, 3.0])
     field = oracle.absorbers(random_gaussians(5, 4, scale_range=(0.2, 0.8)))
@@ -223,7 +223,7 @@ def test_tables_store_the_closed_form(layout):
 
 
 @pytest.mark.parametrize("layout", list(AtlasLayout))
-def test_lookups_converge_with_resolution(layout):
+def test_deep_shadow_lookups_converge_with_resolution(layout):
     """Doubling the resolution reduces lookup errors to less than a third; a quarter is expected."""
     rng = np.random.default_rng(1)
     light = np.array([0.0, 0.0, 3.5])
@@ -240,7 +240,7 @@ def test_lookups_converge_with_resolution(layout):
     assert errors[2] < limit * errors[1]
 
 
-def test_transmittance_is_one_at_the_light_and_constant_beyond_the_last_bin():
+def test_deep_shadow_transmittance_is_1_at_the_light_and_constant_past_the_last_bin():
     """Transmittance is 1 half a bin before the first centre, and constant beyond the last centre."""
     field = oracle.absorbers(one_gaussian((0.0, 0.0, 0.0), 0.5, 0.9))
     table = oracle.tabulate(field, np.zeros(3), AtlasLayout.OCTAHEDRAL, 8, 4, 2.0)
@@ -253,7 +253,7 @@ def test_transmittance_is_one_at_the_light_and_constant_beyond_the_last_bin():
 # --- Footprints ---
 
 
-def test_stencil_points_lie_on_the_receivers_axes():
+def test_stencil_points_lie_on_the_axes_of_the_receiving_gaussian():
     """The 7 points of a rotated receiver are its mean and one scale along each axis; weights are responses."""
     half = math.sqrt(0.5)
     receiver = one_gaussian((1.0, 2.0, 3.0), (0.1, 0.2, 0.4), rotation=(half, 0.0, 0.0, half))  # x to y, y to -x.
@@ -265,7 +265,7 @@ def test_stencil_points_lie_on_the_receivers_axes():
     assert weights[1:] / weights[0] == pytest.approx(math.exp(-0.5))
 
 
-def test_several_casters_absorb_like_their_union():
+def test_several_shadow_casters_absorb_like_their_union():
     """Several sets absorb like their union, and an instance without a transform like its set."""
     parts = [one_gaussian((0.0, 0.0, 3.0)), one_gaussian((0.1, 0.0, 4.0), (0.1, 0.3, 0.2))]
     point = np.array([0.05, 0.0, 6.0])

@@ -25,7 +25,7 @@ def traced(scene: Scene, ray: Ray = AXIS, background: float = 0.0, **settings: A
     return trace_one(scene, ray, trace_config((background, background, background), **settings))
 
 
-def test_closest_triangle_is_found_from_either_side() -> None:
+def test_oracle_finds_the_closest_triangle_from_either_side() -> None:
     """The closest triangle of all instances is found from either side, with its distance and barycentric weights."""
     rng = np.random.default_rng(0)
     meshes = [MeshInstance(quad(0.0), similarity(tuple(rng.normal(size=3)), i, 0.8, (0, 0, 3.0 + i))) for i in range(4)]
@@ -47,7 +47,7 @@ def test_closest_triangle_is_found_from_either_side() -> None:
     assert met > 20
 
 
-def test_meshes_hide_gaussians_behind_them() -> None:
+def test_meshes_hide_gaussians_that_peak_behind_them() -> None:
     """Only Gaussians that peak in front of the mesh count, also in hull mode, where hits precede peaks."""
     scene = Scene([one_gaussian((0.0, 0.0, 4.0), 0.2, 0.2), one_gaussian((0.0, 0.0, 5.0), 0.4, 0.2)], [quad(4.5)])
     color = encode_srgb(np.full(3, 0.8))
@@ -61,7 +61,7 @@ def test_meshes_hide_gaussians_behind_them() -> None:
     assert (hull.alpha, hull.instance_index, hull.depth) == (1.0, 2, pytest.approx(4.5))
 
 
-def test_fresnel_reflectance_has_its_known_values() -> None:
+def test_fresnel_reflectance_has_its_textbook_values() -> None:
     """Reflectance is ((n - 1) / (n + 1))^2 head on, half the s part at Brewster's angle, 1 at grazing."""
     assert fresnel(1.0, 1.0 / 1.5)[0] == pytest.approx(0.04)
     assert fresnel(1.0, 1.5)[0] == pytest.approx(0.04)
@@ -77,7 +77,7 @@ def test_fresnel_reflectance_has_its_known_values() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.2])
-def test_refraction_obeys_snells_law(angle: float) -> None:
+def test_refracted_direction_obeys_snells_law(angle: float) -> None:
     """Sines are in the ratio of the indices, and the ray stays in the plane of incidence."""
     direction, normal = np.array([np.sin(angle), 0.0, np.cos(angle)]), np.array([0.0, 0.0, -1.0])
     through = refracted(direction, normal, 1.0 / 1.5, fresnel(np.cos(angle), 1.0 / 1.5)[1])
@@ -98,7 +98,7 @@ def watched(scene: Scene, ray: Ray, monkeypatch: pytest.MonkeyPatch, **changes: 
 
 
 @pytest.mark.parametrize("angle", [0.2, 0.9])
-def test_slab_shifts_the_ray(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_glass_slab_shifts_a_ray_and_keeps_its_direction(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """A slab shifts a ray sideways by d sin(a) (1 - cos a / (n cos b)) and keeps its direction."""
     ray = Ray(np.zeros(3), np.array([np.sin(angle), 0.0, np.cos(angle)]))
     rays = watched(Scene([], [slab(4.0, 0.5, GLASS)]), ray, monkeypatch)
@@ -111,7 +111,7 @@ def test_slab_shifts_the_ray(angle: float, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize("height", [0.2, 0.6, 0.9])
-def test_sphere_deflects_the_ray(height: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_glass_sphere_deflects_a_ray_by_the_closed_form(height: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """A glass ball deflects a ray by 2 (a - b), with sin a = height / radius and sin b = sin a / n."""
     scene = Scene([], [ball(GLASS, detail=5)])
     rays = watched(scene, Ray(np.array([height, 0.01, 0.0]), AXIS.direction), monkeypatch)
@@ -133,7 +133,7 @@ def test_total_internal_reflection_loses_no_light(monkeypatch: pytest.MonkeyPatc
         assert traced(scene, ray, background=0.6, bounces=1).color == pytest.approx([0.6] * 3)
 
 
-def test_mirror_shows_the_mirrored_view() -> None:
+def test_mirror_shows_the_view_of_the_mirrored_eye() -> None:
     """A mirror at 45 degrees shows the view of a mirrored eye, including view-dependent colours."""
     half = 9.0
     tilted = Mesh(
@@ -163,7 +163,7 @@ def test_mirror_shows_the_mirrored_view() -> None:
     assert seen > 10
 
 
-def test_metal_and_glass_tint_their_branches() -> None:
+def test_metal_tints_reflection_and_glass_tints_transmission() -> None:
     """Metals tint reflection, glass tints transmission, the rest of a dielectric is flat colour; all are encoded."""
     base = np.array([0.2, 0.5, 0.8])
     metal = replace(MIRROR, base_color=tuple(base))
@@ -180,7 +180,7 @@ def test_metal_and_glass_tint_their_branches() -> None:
     assert traced(Scene([], [quad(4.0, material=rough)]), background=0.5).color == pytest.approx(encode_srgb(base))
 
 
-def test_bounces_end_in_the_background() -> None:
+def test_mirror_at_the_maximum_of_bounces_shows_the_background() -> None:
     """Each reflection between two mirrors counts against ``max_bounces``; the last mirror shows the background."""
     mirror = quad(4.0, 2.0, material=MIRROR)
     scene = Scene([], [mirror, MeshInstance(mirror, similarity(offset=(0.0, 0.0, -8.0)))])
@@ -213,7 +213,7 @@ def test_white_mirrors_and_clear_glass_conserve_energy(material: MaterialPbr, mo
     assert met == 12
 
 
-def test_mirroring_transforms_keep_the_inside_of_glass(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_glass_under_a_mirroring_transform_keeps_its_inside(monkeypatch: pytest.MonkeyPatch) -> None:
     """Glass keeps its inside under a mirroring transform."""
     ray = Ray(np.zeros(3), oracles.normalized(np.array([0.3, 0.1, 1.0])))
     plain = slab(4.0, 0.5, GLASS)
@@ -227,7 +227,9 @@ def test_mirroring_transforms_keep_the_inside_of_glass(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("material", [MIRROR, GLASS])
-def test_reflections_stay_outside_of_the_surface(material: MaterialPbr, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reflections_by_shading_normals_stay_outside_the_surface(
+    material: MaterialPbr, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The triangle's normal replaces a shading normal that would reflect a ray into the surface."""
     steep = np.tile(oracles.normalized(np.array([1.0, 0.0, -0.3])), (4, 1))
     for normals, expected in ((steep, [0.0, 0.0, -1.0]), (-steep, [0.0, 0.0, -1.0]), (None, [0.0, 0.0, -1.0])):
@@ -238,7 +240,7 @@ def test_reflections_stay_outside_of_the_surface(material: MaterialPbr, monkeypa
     assert mirrored.direction == pytest.approx(np.array([0.4, 0.0, -0.96]) / 1.04)
 
 
-def test_variance_includes_reflected_outcomes() -> None:
+def test_oracle_colour_variance_includes_reflected_outcomes() -> None:
     """A Gaussian before the mirror, one in the mirror and the background give the variance of three outcomes."""
     before = one_gaussian((0.0, 0.0, 2.0), opacity=0.3)
     dark = one_gaussian((0.0, 0.0, -2.0), opacity=0.6, color=(0.2, 0.3, 0.4))
@@ -254,7 +256,7 @@ def test_variance_includes_reflected_outcomes() -> None:
     assert one.alpha == 1.0
 
 
-def test_grazing_rays_are_doubtful() -> None:
+def test_oracle_marks_rays_within_a_mirror_plane_as_doubtful() -> None:
     """A ray within a mirror's plane is doubtful, since rounding decides from which side the ray comes."""
     scene = Scene([], [quad(4.0, material=MIRROR)])
     for slope, slack in ((1e-5, np.inf), (1e-2, 0.0)):

@@ -62,7 +62,7 @@ def golden_section(f: Callable[[float], float], low: float, high: float) -> floa
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_peak_maximises_the_response(seed: int) -> None:
+def test_hit_distance_at_the_peak_maximises_the_response(seed: int) -> None:
     """The peak maximises the response along the ray, and alpha there is opacity times exp(-d^2 / 2)."""
     rng = np.random.default_rng(seed)
     scene, ray = random_world(), random_ray(rng)
@@ -86,7 +86,7 @@ def test_peak_maximises_the_response(seed: int) -> None:
         assert alpha == pytest.approx(min(0.99, opacities[index] * np.exp(-0.5 * squared(best))), rel=1e-9)
 
 
-def test_all_hits_are_found_in_order() -> None:
+def test_oracle_finds_all_hits_sorted_by_distance_then_index() -> None:
     """Hits are exactly the Gaussians with a peak ahead and alpha >= 1/255, sorted by distance, then index."""
     scene, rng = random_world(), np.random.default_rng(7)
     world = world_of(scene, None)
@@ -106,7 +106,7 @@ def test_all_hits_are_found_in_order() -> None:
 
 
 @pytest.mark.parametrize("scales", [(1e-6, 1.0, 1.0), (1e-6, 1e-6, 1.0), (1e6, 1e6, 1e6), (1e6, 1e-6, 1.0)])
-def test_extreme_scales_keep_their_precision(scales: tuple[float, float, float]) -> None:
+def test_hits_of_gaussians_with_extreme_scales_keep_their_precision(scales: tuple[float, float, float]) -> None:
     """A ray aimed at a known canonical distance measures that distance, however flat or huge the Gaussian is."""
     rng = np.random.default_rng(3)
     gaussians = one_gaussian((0.3, -0.2, 4.0), scales, 0.8, rotation=(0.8, 0.2, -0.5, 0.3))
@@ -124,7 +124,7 @@ def test_extreme_scales_keep_their_precision(scales: tuple[float, float, float])
         assert found.t[0] == pytest.approx(3.0, abs=1e-5 * max(1.0, max(scales) * 1e-4))
 
 
-def test_kernel_degrees_agree_at_three_deviations() -> None:
+def test_kernels_of_all_degrees_agree_at_three_standard_deviations() -> None:
     """All kernel degrees respond 1 at the centre and exp(-4.5) at three deviations; degree 2 is the Gaussian."""
     for degree in range(6):
         assert response(np.array(0.0), degree) == 1.0
@@ -147,7 +147,9 @@ def test_kernel_degrees_agree_at_three_deviations() -> None:
         (0.02, {"min_response": 0.1, "adaptive_clamping": False}, 1.0 / 255.0 / 0.02),
     ],
 )
-def test_reach_separates_hits_from_misses(degree: int, opacity: float, settings: dict, least: float) -> None:
+def test_reach_of_a_gaussian_separates_hits_from_misses(
+    degree: int, opacity: float, settings: dict, least: float
+) -> None:
     """A Gaussian is hit just inside its reach, where alpha or response are at their minimum, and missed outside."""
     threshold = response_threshold(np.array([opacity]), ResponseConfig(**settings))
     reach = reach_of(threshold, np.array([degree]))[0]
@@ -158,7 +160,7 @@ def test_reach_separates_hits_from_misses(degree: int, opacity: float, settings:
         assert len(found_on(Scene([gaussians]), ray, **settings)) == expected
 
 
-def test_setting_overrides_the_captures_kernel_degree() -> None:
+def test_kernel_degree_setting_overrides_the_degree_of_each_capture() -> None:
     """The setting overrides each capture's kernel degree; None keeps it."""
     scene = Scene([replace(one_gaussian(opacity=0.5), kernel_degree=1), one_gaussian(opacity=0.5)])
     ray = Ray(np.array([0.2, 0.0, 0.0]), AXIS.direction)
@@ -166,7 +168,7 @@ def test_setting_overrides_the_captures_kernel_degree() -> None:
     assert found_on(scene, ray, kernel_degree=4).alpha == pytest.approx([0.5 * np.exp(-1.0 / 18.0)] * 2, rel=1e-6)
 
 
-def test_faint_gaussians_are_never_hit() -> None:
+def test_gaussians_with_opacity_below_the_minimum_are_never_hit() -> None:
     """An opacity below 1/255 or below the adaptive minimum is never a hit; alpha is at most 0.99."""
     assert len(found_on(Scene([one_gaussian(opacity=1.0 / 256.0)]))) == 0
     assert len(found_on(Scene([one_gaussian(opacity=0.0)]))) == 0
@@ -176,7 +178,7 @@ def test_faint_gaussians_are_never_hit() -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
-def test_hull_hits_lie_at_the_reach(degree: int) -> None:
+def test_hull_hit_distance_is_the_nearer_point_at_the_reach(degree: int) -> None:
     """In hull mode, t is the nearer of the two points at which the canonical distance is the reach."""
     scene = Scene([replace(random_gaussians(4, 80), kernel_degree=degree)])
     world = world_of(scene, None)
@@ -190,7 +192,7 @@ def test_hull_hits_lie_at_the_reach(degree: int) -> None:
         assert t < peaks.t[peaks.index == i][0]
 
 
-def test_hull_around_the_eye_has_depth_zero() -> None:
+def test_hull_of_a_gaussian_around_the_eye_has_depth_zero() -> None:
     """The peak decides whether a hull around the eye counts, and its depth is not negative."""
     ahead = Scene([one_gaussian((0.0, 0.0, 0.1), 0.5, 0.9)])
     assert traced(ahead, hit_distance=HitDistance.HULL).depth == 0.0
@@ -198,7 +200,7 @@ def test_hull_around_the_eye_has_depth_zero() -> None:
     assert len(found_on(ahead, replace(AXIS, t_min=0.2), hit_distance=HitDistance.HULL)) == 0
 
 
-def test_normals_are_gradients_against_the_ray() -> None:
+def test_hit_normals_are_distance_gradients_that_face_the_ray() -> None:
     """Normals are gradients of the squared canonical distance, at the eye or at the entry point, against the ray."""
     scene, rng = random_world(), np.random.default_rng(5)
     world = world_of(scene, None)
@@ -220,7 +222,7 @@ def test_normals_are_gradients_against_the_ray() -> None:
                 assert normal @ ray.direction < 0.0
 
 
-def test_sh_directions_start_at_the_unfolded_eye() -> None:
+def test_sh_directions_start_at_the_eye_of_the_unfolded_path() -> None:
     """SH directions equal the rasteriser's, in object space, from the start of the unfolded path."""
     scene = random_world()
     eye = np.array([0.4, -1.0, 0.3])
@@ -243,7 +245,7 @@ def layers(*opacities: float, colors: tuple[tuple[float, float, float], ...] = (
     return Scene([joined(*sets[::-1])])
 
 
-def test_two_hits_blend_front_to_back() -> None:
+def test_two_hits_on_a_ray_blend_front_to_back() -> None:
     """The nearer hit occludes the farther; depth, index and normal are those at transmittance 0.7."""
     scene = layers(0.25, 0.5, colors=((1.0, 0.0, 0.2), (0.0, 1.0, 0.4)))
     one = traced(scene)
@@ -258,7 +260,7 @@ def test_two_hits_blend_front_to_back() -> None:
     assert (nothing.depth, nothing.gaussian_index, nothing.instance_index) == (np.inf, -1, -1)
 
 
-def test_ray_stops_at_the_minimum_transmittance() -> None:
+def test_ray_ends_once_it_reaches_the_minimum_transmittance() -> None:
     """The Gaussian that brings transmittance down to 1e-4 is the last one."""
     scene = layers(0.9, 0.95, 0.985, 0.5, colors=((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)))
     assert traced(scene).color == pytest.approx([0.9, 0.095, 0.005 * 0.985], abs=1e-6)
@@ -267,7 +269,7 @@ def test_ray_stops_at_the_minimum_transmittance() -> None:
     assert traced(scene, transmittance_min=0.2).color == pytest.approx([0.9, 0.0, 0.0])
 
 
-def test_equal_distances_keep_the_order_of_the_scene() -> None:
+def test_hits_at_equal_distances_keep_the_order_of_the_scene() -> None:
     """At equal distances, the first Gaussian of a set and the first instance are in front."""
     red, blue = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0)), one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     for scene in (Scene([joined(red, blue)]), Scene([red, blue])):
@@ -276,7 +278,7 @@ def test_equal_distances_keep_the_order_of_the_scene() -> None:
         assert one.slack < 1e-4, "copies cannot change places"
 
 
-def test_cancelling_normals_face_the_viewer() -> None:
+def test_cancelling_hit_normals_are_replaced_by_the_direction_to_the_viewer() -> None:
     """A mean normal shorter than 0.2 is replaced by the direction to the viewer."""
     sheets = Scene([opposed_sheets()])
     found = found_on(sheets)
@@ -284,7 +286,7 @@ def test_cancelling_normals_face_the_viewer() -> None:
     assert traced(sheets).normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-12)
 
 
-def test_misses_show_the_background() -> None:
+def test_rays_that_miss_everything_show_the_background() -> None:
     """An empty scene, or a ray that misses everything, shows the background without a surface."""
     for scene in (Scene(), layers(0.5)):
         one = traced(scene, Ray(np.zeros(3), np.array([0.0, 0.0, -1.0])), background=(0.3, 0.3, 0.3))
@@ -299,7 +301,7 @@ def test_misses_show_the_background() -> None:
 @pytest.mark.parametrize("strategy", [TraceStrategy.STOCHASTIC_HIT, TraceStrategy.STOCHASTIC_PASS])
 @pytest.mark.parametrize("hits_per_pass", [4, 16])
 @pytest.mark.parametrize("meshes", [[], [quad(4.0, 2.0, tilt=0.4)], [quad(4.2, 9.0, tilt=0.4, material=GLASS)]])
-def test_stochastic_expectation_equals_the_sorted_image(
+def test_expected_stochastic_colour_equals_the_sorted_colour(
     strategy: TraceStrategy, hits_per_pass: int, meshes: list[Mesh]
 ) -> None:
     """Stochastic expectations equal the sorted image with meshes, mirrors and glass, if sorting never stops early."""
@@ -324,7 +326,7 @@ def test_stochastic_expectation_equals_the_sorted_image(
         {"strategy": TraceStrategy.STOCHASTIC_PASS, "hits_per_pass": 4},
     ],
 )
-def test_moments_equal_those_of_a_simulation(settings: dict) -> None:
+def test_oracle_moments_of_stochastic_colour_equal_a_simulation(settings: dict) -> None:
     """Simulating a strategy 100,000 times gives the oracle's mean, variance and outcome frequencies."""
     scene = Scene([random_gaussians(8, 300, scale_range=(0.1, 0.4))], [quad(4.6, 2.0)])
     found = found_on(scene)
@@ -354,7 +356,7 @@ def test_moments_equal_those_of_a_simulation(settings: dict) -> None:
     assert one.alpha == 1.0
 
 
-def test_pass_without_iso_surface_takes_its_farthest_hit() -> None:
+def test_stochastic_pass_without_iso_surface_takes_its_farthest_hit() -> None:
     """The surface of a pass is its iso-opacity hit from full transmittance, or its farthest hit if there is none."""
     config = TraceConfig(strategy=TraceStrategy.STOCHASTIC_PASS, hits_per_pass=4)
     found = found_on(layers(0.05, 0.05, 0.05, 0.05, 0.1, 0.1, 0.2, 0.1, 0.3))
@@ -388,7 +390,7 @@ def shaken(gaussians: Gaussians, seed: int) -> Gaussians:
 
 
 @pytest.mark.parametrize("settings", [{}, {"hit_distance": HitDistance.HULL, "normal_method": NormalMethod.ELLIPSOID}])
-def test_slack_covers_rounding(settings: dict) -> None:
+def test_oracle_slack_covers_rounding_of_the_inputs(settings: dict) -> None:
     """Moving inputs by a rounding error changes colour, normal and distance by no more than the oracle's slack."""
     needles = random_gaussians(11, 150, degree=1, scale_range=(1e-6, 0.8))
     camera = front_camera(20, 15, 20.0)
@@ -410,7 +412,7 @@ def test_slack_covers_rounding(settings: dict) -> None:
     assert (shift <= first["depth_slack"][sure] + 1e-6).all()
 
 
-def test_slack_covers_the_centre_of_a_needle() -> None:
+def test_oracle_slack_lets_a_ray_miss_a_needle_thinner_than_rounding() -> None:
     """The slack allows a ray to miss a needle thinner than rounding, even through its centre."""
     needle = one_gaussian((0.1, 0.2, 4.0), (1.0, 1e-6, 1e-6), 0.8)
     through = Ray(np.zeros(3), oracles.normalized(needle.means[0].astype(float)))
@@ -418,7 +420,7 @@ def test_slack_covers_the_centre_of_a_needle() -> None:
     assert traced(Scene([one_gaussian((0.1, 0.2, 4.0), (1.0, 1e-3, 1e-3), 0.8)]), through).slack < 1e-3
 
 
-def test_slack_covers_swapped_hits() -> None:
+def test_oracle_slack_covers_swapped_hits_closer_than_rounding() -> None:
     """The slack allows either order, and either surface, for two Gaussians closer than rounding."""
     red, blue = one_gaussian((0.0, 0.0, 4.0), 0.2, 0.8, (1, 0, 0)), one_gaussian((0.0, 0.0, 4.0), 0.3, 0.5, (0, 0, 1))
     for gap, slack, band in ((0.0, 0.4, True), (4e-7, 0.4, True), (1e-4, 0.0, False)):
@@ -428,7 +430,7 @@ def test_slack_covers_swapped_hits() -> None:
         assert one.band == band
 
 
-def test_slack_covers_thresholds() -> None:
+def test_oracle_slack_covers_values_at_thresholds() -> None:
     """An alpha of 1/255, a peak at the ray's start and a transmittance at a threshold are doubtful."""
     faint = one_gaussian((0.0, 0.0, 4.0), opacity=1.0 / 255.0)
     assert traced(Scene([faint])).slack == pytest.approx(1.0 / 255.0, rel=1e-3)

@@ -26,7 +26,7 @@ def colored(part: np.ndarray) -> int:
     return int((red - blue > 120).sum())
 
 
-def test_both_axes_of_the_curve_have_tick_labels_and_titles() -> None:
+def test_training_curve_plot_has_tick_labels_and_titles_on_both_axes() -> None:
     """Labels lie along the whole of both axes; a single held-out evaluation is drawn, too."""
     curve = Curve(steps=[50, 700], squared=[0.1, 0.001], measured=[(700, 28.0)])
     pixels = np.asarray(curve.image())
@@ -37,20 +37,20 @@ def test_both_axes_of_the_curve_have_tick_labels_and_titles() -> None:
     assert colored(pixels[MARGIN:, WIDTH - MARGIN - 10 :]) > 20
 
 
-def test_ticks_of_the_curve_are_round_numbers() -> None:
+def test_ticks_of_the_training_curve_are_round_numbers() -> None:
     """Ticks are 1, 2 or 5 times a power of ten apart, and at most nine."""
     assert [round_step(least) for least in (0.1, 1.0, 1.5, 3.75, 6, 62.5, 875)] == [1, 1, 2, 5, 10, 100, 1000]
     for last in range(1, 20_000, 37):
         assert math.floor(last / round_step(last / 8)) <= 8
 
 
-def test_curve_without_points_is_a_blank_image() -> None:
+def test_training_curve_without_points_is_a_blank_image() -> None:
     """Infinite PSNR is not drawn either."""
     for curve in (Curve(), Curve(steps=[50], squared=[0.0])):
         assert (np.asarray(curve.image()) == 255).all()
 
 
-def test_held_out_images_are_evaluated_early(tmp_path: Path) -> None:
+def test_held_out_images_are_evaluated_after_100_and_200_iterations(tmp_path: Path) -> None:
     """Evaluations are after 100 and 200 iterations, and at the end."""
     config = ls.TrainConfig(iterations=210, cap=80, initial=60, sh_degree=0)
     ls.train(write_training_folder(tmp_path / "set"), config, output=tmp_path / "a.ply", device="cpu")

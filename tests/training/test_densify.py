@@ -62,7 +62,7 @@ def test_relocated_gaussians_together_render_like_the_original(count: int, opaci
         assert many.sum() == pytest.approx(one.sum(), rel=1e-5)
 
 
-def test_dead_gaussians_are_relocated_onto_living_ones() -> None:
+def test_densification_relocates_dead_gaussians_onto_living_ones() -> None:
     """The number stays; moments of sources and copies are zero; other Gaussians are unchanged."""
     before, after = parameters([0.9, 0.001, 0.5, 0.002]), parameters([0.9, 0.001, 0.5, 0.002])
     after = relocated(after, TrainConfig(), np.random.default_rng(0))
@@ -76,7 +76,7 @@ def test_dead_gaussians_are_relocated_onto_living_ones() -> None:
         assert all((after.values[name][i] == before.values[name][i]).all() for name in NAMES)
 
 
-def test_number_of_gaussians_grows_up_to_the_cap() -> None:
+def test_densification_adds_a_twentieth_of_the_gaussians_up_to_the_cap() -> None:
     """One densification adds a twentieth."""
     rng = np.random.default_rng(0)
     assert grown(parameters([0.5] * 100), TrainConfig(cap=1000), rng).count == 105
@@ -84,7 +84,7 @@ def test_number_of_gaussians_grows_up_to_the_cap() -> None:
     assert grown(parameters([0.5] * 100), TrainConfig(cap=100), rng).count == 100
 
 
-def test_small_gaussians_are_cloned_and_large_ones_split() -> None:
+def test_small_gaussians_of_large_gradient_are_cloned_and_large_ones_split() -> None:
     """A large screen-space gradient selects Gaussians; a split leaves two smaller ones inside the original."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
@@ -120,14 +120,14 @@ def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:
     assert (positions == before.values["means"][1]).all(axis=1).sum() == 2, "the largest excess comes first"
 
 
-def test_transparent_and_oversized_gaussians_are_pruned() -> None:
+def test_densification_prunes_transparent_and_oversized_gaussians() -> None:
     """Other Gaussians stay in their order."""
     after = pruned(parameters([0.5, 0.001, 0.5, 0.4], [0.01, 0.01, 5.0, 0.02]), extent=1.0)
     np.testing.assert_allclose(after.opacities, [0.5, 0.4], rtol=1e-5)
     assert pruned(parameters([0.5], [5.0]), extent=math.inf).count == 1
 
 
-def test_reset_caps_opacities_and_zeroes_their_moments() -> None:
+def test_opacity_reset_caps_opacities_and_zeroes_their_moments() -> None:
     """Lower opacities stay as they are."""
     after = parameters([0.9, 0.006])
     reset_opacities(after)
@@ -136,7 +136,7 @@ def test_reset_caps_opacities_and_zeroes_their_moments() -> None:
 
 
 @pytest.mark.parametrize("kind", list(Densification))
-def test_same_seed_gives_same_densification(kind: Densification) -> None:
+def test_densification_with_equal_seeds_gives_equal_gaussians(kind: Densification) -> None:
     """Another seed gives another result."""
     config = TrainConfig(densification=kind, cap=200)
     record = DensifyStats(100, 1.0, np.linspace(0.0, 2e-3, 100), np.zeros(100))

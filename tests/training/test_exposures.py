@@ -28,7 +28,7 @@ def exposed(color: np.ndarray, alpha: np.ndarray, exposure: np.ndarray) -> np.nd
     return (color - behind) @ exposure[:, :3].T + alpha[..., None] * exposure[:, 3] + behind
 
 
-def test_gradients_by_exposures_colors_and_alphas_match_central_differences() -> None:
+def test_loss_gradients_by_exposures_colors_and_alphas_match_central_differences() -> None:
     """The reference is the whole loss in float64."""
     color, alpha = images(1).astype(np.float64), images(2, None).astype(np.float64)
     wanted = images(3), images(4, None), images(5, None)
@@ -64,7 +64,7 @@ def test_gradients_by_exposures_colors_and_alphas_match_central_differences() ->
             assert by[index] == pytest.approx(slope, abs=1e-4 * scale), (which, index)
 
 
-def test_mean_exposure_stays_the_identity() -> None:
+def test_mean_of_trained_exposures_stays_the_identity() -> None:
     """The colours of the capture therefore do not drift, however single exposures move."""
     exposures, rng = Exposures.neutral(5), np.random.default_rng(0)
     for _ in range(19):
@@ -96,7 +96,7 @@ def errors_of(of: Trainer, gains: np.ndarray) -> np.ndarray:
     return np.abs(np.diagonal(of.exposures.values, axis1=1, axis2=2) / gains - 1.0)
 
 
-def test_exposure_gains_of_images_of_a_known_scene_are_found() -> None:
+def test_training_recovers_exposure_gains_of_images_of_a_known_scene() -> None:
     """Starting from the true scene, colours become wrong without exposures and stay right with them."""
     gains, rates = gains_of(8), ls.config.LearningRates(exposures=5e-2, exposures_last=5e-3)
     config = ls.TrainConfig(iterations=450, cap=30, sh_degree=1, opacity_decay=0.0, scale_decay=0.0, rates=rates)
@@ -140,7 +140,7 @@ def beyond_directions(errors: np.ndarray, seen: Sequence[ls.Camera]) -> np.ndarr
 
 
 @pytest.mark.deep
-def test_exposure_gains_are_found_together_with_the_scene() -> None:
+def test_training_recovers_exposure_gains_together_with_the_scene() -> None:
     """The scene starts unknown; errors that vary linearly with the view direction are ignored."""
     gains, rates = gains_of(32), ls.config.LearningRates(exposures=3e-2)
     config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, rates=rates)

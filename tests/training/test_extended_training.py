@@ -66,7 +66,9 @@ def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monke
     assert not list(lengths) and whole.read_bytes() == parts.read_bytes()
 
 
-def test_fewer_iterations_than_done_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_resuming_with_fewer_iterations_than_done_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The message has one line, and the files are unchanged."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     command = ["train", str(folder), "-o", str(output), "--cap", "80", "--sh-degree", "1", "--device", "cpu"]

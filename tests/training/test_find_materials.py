@@ -38,7 +38,7 @@ def bright_above(ray_directions: np.ndarray) -> np.ndarray:
     return (1.0 - 0.8 * ray_directions[:, 1:2]) * (0.6, 0.7, 0.9)
 
 
-def test_constant_environment_and_albedo_are_found_exactly(tmp_path: Path) -> None:
+def test_find_materials_recovers_a_constant_environment_and_albedo(tmp_path: Path) -> None:
     """Only the product of light and albedo is determined, channel by channel."""
     capture = matte(ball(), GREY, constant_radiance)
     found = ls.inverse.find_materials(capture, write_training_images(tmp_path, capture), QUICK, device="cpu")
@@ -50,7 +50,7 @@ def test_constant_environment_and_albedo_are_found_exactly(tmp_path: Path) -> No
     assert found.too_light == 0.0 and np.isnan(found.error)
 
 
-def test_varying_environment_is_found_from_a_constant_albedo(tmp_path: Path) -> None:
+def test_find_materials_recovers_a_varying_environment_over_constant_albedo(tmp_path: Path) -> None:
     """Degree-1 SH of the environment relative to its mean is within 0.04, the albedo within 1 %."""
     capture = matte(ball(), GREY, bright_above)
     found = ls.inverse.find_materials(capture, write_training_images(tmp_path, capture), QUICK, device="cpu")
@@ -64,7 +64,7 @@ def test_varying_environment_is_found_from_a_constant_albedo(tmp_path: Path) -> 
     np.testing.assert_allclose(linear, -0.8, atol=0.04)
 
 
-def test_images_add_texture_that_the_capture_lacks(tmp_path: Path) -> None:
+def test_find_materials_adds_texture_of_the_images_that_the_capture_lacks(tmp_path: Path) -> None:
     """The capture is plain, its images show checks."""
     checks = np.where(np.sign(ball().means).prod(axis=1, keepdims=True) > 0.0, 1.0, 0.4) * GREY
     folder = write_training_images(tmp_path, matte(ball(), checks, constant_radiance))
@@ -82,7 +82,7 @@ def test_images_add_texture_that_the_capture_lacks(tmp_path: Path) -> None:
     assert ratio < 0.8
 
 
-def test_materials_have_the_same_bits_on_any_number_of_threads(tmp_path: Path) -> None:
+def test_find_materials_gives_the_same_bits_on_any_number_of_threads(tmp_path: Path) -> None:
     """Compares one thread with three."""
     capture = matte(ball(200), GREY, bright_above)
     folder, config = (
@@ -96,7 +96,7 @@ def test_materials_have_the_same_bits_on_any_number_of_threads(tmp_path: Path) -
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_traced_visibility_matches_brute_force() -> None:
+def test_traced_incident_visibility_and_radiance_match_brute_force() -> None:
     """The reference tests every Gaussian against every ray in float64, with the radiance of hits."""
     rng = np.random.default_rng(0)
     capture = ls.Gaussians(
@@ -127,7 +127,7 @@ def test_traced_visibility_matches_brute_force() -> None:
     assert 0.1 < (found.open > 0.5).mean() < 0.9 and found.seen.max() > 0.5
 
 
-def test_environment_stays_constant_in_a_closed_room() -> None:
+def test_fitted_environment_stays_constant_in_a_closed_room() -> None:
     """The captured radiance is then the only light."""
     white = Irradiance(np.full((40, 3), 0.3), np.zeros((40, 16), np.float32), np.zeros((40, 0), np.float32))
     directions = even_directions(16)
@@ -139,7 +139,7 @@ def test_environment_stays_constant_in_a_closed_room() -> None:
     np.testing.assert_allclose(0.15 / white_radiance(white, environment), 0.5)
 
 
-def test_environment_has_the_conventional_brightness_and_tint() -> None:
+def test_fitted_environment_is_grey_in_mean_and_gives_a_largest_albedo_of_0_8() -> None:
     """The mean log radiance is grey, and the lightest surfaces, by weight, have albedo 0.8."""
     rng = np.random.default_rng(1)
     white = Irradiance(
@@ -153,7 +153,7 @@ def test_environment_has_the_conventional_brightness_and_tint() -> None:
     assert weights[lightest <= 0.8 + 1e-3].sum() == pytest.approx(0.95 * weights.sum(), rel=0.01)
 
 
-def test_neighbour_pairs_are_the_nearest_gaussians() -> None:
+def test_neighbour_pairs_of_materials_are_the_6_nearest_gaussians() -> None:
     """The reference is all distances; coinciding Gaussians are neighbours of each other, never of themselves."""
     points = (np.random.default_rng(2).random((3000, 3)) * (1.0, 1.0, 0.01)).astype(np.float32)
     distances = np.linalg.norm(points[:, None].astype(float) - points, axis=2)
@@ -165,7 +165,7 @@ def test_neighbour_pairs_are_the_nearest_gaussians() -> None:
     assert len(copies.first) == 120 and (copies.first != copies.second).all()
 
 
-def test_a_single_gaussian_has_no_neighbours() -> None:
+def test_smoothness_terms_of_a_single_gaussian_are_0() -> None:
     """The smoothness terms are 0."""
     pairs = neighbour_pairs(np.zeros((1, 3), np.float32))
     assert len(pairs.first) == 0
@@ -182,13 +182,13 @@ def test_a_single_gaussian_has_no_neighbours() -> None:
         ("seed", 1.5, "seed is 1.5, expected"),
     ],
 )
-def test_invalid_material_settings_are_named(name: str, value: float, problem: str) -> None:
+def test_materials_config_refuses_invalid_settings_by_name(name: str, value: float, problem: str) -> None:
     """The error names the setting and its value."""
     with pytest.raises(ls.ConfigError, match=problem):
         ls.config.MaterialsConfig(**cast(Any, {name: value}))
 
 
-def test_images_of_changing_exposure_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_find_materials_reports_images_of_changing_exposure(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Every third image is a stop darker, every third a stop brighter; images of one exposure are not reported."""
     capture = matte(ball(200), 0.5 * GREY, constant_radiance)
     folder = write_training_images(tmp_path, capture, count=9, size=32)
@@ -206,7 +206,7 @@ def test_images_of_changing_exposure_are_reported(tmp_path: Path, caplog: pytest
     assert float(match[1]) == pytest.approx(np.std([-1, -1, 0, 0, 0, 1, 1, 1]), abs=0.03)  # the first one is held out
 
 
-def test_impossible_requests_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_find_materials_refuses_impossible_requests_in_one_line(tmp_path: Path) -> None:
     """A format without materials, an input that is not a capture, and images of another place."""
     capture = matte(ball(100), GREY, constant_radiance)
     folder = write_training_images(tmp_path / "set", capture, count=3, size=16)

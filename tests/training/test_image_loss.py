@@ -73,7 +73,7 @@ def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
 
 
 @pytest.mark.parametrize("kind", ["plain", "masked", "transparent", "both"])
-def test_loss_and_gradient_match_float64(kind: str) -> None:
+def test_image_loss_and_its_gradient_match_float64(kind: str) -> None:
     """Gradients are compared inside, at borders and in a corner."""
     color, alpha, image = images(1).astype(np.float64), images(2, None).astype(np.float64), images(3)
     weight = images(4, None) if kind in ("masked", "both") else None
@@ -95,7 +95,7 @@ def test_loss_and_gradient_match_float64(kind: str) -> None:
         np.testing.assert_allclose(by_alpha, share * slope / share.sum(), rtol=1e-4, atol=1e-7)
 
 
-def test_cross_entropy_of_exact_alpha_is_finite_with_zero_gradient() -> None:
+def test_cross_entropy_of_correct_binary_alpha_is_finite_with_zero_gradient() -> None:
     """Alpha of exactly 0 or 1 that is wrong has a large, finite cross entropy."""
     wanted = (images(2, None) > 0.5).astype(np.float32)
     right, _, by_alpha = differentiate(images(1), wanted, (images(3), None, wanted))
@@ -105,7 +105,7 @@ def test_cross_entropy_of_exact_alpha_is_finite_with_zero_gradient() -> None:
     assert (np.sign(by_alpha) == np.where(wanted > 0.5, -1.0, 1.0)).all()
 
 
-def test_masked_pixels_have_no_gradient() -> None:
+def test_image_loss_gives_masked_pixels_no_gradient() -> None:
     """The frame may show anything where the mask is black; the loss is the same."""
     image, weight = images(3), np.zeros((SIZE[1], SIZE[0]), np.float32)
     weight[:, :9] = 1.0
@@ -120,14 +120,14 @@ def test_masked_pixels_have_no_gradient() -> None:
     np.testing.assert_array_equal(by_one, by_two)
 
 
-def test_frame_equal_to_its_image_has_no_loss_and_no_gradient() -> None:
+def test_image_loss_of_equal_images_is_zero_with_zero_gradient() -> None:
     """SSIM is 1; gradients are 0 up to rounding."""
     image = images(3)
     found, by_color, _ = differentiate(image, images(2, None), (image, None, None))
     assert found.l1 == 0.0 and found.ssim == pytest.approx(1.0, abs=1e-5) and np.abs(by_color).max() < 1e-6
 
 
-def test_loss_has_the_same_bits_on_any_number_of_threads() -> None:
+def test_image_loss_has_the_same_bits_on_any_number_of_threads() -> None:
     """One thread sums each row."""
     results = [differentiate(images(1), images(2, None), (images(3), None, None), threads) for threads in (1, 2, 5)]
     for other in results[1:]:
@@ -135,7 +135,7 @@ def test_loss_has_the_same_bits_on_any_number_of_threads() -> None:
         np.testing.assert_array_equal(other[1], results[0][1])
 
 
-def test_loss_by_pixels_equals_loss_by_rows() -> None:
+def test_image_loss_summed_by_pixels_equals_the_loss_summed_by_rows() -> None:
     """CUDA kernels process single pixels and add the sums afterwards."""
     wanted = images(3), images(4, None), images(5, None)
     rows, pixels = (differentiate(images(1), images(2, None), wanted, parallel=parallel) for parallel in (False, True))

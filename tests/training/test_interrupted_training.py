@@ -103,7 +103,7 @@ MOMENTS = (
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", ["mcmc", "adaptive"])
-def test_training_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None:
+def test_training_killed_at_any_moment_resumes_to_the_same_bits(kind: str, tmp_path: Path) -> None:
     """One training is killed at all moments, and six times at random."""
     folder, more = write_training_folder(tmp_path / "set"), ("--densification", kind)
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
@@ -118,7 +118,7 @@ def test_training_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None
 
 
 @pytest.mark.deep
-def test_material_search_may_be_killed_at_any_moment(tmp_path: Path) -> None:
+def test_material_search_killed_at_any_moment_resumes_to_the_same_bits(tmp_path: Path) -> None:
     """Kills during iterations, while the state is written, before the capture is written, and at random."""
     folder, more = write_training_folder(tmp_path / "set"), ("--relightable", "--material-steps", "40")
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
@@ -132,7 +132,7 @@ def test_material_search_may_be_killed_at_any_moment(tmp_path: Path) -> None:
     assert finished(folder, output, *more) == whole
 
 
-def test_time_limit_excludes_kernel_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_limit_of_a_training_excludes_kernel_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow compilation does not reduce the number of iterations."""
     clock, load = [0.0], Launcher.load
 

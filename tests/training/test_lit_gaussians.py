@@ -69,7 +69,7 @@ class Shown:
         return self.gaussians.differentiate()
 
 
-def test_radiance_matches_float64() -> None:
+def test_radiance_of_shaded_gaussians_matches_float64() -> None:
     """The display-referred colour is at most white."""
     lit = some(brightest=4.0)
     shown, expected = Shown(lit), radiance(lit, EYE)
@@ -79,7 +79,7 @@ def test_radiance_matches_float64() -> None:
     assert (expected > 1.0).any() and (expected < 1.0).any()
 
 
-def test_view_from_below_the_horizon_is_mirrored() -> None:
+def test_gaussian_viewed_from_below_its_plane_shows_the_mirrored_view() -> None:
     """Gaussians show the same to an eye as far above their plane, as frames do for normals up to 30 degrees off."""
     lit = some(2)
     directions = EYE - lit.means
@@ -89,7 +89,7 @@ def test_view_from_below_the_horizon_is_mirrored() -> None:
     np.testing.assert_allclose(Shown(lit).gaussians.radiance, Shown(above).gaussians.radiance, rtol=1e-4, atol=1e-6)
 
 
-def test_sum_over_directions_converges_to_the_hemisphere_integral() -> None:
+def test_shading_summed_over_directions_converges_to_the_hemisphere_integral() -> None:
     """The reference integrates `pbr_eval` under a smooth environment."""
     lit = replace(some(directions=1024), seen=np.zeros((COUNT, 1024, 3)), open=np.ones((COUNT, 1024)))
 
@@ -124,7 +124,7 @@ def encoded_slope(linear: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["albedo", "roughness", "environment"])
-def test_gradients_by_materials_match_central_differences(name: str) -> None:
+def test_shading_gradients_by_materials_match_central_differences(name: str) -> None:
     """The reference is float64, along random directions in the space of parameters."""
     lit, rng = some(3), np.random.default_rng(4)
     given = rng.normal(size=(COUNT, 3))
@@ -147,7 +147,7 @@ def test_gradients_by_materials_match_central_differences(name: str) -> None:
             np.testing.assert_allclose(change, expected, rtol=2e-3, atol=5e-4)
 
 
-def test_gradients_by_normals_match_central_differences() -> None:
+def test_shading_gradients_by_normals_match_central_differences() -> None:
     """Only for normals that face the eye, along tangents, where no direction crosses the horizon."""
     lit, rng = some(5), np.random.default_rng(6)
     given = rng.normal(size=(COUNT, 3))
@@ -167,7 +167,7 @@ def test_gradients_by_normals_match_central_differences() -> None:
     np.testing.assert_allclose((found * tangents).sum(axis=1)[faces], expected[faces], rtol=5e-3, atol=5e-4)
 
 
-def test_radiance_above_white_only_gets_darkening_gradients() -> None:
+def test_radiance_above_white_gets_only_gradients_that_darken() -> None:
     """Gaussians that were not drawn get no gradient."""
     lit = replace(some(8), environment=np.full((DIRECTIONS, 3), 9.0), open=np.ones((COUNT, DIRECTIONS)))
     shown = Shown(lit)

@@ -45,7 +45,7 @@ def moved(fit: MaterialFit, **gradient: np.ndarray) -> Materials:
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_materials_move_against_their_gradients(fit: MaterialFit, name: str) -> None:
+def test_material_fit_moves_parameters_against_their_gradients(fit: MaterialFit, name: str) -> None:
     """Only parameters with a gradient move."""
     sign = np.where(np.random.default_rng(0).random(SHAPES[name]) < 0.5, -1.0, 1.0)
     before = fit.materials
@@ -56,7 +56,7 @@ def test_materials_move_against_their_gradients(fit: MaterialFit, name: str) -> 
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_smoothness_terms_pull_neighbours_together(fit: MaterialFit, name: str) -> None:
+def test_smoothness_terms_of_the_material_fit_pull_neighbours_together(fit: MaterialFit, name: str) -> None:
     """An outlier moves back, and some of its neighbours follow it."""
     state = {key: values.copy() for key, values in fit.state.items()}
     state["sky" if name == "environment" else name][3] += 1.0

@@ -106,7 +106,7 @@ def test_interrupted_material_search_resumes_to_the_same_bits(
     assert_same(found(capture, folder, output), whole)  # at once
 
 
-def test_missing_incident_radiance_is_traced_again(
+def test_resumed_material_search_traces_a_missing_incident_radiance_again(
     capture: ls.Gaussians, folder: Path, whole: ls.inverse.FoundMaterials, tmp_path: Path
 ) -> None:
     """The result has the same bits."""
@@ -117,7 +117,7 @@ def test_missing_incident_radiance_is_traced_again(
     assert_same(found(capture, folder, output), whole)
 
 
-def test_state_of_another_search_is_discarded(
+def test_material_search_discards_the_state_of_another_search(
     capture: ls.Gaussians,
     folder: Path,
     whole: ls.inverse.FoundMaterials,
@@ -150,7 +150,7 @@ def test_state_of_another_search_is_discarded(
         assert "materials.npz: is damaged, or of another capture, other images or settings" in caplog.text, why
 
 
-def test_unwritable_output_is_refused_at_once(
+def test_material_search_refuses_an_unwritable_output_before_reading(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The error comes before any input is read."""
@@ -167,7 +167,7 @@ def test_unwritable_output_is_refused_at_once(
 
 
 @pytest.mark.parametrize("fails", ["save", "write_radiance"])
-def test_environment_and_capture_are_written_both_or_neither(
+def test_material_search_writes_both_environment_and_capture_or_neither(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     """Earlier files stay if the disk is full, and the message names the requested output."""

@@ -38,7 +38,7 @@ def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("lens", [{}, {"projection": ls.config.Projection.UNSCENTED}], ids=["straightened", "as it is"])
-def test_training_with_another_lens_is_refused(lens: dict[str, Any], tmp_path: Path) -> None:
+def test_resuming_a_training_with_another_lens_is_refused(lens: dict[str, Any], tmp_path: Path) -> None:
     """Undistorted images with the same pinhole are refused, too."""
     folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(3, distortion=BEFORE))
     config = replace(CONFIG, **lens)
@@ -54,7 +54,7 @@ def test_training_with_another_lens_is_refused(lens: dict[str, Any], tmp_path: P
         ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
 
 
-def test_fingerprint_depends_on_every_camera_field(tmp_path: Path) -> None:
+def test_fingerprint_of_training_images_depends_on_every_camera_field(tmp_path: Path) -> None:
     """The test changes one field at a time."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     images = ls.io.load_training_images(folder)
@@ -67,7 +67,7 @@ def test_fingerprint_depends_on_every_camera_field(tmp_path: Path) -> None:
     assert ls.io.load_training_images(folder).fingerprint == images.fingerprint
 
 
-def test_other_images_of_the_same_names_and_sizes_are_refused(tmp_path: Path) -> None:
+def test_resuming_with_other_images_of_equal_names_and_sizes_is_refused(tmp_path: Path) -> None:
     """File times do not matter; with the original images the training resumes."""
     folder, output = write_nerfstudio_images(tmp_path / "set", ring_cameras(3)), tmp_path / "a.ply"
     image = folder / "images" / "view_1.png"
@@ -84,7 +84,7 @@ def test_other_images_of_the_same_names_and_sizes_are_refused(tmp_path: Path) ->
     ls.train(folder, CONFIG, output=output, device="cpu")
 
 
-def test_fingerprint_depends_on_masks_and_point_colours(tmp_path: Path) -> None:
+def test_fingerprint_of_training_images_depends_on_masks_and_point_colours(tmp_path: Path) -> None:
     """Changed files of the same size are found, too."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     found = [ls.io.load_training_images(folder).fingerprint]
@@ -100,7 +100,7 @@ def test_fingerprint_depends_on_masks_and_point_colours(tmp_path: Path) -> None:
     assert len(set(found)) == 5
 
 
-def test_missing_image_is_named(tmp_path: Path) -> None:
+def test_fingerprint_error_names_a_missing_training_image(tmp_path: Path) -> None:
     """The error names the file."""
     images = ls.io.load_training_images(write_nerfstudio_images(tmp_path, ring_cameras(3)))
     images.training[1].path.unlink()

@@ -19,7 +19,7 @@ from support.scenes.training_scenes import BACKGROUND, known_gaussians, known_pa
 
 
 @pytest.mark.parametrize("threads", [1, 5])
-def test_largest_weights_match_rendered_frames(threads: int) -> None:
+def test_largest_blending_weights_match_rendered_features(threads: int) -> None:
     """The reference renders one feature channel per Gaussian; a Gaussian that no camera sees has weight 0."""
     given = views(3, 45)
     parameters = known_parameters().rows(np.arange(30))
@@ -50,7 +50,7 @@ ALONG = ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)
     ],
     ids=["rays", "along rays", "along rays of a lens that moves"],
 )
-def test_largest_weights_along_rays_match_rendered_frames(
+def test_largest_blending_weights_along_rays_match_rendered_frames(
     settings: dict[str, Any], frames: dict[str, Any], lens: dict[str, Any], moves: bool
 ) -> None:
     """A frame with one white Gaussian among black ones is the image of its weights."""
@@ -78,7 +78,7 @@ def test_largest_weights_along_rays_match_rendered_frames(
     assert found[4] == 0.0 and found.max() > 0.3
 
 
-def test_gaussians_of_small_weight_are_pruned_and_counted(tmp_path: Path) -> None:
+def test_training_prunes_and_counts_gaussians_of_small_blending_weight(tmp_path: Path) -> None:
     """They are removed from the capture, not from the checkpoint; the other Gaussians are unchanged."""
     folder = write_training_folder(tmp_path / "set")
     config = ls.TrainConfig(iterations=150, cap=150, initial=100, sh_degree=1)
@@ -95,7 +95,9 @@ def test_gaussians_of_small_weight_are_pruned_and_counted(tmp_path: Path) -> Non
     assert ls.load(tmp_path / "b.ply").count == some.gaussians.count  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_nothing_is_pruned_if_all_weights_are_too_small(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_training_prunes_nothing_if_all_blending_weights_are_too_small(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """A log line reports it; the same training may be called again with another threshold."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = ls.TrainConfig(iterations=5, cap=100, initial=100, sh_degree=1, prune_below=0.9999)

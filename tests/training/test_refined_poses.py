@@ -52,7 +52,7 @@ def errors(poses: np.ndarray, true: list[TrainingView]) -> np.ndarray:
     return np.sqrt([np.sum(np.square(np.degrees(rotations)), axis=1).mean(), np.sum(eyes**2, axis=1).mean()])
 
 
-def test_perturbed_poses_are_recovered() -> None:
+def test_training_recovers_perturbed_camera_poses_to_a_fifth() -> None:
     """Rotations of a degree and shifts of a hundredth of the distance shrink to a fifth, with known Gaussians."""
     true = views(12)
     one = started(moved(true, 1.0, 0.03), CONFIG)
@@ -70,7 +70,7 @@ def test_perturbed_poses_are_recovered() -> None:
     [{}, {"pipeline": ls.Pipeline.TRACE}, {"projection": ls.config.Projection.UNSCENTED}],
     ids=["ellipses", "rays", "along rays"],
 )
-def test_pose_gradients_match_central_differences(drawn_by: dict[str, Any]) -> None:
+def test_loss_gradients_by_camera_poses_match_central_differences(drawn_by: dict[str, Any]) -> None:
     """The reference is the loss of the trainer's own frames."""
     given = moved(views(2), 1.0, 0.03)
     one = started(given, replace(CONFIG, **drawn_by))
@@ -94,7 +94,7 @@ def test_pose_gradients_match_central_differences(drawn_by: dict[str, Any]) -> N
     np.testing.assert_allclose(found, slopes, atol=0.03 * np.abs(slopes).max())
 
 
-def test_mean_motion_of_cameras_stays_zero() -> None:
+def test_mean_motion_of_refined_cameras_stays_zero() -> None:
     """Rotations stay orthogonal."""
     poses = Poses.of([view.camera for view in views(5)], 3.0)
     rng = np.random.default_rng(0)
@@ -111,7 +111,9 @@ def test_mean_motion_of_cameras_stays_zero() -> None:
     )
 
 
-def test_poses_and_exposures_resume_and_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resumed_poses_and_exposures_have_the_same_bits_and_are_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Resumed results have the same bits, in the capture, the poses file and the exposures file."""
     monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
     folder = write_training_folder(tmp_path / "set")
@@ -132,7 +134,7 @@ def test_poses_and_exposures_resume_and_are_written(tmp_path: Path, monkeypatch:
         assert np.abs(camera.camera_from_world - given[camera.name].camera_from_world).max() > 1e-4
 
 
-def test_refined_poses_have_one_file_per_camera_model(tmp_path: Path) -> None:
+def test_refined_poses_are_written_to_one_file_per_camera_model(tmp_path: Path) -> None:
     """The set mixes a fisheye with pinholes and is trained without undistortion."""
     folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(4))
     change_frame(folder / "transforms.json", 2, camera_model="OPENCV_FISHEYE")
@@ -151,14 +153,14 @@ def test_refined_poses_have_one_file_per_camera_model(tmp_path: Path) -> None:
     ("change", "what"),
     [({"camera_from_world_end": np.eye(4)}, "a rolling shutter"), ({"aperture": 0.1}, "an aperture")],
 )
-def test_cameras_without_a_single_pose_are_refused(change: dict[str, Any], what: str) -> None:
+def test_pose_refinement_refuses_cameras_with_shutter_motion_or_aperture(change: dict[str, Any], what: str) -> None:
     """A rolling shutter or an aperture is not described by one pose."""
     some = [replace(camera, name="left") for camera in ring_cameras(2)]
     with pytest.raises(ls.SceneError, match=rf"^the camera of left has {what}.*: turn off TrainConfig\.refine_poses$"):
         Poses.of([some[0], replace(some[1], **change)], 3.0)
 
 
-def test_training_with_all_terms_has_the_same_bits_on_any_number_of_threads() -> None:
+def test_training_with_all_loss_terms_has_the_same_bits_on_any_number_of_threads() -> None:
     """The training uses all optional parameters and loss terms."""
     config = ls.TrainConfig(
         iterations=40,

@@ -130,7 +130,7 @@ def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
     ("normals", "depth", "smooth"),
     [(NORMALS, 0.0, 0.0), (0.0, DEPTH, 0.0), (0.0, 0.0, SMOOTH), (NORMALS, DEPTH, SMOOTH)],
 )
-def test_gradients_of_surface_terms_match_central_differences(normals: float, depth: float, smooth: float) -> None:
+def test_surface_loss_gradients_match_central_differences(normals: float, depth: float, smooth: float) -> None:
     """The reference differentiates by all parameters of the Gaussians, in float64."""
     one = started(normals=normals, depth_spread=depth, normal_smoothness=smooth)
     total, found = found_by(one)
@@ -146,7 +146,7 @@ def test_gradients_of_surface_terms_match_central_differences(normals: float, de
         assert np.median(error) < 1e-3 and error.max() < 2e-2, (name, np.median(error), error.max())
 
 
-def test_normal_statistics_match_central_differences() -> None:
+def test_densification_statistics_of_normals_match_central_differences() -> None:
     """Normals are separate features here; the gradient across them is summed over pixels."""
     one = started(normals=NORMALS, normal_smoothness=SMOOTH, densification="adaptive", grow_turn=1.0)
     found_by(one)
@@ -161,7 +161,7 @@ def test_normal_statistics_match_central_differences() -> None:
     np.testing.assert_allclose(noted.numpy()[whole], turns[whole], rtol=2e-2, atol=1e-3 * float(turns.max()))
 
 
-def test_flatness_acts_only_on_drawn_gaussians() -> None:
+def test_flatness_term_acts_only_on_the_smallest_scale_of_drawn_gaussians() -> None:
     """The gradient acts on the smallest scale."""
     one = started(flatness=FLATNESS)
     _, found = found_by(one)
@@ -178,7 +178,7 @@ def test_flatness_acts_only_on_drawn_gaussians() -> None:
 
 
 @pytest.mark.deep
-def test_surface_terms_improve_normals_and_depths() -> None:
+def test_surface_loss_terms_improve_normals_and_depths_by_30_percent() -> None:
     """The scene is a ball over a disc; PSNR drops by less than 0.5 dB."""
     plain = known_surfaces.score(known_surfaces.fitted(known_surfaces.CONFIG))
     weights = {"flatness": 0.3, "normals": 0.05}

@@ -47,7 +47,7 @@ def held_out_psnr(config: ls.TrainConfig) -> float:
     return float(np.mean([ls.metrics.psnr(one, image(by).color) for one, by in zip(shown, others, strict=True)]))
 
 
-def test_surface_terms_keep_the_quality_of_a_room() -> None:
+def test_surface_loss_terms_lower_the_psnr_of_a_room_by_less_than_1_db() -> None:
     """The depth term must not create a thin layer of Gaussians in front of each camera (decision 0071)."""
     plain, flat = held_out_psnr(CONFIG), held_out_psnr(replace(CONFIG, **RELIGHTABLE))
     assert flat > plain - 1.0, (plain, flat)

@@ -51,7 +51,7 @@ def held_out_psnr(of: Trainer) -> float:
 
 
 @pytest.mark.parametrize("kind", list(ls.config.Densification))
-def test_training_improves_held_out_views(kind: ls.config.Densification) -> None:
+def test_training_improves_held_out_views_by_4_db(kind: ls.config.Densification) -> None:
     """400 small iterations gain 4 dB."""
     one = trainer(replace(CONFIG, densification=kind))
     before, losses = held_out_psnr(one), [one.step().total for _ in range(400)]
@@ -60,7 +60,7 @@ def test_training_improves_held_out_views(kind: ls.config.Densification) -> None
 
 
 @pytest.mark.deep
-def test_known_gaussians_are_recovered() -> None:
+def test_training_recovers_known_gaussians_to_40_db() -> None:
     """32 rendered images give more than 40 dB on held-out views."""
     config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, coarse=0)
     one = Trainer(views(32, 64), config, background=BACKGROUND, device="cpu")
@@ -70,7 +70,7 @@ def test_known_gaussians_are_recovered() -> None:
 
 
 @pytest.mark.parametrize("kind", list(ls.config.Densification))
-def test_training_has_the_same_bits_on_any_number_of_threads(kind: ls.config.Densification) -> None:
+def test_training_by_splats_has_the_same_bits_on_any_number_of_threads(kind: ls.config.Densification) -> None:
     """The compared iterations include densifications; another seed gives another result."""
     config = replace(CONFIG, densification=kind, iterations=700)
     made = [trainer(config, threads) for threads in (1, 2, 5)] + [trainer(replace(config, seed=4))]
@@ -84,7 +84,7 @@ def test_training_has_the_same_bits_on_any_number_of_threads(kind: ls.config.Den
     assert made[3].count != made[0].count or (arrays(made[3])["values.means"] != first["values.means"]).any()
 
 
-def test_non_finite_loss_ends_training() -> None:
+def test_non_finite_loss_ends_the_training_with_an_error() -> None:
     """The iteration itself raises the error."""
     broken = np.full((40, 40, 3), np.nan, np.float32)
     view = TrainingView("bad", cameras(1)[0], lambda: TargetPixels(broken))
@@ -121,7 +121,7 @@ def test_stopped_training_resumes_to_the_same_bits(
     assert ls.load_image(tmp_path / "b.training" / "held out" / "00.png").shape == (40, 80, 3)
 
 
-def test_written_settings_reproduce_the_training(tmp_path: Path) -> None:
+def test_settings_file_of_a_training_reproduces_it_to_the_bit(tmp_path: Path) -> None:
     """The settings file alone gives the same bits."""
     folder, outputs = write_training_folder(tmp_path / "set"), (tmp_path / "a.ply", tmp_path / "b.ply")
     config = replace(CONFIG, iterations=6, seed=3, rates=ls.config.LearningRates(sh=0.004))
@@ -151,7 +151,7 @@ def flipped(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(changed)
 
 
-def test_checkpoints_of_other_trainings_are_refused_and_kept(tmp_path: Path) -> None:
+def test_checkpoints_of_other_trainings_or_with_damage_are_refused(tmp_path: Path) -> None:
     """Other settings, other images and damage are each reported in one line."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20)
@@ -184,7 +184,7 @@ def test_checkpoints_of_other_trainings_are_refused_and_kept(tmp_path: Path) -> 
     assert again.iterations == 20 and file.read_bytes() == held
 
 
-def test_altered_checkpoints_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_checkpoints_with_inconsistent_arrays_are_refused_in_one_line(tmp_path: Path) -> None:
     """Intact archives with wrong arrays: missing Gaussians, wrong shapes, negative iterations, a decompression bomb."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20, exposures=True)
@@ -237,7 +237,7 @@ def test_non_finite_parameters_end_training_before_any_file_is_written() -> None
         _ = one.checkpoint
 
 
-def test_scene_scale_without_parallax_has_defaults() -> None:
+def test_scene_scale_of_cameras_without_parallax_has_defaults() -> None:
     """Cameras at one position, or with parallel axes."""
     spot = [ls.Camera.look_at((1.3, 0.7, -2.1), target) for target in np.random.default_rng(0).normal(size=(8, 3))]
     assert SceneScale.of(spot) == SceneScale(1.0, 1.0)
@@ -246,7 +246,7 @@ def test_scene_scale_without_parallax_has_defaults() -> None:
     assert SceneScale.of(cameras(9)).distance == pytest.approx(3.0, abs=0.2)
 
 
-def test_initial_scales_follow_the_three_nearest_points() -> None:
+def test_initial_gaussian_scales_follow_the_three_nearest_points() -> None:
     """The reference is all distances of points on a plane; also for very few points."""
     points = np.random.default_rng(5).uniform(size=(2000, 3)) * (1.0, 1.0, 0.0)
     nearest = np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1:4]

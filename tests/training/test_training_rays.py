@@ -51,7 +51,7 @@ def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
     return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
 
-def test_training_frame_equals_the_renderer_frame() -> None:
+def test_ray_traced_training_frame_equals_the_frame_of_the_renderer() -> None:
     """The frames agree after the Gaussians have moved or been replaced, when the BVH is refitted."""
     one, camera = trainer(CONFIG, cameras(4, 20)), cameras(6)[5]
     for _ in range(30):
@@ -73,7 +73,7 @@ def check_frame(one: Trainer, camera: ls.Camera) -> None:
     assert np.abs(shown - expected).max() < 2e-6
 
 
-def test_training_by_rays_improves_held_out_views() -> None:
+def test_training_by_rays_improves_held_out_views_by_4_db() -> None:
     """200 small iterations gain 4 dB."""
     one, others = trainer(CONFIG, cameras(8, 32)), cameras(40)[33:36]
     before, losses = held_out_psnr(one, others), [one.step().total for _ in range(200)]
@@ -84,7 +84,7 @@ def test_training_by_rays_improves_held_out_views() -> None:
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", ["pinhole", "fisheye"])
-def test_known_gaussians_of_degree_4_are_recovered(kind: str) -> None:
+def test_training_by_rays_recovers_known_gaussians_of_kernel_degree_4(kind: str) -> None:
     """32 ray-traced images give more than 40 dB on held-out views."""
     config = replace(CONFIG, iterations=6000, cap=400, initial=400)
     views = fisheyes(40) if kind == "fisheye" else cameras(40, 64)
@@ -106,7 +106,7 @@ def test_training_by_rays_has_the_same_bits_on_any_number_of_threads() -> None:
             np.testing.assert_array_equal(values, first.values[name], err_msg=name)
 
 
-def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None:
+def test_training_by_rays_uses_fisheye_images_without_undistortion(tmp_path: Path) -> None:
     """The capture file stores its kernel degree; pixels without a ray do not count."""
     some = [replace(camera, fx=2.5, fy=2.5) if n == 4 else camera for n, camera in enumerate(fisheyes(9))]
     frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known_gaussians(), kernel_degree=4), some)]
@@ -127,7 +127,7 @@ def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None
     assert result.score.of_views["00"] == pytest.approx(ls.metrics.psnr(np.clip(shown, 0.0, 1.0), frames[0]), abs=0.05)
 
 
-def test_incompatible_settings_are_refused(tmp_path: Path) -> None:
+def test_training_by_rays_refuses_incompatible_settings(tmp_path: Path) -> None:
     """The error has one line."""
     refused: list[tuple[dict[str, Any], str]] = [
         ({"kernel_degree": 4}, "kernel_degree is 4, which needs rays: use Pipeline.TRACE"),

@@ -22,7 +22,7 @@ from support.scenes.training_scenes import cameras, write_training_folder
 SHORT = ls.TrainConfig(iterations=60, cap=80, sh_degree=1, prune_below=0.0)
 
 
-def test_existing_capture_is_replaced_only_if_asked(tmp_path: Path) -> None:
+def test_training_replaces_an_existing_capture_only_with_overwrite(tmp_path: Path) -> None:
     """A capture without a training is kept unless ``overwrite`` is set."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     output.write_text("precious")
@@ -34,7 +34,7 @@ def test_existing_capture_is_replaced_only_if_asked(tmp_path: Path) -> None:
     assert isinstance(ls.load(output), ls.Gaussians)
 
 
-def test_overwriting_removes_only_files_of_a_training(tmp_path: Path) -> None:
+def test_overwriting_a_training_keeps_other_files_of_its_folder(tmp_path: Path) -> None:
     """Other files in the folder are kept."""
     folder, output, left = write_training_folder(tmp_path / "set"), tmp_path / "a.ply", tmp_path / "a.training"
     ls.train(folder, SHORT, output=output, device="cpu", preview=20)
@@ -45,7 +45,7 @@ def test_overwriting_removes_only_files_of_a_training(tmp_path: Path) -> None:
     assert (left / "notes.txt").read_text() == "mine" and not (left / "previews").exists()
 
 
-def test_random_points_are_added_to_few_known_points(caplog: pytest.LogCaptureFixture) -> None:
+def test_training_adds_random_points_to_fewer_than_20_known_points(caplog: pytest.LogCaptureFixture) -> None:
     """A log line reports it; with enough points, or with none, nothing is added."""
     config, seen = ls.TrainConfig(cap=1000, initial=400), cameras(5)
     few, many = np.zeros((19, 3)), np.zeros((20, 3))
@@ -70,7 +70,7 @@ def test_random_points_are_added_to_few_known_points(caplog: pytest.LogCaptureFi
         ([0, 1, 2, 3], None),
     ],
 )
-def test_few_positions_and_duplicate_poses_are_reported(
+def test_training_reports_few_camera_positions_and_duplicate_poses(
     numbers: list[int], problem: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """One log line with advice; no line for enough distinct cameras."""
@@ -83,7 +83,7 @@ def test_few_positions_and_duplicate_poses_are_reported(
     assert problem or not caplog.messages
 
 
-def test_positions_and_poses_are_counted_in_any_unit() -> None:
+def test_camera_positions_and_poses_are_counted_alike_in_any_unit() -> None:
     """A camera that rotates has one position and several poses."""
     for scale in (1e-3, 1.0, 1e4):
         eyes = scale * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

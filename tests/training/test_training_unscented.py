@@ -58,7 +58,7 @@ def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
     return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
 
-def test_training_frame_equals_the_renderer_frame() -> None:
+def test_unscented_training_frame_equals_the_frame_of_the_renderer() -> None:
     """The frames agree after the Gaussians have moved or been replaced."""
     one, camera = trainer(CONFIG, lenses(4)), lenses(6)[5]
     for _ in range(30):
@@ -81,7 +81,7 @@ def check_frame(one: Trainer, camera: ls.Camera) -> None:
 
 
 @pytest.mark.parametrize("kind", LENSES)
-def test_unscented_training_improves_held_out_views(kind: str) -> None:
+def test_unscented_training_improves_held_out_views_by_4_db(kind: str) -> None:
     """200 small iterations gain 4 dB."""
     one, others = trainer(CONFIG, lenses(8, kind)), lenses(40, kind)[33:36]
     before, losses = held_out_psnr(one, others), [one.step().total for _ in range(200)]
@@ -91,7 +91,7 @@ def test_unscented_training_improves_held_out_views(kind: str) -> None:
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", LENSES)
-def test_known_gaussians_are_recovered_from_ray_traced_images(kind: str) -> None:
+def test_unscented_training_recovers_gaussians_from_ray_traced_images(kind: str) -> None:
     """32 images through a lens give more than 40 dB on held-out views."""
     config = replace(CONFIG, iterations=6000, cap=400, initial=400)
     views = lenses(40, kind, 64)
@@ -101,7 +101,7 @@ def test_known_gaussians_are_recovered_from_ray_traced_images(kind: str) -> None
     assert held_out_psnr(one, views[33:]) > 40.0
 
 
-def test_random_points_lie_within_the_fisheye_view() -> None:
+def test_initial_random_points_lie_within_the_view_of_a_fisheye() -> None:
     """A fisheye of 240 degrees gets points all around, near the distance of its target."""
     wide = [replace(camera, fx=9.0, fy=9.0, model=ls.CameraModel.FISHEYE) for camera in cameras(6)]
     around = SceneScale.of(wide)
@@ -131,7 +131,7 @@ def test_unscented_training_has_the_same_bits_on_any_number_of_threads() -> None
             np.testing.assert_array_equal(values, first.values[name], err_msg=name)
 
 
-def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None:
+def test_unscented_training_uses_fisheye_images_without_undistortion(tmp_path: Path) -> None:
     """The held-out score is measured through the lens."""
     some = lenses(9)
     folder = tmp_path / "set"
@@ -150,7 +150,7 @@ def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None
     assert result.score.of_views[held_out_image.name] == pytest.approx(found, abs=0.05)
 
 
-def test_incompatible_settings_are_refused() -> None:
+def test_unscented_training_refuses_incompatible_settings() -> None:
     """The error has one line."""
     refused: list[tuple[dict[str, Any], str]] = [
         ({"pipeline": "trace"}, r"projection is unscented, which is for Pipeline\.RASTER"),

@@ -40,7 +40,7 @@ def trained(images: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls
 @pytest.mark.parametrize(
     ("unit", "origin"), [(1000.0, 0.0 * UTM), (1e-3, 0.0 * UTM), (1.0, UTM), (1000.0, 1000.0 * UTM)]
 )
-def test_training_is_independent_of_unit_and_origin(
+def test_training_is_independent_of_the_unit_and_origin_of_the_scene(
     tmp_path: Path, unit: float, origin: np.ndarray, points: bool
 ) -> None:
     """Gaussians are scaled and moved up to rounding, from millimetres to UTM coordinates."""
@@ -57,7 +57,7 @@ def test_training_is_independent_of_unit_and_origin(
 
 
 @pytest.mark.parametrize("pipeline", ["trace", "unscented"])
-def test_training_by_rays_is_independent_of_unit(tmp_path: Path, pipeline: str) -> None:
+def test_ray_and_unscented_training_are_independent_of_the_unit(tmp_path: Path, pipeline: str) -> None:
     """Checks the ray tracer and the unscented transform."""
     backend = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.config.Projection.UNSCENTED}
     config = replace(CONFIG, iterations=20, **backend)
@@ -69,7 +69,7 @@ def test_training_by_rays_is_independent_of_unit(tmp_path: Path, pipeline: str) 
     assert scores[1].psnr == pytest.approx(scores[0].psnr, abs=0.05)
 
 
-def test_training_at_a_far_origin_is_written_and_resumes(tmp_path: Path) -> None:
+def test_training_far_from_the_origin_is_written_and_resumes(tmp_path: Path) -> None:
     """The file stores the origin, and refined cameras are in world space."""
     far = images(tmp_path / "far", 1.0, UTM)
     config = replace(CONFIG, refine_poses=True)
@@ -84,7 +84,7 @@ def test_training_at_a_far_origin_is_written_and_resumes(tmp_path: Path) -> None
         assert np.linalg.norm(camera.eye - view.camera.eye) < 0.1
 
 
-def test_camera_extent_is_the_same_in_any_unit(tmp_path: Path) -> None:
+def test_camera_extent_in_the_training_frame_is_equal_for_any_unit(tmp_path: Path) -> None:
     """Scale regularisation and noise therefore have the same effect."""
     extents = []
     for unit, origin in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
@@ -93,7 +93,9 @@ def test_camera_extent_is_the_same_in_any_unit(tmp_path: Path) -> None:
     np.testing.assert_allclose(extents, extents[0], rtol=1e-6)
 
 
-def test_positions_at_a_far_origin_are_distinct(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_camera_positions_far_from_the_origin_count_as_distinct(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Cameras five units apart, five million units from the origin, are not at one position."""
     trained(images(tmp_path, 1.0, UTM), replace(CONFIG, iterations=1))
     assert "camera position" not in caplog.text and "same pose" not in caplog.text

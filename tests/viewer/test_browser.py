@@ -167,7 +167,7 @@ def step_back(viewer: ls.Viewer) -> None:
     eventually(lambda: page.pose is not None and page.pose.position[2] < -4.9, "the camera did not move")
 
 
-def test_reloaded_page_needs_no_token(browser: Any, viewer: ls.Viewer) -> None:
+def test_reloaded_page_is_admitted_by_its_cookie_without_a_token(browser: Any, viewer: ls.Viewer) -> None:
     """The cookie admits a reloaded page; another browser without token and cookie gets status 401."""
     page = open_page(browser, viewer)
     address = viewer.url.partition("?")[0]
@@ -257,7 +257,7 @@ def test_page_can_be_reopened_after_the_browser_was_killed(browser: Any, viewer:
     page.close()
 
 
-def test_outliner_selects_hides_and_locks_objects(browser: Any, viewer: ls.Viewer) -> None:
+def test_clicks_on_outliner_rows_select_hide_and_lock_objects(browser: Any, viewer: ls.Viewer) -> None:
     """Clicks on outliner rows select, hide and lock; the browser tab shows the program's name."""
     page = open_page(browser, viewer)
     assert page.title() == "Lumisplat"

@@ -44,7 +44,7 @@ def costs(full: float) -> dict[DetailStep, float]:
     return {step: full * (1.0, 0.25, 0.125)[step.level] * step.scale for step in GAUSSIAN_STEPS}
 
 
-def test_detail_steps_reduce_gaussians_before_pixels() -> None:
+def test_detail_steps_of_moving_views_reduce_gaussians_before_pixels() -> None:
     """Each step is coarser than the previous one; resolution drops only after the first reduced level of detail."""
     assert (
         GAUSSIAN_STEPS[0] == DetailStep(0, 1.0)
@@ -84,7 +84,7 @@ def test_detail_controller_skips_steps_after_two_very_slow_frames() -> None:
 
 
 @pytest.mark.parametrize(("count", "level", "scale"), [(1000, 1, 1.0), (2_000_000, 1, 1.0), (3_000_000, 2, 0.5)])
-def test_large_scenes_start_at_a_coarse_step(count: int, level: int, scale: float) -> None:
+def test_first_frame_of_a_large_scene_has_a_coarse_detail_step(count: int, level: int, scale: float) -> None:
     """The first frame of a large scene has at most `MOVING_GAUSSIANS_MAX` Gaussians; others start at a quarter."""
     assert GAUSSIAN_STEPS[first_step(count)] == DetailStep(level, scale)
 
@@ -101,7 +101,7 @@ def random_capture(count: int) -> ls.Gaussians:
     )
 
 
-def test_levels_are_built_once_and_keep_the_instance_transform() -> None:
+def test_levels_of_detail_are_built_once_and_keep_the_instance_transform() -> None:
     """The full capture is shown until its level exists; small captures have no levels."""
     made = threading.Semaphore(0)
     levels = Levels(made.release)
@@ -118,7 +118,7 @@ def test_levels_are_built_once_and_keep_the_instance_transform() -> None:
     levels.close()
 
 
-def test_large_scenes_are_thinned_until_their_levels_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_scenes_are_thinned_until_their_levels_of_detail_exist(monkeypatch: pytest.MonkeyPatch) -> None:
     """Thinned captures are available at once with enlarged Gaussians; many small captures count as one large scene."""
     monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.MOVING_GAUSSIANS_MAX", 4 * LEVEL_GAUSSIANS_MIN)
     made, busy = threading.Semaphore(0), threading.Event()
@@ -138,7 +138,7 @@ def test_large_scenes_are_thinned_until_their_levels_exist(monkeypatch: pytest.M
     levels.close()
 
 
-def test_levels_built_in_blocks_cover_the_whole_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_levels_of_detail_built_by_blocks_cover_the_whole_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gaussians are merged only within a spatial block, and progress runs from 0 to 1."""
     monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.LEVEL_BLOCK", 8192)
     made, reported = threading.Semaphore(0), list[float]()
@@ -155,7 +155,7 @@ def test_levels_built_in_blocks_cover_the_whole_capture(monkeypatch: pytest.Monk
     levels.close()
 
 
-def test_pose_gives_the_same_rays_as_the_page_camera() -> None:
+def test_camera_of_a_page_pose_equals_the_page_camera_at_any_height() -> None:
     """A pose gives the same rays as a camera at the same position, at any image height."""
     from viser import transforms
 
@@ -190,7 +190,7 @@ def box_frame() -> ls.Frame:
     return ls.render(ls.Scene(meshes=[ls.box(2.0)]), FACING, device="cpu")
 
 
-def test_picking_reads_the_frames_aovs() -> None:
+def test_picking_returns_the_object_and_depth_of_the_frame_at_a_pixel() -> None:
     """The box front is 3 units away at the image centre; beside the box and outside the image nothing is picked."""
     frame = box_frame()
     pick = picked(frame, 0.5, 0.5)
@@ -200,14 +200,14 @@ def test_picking_reads_the_frames_aovs() -> None:
     assert picked(frame, 0.01, 0.5) is None and picked(frame, -3.0, 7.0) is None
 
 
-def test_page_depth_is_view_depth_in_page_units() -> None:
+def test_depth_sent_to_a_page_is_view_depth_in_page_units() -> None:
     """The depth has every fourth pixel; pixels without a surface are farther away than any gizmo."""
     depth = page_depth(box_frame(), 10.0)
     assert depth.shape == (math.ceil((90 - 2) / DEPTH_STRIDE), 160 // DEPTH_STRIDE)
     assert depth[11, 20] == pytest.approx(30.0, rel=1e-3) and depth[0, 0] >= 1000.0
 
 
-def test_outlines_are_dimmed_behind_surfaces() -> None:
+def test_object_outlines_are_dimmed_behind_surfaces() -> None:
     """Lines in front of the box have full colour, lines behind it a fraction, and all other pixels are unchanged."""
     frame = box_frame()
     black = np.zeros((90, 160, 3), np.uint8)

@@ -32,7 +32,7 @@ def status(guard: Guard, path: str, headers: dict[str, str]) -> int:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "127.0.0.1"])
-def test_local_requests_with_token_or_cookie_are_accepted(host: str) -> None:
+def test_guard_accepts_local_requests_with_token_or_cookie(host: str) -> None:
     """The token in the address or the viewer's cookie admits a request, among any other cookies."""
     assert status(GUARD, WITH_TOKEN, {"Host": host}) == 200
     cookie = GUARD.set_cookie().partition(";")[0]
@@ -60,7 +60,7 @@ def test_local_requests_with_token_or_cookie_are_accepted(host: str) -> None:
         ("/", OWN | {"Cookie": "lumisplat-8080=\udcff"}, 401),
     ],
 )
-def test_requests_without_token_or_with_foreign_host_or_origin_are_rejected(
+def test_guard_rejects_requests_without_token_or_of_foreign_host_or_origin(
     path: str, headers: dict[str, str], expected: int
 ) -> None:
     """A missing token gives 401. A foreign host name or origin gives 403, even with the token."""
@@ -79,7 +79,7 @@ def test_public_viewer_accepts_any_host_name_but_no_foreign_origin() -> None:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.2", "::1", "[::1]"])
-def test_printed_address_opens_the_viewer(host: str) -> None:
+def test_printed_address_of_the_viewer_passes_its_guard(host: str) -> None:
     """The printed address works for each loopback address to listen on."""
     guard = Guard(host, 8080)
     address = guard.url.removeprefix("http://")
@@ -87,7 +87,7 @@ def test_printed_address_opens_the_viewer(host: str) -> None:
     assert "[[" not in address
 
 
-def test_tokens_are_long_and_unique() -> None:
+def test_viewer_tokens_are_long_and_unique() -> None:
     """A token cannot be guessed, and tokens of other viewers do not work."""
     tokens = {Guard("127.0.0.1", 1).token for _ in range(50)}
     assert len(tokens) == 50 and min(map(len, tokens)) >= 32
@@ -162,7 +162,7 @@ def test_every_web_socket_passes_the_guard(server: PageServer) -> None:
     assert socket_status(server, origin=own, token="") == 401
 
 
-def test_events_can_be_set_from_any_thread() -> None:
+def test_any_thread_event_can_be_set_while_waiters_come_and_go() -> None:
     """Setting an event while waiters come and go does not raise, as asyncio's own event would."""
     event, ends, woken = AnyThreadEvent(), threading.Event(), [0]
     errors: list[BaseException] = []
@@ -206,7 +206,7 @@ def test_page_server_uses_thread_safe_events(server: PageServer) -> None:
     assert isinstance(buffer._websock_server._broadcast_buffer.message_event, AnyThreadEvent)
 
 
-def test_occupied_or_invalid_port_is_reported() -> None:
+def test_page_server_reports_an_occupied_or_invalid_port() -> None:
     """The error names the port and what to do."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -216,7 +216,7 @@ def test_occupied_or_invalid_port_is_reported() -> None:
         listening_socket("127.0.0.1", 70000)
 
 
-def test_closed_server_frees_its_port_and_threads(capfd: pytest.CaptureFixture[str]) -> None:
+def test_closed_page_server_frees_its_port_and_threads(capfd: pytest.CaptureFixture[str]) -> None:
     """The server also prints nothing."""
     before = set(threading.enumerate())
     server = PageServer("127.0.0.1", 0)
@@ -291,13 +291,13 @@ def test_valid_page_messages_are_accepted() -> None:
         {"type": "ScenePointerMessage", "screen_pos": []},
     ],
 )
-def test_invalid_messages_are_dropped_and_logged_once(message: object, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_page_messages_are_dropped_and_logged_once(message: object, caplog: pytest.LogCaptureFixture) -> None:
     """The log has one line per page, whatever the number of invalid messages."""
     assert accepts(message, message, CAMERA) == [False, False, True]
     assert len(caplog.records) == 1
 
 
-def test_undecodable_bytes_are_dropped() -> None:
+def test_page_messages_that_cannot_be_decoded_are_dropped() -> None:
     """Text, random bytes and messages nested too deeply are dropped."""
     inbox = Inbox()
     for raw in ("text", b"", b"\xc1", b"\xff" * 100, b"\x91" * 5000, bytes(2**23)):
@@ -305,7 +305,7 @@ def test_undecodable_bytes_are_dropped() -> None:
     assert inbox.dropped == 6
 
 
-def test_uploads_cannot_exceed_their_declared_size() -> None:
+def test_page_uploads_cannot_exceed_their_declared_size() -> None:
     """Several concurrent uploads together cannot exceed the limit of one."""
     start, part = UPLOAD | {"size_bytes": 4, "part_count": 2}, PART | {"part_index": 0, "content": b"abc"}
     assert accepts(start, part, part) == [True, True, False]

@@ -70,7 +70,7 @@ def horizon(page: Page) -> float:
     return abs(float(page.pose.camera(HEIGHT).camera_from_world[0, :3] @ UP))
 
 
-def test_levelling_and_undo_change_up_but_not_the_capture(viewer: ls.Viewer) -> None:
+def test_viewer_levelling_and_undo_change_up_but_not_the_capture(viewer: ls.Viewer) -> None:
     """Page, upright objects, sun angles and ground follow the new up; capture and light stay in place."""
     session = viewer._session
     crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
@@ -119,7 +119,7 @@ def test_unmoved_page_frames_the_whole_levelled_scene(viewer: ls.Viewer) -> None
         np.testing.assert_allclose(page.pose.position, position, atol=1e-5)
 
 
-def test_three_clicks_set_the_up_direction(viewer: ls.Viewer) -> None:
+def test_three_clicks_on_the_ground_set_the_up_direction(viewer: ls.Viewer) -> None:
     """The clicks select nothing, a click on the background does not count, and later clicks select again."""
     session, level = viewer._session, viewer._outliner.level
     problems: list[str] = []
@@ -148,7 +148,7 @@ def click(viewer: ls.Viewer, page: Page, at: tuple[float, ...]) -> None:
     viewer._pick(page, SimpleNamespace(screen_pos=at))
 
 
-def test_collinear_ground_points_are_rejected(viewer: ls.Viewer) -> None:
+def test_collinear_clicks_on_the_ground_leave_up_unchanged(viewer: ls.Viewer) -> None:
     """An error is reported, up is unchanged, and the mode ends."""
     problems: list[str] = []
     viewer._session.error_listeners.append(problems.append)
@@ -163,7 +163,7 @@ def test_collinear_ground_points_are_rejected(viewer: ls.Viewer) -> None:
     assert "are collinear" in problems[0] and viewer.document is before and viewer._session.ground_points is None
 
 
-def test_ground_normal_points_toward_the_camera() -> None:
+def test_normal_of_three_ground_points_points_toward_the_camera() -> None:
     """The order of the points does not matter; collinear points have no normal."""
     points = [np.array(point) for point in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 2.0))]
     for order in ((0, 1, 2), (1, 0, 2)):
@@ -175,7 +175,7 @@ def test_ground_normal_points_toward_the_camera() -> None:
 
 
 @pytest.mark.parametrize("size", [(0.4, 3.0, 0.4), (3.0, 0.3, 0.5), (1.0, 1.0, 1.0)])
-def test_scene_fits_pages_of_any_aspect_ratio(size: tuple[float, float, float]) -> None:
+def test_first_view_shows_the_whole_scene_on_pages_of_any_aspect_ratio(size: tuple[float, float, float]) -> None:
     """All corners of the scene are in view, and a tall scene is no smaller than necessary on a phone."""
     scene = ls.Scene(meshes=[ls.MeshInstance(ls.box(size))], up="y-up")
     view = FirstView.of(scene)
@@ -191,7 +191,7 @@ def test_scene_fits_pages_of_any_aspect_ratio(size: tuple[float, float, float]) 
             assert np.ptp(pixels[:, 1]) > 600.0
 
 
-def test_added_environment_image_is_upright(tmp_path: Path) -> None:
+def test_environment_image_added_in_the_viewer_is_upright(tmp_path: Path) -> None:
     """The image's upper edge faces up for every up direction; an environment that has a rotation keeps it."""
     from viser import transforms
 
@@ -208,7 +208,7 @@ def test_added_environment_image_is_upright(tmp_path: Path) -> None:
     assert list(document.entry(number).table["rotation_wxyz"]) == [1.0, 0.0, 0.0, 0.0]
 
 
-def test_levelling_without_captures_reports_what_to_do() -> None:
+def test_levelling_a_scene_without_captures_reports_what_to_do() -> None:
     """A scene of meshes reports an error and keeps its up direction."""
     viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0))], up="y-up"), height=HEIGHT, device="cpu")
     viewer._loader.join()

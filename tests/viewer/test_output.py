@@ -98,7 +98,7 @@ def test_video_has_a_frame_for_each_time_of_the_camera_path(viewer: ls.Viewer, p
     assert min(similar) > 30.0
 
 
-def test_jobs_can_be_cancelled_and_run_one_at_a_time(viewer: ls.Viewer, page: PageClient) -> None:
+def test_viewer_runs_one_background_job_at_a_time_and_can_cancel_it(viewer: ls.Viewer, page: PageClient) -> None:
     """A long render ends when cancelled; another job is refused while it runs."""
     page.choose("samples per pixel", 60000, folder="images")
     page.press("render image")
@@ -110,7 +110,7 @@ def test_jobs_can_be_cancelled_and_run_one_at_a_time(viewer: ls.Viewer, page: Pa
     assert not page.downloads()
 
 
-def test_viewer_closes_during_a_job() -> None:
+def test_viewer_closes_during_a_background_render() -> None:
     """The viewer closes in the middle of a render."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     viewer._loader.join()

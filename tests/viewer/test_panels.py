@@ -99,7 +99,7 @@ def field(name: str, cls: type = Sample) -> Setting:
     return next(one for one in control_settings(cls) if one.name == name)
 
 
-def test_settings_have_kind_range_and_help() -> None:
+def test_controls_of_any_dataclass_have_kind_range_and_help() -> None:
     """A dataclass that is not part of the package gets its controls from its declarations."""
     assert [one.name for one in control_settings(Sample)] == ["share", "count", "kind", "base_color", "inner"]
     assert (field("share").kind, field("share").low, field("share").high) == ("number", 0.0, 0.9)
@@ -112,7 +112,7 @@ def test_settings_have_kind_range_and_help() -> None:
 
 
 @pytest.mark.parametrize("cls", [ls.RenderConfig, ls.RealtimeConfig, ls.ShadowConfig, ls.MaterialPbr, ls.LightSpot])
-def test_every_value_round_trips_through_its_control(cls: type) -> None:
+def test_every_default_setting_round_trips_through_its_control(cls: type) -> None:
     """Defaults of all settings survive display and reading, colours with 8 bits."""
     for one in control_settings(cls):
         if one.kind == "group" or repr(one.default).startswith("<dataclasses._MISSING"):
@@ -124,7 +124,7 @@ def test_every_value_round_trips_through_its_control(cls: type) -> None:
             assert back == one.default, one.name
 
 
-def test_declared_ranges_of_settings_are_found() -> None:
+def test_controls_have_the_declared_ranges_of_settings() -> None:
     """Controls have the ranges that the package declares."""
     ends = {
         name: (field(name, cls).low, field(name, cls).high)
@@ -156,7 +156,7 @@ def test_black_body_colours_match_reference_chromaticities(
     np.testing.assert_allclose(color_of_temperature(kelvins), expected, atol=0.06)
 
 
-def test_picked_srgb_colours_become_linear() -> None:
+def test_colours_picked_as_srgb_become_linear() -> None:
     """All 256 levels round-trip; linear 0.5 is level 188."""
     for shade in range(256):
         assert color_bytes_from_linear(linear_from_color_bytes((shade, shade, shade))) == (shade, shade, shade)
@@ -203,7 +203,7 @@ def shift(x: float, y: float, z: float) -> np.ndarray:
     return matrix
 
 
-def test_drag_translates_objects_and_lights() -> None:
+def test_gizmo_drag_translates_objects_and_lights() -> None:
     """A box keeps its rotation and size; lights follow the gizmo, and a sun stays on its dome."""
     before = document().scene()
     after = moved(0, shift(0.5, 0.0, -1.0)).scene()
@@ -227,7 +227,7 @@ def test_gizmo_rotation_rotates_the_emission_of_lights() -> None:
     np.testing.assert_allclose(disk.direction, (0.0, 0.0, 1.0), atol=1e-9)  # pyright: ignore
 
 
-def test_inspector_fields_edit_the_entry() -> None:
+def test_inspector_fields_edit_the_selected_scene_entry() -> None:
     """Position, scale, material and visibility of a box, and the angles of a spot in degrees, are applied."""
     edited = put_field(document(), 0, "position", (0.0, 0.0, 9.0))
     edited = put_field(edited, 0, "scale", 0.5)
@@ -273,7 +273,7 @@ def test_dragging_an_actor_moves_its_whole_motion(tmp_path: Path, time: float) -
     np.testing.assert_allclose(after, move @ before, atol=1e-9)
 
 
-def test_boxes_enclose_entries_and_are_cached(tmp_path: Path) -> None:
+def test_bounding_boxes_enclose_scene_entries_and_are_cached(tmp_path: Path) -> None:
     """Boxes are in file coordinates for any pose; only changed assets are measured again."""
     boxes, start = BoxCache(), document()
     box = boxes.of(start.entry(0))
@@ -330,13 +330,13 @@ def test_crop_removes_gaussians_outside_the_slider_ranges() -> None:
     assert "crop_low" not in cropped(half, 0, reach, reach, everything).entry(0).table
 
 
-def test_crop_table_lists_the_slider_ends() -> None:
+def test_crop_table_lists_the_slider_ends_of_each_axis() -> None:
     """The table has one row for each axis."""
     ends = np.array([[-1.0, 0.25, 1e-3], [2.0, 1000.5, 12.3456]])
     assert crop_table(ends).splitlines()[2:] == ["| x | -1 | 2 |", "| y | 0.25 | 1000 |", "| z | 0.001 | 12.35 |"]
 
 
-def test_added_meshes_are_placed_as_by_insert() -> None:
+def test_meshes_added_in_the_viewer_are_placed_as_by_insert() -> None:
     """Beside captures, `ls.insert` gives position and scale; beside meshes, the new mesh does not overlap them."""
     capture = random_gaussians(3, count=200)
     for around in (ls.Scene([capture], up="z-up"), ls.Scene(meshes=[ls.box(1.0)])):
@@ -370,7 +370,7 @@ def test_added_environment_image_replaces_the_existing_one(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("aspect", [0.46, 1.2, 2.0])
-def test_new_lights_are_in_view_and_light_the_orbit_centre_equally(aspect: float) -> None:
+def test_lights_added_in_the_viewer_are_in_view_and_light_the_centre_equally(aspect: float) -> None:
     """Any page width works; each type gives the same irradiance at the orbit centre, by closed forms."""
     pose = Pose.through(ls.Camera.look_at((1.0, 2.0, -4.0), (0.5, 0.0, 1.0), (0.0, -1.0, 0.0)), 3.0)
     pose = replace(pose, aspect=aspect)
@@ -390,7 +390,7 @@ def test_new_lights_are_in_view_and_light_the_orbit_centre_equally(aspect: float
         assert table["intensity"] * area.get(kind, 1.0) / distance**2 == pytest.approx(3.0)
 
 
-def test_scale_that_is_not_positive_is_rejected() -> None:
+def test_inspector_rejects_a_scale_that_is_not_positive() -> None:
     """The error names the scale, not a singular matrix."""
     for scale in (0.0, -2.0, math.inf):
         with pytest.raises(ls.ConfigError, match=f"^scale is {scale:g}, expected a number > 0$"):
@@ -410,7 +410,7 @@ def test_mesh_material_type_can_be_changed_and_restored() -> None:
     assert shading_of(changed.changed(0, material=None).entry(0)) == "as in the file"
 
 
-def test_grid_is_perpendicular_to_up_with_power_of_ten_spacing() -> None:
+def test_ground_grid_is_perpendicular_to_up_with_power_of_ten_spacing() -> None:
     """The grid has the requested size."""
     outline = grid_outline((1.0, 2.0, 3.0), (0.0, -1.0, 0.0), 6.0)
     points = np.concatenate(outline.lines)
@@ -418,7 +418,7 @@ def test_grid_is_perpendicular_to_up_with_power_of_ten_spacing() -> None:
     assert len(outline.lines) == 2 * 7 and np.ptp(points[:, 0]) == pytest.approx(6.0)
 
 
-def test_insets_show_depth_and_normals_in_the_corner() -> None:
+def test_insets_change_only_the_lower_left_corner_of_the_image() -> None:
     """The framed insets are in the lower left; the rest of the image is unchanged."""
     frame = ls.render(ls.Scene(meshes=[ls.box(2.0)]), camera(), device="cpu")
     picture = np.asarray(frame, np.uint8)
@@ -427,7 +427,7 @@ def test_insets_show_depth_and_normals_in_the_corner() -> None:
     assert changed.any() and not changed[:60].any() and not changed[:, 100:].any()
 
 
-def test_selected_sphere_encloses_the_selected_object() -> None:
+def test_selection_sphere_encloses_the_selected_object() -> None:
     """A box gets its bounding sphere and a light a fraction of the scene size; no selection gives None."""
     session = Session(Options())
     session.open(State(document()))
@@ -469,7 +469,7 @@ def test_quick_number_edits_merge_into_one_undo_but_choices_do_not() -> None:
     assert session.undo() and session.state.exposure == 1.0
 
 
-def test_edits_of_several_threads_are_all_applied() -> None:
+def test_simultaneous_edits_of_several_threads_are_all_applied() -> None:
     """A slow edit that reads a file keeps changes made meanwhile."""
     session, begun, edited = Session(Options()), threading.Event(), threading.Event()
     session.open(State(document()))
@@ -495,7 +495,7 @@ def test_every_readable_usd_extension_can_be_added() -> None:
     assert {*USD} <= {*adding._READABLE}
 
 
-def test_long_upload_names_are_shortened(tmp_path: Path) -> None:
+def test_long_names_of_uploads_are_shortened_and_keep_their_extension(tmp_path: Path) -> None:
     """The name fits every file system and keeps its extension."""
     path = free_name(tmp_path, "x" * 400 + ".ply")
     assert path.suffix == ".ply" and len(path.name) <= 100
@@ -503,7 +503,7 @@ def test_long_upload_names_are_shortened(tmp_path: Path) -> None:
     assert free_name(tmp_path, "x" * 400 + ".ply") != path
 
 
-def test_command_line_selects_an_existing_frame(tmp_path: Path) -> None:
+def test_displayed_command_selects_an_existing_animation_frame(tmp_path: Path) -> None:
     """The end of the animation maps to the last frame; hidden actors do not count."""
     session = Session(Options())
     session.open(State(walker(tmp_path).with_animation(duration=2.0, fps=5.0)))
@@ -545,7 +545,7 @@ def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:
     return [value for one in fields(gaussians) if isinstance(value := getattr(gaussians, one.name), np.ndarray)]
 
 
-def test_command_line_uses_the_samples_of_the_settings(tmp_path: Path) -> None:
+def test_displayed_command_has_the_samples_of_the_settings(tmp_path: Path) -> None:
     """Samples accumulated in the image do not count; without a setting there is no option."""
     session = Session(Options())
     session.open(State(ls.io.SceneDocument.of(cloud()), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=16)))
@@ -555,7 +555,7 @@ def test_command_line_uses_the_samples_of_the_settings(tmp_path: Path) -> None:
     assert "--samples" not in command_line(Path("a.toml"), pose, session)
 
 
-def test_command_line_repeats_loading_options_and_the_exact_view(tmp_path: Path) -> None:
+def test_displayed_command_repeats_loading_options_and_the_exact_view(tmp_path: Path) -> None:
     """Files with invalid Gaussians need the option again; scenes far from the origin need all digits."""
     ls.save(tmp_path / "ball.ply", cloud())
     viewer = ls.view(tmp_path / "ball.ply", device="cpu", drop_invalid=True, lod_budget=1000)
@@ -567,7 +567,7 @@ def test_command_line_repeats_loading_options_and_the_exact_view(tmp_path: Path)
 
 
 @pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
-def test_sun_direction_follows_angles_and_hour(up: tuple[float, float, float]) -> None:
+def test_sun_direction_of_the_inspector_follows_angles_and_hour(up: tuple[float, float, float]) -> None:
     """Angles round-trip for every up direction; the sun rises in the east at 6 and is highest, in front, at 12."""
     for azimuth, elevation in ((0.0, 30.0), (90.0, 5.0), (200.0, -40.0), (359.0, 80.0)):
         direction = direction_of_angles(azimuth, elevation, up)
@@ -613,12 +613,12 @@ def test_inspector_sets_sun_angles_independently() -> None:
         (math.inf, 8, math.inf),
     ],
 )
-def test_displayed_numbers_fit_their_control(value: float, room: int, shown: float) -> None:
+def test_numbers_are_rounded_to_fit_their_control(value: float, room: int, shown: float) -> None:
     """Numbers are neither cut off nor padded with zeros, and keep all digits before the decimal point."""
     assert rounded_for_display(value, room) == shown
 
 
-def test_unchanged_vector_components_keep_full_precision() -> None:
+def test_editing_one_vector_component_keeps_the_others_exact() -> None:
     """Typing one component leaves the others exact, although fewer digits are displayed."""
     before = (12.15493217, 0.0123456789, -3.0)
     field = Setting("position", "vector", "")
@@ -626,7 +626,7 @@ def test_unchanged_vector_components_keep_full_precision() -> None:
     assert keep_unchanged_numbers(given, before) == (12.15493217, 0.5, -3.0)
 
 
-def test_first_material_edit_keeps_the_folder_and_controls(tmp_path: Path) -> None:
+def test_first_material_edit_keeps_the_folder_and_controls_of_the_inspector(tmp_path: Path) -> None:
     """The controls stay if the material type stays, also if the material came from the file before."""
     viewer = ls.view(ls.MeshInstance(ls.box(1.0)).mesh, height=90, device="cpu")
     viewer._loader.join()
@@ -642,7 +642,7 @@ def test_first_material_edit_keeps_the_folder_and_controls(tmp_path: Path) -> No
     viewer.close()
 
 
-def test_outliner_commands_select_hide_and_lock() -> None:
+def test_outliner_commands_select_hide_and_lock_entries() -> None:
     """A locked entry cannot be selected in the image or edited."""
     viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0), name="crate")]), height=90, device="cpu")
     viewer._loader.join()

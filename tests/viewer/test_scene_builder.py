@@ -49,7 +49,7 @@ def colors(scene: ls.Scene) -> list[np.ndarray]:
     return [np.asarray(instance.gaussians.sh) for instance in scene.splats]
 
 
-def test_actors_are_lit_as_in_animation_frames(scenes: SceneBuilder) -> None:
+def test_viewer_lights_actors_as_in_animation_frames(scenes: SceneBuilder) -> None:
     """Shadows on the floor and the relit actor are equal bit for bit, and unchanged inputs return the same scene."""
     wanted = animation()
     shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
@@ -59,7 +59,7 @@ def test_actors_are_lit_as_in_animation_frames(scenes: SceneBuilder) -> None:
     assert np.abs(colors(shown)[0] - colors(wanted.scene)[0]).max() > 0.1  # there is a shadow
 
 
-def test_unchanged_inputs_return_the_same_scene_object(scenes: SceneBuilder) -> None:
+def test_scene_builder_returns_the_same_object_for_unchanged_inputs(scenes: SceneBuilder) -> None:
     """Another time or lighting setting gives another scene."""
     document = ls.io.SceneDocument.of(animation())
     first = scenes.of(document, CONFIG, 1.0, 0, waits=True)
@@ -71,7 +71,7 @@ def test_unchanged_inputs_return_the_same_scene_object(scenes: SceneBuilder) -> 
     assert np.abs(colors(half)[0] - colors(first)[0]).max() > 0.05
 
 
-def test_actors_are_unlit_until_their_lighting_is_prepared(scenes: SceneBuilder) -> None:
+def test_viewer_shows_actors_unlit_until_their_lighting_is_prepared(scenes: SceneBuilder) -> None:
     """A change of the static scene makes the lighting invalid again."""
     document, plain = ls.io.SceneDocument.of(animation()), colors(animation().scene)[0]
     unlit = scenes.of(document, CONFIG, 1.0, 0, waits=False)
@@ -84,7 +84,7 @@ def test_actors_are_unlit_until_their_lighting_is_prepared(scenes: SceneBuilder)
     np.testing.assert_array_equal(colors(scenes.of(moved, CONFIG, 1.2, 0, waits=False))[0], plain)
 
 
-def test_disabled_actor_lighting_changes_nothing(scenes: SceneBuilder) -> None:
+def test_disabled_actor_lighting_changes_no_colour_of_floor_or_actor(scenes: SceneBuilder) -> None:
     """Without shadows and relighting, floor and actor keep their colours."""
     off = ls.config.AvatarLightingConfig(shadows=False, relight=False)
     shown = scenes.of(ls.io.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)
@@ -92,7 +92,7 @@ def test_disabled_actor_lighting_changes_nothing(scenes: SceneBuilder) -> None:
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_actors_are_unlit_if_no_light_is_found() -> None:
+def test_viewer_shows_actors_unlit_if_no_light_is_found() -> None:
     """The failure is reported once and the frame is still rendered."""
     reported: list[str] = []
     levels = Levels(lambda: None)

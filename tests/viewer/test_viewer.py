@@ -122,7 +122,7 @@ def viewer() -> Iterator[ls.Viewer]:
     viewer.close()
 
 
-def test_page_shows_the_rendered_image(viewer: ls.Viewer) -> None:
+def test_viewer_page_shows_the_rendered_image(viewer: ls.Viewer) -> None:
     """The still image equals a frame with the same samples and camera, up to JPEG error."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -132,7 +132,7 @@ def test_page_shows_the_rendered_image(viewer: ls.Viewer) -> None:
     assert ls.metrics.psnr(shown.astype(np.float32), expected) > 35.0
 
 
-def test_pages_have_independent_cameras(viewer: ls.Viewer) -> None:
+def test_viewer_pages_have_independent_cameras(viewer: ls.Viewer) -> None:
     """A page keeps its camera while the other page moves."""
     with PageClient(viewer.url) as left, PageClient(viewer.url) as right:
         left.look(camera(-1.5))
@@ -144,7 +144,7 @@ def test_pages_have_independent_cameras(viewer: ls.Viewer) -> None:
         np.testing.assert_array_equal(left.picture(), before)
 
 
-def test_click_selects_the_visible_object(viewer: ls.Viewer) -> None:
+def test_click_in_the_image_selects_the_visible_object(viewer: ls.Viewer) -> None:
     """The last frame decides: a capture with its Gaussian, a mesh, or nothing."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -160,7 +160,9 @@ def test_click_selects_the_visible_object(viewer: ls.Viewer) -> None:
         eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "no notification arrived")
 
 
-def test_changing_the_selection_removes_old_controls(viewer: ls.Viewer, recwarn: pytest.WarningsRecorder) -> None:
+def test_changing_the_selection_removes_the_controls_of_the_last_object(
+    viewer: ls.Viewer, recwarn: pytest.WarningsRecorder
+) -> None:
     """Controls of one object after another are added and removed exactly once."""
     for entry in (*viewer.document.entries, *viewer.document.entries):
         viewer._session.select(entry.id)
@@ -198,7 +200,7 @@ def test_gizmo_drag_moves_the_light_and_one_undo_restores_it(viewer: ls.Viewer) 
         np.testing.assert_array_equal(settled(viewer, page), moved)
 
 
-def test_page_controls_change_the_image(viewer: ls.Viewer) -> None:
+def test_controls_of_a_viewer_page_change_its_image(viewer: ls.Viewer) -> None:
     """A choice and a slider take effect; an invalid value is reported and changes nothing."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -214,7 +216,9 @@ def test_page_controls_change_the_image(viewer: ls.Viewer) -> None:
         assert viewer._session.state == state
 
 
-def test_tone_map_exposure_and_view_need_no_new_samples(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tone_map_exposure_and_view_changes_render_no_new_samples(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The still frame is developed again; other changes render a new frame."""
     render, count = ls.Renderer.render, 0
 
@@ -304,7 +308,7 @@ def test_failed_frame_is_reported_and_rendering_continues(viewer: ls.Viewer) -> 
         np.testing.assert_array_equal(settled(viewer, page), before)
 
 
-def test_saved_scene_renders_the_same_frame(viewer: ls.Viewer, tmp_path: Path) -> None:
+def test_scene_saved_after_edits_renders_the_same_frame(viewer: ls.Viewer, tmp_path: Path) -> None:
     """After edits of all kinds, the saved file renders the page's frame."""
     document = viewer.document.changed(light_id(viewer), intensity=20.0)
     document, number = document.added("meshes", {"shape": "sphere", "size": 0.4, "position": [0.0, -0.6, 0.0]})
@@ -327,7 +331,7 @@ def test_saved_scene_renders_the_same_frame(viewer: ls.Viewer, tmp_path: Path) -
     ],
     ids=["as it is", "soft, toned", "paths", "as captured"],
 )
-def test_command_line_renders_the_page_view(
+def test_displayed_command_renders_the_image_of_the_page(
     viewer: ls.Viewer, tmp_path: Path, settings: dict[str, Any], exposure: float
 ) -> None:
     """The saved scene and the page's command reproduce the page's image for any settings."""
@@ -355,7 +359,9 @@ def test_command_line_renders_the_page_view(
     assert ls.metrics.psnr(ls.load_image(tmp_path / "view.png"), (shown / 255.0).astype(np.float32)) > 35.0
 
 
-def test_long_frames_yield_to_a_moving_view(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_frame_of_a_still_view_stops_when_the_view_moves(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A sample of a still view stops when the view moves, without a message, and is rendered again later."""
     stopped, begun = threading.Event(), threading.Event()
     render = ls.Renderer.render
@@ -392,7 +398,7 @@ def rendered_at(height: int) -> np.ndarray:
     return ls.render(lit_scene(), camera(height=height), config, device="cpu").pixels_srgb()
 
 
-def test_pages_that_never_acknowledge_still_get_frames(viewer: ls.Viewer) -> None:
+def test_pages_that_never_acknowledge_frames_still_get_new_ones(viewer: ls.Viewer) -> None:
     """A client that only watches never acknowledges frames."""
     with PageClient(viewer.url, answers=False) as page:
         for step in range(4):
@@ -406,7 +412,7 @@ def page_threads() -> set[threading.Thread]:
     return {thread for thread in threading.enumerate() if thread.name == "lumisplat page"}
 
 
-def test_reconnected_page_sees_the_edits(recwarn: pytest.WarningsRecorder) -> None:
+def test_page_opened_after_a_lost_connection_shows_the_edited_scene(recwarn: pytest.WarningsRecorder) -> None:
     """The closed page's threads end without warnings, and a new page shows the edited scene."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(samples=2))
     viewer._loader.join()
@@ -446,7 +452,7 @@ def test_closed_viewer_frees_its_port_and_threads() -> None:
         assert not thread.is_alive(), thread
 
 
-def test_missing_files_open_no_page(tmp_path: Path) -> None:
+def test_view_of_a_missing_file_raises_before_any_server_starts(tmp_path: Path) -> None:
     """`view` raises before any address exists."""
     for missing in (tmp_path / "a.ply", [tmp_path / "a.ply", str(tmp_path / "b.toml")]):
         threads = threading.active_count()
@@ -455,7 +461,7 @@ def test_missing_files_open_no_page(tmp_path: Path) -> None:
         assert threading.active_count() == threads
 
 
-def test_wait_raises_the_error_of_loading(tmp_path: Path) -> None:
+def test_viewer_wait_raises_the_error_of_an_unreadable_file(tmp_path: Path) -> None:
     """The error names the file that cannot be read."""
     (tmp_path / "damaged.ply").write_bytes(b"ply, or not")
     viewer = ls.view(tmp_path / "damaged.ply", device="cpu")
@@ -464,7 +470,7 @@ def test_wait_raises_the_error_of_loading(tmp_path: Path) -> None:
     viewer.close()
 
 
-def test_wait_raises_the_error_of_an_invalid_animation(tmp_path: Path) -> None:
+def test_viewer_wait_raises_the_error_of_an_invalid_animation(tmp_path: Path) -> None:
     """The captures are readable, but the animation is not; the viewer can be closed."""
     ls.save(tmp_path / "ball.ply", cloud())
     (tmp_path / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n[animation]\nfps = -3.0\n')
@@ -474,7 +480,7 @@ def test_wait_raises_the_error_of_an_invalid_animation(tmp_path: Path) -> None:
     viewer.close()
 
 
-def test_invalid_view_options_are_reported(viewer: ls.Viewer) -> None:
+def test_invalid_view_options_of_a_page_are_reported_and_ignored(viewer: ls.Viewer) -> None:
     """An invalid budget or view is reported, and rendering continues."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -486,7 +492,7 @@ def test_invalid_view_options_are_reported(viewer: ls.Viewer) -> None:
         np.testing.assert_array_equal(settled(viewer, page), before)
 
 
-def test_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) -> None:
+def test_split_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) -> None:
     """The still comparison is finished also while another page moves."""
     with PageClient(viewer.url) as page, PageClient(viewer.url) as other:
         page.look(camera())
@@ -508,7 +514,9 @@ def test_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) -> Non
         assert difference(settled(viewer, page)[64:, :30], joined[64:, :30]) > 4.0, "an inset is on both parts"
 
 
-def test_typed_numbers_are_applied_after_a_pause(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_typed_into_a_control_are_applied_after_a_pause(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Partly typed values are neither applied nor rejected; another event applies a typed value at once."""
     monkeypatch.setattr(event_queue, "TYPING_PAUSE_S", 10.0)  # keys arrive slowly on a busy machine
     light, session = light_id(viewer), viewer._session
@@ -532,7 +540,7 @@ def test_typed_numbers_are_applied_after_a_pause(viewer: ls.Viewer, monkeypatch:
         assert viewer.document.entry(light).table["intensity"] == 7, "what was typed before comes before"
 
 
-def test_each_gizmo_has_a_new_name(viewer: ls.Viewer) -> None:
+def test_each_shown_gizmo_gets_a_new_node_name(viewer: ls.Viewer) -> None:
     """Pages keep a gizmo's rotation by its name, so a new name prevents a wrong rotation."""
     names: list[str] = []
     for entry in (viewer.document.entries[0].id, light_id(viewer), viewer.document.entries[0].id):
@@ -541,7 +549,7 @@ def test_each_gizmo_has_a_new_name(viewer: ls.Viewer) -> None:
     assert len(set(names)) == 3
 
 
-def test_notifications_wait_for_the_next_page(viewer: ls.Viewer) -> None:
+def test_viewer_notifications_wait_until_a_page_is_open(viewer: ls.Viewer) -> None:
     """Log warnings about a scene wait, too; repeated messages are shown once."""
     log = logging.getLogger("lumisplat")
     log.warning("colours of leaves are odd")
@@ -562,7 +570,7 @@ def test_notifications_wait_for_the_next_page(viewer: ls.Viewer) -> None:
         ]
 
 
-def test_page_closed_before_it_was_added_is_dropped(viewer: ls.Viewer) -> None:
+def test_render_loop_drops_a_page_closed_before_it_was_added(viewer: ls.Viewer) -> None:
     """Otherwise the render loop would keep the page for ever."""
     page = Page(BrowserScreen(cast(Any, None)), viewer._session.changed)
     page.close()
@@ -570,7 +578,7 @@ def test_page_closed_before_it_was_added_is_dropped(viewer: ls.Viewer) -> None:
     assert page not in viewer._loop._pages
 
 
-def test_derived_sliders_follow_undo(viewer: ls.Viewer) -> None:
+def test_undo_of_a_colour_temperature_resets_its_slider(viewer: ls.Viewer) -> None:
     """Undo of a colour temperature resets its slider, so that the same temperature can be chosen again."""
     viewer._session.select(light_id(viewer))
     with PageClient(viewer.url) as page:
@@ -582,7 +590,7 @@ def test_derived_sliders_follow_undo(viewer: ls.Viewer) -> None:
             assert viewer._session.undo() and viewer.scene.lights[0].color == (1.0, 1.0, 1.0)
 
 
-def test_drag_keeps_edits_of_other_pages(viewer: ls.Viewer) -> None:
+def test_gizmo_drag_keeps_edits_of_other_pages(viewer: ls.Viewer) -> None:
     """An entry removed by another page stays removed, even if it is the dragged one."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -605,7 +613,7 @@ def test_drag_keeps_edits_of_other_pages(viewer: ls.Viewer) -> None:
         assert not viewer.scene.lights and not page.notes()
 
 
-def test_frame_all_centres_the_scene(viewer: ls.Viewer) -> None:
+def test_frame_all_button_centres_the_scene_in_the_image(viewer: ls.Viewer) -> None:
     """From any position, the scene's centre moves to the image centre."""
     with PageClient(viewer.url) as page:
         away = ls.Camera.look_at((9.0, -0.4, -3.5), (9.0, 0.0, 0.0), UP, width=160, height=HEIGHT)
@@ -618,7 +626,7 @@ def test_frame_all_centres_the_scene(viewer: ls.Viewer) -> None:
         np.testing.assert_allclose(backward / np.linalg.norm(backward), (0.0, -0.114, -0.993), atol=1e-2)
 
 
-def test_status_line_describes_the_pages_own_image(viewer: ls.Viewer) -> None:
+def test_status_line_describes_the_image_of_its_page_only(viewer: ls.Viewer) -> None:
     """The line shows neither the size nor the samples of another page's image."""
     with PageClient(viewer.url) as wide, PageClient(viewer.url) as narrow:
         wide.look(camera())
@@ -634,7 +642,7 @@ def test_status_line_describes_the_pages_own_image(viewer: ls.Viewer) -> None:
             assert not any(line.startswith(other) for line in lines)
 
 
-def test_saving_does_not_silently_drop_unreadable_objects(viewer: ls.Viewer, tmp_path: Path) -> None:
+def test_saving_a_scene_reports_unreadable_objects_that_it_would_drop(viewer: ls.Viewer, tmp_path: Path) -> None:
     """The file that names an unreadable object is not replaced; saving elsewhere reports the loss."""
     document_in(tmp_path)
     file = tmp_path / "scene.toml"
@@ -655,7 +663,7 @@ def test_saving_does_not_silently_drop_unreadable_objects(viewer: ls.Viewer, tmp
         assert (tmp_path / "other.toml").exists()
 
 
-def test_changed_settings_free_unused_renderers(viewer: ls.Viewer) -> None:
+def test_changed_settings_free_renderers_that_no_page_uses(viewer: ls.Viewer) -> None:
     """Only renderers of the current settings remain, and they keep the uploaded scene."""
     held, session = viewer._loop._renderers._held, viewer._session
     with PageClient(viewer.url) as page:

@@ -39,7 +39,7 @@ def camera_path_document() -> ls.io.SceneDocument:
     return with_key(with_key(document, key(0.0), 2.0), key(1.0, exposure=1.0), 1.0)
 
 
-def test_camera_path_passes_through_its_key_views() -> None:
+def test_camera_path_of_the_viewer_passes_through_its_key_views() -> None:
     """The path has the key views' poses, fields of view and exposures at their times, and the animation's duration."""
     document = camera_path_document()
     assert [entry["time"] for entry in keys_of(document)] == [0.0, 2.0, 3.0]
@@ -89,7 +89,7 @@ def test_key_views_are_listed_with_thumbnails() -> None:
     assert camera.image_size == (128, 72) and camera.fov_y == pytest.approx(0.7, rel=1e-5)
 
 
-def test_key_views_extend_a_shorter_animation() -> None:
+def test_key_views_later_than_the_end_extend_the_animation() -> None:
     """A longer animation keeps its duration."""
     document = with_key(ls.io.SceneDocument.of(lit_scene()), key(0.0), 1.0)
     longer = with_key(document.with_animation(duration=9.0, fps=10.0), key(1.0), 4.0).animation

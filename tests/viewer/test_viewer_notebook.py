@@ -83,7 +83,7 @@ def test_orbit_camera_right_above_the_target_can_rotate() -> None:
     assert np.isfinite(orbit.rotated(1.0, -0.5).pose(1.5).camera(90).camera_from_world).all()
 
 
-def test_first_orbit_pose_is_the_given_view() -> None:
+def test_orbit_camera_starts_at_the_given_view() -> None:
     """The first camera looks from the eye at the target, upright, with the cell's aspect ratio."""
     wanted = ls.Camera.look_at(EYE, TARGET, UP, width=160, height=90, fov_y=0.8)
     camera = Orbit.of(EYE, TARGET, UP, 0.8).pose(16 / 9).camera(90)
@@ -91,7 +91,7 @@ def test_first_orbit_pose_is_the_given_view() -> None:
     assert (camera.width, camera.height) == (160, 90) and camera.fy == pytest.approx(wanted.fy)
 
 
-def test_panned_target_follows_the_pointer() -> None:
+def test_panning_moves_the_orbit_target_by_the_given_image_fractions() -> None:
     """Panning moves the target by the given fractions of the image height, without rotation."""
     before = Orbit.of(EYE, TARGET, TILTED, 0.8)
     after = before.panned(0.25, -0.1)
@@ -99,14 +99,14 @@ def test_panned_target_follows_the_pointer() -> None:
     assert after.backward == before.backward and after.distance == before.distance
 
 
-def test_zoom_changes_only_the_distance_within_limits() -> None:
+def test_zooming_changes_only_the_orbit_distance_within_limits() -> None:
     """Repeated zooming stops at the limits."""
     orbit = Orbit.of(EYE, TARGET, UP, 0.8)
     assert orbit.zoomed(0.5, 0.1, 100.0) == replace(orbit, distance=0.5 * orbit.distance)
     assert orbit.zoomed(1e-9, 0.1, 100.0).distance == 0.1 and orbit.zoomed(1e9, 0.1, 100.0).distance == 100.0
 
 
-def test_drag_rotates_the_scene_with_the_pointer() -> None:
+def test_mouse_drag_in_a_cell_rotates_the_scene_with_the_pointer() -> None:
     """Points in front of the target follow the pointer; a drag over the frame height is a full rotation."""
     mouse = pointer_control()
     near = np.array(TARGET) + 0.1 * np.array(mouse.orbit.backward)
@@ -121,14 +121,14 @@ def test_drag_rotates_the_scene_with_the_pointer() -> None:
 
 
 @pytest.mark.parametrize(("button", "modifiers"), [(2, ()), (1, ("Shift",)), (3, ())])
-def test_drag_with_other_buttons_or_shift_pans(button: int, modifiers: tuple[str, ...]) -> None:
+def test_mouse_drag_with_shift_or_another_button_pans_the_view(button: int, modifiers: tuple[str, ...]) -> None:
     """The target follows the pointer."""
     mouse = pointer_control()
     assert drag(mouse, 72.0, -36.0, button, modifiers) is None
     np.testing.assert_allclose(image_position(mouse.orbit, TARGET), (0.2, -0.1), atol=1e-9)
 
 
-def test_press_and_release_without_movement_is_a_click() -> None:
+def test_mouse_press_and_release_without_movement_is_a_click() -> None:
     """The click is a fraction of the current frame size. A drag, another button or a lone release is not a click."""
     mouse = pointer_control()
     mouse.handle({"type": "resize", "width": 960.0, "height": 240.0})
@@ -137,7 +137,7 @@ def test_press_and_release_without_movement_is_a_click() -> None:
     assert mouse.handle({"type": "pointer_up", "x": 1.0, "y": 1.0, "button": 1, "modifiers": ()}) is None
 
 
-def test_movement_without_a_press_and_unknown_events_are_ignored() -> None:
+def test_pointer_movement_without_a_press_leaves_the_camera_unchanged() -> None:
     """Keys and pointer movement leave the camera unchanged; the wheel zooms."""
     mouse = pointer_control()
     start = mouse.orbit
@@ -190,7 +190,7 @@ def expected(viewer: ls.Viewer, scene: ls.Scene) -> np.ndarray:
     return 255.0 * ls.render(scene, pose.camera(HEIGHT), CONFIG, device="cpu").pixels_srgb()
 
 
-def test_cell_shows_the_rendered_image(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cell_shows_the_rendered_image(viewer: ls.Viewer, notebook: Any) -> None:
     """The still image equals a frame with the same samples and camera; the bundle has widget and image."""
     data, about = viewer._repr_mimebundle_()
     assert data[WIDGET]["model_id"] and data["text/plain"] == repr(viewer)
@@ -200,7 +200,7 @@ def test_cell_shows_the_rendered_image(viewer: ls.Viewer, notebook: Any) -> None
     assert ls.metrics.psnr(shown / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
 
 
-def test_drag_in_a_cell_rotates_the_view_and_back(viewer: ls.Viewer, notebook: Any) -> None:
+def test_drag_in_a_notebook_cell_rotates_the_view_and_back(viewer: ls.Viewer, notebook: Any) -> None:
     """The image follows the drag; dragging back restores it."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
@@ -212,7 +212,7 @@ def test_drag_in_a_cell_rotates_the_view_and_back(viewer: ls.Viewer, notebook: A
     assert difference(before, settled(viewer, notebook)) < 1.0
 
 
-def test_cell_shows_edits_of_programs_and_pages(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cell_shows_edits_of_programs_and_their_undo(viewer: ls.Viewer, notebook: Any) -> None:
     """The cell is another page of the session: it shows a new scene, and undo restores the old one."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
@@ -230,7 +230,7 @@ def line_of(viewer: ls.Viewer) -> str:
     return viewer._notebook._cell._line.value  # pyright: ignore[reportOptionalMemberAccess]
 
 
-def test_click_in_a_cell_selects_the_object(viewer: ls.Viewer, notebook: Any) -> None:
+def test_click_in_a_notebook_cell_selects_the_visible_object(viewer: ls.Viewer, notebook: Any) -> None:
     """The text line names the object beside the page's address; a click on the background clears the selection."""
     viewer._repr_mimebundle_()
     settled(viewer, notebook)
@@ -246,7 +246,7 @@ def test_click_in_a_cell_selects_the_object(viewer: ls.Viewer, notebook: Any) ->
     assert viewer._session.selected is None and "crate" not in line_of(viewer)
 
 
-def test_cell_shows_errors_as_escaped_text(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cell_shows_errors_as_escaped_text(viewer: ls.Viewer, notebook: Any) -> None:
     """HTML in an error message is escaped."""
     viewer._repr_mimebundle_()
     viewer._session.report("<b>lamp</b> is broken")
@@ -265,7 +265,7 @@ def wait_for_views_that_move(viewer: ls.Viewer) -> None:
     assert begun.wait(60.0)
 
 
-def test_hidden_cells_are_not_rendered(viewer: ls.Viewer, notebook: Any) -> None:
+def test_hidden_notebook_cells_are_not_rendered_until_visible(viewer: ls.Viewer, notebook: Any) -> None:
     """A cell that becomes visible shows later changes; a new browser gets an image at once."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
@@ -282,7 +282,7 @@ def test_hidden_cells_are_not_rendered(viewer: ls.Viewer, notebook: Any) -> None
     notebook.picture(after=count)
 
 
-def test_cells_share_one_widget_until_it_is_closed(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cells_share_one_widget_until_it_is_closed(viewer: ls.Viewer, notebook: Any) -> None:
     """A new widget is created after the first one was closed."""
     first, again = viewer._repr_mimebundle_()[0], viewer._repr_mimebundle_()[0]
     assert first[WIDGET] == again[WIDGET]
@@ -306,7 +306,7 @@ class Buffer:
         self.frames += 1
 
 
-def test_screen_waits_for_the_last_frames_acknowledgement(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cell_screen_waits_until_its_last_frame_is_acknowledged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Acknowledgements of older frames do not count; closing ends the wait."""
     monkeypatch.setattr(notebook_cells, "ANSWER_S", 60.0)
     buffer: Any = Buffer()
@@ -334,7 +334,7 @@ def test_screen_waits_for_the_last_frames_acknowledgement(monkeypatch: pytest.Mo
     assert not second.is_alive()
 
 
-def test_frames_are_shown_while_a_busy_kernel_gets_no_acknowledgements(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cell_shows_frames_while_a_busy_kernel_acknowledges_none(viewer: ls.Viewer, notebook: Any) -> None:
     """A running cell that edits the scene still shows new frames."""
     notebook.answers = False
     viewer._repr_mimebundle_()
@@ -345,7 +345,7 @@ def test_frames_are_shown_while_a_busy_kernel_gets_no_acknowledgements(viewer: l
 
 
 @pytest.mark.parametrize("what", ["viewer", "widget"])
-def test_closed_cell_or_viewer_leaves_no_thread(what: str, notebook: Any) -> None:
+def test_closed_notebook_cell_or_viewer_leaves_no_thread(what: str, notebook: Any) -> None:
     """The cell shows that it is closed, and later edits do not reach it."""
     before, threads = page_threads(), set(threading.enumerate())
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
@@ -381,7 +381,7 @@ def bundled_image(data: dict[str, Any]) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data["image/png"]))))
 
 
-def test_bundle_without_a_kernel_has_an_image(viewer: ls.Viewer) -> None:
+def test_mime_bundle_without_a_kernel_has_an_image_and_text(viewer: ls.Viewer) -> None:
     """The bundle has a PNG of the first view and the text; no page or thread is left."""
     before = page_threads()
     data, about = viewer._repr_mimebundle_()
@@ -401,7 +401,7 @@ def test_notebook_runners_get_a_still_image(viewer: ls.Viewer, monkeypatch: pyte
     assert set(viewer._repr_mimebundle_()[0]) == {"image/png", "text/plain"}
 
 
-def test_terminals_get_only_text(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ipython_terminals_get_only_text_without_rendering(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     """No frame is rendered for a terminal."""
     formatter = SimpleNamespace(active_types=["text/plain"])
     monkeypatch.setattr(notebook_cells, "_shell", lambda: SimpleNamespace(display_formatter=formatter))
@@ -409,7 +409,7 @@ def test_terminals_get_only_text(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPa
     assert viewer._repr_mimebundle_() == ({"text/plain": repr(viewer)}, {})
 
 
-def test_missing_extra_is_reported_once(
+def test_missing_notebook_extra_is_reported_once(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The log and the text name the missing package, and the bundle has an image."""
@@ -423,7 +423,7 @@ def test_missing_extra_is_reported_once(
     assert [record.message for record in caplog.records] == [line]
 
 
-def test_bundle_respects_included_and_excluded_types(viewer: ls.Viewer, notebook: Any) -> None:
+def test_mime_bundle_respects_included_and_excluded_types(viewer: ls.Viewer, notebook: Any) -> None:
     """A bundle of only text creates no widget and renders no frame."""
     assert set(viewer._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
     assert set(viewer._repr_mimebundle_(exclude={WIDGET, "image/png", "image/jpeg"})[0]) == {"text/plain"}
@@ -432,7 +432,7 @@ def test_bundle_respects_included_and_excluded_types(viewer: ls.Viewer, notebook
     assert set(viewer._repr_mimebundle_(include={WIDGET})[0]) == {WIDGET}
 
 
-def test_bundle_falls_back_to_text_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mime_bundle_falls_back_to_text_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A damaged file or any other error never raises in a cell."""
     (tmp_path / "damaged.ply").write_bytes(b"no capture")
     viewer = ls.view(tmp_path / "damaged.ply", device="cpu")

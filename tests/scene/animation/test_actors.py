@@ -23,7 +23,7 @@ def rig(tmp_path: Path) -> ls.avatars.Rig:
     return ls.avatars.load_rig(TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb"))
 
 
-def test_pose_is_motion_times_placement():
+def test_pose_of_an_actor_is_its_motion_times_its_placement():
     """An actor's pose is its motion times its placement; without motion, it is the placement."""
     gaussians = random_gaussians(1, count=5)
     actor = ls.Actor(gaussians, MOVE, ROTATION, name="one")
@@ -34,7 +34,7 @@ def test_pose_is_motion_times_placement():
     np.testing.assert_array_equal(still.transform, ROTATION)
 
 
-def test_clips_repeat_or_hold(rig: ls.avatars.Rig) -> None:
+def test_clip_of_an_actor_repeats_or_holds_its_last_pose(rig: ls.avatars.Rig) -> None:
     """A clip repeats at the actor's speed, or holds its last pose."""
     rigged = ls.bind_gaussians(rig, 300)
 
@@ -51,7 +51,7 @@ def test_clips_repeat_or_hold(rig: ls.avatars.Rig) -> None:
     assert ls.Actor(rigged, speed=2.0).own_duration == 0.5
 
 
-def test_every_kind_of_subject_becomes_instances(rig: ls.avatars.Rig) -> None:
+def test_actor_turns_meshes_rigs_and_scenes_into_placed_instances(rig: ls.avatars.Rig) -> None:
     """Meshes and rigs become mesh instances, scenes all of their instances, each with its own placement."""
     (posed,) = ls.Actor(rig).at(0.5)
     np.testing.assert_array_equal(expect_kind(ls.MeshInstance, posed).mesh.positions, rig.pose(0.5).positions)
@@ -63,7 +63,7 @@ def test_every_kind_of_subject_becomes_instances(rig: ls.avatars.Rig) -> None:
     assert expect_kind(ls.MeshInstance, instance).mesh is rig.mesh
 
 
-def test_captures_of_a_scene_keep_their_settings():
+def test_actor_of_a_scene_preserves_the_settings_of_its_captures():
     """Materials, SH degrees and ``shadow_catcher`` are preserved, and so are names unless the actor has one."""
     settings = {"material": ls.MaterialPbr(), "sh_degree": 1, "shadow_catcher": True, "name": "prop"}
     scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), ROTATION, **settings)])
@@ -72,7 +72,7 @@ def test_captures_of_a_scene_keep_their_settings():
     assert ls.Actor(scene, name="walker").at(1.0)[0].name == "walker"
 
 
-def test_animation_times_are_evenly_spaced(rig: ls.avatars.Rig) -> None:
+def test_frame_times_of_an_animation_are_evenly_spaced(rig: ls.avatars.Rig) -> None:
     """Frame times are evenly spaced, and actors keep their order."""
     gaussians = random_gaussians(1, count=5)
     animation = ls.Animation(ls.Scene(), [ls.Actor(gaussians, MOVE), ls.Actor(rig)], fps=10.0, frame_count=20)
@@ -97,13 +97,13 @@ def test_animation_times_are_evenly_spaced(rig: ls.avatars.Rig) -> None:
         ({"clip": "walk"}, "clip is 'walk', but the actor has no rig"),
     ],
 )
-def test_invalid_actors_are_refused(settings, problem):
+def test_actor_refuses_invalid_values_when_it_is_created(settings, problem):
     """Invalid values are refused when the actor is created, not at a frame."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Actor(**{"subject": random_gaussians(1, count=5), **settings})
 
 
-def test_unknown_clips_are_refused(rig: ls.avatars.Rig) -> None:
+def test_actor_refuses_a_clip_that_its_rig_does_not_have(rig: ls.avatars.Rig) -> None:
     """The error lists the rig's clips."""
     with pytest.raises(ls.SceneError, match="no clip 'walk', it has 'bend', 'carry'"):
         ls.Actor(rig, clip="walk")
@@ -121,7 +121,7 @@ def test_unknown_clips_are_refused(rig: ls.avatars.Rig) -> None:
         ({"lighting": 1}, "lighting is 1, expected an AvatarLightingConfig"),
     ],
 )
-def test_invalid_animations_are_refused(settings, problem):
+def test_animation_refuses_invalid_values_naming_the_setting(settings, problem):
     """The error names the setting in one line."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Animation(**{"scene": ls.Scene(), **settings})

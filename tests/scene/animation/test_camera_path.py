@@ -24,7 +24,7 @@ KEYS = [look((4, 1, 0)), look((0, 2, 4), fov_y=0.5), look((-4, 1, 1)), look((0, 
 TIMES = [0.0, 1.0, 1.5, 4.0]
 
 
-def test_path_passes_through_its_cameras():
+def test_camera_path_equals_each_key_camera_at_its_time():
     """A path equals each camera at its time, and stands still before the first and after the last."""
     path = ls.CameraPath(KEYS, TIMES)
     for time, key in zip(TIMES, KEYS, strict=True):
@@ -36,7 +36,7 @@ def test_path_passes_through_its_cameras():
 
 
 @pytest.mark.parametrize("targets", [None, np.zeros((4, 3))])
-def test_path_speed_is_continuous(targets):
+def test_speed_of_a_camera_path_is_continuous_at_its_key_cameras(targets):
     """Position, direction and lens change at the same speed just before and just after each key."""
     path = ls.CameraPath(KEYS, TIMES, targets)
     step = 1e-5
@@ -47,14 +47,14 @@ def test_path_speed_is_continuous(targets):
             np.testing.assert_allclose(speeds[0] / step, speeds[1] / step, atol=2e-3 * max(1.0, at.fx))
 
 
-def test_constant_speed_along_a_line_is_preserved():
+def test_camera_path_through_evenly_spaced_points_on_a_line_has_constant_speed():
     """Cubic interpolation reproduces a straight motion at constant speed."""
     path = ls.CameraPath([look((x, 1, 5), (x, 0, 0)) for x in (0, 2, 4, 6)])
     np.testing.assert_allclose(path.at(1.3).eye, (2.6, 1, 5), atol=1e-9)
     np.testing.assert_allclose(path.at(1.3).camera_from_world[:3, :3], path.at(0).camera_from_world[:3, :3], atol=1e-9)
 
 
-def test_paths_with_targets_keep_the_target_centred():
+def test_camera_path_with_targets_keeps_the_target_at_the_image_centre():
     """The target is centred at all times; without targets, the camera rotates the shorter way."""
     path = ls.CameraPath(KEYS, TIMES, np.zeros((4, 3)))
     for time in np.linspace(0.0, 4.0, 37):
@@ -66,7 +66,7 @@ def test_paths_with_targets_keep_the_target_centred():
     assert forward @ (-middle.eye / np.linalg.norm(middle.eye)) > 0.99
 
 
-def test_stretched_paths_have_the_requested_duration():
+def test_stretched_camera_path_has_the_requested_duration():
     """Frames cover the first to the last time, and a stretched path has the requested duration."""
     path = ls.CameraPath(KEYS, [2.0, 3.0, 4.0, 5.0])
     frames = path.frames(10.0)
@@ -88,7 +88,7 @@ def test_stretched_paths_have_the_requested_duration():
         (lambda: ls.CameraPath(KEYS).at(math.nan), "time is nan"),
     ],
 )
-def test_invalid_paths_are_refused(make, message):
+def test_camera_path_refuses_invalid_cameras_times_and_rates(make, message):
     """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         make()
@@ -104,7 +104,7 @@ def nerfstudio(**changes: Any) -> dict[str, Any]:
     return {"keyframes": [], **shared, "is_cycle": False, "camera_path": [FRAME, turned, FRAME], **changes}
 
 
-def test_nerfstudio_paths_load_frame_by_frame(tmp_path):
+def test_nerfstudio_camera_path_loads_as_one_camera_for_each_frame(tmp_path):
     """Poses are OpenGL row by row, fields of view vertical degrees, and each frame is one camera at the file's rate."""
     (tmp_path / "camera_path.json").write_text(json.dumps(nerfstudio()))
     first, second, _ = ls.load_cameras(tmp_path / "camera_path.json")
@@ -131,7 +131,7 @@ def test_nerfstudio_paths_load_frame_by_frame(tmp_path):
         ({"fps": 0}, "has fps 0"),
     ],
 )
-def test_invalid_nerfstudio_paths_are_refused(tmp_path, changes, message):
+def test_invalid_nerfstudio_camera_path_files_are_refused(tmp_path, changes, message):
     """The error is one line that names the file."""
     (tmp_path / "camera_path.json").write_text(json.dumps(nerfstudio(**changes)))
     with pytest.raises(ls.FormatError, match=message):
@@ -167,7 +167,7 @@ def folder(tmp_path) -> Path:
     return tmp_path
 
 
-def test_scene_file_keyframes_define_the_path(folder):
+def test_camera_keyframes_of_a_scene_file_define_its_camera_path(folder):
     """The first moving camera is the path; omitted values keep the previous ones; camera lists take its first view."""
     path = ls.io.load_camera_path(write_scene(folder, FLIGHT))
     assert path.duration == 2.5 and [camera.name for camera in path.cameras] == ["flight"] * 2
@@ -179,7 +179,7 @@ def test_scene_file_keyframes_define_the_path(folder):
     np.testing.assert_allclose(flight.eye, (0, 1, 4), atol=1e-12)
 
 
-def test_moving_camera_makes_an_animation(folder):
+def test_scene_file_with_a_moving_camera_loads_as_an_animation(folder):
     """A moving camera makes an animation without actors, which lasts as long as the camera moves."""
     animation = ls.load_animation(write_scene(folder, FLIGHT + "[animation]\nfps = 10\n"))
     assert animation.frame_count == 25 and animation.camera_path is not None
@@ -195,7 +195,7 @@ def test_moving_camera_makes_an_animation(folder):
         (FLIGHT.replace("eye = [4, 1, 0]", "eye = [0, 1, 0]"), "eye and target apart"),
     ],
 )
-def test_invalid_keyframes_are_refused(folder, text, message):
+def test_invalid_camera_keyframes_of_a_scene_file_are_refused(folder, text, message):
     """The error names the line of the keyframe."""
     with pytest.raises(ls.FormatError) as caught:
         ls.io.load_camera_path(write_scene(folder, text))

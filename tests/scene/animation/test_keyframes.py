@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 
 
-def test_positions_and_scales_are_linear_between_keys():
+def test_positions_and_scales_are_linear_in_time_between_keyframes():
     """Positions and scales are linear in time, and constant before the first and after the last key."""
     frames = ls.Keyframes([1.0, 3.0], positions=[[0, 0, 0], [4, -2, 0]], scales=[1.0, 3.0])
     for time, share in ((-5.0, 0.0), (1.0, 0.0), (1.5, 0.25), (3.0, 1.0), (8.0, 1.0)):
@@ -24,7 +24,7 @@ def test_positions_and_scales_are_linear_between_keys():
 
 
 @given(seed=st.integers(0, 2**32 - 1), time=st.floats(-0.5, 3.5))
-def test_rotations_match_scipy(seed, time):
+def test_rotations_between_keyframes_equal_slerp_of_scipy(seed, time):
     """Slerp over several keys equals SciPy's, for any length and sign of the quaternions."""
     rng = np.random.default_rng(seed)
     quaternions = rng.standard_normal((4, 4))
@@ -33,7 +33,7 @@ def test_rotations_match_scipy(seed, time):
     np.testing.assert_allclose(pose[:3, :3], wanted.as_matrix(), atol=1e-7)
 
 
-def test_tiny_rotations_are_not_lost():
+def test_rotation_of_a_microradian_between_keyframes_is_interpolated():
     """A rotation by a microradian between two keys is half done half-way."""
     turn = Rotation.from_rotvec([0.0, 0.0, 1e-6]).as_quat()
     pose = ls.Keyframes([0.0, 1.0], rotations_wxyz=[[1, 0, 0, 0], np.roll(turn, 1)]).at(0.5)
@@ -41,7 +41,7 @@ def test_tiny_rotations_are_not_lost():
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_matrices_and_quaternions_are_inverse(seed):
+def test_quaternions_convert_to_rotation_matrices_and_back(seed):
     """Quaternions convert to SciPy's matrices and back, up to their sign."""
     quaternions = np.random.default_rng(seed).standard_normal((20, 4))
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
@@ -69,14 +69,14 @@ NAN = float("nan")
         ({"times": ["soon"]}, "times is not an array of numbers"),
     ],
 )
-def test_invalid_keyframes_are_refused(values, problem):
+def test_invalid_arrays_of_keyframes_are_refused_naming_the_array(values, problem):
     """The error names the array and the key."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Keyframes(**values)
 
 
 @pytest.mark.parametrize("time", [NAN, np.inf, None, "0"])
-def test_invalid_times_are_refused(time):
+def test_keyframes_refuse_times_that_are_not_finite_numbers(time):
     """Times must be finite numbers."""
     with pytest.raises(ls.SceneError, match="time is"):
         ls.Keyframes([0.0]).at(time)

@@ -46,7 +46,7 @@ def affine_rig(matrix: np.ndarray) -> TubeRig:
     return rig
 
 
-def test_rest_pose_equals_gaussians_of_the_mesh(tmp_path):
+def test_rigged_gaussians_at_rest_equal_gaussians_from_the_mesh(tmp_path):
     """At rest, the Gaussians equal those of `gaussians_from_mesh` in position and look."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path)
     alone = ls.gaussians_from_mesh(rigged.rig.mesh, COUNT)
@@ -61,7 +61,7 @@ def test_rest_pose_equals_gaussians_of_the_mesh(tmp_path):
     np.testing.assert_allclose(covariances(shown), covariances(alone), atol=1e-5 * largest)
 
 
-def test_rigid_motion_is_exact(tmp_path):
+def test_rigid_motion_of_a_rig_moves_its_gaussians_rigidly(tmp_path):
     """If the whole rig moves rigidly, means, covariances and normals move rigidly."""
     rig = TubeRig(clips={"carry": CARRY})
     rigged = bound(rig, tmp_path)
@@ -76,7 +76,7 @@ def test_rigid_motion_is_exact(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_affine_motion_is_exact_in_the_plane(seed, tmp_path):
+def test_stretch_and_shear_of_a_rig_map_the_discs_to_the_exact_ellipses(seed, tmp_path):
     """Under stretch and shear, the wide axes span the mapped ellipse, and the thin axis is perpendicular to it."""
     rng = np.random.default_rng(seed)
     matrix = np.eye(3) + 0.4 * rng.standard_normal((3, 3))
@@ -100,7 +100,7 @@ def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.nd
     return cross / np.linalg.norm(cross, axis=1, keepdims=True)
 
 
-def test_centres_stay_on_their_triangles(tmp_path):
+def test_rigged_gaussians_stay_at_their_barycentric_coordinates(tmp_path):
     """In a bent pose, every centre has its barycentric coordinates between the oracle's vertices."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
@@ -111,7 +111,7 @@ def test_centres_stay_on_their_triangles(tmp_path):
     np.testing.assert_allclose(rigged.at(0.8).means, wanted, atol=2e-6)
 
 
-def test_discs_lie_on_the_posed_surface(tmp_path):
+def test_discs_of_a_bent_rig_lie_in_the_surface_and_face_outwards(tmp_path):
     """In a bent pose, thin axes and normals point out of the surface; no disc is flipped or perpendicular."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
@@ -123,7 +123,7 @@ def test_discs_lie_on_the_posed_surface(tmp_path):
     assert rigged.at(1.0).count == COUNT
 
 
-def test_posed_rig_has_no_holes(tmp_path):
+def test_gaussians_of_a_bent_rig_leave_no_holes_in_its_surface(tmp_path):
     """In a bent pose, from four sides, the Gaussians are opaque wherever the inner part of the mesh is."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path, 4000)
     mesh = rigged.rig.pose(1.0)
@@ -139,7 +139,7 @@ def test_posed_rig_has_no_holes(tmp_path):
         assert alpha[inside].min() > 0.9
 
 
-def test_gaussians_scaled_to_zero_are_transparent(tmp_path):
+def test_gaussians_of_a_rig_scaled_to_zero_become_transparent(tmp_path):
     """Gaussians of a rig that is scaled to zero have opacity 0; their number stays."""
     rigged = bound(TubeRig(clips={"vanish": VANISH}), tmp_path)
     half = rigged.at(0.5)
@@ -149,7 +149,7 @@ def test_gaussians_scaled_to_zero_are_transparent(tmp_path):
     assert gone.count == COUNT and not gone.opacities.any()
 
 
-def test_equal_times_give_equal_poses(tmp_path):
+def test_rigged_gaussians_at_equal_times_have_identical_arrays(tmp_path):
     """The same time gives identical arrays, and so does any time after the end."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path)
     for time in (0.4, 5.0):
@@ -158,7 +158,7 @@ def test_equal_times_give_equal_poses(tmp_path):
             np.testing.assert_array_equal(values, getattr(second, name), err_msg=name)
 
 
-def test_several_meshes_share_the_count(tmp_path):
+def test_meshes_of_a_rig_share_the_requested_number_of_gaussians(tmp_path):
     """Gaussians of a rig with two materials are as many as requested, each with its own material's colour."""
     gltf = TubeRig(clips={"bend": BEND}).gltf()
     first = gltf.json["meshes"][0]["primitives"][0]
@@ -173,14 +173,14 @@ def test_several_meshes_share_the_count(tmp_path):
 
 
 @pytest.mark.parametrize("count", [0, -5, 2.5, True, 10**9])
-def test_impossible_counts_are_refused(count, tmp_path):
+def test_bind_gaussians_refuses_an_impossible_number_of_gaussians(count, tmp_path):
     """A count must be a whole number that fits into memory."""
     rig = ls.avatars.load_rig(TubeRig().write(tmp_path / "tube.glb"))
     with pytest.raises(ls.SceneError, match="count is"):
         ls.bind_gaussians(rig, count)
 
 
-def test_only_rigs_are_bound(tmp_path):
+def test_bind_gaussians_refuses_a_mesh_without_a_rig(tmp_path):
     """A mesh is refused, since it is not a rig."""
     rig = ls.avatars.load_rig(TubeRig().write(tmp_path / "tube.glb"))
     with pytest.raises(ls.SceneError, match="takes a Rig of load_rig, got a Mesh"):
@@ -188,7 +188,7 @@ def test_only_rigs_are_bound(tmp_path):
 
 
 @pytest.mark.data
-def test_walking_avatar_keeps_its_surface(data_dir):
+def test_gaussians_of_a_walking_avatar_stay_on_its_mesh_and_face_outwards(data_dir):
     """Throughout its clip, the real avatar keeps all Gaussians, on the posed mesh and facing outwards."""
     rigged = ls.bind_gaussians(ls.avatars.load_rig(data_dir / "avatars" / "walk.glb", vertex_colors=False), 5000)
     for time in np.linspace(0.0, rigged.rig.duration(), 5):

@@ -30,7 +30,7 @@ def matrix_of(linear: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("linear", [STRETCH, MIRROR, STRETCH @ MIRROR, 3.0 * np.eye(3)])
-def test_means_and_covariances_follow_the_matrix(linear: npt.NDArray[np.float64]) -> None:
+def test_affine_transform_maps_means_covariances_and_normals(linear: npt.NDArray[np.float64]) -> None:
     """Sigma becomes M Sigma M^T, and a mean M x + t; normals stay perpendicular to the surface."""
     before = capture(normals=np.random.default_rng(1).normal(size=(300, 3)))
     after = under_affine(before, matrix_of(linear))
@@ -44,7 +44,7 @@ def test_means_and_covariances_follow_the_matrix(linear: npt.NDArray[np.float64]
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_sh_colours_rotate_and_mirror(degree: int) -> None:
+def test_sh_colours_rotate_and_mirror_with_the_affine_transform(degree: int) -> None:
     """The colour in a rotated or mirrored direction equals the colour in the original direction."""
     before = capture(20, degree)
     turn = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]) @ MIRROR
@@ -55,7 +55,7 @@ def test_sh_colours_rotate_and_mirror(degree: int) -> None:
     np.testing.assert_allclose(turned, seen, atol=2e-6)
 
 
-def test_similarities_agree_with_transform() -> None:
+def test_affine_transform_by_a_similarity_equals_lumisplat_transform() -> None:
     """A rotation with uniform scale gives the result of `lumisplat.transform`."""
     before = capture(degree=3)
     turn = matrix_of(2.0 * np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]))
@@ -65,7 +65,7 @@ def test_similarities_agree_with_transform() -> None:
     assert (error / np.abs(covariances(theirs)).max(axis=(1, 2))).max() < 2e-6
 
 
-def test_singular_matrices_are_refused() -> None:
+def test_affine_transform_refuses_a_singular_matrix() -> None:
     """A matrix without an inverse is refused."""
     with pytest.raises(ls.SceneError, match="singular"):
         under_affine(capture(5), matrix_of(np.diag([1.0, 1.0, 0.0])))

@@ -29,7 +29,7 @@ def capture() -> ls.Gaussians:
     return random_gaussians(3, count=100, degree=2, roughness=rng.random(100), metallic=rng.random(100))
 
 
-def test_crop_by_a_box_keeps_the_inside(capture: ls.Gaussians) -> None:
+def test_crop_keeps_the_gaussians_inside_a_box(capture: ls.Gaussians) -> None:
     """Corners may come in any order, faces belong to the inside, and the outside is the complement."""
     low, high = np.array([-1.0, -0.5, 3.5]), np.array([0.5, 1.0, 5.0])
     expected = [i for i, mean in enumerate(capture.means) if (mean >= low).all() and (mean <= high).all()]
@@ -44,7 +44,7 @@ def test_crop_by_a_box_keeps_the_inside(capture: ls.Gaussians) -> None:
     assert rows_of(ls.editing.crop(capture, box=(one, one)), capture) == [7]
 
 
-def test_crop_by_box_and_sphere_keeps_their_intersection(capture: ls.Gaussians) -> None:
+def test_crop_by_a_box_and_a_sphere_keeps_their_intersection(capture: ls.Gaussians) -> None:
     """A sphere keeps Gaussians within its radius; box and sphere together keep the intersection."""
     center, radius = np.array([0.2, 0.1, 4.0]), 1.2
     inside = np.linalg.norm(capture.means.astype(np.float64) - center, axis=1) <= radius
@@ -54,7 +54,7 @@ def test_crop_by_box_and_sphere_keeps_their_intersection(capture: ls.Gaussians) 
     assert rows_of(ls.editing.crop(capture, box=box, sphere=(center, radius)), capture) == np.flatnonzero(both).tolist()
 
 
-def test_cuts_that_remove_nothing_return_the_same_capture(capture: ls.Gaussians) -> None:
+def test_editing_that_removes_nothing_returns_the_same_capture_object(capture: ls.Gaussians) -> None:
     """A cut that removes nothing copies nothing."""
     assert ls.editing.crop(capture, sphere=((0, 0, 4), 100.0)) is capture
     assert ls.editing.select(capture, opacity=(0.0, 1.0)) is capture
@@ -82,7 +82,7 @@ def test_cuts_that_remove_nothing_return_the_same_capture(capture: ls.Gaussians)
         ("metallic", lambda g: g.metallic),
     ],
 )
-def test_select_by_each_value(capture: ls.Gaussians, name: str, values: Any) -> None:
+def test_select_limits_each_property_on_one_side_or_both(capture: ls.Gaussians, name: str, values: Any) -> None:
     """Each value can be limited on one side or both."""
     all_values = values(capture)
     low, high = (float(x) for x in np.quantile(all_values, (0.313, 0.717)))
@@ -93,7 +93,7 @@ def test_select_by_each_value(capture: ls.Gaussians, name: str, values: Any) -> 
         assert rows_of(selected, capture) == np.flatnonzero(kept).tolist()
 
 
-def test_select_by_several_values_requires_all(capture: ls.Gaussians) -> None:
+def test_select_keeps_gaussians_that_are_within_all_given_ranges(capture: ls.Gaussians) -> None:
     """A selected Gaussian is within all given ranges."""
     both = ls.editing.select(capture, opacity=(0.5, None), z=(None, 4.0))
     assert rows_of(both, capture) == np.flatnonzero((capture.opacities >= 0.5) & (capture.means[:, 2] <= 4)).tolist()
@@ -113,7 +113,7 @@ def cloud_with_strays() -> tuple[ls.Gaussians, int]:
     return ls.Gaussians(means, rotations, np.repeat(scales[:, None], 3, axis=1), np.full(count, 0.8), sh), count - 3
 
 
-def test_floaters_are_removed_and_backgrounds_stay() -> None:
+def test_remove_floaters_removes_isolated_small_gaussians_but_no_wide_background() -> None:
     """Isolated small Gaussians are removed; isolated wide ones, which reach others, stay."""
     cloud, solid = cloud_with_strays()
     heard: list[float] = []
@@ -122,7 +122,7 @@ def test_floaters_are_removed_and_backgrounds_stay() -> None:
 
 
 @pytest.mark.parametrize(("neighbours", "reach"), [(1, 1.0), (4, 3.0), (20, 2.0)])
-def test_neighbours_are_counted_exactly(neighbours: int, reach: float) -> None:
+def test_remove_floaters_counts_neighbours_as_brute_force_does(neighbours: int, reach: float) -> None:
     """The result equals that of comparing each Gaussian with every other."""
     capture = random_gaussians(8, count=700, scale_range=(0.001, 0.9))
     capture = replace(capture, scales=capture.scales * 0.5)
@@ -135,7 +135,7 @@ def test_neighbours_are_counted_exactly(neighbours: int, reach: float) -> None:
     assert rows_of(ls.editing.remove_floaters(capture, neighbours, reach), capture) == kept.tolist()
 
 
-def test_sh_limit_keeps_lower_degrees(capture: ls.Gaussians) -> None:
+def test_limit_sh_degree_leaves_the_lower_degrees_unchanged(capture: ls.Gaussians) -> None:
     """Higher SH degrees are removed, lower ones stay identical."""
     for degree in (0, 1):
         limited = ls.editing.limit_sh_degree(capture, degree)
@@ -144,7 +144,7 @@ def test_sh_limit_keeps_lower_degrees(capture: ls.Gaussians) -> None:
         assert limited.means is capture.means
 
 
-def test_morton_order_is_a_permutation(capture: ls.Gaussians) -> None:
+def test_sort_morton_permutes_gaussians_and_brings_neighbours_together(capture: ls.Gaussians) -> None:
     """Morton order permutes the Gaussians, and brings spatial neighbours closer in memory."""
     ordered = ls.editing.sort_morton(capture)
     assert sorted(rows_of(ordered, capture)) == list(range(100))
@@ -188,14 +188,18 @@ def test_morton_order_is_a_permutation(capture: ls.Gaussians) -> None:
         (lambda g: ls.merge(cast(Any, g.means[0, 0])), "captures is a float32, expected a list"),
     ],
 )
-def test_invalid_arguments_are_refused_in_one_line(capture: ls.Gaussians, change: Any, message: str) -> None:
+def test_editing_functions_refuse_invalid_arguments_in_one_line(
+    capture: ls.Gaussians, change: Any, message: str
+) -> None:
     """The error names the argument and what was expected."""
     with pytest.raises(ls.SceneError, match=message) as error:
         change(capture)
     assert "\n" not in str(error.value)
 
 
-def test_merge_logs_dropped_materials(capture: ls.Gaussians, caplog: pytest.LogCaptureFixture) -> None:
+def test_merge_logs_material_properties_that_one_capture_lacks(
+    capture: ls.Gaussians, caplog: pytest.LogCaptureFixture
+) -> None:
     """A log line names the material properties that only one of the captures has."""
     both = ls.merge([capture, replace(capture, roughness=None)])
     assert (both.count, both.roughness is None, both.metallic is None) == (200, True, False)

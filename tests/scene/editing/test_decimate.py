@@ -23,7 +23,7 @@ def covariances(gaussians: ls.Gaussians) -> np.ndarray:
     return axes @ axes.transpose(0, 2, 1)
 
 
-def test_area_is_the_mean_silhouette() -> None:
+def test_area_of_a_gaussian_is_the_mean_silhouette_over_all_directions() -> None:
     """The closed form is the root mean square over all directions n of the silhouette's sqrt(n adj(C) n)."""
     gaussians = random_gaussians(2, count=20, scale_range=(0.01, 2.0))
     directions, weights = sphere_quadrature(8)
@@ -33,7 +33,7 @@ def test_area_is_the_mean_silhouette() -> None:
     np.testing.assert_allclose(areas(moments_of(gaussians).covariances), expected, rtol=1e-6)
 
 
-def test_one_gaussian_has_the_moments_of_all() -> None:
+def test_capture_decimated_to_one_gaussian_has_the_moments_of_the_mixture() -> None:
     """The single Gaussian has the mass, mean, covariance, SH and materials of a plain NumPy mixture."""
     rng = np.random.default_rng(7)
     normals = unit(5, 40)
@@ -62,7 +62,7 @@ def test_one_gaussian_has_the_moments_of_all() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 57, 299, 300])
-def test_moments_of_the_whole_capture_are_preserved(count: int) -> None:
+def test_decimation_preserves_mass_mean_and_covariance_of_the_capture(count: int) -> None:
     """Any target count is met exactly, and mean and covariance of the whole mixture stay."""
     gaussians = random_gaussians(4, count=300, degree=1, scale_range=(0.2, 0.9))
     gaussians = replace(gaussians, opacities=gaussians.opacities * 0.01)  # none reaches opacity 1
@@ -76,7 +76,7 @@ def test_moments_of_the_whole_capture_are_preserved(count: int) -> None:
     np.testing.assert_allclose(after.covariances, before.covariances, rtol=1e-4, atol=1e-5)
 
 
-def test_discs_of_a_plane_stay_flat() -> None:
+def test_decimated_discs_of_a_plane_stay_flat_and_in_the_plane() -> None:
     """Adjacent discs in a plane merge to larger discs in it, with the opacity that covers their sum."""
     x, y = np.meshgrid(np.arange(32.0), np.arange(32.0))
     means = np.column_stack([x.ravel(), y.ravel(), np.full(1024, 5.0)])
@@ -88,7 +88,7 @@ def test_discs_of_a_plane_stay_flat() -> None:
     np.testing.assert_allclose(fewer.means[:, 2], 5.0, atol=1e-5)
 
 
-def test_different_colours_are_not_merged() -> None:
+def test_decimation_does_not_merge_gaussians_of_different_colours() -> None:
     """Coincident red and blue Gaussians do not merge to purple while other merges are possible."""
     rng = np.random.default_rng(0)
     sh = np.where(np.arange(400)[:, None, None] < 200, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
@@ -100,7 +100,7 @@ def test_different_colours_are_not_merged() -> None:
     assert np.count_nonzero(purple) <= 5
 
 
-def test_copies_and_transparent_gaussians_merge() -> None:
+def test_decimation_merges_copies_and_transparent_gaussians_to_finite_values() -> None:
     """A thousand copies of one Gaussian, transparent or opaque, merge within some passes to finite values."""
     one = random_gaussians(1, count=1, degree=1)
     for opacity in (0.0, 1.0):
@@ -124,7 +124,7 @@ def test_decimation_is_deterministic_and_reports_progress() -> None:
     assert heard == sorted(heard) and heard[-1] == 1.0 and len(heard) > 4
 
 
-def test_covariances_survive_rotations_and_scales() -> None:
+def test_covariances_convert_to_rotations_and_scales_and_back() -> None:
     """Rotations and scales reproduce the covariances, also of needles and discs."""
     gaussians = random_gaussians(12, count=200, scale_range=(1e-3, 2.0))
     packed = moments_of(gaussians).covariances
@@ -136,7 +136,9 @@ def test_covariances_survive_rotations_and_scales() -> None:
 
 
 @pytest.mark.parametrize(("share", "better"), [(0.25, 6.0), (0.10, 6.0)])
-def test_decimation_beats_random_and_opacity_selection(data_dir: Path, share: float, better: float) -> None:
+def test_decimated_capture_looks_better_than_a_random_or_most_opaque_subset(
+    data_dir: Path, share: float, better: float
+) -> None:
     """The decimated biker is closer to the original than equally many Gaussians chosen at random or by opacity."""
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     count = int(biker.count * share)

@@ -61,7 +61,9 @@ def turned(points: np.ndarray, degrees: tuple[float, float, float]) -> tuple[ls.
 
 @pytest.mark.parametrize("degrees", TILTS)
 @pytest.mark.parametrize("points", [GARDEN, ROOM], ids=["garden", "room"])
-def test_up_is_found_from_the_ground(points: np.ndarray, degrees: tuple[float, float, float]) -> None:
+def test_find_up_returns_the_normal_of_the_ground_of_a_capture(
+    points: np.ndarray, degrees: tuple[float, float, float]
+) -> None:
     """Up is found within a quarter of a degree on an object's ground and in a room; walls and tables are no ground."""
     one, up = turned(points, degrees)
     found = ls.editing.find_up(ls.Scene([one]))
@@ -71,7 +73,7 @@ def test_up_is_found_from_the_ground(points: np.ndarray, degrees: tuple[float, f
     assert 0.1 < present(found.share) < 0.7
 
 
-def test_levelled_captures_align_with_an_axis() -> None:
+def test_levelled_capture_has_its_up_along_a_coordinate_axis() -> None:
     """A levelled capture states its up along an axis, and is found to be level."""
     one, _ = turned(GARDEN, (20.0, 10.0, -15.0))
     level = ls.editing.level(one)
@@ -82,7 +84,7 @@ def test_levelled_captures_align_with_an_axis() -> None:
 
 
 @pytest.mark.parametrize("stated", ["z-up", "y-up", (0.1, 0.2, 0.9)])
-def test_capture_is_levelled_to_its_stated_axis(stated: Any) -> None:
+def test_level_aligns_a_capture_with_the_axis_nearest_to_its_stated_up(stated: Any) -> None:
     """Levelling takes the axis nearest to the stated up, so that nerfstudio's files stay z up."""
     axis = np.array(ls.Scene(up="y-up" if stated == "y-up" else "z-up").up_direction)
     turn = np.cross(DOWN, axis)
@@ -93,7 +95,7 @@ def test_capture_is_levelled_to_its_stated_axis(stated: Any) -> None:
     assert np.std((level.means @ axis)[:3000]) < 0.02
 
 
-def test_up_of_objects_without_ground_is_a_principal_axis() -> None:
+def test_find_up_takes_a_principal_axis_of_an_object_without_ground() -> None:
     """A flat back is no ground, and an upright object keeps its up."""
     one, up = turned(GUITAR, (20.0, 15.0, -25.0))
     found = ls.editing.find_up(ls.Scene([one]))
@@ -102,7 +104,7 @@ def test_up_of_objects_without_ground_is_a_principal_axis() -> None:
     assert off(ls.editing.find_up(ls.Scene([capture(GUITAR)])), DOWN) < 1e-5
 
 
-def test_stated_up_stays_without_a_ground() -> None:
+def test_find_up_returns_the_stated_up_of_a_capture_without_ground() -> None:
     """Without a ground, the stated up counts more than the object's shape."""
     up = (0.2, 0.1, 0.9)
     found = ls.editing.find_up(ls.Scene([capture(GUITAR, up=up)]))
@@ -110,14 +112,14 @@ def test_stated_up_stays_without_a_ground() -> None:
     assert off(found, np.array(up) / np.linalg.norm(up)) < 1e-5
 
 
-def test_walls_are_no_ground_if_up_is_stated() -> None:
+def test_find_up_ignores_walls_if_the_capture_states_its_up() -> None:
     """A plane more than 50 degrees off the stated up is no ground, however large it is."""
     wall = floor()[:, [1, 0, 2]]
     found = ls.editing.find_up(ls.Scene([capture(wall, up=DOWN)]))
     assert found.source == "stated"
 
 
-def test_a_ball_has_no_up() -> None:
+def test_find_up_reports_that_a_ball_has_no_distinct_axis() -> None:
     """The error reports that a ball has no distinct axis, and suggests three points."""
     rng = np.random.default_rng(2)
     ball = rng.normal(size=(2000, 3))
@@ -128,7 +130,9 @@ def test_a_ball_has_no_up() -> None:
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
 @pytest.mark.parametrize("degrees", [*TILTS, (170.0, 10.0, 20.0)])
-def test_up_is_found_from_three_points(degrees: tuple[float, float, float], order: tuple[int, ...]) -> None:
+def test_find_up_from_three_ground_points_is_exact_in_any_order(
+    degrees: tuple[float, float, float], order: tuple[int, ...]
+) -> None:
     """Three ground points in any order give up, on the side where the capture is, in any orientation."""
     one, up = turned(GARDEN, degrees)
     corners = ls.transform(
@@ -151,26 +155,26 @@ def test_up_is_found_from_three_points(degrees: tuple[float, float, float], orde
         "abc",
     ],
 )
-def test_invalid_ground_points_are_refused(points: Any) -> None:
+def test_find_up_refuses_too_few_collinear_or_invalid_points(points: Any) -> None:
     """Too few, collinear or invalid points are refused."""
     with pytest.raises(ls.SceneError, match=r"at least three points|are collinear"):
         ls.editing.find_up(ls.Scene([capture(GARDEN)]), points)
 
 
-def test_scenes_without_captures_are_refused() -> None:
+def test_find_up_refuses_a_scene_without_captures() -> None:
     """A scene without captures has no Gaussians to find up from."""
     with pytest.raises(ls.SceneError, match="the scene has none"):
         ls.editing.find_up(ls.Scene())
 
 
-def test_up_of_transformed_captures_is_in_world_space() -> None:
+def test_find_up_returns_the_world_space_up_of_a_transformed_capture() -> None:
     """Up is found in world space, after the instance's transform."""
     place = ls.SplatInstance(capture(GARDEN), rotation_degrees=(90.0, 0.0, 0.0), scale_by=3.0)
     found = ls.editing.find_up(ls.Scene([place]))
     assert off(found, place.transform[:3, :3] @ DOWN / 3.0) < 0.25
 
 
-def test_finding_up_is_deterministic() -> None:
+def test_find_up_gives_identical_results_in_repeated_calls() -> None:
     """Random samples come from a fixed seed."""
     one, _ = turned(ROOM, (25.0, 60.0, 30.0))
     assert ls.editing.find_up(ls.Scene([one])) == ls.editing.find_up(ls.Scene([one]))

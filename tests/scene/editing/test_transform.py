@@ -22,7 +22,7 @@ def random_rotation(seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_sh_rotation_is_exact(seed: int) -> None:
+def test_rotated_sh_have_the_original_values_in_rotated_directions(seed: int) -> None:
     """A rotated function has its old value in the rotated direction, up to degree 8 and the rounding of doubles."""
     turn, directions = random_rotation(seed), unit(1, 200)
     matrix = sh_rotation(turn, 8)
@@ -32,7 +32,7 @@ def test_sh_rotation_is_exact(seed: int) -> None:
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(81), atol=1e-12)
 
 
-def test_sh_of_degree_one_rotate_like_a_vector() -> None:
+def test_sh_coefficients_of_degree_1_rotate_like_a_vector() -> None:
     """Degree 1 is (-y, z, -x): a quarter turn about z takes x to y and y to -x."""
     turned = sh_rotation(rotation_from_degrees(np.array([0.0, 0.0, 90.0])), 1)
     x, y, z = np.array([0, 0, 0, -1.0]), np.array([0, -1.0, 0, 0]), np.array([0, 0, 1.0, 0])
@@ -41,7 +41,7 @@ def test_sh_of_degree_one_rotate_like_a_vector() -> None:
     np.testing.assert_allclose(turned @ z, z, atol=1e-15)
 
 
-def test_angles_are_about_fixed_axes_x_first() -> None:
+def test_rotation_from_degrees_rotates_about_fixed_axes_x_first() -> None:
     """A quarter turn about x takes y to z, which the following turn about z leaves."""
     turn = rotation_from_degrees(np.array([90.0, 0.0, 90.0]))
     np.testing.assert_allclose(turn @ [0, 1, 0], [0, 0, 1], atol=1e-15)
@@ -57,7 +57,9 @@ def moved_camera(camera: ls.Camera, new_from_old: np.ndarray, scale: float) -> l
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
 @pytest.mark.parametrize(("scale", "seed"), [(1.0, 0), (2.5, 1), (0.3, 2)])
-def test_camera_moved_with_the_capture_sees_the_same(pipeline: ls.Pipeline, scale: float, seed: int) -> None:
+def test_capture_and_camera_transformed_alike_give_the_same_frame(
+    pipeline: ls.Pipeline, scale: float, seed: int
+) -> None:
     """A capture of degree 3 and a camera, rotated, scaled and moved alike, give the same frame."""
     capture = random_gaussians(4, count=200, degree=3)
     camera = ls.Camera.look_at((0.4, -0.3, 0.0), (0, 0, 4), (0, -1, 0), width=96, height=72, fov_y=0.8, near=0.01)
@@ -78,7 +80,7 @@ def test_camera_moved_with_the_capture_sees_the_same(pipeline: ls.Pipeline, scal
     assert ls.metrics.psnr(np.clip(after.color, 0, 1), np.clip(instance.color, 0, 1)) > 70.0
 
 
-def test_covariances_and_normals_rotate() -> None:
+def test_transform_rotates_covariances_and_normals_of_a_capture() -> None:
     """Covariances become s^2 R C R^T, normals rotate, and arrays without direction are the same objects."""
     rng = np.random.default_rng(0)
     normals = unit(3, 150)
@@ -100,7 +102,7 @@ def covariances(gaussians: ls.Gaussians) -> np.ndarray:
     return axes @ axes.transpose(0, 2, 1)
 
 
-def test_scale_applies_before_rotation_and_translation() -> None:
+def test_transform_applies_scale_before_rotation_before_translation() -> None:
     """Scale, rotation and translation apply in this order, after the matrix."""
     capture = random_gaussians(1, count=5)
     together = ls.transform(capture, scale=2.0, rotation_degrees=(0, 90, 0), translation=(1, 0, 0))
@@ -125,7 +127,7 @@ def test_scale_applies_before_rotation_and_translation() -> None:
         ({"matrix": np.zeros((3, 3))}, r"matrix has shape \(3, 3\)"),
     ],
 )
-def test_shears_and_mirrors_are_refused(arguments: dict[str, Any], message: str) -> None:
+def test_transform_refuses_matrices_that_shear_mirror_or_flatten(arguments: dict[str, Any], message: str) -> None:
     """Transforms that would shear, mirror or flatten Gaussians are refused by name."""
     with pytest.raises(ls.SceneError, match=message):
         ls.transform(random_gaussians(1, count=3), **arguments)

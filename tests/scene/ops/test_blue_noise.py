@@ -17,7 +17,7 @@ def brute_force(points: np.ndarray, others: np.ndarray, radius: float) -> set[tu
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.05, 2.0), st.sampled_from([0.0, -1.0, 1e4]))
-def test_neighbour_pairs_equal_brute_force(seed: int, radius: float, offset: float) -> None:
+def test_neighbour_pairs_within_a_radius_equal_brute_force(seed: int, radius: float, offset: float) -> None:
     """Every close pair is found exactly once, on both sides of the origin and far from it."""
     points = np.random.default_rng(seed).uniform(offset - 1.0, offset + 1.0, (60, 3)).astype(np.float32)
     pairs = neighbour_pairs(points, radius)
@@ -31,7 +31,7 @@ def test_neighbour_pairs_equal_brute_force(seed: int, radius: float, offset: flo
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.05, 2.0))
-def test_cross_pairs_equal_brute_force(seed: int, radius: float) -> None:
+def test_pairs_between_two_point_sets_equal_brute_force(seed: int, radius: float) -> None:
     """Every close pair between two sets is found exactly once, with the first set's index first."""
     rng = np.random.default_rng(seed)
     points, others = (rng.normal(size=(size, 3)).astype(np.float32) for size in (50, 20))
@@ -42,7 +42,7 @@ def test_cross_pairs_equal_brute_force(seed: int, radius: float) -> None:
 
 
 @pytest.mark.parametrize("far", [1e15, 1e30])
-def test_points_too_far_for_cell_indices_have_no_neighbours(far: float) -> None:
+def test_points_beyond_the_range_of_cell_indices_have_no_neighbours(far: float) -> None:
     """Points beyond the range of cell indices have no neighbours, and cause no warning."""
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3)).astype(np.float32)
     strays = np.array([[far, 0.0, 0.0], [-far, far, far]], np.float32)
@@ -52,7 +52,7 @@ def test_points_too_far_for_cell_indices_have_no_neighbours(far: float) -> None:
     }
 
 
-def test_poisson_disk_spaces_points_without_gaps() -> None:
+def test_poisson_disk_selection_spaces_points_without_gaps() -> None:
     """Kept points of a dense square are far apart, and every other point is near a kept one."""
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.random((4000, 2)), np.zeros(4000)]).astype(np.float32)
@@ -66,7 +66,7 @@ def test_poisson_disk_spaces_points_without_gaps() -> None:
     assert np.linalg.norm(points[:, None] - points[kept][None], axis=2).min(axis=1).max() < 0.87 * spacing
 
 
-def test_poisson_disk_keeps_the_smaller_priority() -> None:
+def test_poisson_disk_selects_the_point_of_smaller_priority_number() -> None:
     """Of two points that are too close, the one with the smaller priority number stays."""
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [5.0, 0.0, 0.0]])
     pairs = neighbour_pairs(points, 1.0)
@@ -75,13 +75,13 @@ def test_poisson_disk_keeps_the_smaller_priority() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 5, 10])
-def test_coincident_points_still_give_the_count(count: int) -> None:
+def test_poisson_disk_selects_the_requested_number_of_coincident_points(count: int) -> None:
     """Ten copies of one point still give the requested count."""
     points = np.zeros((10, 3))
     assert poisson_disk(neighbour_pairs(points, 1.0), np.arange(10), count, 1.0).size == count
 
 
-def test_cell_order_brings_neighbours_together() -> None:
+def test_cell_order_places_spatial_neighbours_next_to_each_other() -> None:
     """Consecutive points in cell order are much closer than in random order."""
     points = np.random.default_rng(0).random((2000, 3))
     ordered = points[cell_order(points, 0.1)]

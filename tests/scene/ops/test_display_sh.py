@@ -16,7 +16,7 @@ def colors(sh: np.ndarray, basis: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("dk,nkc->dnc", basis, sh.astype(np.float64)) + 0.5, 0.0)
 
 
-def test_view_independent_colours_are_exact() -> None:
+def test_display_sh_of_a_view_independent_colour_are_its_exact_srgb_encoding() -> None:
     """A view-independent colour is encoded by the transfer function exactly."""
     linear = np.linspace(0.0, 1.5, 12).reshape(4, 1, 3)
     sh = display_sh((linear - 0.5) / SH_C0)
@@ -24,7 +24,7 @@ def test_view_independent_colours_are_exact() -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_display_sh_minimise_the_squared_error(degree: int) -> None:
+def test_display_sh_minimise_the_squared_error_over_directions(degree: int) -> None:
     """Changing any coefficient increases the mean squared error over many directions."""
     rng = np.random.default_rng(degree)
     sh = rng.normal(0.0, 0.15, (3, (degree + 1) ** 2, 3))
@@ -44,7 +44,7 @@ def test_display_sh_minimise_the_squared_error(degree: int) -> None:
     assert least < 0.05**2
 
 
-def test_small_contrasts_scale_by_the_slope() -> None:
+def test_display_sh_of_small_contrasts_scale_by_the_slope_of_the_srgb_curve() -> None:
     """For small contrasts, display coefficients are linear ones times the slope of the transfer function."""
     sh = np.zeros((1, 4, 3))
     sh[0, 2] = 1e-4

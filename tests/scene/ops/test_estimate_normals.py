@@ -49,7 +49,9 @@ SHAPES = {
 
 @pytest.mark.parametrize("method", [AXIS, PLANE])
 @pytest.mark.parametrize("name", SHAPES)
-def test_normals_point_outwards(name: str, method: ls.config.NormalEstimate) -> None:
+def test_estimated_normals_point_outwards_on_convex_and_concave_shapes(
+    name: str, method: ls.config.NormalEstimate
+) -> None:
     """More than 99 % of the normals point outwards on convex and concave shapes, close to the surface's normals."""
     gaussians, truth = bare(SHAPES[name], 12_000)
     normals = ls.estimate_normals(gaussians, method)
@@ -59,7 +61,7 @@ def test_normals_point_outwards(name: str, method: ls.config.NormalEstimate) -> 
     assert np.median(np.abs(cosine)) > np.cos(np.radians(5.0))
 
 
-def test_holes_do_not_flip_normals() -> None:
+def test_hole_in_a_shell_does_not_flip_the_estimated_normals() -> None:
     """A hole in a vase's wall does not make its inside count as outside."""
     gaussians, truth = bare(shapes.sphere(), 12_000)
     wall = gaussians.means @ unit(1, 1)[0] < 0.85
@@ -80,7 +82,7 @@ def with_faint(gaussians: ls.Gaussians, means: np.ndarray, opacity: float, scale
     return joined(gaussians, faint)
 
 
-def test_strays_and_haze_change_little() -> None:
+def test_distant_and_faint_gaussians_do_not_flip_the_estimated_normals() -> None:
     """Distant Gaussians do not coarsen the voxels, and faint ones around the set do not count as a wall."""
     gaussians, truth = bare(shapes.torus(1.0, 0.3), 12_000)
     haze = np.random.default_rng(3).uniform(-1.6, 1.6, (3000, 3))
@@ -90,7 +92,7 @@ def test_strays_and_haze_change_little() -> None:
     assert np.mean(np.einsum("ij,ij->i", normals, truth) > 0.0) > 0.99
 
 
-def test_plane_fits_weight_by_opacity() -> None:
+def test_plane_fits_weight_neighbours_by_their_opacity() -> None:
     """Faint Gaussians off the surface hardly tilt fitted planes."""
     gaussians, truth = bare(shapes.sphere(), 4000)
     off = gaussians.means * np.random.default_rng(6).uniform(0.9, 1.1, (4000, 1))
@@ -98,7 +100,7 @@ def test_plane_fits_weight_by_opacity() -> None:
     assert np.mean(np.abs(np.einsum("ij,ij->i", normals, truth)) > np.cos(np.radians(5.0))) > 0.95
 
 
-def test_normals_rotate_with_the_set() -> None:
+def test_estimated_normals_rotate_with_the_gaussians() -> None:
     """A rotated, scaled and moved set has rotated normals."""
     mesh = SHAPES["knot"]
     pose = similarity((1.0, -2.0, 0.5), 1.3, 40.0, (300.0, -20.0, 7.0))
@@ -108,7 +110,7 @@ def test_normals_rotate_with_the_set() -> None:
     assert normals.shape == moved.shape
 
 
-def test_stored_normals_are_returned() -> None:
+def test_estimate_normals_returns_stored_normals_unless_a_method_is_given() -> None:
     """Stored normals are returned unless another method is requested."""
     gaussians = ls.gaussians_from_mesh(shapes.sphere(), 500)
     upward = replace(gaussians, normals=np.tile([[0.0, 1.0, 0.0]], (500, 1)))
@@ -117,7 +119,7 @@ def test_stored_normals_are_returned() -> None:
     assert np.mean(cosines) > 0.99
 
 
-def test_plane_fits_find_normals_of_round_gaussians() -> None:
+def test_plane_fits_find_the_surface_normals_of_spherical_gaussians() -> None:
     """Spherical Gaussians on a sphere have no thin axis, but planes through their means give the sphere's normals."""
     flat, truth = bare(shapes.sphere(), 4000)
     wide = flat.scales.max(axis=1, keepdims=True)
@@ -133,7 +135,7 @@ def test_plane_fits_find_normals_of_round_gaussians() -> None:
 
 @pytest.mark.parametrize("method", [AXIS, PLANE])
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_few_gaussians_have_unit_normals(method: ls.config.NormalEstimate, count: int) -> None:
+def test_single_and_coincident_gaussians_get_unit_normals(method: ls.config.NormalEstimate, count: int) -> None:
     """Even single, isolated or coincident Gaussians get unit normals."""
     for gaussians in (random_gaussians(6, count), one_gaussian(opacity=0.0, scale=(0.1, 0.2, 1e-6))):
         for some in (gaussians, replace(gaussians, means=np.zeros((gaussians.count, 3)))):
@@ -142,7 +144,7 @@ def test_few_gaussians_have_unit_normals(method: ls.config.NormalEstimate, count
             np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
 
 
-def test_normals_of_a_sheet_agree() -> None:
+def test_estimated_normals_of_a_thin_sheet_agree_on_one_side() -> None:
     """If both sides are equally open, neighbours agree on one side, whatever the signs of their axes."""
     flat, truth = bare(shapes.plane(2.0, 2.0), 2000)
     w, x, y, z = flat.rotations_wxyz.T
@@ -153,7 +155,7 @@ def test_normals_of_a_sheet_agree() -> None:
     np.testing.assert_allclose(np.abs(cosine.mean()), 1.0, atol=1e-3)
 
 
-def test_invalid_arguments_are_refused() -> None:
+def test_estimate_normals_refuses_invalid_methods_and_other_objects() -> None:
     """An invalid method and an argument that is not a set are refused."""
     with pytest.raises(ls.ConfigError, match="method is 'mean', expected 'auto', 'smallest-axis' or 'pca'"):
         ls.estimate_normals(one_gaussian(), "mean")
@@ -162,7 +164,7 @@ def test_invalid_arguments_are_refused() -> None:
 
 
 @pytest.mark.data
-def test_normals_of_open_meshes_point_outwards(data_dir) -> None:
+def test_estimated_normals_of_a_mesh_with_holes_point_outwards(data_dir) -> None:
     """The bunny's normals point outwards although the flood fill enters through the holes below."""
     bunny = ls.load(data_dir / "meshes" / "stanford-bunny.obj")
     assert isinstance(bunny, ls.Mesh)
@@ -170,7 +172,7 @@ def test_normals_of_open_meshes_point_outwards(data_dir) -> None:
     assert np.mean(np.einsum("ij,ij->i", ls.estimate_normals(gaussians), truth) > 0.0) > 0.99
 
 
-def test_dense_clusters_are_subsampled() -> None:
+def test_dense_cluster_is_subsampled_without_changing_other_normals() -> None:
     """Thousands of coincident Gaussians are not all paired, and planes elsewhere do not change."""
     rng = np.random.default_rng(0)
     sphere = rng.normal(size=(6000, 3))

@@ -28,7 +28,7 @@ def placed(up: Any, **sides: float) -> tuple[np.ndarray, np.ndarray, ls.Camera]:
 
 @pytest.mark.parametrize("up", UPS)
 @pytest.mark.parametrize("elevation", [-1.2, 0.0, 0.7])
-def test_elevation_is_the_angle_above_the_horizon(up, elevation):
+def test_elevation_of_a_frame_camera_is_the_angle_above_the_horizon(up, elevation):
     """For any up, elevation is the angle of the eye above the horizon, and up stays up in the image."""
     upward, outward, camera = placed(up, azimuth=0.4, elevation=elevation)
     assert outward @ upward == pytest.approx(math.sin(elevation))
@@ -37,7 +37,7 @@ def test_elevation_is_the_angle_above_the_horizon(up, elevation):
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_azimuth_turns_to_the_right(up):
+def test_azimuth_of_a_frame_camera_turns_to_the_right(up):
     """A quarter turn moves the eye to the front camera's right, and a full turn back to the front."""
     _, _, front = placed(up, elevation=0.0)
     _, right, _ = placed(up, azimuth=0.5 * math.pi, elevation=0.0)
@@ -47,7 +47,7 @@ def test_azimuth_turns_to_the_right(up):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_views_from_the_poles_keep_their_orientation(side):
+def test_frame_cameras_at_the_poles_have_the_orientation_of_nearby_cameras(side):
     """Views from straight above and below have the orientation of views close to the pole."""
     _, outward, pole = placed("y-up", azimuth=0.3, elevation=0.5 * math.pi * side)
     assert abs(outward[1]) == pytest.approx(1.0)
@@ -55,7 +55,7 @@ def test_views_from_the_poles_keep_their_orientation(side):
     np.testing.assert_allclose(pole.camera_from_world[:3, :3], near.camera_from_world[:3, :3], atol=0.011)
 
 
-def test_target_is_centred():
+def test_frame_camera_centres_a_given_target():
     """A given target is at the centre of the image."""
     target = CENTER + np.array((0.5, 0.2, -0.1))
     camera = ls.frame_camera(SCENE, target=target, azimuth=1.0)
@@ -74,20 +74,20 @@ def test_target_is_centred():
         ({"azimuth": math.nan}, "azimuth is nan"),
     ],
 )
-def test_invalid_arguments_are_refused(arguments, message):
+def test_frame_camera_refuses_invalid_arguments_and_angles_in_degrees(arguments, message):
     """Invalid values are refused, above all angles in degrees."""
     with pytest.raises(ls.SceneError, match=message):
         ls.frame_camera(SCENE, **arguments)
 
 
 @pytest.mark.parametrize("up", ["sideways", (0, 0, 0), (1, 2), (math.inf, 0, 0)])
-def test_invalid_up_is_refused(up):
+def test_scene_refuses_an_up_that_is_not_a_direction(up):
     """A scene refuses an up that is not a direction."""
     with pytest.raises(ls.SceneError, match="up is"):
         ls.Scene(up=up)
 
 
-def test_upright_models_face_the_camera():
+def test_model_made_upright_faces_the_frame_camera_for_any_up():
     """A y-up model rotated by `Scene.upright_wxyz` looks as in a scene of its own."""
     from lumisplat.math.transforms import rotation_matrix
 
@@ -103,7 +103,7 @@ def test_upright_models_face_the_camera():
         )
 
 
-def test_default_up_depends_on_the_scenes_content():
+def test_default_up_is_y_down_for_captures_and_y_up_for_meshes_alone():
     """Captures are y down, meshes alone y up, unless the scene states its up."""
     assert SCENE.up_direction == (0.0, -1.0, 0.0)
     assert ls.Scene([], [quad(1.0)]).up_direction == (0.0, 1.0, 0.0)
@@ -117,7 +117,7 @@ def seen(camera: ls.Camera, points: np.ndarray) -> bool:
     return bool((z > 0).all() and (abs(u - 640) <= 640).all() and (abs(v - 360) <= 360).all())
 
 
-def test_orbits_show_the_whole_scene():
+def test_every_camera_of_an_orbit_shows_the_whole_scene():
     """Every camera of an orbit shows all corners of a long scene; at the front camera's distance, some are cut."""
     long = ls.Scene([random_gaussians(4, extent=(0.3, 0.2, 4.0), center=(1, 2, 3))])
     low, high = long.bulk_bounds()
@@ -129,7 +129,7 @@ def test_orbits_show_the_whole_scene():
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_orbits_consist_of_frame_cameras(up):
+def test_orbit_cameras_equal_frame_cameras_at_evenly_spaced_azimuths(up):
     """Camera k of n has azimuth 2 pi k / n; fractional and negative turns scale the angle."""
     scene = ls.Scene(SCENE.splats, up=up)
     start = ls.frame_camera(scene, distance=5.0)
@@ -144,7 +144,7 @@ def test_orbits_consist_of_frame_cameras(up):
     )
 
 
-def test_orbits_around_a_point_keep_the_distance():
+def test_orbit_around_a_point_keeps_the_distance_of_the_first_camera():
     """An orbit around a point keeps the distance and all other settings of the first camera."""
     first = ls.Camera.look_at((5, -3, 4), (5, -2, 9), (0, -1, 0), aperture=0.1, fov_y=0.5, width=64, height=48)
     for camera in ls.orbit_cameras(SCENE, 7, first, target=(4, -2, 8)):
@@ -161,7 +161,7 @@ def test_orbits_around_a_point_keep_the_distance():
         ({"count": 4, "camera": "front"}, "orbit_cameras takes a Camera"),
     ],
 )
-def test_invalid_orbits_are_refused(arguments, message):
+def test_orbit_cameras_refuses_invalid_arguments_in_one_line(arguments, message):
     """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.orbit_cameras(SCENE, **arguments)
@@ -169,7 +169,7 @@ def test_invalid_orbits_are_refused(arguments, message):
 
 @pytest.mark.parametrize("spread", [0.0, 1.0, 1e6])
 @pytest.mark.parametrize("count", [1, 2, 50, 5000])
-def test_bulk_excludes_two_percent_of_opacity_at_each_end(count, spread):
+def test_bulk_bounds_exclude_2_percent_of_the_opacity_at_each_end(count, spread):
     """The bulk equals the result of sorting, to the bit, also with ties and distant outliers."""
     rng = np.random.default_rng(count)
     heights = np.round(rng.standard_cauchy(count), 1) * spread
@@ -180,7 +180,7 @@ def test_bulk_excludes_two_percent_of_opacity_at_each_end(count, spread):
     assert bulk_extent(heights, weights) == tuple(heights[order[ends]])
 
 
-def test_bulk_moves_with_its_capture():
+def test_bulk_bounds_of_a_moved_instance_move_along():
     """The bulk of a moved instance moves with it, although bounds are cached."""
     capture = SCENE.splats[0].gaussians
     low, high = ls.Scene([ls.SplatInstance(capture)]).bulk_bounds()
@@ -197,7 +197,7 @@ def viewed(up: Any = None, view: ls.Camera = VIEW) -> ls.Scene:
     return ls.Scene([replace(SCENE.splats[0].gaussians, first_view=view)], up=up)
 
 
-def test_frame_camera_takes_the_first_view_without_roll():
+def test_frame_camera_takes_the_first_view_of_a_capture_without_its_roll():
     """The camera has the first view's eye and direction, and the scene's up without roll."""
     scene = viewed("y-down")
     camera = ls.frame_camera(scene)
@@ -209,7 +209,7 @@ def test_frame_camera_takes_the_first_view_without_roll():
     assert camera.focus_distance == pytest.approx(VIEW.focus_distance)
 
 
-def test_narrow_frames_keep_the_first_views_width():
+def test_frame_camera_of_a_narrow_frame_shows_the_width_of_the_first_view():
     """In a narrower frame, the field of view grows until the first view's width fits."""
     camera = ls.frame_camera(viewed("y-down"), width=45, height=160)
     across = math.tan(0.5 * camera.fov_y) * 45 / 160
@@ -217,7 +217,7 @@ def test_narrow_frames_keep_the_first_views_width():
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_azimuth_starts_at_the_first_view(up):
+def test_azimuth_of_a_frame_camera_starts_at_the_first_view(up):
     """Azimuths start at the first view; distance, target and elevation default to the first view's."""
     scene = viewed(up)
     view, upward = ls.frame_camera(scene), np.array(scene.up_direction)
@@ -233,7 +233,7 @@ def test_azimuth_starts_at_the_first_view(up):
 
 
 @pytest.mark.parametrize("height", [5.0, -5.0])
-def test_vertical_first_views_keep_their_up(height):
+def test_frame_camera_of_a_vertical_first_view_keeps_that_views_up(height):
     """An aerial view has no horizon, so its own up is used."""
     view = ls.Camera.look_at((0.0, height, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
     camera = ls.frame_camera(viewed("y-up", view))
@@ -254,7 +254,7 @@ def pole(*more: np.ndarray) -> ls.Gaussians:
     )
 
 
-def test_connected_thin_parts_are_framed_and_strays_are_not():
+def test_frame_camera_shows_connected_thin_parts_but_no_strays():
     """A pole of 1 % of the opacity connects to the ball and is framed; floating strays do not widen the view."""
     strays = np.random.default_rng(6).uniform(-30.0, 30.0, (40, 3))
     plain, strewn = (ls.frame_camera(ls.Scene([pole(*more)])) for more in ((), (strays,)))
@@ -266,7 +266,7 @@ def test_connected_thin_parts_are_framed_and_strays_are_not():
     assert low[1] > -1.0 and high[1] < 1.0  # the bulk alone would cut the pole off
 
 
-def test_parts_across_a_gap_are_not_framed():
+def test_frame_camera_ignores_small_parts_across_a_gap():
     """A second ball across a gap does not count unless it is part of the bulk."""
     other = np.array([0.0, -6.0, 0.0]) + np.random.default_rng(7).normal(size=(30, 3)) * 0.05
     apart = ls.frame_camera(ls.Scene([pole(other)]))

@@ -48,7 +48,7 @@ def square(count: int = COUNT) -> tuple[ls.Gaussians, float]:
     return gaussians_from_mesh(shapes.plane(1.0, 1.0), count), (1.0 / count) ** 0.5
 
 
-def test_equal_seeds_repeat_and_others_differ() -> None:
+def test_equal_seeds_sample_identical_gaussians_and_other_seeds_differ() -> None:
     """The same seed gives identical arrays; another seed gives another set."""
     mesh = shapes.torus(rows=16, columns=32)
     one, same, other = (gaussians_from_mesh(mesh, 500, seed=seed) for seed in (1, 1, 2))
@@ -58,12 +58,12 @@ def test_equal_seeds_repeat_and_others_differ() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 17, 1000])
-def test_count_is_exact(count: int) -> None:
+def test_mesh_is_sampled_with_exactly_the_requested_number_of_gaussians(count: int) -> None:
     """The number of Gaussians is exactly the requested one."""
     assert gaussians_from_mesh(shapes.icosphere(subdivisions=2), count).count == count
 
 
-def test_default_count_follows_area_and_extent_but_not_units() -> None:
+def test_default_count_depends_on_area_over_squared_extent_but_not_on_the_unit() -> None:
     """The default spacing is 1/300 of the diagonal, whatever the mesh's unit."""
     mesh = shapes.torus(1.0, 0.05, rows=16, columns=48)
     diagonal, area = np.linalg.norm(np.ptp(mesh.positions, axis=0)), 4.0 * np.pi**2 * 0.05
@@ -73,7 +73,7 @@ def test_default_count_follows_area_and_extent_but_not_units() -> None:
     assert tiny.count == pytest.approx(count, abs=2)
 
 
-def test_discs_lie_flat_on_a_sphere() -> None:
+def test_sampled_discs_lie_flat_on_the_surface_of_a_sphere() -> None:
     """Means are on the surface, thin axes and normals are radial, discs are thin and opaque."""
     gaussians = gaussians_from_mesh(shapes.sphere(0.5), COUNT)
     radii = np.linalg.norm(gaussians.means, axis=1)
@@ -86,7 +86,7 @@ def test_discs_lie_flat_on_a_sphere() -> None:
     assert gaussians.opacities.min() > 0.99
 
 
-def test_discs_follow_faces_instead_of_shading_normals() -> None:
+def test_sampled_discs_lie_in_the_faces_whatever_the_shading_normals() -> None:
     """On a cube with shared vertex normals, thin axes are face normals, while ``normals`` are the shading normals."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -99,14 +99,14 @@ def test_discs_follow_faces_instead_of_shading_normals() -> None:
     assert np.median(np.abs(gaussians.normals).max(axis=1)) < 0.95
 
 
-def test_vertex_normals_of_zero_length_are_replaced() -> None:
+def test_vertex_normals_of_zero_length_are_replaced_by_face_normals() -> None:
     """A mesh that fills missing normals with zeros is sampled like a mesh without normals."""
     plane = replace(shapes.plane(1.0, 1.0), normals=np.zeros((4, 3)))
     gaussians = gaussians_from_mesh(plane, 50)
     np.testing.assert_allclose(present(gaussians.normals), np.tile([0.0, 1.0, 0.0], (50, 1)), atol=1e-6)
 
 
-def test_centres_are_blue_noise() -> None:
+def test_centres_of_sampled_gaussians_are_blue_noise() -> None:
     """Nearest neighbours are never close; random points would come a hundred times nearer."""
     gaussians = gaussians_from_mesh(shapes.sphere(0.5), COUNT)
     spacing = (np.pi / COUNT) ** 0.5
@@ -118,7 +118,7 @@ def test_centres_are_blue_noise() -> None:
     assert np.median(nearest) > 0.75 * spacing
 
 
-def test_density_does_not_depend_on_triangle_sizes() -> None:
+def test_density_of_sampled_gaussians_does_not_depend_on_triangle_sizes() -> None:
     """Counts in equal cells vary less than random ones, although one half has 1600 times smaller triangles."""
     fine = shapes.transform_mesh(shapes.plane(0.5, 1.0, segments=(20, 40)), translated(-0.25))
     coarse = shapes.transform_mesh(shapes.plane(0.5, 1.0), translated(0.25))
@@ -136,7 +136,7 @@ def translated(x: float) -> np.ndarray:
     return matrix
 
 
-def test_square_has_no_holes_up_to_its_edge() -> None:
+def test_sampled_square_has_no_holes_up_to_its_edge() -> None:
     """One layer of discs is nearly opaque inside, and mostly opaque at edges and corners."""
     gaussians, spacing = square()
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 3)) * (1.0, 0.0, 1.0)
@@ -147,7 +147,7 @@ def test_square_has_no_holes_up_to_its_edge() -> None:
     assert alpha[~inside].min() > 0.55
 
 
-def test_discs_do_not_extend_beyond_open_edges() -> None:
+def test_sampled_discs_do_not_extend_beyond_open_edges() -> None:
     """Opacity beyond the edge is mostly gone after one spacing, and zero after two and a half."""
     gaussians, spacing = square()
     along = np.linspace(-0.45, 0.45, 500)
@@ -156,7 +156,7 @@ def test_discs_do_not_extend_beyond_open_edges() -> None:
     assert beyond[1].max() < 0.1
 
 
-def test_both_sides_of_a_thin_sheet_are_covered() -> None:
+def test_both_sides_of_a_thin_sheet_are_sampled_without_gaps() -> None:
     """Each side of a sheet thinner than the spacing is sampled without gaps, whatever lies on the other."""
     top = shapes.plane(1.0, 1.0)
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -170,7 +170,7 @@ def test_both_sides_of_a_thin_sheet_are_covered() -> None:
         assert nearest.max() < 1.1 * (1.0 / 1000) ** 0.5
 
 
-def test_colour_is_material_times_vertex_colour_times_texture() -> None:
+def test_sampled_albedo_is_material_times_vertex_colour_times_texture() -> None:
     """Albedo is the linear product at the Gaussian's uv, and SH its sRGB encoding."""
     v, u = np.mgrid[0:64, 0:64] / 63.0
     texture = np.round(255.0 * np.stack([0.2 + 0.6 * u, 0.3 + 0.5 * v, 0.5 + 0.0 * u], axis=-1)).astype(np.uint8)
@@ -190,7 +190,7 @@ def test_colour_is_material_times_vertex_colour_times_texture() -> None:
     np.testing.assert_array_equal(gaussians.roughness, np.float32(0.6))
 
 
-def test_simple_materials_give_no_roughness() -> None:
+def test_gaussians_of_a_simple_material_have_albedo_but_no_roughness() -> None:
     """Gaussians of a simple material have its colour only; their instance's material defines reflection."""
     material = ls.MaterialSimple(base_color=(0.9, 0.8, 0.7), diffuse=1.0)
     gaussians = gaussians_from_mesh(replace(shapes.plane(1.0, 1.0), material=material), 50)
@@ -204,7 +204,7 @@ def textured(texture: np.ndarray) -> ls.Mesh:
     return replace(shapes.plane(1.0, 1.0), material=material)
 
 
-def test_fine_textures_are_averaged_in_linear_light() -> None:
+def test_texels_finer_than_a_gaussian_are_averaged_in_linear_light() -> None:
     """Black and white noise of hundreds of texels per Gaussian averages to 0.5; sizes need not be powers of two."""
     noise = np.random.default_rng(0).integers(0, 2, (1000, 777, 1)).astype(np.uint8) * np.uint8(255)
     gaussians = gaussians_from_mesh(textured(np.repeat(noise, 3, axis=2)), COUNT)
@@ -213,7 +213,7 @@ def test_fine_textures_are_averaged_in_linear_light() -> None:
     assert gaussians.albedo.std() < 0.07
 
 
-def test_averaged_textures_keep_position_and_colour() -> None:
+def test_averaging_a_texture_shifts_neither_its_position_nor_its_colour() -> None:
     """A ramp stays the same ramp at every level, and a constant texture of any size stays its colour."""
     ramp = np.round(255.0 * encode_srgb((np.arange(1001) + 0.5) / 1001.0)).astype(np.uint8)
     gaussians = gaussians_from_mesh(textured(np.tile(ramp[None, :, None], (3, 1, 3))), 200)
@@ -225,7 +225,7 @@ def test_averaged_textures_keep_position_and_colour() -> None:
     np.testing.assert_allclose(present(even), decode_srgb(np.full((50, 3), 188 / 255.0)), rtol=1e-5)
 
 
-def test_degenerate_triangles_are_skipped() -> None:
+def test_sampling_skips_degenerate_triangles_of_a_mesh() -> None:
     """Lines and points among the triangles change nothing; all centres lie on the real triangle."""
     positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [9.0, 9.0, 9.0], [2.0, 0.0, 0.0]]
     mesh = ls.Mesh(np.array(positions, np.float32), np.array([[3, 3, 3], [0, 1, 2], [0, 1, 4], [3, 0, 3]], np.int32))
@@ -234,7 +234,7 @@ def test_degenerate_triangles_are_skipped() -> None:
     assert (gaussians.means.sum(axis=1) <= 1.0 + 1e-6).all()
 
 
-def test_slivers_do_not_exhaust_memory() -> None:
+def test_number_of_crease_points_of_a_sliver_is_limited() -> None:
     """Points along edges are limited for a triangle without area, where the spacing would need billions."""
     sliver = ls.Mesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-11, 0.0]], [[0, 1, 2]])
     normal = np.array([[0.0, 0.0, 1.0]])
@@ -242,7 +242,7 @@ def test_slivers_do_not_exhaust_memory() -> None:
     assert gaussians_from_mesh(sliver, 40).count == 40
 
 
-def test_invalid_requests_are_refused() -> None:
+def test_gaussians_from_mesh_refuses_invalid_counts_and_objects() -> None:
     """A count below one, a fraction, too many, and an argument that is not a mesh raise one clear error."""
     with pytest.raises(ls.SceneError, match="count is 0"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 0)
@@ -256,7 +256,7 @@ def test_invalid_requests_are_refused() -> None:
         gaussians_from_mesh(ls.MeshInstance(shapes.plane(1.0, 1.0)))  # pyright: ignore[reportArgumentType]
 
 
-def test_creases_are_sharp_and_open_edges_only() -> None:
+def test_creases_of_a_mesh_are_its_sharp_and_open_edges_only() -> None:
     """A cone's rim and a square's outline are creases; spheres and diagonals have none."""
     assert creases_of(shapes.icosphere(subdivisions=3)).size == 0
     assert creases_of(shapes.icosphere(subdivisions=1)).size == 0  # facets of 18 to 23 degrees
@@ -277,7 +277,7 @@ def creases_of(mesh: ls.Mesh) -> np.ndarray:
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000))
-def test_matrices_survive_quaternions(seed: int) -> None:
+def test_rotation_matrices_convert_to_quaternions_and_back(seed: int) -> None:
     """Any rotation, including half turns, survives conversion from matrix to quaternion and back."""
     rng = np.random.default_rng(seed)
     frames, _ = np.linalg.qr(rng.normal(size=(8, 3, 3)))
@@ -304,7 +304,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_sampled_gaussians_render_like_the_mesh(name: str) -> None:
+def test_gaussians_sampled_on_a_mesh_render_like_the_mesh(name: str) -> None:
     """From all sides, the silhouette is opaque in the mesh's colour, and nothing shows far outside."""
     mesh = SHAPES[name]()
     gaussians = gaussians_from_mesh(mesh)
@@ -328,7 +328,7 @@ def shrunk(mask: np.ndarray, steps: int) -> np.ndarray:
     return mask
 
 
-def test_outline_equals_that_of_the_mesh() -> None:
+def test_dilation_enlarges_the_outline_of_sampled_gaussians_by_under_20_percent() -> None:
     """Dilation by cameras enlarges a small ball's area by less than a fifth."""
     mesh = ls.sphere(1.0)
     camera = ls.Camera.look_at((0, 0, -8), (0, 0, 0), (0, 1, 0), width=48, height=48, fov_y=0.5)

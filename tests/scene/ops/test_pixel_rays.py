@@ -27,7 +27,7 @@ def shuttered(model: CameraModel) -> Camera:
 
 @pytest.mark.parametrize("model", list(CameraModel))
 @pytest.mark.parametrize("moving", [False, True])
-def test_pixel_rays_equal_the_tracers_rays(model: CameraModel, moving: bool) -> None:
+def test_world_space_pixel_rays_equal_the_rays_of_the_ray_tracer(model: CameraModel, moving: bool) -> None:
     """Rays equal the oracle's for all camera models, and for a rolling shutter with one pose per row."""
     view = shuttered(model) if moving else camera(model)
     origins, directions, _ = camera_rays(view, jitter=False)
@@ -39,7 +39,7 @@ def test_pixel_rays_equal_the_tracers_rays(model: CameraModel, moving: bool) -> 
         assert np.abs(found[1] - world_rays(camera(model))[1]).max() > 0.1
 
 
-def test_fisheye_directions_beyond_half_a_turn_are_zero() -> None:
+def test_fisheye_pixels_more_than_180_degrees_off_axis_have_no_direction() -> None:
     """Pixels more than 180 degrees off the axis have direction zero."""
     view = camera(CameraModel.FISHEYE, fx=1.5, fy=1.5)
     blind = ~view.ray_directions().any(axis=2)
@@ -47,7 +47,7 @@ def test_fisheye_directions_beyond_half_a_turn_are_zero() -> None:
     assert not world_rays(view)[1][blind].any()
 
 
-def test_positions_are_on_the_surfaces() -> None:
+def test_frame_positions_lie_on_the_visible_surfaces() -> None:
     """Positions lie on the ball or on the floor, and are zero where nothing is visible."""
     frame = ball_frame()
     position = frame.position

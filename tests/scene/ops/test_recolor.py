@@ -39,7 +39,7 @@ def color_towards(asset: ls.Gaussians, direction: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("k,nkc->nc", basis, asset.sh.astype(np.float64)) + 0.5, 0.0)
 
 
-def test_mean_colour_scales_linearly() -> None:
+def test_scale_light_multiplies_the_linear_mean_colour_by_the_factor() -> None:
     """The decoded mean colour is multiplied by the factor, for each channel and each Gaussian."""
     before = gaussians(500)
     factors = np.random.default_rng(1).uniform(0.0, 3.0, (500, 3))
@@ -51,7 +51,7 @@ def test_mean_colour_scales_linearly() -> None:
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
-def test_every_direction_is_scaled_alike(coefficients: int) -> None:
+def test_scale_light_multiplies_colours_in_all_directions_alike(coefficients: int) -> None:
     """max(SH + 0.5, 0) scales by the same factor in all directions, so that highlights keep their contrast."""
     before = gaussians(200, coefficients)
     after = scale_light(before, np.random.default_rng(1).uniform(0.1, 2.0, 200))
@@ -63,20 +63,20 @@ def test_every_direction_is_scaled_alike(coefficients: int) -> None:
     np.testing.assert_allclose(seen_after, gain * seen_before, atol=2e-6)
 
 
-def test_black_scales_by_the_factor() -> None:
+def test_scale_light_multiplies_colours_below_black_by_the_factor() -> None:
     """Below black, the linear part of the transfer function applies the factor."""
     black = ls.Gaussians(np.zeros((1, 3)), [[1, 0, 0, 0]], np.ones((1, 3)), [1.0], np.full((1, 1, 3), -0.6 / SH_C0))
     np.testing.assert_allclose(mean_color(scale_light(black, [0.5]))[0], -0.05, atol=1e-6)
 
 
-def test_zero_light_is_black() -> None:
+def test_scale_light_by_zero_is_black_from_all_directions() -> None:
     """At factor 0, the colour is black from all directions."""
     dark = scale_light(gaussians(100), np.zeros(100))
     for direction in np.eye(3):
         assert np.abs(color_towards(dark, direction)).max() < 1e-6
 
 
-def test_factor_one_changes_no_bits() -> None:
+def test_scale_light_by_one_changes_no_bits() -> None:
     """Factor 1 leaves a channel identical, and only ``sh`` becomes another array."""
     before = gaussians(50)
     factors = np.ones((50, 3))
@@ -100,7 +100,7 @@ def test_factor_one_changes_no_bits() -> None:
         ([1, np.nan, np.inf, 1, 1], "2 non-finite"),
     ],
 )
-def test_invalid_factors_are_refused(factors: npt.ArrayLike, said: str) -> None:
+def test_scale_light_refuses_factors_of_invalid_shape_or_value(factors: npt.ArrayLike, said: str) -> None:
     """Invalid shapes and numbers are refused."""
     with pytest.raises(ls.SceneError, match=said):
         scale_light(gaussians(5), factors)
