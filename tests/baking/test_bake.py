@@ -116,7 +116,7 @@ def test_baked_sh_do_not_depend_on_the_transform_of_the_instance() -> None:
     assert np.abs(here.gaussians.sh[:, 1:]).max() > 0.1
 
 
-def test_bake_leaves_unlit_captures_and_all_shapes_unchanged() -> None:
+def test_bake_leaves_unlit_captures_and_shapes_of_lit_gaussians_unchanged() -> None:
     """A capture without a material stays the same object; a lit one keeps shapes and normals, but no materials."""
     unlit = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
     lit = replace(floor(60), name="lit")

@@ -70,7 +70,7 @@ def test_sample_rays_of_a_bake_across_colour_edges_match_frames(shines: bool, mo
     assert np.sqrt(np.square(errors).mean()) < 0.046
 
 
-def test_clear_span_of_a_ray_ends_half_way_to_unwanted_gaussians() -> None:
+def test_clear_span_of_a_sample_ray_ends_half_way_to_gaussians_not_being_baked() -> None:
     """The segment is around the Gaussian of largest weight, and ends before a mesh just behind the last Gaussian."""
     wanted = np.array([0, 1, 1, 0, 1, 1, 1, 0, 0], np.bool_)
     hits = HitGaussians(

@@ -94,7 +94,7 @@ def test_view_weights_favour_visible_lit_and_front_sides() -> None:
     assert (dark > 0.0).all()
 
 
-def test_views_of_an_invisible_side_of_a_gaussian_are_mirrored() -> None:
+def test_view_directions_on_an_invisible_side_of_a_gaussian_are_mirrored() -> None:
     """View directions on a side without weight are mirrored at the Gaussian's plane.
 
     With weight on both sides they stay.

@@ -99,7 +99,7 @@ def test_render_of_blocks_equals_render_of_the_whole_capture(work: Workspace, mo
     np.testing.assert_array_equal(pixels(work.path("tiles/inside.png")), pixels(work.path("whole/inside.png")))
 
 
-def test_render_holds_the_blocks_of_one_view_in_memory(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_render_holds_only_the_blocks_of_one_view_in_memory(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks of the last view are released, also by the renderer, before those of the next view are read."""
     made(work)
     references: list[Callable[[], object]] = []

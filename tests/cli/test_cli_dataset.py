@@ -129,7 +129,7 @@ def test_dataset_command_reports_mistakes_in_one_line(work, options: tuple[str, 
     assert not work.path("out").exists()
 
 
-def test_dataset_views_near_cameras_need_cameras(work) -> None:
+def test_dataset_views_placed_near_cameras_require_a_camera_file(work) -> None:
     """The settings place views near cameras, but no file has any."""
     work.path("set.toml").write_text('[poses]\nwhere = "cameras"\n')
     done = make(work, "out")

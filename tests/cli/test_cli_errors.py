@@ -149,7 +149,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
         (("demo", "--device", "cuda:7"), "cuda:7"),
     ],
 )
-def test_every_mistake_on_the_command_line_is_one_line(work, monkeypatch, args, named):
+def test_every_mistake_on_the_command_line_is_reported_in_one_line(work, monkeypatch, args, named):
     """Each mistake ends with status 2, prints one line on standard error that names the mistake, and writes no file."""
     monkeypatch.chdir(work.folder)
     before = work.files()

@@ -47,7 +47,7 @@ def test_durations_are_printed_in_seconds_minutes_or_hours(seconds: float, spoke
     assert duration_text(seconds) == spoken
 
 
-def test_text_behind_a_comma_updates_the_same_progress_bar(monkeypatch) -> None:
+def test_progress_text_after_a_comma_updates_the_same_progress_bar(monkeypatch) -> None:
     """Samples and noise change the text behind the comma of one bar, which disappears at the end."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     with progress_bars() as report:

@@ -71,7 +71,7 @@ def test_unknown_option_is_answered_with_a_similar_valid_option(
         ("render a.ply -x", "-x is no option of lumisplat render (see lumisplat render --help)"),
     ],
 )
-def test_option_of_other_commands_is_answered_with_these_commands(
+def test_option_of_other_commands_is_answered_with_the_commands_that_have_it(
     line: str, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """If no command has the option, the line names only the help."""
@@ -91,7 +91,7 @@ def test_option_of_other_commands_is_answered_with_these_commands(
         ("farm", "lumisplat farm needs one of animate, orbit, render, dataset, train (see lumisplat farm --help)"),
     ],
 )
-def test_wrong_option_value_names_the_help_of_its_command(
+def test_error_for_a_wrong_option_value_names_the_help_of_its_command(
     line: str, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A missing value, argument or command names the help, too."""

@@ -131,7 +131,7 @@ def test_sixteen_bit_depth_image_stores_its_range(work):
     np.testing.assert_allclose(depth[hit], frame.depth[hit], atol=0.51 / 65534 * (far - near) + 1e-6)
 
 
-def test_sixteen_bit_depth_works_without_surfaces_and_of_one_plane(work):
+def test_sixteen_bit_depth_images_of_no_surface_or_one_plane_are_valid(work):
     """Without a surface all pixels are 0; a range of zero length divides nothing by zero."""
     frame = ls.render(ls.Scene(), front_camera(8, 6), device="cpu")
     assert frame.depth_range is None

@@ -243,7 +243,7 @@ def test_choice_settings_accept_exactly_their_declared_choices(
         assert getattr(by_value, name) is member and by_value == settings(**{name: member})
 
 
-def test_list_of_choice_settings_in_this_file_is_complete() -> None:
+def test_every_setting_with_choices_is_in_the_list_of_tested_settings() -> None:
     """Choices that are added to settings later must be added to the list, too."""
     every = {
         (kind, field.name)

@@ -39,7 +39,7 @@ def test_pipelines_with_bounces_light_scenes_without_lights(pipeline: ls.Pipelin
         assert given.is_lit(by_default=not lighting) == lighting
 
 
-def test_unused_settings_are_listed_with_the_frames_that_use_them() -> None:
+def test_each_unused_setting_is_listed_with_the_frames_that_would_use_it() -> None:
     """The text for an unused setting names other pipelines, lit frames, or frames with shadows."""
     unused = ls.RenderConfig(pipeline=ls.Pipeline.RASTER, shadows=ls.Shadows.OFF).unused_settings(lit=True)
     assert unused["max_bounces"] == "Used by the pipelines trace, hybrid, path, realtime."
@@ -65,7 +65,7 @@ def test_frames_that_are_exact_with_one_sample_use_no_random_numbers() -> None:
     assert "trace.strategy" in replace(exact, pipeline=ls.Pipeline.PATH).unused_settings(lit=True)
 
 
-def test_only_the_module_of_pipelines_compares_pipelines() -> None:
+def test_source_code_outside_config_pipelines_compares_no_pipelines() -> None:
     """Other code asks for the property that it depends on: `rasterises`, `bounces_light` and so on."""
     asking: list[str] = []
     for path in SOURCES.rglob("*.py"):

@@ -234,7 +234,7 @@ def test_intensity_settings_have_the_unit_of_their_light_type(kind: Any) -> None
     assert next(one for one in settings_of(kind) if one.name == "intensity").range.unit == kind.unit
 
 
-def test_settings_of_groups_have_dotted_names_with_their_declaration() -> None:
+def test_settings_in_groups_are_listed_by_dotted_name_with_range_and_unit() -> None:
     """The declaration has kind, range, unit and default."""
     named = all_settings(ls.RenderConfig)
     assert named["trace.hits_per_pass"].expected == "4, 8, 16 or 32"

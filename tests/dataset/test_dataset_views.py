@@ -273,7 +273,7 @@ def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
 
 
-def test_free_space_assumed_by_these_tests_is_that_of_the_scene() -> None:
+def test_free_space_assumed_by_data_set_tests_is_that_of_their_scene() -> None:
     """The block of the scene has the assumed corners."""
     low, high = block_scene().meshes[1].bounds()
     np.testing.assert_allclose([low, high], [BLOCK_LOW, BLOCK_HIGH], atol=1e-6)

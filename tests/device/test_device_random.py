@@ -83,7 +83,7 @@ def test_random_draws_match_stored_values(sample_key: int, dimension: int, value
     assert random.draw(wp.uint32(sample_key), wp.uint32(dimension)) == value * 2.0**-24
 
 
-def test_random_permutation_matches_its_publication() -> None:
+def test_random_word_permutation_matches_its_published_definition() -> None:
     """The test contains the published permutation, written with Python's integers."""
     for word in (1, 2, 0xDEADBEEF, LAST, 0x80000000):
         x = word

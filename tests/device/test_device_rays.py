@@ -180,7 +180,7 @@ def test_orthographic_rays_start_on_the_plane_through_the_eye() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_camera_scaled_threefold_keeps_the_rays_of_the_original_pixels(model: ls.CameraModel) -> None:
+def test_camera_at_threefold_resolution_keeps_the_rays_of_the_original_pixels(model: ls.CameraModel) -> None:
     """At three times the resolution, the middle of each 3 x 3 pixels has the original pixel's ray."""
     camera = lens_camera(model, aperture=0.0, camera_from_world_end=None)
     large, small = device_rays(camera.scaled(width=120)), device_rays(camera)
@@ -293,7 +293,7 @@ def test_fisheye_aperture_is_perpendicular_to_each_ray() -> None:
     assert np.abs(along).max() < 1e-6
 
 
-def test_lens_point_of_a_pixel_depends_only_on_seed_and_sample() -> None:
+def test_lens_sample_of_a_pixel_depends_only_on_seed_and_sample_number() -> None:
     """Equal seed and sample give equal bits; a different seed or sample gives different origins."""
     camera = lens_camera(PINHOLE)
     first = device_rays(camera, 4, 9)

@@ -256,7 +256,7 @@ def mean_entries(found: Found, nodes: np.ndarray, begins: np.ndarray, ends: np.n
 
 
 @pytest.mark.parametrize("spread", SPREADS)
-def test_mean_entry_distance_of_a_box_is_a_lower_bound_of_projected_means(spread: float) -> None:
+def test_packet_entry_distance_of_a_box_is_at_most_that_of_any_mean_inside(spread: float) -> None:
     """The distance is at most the projection of any point of the box on any live ray.
 
     Boxes that are entered before the packet's end, with means beyond its begin, are not missed.
@@ -320,7 +320,7 @@ def test_ray_packets_miss_boxes_off_their_direction() -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_ray_packet_takes_rays_close_to_the_first_waiting_ray(device: str) -> None:
+def test_ray_packet_gathers_rays_close_to_the_first_waiting_ray(device: str) -> None:
     """The packet takes the first waiting ray, and rays of any lane within the radius and angular spread around it."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1

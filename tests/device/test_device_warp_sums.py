@@ -13,7 +13,7 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_warp_sums_add_each_part_of_a_thread_block_exactly_once(device: str) -> None:
+def test_warp_sums_add_the_value_of_each_participating_thread_once(device: str) -> None:
     """In some rows all threads have a part, in others some threads or warps; parts of the other threads are ignored."""
     random, blocks, threads = np.random.default_rng(5), 3, 32 * WARPS
     shape = (blocks, ROWS, threads)

@@ -28,7 +28,7 @@ def test_cryptomatte_hashes_are_murmur3(name: str, expected: int) -> None:
     assert murmur3_32(name) == expected
 
 
-def test_cryptomatte_ids_are_normal_floats() -> None:
+def test_cryptomatte_ids_are_neither_denormal_nor_infinite_nor_nan() -> None:
     """No id is denormal, infinite or NaN, because readers may change such floats."""
     names = [f"thing {number}" for number in range(20_000)]
     hashes = np.array([murmur3_32(name) for name in names], dtype=np.uint32)

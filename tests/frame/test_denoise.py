@@ -116,7 +116,7 @@ def test_denoising_a_denoised_frame_changes_nothing() -> None:
 
 
 @needs_denoiser
-def test_denoiser_gets_no_guides_if_the_first_surface_is_random() -> None:
+def test_denoiser_gets_no_albedo_or_normals_of_stochastic_first_surfaces() -> None:
     """A random first surface belongs to stochastic frames; the denoiser then gets neither albedo nor normals."""
     frame = replace(noisy(ball_frame(*SIZE)), albedo=None)
     for settings in (

@@ -156,7 +156,7 @@ def test_saving_or_viewing_layers_that_were_not_rendered_is_refused(tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
-def test_labels_of_lights_in_files_are_unique_and_valid() -> None:
+def test_labels_of_lights_are_unique_and_valid_in_file_and_channel_names() -> None:
     """Names of lights become unique labels that are valid in channel and file names."""
     frame = ball_frame()
     direct, shadow = np.zeros((6, 27, 48, 3), np.float32), np.ones((6, 27, 48, 3), np.float32)

@@ -82,7 +82,7 @@ def test_notebook_output_of_large_opaque_frames_is_jpeg() -> None:
     assert pixels_of(data["image/png"]).mode == "RGBA"
 
 
-def test_notebook_output_of_a_broken_frame_is_text() -> None:
+def test_notebook_output_of_a_frame_that_cannot_be_encoded_is_text() -> None:
     """Showing a broken frame in a notebook never raises."""
     broken = replace(shown(), color=cast(Any, None))
     data, about = broken._repr_mimebundle_()

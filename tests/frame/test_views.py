@@ -75,7 +75,7 @@ def test_depth_view_runs_from_red_to_blue_over_the_depth_range(frame: ls.Frame) 
     np.testing.assert_allclose(picture[same], other[0, 2], atol=0.05)
 
 
-def test_frames_without_a_surface_have_views(frame: ls.Frame) -> None:
+def test_views_of_a_frame_without_any_surface_are_black_or_unlit(frame: ls.Frame) -> None:
     """A frame without a surface has views, too: black, or the colour of no light."""
     empty = replace(
         frame,
@@ -121,7 +121,7 @@ def test_hits_view_is_logarithmic_on_a_fixed_scale(frame: ls.Frame) -> None:
     np.testing.assert_allclose(replace(frame, hits=hits).view("hits", (0.0, 15.0))[0, 3], heat[3], atol=1e-5)
 
 
-def test_index_views_have_distinct_and_stable_colours(frame: ls.Frame) -> None:
+def test_index_views_give_each_index_a_fixed_and_distinct_colour(frame: ls.Frame) -> None:
     """Neighbouring indices differ in colour, a Gaussian has one colour in every frame, and meshes differ as well."""
     gaussian = np.array([[0, 1, 0, -1, -1, -1]], np.int32)
     instance = np.array([[0, 0, 1, 2, 3, -1]], np.int32)

@@ -57,7 +57,7 @@ def agx_with_polynomial(linear: np.ndarray) -> np.ndarray:
     return encode_srgb(np.clip(display, 0.0, 1.0))
 
 
-def test_khronoss_inverse_function_inverts_the_neutral_tone_map() -> None:
+def test_neutral_tone_map_is_inverted_by_the_inverse_that_khronos_published() -> None:
     """The inverse of Khronos's function maps every result back to its input."""
     colors = random_colors(4000).astype(np.float64)
     back = neutral_inverse(decode_srgb(apply_tone_map(colors, ToneMap.NEUTRAL).astype(np.float64)))
@@ -98,7 +98,7 @@ def test_agx_tone_map_matches_values_computed_by_hand() -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_tone_maps_are_monotonic_along_the_greys(tone_map: ToneMap) -> None:
+def test_tone_maps_are_monotonic_along_the_grey_axis(tone_map: ToneMap) -> None:
     """Along the greys no channel decreases by more than rounding, and greys stay grey."""
     greys = np.linspace(0.0, 20.0, 5001)[:, None] * np.ones(3)
     mapped = apply_tone_map(greys, tone_map)
@@ -119,7 +119,7 @@ def test_tone_maps_give_a_finite_colour_for_any_light(tone_map: ToneMap) -> None
     assert np.isnan(apply_tone_map(np.full(3, np.nan), tone_map)).all()
 
 
-def test_no_tone_map_encodes_colours_by_the_srgb_curve() -> None:
+def test_tone_map_none_encodes_colours_by_the_srgb_curve() -> None:
     """Colours up to white are sRGB-encoded; brighter ones are white."""
     colors = random_colors(1000)
     expected = encode_srgb(np.minimum(colors, 1.0))
@@ -234,7 +234,7 @@ def test_remove_tone_map_inverts_apply_tone_map(tone_map, brightest):
 
 
 @pytest.mark.parametrize("tone_map", ls.ToneMap)
-def test_remove_tone_map_gives_finite_values_for_black_white_and_saturated(tone_map):
+def test_remove_tone_map_is_finite_for_black_white_and_saturated_colours(tone_map):
     """Black, white and saturated colours are inverted to finite, non-negative numbers."""
     ends = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 0], [0, 1, 1]], np.float64)
     back = remove_tone_map(ends, tone_map)

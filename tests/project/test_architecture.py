@@ -340,7 +340,7 @@ def test_every_setting_has_a_docstring_below_its_name() -> None:
                     assert documented, f"{node.name}.{ast.unparse(field.target)} has no docstring"
 
 
-def test_readers_of_imports_and_calls_find_all_cases(tmp_path: Path) -> None:
+def test_readers_of_imports_and_calls_find_those_inside_functions_and_blocks(tmp_path: Path) -> None:
     """Imports for type checkers are skipped by default."""
     path = tmp_path / "sample.py"
     path.write_text(

@@ -136,7 +136,7 @@ def test_bench_run_writes_only_the_tables_of_complete_groups(tmp_path: Path) -> 
     assert page.regions(copy)["paths"] == before["paths"]
 
 
-def test_benchmark_page_without_the_table_is_refused(tmp_path: Path) -> None:
+def test_writing_to_a_benchmark_page_without_the_tables_marker_is_refused(tmp_path: Path) -> None:
     """The message names the comment that the page lacks."""
     (tmp_path / "page.md").write_text("# Benchmarks\n")
     with pytest.raises(ValueError, match="expected one line '<!-- written: raster -->', found 0"):

@@ -28,7 +28,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, light_positions: list[tuple[float,
     )
 
 
-def test_estimated_lights_count_only_near_a_true_light(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_estimated_lights_count_as_correct_only_near_a_true_light(monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit is 0.4 m in the capture's own unit; a true light with two estimates counts as found once."""
     row = searched(monkeypatch, [(0.3, 2.0, 0.0), (0.0, 0.0, 3.0), (9.0, 0.0, 0.0)], 1.0)
     assert (row["lamps"], row["lamps_found"], row["lights"], row["lights_right"]) == (3, 1, 2, 1)

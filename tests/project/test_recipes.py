@@ -14,7 +14,7 @@ def recipe(title: str) -> str:
     return (ROOT / "CONTRIBUTING.md").read_text().split(f"## {title}\n")[1].split("\n## ")[0]
 
 
-def test_recipe_for_a_light_names_every_file_of_a_light_type() -> None:
+def test_recipe_for_adding_a_light_names_every_file_that_mentions_a_light_type() -> None:
     """The steps name the six files that mention the newest light type, by class, constant or kind."""
     words = re.compile(r"\bLightDisk\b|\bLIGHT_DISK\b|\"disk\"")
     found = {
@@ -25,7 +25,7 @@ def test_recipe_for_a_light_names_every_file_of_a_light_type() -> None:
     assert len(found) <= 6
 
 
-def test_recipe_for_a_layer_names_every_file_of_a_layer() -> None:
+def test_recipe_for_adding_a_layer_names_every_file_that_mentions_a_layer() -> None:
     """The steps name every file with the name, field or array of a layer."""
     words = re.compile(r"\"reflection\"|\breflection: |\.reflection\b")
     found = {

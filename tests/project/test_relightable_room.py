@@ -55,7 +55,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, ball: Path) -> Path:
     return out
 
 
-def test_walls_of_the_relightable_room_face_inwards_and_balls_stand(tool: ModuleType, ball: Path) -> None:
+def test_walls_of_the_relightable_room_face_inwards_and_balls_stand_on_the_floor(tool: ModuleType, ball: Path) -> None:
     """Six walls and two plates face the middle; two balls of 1.3 m stand on the floor."""
     scene = tool.room_of([ball, ball])
     for instance in scene.meshes[:8]:

@@ -100,7 +100,7 @@ def layer(folder: Path, name: str, index: int, channels: str) -> tuple[np.ndarra
     return np.stack([stored[channel] for channel in channels], axis=-1), stored["A"] > 0.999
 
 
-def test_relightable_set_holds_out_views_between_the_others(tool: ModuleType, balls: Path) -> None:
+def test_relightable_set_holds_out_views_between_training_views(tool: ModuleType, balls: Path) -> None:
     """The requested number is held out, none at the ends; all cameras are at one distance and see the whole object."""
     scene = tool.scene_of(balls)
     views = tool.views_around(scene, SIZE, 12, 4)

@@ -43,7 +43,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return json.loads((out / "searchindex.js").read_text(encoding="utf-8").removeprefix("Search.setIndex(")[:-1])
 
 
-def test_site_search_finds_pages_by_words_of_other_programs_first(index: dict[str, Any]) -> None:
+def test_site_search_for_a_word_of_another_program_finds_its_page_first(index: dict[str, Any]) -> None:
     """Sphinx's search ranks index entries above titles and text, by the fraction of the entry that the query covers."""
     expected = {word.lower(): page for page, _, word in conf()["words_of_other_programs"]()}
     first: dict[str, set[str]] = {}

@@ -70,7 +70,7 @@ def test_mesh_with_far_object_coordinates_looks_like_one_at_the_origin() -> None
     np.testing.assert_allclose(shown(ls.Pipeline.TRACE, far, far_camera), expected, atol=2e-3)
 
 
-def test_realtime_frame_far_from_the_origin_is_as_bright() -> None:
+def test_realtime_brightness_does_not_depend_on_the_distance_from_the_origin() -> None:
     """Cells of the cache and noise differ, but means agree, and an unmoved scene keeps its history."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, shadows=ls.Shadows.SOFT)
     means = []

@@ -83,7 +83,7 @@ def test_frame_merged_from_two_renderers_has_the_bits_of_one_renderer(pipeline: 
     assert np.abs(shared.color - plain.color).max() < 1e-5
 
 
-def test_merging_sample_parts_that_do_not_fit_is_refused() -> None:
+def test_merging_overlapping_incomplete_or_unrelated_sample_parts_is_refused() -> None:
     """The parts overlap, leave a gap, belong to other frames, or are missing; each error is one line."""
     scene, renderer = lit_scene.scene(), ls.create_renderer(settings(samples=2), "cpu")
     part = ls.farm.render_samples(renderer, scene, CAMERA, range(2))

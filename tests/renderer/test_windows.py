@@ -96,7 +96,7 @@ def test_unscented_frame_of_a_window_equals_the_crop_of_the_full_image(name: str
 
 
 @pytest.mark.parametrize("name", ["phone", "barrel"])
-def test_resampled_frame_of_a_window_equals_the_crop_of_the_full_image(name: str) -> None:
+def test_rasterised_distorted_frame_of_a_window_equals_the_crop_of_the_full_image(name: str) -> None:
     """Rasterised frames with lens distortion are resampled from a larger pinhole frame."""
     camera = replace(LENSES[name], width=71, height=53, cx=36.0, cy=25.0, fx=60.0, fy=63.0)
     assert_crop(ls.create_renderer(None, "cpu"), ls.Scene([layers(camera)]), camera)

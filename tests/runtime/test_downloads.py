@@ -120,7 +120,7 @@ def test_frames_are_downloaded_at_once_if_the_device_memory_is_full(monkeypatch:
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_memory_block_may_be_returned_while_another_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbage_collection_may_return_a_memory_block_while_another_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     """A garbage collection on the same thread may return a block while one is taken, without deadlock or loss."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)})]

@@ -184,7 +184,7 @@ def test_caster_lists_summed_in_parts_equal_whole_lists_in_a_deep_shadow_map(mon
         pytest.param(ls.LightDirectional((0.0, 0.0, 1.0)), id="sun", marks=pytest.mark.deep),
     ],
 )
-def test_deep_shadow_culling_keeps_receivers_shadowed_only_at_outer_samples(light: Any) -> None:
+def test_deep_shadow_culling_preserves_shadows_that_only_outer_receiver_samples_reach(light: Any) -> None:
     """Only the outermost samples of a wide receiver reach the shadow of a small caster."""
     caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
     rng = np.random.default_rng(0)

@@ -66,7 +66,7 @@ def write_gltf(path: Path, uri: str) -> None:
 
 @pytest.mark.parametrize("name", ["body.gltf", "body.glb"])
 @pytest.mark.parametrize("uri", ["tex/bark.png", "tex/old%20bark.png"])
-def test_frames_are_refused_after_a_gltf_texture_changed(work, name: str, uri: str) -> None:
+def test_continuing_a_frame_folder_is_refused_after_a_gltf_texture_changed(work, name: str, uri: str) -> None:
     """Percent-encoded texture names and binary glTF files count, too; the error names the texture."""
     texture = work.path(uri.replace("%20", " "))
     write_texture(texture, 200)
@@ -103,7 +103,7 @@ def test_fingerprint_of_a_binary_usd_includes_its_textures(work) -> None:
     }  # fmt: skip
 
 
-def test_frames_are_refused_after_a_usd_texture_changed(work) -> None:
+def test_continuing_a_frame_folder_is_refused_after_a_usd_texture_changed(work) -> None:
     """The mesh has a texture beside its .usdc, and the error names the texture."""
     pytest.importorskip("pxr")
     write_texture(work.path("tex/bark.png"), 200)

@@ -122,7 +122,9 @@ def test_render_in_tiles_continues_after_a_killed_process(work, tmp_path: Path) 
         (("--tiles", "2x2", "--pipeline", "path", "--set=noise=0.1"), "choose samples by the whole image"),
     ],
 )
-def test_render_refuses_options_that_exclude_tiles(work, options: tuple[str, ...], message: str) -> None:
+def test_render_refuses_options_that_cannot_be_combined_with_tiles(
+    work, options: tuple[str, ...], message: str
+) -> None:
     """Each refusal prints one line with status 2, and no image is written."""
     done = work.run("render", "@capture.ply", "-o", "@out", *SIZE, *options)
     assert done.status == 2 and message in done.err, done.err

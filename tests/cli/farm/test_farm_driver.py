@@ -212,7 +212,7 @@ def test_farm_refuses_several_workers_for_a_realtime_sequence(tmp_path: Path) ->
     assert [index for _, index in farm.ray.given] == list(range(9))
 
 
-def test_farm_logs_a_log_line_of_its_workers_once(tmp_path: Path, caplog: Any) -> None:
+def test_farm_logs_equal_lines_of_workers_once_and_names_the_machine_of_errors(tmp_path: Path, caplog: Any) -> None:
     """An error of a worker on another machine names the machine."""
     farm = Farm(tmp_path, 2)
     farm.ray.does = farm._does(
@@ -235,7 +235,7 @@ def test_farm_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None
     assert of_frames[0][0] == "frames, 0 of 4" and of_frames[-1][0] == "frames, 4 of 4, 2 s per frame on one worker"
 
 
-def test_farm_makes_a_frame_after_the_frames_that_it_needs(tmp_path: Path) -> None:
+def test_farm_starts_a_frame_after_the_frames_that_it_depends_on(tmp_path: Path) -> None:
     """A frame fails if a frame that it needs has failed."""
     needs = {2: (0, 1), 4: (3,)}
     farm = Farm(tmp_path, 5, needs=needs)

@@ -170,7 +170,7 @@ def test_files_made_by_farm_workers_equal_those_of_one_process(
         ),
     ],
 )
-def test_mistakes_found_by_farm_workers_end_in_one_line(
+def test_mistakes_found_by_farm_workers_are_reported_in_one_line(
     work: Workspace, monkeypatch, options: tuple[str, ...], message: str
 ) -> None:
     """Each mistake ends with status 2, and no frame is written."""

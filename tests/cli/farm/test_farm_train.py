@@ -74,7 +74,9 @@ def test_farm_train_settings_file_sets_options_per_image_folder(ray: Any, tmp_pa
     assert [path.read_text() for path in others] == ["mine", "mine"]
 
 
-def test_farm_train_continues_after_stop_after(ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_farm_train_continues_a_training_that_stop_after_ended(
+    ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """``--stop-after`` leaves an unfinished capture and reports it; the same command continues to equal bits."""
     folder, long = str(write_training_folder(tmp_path / "one")), ("--iterations", "200", *SHORT[2:])
     assert main(["train", folder, "-o", str(tmp_path / "alone.ply"), *long]) == 0

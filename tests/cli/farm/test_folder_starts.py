@@ -42,7 +42,7 @@ def starts(folder: FrameFolder, seeds: list[int], *, overwrite: bool = False) ->
     return [lambda seed=seed: folder.prepare({"seed": f"{seed}"}, overwrite) for seed in seeds]
 
 
-def test_one_of_several_runs_with_different_settings_uses_a_folder(tmp_path: Path) -> None:
+def test_only_one_of_several_runs_with_different_settings_gets_a_frame_folder(tmp_path: Path) -> None:
     """Seven of eight simultaneous runs are refused with a line that names the differences.
 
     The stored settings are whole.
@@ -65,7 +65,7 @@ def test_simultaneous_runs_with_equal_settings_share_a_frame_folder(tmp_path: Pa
         folder.check_current({"seed": "3"})
 
 
-def test_one_of_several_overwriting_runs_keeps_the_frame_folder(tmp_path: Path) -> None:
+def test_only_one_of_several_overwriting_runs_keeps_the_frame_folder(tmp_path: Path) -> None:
     """The other runs stop at their next frame, because another run uses the folder."""
     for number in range(20):
         folder = FrameFolder(tmp_path / f"{number}", "png")
@@ -111,7 +111,7 @@ def test_last_run_gets_the_frame_folder_if_hard_links_are_missing(
 
 
 @pytest.mark.deep
-def test_one_of_two_processes_with_different_settings_gets_the_folder(tmp_path: Path) -> None:
+def test_only_one_of_two_processes_with_different_settings_gets_the_folder(tmp_path: Path) -> None:
     """All frames are of one process; the other process ends with one line and status 2."""
     for number in range(3):
         folder = tmp_path / f"{number}" / "out"

@@ -152,7 +152,7 @@ def test_documents_overwrite_an_existing_scene_file_only_on_request(folder: Path
         document.save(folder / "row.ply", overwrite=True)
 
 
-def test_edited_documents_share_all_objects_that_the_edit_leaves(folder: Path) -> None:
+def test_edited_documents_share_all_objects_that_the_edit_does_not_change(folder: Path) -> None:
     """Renderers cache assets by object identity, and undo returns to the previous document."""
     before = ls.io.SceneDocument.open(folder / "scene.toml")
     scene = before.scene()

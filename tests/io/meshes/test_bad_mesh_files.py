@@ -327,7 +327,7 @@ def test_dropping_a_ply_triangle_drops_its_texture_coordinates(tmp_path: Path) -
     np.testing.assert_array_equal(mesh.uvs, [(0, 0), (0.25, 0), (0.5, 0.25)])
 
 
-def test_restarts_of_gltf_triangle_strips_are_not_unusable_triangles(
+def test_restarts_of_gltf_triangle_strips_are_not_counted_as_unusable(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Repeated corners restart a strip and are not counted."""

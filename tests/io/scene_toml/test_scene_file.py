@@ -168,7 +168,7 @@ def test_invalid_scene_files_are_refused_with_file_line_and_key(folder, text, pr
     assert "\n" not in str(caught.value)
 
 
-def test_error_in_a_file_of_a_scene_file_names_that_file(folder: Path) -> None:
+def test_error_in_a_file_referenced_by_a_scene_file_names_that_file(folder: Path) -> None:
     """The error does not name the scene file."""
     (folder / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
     with pytest.raises(ls.FormatError) as caught:

@@ -100,7 +100,7 @@ def camera_glb(folder: Path) -> None:
     (folder / "a.glb").write_bytes(gltf.glb())
 
 
-def test_camera_files_placed_with_their_scene_show_the_same_pixels(tmp_path: Path) -> None:
+def test_cameras_transformed_with_their_scene_show_the_same_pixels(tmp_path: Path) -> None:
     """Pinhole and orthographic cameras project a moved point to the same pixel; depth scales with the placement."""
     camera_glb(tmp_path)
     entry = '[[cameras]]\npath = "a.glb"\nheight = 40\n'

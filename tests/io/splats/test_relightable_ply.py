@@ -63,7 +63,7 @@ def write(path: Path, *rows: dict[str, float], comment: str = "") -> Path:
     return path
 
 
-def test_handmade_rows_have_as_many_columns_as_files_of_the_trainers() -> None:
+def test_handmade_ply_rows_have_as_many_columns_as_files_of_the_trainers() -> None:
     """R3DG writes 130 columns and GS-IR 67."""
     assert (len(r3dg_row((0, 0, 0), 0)), len(gs_ir_row((0, 0, 0), 0, 0))) == (130, 67)
 

@@ -279,7 +279,9 @@ def test_comment_lumisplat_logits_overrides_the_guess_of_encoding(
     assert not caplog.records
 
 
-def test_own_ply_that_looks_activated_states_its_encoding(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_saved_ply_whose_logits_look_activated_states_its_encoding(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Large Gaussians with logits within 0..1 survive two round trips thanks to a comment."""
     rng = np.random.default_rng(4)
     whole = capture(100, degree=0, opacities=rng.uniform(0.55, 0.7, 100), scales=rng.uniform(1.5, 3.0, (100, 3)))

@@ -83,7 +83,9 @@ def steps(name: str, gaussians: Gaussians) -> Steps:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_capture_format_is_within_half_a_quantisation_step(tmp_path: Path, name: str, degree: int) -> None:
+def test_round_trip_of_every_capture_format_is_within_half_a_quantisation_step(
+    tmp_path: Path, name: str, degree: int
+) -> None:
     """A capture is written and loaded in each format."""
     gaussians = capture(300, degree)
     loaded = load_gaussians(write_format(tmp_path, name, gaussians))

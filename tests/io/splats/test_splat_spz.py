@@ -302,7 +302,7 @@ def test_spz_header_fields_out_of_range_are_refused_by_name(
 
 
 @pytest.mark.data
-def test_spz_and_compressed_ply_of_the_biker_agree(data_dir: Path) -> None:
+def test_downloaded_biker_spz_and_compressed_ply_agree(data_dir: Path) -> None:
     """Positions agree to half a step of 12 bits and of the PLY, and so do rotations, colours and opacities."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     np.testing.assert_allclose(spz.means, ply.means, rtol=0, atol=2**-13 + 1e-6)
@@ -315,7 +315,7 @@ def test_spz_and_compressed_ply_of_the_biker_agree(data_dir: Path) -> None:
 
 
 @pytest.mark.data
-def test_only_unmirrored_axes_make_spz_and_ply_of_the_biker_agree(data_dir: Path) -> None:
+def test_downloaded_biker_spz_and_ply_agree_only_without_mirrored_axes(data_dir: Path) -> None:
     """All eight combinations of mirrored axes are tried."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     agreeing = []

@@ -108,7 +108,7 @@ def test_interrupted_find_poses_continues_with_stored_results(tmp_path, data_dir
 @needs_colmap
 @pytest.mark.data
 @pytest.mark.deep
-def test_find_poses_matches_the_given_poses_of_the_fox(tmp_path, data_dir):
+def test_find_poses_matches_the_given_poses_of_the_downloaded_fox_images(tmp_path, data_dir):
     """Poses match transforms.json up to a similarity, to 1 % of the camera path's length and 1 degree.
 
     COLMAP keeps the principal point at the image centre, which is off by 0.6 degrees. File names have spaces here.
@@ -144,7 +144,7 @@ def similarity(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, floa
     return u @ np.diag(signs) @ v, float((sizes * signs).sum() / (a * a).sum())
 
 
-def test_similarity_of_point_sets_is_recovered():
+def test_similarity_transform_between_point_sets_is_recovered():
     """Tests the helper `similarity`."""
     camera = ls.Camera.look_at((1, 2, 3), (0, 0, 0))
     points = np.random.default_rng(1).normal(size=(9, 3))

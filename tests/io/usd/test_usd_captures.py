@@ -337,7 +337,7 @@ def test_usd_package_write_on_a_full_disk_keeps_the_old_package(
 
 @pytest.mark.data
 @pytest.mark.parametrize("extension", [".usdc", ".usdz"])
-def test_usd_round_trip_of_the_biker_is_exact_and_logs_nothing(
+def test_usd_round_trip_of_the_downloaded_biker_is_exact_and_logs_nothing(
     tmp_path: Path, data_dir: Path, extension: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The biker's Gaussians and its rendered frames are identical."""

@@ -72,7 +72,7 @@ def test_film_measures_no_variance_among_equal_samples() -> None:
     assert (variance >= 0.0).all() and variance.max() < 1e-15 and noise < 1e-13
 
 
-def test_noise_estimates_count_darker_pixels_at_higher_exposure() -> None:
+def test_noise_estimates_include_darker_pixels_at_higher_exposure() -> None:
     """Two stops of exposure quarter the minimum luminance of lit frames; unlit frames use a display value."""
     assert least_luminance(0.0, is_lit=True) == pytest.approx(0.01)
     assert least_luminance(2.0, is_lit=True) == pytest.approx(0.0025)

@@ -58,7 +58,7 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
         (scene(ENVIRONMENT), {"samples": 3}, 3),
     ],
 )
-def test_default_sample_count_is_1_unless_random_light_is_reflected_or_blocked(
+def test_default_sample_count_is_1_unless_randomly_sampled_light_is_reflected_or_blocked(
     content: ls.Scene, settings: dict[str, Any], samples: int
 ) -> None:
     """Frames in which random light is reflected or blocked have more samples by default."""

@@ -40,7 +40,7 @@ def test_pipelines_agree_on_layered_materials_under_a_light(look: str) -> None:
     assert np.abs(without - shown[0]).max() > 0.02
 
 
-def test_relit_gaussians_with_sheen_reflect_more_light() -> None:
+def test_sheen_makes_relit_gaussians_brighter() -> None:
     """Sheen brightens the relit set."""
     gaussians = ls.gaussians_from_mesh(ball(0.3, ls.MaterialPbr(base_color=(0.5, 0.1, 0.1))), 3000)
     shown = [

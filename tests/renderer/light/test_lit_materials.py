@@ -187,7 +187,7 @@ def test_sh_degree_limit_of_one_set_does_not_affect_other_sets(pipeline: ls.Pipe
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_captured_part_of_thin_splats_does_not_depend_on_their_reflectance(pipeline: ls.Pipeline) -> None:
+def test_captured_light_of_faint_splats_does_not_depend_on_their_material(pipeline: ls.Pipeline) -> None:
     """A layer below the iso-opacity threshold has the same captured part if its set reflects as if it only emits."""
     veil = curtain(rows=3, opacity=0.04)
     background = (0.2, 0.4, 0.6)

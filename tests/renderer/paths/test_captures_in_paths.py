@@ -94,7 +94,9 @@ def test_floor_below_two_captured_panels_receives_their_blended_display_value() 
 
 
 @pytest.mark.parametrize("primary", list(ls.config.PathPrimary))
-def test_iso_primary_lights_the_blend_and_particle_primary_each_gaussian(primary: ls.config.PathPrimary) -> None:
+def test_primary_iso_lights_the_blended_material_and_primary_particle_each_gaussian(
+    primary: ls.config.PathPrimary,
+) -> None:
     """Two lit sheets have unlike albedo: the iso surface lights the blend, particles are lit separately.
 
     Their display-referred means differ; means of light do not.

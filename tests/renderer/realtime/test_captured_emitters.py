@@ -264,7 +264,7 @@ def test_realtime_frames_with_captured_lights_do_not_depend_on_thread_count() ->
     np.testing.assert_array_equal(*frames)
 
 
-def test_realtime_light_of_a_moved_capture_moves_along() -> None:
+def test_realtime_light_of_a_moved_capture_moves_with_the_capture() -> None:
     """After 12 frames, blocks are within 10 % RMS of a sequence in which the capture never moved."""
     camera, scenes = view(48, 32), []
     for x in (-0.8, 0.8):

@@ -95,7 +95,7 @@ def test_five_light_layers_sum_to_a_realtime_frame_with_captured_colours() -> No
 
 
 @pytest.mark.parametrize("name", ["point", "rect"])
-def test_relit_sheet_before_a_mesh_matches_the_path_tracer_in_real_time(name: str) -> None:
+def test_relit_sheet_in_front_of_a_mesh_matches_the_path_tracer_in_real_time(name: str) -> None:
     """The sheet has an opacity of 0.6; each channel is within 1 % of the path tracer."""
     lights: dict[str, Light] = {
         "point": ls.LightPoint((0.5, 0.0, -2.0), intensity=4.0),
@@ -113,7 +113,7 @@ def test_relit_sheet_before_a_mesh_matches_the_path_tracer_in_real_time(name: st
 
 
 @pytest.mark.parametrize("light", ["point", "rect"])
-def test_light_in_a_realtime_box_fades_within_frames_when_a_light_goes_out(light: str) -> None:
+def test_direct_light_of_a_realtime_box_fades_in_8_frames_and_indirect_in_24(light: str) -> None:
     """In a box of albedo 0.5, nine tenths of direct light are gone after 8 frames, of indirect light after 24."""
     lights: dict[str, Any] = {
         "point": ls.LightPoint((0.5, 0.8, 0.5), intensity=0.5),

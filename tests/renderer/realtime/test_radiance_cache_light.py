@@ -210,7 +210,7 @@ def test_two_sides_of_a_thin_wall_share_no_radiance_cache_cell() -> None:
 
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(8, 8), (16, 16), (16, 4)])
-def test_radiance_cache_fades_by_its_history_when_lights_go_out(history: int, bounce_history: int) -> None:
+def test_radiance_cache_light_fades_exponentially_with_the_history_length(history: int, bounce_history: int) -> None:
     """Direct light fades as (1 - 1/N)^n after n frames of history N; indirect light follows its dark sources."""
     rng = np.random.default_rng(5)
     rig = CacheRig(history=history, bounce_history=bounce_history, bounces=256)  # one ray a cell

@@ -70,7 +70,7 @@ def test_full_radiance_cache_evicts_the_tiles_unused_for_longest(caplog: pytest.
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_radiance_cache_counts_the_tiles_that_do_not_fit_in_a_large_frame(parallel: bool) -> None:
+def test_radiance_cache_counts_the_tiles_of_a_frame_that_exceed_its_capacity(parallel: bool) -> None:
     """Samples without a tile return the radiance of the query; tiles of the current frame are not evicted."""
     rig = CacheRig(Launcher("cpu", threads=2, parallel=parallel), tiles=64)
     rig.insert(made_samples(tile_row(-50, 50)), 0)

@@ -158,7 +158,7 @@ def test_realtime_direct_and_indirect_light_fade_when_a_light_goes_out() -> None
     assert late.indirect_diffuse.mean() < 0.1 * before.indirect_diffuse.mean()
 
 
-def test_realtime_shadow_of_a_moved_object_moves_along() -> None:
+def test_realtime_shadow_of_a_moved_object_moves_with_the_object() -> None:
     """After 24 frames, the former shadow is within 5 % of a sequence without the object; no pixel was ever black."""
     light = ls.LightPoint((2.0, 2.8, 2.5), intensity=20.0)
     floor = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive][:4]
@@ -182,7 +182,7 @@ def moved(x: float) -> np.ndarray:
     return matrix
 
 
-def test_realtime_mirror_shows_surfaces_without_direct_light() -> None:
+def test_realtime_mirror_shows_indirectly_lit_surfaces_as_bright_as_the_path_tracer() -> None:
     """The mean brightness of the mirror is within 15 % of the path tracer."""
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     shade = box((0.8, 0.8, 0.8), silver)

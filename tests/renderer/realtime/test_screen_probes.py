@@ -59,7 +59,7 @@ def test_screen_probes_are_exact_in_a_white_furnace_with_a_moving_camera() -> No
 
 @pytest.mark.parametrize("degrees", [0, 20, 45, 70, 90, 120])
 @pytest.mark.parametrize("extent", [0.0, 0.02])
-def test_screen_probe_irradiance_below_half_an_environment_is_accurate(degrees: float, extent: float) -> None:
+def test_screen_probe_irradiance_of_a_bright_half_space_is_within_3_percent(degrees: float, extent: float) -> None:
     """E = pi L (1 + cos d) / 2 at tilt d; SH degree, cells and the horizon of meshes cause errors of at most 3 %."""
     angle = np.radians(degrees)
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])

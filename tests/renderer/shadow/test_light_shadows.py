@@ -165,7 +165,7 @@ def test_penumbra_of_a_sun_behind_a_straight_edge_matches_the_closed_form(pipeli
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.SOFT], ids=lambda shadows: shadows.value)
-def test_object_blocks_a_light_only_if_it_is_before_the_light(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+def test_object_blocks_a_light_only_if_it_is_nearer_than_the_light(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
     """A lid right below a light darkens the floor; a lid right above the light changes nothing."""
     lights = [
         ls.LightSphere((0.0, 2.0, 0.0), 0.3, intensity=5.0),
@@ -320,7 +320,7 @@ def arriving_share(frame: ls.Frame) -> np.ndarray:
 
 
 @PIPELINES
-def test_transmittance_threshold_darkens_and_rescales_shadows(pipeline: ls.Pipeline) -> None:
+def test_transmittance_threshold_is_subtracted_from_shadow_transmittance_and_rescaled(pipeline: ls.Pipeline) -> None:
     """Transmittance T becomes (T - threshold) / (1 - threshold), at least 0, as docs/method/shadows.md says."""
     shadow = ls.ShadowConfig(transmittance_threshold=0.3)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])

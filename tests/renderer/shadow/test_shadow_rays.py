@@ -116,7 +116,7 @@ def test_shadow_rays_use_the_extent_and_response_settings_of_camera_rays(
     )
 
 
-def test_transmittance_of_shadow_rays_does_not_depend_on_hit_distance(rig: ShadowRig) -> None:
+def test_transmittance_of_shadow_rays_ignores_the_hit_distance_setting(rig: ShadowRig) -> None:
     """All Gaussians that peak before the light count, whatever ``hit_distance`` is."""
     assert_matches_reference(rig, placed_scene(), seed=20, hit_distance=ls.config.HitDistance.HULL)
 

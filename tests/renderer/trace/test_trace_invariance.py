@@ -207,7 +207,9 @@ def discs() -> ls.Scene:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_tracing_passes_blend_each_of_150_near_layers_once(backend: str, hit_distance: ls.config.HitDistance) -> None:
+def test_tracing_in_passes_blends_each_of_150_nearly_coincident_layers_once(
+    backend: str, hit_distance: ls.config.HitDistance
+) -> None:
     """The discs lie at nearly one distance; none is lost or blended twice, with hit lists of any length."""
     camera = view(3, 3, 100.0)
     for k in (4, 16):

@@ -138,7 +138,7 @@ def test_noise_of_stochastic_frames_equals_the_predicted_variance(
 @devices
 @strategies
 @pytest.mark.parametrize("name", ["instances", "mesh", "linear, hull"])
-def test_every_stochastic_sample_is_one_gaussian_or_pass_or_the_background(
+def test_every_stochastic_sample_shows_one_gaussian_one_pass_or_the_background(
     name: str, strategy: ls.config.TraceStrategy, device: str
 ) -> None:
     """All images of a sample agree, and each outcome has its expected frequency."""
@@ -234,7 +234,7 @@ def test_all_backends_draw_the_same_random_numbers_for_stochastic_frames(
 
 
 @strategies
-def test_accepted_first_stochastic_pass_has_the_colour_of_the_sorted_frame(strategy: ls.config.TraceStrategy) -> None:
+def test_accepted_stochastic_samples_have_the_colours_of_sorted_tracing(strategy: ls.config.TraceStrategy) -> None:
     """Nothing is behind the first pass; the colour of the accepted pass is that of sorting, divided by alpha."""
     scene, camera = ls.Scene([copies(12, 173)]), small_camera(8, 6, 8.0)
     config = trace_config(None, strategy=strategy, jitter=False)
