@@ -15,7 +15,7 @@ silence."""
 
 
 class RayError(Exception):
-    """Stands in for Ray's error: a worker is gone."""
+    """Replaces Ray's error for a dead worker."""
 
 
 def died(how: str = "its process has ended") -> RayError:
@@ -30,13 +30,16 @@ def answer(**values: Any) -> Answer:
 
 @dataclass
 class FakeRay:
-    """A cluster. While the driver waits, ``does`` answers the oldest pending question that has an answer."""
+    """A simulated Ray cluster.
+
+    While the driver waits, ``does`` answers the oldest pending question that has an answer.
+    """
 
     does: Does
     cpus: int = 2
     gpus: int = 0
     now: float = 0.0
-    """Current time in seconds; it advances by the timeout when nobody answers."""
+    """Current time in seconds; it advances by the timeout of ``wait`` when no worker answers."""
     given: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
     """Pairs of worker and frame in the order in which frames were assigned."""
     living: set[int] = field(default_factory=set[int])
@@ -54,7 +57,7 @@ class FakeRay:
         return lambda _: SimpleNamespace(remote=self._start)
 
     def wait(self, refs: list[Any], *, num_returns: int, timeout: float) -> tuple[list[Any], list[Any]]:
-        """Returns the first question with an answer, and the others."""
+        """Returns a list with the oldest question that has an answer, and a list of all other questions."""
         for ref in refs:
             if ref.answer is None:
                 ref.answer = self.does(ref.worker, ref.frame)
@@ -64,7 +67,7 @@ class FakeRay:
         return [], refs
 
     def get(self, ref: Any) -> Answer:
-        """Returns the answer, or raises it if it is an exception."""
+        """Returns the answer to a question, or raises the answer if it is an exception."""
         if isinstance(ref.answer, Exception):
             raise ref.answer
         return ref.answer

@@ -36,7 +36,7 @@ class FakeMaker:
     """File that must exist for a worker to start."""
     in_sequence: bool = False
     kind: str = "fake"
-    """Kind of the frames in their provenance."""
+    """Text stored as ``kind`` in the provenance of the frames, so that jobs with other texts have other settings."""
 
     def open_frames(self, report: Report) -> FrameJob:
         """Returns the job with all frames."""

@@ -63,7 +63,7 @@ def dying_in_writing(number: int) -> Callable[..., None]:
 
 
 def arm(moment: str, number: int) -> None:
-    """Patches the function of a moment so that the process dies there."""
+    """Patches the function that MOMENT names, so that the process dies at its NUMBER-th call."""
     match moment:
         case "in a step of materials":
             MaterialFit.step = dying(MaterialFit.step, number, after=True)

@@ -12,14 +12,15 @@ from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
 
 BACKENDS = ["cpu", "cpu as cuda", "cpu as graph", *(device.alias for device in wp.get_cuda_devices())]
-"""The CPU with its own kernels, with CUDA's kernels, with those replayed as a graph, and every GPU."""
+"""The CPU with CPU kernels, the CPU with CUDA's kernels, the CPU with CUDA's kernels replayed as a graph, and every
+GPU."""
 
 
 class ReplayingRenderer(ls.Renderer):
-    """A renderer that repeats a frame until it is replayed: direct with new buffers, direct, captured, replayed."""
+    """Renders each frame four times: directly twice, while capturing a graph, and from the graph."""
 
     def render(self, scene: ls.Scene, camera: ls.Camera, **options: Any) -> ls.Frame:
-        """Returns the replayed frame, and asserts that the others equal it."""
+        """Returns the frame replayed from the graph, and asserts that the three frames rendered before are equal."""
         frames = [super(ReplayingRenderer, self).render(scene, camera, **options) for _ in range(4)]
         for frame in frames[:-1]:
             np.testing.assert_array_equal(frame.color, frames[-1].color, "the graph's frame is not the direct one")

@@ -1,4 +1,4 @@
-"""Emulates CUDA graphs without a GPU: Warp captures and replays on the CPU too, so stale graphs show there as well."""
+"""Emulates CUDA graphs without a GPU: Warp also captures and replays on the CPU, so a stale graph fails there too."""
 
 from __future__ import annotations
 

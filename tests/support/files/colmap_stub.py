@@ -22,7 +22,7 @@ class ColmapStub:
     features: int = 500
     """Number of features per image."""
     verified: int = 100
-    """Number of verified pairs among 100."""
+    """Number of verified image pairs among 100."""
     lenses: list[tuple[str, str, bool]] = field(default_factory=list)
     """Camera model, camera mode, and whether an existing camera was used, for each call that extracts features."""
     compared: list[tuple[str, str]] = field(default_factory=list)

@@ -15,7 +15,7 @@ EXTENSION = "KHR_gaussian_splatting"
 
 
 def stored_values(count: int = 5, degree: int = 1, seed: int = 4) -> dict[str, np.ndarray]:
-    """Returns attributes of Gaussians in glTF's axes, keyed by names without prefix, all float32."""
+    """Returns float32 attributes of Gaussians in glTF's axes, keyed by names without the extension's prefix."""
     rng = np.random.default_rng(seed)
     rotations = rng.normal(size=(count, 4))
     values = {
@@ -31,7 +31,7 @@ def stored_values(count: int = 5, degree: int = 1, seed: int = 4) -> dict[str, n
 
 
 def full_name(name: str) -> str:
-    """Returns the name of an attribute in a file."""
+    """Returns an attribute's name in a glTF file; attributes of the extension get the extension's name as prefix."""
     return name if name in ("POSITION", "COLOR_0", "NORMAL") or name.startswith("_") else f"{EXTENSION}:{name}"
 
 
@@ -61,7 +61,7 @@ def primitive_of(gltf: Gltf) -> dict[str, Any]:
 
 
 def loaded(folder: Path, gltf: Gltf, **options: Any) -> ls.Gaussians | ls.Mesh | ls.Scene:
-    """Writes and loads a document."""
+    """Writes a document to a GLB file, and returns what `ls.load` reads from the file."""
     (folder / "splats.glb").write_bytes(gltf.glb())
     return ls.load(folder / "splats.glb", **options)
 

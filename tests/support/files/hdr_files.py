@@ -45,7 +45,7 @@ def write_exr(path: Path, **channels: np.ndarray) -> Path:
 
 
 def _new_row(row: np.ndarray) -> bytes:
-    """Encodes channel by channel: three or more equal bytes as a run, others as literals of at most 128 bytes."""
+    """Encodes a row channel by channel: three or more equal bytes as a run, others as literals of at most 128 bytes."""
     data = bytes([2, 2, len(row) >> 8, len(row) & 255])
     for channel in row.T:
         literal = b""
@@ -69,7 +69,7 @@ def _literals(values: bytes) -> bytes:
 
 
 def _old_row(row: np.ndarray) -> bytes:
-    """Encodes repeated pixels as (1, 1, 1, n), with n in as many such pixels as needed, low byte first."""
+    """Encodes a row; n repetitions of a pixel become pixels (1, 1, 1, byte), one for each byte of n, low byte first."""
     data = b""
     for pixel, group in itertools.groupby(map(bytes, row)):
         data += pixel

@@ -27,11 +27,11 @@ def ksplat(
 
     Args:
         sections: Captures.
-        level: Compression level.
+        level: Compression level of the file.
         block: Edge length of a bucket's cube.
         bucket: Number of Gaussians in a full bucket.
         steps: Quantisation steps from the centre of a bucket to its side.
-        limits: Smallest and largest SH coefficient of level 2.
+        limits: Smallest and largest SH coefficient that a file of compression level 2 can store.
     """
     heads, bodies = bytearray(), bytearray()
     for one in sections:

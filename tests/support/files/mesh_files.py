@@ -69,13 +69,13 @@ def ply_text(order: str = "ascii", quad_first: bool = True) -> bytes:
 
 
 def stl_bytes(corners: np.ndarray) -> bytes:
-    """Encodes corners (F, 3, 3) as binary STL whose header starts with the word that marks ASCII files."""
+    """Encodes F triangles, corners (F, 3, 3), as binary STL whose header starts with the word that marks ASCII STL."""
     rows = b"".join(struct.pack("<12fH", 0, 0, 0, *triangle.reshape(-1), 0) for triangle in corners)
     return b"solid but binary".ljust(80) + struct.pack("<I", len(corners)) + rows
 
 
 def stl_text(corners: np.ndarray) -> bytes:
-    """Encodes corners (F, 3, 3) as ASCII STL."""
+    """Encodes F triangles, corners (F, 3, 3), as ASCII STL."""
     facets = "".join(
         "facet normal 0 0 0\nouter loop\n"
         + "".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle)

@@ -43,7 +43,7 @@ def panorama(tilt: float = 0.0) -> np.ndarray:
 
 
 def write_relightable_set(folder: Path, gaussians: ls.Gaussians) -> Path:
-    """Writes the data set whose ground truth is this capture with its albedo. Returns the folder."""
+    """Writes renderings of a capture as a data set with the capture's materials as ground truth. Returns the folder."""
     names = [f"r_{index:03}" for index in range(2 + VIEWS)]
     posed = [replace(camera, name=name) for camera, name in zip(cameras(), names, strict=True)]
     write_blender_images(folder, {"train": posed[:2], "test": posed[2:]})
@@ -82,6 +82,6 @@ def read_layer(folder: Path, name: str, view: str) -> np.ndarray:
 
 
 def write_radiance(path: Path, image: np.ndarray) -> None:
-    """Writes a panorama."""
+    """Writes a panorama of radiance as an EXR file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_exr(path, {name: image[..., i] for i, name in enumerate("RGB")})

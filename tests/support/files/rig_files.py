@@ -11,7 +11,8 @@ from support.files.gltf_writer import Gltf
 
 RINGS, SIDES, HEIGHT, RADIUS = 13, 10, 3.0, 0.25
 JOINT_NODES = (2, 3, 4)
-"""Nodes of the joints, each one unit above its parent joint; node 1 is their parent, node 0 has the mesh."""
+"""Nodes of the joints, each one unit above its parent joint; node 1 is the parent of the lowest, node 0 has the mesh.
+"""
 
 
 def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -36,7 +37,7 @@ def tube_weights(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class TubeRig:
-    """Content of the file; tests change it before they write the file."""
+    """Content of a glTF file with the rig; tests change the content before they write the file."""
 
     positions: np.ndarray = field(default_factory=lambda: tube()[0])
     normals: np.ndarray | None = field(default_factory=lambda: tube()[1])
@@ -60,7 +61,7 @@ class TubeRig:
     })  # fmt: skip
 
     def gltf(self) -> Gltf:
-        """Returns the document."""
+        """Returns the content as a glTF document."""
         gltf = Gltf()
         arrays = {"POSITION": self.positions, **self.attributes}
         if self.normals is not None:
@@ -98,13 +99,13 @@ class TubeRig:
         return gltf
 
     def write(self, path: Path) -> Path:
-        """Writes the document as GLB. Returns the path."""
+        """Writes the content as a GLB file. Returns the path."""
         path.write_bytes(self.gltf().glb())
         return path
 
 
 def quaternion_xyzw(axis: tuple[float, float, float], degrees: float) -> list[float]:
-    """Returns a rotation as glTF stores it."""
+    """Returns the quaternion (x, y, z, w), as glTF stores it, of a rotation about an axis."""
     half = np.radians(degrees) / 2.0
     return [*(np.sin(half) * np.asarray(axis, float) / np.linalg.norm(axis)), float(np.cos(half))]
 

@@ -23,7 +23,7 @@ def load_scene(folder: Path, text: str) -> ls.Scene:
 
 
 def refuses(caught: pytest.ExceptionInfo[ls.FormatError], folder: Path, problem: str) -> None:
-    """Checks that the error is one line about the scene file that contains ``problem``."""
+    """Checks that an error is one line that begins with the path of ``scene.toml`` and contains ``problem``."""
     message = str(caught.value)
     assert message.startswith(f"{folder / 'scene.toml'}: ")
     assert problem in message

@@ -250,7 +250,7 @@ def unpacked(folder: Path, files: dict[str, bytes]) -> Path:
 
 
 def rows_of_level(file: int, offset: int, count: int) -> dict[str, int]:
-    """Returns the entry of a level in a leaf of a streamed SOG."""
+    """Returns the JSON entry that tells where a level's Gaussians are stored, for a leaf of a streamed SOG."""
     return {"file": file, "offset": offset, "count": count}
 
 

@@ -32,7 +32,7 @@ def ring_cameras(count: int = 5, width: int = 40, height: int = 30, **lens: Any)
 
 
 def radiance(directions: np.ndarray) -> np.ndarray:
-    """Returns display-referred radiance of a smooth distant environment, shape (..., 3)."""
+    """Returns the display-referred radiance of a smooth distant environment in each direction, shape (..., 3)."""
     waves = np.array([[3.0, 1.0, 2.0], [-2.0, 4.0, 1.0], [1.0, -3.0, 3.0]])
     return 0.5 + 0.4 * np.sin(directions @ waves.T + (0.1, 0.5, 1.2))
 

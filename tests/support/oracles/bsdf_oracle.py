@@ -28,7 +28,7 @@ def angle(a: Array, b: Array) -> Array:
 
 
 def schlick(normal_incidence: npt.ArrayLike, grazing: float, cos: Array) -> Array:
-    """Returns reflectance by the cosine of incidence, per channel."""
+    """Returns Schlick's approximation of Fresnel reflectance for a cosine of incidence, per channel."""
     head_on = np.asarray(normal_incidence, dtype=np.float64)
     return head_on + (grazing - head_on) * ((1.0 - cos) ** 5)[..., None]
 
@@ -58,7 +58,9 @@ def fresnel(cos: Array, eta: float) -> Array:
 def directional_albedo(alpha: float, head_on: npt.ArrayLike, grazing: float, cos: Array | None) -> Array:
     """Returns the fitted directional albedo of a specular lobe at ``cos``; None returns the cosine-weighted mean.
 
-    With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, the albedo is ``F0 (1 - lost - rising) + F90 rising``.
+    For a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, the albedo is ``F0 (1 - lost - rising) + F90 rising``.
+    ``lost`` is the fraction lost to masking and shadowing, and ``rising`` is the weight of reflectance at grazing
+    angles.
     """
     if cos is None:
         rising = np.asarray(1.0 / 21.0 / (1.0 + 2.4 * alpha + 17.0 * alpha**2))
@@ -72,7 +74,7 @@ def directional_albedo(alpha: float, head_on: npt.ArrayLike, grazing: float, cos
 
 
 def mirrored_share(material: Material, cos: Array | None) -> Array:
-    """Returns the dielectric's specular albedo for light from ``cos``, shape (..., 1); None for uniform light."""
+    """Returns the dielectric's specular albedo for light at cosine ``cos``, shape (..., 1); None for uniform light."""
     strength, eta = material["dielectric"], material["eta"]
     if material["alpha"] > 0.0:
         head_on = [strength * ((1.0 - eta) / (1.0 + eta)) ** 2]

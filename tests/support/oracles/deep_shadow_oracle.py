@@ -181,7 +181,7 @@ class Table:
 
 
 def bin_centers(bins: int, t_max: float) -> np.ndarray:
-    """Returns distances t_k = (k + 1/2) t_max / K, shape (K,)."""
+    """Returns the distances of the centres of K bins, t_k = (k + 1/2) t_max / K, shape (K,)."""
     return (np.arange(bins) + 0.5) * t_max / bins
 
 
@@ -229,7 +229,7 @@ def look_up(table: Table, points: np.ndarray) -> np.ndarray:
 
 
 def wrapped(column: np.ndarray, row: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the texels that continue an octahedral square by one beyond its edges, which fold onto themselves."""
+    """Maps texels at most one beyond an octahedral square into the square: each of its edges folds onto itself."""
     over = (column < 0) | (column >= size)
     column, row = np.where(over, np.clip(column, 0, size - 1), column), np.where(over, size - 1 - row, row)
     over = (row < 0) | (row >= size)
@@ -240,7 +240,10 @@ def wrapped(column: np.ndarray, row: np.ndarray, size: int) -> tuple[np.ndarray,
 
 
 def footprint_points(receivers: Gaussians, offsets: np.ndarray) -> np.ndarray:
-    """Returns points of receivers at ``offsets`` (S, 3) or (N, S, 3) in scales along their axes, shape (N, S, 3)."""
+    """Returns S points of each of N receivers, shape (N, S, 3).
+
+    ``offsets``, (S, 3) or (N, S, 3), are along the receiver's axes in units of the receiver's scales.
+    """
     axes = rotation_from_quaternion(receivers.rotations_wxyz.astype(float))
     scaled = receivers.scales.astype(float)[:, None, :] * offsets
     return receivers.means.astype(float)[:, None, :] + np.einsum("nij,nsj->nsi", axes, scaled)

@@ -16,9 +16,9 @@ from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, JACOBIAN_CLAMP
 from support.oracles.raster_oracle import normalized, rotation_from_quaternion, sh_basis
 
 STEPS = (1e-5, 3e-6)
-"""Two step sizes; if their differences disagree, a pixel crosses a threshold between the two."""
+"""Two step sizes; if their central differences disagree, a pixel crosses a threshold between the two steps."""
 AGREE = 1e-4
-"""Largest disagreement, relative to the mean magnitude of a parameter's gradients."""
+"""Largest disagreement of the two step sizes, relative to the mean magnitude of a parameter's gradients."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Parameters:
     background: np.ndarray
     camera_from_world: np.ndarray
     features: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    """Additional features of the Gaussians, (N, C)."""
+    """C additional features of each of N Gaussians, shape (N, C)."""
 
     @classmethod
     def of(cls, gaussians: ls.Gaussians, background: tuple[float, float, float], camera: ls.Camera) -> Parameters:
@@ -46,7 +46,7 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Loss:
-    """Loss ``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame, whose gradients by pixels are given.
+    """Loss ``sum(by_color * color) + sum(by_alpha * alpha)`` of a frame, with prescribed gradients by pixels.
 
     ``by_features`` adds weighted sums of features: view depth, normal, and ``Parameters.features``.
     """
@@ -67,7 +67,7 @@ class Loss:
         return float(total if self.by_features is None else total + (self.by_features * shown[..., 3:]).sum())
 
     def sums(self, p: Parameters) -> tuple[np.ndarray, np.ndarray]:
-        """Returns weighted sums of colours and features, (H, W, 3 + C), and transmittance, (H, W)."""
+        """Returns blended colours and C features, shape (H, W, 3 + C), and transmittance, shape (H, W)."""
         camera = self.camera
         view = p.means @ p.camera_from_world[:3, :3].T + p.camera_from_world[:3, 3]
         slopes = view[:, :2] / view[:, 2:]

@@ -35,7 +35,7 @@ class Light:
     """Number of frames in the means, shape (pixels,)."""
     light: Doubles
     moments: Doubles
-    """Means of luminance and of its square, shape (pixels, 2, 2)."""
+    """Mean luminance and mean squared luminance (last axis) of diffuse and glossy light, shape (pixels, 2, 2)."""
 
 
 def luminance(light: Doubles) -> Doubles:
@@ -69,7 +69,7 @@ def is_same(
 
 
 def neighbours(surfaces: VisibleSurfaces, radius: int, step: int = 1) -> Iterator[tuple[int, int, Whole, Mask]]:
-    """Yields offsets in rows and columns of steps, the pixels there, and whether those pixels are in the image."""
+    """Yields each offset (row, column) in steps, the pixels at this offset, and which of them are in the image."""
     width, height = surfaces.camera.width, surfaces.camera.height
     y, x = np.divmod(np.arange(width * height), width)
     for row in range(-radius, radius + 1):
@@ -82,8 +82,8 @@ def neighbours(surfaces: VisibleSurfaces, radius: int, step: int = 1) -> Iterato
 def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Light) -> Light:
     """Reprojects history to the current pixels, bilinearly over the pixels that showed the same surface.
 
-    If there are none and the surface stands still, the plain mean of the matching 3 x 3 pixels counts, unless samples
-    are at pixel centres.
+    If no such pixel exists and the surface stands still, the unweighted mean of the matching 3 x 3 pixels is used,
+    unless samples are at pixel centres.
     """
     camera, found = before.camera, empty(len(surfaces.share))
     known = np.where(np.isnan(surfaces.previous), camera.eye, surfaces.previous)
@@ -185,7 +185,7 @@ def accumulated(
 
 
 def variances(surfaces: VisibleSurfaces, history: Light) -> Doubles:
-    """Returns the variance of each pixel's mean over frames, shape (pixels, 2); 0 without history."""
+    """Returns the variance of mean diffuse and mean glossy light at each pixel, (pixels, 2); 0 without history."""
     young = history.frames < YOUNG_FRAMES
     each = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
     moments, variance, count = np.zeros_like(history.moments), np.zeros_like(each), np.zeros(len(each))
@@ -257,7 +257,7 @@ class Filter:
     def render(
         self, surfaces: VisibleSurfaces, diffuse: Doubles, glossy: Doubles, sampled: Mask, history_weight: float = 1.0
     ) -> Doubles:
-        """Returns the filtered light of the next frame, shape (pixels, 2, 3), from its samples."""
+        """Returns filtered diffuse and glossy light of the next frame, shape (pixels, 2, 3), from its samples."""
         history = empty(len(sampled))
         if self._before is not None:
             history = reprojected(surfaces, self._before, self.history)

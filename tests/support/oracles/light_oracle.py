@@ -86,7 +86,7 @@ def direction_at(wxyz: npt.ArrayLike, u: npt.ArrayLike, v: npt.ArrayLike) -> Arr
 
 
 def lookup(image: npt.NDArray[np.floating], u: Array, v: Array) -> Array:
-    """Interpolates an image bilinearly; u wraps around, and the rows at the poles extend beyond them."""
+    """Interpolates an image bilinearly; u wraps around, and the top and bottom rows are repeated beyond the poles."""
     height, width = image.shape[:2]
     around = np.concatenate([image[:, -1:], image, image[:, :1]], axis=1).astype(np.float64)
     around = np.concatenate([around[:1], around, around[-1:]], axis=0)

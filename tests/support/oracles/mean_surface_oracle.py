@@ -24,7 +24,7 @@ Window = tuple[slice, slice]
 
 @dataclass
 class MeanSurface:
-    """Mean surface of some Gaussian sets."""
+    """Mean surface of the Gaussians of some instances, at each pixel."""
 
     share: Doubles  # (H, W), coverage of the sets
     depth_z: Doubles  # (H, W), undefined where ``share`` is 0
@@ -47,7 +47,7 @@ def mean_surface(
         camera: The camera.
         config: Settings of the rasteriser.
         counted: Indices of instances.
-        values: Values of each instance's Gaussians, shape (N, C); empty for none.
+        values: C values of each of the N Gaussians of an instance, shape (N, C); empty for none.
         linear: True for depths that are linear in the image; False for the depth of the mean over the whole splat.
     """
     splats = raster.project(scene, camera, config)
@@ -67,7 +67,7 @@ def mean_surface(
 
 
 def depth_slopes(splats: raster.Splats, camera: Camera) -> Doubles:
-    """Returns view depth per pixel to the right and down, (N, 2): covariance with the image over the image's own."""
+    """Returns slopes of view depth per pixel to the right and down, (N, 2), by linear regression in each Gaussian."""
     axes = np.linalg.inv(splats.canonical)
     in_image = raster.jacobian(splats.mean_camera, camera) @ axes
     shared = in_image @ axes[:, 2, :, None]

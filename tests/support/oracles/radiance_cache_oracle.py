@@ -133,9 +133,9 @@ class RadianceCacheOracle:
         return [cell_at(samples, i, at, is_near=False) for at in (level, level + 1, level - 1)]
 
     def best(self, means: dict[Cell, Mean], cells: list[Cell], weight_min: float) -> np.ndarray | None:
-        """Returns the finest mean with enough samples around the first cell that has one.
+        """Returns the mean of the finest square of cells with enough samples, around the first cell that has one.
 
-        If none has enough, the mean with the most samples is returned, and None if there are no samples.
+        If no square has enough samples, the mean with the most samples is returned, or None without samples.
         """
         found, weight_max = None, 0.0
         for cell in cells:
@@ -150,7 +150,7 @@ class RadianceCacheOracle:
         return found
 
     def level_of(self, samples: Samples, i: int) -> int:
-        """Returns the level of cells of long rays, which are 2^level wide."""
+        """Returns the level of the cells of long rays at a sample; such cells are 2^level scene units wide."""
         wanted = np.float32(self.cell_size) * np.float32(samples.from_eye[i])
         least = np.abs(samples.position[i].astype(np.float32)).max() / np.float32(8191)
         return int(np.clip(np.floor(np.log2(float(max(wanted, least)))), -13, 14))

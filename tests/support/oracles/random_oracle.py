@@ -19,16 +19,16 @@ def mix(word: npt.ArrayLike) -> np.ndarray:
 
 
 def absorbed(sample_key: np.ndarray | np.uint32, counter: npt.ArrayLike) -> np.ndarray:
-    """Adds the mixed counter to the key, and mixes the sum."""
+    """Combines a key with a counter into a new key: adds the mixed counter to the key, and mixes the sum."""
     with np.errstate(over="ignore"):
         return mix(sample_key + mix(np.asarray(counter, np.uint32)))
 
 
 def sample_keys(pixels: npt.ArrayLike, sample: npt.ArrayLike = 0, seed: npt.ArrayLike = 0) -> np.ndarray:
-    """Returns the keys of the samples of pixels."""
+    """Returns the random keys of samples of pixels."""
     return absorbed(absorbed(absorbed(np.uint32(0x6C756D69), seed), pixels), sample)
 
 
 def draws(sample_key: np.ndarray, dimension: npt.ArrayLike) -> np.ndarray:
-    """Returns numbers in [0, 1), float64."""
+    """Returns the random numbers of sample keys in some dimensions, float64 in [0, 1)."""
     return (absorbed(sample_key, dimension) >> 8) * 2.0**-24

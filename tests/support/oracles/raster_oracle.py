@@ -251,7 +251,7 @@ def rasterize_triangle(
 def mesh_normal(
     instance: MeshInstance, face: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, ray: np.ndarray
 ) -> np.ndarray:
-    """Returns the world shading normal, flipped against the ray, shape (P, 3)."""
+    """Returns the world shading normals at P pixels, flipped against the ray, shape (P, 3)."""
     if instance.mesh.normals is None:
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])[None].repeat(len(barycentric), axis=0)
     else:
@@ -263,7 +263,7 @@ def mesh_normal(
 
 
 def base_color(mesh: Mesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-    """Returns the linear base colour, shape (P, 3)."""
+    """Returns the linear base colours of meshes at P pixels, shape (P, 3)."""
     color = np.ones((len(barycentric), 3)) * mesh.material.base_color
     if mesh.colors is not None:
         color = color * (barycentric @ mesh.colors[face].astype(np.float64))
@@ -274,7 +274,10 @@ def base_color(mesh: Mesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndar
 
 
 def bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Returns linear colours at ``uv``, shape (P, 3): texel centres at +0.5, repeated, decoded before filtering."""
+    """Returns linear colours at P texture coordinates ``uv``, shape (P, 3).
+
+    Texel centres are at +0.5, the texture repeats, and texels are decoded before filtering.
+    """
     height, width = texture.shape[:2]
     texels = decode_srgb(texture[..., :3] / 255.0)
     x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5

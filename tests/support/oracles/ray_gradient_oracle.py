@@ -20,7 +20,7 @@ from support.oracles.raster_oracle import normalized, rotation_from_quaternion, 
 
 @dataclass(frozen=True)
 class RayLoss:
-    """Loss ``sum(by_color * color) + sum(by_alpha * alpha)`` of rays, whose gradients by colour and alpha are given."""
+    """Loss ``sum(by_color * color) + sum(by_alpha * alpha)`` of R rays, whose derivatives are the given weights."""
 
     origins: np.ndarray  # (R, 3)
     directions: np.ndarray  # (R, 3), unit

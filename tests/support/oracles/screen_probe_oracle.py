@@ -109,14 +109,14 @@ def probe_irradiance(radiance: Doubles, normal: Doubles, probe_normal: Doubles) 
 
 @dataclass(slots=True)
 class Probe:
-    """A probe as pixels look it up."""
+    """The data of a probe that a pixel reads when looking up light."""
 
     position: Doubles
     normal: Doubles
     distance: float
     extent: float
     value: Doubles
-    """Value that the probe contributes."""
+    """Light that the probe contributes, such as irradiance."""
 
 
 def is_cut_off(point: Doubles, probe_point: Doubles, probe_distance: float, distances: Doubles) -> bool:

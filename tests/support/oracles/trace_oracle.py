@@ -139,7 +139,7 @@ def blend(found: Hits, iso: float, transmittance_min: float = 0.0) -> Blend:
 class Outcomes:
     """Possible outcomes of a stochastic strategy on a ray, with their probabilities.
 
-    If the probabilities sum to less than 1, the ray passes all Gaussians with the rest.
+    If the probabilities sum to less than 1, the ray passes all Gaussians with the remaining probability.
     """
 
     probability: np.ndarray  # (P,)

@@ -9,6 +9,6 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def probe_weights(counts: wp.array[float], histories: wp.array[float], weights_out: wp.array[float]):
-    """Evaluates the weight of a mean of so many samples."""
+    """Evaluates the weight of running means from their sample counts and history lengths."""
     i = wp.tid()
     weights_out[i] = mean_weight(counts[i], histories[i])

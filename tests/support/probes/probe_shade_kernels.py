@@ -27,7 +27,7 @@ def own_all(
     corners: wp.array2d(dtype=wp.vec3),
     owned_out: wp.array2d(dtype=int),
 ):
-    """Tests whether each triangle (column) owns the crossing of each ray (row)."""
+    """Tests for each ray (row) whether its crossing belongs to each triangle (column), as at shared edges."""
     i, j = wp.tid()
     shear = ray_shear(directions[i])
     owned_out[i, j] = int(owns_crossing(origins[i], shear, corners[j, 0], corners[j, 1], corners[j, 2]))

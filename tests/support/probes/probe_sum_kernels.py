@@ -22,7 +22,7 @@ def probe_sums(
     shorts_out: wp.array2d[Short],
     longs_out: wp.array2d[Long],
 ):
-    """Sums the parts of all threads of each thread block, row by row."""
+    """Sums values over the threads that have one, for each row of each thread block."""
     block, thread = wp.tid()
     for row in range(ROWS):
         add_short(row, shorts[block, row, thread], has_part[block, row, thread])

@@ -97,7 +97,7 @@ def probe_mean_entries(
     ends: wp.array(dtype=float),
     entries: wp.array(dtype=Children),
 ):
-    """Computes the entry distances of packets by the means in a node's children, between two distances."""
+    """Computes a lower bound of the distances of means in each child box of a node, within a range of distances."""
     i = wp.tid()
     entered = enter_children(nodes[i], slabs[i], 0.0)
     entries[i] = mean_entries(nodes[i], slabs[i], entered, begins[i], ends[i])

@@ -80,6 +80,6 @@ def check_close(value: np.ndarray, expected: np.ndarray) -> None:
 
 
 def opaque(count: int = 700) -> ls.Gaussians:
-    """Returns so many opaque Gaussians that every pixel of a view terminates long before the last of them."""
+    """Returns opaque Gaussians, so many that every pixel of a view terminates long before the last Gaussian."""
     base = cloud(21, count)
     return replace(base, means=1.3 * base.means, scales=2.0 * base.scales, opacities=np.full(count, 0.98))

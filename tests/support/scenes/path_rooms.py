@@ -72,7 +72,7 @@ def room_camera(width: int = WIDTH, height: int = HEIGHT) -> ls.Camera:
 def cornell_box() -> PathRoom:
     """Returns Mitsuba's ``mitsuba.cornell_box()`` from an oblique view.
 
-    Its light is one-sided, so ours has a black lid.
+    Mitsuba's light is one-sided, so the light here has a black lid.
     """
     white = matte(0.885809, 0.698859, 0.666422)
     red, green = matte(0.570068, 0.0430135, 0.0443706), matte(0.105421, 0.37798, 0.076425)
