@@ -81,6 +81,8 @@ def test_convert_prints_the_effect_of_each_edit(work: Workspace) -> None:
     inside = ls.editing.crop(work.capture("capture.ply"), sphere=((0, 0, 4), 1.5)).count
     assert (first, second) == (f"--sphere: 60 -> {inside} Gaussians", f"--decimate: {inside} -> 10 Gaussians")
     assert last.startswith(str(work.path("a.ply"))) and "10 Gaussians, SH degree 0, " in last
+    one = work.run("convert", "@capture.ply", "-o", "@b.ply", "--decimate", "1").out
+    assert "--decimate: 60 -> 1 Gaussian\n" in one and "1 Gaussian, SH degree 0, " in one
 
 
 def test_convert_sh_degree_removes_or_pads_coefficients(work: Workspace) -> None:
@@ -101,7 +103,7 @@ def test_convert_drop_invalid_counts_the_dropped_gaussians(work: Workspace, capl
     assert refused.status == 2 and "1 NaN or infinite values in rot_3, in 1 of 60 Gaussians" in refused.err
     assert "out.ply" not in work.files()
     assert "59 Gaussians" in work.run("convert", "@nan.ply", "@out.ply", "--drop-invalid").out
-    assert "dropped 1 Gaussians: 1 NaN or infinite values in rot_3" in caplog.text
+    assert "dropped 1 of 60 Gaussians: 1 NaN or infinite values in rot_3" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_streaming_a_ply_refuses_or_drops_invalid_gaussians(
         pieces = list(ls.io.stream_ply(tmp_path / "a.ply", drop_invalid=True))
     assert [one.count for one in pieces] == [99, 100, 100, 100]
     assert [record.getMessage().partition(": ")[2] for record in caplog.records] == [
-        "dropped 101 Gaussians: 1 NaN or infinite values in x"
+        "dropped 101 of 500 Gaussians: 1 NaN or infinite values in x"
     ]
 
 

@@ -392,7 +392,7 @@ def test_drop_invalid_drops_invalid_gaussians_of_gltf_files(tmp_path: Path, capl
     with pytest.raises(ls.FormatError, match="1 NaN or infinite values in y, in 1 of 5"):
         loaded(tmp_path, gltf)
     assert loaded_gaussians(tmp_path, gltf, drop_invalid=True).count == 4
-    assert "dropped 1 Gaussians" in caplog.text
+    assert "dropped 1 of 5 Gaussians" in caplog.text
 
 
 def test_gltf_material_attributes_are_read_only_from_files_of_lumisplat(tmp_path: Path) -> None:

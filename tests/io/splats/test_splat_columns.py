@@ -65,7 +65,7 @@ def test_drop_invalid_removes_only_gaussians_with_invalid_columns(caplog: pytest
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         valid = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
     np.testing.assert_array_equal(valid.means, stored().means[[0, 2, 4, 6, 7, 9]])
-    assert "dropped 4 Gaussians" in caplog.text
+    assert "dropped 4 of 10 Gaussians" in caplog.text
 
 
 def test_infinite_logits_are_valid_opacities_0_and_1(caplog: pytest.LogCaptureFixture) -> None:

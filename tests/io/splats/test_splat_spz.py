@@ -255,10 +255,10 @@ def test_spz_counts_clamped_scales_and_sh(tmp_path: Path, caplog: pytest.LogCapt
     np.testing.assert_allclose(loaded.sh[3, 1:], 1.0, atol=1 / 128)
     np.testing.assert_allclose([loaded.sh[0, 0, 0], loaded.sh[1, 0, 2]], [0.5 / 0.15, -0.5 / 0.15], rtol=1e-5)
     thin, wide, bright, sharp = (record.message for record in caplog.records)
-    assert "a.spz: 2 Gaussians have scales below 4.5e-05" in thin
-    assert "a.spz: 1 Gaussians have scales above 379" in wide
-    assert "a.spz: 2 Gaussians have a colour too bright or too dark" in bright
-    assert "a.spz: 1 Gaussians have SH coefficients outside -1..1" in sharp
+    assert "a.spz: 2 of 4 Gaussians have scales below 4.5e-05" in thin
+    assert "a.spz: 1 of 4 Gaussians have scales above 379" in wide
+    assert "a.spz: 2 of 4 Gaussians have a colour too bright or too dark" in bright
+    assert "a.spz: 1 of 4 Gaussians have SH coefficients outside -1..1" in sharp
 
 
 def test_positions_beyond_the_range_of_spz_are_refused(tmp_path: Path) -> None:

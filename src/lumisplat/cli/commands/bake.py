@@ -88,7 +88,7 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
             joined = _joined(baked)
             ls.save(self.output, joined)
         size = byte_size(self.output.stat().st_size)
-        print(f"{self.output}: {joined.count:,} Gaussians, SH degree {joined.sh_degree}, {size}")
+        print(f"{self.output}: {counted(joined.count, 'Gaussian')}, SH degree {joined.sh_degree}, {size}")
         if scene.meshes:
             print(f"{counted(len(scene.meshes), 'mesh instance')} cast shadows and light, but are not in the result")
 

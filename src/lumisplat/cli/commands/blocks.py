@@ -65,8 +65,8 @@ class Blocks(LoadingCommand):
             index = ls.io.write_blocks(output, _pieces(parts), cell, levels=self.coarser, progress=cutting)
         levels = counted(self.coarser, "coarser level") if self.coarser else "no coarser levels"
         print(
-            f"{output}: {index.count:,} Gaussians in {counted(len(index.blocks), 'block')}, cubes of {cell:g} and "
-            f"less, {levels}, {byte_size(size_on_disk(output))}"
+            f"{output}: {counted(index.count, 'Gaussian')} in {counted(len(index.blocks), 'block')}, cubes of "
+            f"{cell:g} and less, {levels}, {byte_size(size_on_disk(output))}"
         )
 
     def _checked_output(self) -> Path:
@@ -123,7 +123,8 @@ class Blocks(LoadingCommand):
         plans = ls.io.plan_views(index, cameras, self.workers, int(1e9 * self.memory), pixels=self.lod_pixels)
         whole = index.row_bytes * index.count
         print(
-            f"{folder}: {index.count:,} Gaussians, {counted(len(index.blocks), 'block')}, {byte_size(whole)} (finest)"
+            f"{folder}: {counted(index.count, 'Gaussian')}, {counted(len(index.blocks), 'block')}, "
+            f"{byte_size(whole)} (finest)"
         )
         rows = [
             [

@@ -16,7 +16,7 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import holds_all_columns, size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.command import Flag, LevelsCommand, own_options_first
-from lumisplat.cli.output.console import Report, byte_size, progress_bars, up_name
+from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars, up_name
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 _Range = tuple[float | None, float | None]
@@ -85,12 +85,12 @@ class Convert(LevelsCommand):
             for option, edit in self._edits(report, done):
                 gaussians, before = _edited(option, edit, gaussians), gaussians.count
                 if gaussians.count != before:
-                    done.append(f"{option}: {before:,} -> {gaussians.count:,} Gaussians")
+                    done.append(f"{option}: {before:,} -> {counted(gaussians.count, 'Gaussian')}")
             report("writing", 0.0)
             ls.save(target, gaussians, columns=self.columns)
         before, after = sum(map(size_on_disk, sources)), size_on_disk(target)
         sizes = f"{byte_size(before)} -> {byte_size(after)}"
-        done.append(f"{target}: {gaussians.count:,} Gaussians, SH degree {gaussians.sh_degree}, {sizes}")
+        done.append(f"{target}: {counted(gaussians.count, 'Gaussian')}, SH degree {gaussians.sh_degree}, {sizes}")
         print("\n".join(done))
 
     def _sources_and_target(self) -> tuple[tuple[Path, ...], Path]:

@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, InsertingCommand, own_options_first, setting, without_none
-from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars, up_name
+from lumisplat.cli.output.console import Report, byte_size, counted, found_light, progress_bars, up_name
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 if TYPE_CHECKING:
@@ -107,8 +107,8 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         shadow.save(self.output)
         stats = shadow.stats
         return (
-            f"{self.output}: {stats.voxels:,} bins of {stats.texels:,} texels behind {stats.casters:,} Gaussians, "
-            f"{byte_size(self.output.stat().st_size)}"
+            f"{self.output}: {stats.voxels:,} bins of {stats.texels:,} texels behind "
+            f"{counted(stats.casters, 'Gaussian')}, {byte_size(self.output.stat().st_size)}"
         )
 
     def _map_config(self) -> ls.config.DeepShadowConfig:

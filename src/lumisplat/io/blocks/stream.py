@@ -82,7 +82,8 @@ class PlyStream:
                 if self.progress:
                     self.progress(first / self.count)
         if dropped:
-            _log.warning("%s: dropped %s Gaussians: %s", os.fspath(self.path), f"{dropped:,}", why)
+            whole = f"{self.count:,}"
+            _log.warning("%s: dropped %s of %s Gaussians: %s", os.fspath(self.path), f"{dropped:,}", whole, why)
 
     def _warn_rounding(self, rows: PlyRows, columns: SplatColumns) -> None:
         """Logs if float32, in which blocks store positions, is too coarse for the positions of the first chunk."""

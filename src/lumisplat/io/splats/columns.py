@@ -368,7 +368,7 @@ def _rows_to_keep(
         raise FormatError(path, f"{summary}; --drop-invalid (drop_invalid=True) drops them")
     if dropped == columns.count:
         raise FormatError(path, f"{summary}: no valid Gaussian is left")
-    _log.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", listed)
+    _log.warning("%s: dropped %s of %s Gaussians: %s", os.fspath(path), f"{dropped:,}", f"{columns.count:,}", listed)
     return ~invalid
 
 

@@ -407,7 +407,7 @@ def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
     for beyond, problem in clamped:
         count = np.count_nonzero(beyond.reshape(columns.count, -1).any(axis=1))
         if count:
-            _log.warning("%s: %s Gaussians %s", os.fspath(path), count, problem)
+            _log.warning("%s: %s of %s Gaussians %s", os.fspath(path), f"{count:,}", f"{columns.count:,}", problem)
 
 
 def position_bits(path: PathLike, largest: float) -> int:

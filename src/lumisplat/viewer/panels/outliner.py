@@ -209,7 +209,8 @@ def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
     faces = sum(i.mesh.face_count for i in instances if isinstance(i, ls.MeshInstance))
     parts = [kind_name(entry)]
-    parts += [f"{gaussians:,} Gaussians"] * bool(gaussians) + [f"{faces:,} faces"] * bool(faces)
+    counts = (gaussians, "Gaussian"), (faces, "face")
+    parts += [f"{count:,} {noun}{'' if count == 1 else 's'}" for count, noun in counts if count]
     size = boxes.size(entry, time)
     if size is not None:
         parts.append(" × ".join(f"{length:.3g}" for length in size))
