@@ -44,19 +44,19 @@ class Animate(FrameCommand):
     ] = None
     """Write frames and animate.json into this folder."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Write a video too: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
+    """Also write a video: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
     frames: Annotated[str, setting("LIST", "all")] = ""
-    """Render these only, numbered from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
+    """Render only these frames, numbered from 0: 1-100, 1-100x2 (every second), 1,5,9, 0:48, 48:."""
     fps: Annotated[float | None, setting("FPS", "the scene's")] = None
-    """Render so many frames a second; the duration stays."""
+    """Render FPS frames per second; the duration stays the same."""
     overwrite: Flag = False
-    """Remove existing frames first."""
+    """Delete the existing frames before rendering."""
     cameras: Annotated[Path | None, setting("FILE", "the scene's, else the front")] = None
-    """Use the camera of this file, or one camera for each frame."""
+    """Read one camera from this file, or one camera for each frame."""
     camera: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """Use the camera of this name for all frames."""
+    """Use the camera with this name for all frames."""
     format: Annotated[Literal["png", "exr", "npz"], arg(metavar="png|exr|npz")] = "png"
-    """Write this format; a video needs png."""
+    """Write frames in this format; a video needs png."""
 
     def run(self) -> None:
         """Renders the missing frames, then the video."""

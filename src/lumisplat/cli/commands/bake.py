@@ -38,23 +38,23 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Read a scene.toml with materials, or captures with albedo; several become one."""
+    """Read a scene.toml with materials, or captures with albedo; several files become one capture."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Write .ply, .compressed.ply, .spz or .glb; - is standard output."""
     degree: Annotated[int, arg(metavar="0..3")] = 3
     """Keep view-dependent colour up to this SH degree."""
     samples: Annotated[int, arg(metavar="N")] = 8
-    """Trace so many paths for each direction, at least 2."""
+    """Trace N paths for each viewing direction, at least 2."""
     directions: Annotated[int, arg(metavar="N")] = 32
-    """View each Gaussian from so many directions, 4 to 1024."""
+    """View each Gaussian from N directions, 4 to 1024."""
     direct: Flag = False
     """Bake lights and shadows only, without bounces."""
     exposure: Annotated[float, arg(metavar="STOPS", help_behavior_hint="(default: 0)")] = 0.0
-    """Brighten by so many stops."""
+    """Brighten the baked colours by this many stops."""
     tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("NAME", "none")] = None
-    """Map lit colours by none (clip), neutral (true hues) or agx (filmic)."""
+    """Tone-map lit colours by none (clips), neutral (preserves hues) or agx (filmic)."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Light the scene by a latitude-longitude image, .hdr or .exr."""
+    """Light the scene with this latitude-longitude image, .hdr or .exr."""
     environment_rotation: Annotated[float | None, setting("N", "0")] = None
     """Rotate the environment by N degrees about the vertical, counter-clockwise from above."""
     up: UpOption = "auto"

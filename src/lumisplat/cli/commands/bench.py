@@ -55,20 +55,20 @@ class _SteadyFrames:
 class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     """Time loading, the first frame and steady frames of a scene.
 
-    Times are medians of frames of one camera.
+    Times of steady frames are medians over frames of one camera.
     Guide: docs/guide/performance.md.
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Read captures, meshes or a scene.toml, as for render; none: the demo scene."""
+    """Read captures, meshes or a scene.toml; without files, use the demo scene."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Use the first camera of this file."""
     width: Annotated[int | None, setting("PX", "the camera's")] = None
     """Set the image width; the aspect ratio is kept."""
     repeats: Annotated[int, arg(metavar="N")] = 20
-    """Time so many steady frames."""
+    """Time N frames after the first."""
     viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
-    """Replace the cameras of files, as for render."""
+    """Set the camera in place of the cameras of the files."""
 
     def run(self) -> None:
         """Times the scene and prints a table."""

@@ -26,30 +26,30 @@ _LEVEL_SHARE = 1.34
 class Blocks(LoadingCommand):
     """Write a capture larger than memory as spatial blocks.
 
-    render and orbit then load the blocks that a view sees.
-    Memory and loads of several workers: lumisplat blocks city --plan --cameras transforms.json --workers 3
+    render and orbit then load only the blocks that a view sees.
+    Estimate the memory and loads of several workers: lumisplat blocks city --plan --cameras transforms.json --workers 3
     Guide: docs/guide/large_captures.md.
     First try: lumisplat blocks north.ply south.ply --coarser 3 -o city
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN...", help_behavior_hint="")]] = ()
-    """Read these captures, or with --plan, a folder of blocks."""
+    """Read these captures; with --plan, read a folder of blocks."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="DIR", help_behavior_hint="")] = None
-    """Write into this new folder."""
-    cell: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="(default: as the file needs)")] = None
-    """Cut space into cubes of at most this edge, in scene units."""
+    """Write the blocks into this new folder."""
+    cell: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="(default: from the capture)")] = None
+    """Cut space into cubes with at most this edge length, in scene units."""
     coarser: Annotated[int, arg(metavar="N")] = 0
-    """Add so many coarser levels, each with a quarter of the Gaussians."""
+    """Add N coarser levels of detail, each with a quarter of the Gaussians."""
     plan: Flag = False
-    """Print what workers that share views would load; write nothing."""
+    """Print what each worker would load from a folder of blocks; write nothing."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """With --plan: read the views from this camera file, in order."""
     workers: Annotated[int, arg(metavar="N")] = 1
-    """With --plan: divide the views between so many workers."""
+    """With --plan: divide the views among N workers."""
     memory: Annotated[float, arg(metavar="GB")] = 8.0
-    """With --plan: give each worker so much memory for Gaussians."""
+    """With --plan: give each worker this much memory for Gaussians."""
     lod_pixels: Annotated[float, arg(metavar="PX")] = 0.0
-    """With --plan: load far blocks coarser, up to this size of Gaussians."""
+    """With --plan: load far blocks coarser, with Gaussians of up to PX pixels."""
 
     def run(self) -> None:
         """Writes the folder, or prints the plan."""

@@ -45,7 +45,7 @@ class Completion(Command):
     """
 
     shell: Positional[Annotated[Literal["bash", "zsh", "fish"], arg(metavar="bash|zsh|fish")]]
-    """Write for this shell."""
+    """Write the script for this shell."""
 
     def run(self) -> None:
         """Prints the additions to the script of tyro, which `lumisplat.cli.main` prints before."""

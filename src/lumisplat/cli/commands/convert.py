@@ -28,7 +28,8 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 class Convert(LevelsCommand):
     """Convert, cut, clean, thin and join captures.
 
-    Middle of a scene, without floaters: lumisplat convert garden.ply --sphere 0 0 3 5 --floaters 4 -o middle.ply
+    Extract the middle of a scene, without floaters: lumisplat convert garden.ply --sphere 0 0 3 5 --floaters 4 -o
+    mid.ply
 
     Edits apply in the order of this list: join, --box and --sphere, --keep, --floaters,
     --sh-degree, --decimate, --level, --scale, --rotate, --translate, --morton.
@@ -37,35 +38,35 @@ class Convert(LevelsCommand):
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
-    """Read captures, glTF or OpenUSD; without -o, write the second of two."""
+    """Read captures, glTF or OpenUSD; without -o, two files are input and output."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """Write .ply, .compressed.ply, .spz, .sog, glTF or OpenUSD; - is standard output."""
     box: Annotated[str | None, arg(metavar="X,Y,Z,X,Y,Z", help_behavior_hint="")] = None
-    """Keep Gaussians whose mean lies between two corners."""
+    """Keep Gaussians whose mean lies in the box between two corners."""
     sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None
-    """Keep Gaussians whose mean lies within R of a point."""
+    """Keep Gaussians whose mean lies within radius R of a point."""
     outside: Flag = False
-    """Keep what is outside of --box and --sphere instead."""
+    """Keep the Gaussians outside of --box and --sphere instead."""
     keep: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=MIN..MAX", help_behavior_hint="")] = ()
     """Keep Gaussians with a value in a range: opacity=0.1.., scale_max=..0.5."""
     floaters: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """Remove Gaussians with fewer neighbours than N; 4 suits most captures."""
+    """Remove isolated Gaussians, with fewer than N neighbours; 4 suits most captures."""
     sh_degree: Annotated[int | None, arg(metavar="0..3", help_behavior_hint="")] = None
     """Write SH of this degree, shortened or padded with zeros."""
     decimate: Annotated[str | None, arg(metavar="COUNT|N%", help_behavior_hint="")] = None
-    """Merge neighbours until COUNT, or N%, are left."""
+    """Merge neighbouring Gaussians until COUNT, or N%, are left."""
     level: Flag = False
-    """Rotate the capture so that its up is an axis."""
+    """Rotate the capture so that its up direction becomes a coordinate axis."""
     scale: Annotated[float, arg(metavar="FACTOR", help_behavior_hint="(default: 1)")] = 1.0
     """Scale the capture about the origin."""
     rotate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Rotate about the x axis, then y, then z, in degrees."""
     translate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Translate, after --scale and --rotate."""
+    """Translate by this vector, after --scale and --rotate."""
     columns: Annotated[Literal["lumisplat", "r3dg"], arg(metavar="NAME")] = "lumisplat"
-    """Write material columns of a .ply as lumisplat or r3dg."""
+    """Name the material columns of a .ply as lumisplat or r3dg does."""
     incident: Flag = False
-    """Keep the incident light of a .ply of Relightable 3D Gaussians."""
+    """Keep the incident light that a .ply of Relightable 3D Gaussians stores."""
     morton: Flag = False
     """Sort along a Morton curve, so that neighbours are stored together."""
 

@@ -46,31 +46,31 @@ class Dataset(FrameCommand, InsertingCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Read captures, meshes or a scene.toml, as for render."""
+    """Read captures, meshes or a scene.toml; several make one scene."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")] = Path("dataset")
     """Write images, layers, transforms.json and dataset.json into this folder."""
     file: Annotated[Path | None, arg(name="settings", metavar="FILE.toml", help_behavior_hint="")] = None
     """Read settings of poses, lights and objects from this file."""
     views: Annotated[int | None, setting("N", "100")] = None
-    """Render so many views."""
+    """Render N views."""
     width: Annotated[int | None, setting("PX", "640")] = None
     """Set the image width."""
     height: Annotated[int | None, setting("PX", "480")] = None
     """Set the image height."""
     layers: Annotated[str | None, setting("LAYERS", "depth,normal,instance")] = None
-    """Write depth, normal, albedo, alpha, mask, instance, category or exr too; or none."""
+    """Write these layers too: depth, normal, albedo, alpha, mask, instance, category, exr; or none."""
     objects: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")] = ()
-    """Put some of these captures and meshes into each view."""
+    """Insert a random selection of these captures and meshes into each view."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Put views near the cameras of this file, not around the scene."""
+    """Place views near the cameras of this file instead of around the scene."""
     seed: Annotated[int | None, setting("N", "0")] = None
-    """Draw other poses, lights, objects and noise."""
+    """Set the random seed of poses, lights, objects and noise."""
     shards: Annotated[int | None, setting("N", "0")] = None
-    """Write shards for WebDataset, of so many views each."""
+    """Pack the views into WebDataset shards of N views; 0 writes no shards."""
     frames: Annotated[str, setting("LIST", "all")] = ""
-    """Render these views only, numbered from 0: 1-100, 1-100x2, 1,5,9 or 48:."""
+    """Render only these views, numbered from 0: 1-100, 1-100x2 (every second), 1,5,9, 48:."""
     overwrite: Flag = False
-    """Remove existing views first."""
+    """Delete the existing views before rendering."""
 
     def run(self) -> None:
         """Renders the missing views, then writes the files about all views."""

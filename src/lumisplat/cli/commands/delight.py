@@ -30,7 +30,7 @@ _INSIDE = {"auto": None, "yes": True, "no": False}
 class Delight(LevelsCommand, DeviceCommand):
     """Find the materials of a capture, without its captured light.
 
-    Needs no images. Lights of a scene then light the capture like a mesh.
+    Needs no images. The lights of a scene then light the capture like a mesh.
     Takes minutes for 100,000 Gaussians; --cells 8 takes half as long.
     Guide: docs/guide/delight.md.
     First try: lumisplat delight garden.ply -o garden.relit.ply
@@ -43,15 +43,15 @@ class Delight(LevelsCommand, DeviceCommand):
     inside: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
     """Treat the capture as a room, which has no environment: auto, yes or no."""
     save_environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Write the environment that was found as an image, .exr."""
+    """Write the estimated environment as an image, .exr."""
     up: UpOption = "auto"
     """Set the up direction in the image of --save-environment."""
     cells: Annotated[int | None, setting("4..32", "12")] = None
     """Trace light in N x N directions; time grows with N x N."""
     matt: Flag = False
-    """Take all captured colour as albedo, for materials without specular."""
+    """Take all captured colour as albedo; suits materials without specular reflection."""
     seed: Annotated[int | None, setting("N", "0")] = None
-    """Draw other random numbers."""
+    """Set the random seed."""
 
     def run(self) -> None:
         """Loads the capture, estimates its materials and environment, and writes them."""

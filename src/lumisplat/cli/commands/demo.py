@@ -34,7 +34,7 @@ class Demo(DeviceCommand):
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Set the image width; lit images are half as wide."""
     save_assets: Flag = False
-    """Write demo.ply and transforms.json too, to try other commands."""
+    """Also write demo.ply and transforms.json, to try other commands."""
 
     def run(self) -> None:
         """Builds the scene, and renders and writes its images."""

@@ -42,8 +42,8 @@ _WORST = 3
 class Evaluate(LoadingCommand, DeviceCommand):
     """Compare a capture with held-out images.
 
-    Pixels count where an image's mask is at least half white.
-    With --materials, the folder is a set with known materials (docs/guide/materials.md).
+    Only pixels where an image's mask is at least half white are compared.
+    With --materials, the folder is a data set with ground-truth materials (docs/guide/materials.md).
     Guide: docs/guide/evaluate.md, metrics.md.
     First try: lumisplat evaluate fox.ply fox -o report
     """
@@ -53,9 +53,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """Write metrics.json and the worst views into this folder."""
     scale: Annotated[float, arg(metavar="0..1", help_behavior_hint="(default: 1)")] = 1.0
-    """Scale the images, above 0 to 1."""
+    """Scale the images by this factor, above 0 and at most 1."""
     hold_out: Annotated[int, arg(metavar="N")] = _HOLD_OUT
-    """Evaluate every N-th image, as training holds them out."""
+    """Compare every N-th image, which train --hold-out N does not train on."""
     pipeline: Annotated[Literal["raster", "trace", "hybrid", "path"] | None, setting("NAME", "raster")] = None
     """Render by raster or trace; with --materials, also hybrid or path."""
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
@@ -64,11 +64,11 @@ class Evaluate(LoadingCommand, DeviceCommand):
     """Fill the background: a name, #rrggbb, or r,g,b in 0..1."""
 
     materials: Flag = False
-    """Compare materials and relit images with the true ones of the folder."""
+    """Compare materials and relit images with the ground truth in the folder."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """With --materials: read the environment that was found, .exr or .hdr."""
+    """With --materials: read the estimated environment from this .exr or .hdr."""
     samples: Annotated[int | None, setting("N", "64")] = None
-    """With --materials: average N samples a pixel of relit images."""
+    """With --materials: average N samples per pixel in relit images."""
 
     def run(self) -> None:
         """Renders and compares the views, prints a table, and writes a report if asked."""

@@ -29,11 +29,11 @@ class ExtractFrames(Command):
     video: Positional[Annotated[Path, arg(metavar="VIDEO")]]
     """Read this video: .mp4, .mov, .webm ..."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")]
-    """Write the images into the folder images of this folder."""
+    """Write the images into the subfolder images of this folder."""
     every: Annotated[float, arg(metavar="SECONDS")] = 0.5
-    """Keep the sharpest frame of each interval; neighbours should overlap by two thirds."""
+    """Keep the sharpest frame of every SECONDS; successive images should overlap by two thirds."""
     size: Annotated[int, arg(metavar="PX")] = 1600
-    """Limit the longer side of the images."""
+    """Limit the longer side of the images, in pixels."""
 
     def run(self) -> None:
         """Writes the images, and prints the command that trains with them."""

@@ -26,7 +26,7 @@ class FarmAnimate(Animate):
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Frames equal those of one process bit by bit."""
+    """Frames are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing frames, then the video."""
@@ -43,7 +43,7 @@ class FarmOrbit(Orbit):
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Frames equal those of one process bit by bit."""
+    """Frames are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing frames, then the video."""
@@ -62,7 +62,7 @@ class FarmRender(Render):
     overwrite: Flag = False
     """Render existing images anew."""
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Images equal those of one process bit by bit."""
+    """Images are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing images."""
@@ -79,7 +79,7 @@ class FarmDataset(Dataset):
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Files equal those of one process bit by bit."""
+    """Files are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing views, then writes the files about all views."""

@@ -55,17 +55,17 @@ class FarmTrain(Train):
     """
 
     folder: Positional[Annotated[tuple[Path, ...], arg(metavar="FOLDER...")]]  # pyright: ignore[reportIncompatibleVariableOverride]
-    """Read several folders of images, as train does."""
+    """Train one capture from each of these folders of images."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")] = Path("captures")
     """Write the captures and train.json into this folder."""
     settings: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
-    """Read other options of single folders from a table for each, [NAME]."""
+    """Read options that differ between folders from the tables [NAME] of this file."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
     """Stop each training after this time: 90s, 10m or 1.5h."""
     overwrite: Flag = False
-    """Remove existing captures first."""
+    """Delete the earlier captures and checkpoints before training."""
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Captures equal those of one process bit by bit."""
+    """Captures are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Trains the missing captures, and prints the report of each."""

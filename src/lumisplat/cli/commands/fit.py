@@ -39,7 +39,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
     """Find the lights of a scene from images of it.
 
     Objects in the scene are then lit as in the images.
-    Two lights took half a minute on a CPU core, and with --positions four.
+    Finding two lights took half a minute on one CPU core, and four minutes with --positions.
     Guide: docs/guide/fit.md.
     First try: lumisplat fit room.toml photo.jpg --camera door -o fitted.toml
     """
@@ -47,43 +47,43 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE PHOTO...", help_behavior_hint="")]] = ()
     """Read a scene, and images of it: .png, .jpg, .webp, .exr, .hdr."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """Write the scene with the lights that were found, as .toml."""
+    """Write the scene with the estimated lights, as .toml."""
     overwrite: Flag = False
     """Replace OUT, which may be SCENE itself."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Read the images' cameras from this file."""
     camera: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
-    """Name the camera of the first image; again for the next."""
+    """Name the camera of the first image; repeat for each further image."""
     mask: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
-    """Use the pixels that are white in this mask; again for the next."""
+    """Use only the white pixels of this mask; repeat for each further image."""
     report: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")] = None
     """Write images, renders, differences and report.json into this folder."""
     environment_degree: Annotated[Literal["auto", "none", "0", "1", "2", "3", "4"], arg(metavar="N")] = "auto"
     """Set the SH degree of the environment: auto (2), none, or 0 to 4."""
     no_intensities: Flag = False
-    """Keep the lights' intensities and colours."""
+    """Keep the lights' intensities and colours fixed."""
     keep_hues: Flag = False
-    """Keep the lights' colours, and find their intensities."""
+    """Keep the lights' colours fixed, and find only their intensities."""
     positions: Flag = False
-    """Find positions of lights and directions of spots and suns; takes minutes."""
+    """Find positions of lights, and directions of spots and suns; takes minutes."""
     radii: Flag = False
-    """Find the radii of lights that have one."""
+    """Find the radius of each light that has one."""
     angles: Flag = False
-    """Find the cones of spots."""
+    """Find the cone angles of spots."""
     base_colors: Annotated[str | None, arg(metavar="all|NAMES", help_behavior_hint="")] = None
-    """Find the base colours of all or of these materials."""
+    """Find the base colours of all materials, or of the named ones."""
     exposure: Annotated[str | None, setting("STOPS|fit", "the cameras'")] = None
-    """Set the exposure of the images; fit finds it."""
+    """Set the exposure of the images in stops, or find it (fit)."""
     tone_map: Annotated[Literal["none", "neutral", "agx"], arg(metavar="NAME")] = "none"
     """Set the tone map of the images: none, neutral or agx."""
     pipeline: Annotated[PipelineName | None, setting("NAME", "path")] = None
     """Render by raster, trace, hybrid or path."""
-    samples: Annotated[int | None, setting("N", "64 of paths")] = None
-    """Average N samples a pixel, for each light."""
+    samples: Annotated[int | None, setting("N", "64 with path")] = None
+    """Average N samples per pixel, for each light."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("off|hard|soft", "hard")] = None
-    """Cast these shadows, in pipelines other than path."""
+    """Choose the shadows of pipelines other than path."""
     size: Annotated[int, arg(metavar="PX")] = 128
-    """Compare images of this longer side."""
+    """Scale images to this longer side before comparing them."""
 
     def run(self) -> None:
         """Fits the lights, and writes the scene and the report."""

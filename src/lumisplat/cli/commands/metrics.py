@@ -46,15 +46,15 @@ class Metrics(LoadingCommand):
     files: Positional[
         Annotated[tuple[Path, ...], arg(metavar="IMAGE REFERENCE | AVATAR --scene SCENE", help_behavior_hint="")]
     ] = ()
-    """Compare two images, or folders; with --scene, read an avatar."""
+    """Compare two images, or two folders; with --scene, read an avatar."""
     metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
     """Compute some of psnr, ssim, ms-ssim, flip, sae, sm-iou, bf."""
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Compare the light of an avatar with this capture."""
+    """Compare the light on the avatar with this capture around it."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Print the gain over this avatar before it was relit."""
+    """Read the avatar before relighting, and print the improvement."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
-    """Compare with Gaussians nearer than this."""
+    """Compare with Gaussians of the scene within this distance."""
     json: Flag = False
     """Print JSON instead of a table."""
 

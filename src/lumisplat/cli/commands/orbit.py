@@ -35,24 +35,24 @@ class Orbit(ViewsCommand, FrameCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Read captures, meshes or a scene.toml, as for render."""
+    """Read captures, meshes or a scene.toml; several make one scene."""
     output: Annotated[
         Path | None,
         arg(aliases=("-o",), metavar="DIR", help_behavior_hint="(default: named after the video, or orbit)"),
     ] = None
     """Write frames and orbit.json into this folder."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Write a video too: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
+    """Also write a video: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
     seconds: Annotated[float, arg(metavar="SECONDS", help_behavior_hint="(default: 6)")] = 6.0
     """Set the length of the video."""
     fps: Annotated[float, arg(metavar="FPS", help_behavior_hint="(default: 25)")] = 25.0
-    """Render so many frames a second."""
+    """Render FPS frames per second."""
     turns: Annotated[float, arg(metavar="TURNS", help_behavior_hint="(default: 1)")] = 1.0
-    """Turn so many times to the right; negative: to the left."""
+    """Go round the scene TURNS times to the right; negative: to the left."""
     frames: Annotated[str, setting("LIST", "all")] = ""
-    """Render these only, numbered from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
+    """Render only these frames, numbered from 0: 1-100, 1-100x2 (every second), 1,5,9, 0:48, 48:."""
     overwrite: Flag = False
-    """Remove existing frames first."""
+    """Delete the existing frames before rendering."""
 
     def run(self) -> None:
         """Renders the missing frames, then the video."""

@@ -44,27 +44,27 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     avatar: Positional[Annotated[Path, arg(metavar="AVATAR")]]
     """Read a capture, or a scene.toml that positions one."""
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Gather light from these captures, meshes or scene.toml."""
+    """Gather light from these captures and meshes, or a scene.toml."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")
     """Write .ply, .compressed.ply, .spz or .glb; - is standard output."""
-    at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: its middle)")] = None
-    """Gather the light here, in the scene's coordinates."""
+    at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: the avatar's centre)")] = None
+    """Gather the light at this point, in the scene's coordinates."""
     gamma: Annotated[float | None, setting("0..1000", "1")] = None
     """Multiply all light by this factor."""
     exponent: Annotated[float | None, setting("0.1..64", "1")] = None
-    """Gather light from a narrower cone about the normal; 1 is matt."""
+    """Narrow the cone about the normal that gathers light; 1 is matt."""
     scale_max: Annotated[float | None, setting("0..1000", "4")] = None
-    """Limit the factor of each colour, before --gamma."""
+    """Limit the factor by which light scales a colour, before --gamma."""
     normals: Annotated[Literal["auto", "smallest-axis", "pca"] | None, setting("NAME", "auto")] = None
     """Take normals from the file (auto), smallest-axis, or pca of neighbours."""
     degree: Annotated[int, arg(metavar="0..8")] = 3
     """Store the light as SH of this degree."""
     near: Annotated[float, arg(metavar="UNITS")] = 0.01
-    """Ignore what is nearer than this."""
+    """Ignore everything nearer than this to the point of --at."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
     """Set the light from directions in which the scene is empty."""
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Write the light that was found as an image, .exr."""
+    """Write the gathered light as an image, .exr."""
     up: UpOption = "auto"
     """Set the up direction in the image of --probe."""
 

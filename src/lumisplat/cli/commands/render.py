@@ -79,19 +79,19 @@ class Render(ViewsCommand, FrameCommand):
     cameras: Annotated[Path | None, setting("FILE", "the scene's, else the front")] = None
     """Render an image for each camera of this file."""
     frames: Annotated[str, setting("LIST", "all")] = ""
-    """Render these only, by name or number from 0: 1-100, 1-100x2, 1,5,9, 48:."""
+    """Render only these images, by name, or number from 0: 1-100, 1-100x2 (every second), 1,5,9."""
     fps: Annotated[float, arg(metavar="FPS", help_behavior_hint="(default: 24)")] = 24.0
-    """Render so many frames a second along a camera path."""
+    """Render FPS frames per second along a camera path."""
     format: Annotated[Literal["auto", "png", "exr", "npz"], arg(metavar="FORMAT")] = "auto"
     """Write png, exr or npz; auto follows the output's name."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
-    """Write layers too, such as depth,normal,cryptomatte,deep; an unknown one lists all."""
+    """Write layers too, such as depth,normal,cryptomatte,deep; an unknown name lists all."""
     view: Annotated[ViewName | None, arg(metavar="VIEW", help_behavior_hint="")] = None
-    """Write one layer in colours: normal, depth, hits ..."""
+    """Write a layer in false colours instead of the image: normal, depth, hits ..."""
     resume: Flag = False
-    """Keep existing images made by the same settings."""
+    """Keep existing images that were rendered with the same settings."""
     tiles: Annotated[str, arg(metavar="GRID", help_behavior_hint="")] = ""
-    """Render in parts: 4x4, auto, samples (blocks of 32), or 4x4,samples."""
+    """Render in parts: tiles (4x4, auto), blocks of 32 samples (samples), or both (4x4,samples)."""
 
     def run(self) -> None:
         """Renders and writes the images."""

@@ -31,25 +31,25 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     """
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
-    """Read what casts shadows: captures, meshes, or a scene.toml."""
+    """Read the objects that cast shadows: captures, meshes, or a scene.toml."""
     onto: Annotated[Path, arg(metavar="FILE")]
     """Cast the shadows onto this capture."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Write a capture .ply or .spz, or the map .npz; - is standard output."""
     light: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y,Z")] = ()
-    """Position a light; without: those of files, or found in the capture."""
+    """Place a light at this point; without, use the files' lights or estimated ones."""
     sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Set the direction in which sunlight travels, in place of --light."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
     """Set the fraction of the capture's light that shadows remove."""
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
-    """Multiply the casters' absorption."""
+    """Multiply the casters' absorption by this factor."""
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("NAME", "avg")] = None
-    """Turn opacity into absorption by simple, avg, mass or diag."""
+    """Convert opacity to absorption by the method simple, avg, mass or diag."""
     sampling: Annotated[Literal["center", "stencil", "monte-carlo"] | None, setting("NAME", "monte-carlo")] = None
     """Read the map at a Gaussian's center, stencil (7 points), or monte-carlo points."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
-    """Set the texels across the map."""
+    """Set the number of texels across the map."""
 
     def run(self) -> None:
         """Casts the shadows, and saves the capture or the map."""

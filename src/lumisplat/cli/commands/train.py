@@ -47,15 +47,15 @@ class Train(DeviceCommand):
     output: Annotated[Path, arg(aliases=("-o",), metavar="FILE")]
     """Write the capture, .ply or .spz."""
     iterations: Annotated[int | None, setting("N", "7000")] = None
-    """Take so many steps, of one image each."""
+    """Take N training steps, each with one image."""
     cap: Annotated[int | None, setting("N", "100000")] = None
     """Limit the number of Gaussians."""
     hold_out: Annotated[int, arg(metavar="N")] = 8
     """Hold out every N-th image for evaluation; 0 disables."""
     scale: Annotated[float, arg(metavar="0..1", help_behavior_hint="(default: 1)")] = 1.0
-    """Scale the images, above 0 to 1."""
+    """Scale the images by this factor, above 0 and at most 1."""
     poses: Annotated[Literal["colmap", "colmap-film"] | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """Find missing poses by colmap or colmap-film (ordered); needs pip install 'lumisplat[poses]'."""
+    """Find missing poses by colmap, or colmap-film for video frames; needs pip install 'lumisplat[poses]'."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
     """Fill the background: a name, #rrggbb, r,g,b, or random."""
     densification: Annotated[Literal["mcmc", "adaptive"] | None, setting("NAME", "mcmc")] = None
@@ -67,27 +67,27 @@ class Train(DeviceCommand):
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
     """Rasterise as ellipses (ewa), or along the rays of any lens (unscented)."""
     kernel_degree: Annotated[int | None, setting("0..5", "2")] = None
-    """Train Gaussians of this kernel; others than 2 need --pipeline trace."""
+    """Train Gaussians with this kernel degree; degrees other than 2 need --pipeline trace."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
     exposures: Flag = False
     """Optimise an exposure for each image."""
     refine_poses: Flag = False
-    """Optimise the poses, too."""
+    """Optimise the camera poses too."""
     relightable: Flag = False
     """Find albedo, roughness, normals and the environment after training."""
     material_steps: Annotated[int | None, setting("N", "300")] = None
-    """Refine the materials of --relightable by so many steps."""
+    """Refine the materials of --relightable in N steps."""
     flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """Weight flat Gaussians, for relighting; try 0.3."""
+    """Set the weight of the loss that flattens Gaussians, for relighting; try 0.3."""
     normals: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """Weight normals, so that Gaussians lie on surfaces; try 0.05."""
+    """Set the weight of the loss that aligns Gaussians with surfaces; try 0.05."""
     depth_spread: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """Weight thin surfaces, for relighting; try 0.3."""
+    """Set the weight of the loss that thins surfaces, for relighting; try 0.3."""
     prune_below: Annotated[float | None, setting("WEIGHT", "0.01")] = None
-    """Remove Gaussians of less weight in every pixel at the end."""
+    """Remove Gaussians with less blending weight than this in every image, at the end."""
     seed: Annotated[int | None, setting("N", "0")] = None
-    """Draw other random numbers; one seed gives one result."""
+    """Set the random seed; equal seeds give equal results."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
     """Stop after this time: 90s, 10m or 1.5h; the same command continues."""
     preview: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
@@ -95,7 +95,7 @@ class Train(DeviceCommand):
     allow_outside: Flag = False
     """Let a transforms.json name images outside of its folder."""
     overwrite: Flag = False
-    """Begin anew, and remove an earlier training."""
+    """Delete an earlier training and begin again."""
 
     def run(self) -> None:
         """Trains and writes the capture."""

@@ -37,19 +37,19 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """Read captures, meshes, glTF, OpenUSD, or a scene.toml; several make one scene."""
     port: Annotated[int, arg(metavar="N")] = _PORT
-    """Listen on this port; 0: a free one."""
+    """Listen on this port; 0 chooses a free one."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Listen on this address; others than 127.0.0.1 let other machines in."""
+    """Listen on this address; addresses other than 127.0.0.1 let other machines in."""
     no_browser: Flag = False
     """Print the address without opening a browser."""
     height: Annotated[int, arg(metavar="PX")] = 720
-    """Render so many rows at rest; fewer while the view moves."""
+    """Set the image height while the view is still."""
     budget: Annotated[float, arg(metavar="MS", help_behavior_hint="(default: 40)")] = 40.0
     """Limit the time of a frame while the view moves."""
     up: UpOption = "auto"
     """Set the up direction: y-up, y-down, z-up ..., or a vector."""
     light: LightGroup = field(default_factory=LightOptions)
-    """Start with these; the page can change them."""
+    """Start with these light settings; the page can change them."""
 
     def run(self) -> None:
         """Serves the page until interrupted."""

@@ -46,18 +46,16 @@ _WAIT_S = 1.0
 class FarmOptions:
     """Options of the workers."""
 
-    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a GPU, or one for 4 cores)")] = (
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per GPU, else per 4 cores)")] = (
         None
     )
-    """Start so many processes, each of which holds the scene."""
-    cores: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: their share of the machine)")] = None
-    """Give each worker so many CPU cores."""
-    frame_timeout: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="(default: as long as it takes)")] = (
-        None
-    )
-    """End a worker that takes longer for a frame: 90s, 10m, 1.5h."""
+    """Start N processes, each of which loads the scene."""
+    cores: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: an equal share)")] = None
+    """Give each worker N CPU cores."""
+    frame_timeout: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="(default: no limit)")] = None
+    """Replace a worker whose frame takes longer than this: 90s, 10m, 1.5h."""
     address: Annotated[str, arg(metavar="local|auto|ray://HOST:PORT")] = "local"
-    """Run on Ray started here (local), here already (auto), or ray://HOST:PORT."""
+    """Start Ray here (local), use the cluster running here (auto), or ray://HOST:PORT."""
 
 
 FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]

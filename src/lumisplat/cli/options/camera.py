@@ -29,13 +29,13 @@ class ViewpointOptions:
 
     eye: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Look from this point."""
-    target: Annotated[str | None, setting("X,Y,Z", "the first view's, or the middle")] = None
+    target: Annotated[str | None, setting("X,Y,Z", "the first view's, or the centre")] = None
     """Look at this point."""
     azimuth: Annotated[float | None, setting("DEG", "0")] = None
     """Look from this side: 0 front or first view, 90 right, 180 back."""
     elevation: Annotated[float | None, setting("DEG", "the first view's, or 11.5")] = None
     """Look from this angle above the horizon, -90 to 90."""
-    distance: Annotated[float | None, setting("UNITS", "the first view's, or to fit")] = None
+    distance: Annotated[float | None, setting("UNITS", "the first view's, or to fit the scene")] = None
     """Look from this distance to the target."""
     fov: Annotated[float | None, setting("DEG", "the first view's, or 45.8")] = None
     """Set the vertical field of view, 0 to 180."""
@@ -153,9 +153,9 @@ class CameraOptions(ViewpointOptions):
     """Options of a viewpoint, of the aperture, and of the pixel for `lumisplat.rays.focused`."""
 
     aperture: Annotated[float | None, setting("UNITS", "the camera's, or 0")] = None
-    """Set the lens radius; what is out of focus blurs."""
+    """Set the lens radius; objects out of focus blur."""
     focus: Annotated[str | None, setting("X,Y", "the target")] = None
-    """Focus on what this pixel shows; 0,0 is the upper left."""
+    """Focus on the surface in this pixel; 0,0 is the upper left."""
 
     def pixel(self) -> tuple[int, int] | None:
         """Returns column and row of ``--focus``; None without it.

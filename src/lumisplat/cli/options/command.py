@@ -85,7 +85,7 @@ class LoadingCommand(Command):
     drop_invalid: Flag = False
     """Leave out Gaussians with NaN or infinite values."""
     allow_outside: Flag = False
-    """Let files name other files outside their folders."""
+    """Let files refer to other files outside their folders."""
 
     @property
     def crease_radians(self) -> float | None:
@@ -167,7 +167,7 @@ class InsertingCommand(LoadingCommand):
     """Base class of commands that insert meshes into captures."""
 
     keep_coordinates: Flag = False
-    """Keep meshes at their files' coordinates, not on a capture's ground."""
+    """Keep meshes at their files' coordinates instead of on a capture's ground."""
 
     @property
     def keeps_coordinates(self) -> bool:
@@ -180,7 +180,7 @@ class LevelsCommand(LoadingCommand):
     """Base class of commands that load captures with levels of detail."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
-    """Load level of detail N, or the finest of budget=COUNT Gaussians."""
+    """Load level of detail N, or the finest level within budget=COUNT Gaussians."""
 
     @property
     def levels(self) -> dict[str, int | None]:
@@ -256,7 +256,7 @@ class ViewsCommand(LevelsCommand, InsertingCommand):
     """Base class of commands that show captures in blocks view by view."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
-    """Load level N, of budget=COUNT Gaussians, or of pixels=PX on screen."""
+    """Load level N, the finest within budget=COUNT Gaussians, or Gaussians of pixels=PX on screen."""
 
     @property
     def lod_pixels(self) -> float | None:
@@ -376,7 +376,7 @@ class SamplesCommand(PipelineCommand):
     """Base class of commands with ``--samples``."""
 
     samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
-    """Average N samples a pixel; with realtime, render N frames before each image."""
+    """Average N samples per pixel; with realtime, render N frames before each image."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
         """Returns the settings of `PipelineCommand.pipeline_config`, with ``--samples``."""

@@ -41,11 +41,11 @@ class LightOptions:
     """Options for the light settings of `lumisplat.RenderConfig`."""
 
     lighting: Annotated[Literal["auto", "on", "off"] | None, setting("auto|on|off", "auto")] = None
-    """Light the scene; auto: if it has lights or only meshes."""
+    """Light the scene; auto does so if it has lights or only meshes."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("off|hard|soft", "hard")] = None
-    """Cast shadows; soft ones need several samples."""
+    """Cast no, hard or soft shadows; soft shadows need several samples."""
     tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("NAME", "none")] = None
-    """Map lit colours by none (clip), neutral (true hues) or agx (filmic)."""
+    """Tone-map lit colours by none (clips), neutral (preserves hues) or agx (filmic)."""
 
     def changes(self) -> Changes:
         """Returns the settings that options give."""
@@ -62,11 +62,11 @@ class EnvironmentOptions(LightOptions):
     """Options of light, with the environment, the exposure, captured light and denoising."""
 
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Light the scene by a latitude-longitude image, .hdr or .exr."""
+    """Light the scene with this latitude-longitude image, .hdr or .exr."""
     environment_rotation: Annotated[float | None, setting("N", "0")] = None
     """Rotate the environment by N degrees about the vertical, counter-clockwise from above."""
     exposure: Annotated[float | None, setting("STOPS", "the camera's, or 0")] = None
-    """Brighten lit images by so many stops."""
+    """Brighten lit images by this many stops."""
     capture_gain: Annotated[float | Literal["auto"] | None, setting("N|auto", "0")] = None
     """Brighten captured light on added objects by N stops; auto: estimate N from the scene."""
     denoise: Flag = False
@@ -160,9 +160,9 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
     stats: Flag = False
     """Print times, counts and memory of the last frame."""
     viewpoint: CameraGroup = field(default_factory=CameraOptions)
-    """Replace the cameras of files (docs/guide/captures.md)."""
+    """Set the camera, in place of those of the files (docs/guide/captures.md)."""
     light: EnvironmentGroup = field(default_factory=EnvironmentOptions)
-    """Add to the lights of files (docs/guide/light.md)."""
+    """Set light and shadows (docs/guide/light.md)."""
 
     @property
     def crease_radians(self) -> float | None:
