@@ -39,7 +39,7 @@ def main() -> int:
     except BrokenPipeError:
         _discard(sys.stdout)
         return 141
-    except OSError as error:  # while writing help or buffered output: a full disk
+    except OSError as error:  # writing help or buffered output failed, for example on a full disk
         _discard(sys.stdout)
         with suppress(OSError):
             if status == 0:  # otherwise the command has reported an error already
@@ -65,7 +65,7 @@ def _open_standard_streams() -> None:
 
 
 class _StandardOutput(TextIOWrapper):
-    """Standard output whose write errors can be told from errors of other files."""
+    """Standard output whose write errors can be distinguished from errors of other files."""
 
     def write(self, text: str, /) -> int:
         with _named_errors():

@@ -34,23 +34,25 @@ BOX_MARGIN = 1e-6
 no hit."""
 
 HIT_COUNTS = (4, 8, 16, 32)
-"""Numbers of hits per pass that settings may ask for; kernels have storage for the largest."""
+"""Accepted values of the settings for hits per pass; kernels have storage for the largest value."""
 
 HIT_BUFFER_CPU, HIT_BUFFER_CUDA = 64, 32
-"""Sorted hits that a ray buffers per pass, on the CPU and on CUDA (local memory there). They save passes: 1.6 and 1.4
-times faster than buffers of 16."""
+"""Number of sorted hits that a ray buffers per pass on the CPU, and on CUDA, where the buffer is in local memory.
+Fewer passes make rays 1.6 times faster on the CPU, and 1.4 times on CUDA, than buffers of 16 hits."""
 
 TRAVERSE_STACK = 256
-"""Entries of the BVH traversal stack: levels of both hierarchies, times a node's children less the one being visited.
+"""Entries of the stack with which a ray traverses the top-level BVH and the BVH of an asset: for each level of both,
+all children of a node except the child being visited.
 """
 
 TRAVERSE_STACK_SMALL = 96
-"""Entries of the smaller traversal stack that CUDA kernels use if a scene's hierarchies are shallow enough, which is
-known after the build. Measured need: 49 for a million evenly spread Gaussians, 57 for the biker, 106 for a million
-Gaussians whose density varies a thousandfold."""
+"""Entries of the smaller traversal stack that CUDA kernels use if a scene's BVHs are shallow enough, which is known
+after the build. Measured need: 49 for a million evenly spread Gaussians, 57 for the biker, 106 for a million Gaussians
+whose density varies a thousandfold."""
 
 REBUILD_COST = 1.5
-"""Growth of a refitted BVH's cost, relative to its root's surface area, that triggers a rebuild."""
+"""Factor by which the cost of a refitted BVH (surface area of all nodes over that of the root) may grow before the BVH
+is rebuilt."""
 
 OUTLIER_SHARE = 0.01
 """Fraction of the Gaussians at each end of an axis that a capture's extent ignores, so that outliers do not stretch
@@ -76,16 +78,17 @@ SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
 # --- Rays that hit meshes, mirrors and glass ---
 
 RAY_START_BACK = 4e-6
-"""Fraction of the distance to a distant box by which a ray starts before the box: 64 float32 roundings."""
+"""Distance by which a ray starts in front of a distant box, as a fraction of the distance to the box: 64 float32
+roundings."""
 
 SPAWN_ERROR = 2.0**-20
-"""Rounding error of a hit point, relative to the coordinates that it and the next intersection are computed from: 16
-roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, some rays escape from
-closed mirrors of thin triangles."""
+"""Rounding error of a hit point, relative to the coordinates from which the point and the next intersection are
+computed: 16 roundings. Reflected and refracted rays start this far off the surface. With a quarter of this offset, some
+rays escape from closed mirrors of thin triangles."""
 
 SPAWN_SLENDER = 1000.0
-"""Ratio of a triangle's longest side to its height beyond which the ray offset grows no further, so that it stays
-invisible."""
+"""Ratio of a triangle's longest side to its height up to which the offset of spawned rays grows with the ratio.
+Offsets for thinner triangles would become visible."""
 
 # --- Light and shadow ---
 
@@ -152,7 +155,7 @@ COAT_HEAD_ON, COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN = 0.04, 0.03, 0.1
 # --- Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md) ---
 
 SHADOW_TILE = 8
-"""Side, in texels, of the atlas tiles for which shadow casters are listed: the paper's value."""
+"""Side, in texels, of the atlas tiles for which shadow casters are listed; the value of Mir et al. 2026."""
 
 SHADOW_BOUND_MARGIN = 1e-4
 """Fraction by which the bounds of tiles and casters grow, so that rounding loses no caster."""
@@ -172,7 +175,8 @@ TRACE_SURFACES_MIN = 200
 """Fewest surface Gaussians from which a light can be estimated."""
 
 TRACE_GROUND_MIN = 0.3
-"""Length of the mean occluded direction above which the ground is identified; an endless plane has length 1."""
+"""Length of the mean occluded direction (`ground_direction`) from which on that direction counts as downwards. The
+length is 1 above an endless plane, and 0 in a closed room."""
 
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
@@ -224,7 +228,8 @@ accurate to a ten-thousandth of the mesh."""
 # --- Limits of 32-bit indices ---
 
 ITEMS_MAX = 2**31 - 1
-"""Largest number of Gaussians or triangles in a scene, and of (tile, item) pairs in a frame."""
+"""Largest number of Gaussians or triangles in a scene, and of (tile, item) pairs in a frame, where an item is a splat
+or triangle that touches the tile."""
 
 # --- Work decomposition ---
 
@@ -249,13 +254,14 @@ PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
 """Rays in a packet, which the CPU traces together; ray counts are rounded up to multiples of it."""
 
 RAY_BANDS_PER_THREAD = 32
-"""Bands per CPU thread when tracing rays: the cost of packets varies more than the cost of tiles."""
+"""Bands (ranges of rays) per CPU thread when tracing: the cost of ray packets varies more than the cost of tiles."""
 
 TILE_BANDS_PER_THREAD = 12
-"""Bands per CPU thread when compositing tiles: the cost of tiles varies tenfold, and several bands balance it."""
+"""Bands (ranges of tiles) per CPU thread when compositing: the cost of tiles varies tenfold, and several bands balance
+the threads."""
 
 SHADE_BANDS_PER_THREAD = 4
-"""Bands per CPU thread when shading surfaces: pixels without a hit cost little."""
+"""Bands (ranges of rays) per CPU thread when shading surfaces: pixels without a hit cost little."""
 
 COUNT_SUM_THREADS = 4096
 """Threads that sum 64-bit counts in the parallel schedule: (tile, item) pairs, and samples that are not finite."""
@@ -297,9 +303,9 @@ string, because Warp precompiles its header once per string, which takes seconds
 # --- SH fits of lit captures ---
 
 RIDGE = 3e-4
-"""Ridge penalty of an SH fit: (l (l + 1))^2 times the square of each coefficient of degree l, where a constant view
-weighs
-1. It keeps directions without samples smooth, and takes 4 % of degree 3 where all directions are sampled."""
+"""Factor of the ridge penalty of an SH fit: for degree l, (l (l + 1))^2 times the square of each coefficient, in units
+in which a constant view has weight 1. The penalty keeps directions without samples smooth, and takes 4 % of degree 3
+where all directions are sampled."""
 
 # --- Spatial blocks of captures (docs/adr/0073-out-of-core-captures-in-blocks.md) ---
 
@@ -321,23 +327,25 @@ SURFACE_OPACITY_MIN = 0.1
 """Smallest opacity of the Gaussians that form a surface."""
 
 SURFACE_DEPTH_EXTENT, SURFACE_DEPTH_SCALES = 0.02, 2.0
-"""Distance around its depth within which a ray that hits a sharp surface loses its transmittance: a fraction of the
-set's extent, or a multiple of the largest scale of the Gaussian there if that is farther, because coarse surfaces are
+"""Distance in front of and behind the depth of a sharp surface between which a ray loses its transmittance: the larger
+of a fraction of the set's extent and a multiple of the largest scale of the Gaussian there, because coarse surfaces are
 thick."""
 
 ISOTROPIC_RATIO, ISOTROPIC_SHARE_MAX = 0.9, 0.8
-"""Ratio of the smallest to the middle scale above which a Gaussian has no normal, and the fraction of such Gaussians
-by area in haze. Captures have fractions of 0.02 to 0.65, including captures that were barely trained."""
+"""Ratio of the smallest to the middle scale above which a Gaussian has no normal, and the fraction of such Gaussians,
+by area, from which on a capture counts as haze. Measured fractions are 0.02 to 0.65, even for barely trained captures.
+"""
 
 AGREEING_PICKS, AGREEING_SET, AGREEING_NEIGHBOURS = 256, 50_000, 16
-"""Sampling of the normals' agreement: Gaussians that are compared, largest number they are drawn from, neighbours of
-each."""
+"""Sample sizes for measuring how well the normals of neighbouring Gaussians agree: Gaussians that are compared,
+Gaussians among which their neighbours are searched (at most), and neighbours of each."""
 
 # --- Light fitting ---
 
 ENVIRONMENT_SHARE_MIN, ENVIRONMENT_ERRORS_MIN = 0.01, 3.0
-"""Thresholds of an environment in a light fit: its fraction of the explained light, and its mean radiance in standard
-errors. Below both there is none: where only local lights shone, noise and 8-bit images gave up to 0.006 and 1.6 errors.
+"""A light fit has an environment if the environment explains at least this fraction of the light, or if its mean
+radiance exceeds this number of standard errors. In captures lit by local lights only, noise and 8-bit images gave
+fractions up to 0.006 and means up to 1.6 standard errors.
 """
 
 DAMPING_START, DAMPING_MAX = 1e-3, 1e4
@@ -346,11 +354,11 @@ DAMPING_START, DAMPING_MAX = 1e-3, 1e4
 # --- Materials and light from images (docs/method/relightable.md) ---
 
 ENVIRONMENT_CHUNK = 128
-"""Gaussians whose gradients with respect to the environment one thread sums."""
+"""Number of Gaussians whose gradients one thread sums, with respect to the environment."""
 
 SPREAD_SHARE = 0.3
-"""Width added to the alpha of highlights (in squares), as a fraction of the angle between neighbouring directions;
-narrower highlights would fall between the sampled directions."""
+"""Width that is added to highlights, as a fraction of the angle between neighbouring sampled directions; narrower
+highlights would fall between the directions. The square of the width is added to the square of the GGX alpha."""
 
 # --- Metrics (Mir et al. 2026, sections 4.1 and 4.2; docs/method/relighting.md#metrics) ---
 
@@ -387,7 +395,8 @@ PROBE_NORMALS = 16
 """Resolution of the direction map that quantises normals before a probe's cosine weights are looked up."""
 
 MEANS_CHUNK = 64
-"""Tile sums that one thread adds: a single thread for a whole frame would keep a GPU waiting for a millisecond."""
+"""Number of tile sums that one thread adds; a single thread for a whole frame would keep a GPU waiting for a
+millisecond."""
 
 EMITTER_OPAQUE = 0.05
 """Transmittance at which rays to captured emitters end; the remaining transmittance counts as hit."""
@@ -406,10 +415,10 @@ SH_COEFFICIENTS_MAX = 16
 """Number of SH coefficients of degree 3."""
 
 POSE_CHUNK = 256
-"""Gaussians whose gradients with respect to the camera pose one thread sums."""
+"""Number of Gaussians whose gradients one thread sums, with respect to the camera pose."""
 
 EXPOSURE_CHUNK = 256
-"""Pixels whose gradients with respect to an exposure one thread sums."""
+"""Number of pixels whose gradients one thread sums, with respect to an image's exposure."""
 
 ADAM_BETA_1 = 0.9
 

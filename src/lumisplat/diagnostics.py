@@ -130,11 +130,11 @@ class Diagnosis:
 def diagnose() -> Diagnosis:
     """Inspects this machine for Lumisplat, and runs a small kernel on each device.
 
-    Takes a few seconds if the kernel cache is empty. It installs and changes nothing, except that it caches that
-    kernel.
+    Takes a few seconds if the kernel is not in the kernel cache yet. Apart from adding the kernel to the cache, the
+    function changes and installs nothing.
 
     Returns:
-        The findings. Problems are reported in it, and never raised.
+        The findings. They include all problems; the function never raises an error for a problem.
     """
     cache = _cache()
     with _writable_cache(cache):
@@ -154,7 +154,7 @@ def diagnose() -> Diagnosis:
 
 @contextlib.contextmanager
 def _writable_cache(cache: CacheFacts) -> Generator[None]:
-    """Uses a temporary kernel cache if the real one cannot be written, so that devices are tested all the same."""
+    """Switches to a temporary kernel cache if the real one cannot be written, so that devices can still be tested."""
     if cache.problem is None:
         yield
         return
@@ -174,7 +174,7 @@ def _tested_device(device: Any) -> DeviceFacts:
         problem = _kernel_problem(device)
     except (LumisplatError, OSError) as error:
         problem = " ".join(str(error).split())
-    except Exception as error:  # Warp raises bare exceptions for whatever a driver or a compiler says
+    except Exception as error:  # Warp raises bare exceptions for errors of drivers and compilers
         problem = f"a kernel cannot be compiled or run ({' '.join(str(error).split())})"
     if device.is_cpu:
         return DeviceFacts(device.alias, _processor(), usable_memory() or 0, problem)

@@ -12,8 +12,9 @@ from pathlib import Path
 def names_of_stub(package: str, file: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
     """Resolves the names that a package's stub imports at their first use.
 
-    The stub, ``__init__.pyi``, is the only list of the package's public names; type checkers read it, too. Importing
-    the package imports none of their modules, so that ``import lumisplat`` and ``lumisplat --help`` stay quick.
+    The stub, ``__init__.pyi``, is the only list of the package's public names; type checkers read the stub, too.
+    Importing the package imports none of the modules that define these names, so that ``import lumisplat`` and
+    ``lumisplat --help`` stay quick.
 
     Args:
         package: Name of the package, ``__name__``.

@@ -1,8 +1,8 @@
-"""Vector quantisation by two-level k-means (Lloyd 1982): a palette of K vectors that approximate N.
+"""Vector quantisation by two-level k-means (Lloyd 1982): a palette of K vectors that approximate N given vectors.
 
-K-means first divides the vectors into about sqrt(K) groups; then each group gets palette entries of its own. A vector
-is compared with the entries of its group only: 2 sqrt(K) comparisons instead of K. Groups with a larger error get more
-entries, which more than compensates for the coarser search; see docs/adr/0065-sog-codebooks-by-k-means.md.
+K-means first divides the vectors into about sqrt(K) groups, then finds palette entries for each group separately. A
+vector is compared with the entries of its group only: 2 sqrt(K) comparisons instead of K. Groups with a larger error
+get more entries, which more than compensates for the coarser search; see docs/adr/0065-sog-codebooks-by-k-means.md.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LLOYD_STEPS = 10
 """Iterations of k-means on each level."""
 
 BANDS_A_THREAD = 8
-"""Bands per CPU thread: the cost of vectors varies with the size of their group."""
+"""Bands (ranges of vectors) per CPU thread: the cost of a vector varies with the size of its group."""
 
 _FAR = 1e15
 """Components of unused entries: farther than every vector, while the squared distance stays finite."""
@@ -32,7 +32,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Palette:
-    """K entries, and the entry that approximates each of N vectors."""
+    """Palette of K entries, and the index of the entry that approximates each of N vectors with D components."""
 
     entries: Floats
     """Palette entries, shape (K, D)."""
@@ -41,11 +41,12 @@ class Palette:
 
 
 def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
-    """Finds a palette that approximates vectors with a small squared error, deterministically on each device.
+    """Finds a palette that approximates vectors with a small squared error; repeated calls on a device agree exactly.
 
     Args:
-        values: Finite vectors, shape (N, D), at least one.
-        count: Largest number of entries, at least 1. If there are no more distinct vectors, they are the palette.
+        values: N finite vectors with D components, shape (N, D), at least one vector.
+        count: Largest number of entries, at least 1. If there are at most ``count`` distinct vectors, they are the
+            palette.
         device: Device that compares vectors with entries.
 
     Raises:

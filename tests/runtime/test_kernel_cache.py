@@ -59,7 +59,7 @@ def test_damaged_modules_in_the_kernel_cache_are_recompiled(kernel, tmp_path, ca
         kernel.module.unload()
         load_module(kernel.module, "cpu", 1)
     assert [record.getMessage() for record in caplog.records] == [
-        f"{file.parent}: compiled kernels were damaged and are compiled again; nothing to do"
+        f"{file.parent}: compiled kernels were damaged and are compiled again; no action is needed"
     ]
     values = wp.array([1.0, 2.0], dtype=float, device="cpu")
     wp.launch(kernel, 2, inputs=[values], device="cpu")

@@ -34,7 +34,7 @@ def plain(value: Any) -> Any:  # noqa: PLR0911
     if getattr(value, "shape", None) == () and (hasattr(value, "__array__") or hasattr(value, "__dlpack__")):
         try:
             array = np.asarray(value) if hasattr(value, "__array__") else np.from_dlpack(value)
-        except (BufferError, RuntimeError, TypeError, ValueError):  # of a GPU
+        except (BufferError, RuntimeError, TypeError, ValueError):  # the array is on a GPU
             return value
         return plain(array[()]) if array.dtype.kind in "biuf" else value
     return value
@@ -121,7 +121,7 @@ class Range:
         Raises:
             LumisplatError: The value is no such number, or outside the range; its type is ``error``.
         """
-        if type(value) is kind and self.holds(value):  # most are: cameras are made in loops
+        if type(value) is kind and self.holds(value):  # the usual case, which must be fast: cameras are made in loops
             return value
         number = plain(value)
         is_kind = type(number) is int or (kind is float and type(number) is float)
@@ -256,7 +256,7 @@ _RENAMED = {"lamps": "points", "lamp_lux": "point_lux", "sky": "ambient", "sky_s
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
-    """Returns what an unknown name is called now, or a question with the most similar one; else lists all names."""
+    """Returns advice for an unknown name: its present name if renamed, else the most similar name, else all names."""
     names = list(names)
     if _RENAMED.get(name) in names:
         return f"it is called {_RENAMED[name]!r} now"
@@ -331,4 +331,4 @@ def _color_from_text(text: str) -> Color | None:
         channels = ImageColor.getrgb(text.strip())
     except ValueError:
         return None
-    return _color_from_numbers([channel / 255.0 for channel in channels])  # not a colour with alpha, of four
+    return _color_from_numbers([channel / 255.0 for channel in channels])  # None for four channels, a colour with alpha

@@ -46,7 +46,7 @@ def _checked_layers(value: str | Iterable[str], name: str = "layers") -> tuple[s
     for layer in names:
         if layer not in (*DATASET_LAYERS, "color"):
             raise ConfigError(f"{name} has {layer!r}, {suggestion(layer, DATASET_LAYERS)}")
-    return tuple(layer for layer in DATASET_LAYERS if layer in names)  # the picture, "color", is always there
+    return tuple(layer for layer in DATASET_LAYERS if layer in names)  # "color", the image, is always written
 
 
 def _checked_split(value: Sequence[float], name: str = "split") -> tuple[float, float, float]:
@@ -123,7 +123,7 @@ class DatasetLights:
     visible: bool = True
     """Shows the images of ``environments`` as background."""
     suns: Annotated[WholeSpan, Range(0, 16)] | None = None
-    """Number of suns. None: one, if the scene has something to light and no other light."""
+    """Number of suns. None: 1 if the scene has something to light and no other light, else 0."""
     sun_elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (15.0, 75.0)
     """Angle of suns above the horizon."""
     sun_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
@@ -183,7 +183,7 @@ class DatasetConfig:
     """
 
     views: Annotated[int, Range(1, _VIEWS_MAX)] = 100
-    """Number of views. A view does not depend on it."""
+    """Number of views. The content of each view does not depend on this number."""
     seed: Seed = 0
     """Seed of all random numbers. Each view has its own sequences, one each for poses, lights and objects."""
     width: Annotated[int, Range(1, 65536, "pixels")] = 640
@@ -194,8 +194,8 @@ class DatasetConfig:
     """Layers beside the images: some of ``depth``, ``normal``, ``albedo``, ``alpha``, ``mask``, ``instance``,
     ``category`` and ``exr``, as a list or a text with commas."""
     split: tuple[float, float, float] = given(converter=_checked_split, default=(0.8, 0.1, 0.1))
-    """Fractions of the views for training, validation and test, scaled to a sum of 1. A view stays in its part,
-    whatever the number of views."""
+    """Fractions of the views for training, validation and test, scaled to a sum of 1. A view stays in its part when
+    the number of views changes."""
     shard_views: Annotated[int, Range(0, _VIEWS_MAX)] = 0
     """Largest number of views in a shard for WebDataset; 0 writes no shards."""
     poses: DatasetPoses = DatasetPoses()

@@ -13,7 +13,8 @@ from lumisplat.constants import HIT_COUNTS, KERNEL_DEGREE_MAX, SH_DEGREE_MAX, SH
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
 TRANSMITTANCE_MIN = 1e-4
-"""Transmittance at which a pixel or ray stops, before the Gaussian that would lower it to this. From INRIA and gsplat.
+"""Transmittance at which blending along a pixel or ray stops; the Gaussian that would lower the transmittance to this
+value is not blended. From INRIA and gsplat.
 """
 
 DEPTH_ISO_TRANSMITTANCE = 0.7
@@ -99,9 +100,11 @@ class RasterConfig:
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = SH_DEGREE_MAX
     """Highest SH degree that is evaluated."""
     transmittance_min: Share = TRANSMITTANCE_MIN
-    """Transmittance at which a pixel stops, before the Gaussian that would lower it to this."""
+    """Transmittance at which blending in a pixel stops. The Gaussian that would lower the transmittance to this value
+    is not blended."""
     depth_iso_transmittance: Share = DEPTH_ISO_TRANSMITTANCE
-    """Transmittance at the surface: depth, normal and index are those of the first Gaussian behind which it is lower.
+    """Transmittance at the surface: depth, normal and index are those of the first Gaussian behind which the
+    transmittance is lower.
     """
 
     __post_init__ = take_fields
@@ -126,7 +129,7 @@ class HitDistance(Enum):
     """Projection of the mean onto the ray, nearly the order of the rasteriser. Most captures are trained for that
     order. The surface lies where the response is largest."""
     PEAK = "peak"
-    """Largest response along the ray."""
+    """Point of the largest response along the ray."""
     HULL = "hull"
     """Entry of the ray into the ellipsoid outside which the Gaussian is ignored. The surface lies there, too."""
 
@@ -167,7 +170,8 @@ class ResponseConfig:
     """
 
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] | None = None
-    """Exponent of the distance in the response: 0 is linear, 2 Gaussian, 5 quintic. None: each capture's own."""
+    """Exponent of the distance in the response: 0 is linear, 2 Gaussian, 5 quintic. None: the degree stored with each
+    capture."""
     min_response: Annotated[float, Range(0.0, 0.97)] = 0.0
     """Response at which a Gaussian ends, unless its alpha falls to 1/255 before. NVIDIA uses 0.0113, about the
     response at three standard deviations."""
@@ -191,8 +195,8 @@ class TraceConfig:
     strategy: TraceStrategy = TraceStrategy.SORTED
     """Compositing of the Gaussians on a ray."""
     hits_per_pass: Annotated[int, OneOf(HIT_COUNTS)] = HITS_PER_PASS
-    """Gaussians that a ray collects in a pass, k. With ``STOCHASTIC_PASS``, a sample shows so many; with the other
-    strategies only the cost depends on it."""
+    """Gaussians that a ray collects in a pass, k. With ``STOCHASTIC_PASS``, a sample shows k Gaussians; with the other
+    strategies only the cost depends on k."""
     hit_distance: HitDistance | None = None
     """Distance along a ray at which a Gaussian is hit, by which hits are ordered. ``MEAN`` shows captures as trained;
     ``PEAK`` orders large, intersecting Gaussians better. None: ``MEAN`` for sets that are shown as captured, ``PEAK``
@@ -210,9 +214,10 @@ class TraceConfig:
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = SH_DEGREE_MAX
     """Highest SH degree that is evaluated."""
     transmittance_min: Share = TRANSMITTANCE_MIN
-    """Transmittance at which a sorted ray ends: at most so much light from behind is lost."""
+    """Transmittance at which a sorted ray ends. The ray loses at most this fraction of the light from behind."""
     depth_iso_transmittance: Share = DEPTH_ISO_TRANSMITTANCE
-    """Transmittance at the surface: depth, normal and index are those of the first Gaussian behind which it is lower.
+    """Transmittance at the surface: depth, normal and index are those of the first Gaussian behind which the
+    transmittance is lower.
     """
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
     """Factor of the random numbers of ``STOCHASTIC_HIT``. Below 1, Gaussians are accepted sooner: faster, and biased
@@ -251,8 +256,8 @@ class ShadowConfig:
     """Transmittance below which a shadow is black; higher values are stretched to the whole range. 0 changes nothing.
     """
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
-    """Factor of the random numbers of ``STOCHASTIC``. Below 1, Gaussians block with their alpha over this as
-    probability: faster, and darker than exact (Hu et al. 2025, figure 4)."""
+    """Factor of the random numbers of ``STOCHASTIC``. Below 1, Gaussians block a ray with probability alpha divided by
+    this factor: faster, and darker than exact (Hu et al. 2025, figure 4)."""
     shared_draws: bool = False
     """Shares one random number for each Gaussian between all rays of a ``STOCHASTIC`` sample. Up to twice as fast, but
     few samples show blotches, which no filter removes."""

@@ -15,8 +15,8 @@ class Absorption(Enum):
     """Absorption per length of a Gaussian with a given opacity (docs/method/deep_shadow_maps.md#absorption).
 
     The optical depth is ``tau = -ln(1 - opacity)``, the precision matrix ``A`` and the scales ``s``. ``MASS`` and
-    ``DIAGONAL``, the paper's ``mass`` and ``diag``, use the covariance in place of the precision. They are one formula,
-    as ``sqrt(det(covariance))`` is the product of the scales.
+    ``DIAGONAL``, called ``mass`` and ``diag`` by Mir et al. 2026, use the covariance in place of the precision. Both
+    are one formula, as ``sqrt(det(covariance))`` is the product of the scales.
     """
 
     SIMPLE = "simple"
@@ -133,8 +133,8 @@ class DelightConfig:
     cells: Annotated[int, Range(4, 32)] = 12
     """Cells along each side of the map of directions in which the light at each Gaussian is traced."""
     inside: bool | None = None
-    """Treats the capture as taken from its inside, like a room. None: if a good part of it does not see the
-    environment."""
+    """Treats the capture as taken from its inside, like a room. None: only if a large part of the capture does not see
+    the environment."""
     matt: bool = False
     """Assumes that the materials that will relight the capture are matt (``MaterialPbr(specular=0)``), so that all
     captured colour comes from the albedo. Otherwise the specular reflection of a default `MaterialPbr` is not part of
@@ -166,8 +166,8 @@ class LightEstimationConfig:
     separation: Length | None = None
     """Smallest distance between two lights. None: three times ``emitter_size``."""
     compactness: Share = 0.5
-    """Fraction of its score by which a light must exceed the score around it. At 0, bright walls and windows count as
-    lights, too."""
+    """Fraction of a light's score by which the score must exceed the scores around the light. At 0, bright walls and
+    windows count as lights, too."""
     weakest: Share = 0.05
     """Fraction of the best score below which Gaussians are no lights."""
     evidence: Share = 0.05

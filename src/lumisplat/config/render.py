@@ -78,7 +78,7 @@ def _checked_aovs(aovs: str | Iterable[str], name: str = "aovs") -> tuple[str, .
             raise ConfigError(f"{name} has {aov!r}, which every frame has: leave it out")
         if aov not in AOVS:
             raise ConfigError(f"{name} has {aov!r}, {suggestion(aov, AOVS)}")
-    return tuple(aov for aov in AOVS if aov in names)  # in one order, each once
+    return tuple(aov for aov in AOVS if aov in names)  # in fixed order, without duplicates
 
 
 class PathPrimary(Enum):

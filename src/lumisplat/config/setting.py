@@ -121,7 +121,7 @@ def take_fields(settings: DataclassInstance, prefix: str = "", error: type[Lumis
         LumisplatError: A value has the wrong type or is outside its range.
     """
     for name, default, take in _takes(type(settings), error):
-        # Tests take the default once.
+        # The default is checked once, in tests.
         if (value := getattr(settings, name)) is not default and (taken := take(value, prefix + name)) is not value:
             object.__setattr__(settings, name, taken)
 
@@ -361,7 +361,7 @@ def _span(value: object, name: str, limits: Range, kind: type, error: type[Lumis
     if len(ends) != 2 or len(numbers) != 2 or not all(map(limits.holds, numbers)) or numbers[0] > numbers[1]:
         low, high = limits.low, limits.high
         what = f"number, whole ones from {low} to {high}" if kind is int else f"value, {low:g} to {high:g}"
-        raise refusal(error, name, value, f"expected the least and the largest {what}")
+        raise refusal(error, name, value, f"expected the smallest and the largest {what}")
     return kind(numbers[0]), kind(numbers[1])
 
 
@@ -378,7 +378,7 @@ def docstrings_of(cls: type) -> dict[str, str]:
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__[:-1]):
         node = _definitions(base.__module__).get(base.__name__)
-        if node is None:  # of Python itself, or made without a file
+        if node is None:  # a class of Python itself, or without a source file
             continue
         for one, after in zip(node.body, node.body[1:], strict=False):
             target = one.target if isinstance(one, ast.AnnAssign) else None

@@ -104,11 +104,12 @@ class TrainConfig:
     """Weight of the differences between normals of neighbouring pixels, where the image has no edge (R3DG uses 0.01).
     """
     grow_pull: Share = 8e-4
-    """Mean gradient of the loss by a splat's image position, in half image widths, above which adaptive densification
-    clones or splits it. Magnitudes are averaged, which do not cancel (AbsGS)."""
+    """Mean gradient of the loss with respect to a splat's image position, in half image widths, above which adaptive
+    densification clones or splits the Gaussian. Magnitudes are averaged, so that opposite gradients do not cancel
+    (AbsGS)."""
     grow_turn: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Mean gradient of the surface terms by a Gaussian's normal, summed over pixels, above which adaptive
-    densification also clones or splits it (R3DG uses 0.004). 0 disables this criterion."""
+    """Mean gradient of the surface terms with respect to a Gaussian's normal, summed over pixels, above which adaptive
+    densification also clones or splits the Gaussian (R3DG uses 0.004). 0 disables this criterion."""
     coarse: Annotated[int, Range(0, 4)] = 0
     """Number of times that the image size is halved at the start; all smaller sizes together take a quarter of the
     iterations."""
@@ -121,8 +122,8 @@ class TrainConfig:
     """Exponent of the distance in the response of Gaussians: 0 is linear, 2 Gaussian, 5 quintic. Other degrees than 2
     need ``TRACE``."""
     prune_below: Share = 0.01
-    """Blending weight below which a Gaussian is removed at the end, if it reaches it in no pixel of any image. If no
-    Gaussian would remain, all do."""
+    """Blending weight that a Gaussian must reach in at least one pixel of one image; all other Gaussians are removed
+    at the end. If no Gaussian reaches it, all remain."""
     antialiased: bool = False
     """Compensates opacities for the dilation by a pixel's width (Mip-Splatting)."""
     exposures: bool = False

@@ -70,7 +70,7 @@ def _guides(frame: FrameData) -> dict[str, Any]:
     The entry ``clean_aux`` tells the denoiser whether the guides are free of noise.
     """
     if frame.camera.aperture > 0.0:
-        return {}  # defocused: every sample sees other surfaces
+        return {}  # out of focus, samples of one pixel hit different surfaces
     if frame.config is None or draws_surfaces(frame.config):
         if not frame.has("albedo") or (frame.gaussian_index >= 0).any():
             return {}

@@ -146,7 +146,10 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
 
 
 def _magnifications(camera: Camera) -> Doubles:
-    """Returns the lens's magnifications at N points relative to its centre: singular values of its Jacobian, (N, 2)."""
+    """Returns the lens's magnifications at N points as multiples of that at the image centre, shape (N, 2).
+
+    The two magnifications of a point are the singular values of the distortion's Jacobian.
+    """
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     image_points = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
     visible = undistort(image_points, camera.distortion)

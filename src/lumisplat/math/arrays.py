@@ -185,7 +185,7 @@ def unit_vector(vector: Doubles) -> Doubles:
 
 def read_only_array(values: npt.ArrayLike, dtype: type[_Scalar]) -> npt.NDArray[_Scalar]:
     """Returns ``values`` as a read-only, C-contiguous array; copies them unless they are such an array already."""
-    # A view of another package's memory is copied, even where NumPy cannot write to it: that package can.
+    # A view of another package's memory is copied, even if NumPy cannot write to it, because the other package can.
     is_fixed = isinstance(values, np.ndarray) and not values.flags.writeable
     values = host_array(values)
     array = np.ascontiguousarray(values, dtype=dtype) if is_fixed else np.array(values, dtype=dtype, order="C")

@@ -52,7 +52,7 @@ def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
             if is_found.all():
                 break
             better = _within(found - _solved(distortion_jacobian(found, coefficients), error), reach)
-            found = np.where(is_found, found, better)  # a point does not depend on the others
+            found = np.where(is_found, found, better)  # so that the result at a point does not depend on other points
         error = np.abs(distort(found, coefficients) - points).max(axis=-1)
     found[~(error <= DISTORTION_RESIDUAL)] = np.nan
     return found

@@ -41,7 +41,7 @@ def mean_fresnel(ior: float) -> float:
         ior: Relative index of refraction, at least 1.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    root = 0.5 * (nodes + 1.0)  # of the cosine: reflectances rise steeply at grazing angles
+    root = 0.5 * (nodes + 1.0)  # square root of the cosine, because reflectance rises steeply at grazing angles
     return float((2.0 * weights * root**3 * fresnel(root**2, ior)).sum())
 
 
@@ -59,13 +59,16 @@ _SHAPE = np.array(
 
 
 def masking_curve(alpha: float) -> Doubles:
-    """Returns the five parameters of {eq}`sheen-masking`, shape (5,), for ``alpha``, the squared roughness."""
+    """Returns the five parameters of equation (sheen-masking) in docs/method/materials.md, shape (5,).
+
+    ``alpha`` is the squared roughness.
+    """
     smooth = (1.0 - alpha) ** 2
     return _SHAPE @ np.array([1.0 - smooth, smooth])
 
 
 def masking(cosine: Doubles, alpha: float) -> Doubles:
-    """Returns Lambda, the masking function of {eq}`sheen-masking`."""
+    """Returns Lambda, the masking function of equation (sheen-masking) in docs/method/materials.md."""
     a, b, c, d, e = masking_curve(alpha)
 
     def exponent(x: Doubles) -> Doubles:

@@ -113,7 +113,7 @@ def lit_picture(
     is_covered = weight >= 1.0 - WEIGHT_ROUNDING
     changed = ~is_covered | (light != 0.0).any(axis=-1) if exposure == 0.0 else np.ones_like(is_covered)
     radiance, gain = captured_radiance(captured[changed], weight[changed]), np.float32(exposure_gain(exposure))
-    with np.errstate(over="ignore"):  # what overflows is clipped
+    with np.errstate(over="ignore"):  # overflow becomes infinity, which is clipped
         lit, before = (np.clip(gain * part, 0.0, RADIANCE_MAX) for part in (radiance + light[changed], radiance))
     largest = np.maximum(lit, before).max(axis=-1, keepdims=True)
     difference = np.abs(lit - before).max(axis=-1, keepdims=True)

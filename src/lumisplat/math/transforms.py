@@ -24,7 +24,7 @@ def rotation_matrix(wxyz: npt.ArrayLike) -> Doubles:
     """
     quaternion = np.asarray(host_array(wxyz), dtype=np.float64)
     if not 0.0 < quaternion @ quaternion < np.inf:
-        raise SceneError("a rotation of zero length or not finite, expected a unit quaternion wxyz")
+        raise SceneError("a rotation of zero length or not finite, expected a unit quaternion (w, x, y, z)")
     return matrices_from_quaternions(quaternion[None])[0]
 
 

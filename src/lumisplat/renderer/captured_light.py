@@ -1,7 +1,7 @@
 """Light for meshes in captures of a scene without lights: an environment map rendered from the captures.
 
-Six small unlit views of the captures from the centre of the meshes become an environment light, as for the probes of
-avatars (docs/adr/0093-meshes-in-captures-are-placed-automatically.md).
+Six small unlit views of the captures, seen from the centre of the meshes, become the environment map
+(docs/adr/0093-meshes-in-captures-are-placed-automatically.md).
 """
 
 from __future__ import annotations

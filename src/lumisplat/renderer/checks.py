@@ -26,7 +26,9 @@ def check_scene(scene: object) -> None:
     if not isinstance(scene, Scene):
         raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
     if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
-        raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
+        raise SceneError(
+            f"the scene has {scene.gaussian_count:,} Gaussians and {scene.face_count:,} triangles, expected at most {ITEMS_MAX:,} of each"
+        )
     for instance in scene.splats:
         count, coefficients = instance.gaussians.sh.shape[:2]
         if count * coefficients > ITEMS_MAX:
@@ -144,11 +146,11 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
     if not plan.is_sampled:
         raise ConfigError("an unlit frame of the sorted rasteriser cannot be resumed: it is drawn in one go")
     if frame.samples == 0:
-        raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
+        raise ConfigError("cannot resume a rasterised frame: only frames with samples can be resumed")
     if frame.is_denoised:
         raise ConfigError("cannot resume a denoised frame: resume the frame before denoising")
     if plan.is_lit != frame.has("light"):
-        raise ConfigError("cannot resume an unlit frame as a lit one, or a lit frame as an unlit one")
+        raise ConfigError("cannot resume an unlit frame as a lit frame or vice versa: keep RenderConfig.lighting")
     if frame.color.shape[:2] != camera.image_size[::-1] or frame.background != config.background:
         height, width = frame.color.shape[:2]
         raise ConfigError(

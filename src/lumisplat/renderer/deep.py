@@ -194,7 +194,7 @@ class _DeepTracer:
         layers = _Layers.of(found)
         layers = layers._replace(light=layers.light / np.float32(len(offsets)))
         has_any = np.bincount(layers.pixel, minlength=len(ray_indices)) > 0
-        covers = np.bincount(layers.pixel, layers.weight, len(ray_indices)) > 0.0  # lights cover nothing
+        covers = np.bincount(layers.pixel, layers.weight, len(ray_indices)) > 0.0  # hits on lights have weight 0
         missed = np.flatnonzero((~covers & (target.alpha > 0.0)) | (~has_any & target.color.any(axis=1)))
         ones, white = np.ones(len(missed), np.float32), np.ones((len(missed), 3), np.float32)
         layers = _Layers.of([layers, _Layers(missed, target.depth[missed], ones, white, np.zeros(len(missed), bool))])

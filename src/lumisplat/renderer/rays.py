@@ -339,7 +339,7 @@ class RayQueries:
         self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray], *, bounced: bool
     ) -> tuple[dict[str, npt.NDArray[Any]], int]:
         """Renders one batch of rays; returns its images as one row of pixels, and the number of non-finite samples."""
-        # A caller's rays are not jittered: without random numbers, all samples are equal.
+        # A caller's rays are not jittered: if nothing else is random, all samples are equal.
         is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
         samples = plan.samples if is_random else 1
         count, rays = len(batch[0]), self._rays.allocate(len(batch[0]))

@@ -204,7 +204,7 @@ class Buffers:
         if limit is not None and self.bytes + needed > limit:
             # Linux would overcommit the memory, and kill the process when it writes there.
             raise DeviceError(
-                f"cpu has no room for {needed / 2**30:,.1f} GiB of '{name}': use fewer pixels or Gaussians"
+                f"cpu has too little memory for {needed / 2**30:,.1f} GiB of '{name}': use fewer pixels or Gaussians"
             )
         try:
             array = DeviceArray(shape=size, dtype=dtype, device=self._device)

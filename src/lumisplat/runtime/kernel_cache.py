@@ -27,7 +27,8 @@ OTHER_CACHE = "set the environment variable WARP_CACHE_PATH to another folder"
 """Advice for error messages about an unusable cache folder."""
 
 _ELF_SECTIONS_OFFSET, _ELF_SECTIONS_SIZE = struct.Struct("<40xQ"), struct.Struct("<58xHH")
-"""Fields of a 64-bit ELF header: offset of the section table; size of an entry, and number of entries."""
+"""Readers of fields of a 64-bit ELF header: first the offset of the section table, then the size of a table entry and
+the number of entries."""
 
 _OWNER = "lumisplat.pid"
 """Name of the file that stores the id of the process that uses a folder."""
@@ -149,5 +150,5 @@ def _is_damaged(file: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    _log.warning("%s: compiled kernels were damaged and are compiled again; nothing to do", folder)
+    _log.warning("%s: compiled kernels were damaged and are compiled again; no action is needed", folder)
     shutil.rmtree(folder, ignore_errors=True)

@@ -48,7 +48,7 @@ def source_of(light: object) -> Source:
     """Returns the position or direction of a light; a point of shape (3,) may be given instead of a light.
 
     Raises:
-        SceneError: The argument is neither a point nor such a light, or is not finite.
+        SceneError: The argument is neither a point nor a light with a position or direction, or is not finite.
     """
     if isinstance(light, LightDirectional):
         return light
@@ -56,7 +56,7 @@ def source_of(light: object) -> Source:
         return np.array(light.position, dtype=np.float64)
     if not isinstance(light, list | tuple | np.ndarray):
         raise SceneError(
-            f"light_position is a {type(light).__name__}, expected a point (3,) or a placed or directional light"
+            f"light_position is a {type(light).__name__}, expected a point (3,) or a light with position or direction"
         )
     return three_numbers("light_position", cast("npt.ArrayLike", light))
 
@@ -159,7 +159,7 @@ def _fit_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians, 
     atlas.layout, atlas.size = PARALLEL, config.resolution
     atlas.axes = wp.mat33(*axes.ravel())
     atlas.texel_length = texel
-    # One extra bin in front, because casters may be before the centre of the first bin, where all is lit.
+    # One extra bin in front: casters may be in front of the centre of the first bin, up to which nothing is shadowed.
     depth = config.max_distance or max(float(high[2] - low[2]), texel)
     atlas.bin_length = depth / max(config.bins - 1, 1)
     atlas.origin = wp.vec3(*(axes @ (low - [texel, texel, atlas.bin_length])))
@@ -192,7 +192,7 @@ class Region:
         return np.unique(self.texels // TILE_TEXELS)
 
     def columns(self, atlas: Atlas) -> tuple[IntArray, npt.NDArray[np.void]]:
-        """Returns the slot of each tile (-1: the tile has no column), and a row of Column for each texel of each slot.
+        """Returns the storage slot of each tile (-1: no slot), and a row of Column for each texel of each slot's tile.
 
         Raises:
             SceneError: The region has 2^31 bins or more.

@@ -266,7 +266,10 @@ class DeepShadowMap:
         if self.config.region_radius is not None:
             rows = rows[distance_from_body(receivers.means, casters) <= self.config.region_radius]
         if not len(rows):
-            _log.warning("there are no receivers near the casters (config.region_radius): the map shadows nothing")
+            _log.warning(
+                "no receivers are near the casters, so the map shadows nothing: "
+                "pass receivers, or increase config.region_radius"
+            )
         near = PlacedGaussians(*(column[rows] for column in receivers))
         self._atlas = atlas_of(self._source, near, self.config)
         if not self.config.region:

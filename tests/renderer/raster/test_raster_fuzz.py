@@ -157,7 +157,7 @@ def test_renderer_still_draws_correctly_after_an_upload_runs_out_of_memory(monke
 
     with monkeypatch.context() as patch:
         patch.setattr(assets, "upload_meshes", fail)
-        with pytest.raises(ls.DeviceError, match="cpu has no room for the scene: out of memory"):
+        with pytest.raises(ls.DeviceError, match="cpu has too little memory for the scene: out of memory"):
             renderer.render(new, front_camera())
     for scene in (old, new):
         np.testing.assert_array_equal(renderer.render(scene, front_camera()).color, expected[scene])

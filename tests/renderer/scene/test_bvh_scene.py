@@ -215,7 +215,7 @@ def test_failed_upload_leaves_no_stale_addresses_in_the_bvh_tables(monkeypatch: 
 
     with monkeypatch.context() as patch:
         patch.setattr(assets, "upload_gaussians", refuse)
-        with pytest.raises(ls.DeviceError, match="no room"):
+        with pytest.raises(ls.DeviceError, match="too little memory"):
             renderer.render(ls.Scene([second]), view())
     renderer.render(ls.Scene([first]), view())
     row = present(renderer._scene.bvh.assets).numpy()[0]["gaussians"]["rotations"]["data"]

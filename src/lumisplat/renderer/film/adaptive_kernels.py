@@ -86,7 +86,7 @@ def measure_noise(start: int, least: float, film: wp.array[FilmData], noise_out:
 
 @wp.kernel
 def average_neighbors(start: int, width: int, height: int, noise: wp.array[float], mean_out: wp.array[float]):
-    """Per pixel: writes the mean noise of the pixels around, excluding itself and values that are not finite."""
+    """Per pixel: writes the mean noise of the neighbouring pixels, without values that are not finite."""
     pixel = start + wp.tid()
     x = pixel % width
     y = pixel // width

@@ -135,7 +135,7 @@ def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.arr
 
 @wp.kernel
 def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_out: wp.array[float]):
-    """Per pixel: writes the standard error of the mean, divided by the larger of its luminance and ``least``."""
+    """Per pixel: writes the standard error of the mean, divided by the mean's luminance (``least`` if darker)."""
     pixel = start + wp.tid()
     errors_out[pixel] = wp.inf
     if film[0].count[pixel] >= 2:

@@ -78,9 +78,9 @@ def begin_paths(start: int, paths_out: wp.array[PathData]):
 
 @wp.kernel
 def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathData], ends_out: wp.array[float]):
-    """Writes infinity for rays that leave a shadow catcher, else -1.
+    """Per ray: writes the distance up to which `RayTracer.find_captured` traces the ray through captures alone.
 
-    These are the ends of further rays, which are traced through captures only.
+    The distance is infinity for rays that leave a shadow catcher, and -1 (not traced) for all other rays.
     """
     i = start + wp.tid()
     ends_out[i] = -1.0

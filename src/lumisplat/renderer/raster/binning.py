@@ -279,6 +279,7 @@ def check_pairs(count: int) -> int:
     """
     if count > ITEMS_MAX:
         raise DeviceError(
-            f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: render a smaller image"
+            f"the frame needs {count:,} pairs of a tile and a splat or triangle, more than {ITEMS_MAX:,}: "
+            "render a smaller image"
         )
     return count

@@ -89,7 +89,10 @@ def set_probe(
     before: ProbeData,
     probes_out: ProbeData,
 ):
-    """Places probe ``i`` on the surface of ``pixel``, or leaves it where it was near there; ``pixel`` -1: no probe."""
+    """Places probe ``i`` on the surface of ``pixel``; -1: the probe is unused.
+
+    If the surface is still the one of probe ``source`` of the previous frame, the probe stays at that probe's position.
+    """
     probes_out.is_placed[i] = 0
     probes_out.source[i] = -1
     probes_out.refresh_count[i] = 0

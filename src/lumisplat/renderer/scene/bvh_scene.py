@@ -148,7 +148,9 @@ class BvhScene:
             except DeviceError:
                 raise
             except RuntimeError as error:  # Warp raises it when its sorts and scans cannot allocate
-                raise DeviceError(f"{self._launcher.device} has no room for the scene's trees: {error}") from None
+                raise DeviceError(
+                    f"{self._launcher.device} has too little memory for the scene's BVHs: {error}"
+                ) from None
         index_of = {id(cached.gaussians): index for index, cached in enumerate(self._cached)}
         asset_indices = [index_of[id(instance.gaussians)] for instance in scene.splats]
         kinds = tuple(SplatSets) if has_subsets else (SplatSets.ALL,)

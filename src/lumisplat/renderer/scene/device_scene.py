@@ -206,7 +206,7 @@ class DeviceScene:
     def release(self) -> None:
         """Frees all assets on the device; the next ``sync`` uploads its scene anew."""
         self.sync(Scene(), _ANY_CAMERA, FramePlan.of(self._config, Scene()))
-        # That frame may need no lights or rays, whose tables and BVHs also hold assets.
+        # The empty frame syncs no lights and no BVHs, which also hold assets: they are replaced.
         self._shading = ShadingTables(self._buffers, self._config, self._launcher.device)
         self._mesh_bvh, self.bvh = MeshBvhScene(self._launcher), BvhScene(self._launcher)
         self.captured_emitters = CapturedEmitters()
@@ -245,7 +245,7 @@ class DeviceScene:
         except DeviceError:
             raise
         except RuntimeError as error:
-            raise DeviceError(f"{self._launcher.device} has no room for the scene: {error}") from None
+            raise DeviceError(f"{self._launcher.device} has too little memory for the scene: {error}") from None
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
 
     def _note_layout(self, *, same_meshes: bool) -> None:

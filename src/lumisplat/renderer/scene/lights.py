@@ -202,7 +202,7 @@ def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
     """Returns the CDF over the rows of an environment map, (H,), and over the texels within each row, (H, W).
 
     A texel's probability is the mean luminance of the interpolated image over the texel, times the texel's solid angle.
-    Black rows have probability 0, so in a black image all rows have.
+    A black row has probability 0; in a black image, all rows have probability 0.
     """
     luminance = image @ np.array(LUMINANCE, dtype=np.float32)
     across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
