@@ -27,7 +27,8 @@ def check_scene(scene: object) -> None:
         raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
     if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
         raise SceneError(
-            f"the scene has {scene.gaussian_count:,} Gaussians and {scene.face_count:,} triangles, expected at most {ITEMS_MAX:,} of each"
+            f"the scene has {scene.gaussian_count:,} Gaussians and {scene.face_count:,} triangles, "
+            f"expected at most {ITEMS_MAX:,} of each"
         )
     for instance in scene.splats:
         count, coefficients = instance.gaussians.sh.shape[:2]
