@@ -69,6 +69,7 @@ def test_library_messages_name_options_on_the_command_line() -> None:
         ("RenderConfig.shadow_rays.method", "--set shadow_rays.method"),
         ("TraceConfig.strategy", "--set trace.strategy"),
         ("TraceStrategy.STOCHASTIC_HIT", "--set trace.strategy=stochastic-hit"),
+        ("RelightConfig.gamma=1.4 shows", "--set animation.lighting.transfer.gamma=1.4 shows"),
         ("NormalEstimate.PCA", "--normals pca"),
         ("samples is 0, expected", "--samples is 0, expected"),
         ("seed is 0, which was not given", "seed is 0, which was not given"),

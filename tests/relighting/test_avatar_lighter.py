@@ -427,7 +427,7 @@ def test_dark_relit_actors_are_logged_once_with_a_gamma_as_advice(caplog: pytest
             for x in (0.0, 0.3):
                 stage.light([puppet(x)])
         assert caplog.text.count("actors appear at 0.21 of their captured brightness") == warnings
-        advice = "a RelightConfig.gamma of 1.4 shows them half as bright as captured, 4.7 as bright (in a scene.toml"
+        advice = "RelightConfig.gamma=1.4 shows them half as bright as captured, 4.7 as bright (in a scene.toml"
         assert (advice in caplog.text) == bool(warnings)
 
 

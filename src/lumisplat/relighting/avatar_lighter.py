@@ -264,7 +264,7 @@ class AvatarLighter:
             )
             if mean > 1e-3:
                 message += (
-                    f": a RelightConfig.gamma of {_DARK / mean:.2g} shows them half as bright as captured, "
+                    f": RelightConfig.gamma={_DARK / mean:.2g} shows them half as bright as captured, "
                     f"{1.0 / mean:.2g} as bright (in a scene.toml: gamma in [animation.lighting.transfer])"
                 )
             _log.warning("%s", message)

@@ -261,8 +261,8 @@ class _AnimationFrames:
         if stops <= _SURROUNDED_STOPS:
             return config
         _log.warning(
-            "the captures do not surround the actors: their light is brightened by %g stops to compensate (gamma in "
-            "[animation.lighting.transfer] of the scene.toml is then %.3g)",
+            "the captures do not surround the actors: their light is brightened by %g stops to compensate, as by "
+            "--set animation.lighting.transfer.gamma=%.3g",
             stops,
             2.0**stops,
         )

@@ -161,7 +161,7 @@ def logging_in_shell_words(command: Command) -> Generator[None]:
 def _settings() -> tuple[dict[str, str], dict[str, str]]:
     """Returns the settings by class names of their enums, and the prefixes of groups by class name."""
     enums: dict[str, str] = {}
-    groups: dict[str, str] = {"RenderConfig": ""}
+    groups: dict[str, str] = {"RenderConfig": "", "RelightConfig": "animation.lighting.transfer."}
 
     def walk(kind: type[Any], prefix: str) -> None:
         for name, hint in get_type_hints(kind).items():

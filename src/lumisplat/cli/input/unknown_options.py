@@ -114,7 +114,8 @@ def _answer(option: str, value: str, command: type[Any], commands: Mapping[str, 
     if option in FORMER_OPTIONS and FORMER_OPTIONS[option].split()[0] in known:
         return f"{option} is now {FORMER_OPTIONS[option].format(value or 'VALUE')}"
     if "--set" in known:
-        if former := FORMER_SETTINGS.get(option):
+        former = FORMER_SETTINGS.get(option, ())
+        if former and (program.endswith("animate") or not former[0].startswith("animation.")):
             texts = (name if "=" in name else f"{name}={value or 'VALUE'}" for name in former)
             return f"{option} is a setting: {' '.join(f'--set {text}' for text in texts)}"
         if texts := _settings(option, value):
