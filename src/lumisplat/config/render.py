@@ -148,8 +148,9 @@ class RenderConfig:
     """Response of Gaussians to rays of all kinds."""
     lighting: bool | None = None
     """Illuminates the scene by its lights; a scene without lights has a headlight at the camera. None: if the scene
-    has lights or consists of meshes alone, and always for ``PATH`` and ``REALTIME``. With None, rays of ``trace_rays``
-    have no headlight; they are lit if the scene has lights or, with ``PATH``, emits light."""
+    has lights or meshes, and always for ``PATH`` and ``REALTIME``; without lights, captures around the meshes replace
+    the headlight. With None, rays of ``trace_rays`` have no headlight; they are lit if the scene has lights or, with
+    ``PATH``, emits light."""
     shadows: Shadows = Shadows.HARD
     """Shadows of lights in lit frames."""
     shadow_rays: ShadowConfig = field(default_factory=ShadowConfig)
