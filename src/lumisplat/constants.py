@@ -149,8 +149,8 @@ AGX_GAMMA = 2.2
 # --- Path tracing (docs/method/paths.md) ---
 
 COAT_HEAD_ON, COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN = 0.04, 0.03, 0.1
-"""F0 of clearcoat, its smallest roughness, and the smallest roughness of sheen: below it, the albedo of sheen exceeds
-1 at more and more angles."""
+"""F0 of clearcoat, smallest roughness of clearcoat, and smallest roughness of sheen. With smaller roughness, the
+albedo of sheen exceeds 1 at more and more angles."""
 
 # --- Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md) ---
 
@@ -354,7 +354,7 @@ DAMPING_START, DAMPING_MAX = 1e-3, 1e4
 # --- Materials and light from images (docs/method/relightable.md) ---
 
 ENVIRONMENT_CHUNK = 128
-"""Number of Gaussians whose gradients one thread sums, with respect to the environment."""
+"""Number of Gaussians over which one thread sums the gradient with respect to the environment."""
 
 SPREAD_SHARE = 0.3
 """Width that is added to highlights, as a fraction of the angle between neighbouring sampled directions; narrower
@@ -415,10 +415,10 @@ SH_COEFFICIENTS_MAX = 16
 """Number of SH coefficients of degree 3."""
 
 POSE_CHUNK = 256
-"""Number of Gaussians whose gradients one thread sums, with respect to the camera pose."""
+"""Number of Gaussians over which one thread sums the gradient with respect to the camera pose."""
 
 EXPOSURE_CHUNK = 256
-"""Number of pixels whose gradients one thread sums, with respect to an image's exposure."""
+"""Number of pixels over which one thread sums the gradient with respect to an image's exposure."""
 
 ADAM_BETA_1 = 0.9
 

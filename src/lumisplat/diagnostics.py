@@ -32,7 +32,8 @@ _FOR_DEVELOPERS = ("dev", "docs", "bench")
 
 _TRIAL_SIZE = 1_000
 _FREE_BYTES_MIN = 2**29
-"""Free disk space in bytes below which compiled kernels may not fit: after all tests, one version's took 186 MB."""
+"""Free disk space in bytes below which compiled kernels may not fit. The kernels of one version took 186 MB after all
+tests had run."""
 
 _SIGNS_OF_A_GPU = ("/dev/nvidia0", "/dev/dxg", "/proc/driver/nvidia/version")
 """Files that exist where a GPU driver is installed (the second one in WSL)."""

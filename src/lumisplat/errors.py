@@ -75,7 +75,10 @@ class FormatError(SceneError):
 
 
 class MissingFileError(FormatError, FileNotFoundError):
-    """Raised when an input file or folder does not exist; ``path`` names it, ``filename`` and ``errno`` are None."""
+    """Raised when an input file or folder does not exist; ``path`` names it.
+
+    ``filename`` and ``errno`` of the FileNotFoundError are None.
+    """
 
 
 class DeviceError(LumisplatError, RuntimeError):

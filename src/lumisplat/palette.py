@@ -50,7 +50,7 @@ def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
         device: Device that compares vectors with entries.
 
     Raises:
-        DeviceError: There is no such device.
+        DeviceError: The device does not exist.
     """
     values = np.ascontiguousarray(values, dtype=np.float32)
     rows = values.view(np.dtype((np.void, values.itemsize * values.shape[1]))).reshape(-1)

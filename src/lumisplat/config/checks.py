@@ -74,7 +74,10 @@ def is_flag(value: object) -> TypeGuard[bool]:
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Range of the numbers that a field accepts: integers for ``int`` fields, and both ends for pairs."""
+    """Range of the numbers that a field accepts.
+
+    An ``int`` field accepts only integers, and both numbers of a pair must be in the range.
+    """
 
     low: float = -math.inf
     """Smallest number."""
@@ -119,7 +122,7 @@ class Range:
         """Returns a value as a Python number of ``kind``, which is ``int`` or ``float``.
 
         Raises:
-            LumisplatError: The value is no such number, or outside the range; its type is ``error``.
+            LumisplatError: The value is no such number, or outside the range; the error is of type ``error``.
         """
         if type(value) is kind and self.holds(value):  # the usual case, which must be fast: cameras are made in loops
             return value

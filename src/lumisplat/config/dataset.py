@@ -27,7 +27,7 @@ class PosePlaces(Enum):
     INSIDE = "inside"
     """Positions in the free space of the scene, looking in any direction."""
     CAMERAS = "cameras"
-    """Positions near given cameras, such as those of a capture's training images, from where it looks best."""
+    """Positions near given cameras, such as those of a capture's training images, from where the capture looks best."""
 
 
 def _file_names(value: Iterable[str], name: str = "files") -> tuple[str, ...]:
@@ -70,22 +70,24 @@ class DatasetPoses:
     where: PosePlaces = PosePlaces.DOME
     """Region of the cameras."""
     azimuth: Annotated[Span, Range(-360.0, 360.0, "degrees")] = (0.0, 360.0)
-    """Angle about the vertical with ``DOME``, counter-clockwise from above; 0 is the front."""
+    """Azimuth of the camera with ``DOME``: angle about the vertical, counter-clockwise from above; 0 is the front."""
     elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (5.0, 60.0)
-    """Angle above the horizon with ``DOME``."""
+    """Elevation of the camera above the horizon with ``DOME``."""
     distance: Annotated[Span, Range(1e-3, 1e3)] = (1.0, 1.5)
-    """Distance to the target with ``DOME``, as a factor of the distance at which the whole scene just fits into the
-    image. Below 1, images may cut off parts of the scene."""
+    """Distance from the camera to the target with ``DOME``, as a factor of the distance at which the whole scene just
+    fits into the image. Below 1, images may cut off parts of the scene."""
     height: Annotated[Span, Range(0.0, 1.0)] = (0.2, 0.8)
     """Height of the camera with ``INSIDE``, as a fraction of the scene's height."""
     pitch: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (-25.0, 10.0)
     """Angle of the viewing direction above the horizon with ``INSIDE``."""
     shift: Share = 0.02
-    """Largest distance from a given camera with ``CAMERAS``, as a fraction of the scene's diagonal."""
+    """Largest distance of a view's camera from a given camera with ``CAMERAS``, as a fraction of the scene's diagonal.
+    """
     turn: Annotated[float, Range(0.0, 180.0, "degrees")] = 5.0
-    """Largest rotation from a given camera with ``CAMERAS``, about any axis."""
+    """Largest rotation of a view's camera from a given camera with ``CAMERAS``, about any axis."""
     aim: Share = 0.1
-    """Largest distance of the target from the scene's centre with ``DOME``, as a fraction of its size along each axis.
+    """Largest distance of the target from the scene's centre with ``DOME``, as a fraction of the scene's size along
+    each axis.
     """
     roll: Annotated[float, Range(0.0, 180.0, "degrees")] = 0.0
     """Largest rotation of cameras about their viewing direction."""

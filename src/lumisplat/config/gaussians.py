@@ -160,7 +160,7 @@ class ShadowMethod(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResponseConfig:
-    """Response of Gaussians to rays, and the distance at which they end.
+    """Response of Gaussians to rays, and the distance at which Gaussians end.
 
     Every ray reads them: camera rays (``Pipeline.TRACE``), rays from mirrors and glass (``TRACE`` and ``HYBRID``), and
     shadow rays (all pipelines). The rasteriser draws every capture with degree 2, to where its alpha is 1/255.
@@ -260,7 +260,7 @@ class ShadowConfig:
     this factor: faster, and darker than exact (Hu et al. 2025, figure 4)."""
     shared_draws: bool = False
     """Shares one random number for each Gaussian between all rays of a ``STOCHASTIC`` sample. Up to twice as fast, but
-    few samples show blotches, which no filter removes."""
+    frames of few samples have blotches, which no filter removes."""
     color_strength: Annotated[float, Range(0.0, 5.0)] = 0.0
     """Strength of the tint of partial shadows by the colour of the Gaussians that cast them, like stained glass."""
 

@@ -74,8 +74,8 @@ class DeepShadowConfig:
     """Computes only the texels and bins that receivers read."""
     region_radius: Length | None = None
     """Distance from the bounding box of the casters, along x, y or z, beyond which receivers are ignored and stay lit.
-    A map that is used by itself still shadows them where it holds texels of nearer receivers. None: no receiver is
-    ignored."""
+    A map that is used by itself still shadows such a receiver where it holds texels of nearer receivers. None: no
+    receiver is ignored."""
     culling: bool = True
     """Lists for each tile the casters that its rays can hit; otherwise each ray tests all casters."""
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO

@@ -41,7 +41,8 @@ _QUALITY_PRESETS: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
         "cache": {"tiles": 32_768, "cell_size": 1.0 / 16.0, "bounces": 16_384},
     },
 }
-"""Settings of each quality that replace defaults, by group; those of ``RealtimeConfig`` itself have an empty name."""
+"""Defaults that each quality changes: by quality, by name of the group (empty for ``RealtimeConfig`` itself), by
+setting."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,7 +147,7 @@ class RealtimeConfig:
 
     @property
     def of_quality(self) -> RealtimeConfig:
-        """The settings that frames use: defaults replaced by those of ``quality``."""
+        """The settings that frames use: those of ``quality`` in place of default values."""
         changes = _QUALITY_PRESETS[self.quality]
         groups = {
             "filter": _changed(self.filter, changes.get("filter", {})),
@@ -158,7 +159,7 @@ class RealtimeConfig:
 
 
 def _changed(settings: _Settings, changes: Mapping[str, Any]) -> _Settings:
-    """Returns settings with changes to those that have their default values."""
+    """Returns settings with changed values; a setting that already differs from its default is left as it is."""
     defaults = type(settings)()
     free = {name: value for name, value in changes.items() if getattr(settings, name) == getattr(defaults, name)}
     return replace(settings, **free)

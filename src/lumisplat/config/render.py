@@ -85,7 +85,8 @@ class PathPrimary(Enum):
     """First surface of a path where the camera sees relit Gaussians."""
 
     PARTICLE = "particle"
-    """One Gaussian with its own normal and material, drawn by the opacities of all. Later surfaces are drawn alike."""
+    """One Gaussian with its own normal and material, chosen at random by the opacities of all Gaussians on the ray.
+    Later surfaces of the path are chosen in the same way."""
     ISO = "iso"
     """The iso-opacity surface of the other pipelines, with normals and colours blended over the ray. Its depth is that
     of ``TraceConfig.depth_iso_transmittance``."""
@@ -196,8 +197,8 @@ class RenderConfig:
     """Seed of all random numbers: the same seed gives the same image."""
     max_bounces: Annotated[int, Range(0, 64)] | None = None
     """Bounces of a ray at most. Trace and hybrid pipelines count reflections and refractions, behind which a ray sees
-    the background. The path pipeline counts bounces of any kind, and real time those of reflections; 0 is direct light.
-    None: 8 in the path pipeline, else 3."""
+    the background. The path pipeline counts bounces of any kind, where 0 is direct light, and the real-time pipeline
+    counts bounces off smooth surfaces. None: 8 in the path pipeline, else 3."""
 
     __post_init__ = take_fields
 

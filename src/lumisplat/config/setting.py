@@ -128,7 +128,7 @@ def take_fields(settings: DataclassInstance, prefix: str = "", error: type[Lumis
 
 _ANY = Range()
 _DOC_WIDTH = 100
-"""Columns of the fields in a class docstring."""
+"""Width, in characters, of the list of fields in a class docstring."""
 _SENTENCE_END = re.compile(r"(?<!et al)\. ")
 
 
@@ -146,7 +146,7 @@ class Setting:
     is_optional: bool = False
     """True if the value may be None, which means automatic."""
     range: Range = _ANY
-    """Range of numbers, and of both numbers of spans."""
+    """Range of the number, or of both numbers of a span."""
     choices: tuple[Enum, ...] = ()
     """Members of the field's enum that it accepts."""
     numbers: tuple[int, ...] = ()

@@ -20,8 +20,8 @@ class Densification(Enum):
     """Method that adds and removes Gaussians during training."""
 
     MCMC = "mcmc"
-    """Gaussians are samples of a Markov chain: dead ones move to live ones, and their number grows to ``cap``
-    (Kheradmand et al. 2024)."""
+    """Gaussians are samples of a Markov chain: dead Gaussians move to live ones, and the number of Gaussians grows to
+    ``cap`` (Kheradmand et al. 2024)."""
     ADAPTIVE = "adaptive"
     """Gaussians with large gradients are cloned or split, transparent ones are removed, and opacities are reset at
     intervals (Kerbl et al. 2023, section 5)."""

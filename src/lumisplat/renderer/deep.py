@@ -74,7 +74,7 @@ def render_deep(
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: As for ``trace_rays``, or the frame has another size.
     """
     width, height = camera.image_size

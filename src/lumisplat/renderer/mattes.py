@@ -40,7 +40,7 @@ def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = No
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: As for ``Renderer.render``.
     """
     config = checked_config(config)

@@ -19,7 +19,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 WARM_UP_FRAMES = 32
-"""Default number of frames in a still real-time sequence, whose last frame is returned: direct light averages as many.
+"""Default number of frames in a still real-time sequence, of which only the last frame is returned. Direct light is
+averaged over as many frames.
 """
 
 
@@ -45,7 +46,7 @@ def render(
 
     Raises:
         ConfigError: ``config`` is no RenderConfig, ``frames`` is below 1, or ``frames`` is given for another pipeline.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: As for ``Renderer.render``.
     """
     is_sequence = checked_config(config).pipeline.is_sequence
@@ -86,7 +87,7 @@ def trace_rays(
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: A shape does not fit, a value is not finite, or a direction has no length; the message says how
             many.
     """
@@ -112,7 +113,7 @@ def focused(
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: The pixel is outside the image, or shows no surface.
     """
     return create_renderer(tracing(checked_config(config)), device).focused(scene, camera, x, y)
@@ -145,7 +146,7 @@ def transmittance(
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: As for ``trace_rays``, or a distance is negative or NaN.
     """
     return create_renderer(tracing(checked_config(config)), device).transmittance(

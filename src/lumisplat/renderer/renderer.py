@@ -603,7 +603,7 @@ def create_renderer(
     Raises:
         ConfigError: ``threads`` is not positive, ``config`` is no RenderConfig, or ``config`` does not allow frames of
             the scene.
-        DeviceError: There is no such device.
+        DeviceError: The device does not exist.
         SceneError: ``scene`` is no Scene.
     """
     launcher = Launcher(device, threads, profile)

@@ -21,8 +21,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 SAMPLES_PER_BLOCK = 32
-"""Number of samples in the blocks that processes render when they share a frame. A power of two, because so many Sobol
-points are well distributed. The size affects how sums are rounded."""
+"""Number of samples in the blocks that processes render when they share a frame. A power of two, because a power of
+two of consecutive Sobol points is well distributed. The size affects how sums are rounded."""
 
 
 def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:

@@ -59,7 +59,7 @@ def resolve_device(name: str = "auto") -> str:
     """Returns the Warp device for ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` on this machine.
 
     Raises:
-        DeviceError: There is no such device; the message lists the available ones.
+        DeviceError: The device does not exist; the message lists the available ones.
     """
     start_warp()
     available = ["cpu", *(device.alias for device in wp.get_cuda_devices())]

@@ -145,7 +145,7 @@ class DeepShadowMap:
 
         Raises:
             ConfigError: ``config`` is no DeepShadowConfig.
-            DeviceError: There is no such device, or it is out of memory.
+            DeviceError: The device does not exist or is out of memory.
             SceneError: There are no casters, an argument is of another type, or a value is not finite.
         """
         config = DeepShadowConfig() if config is None else config
@@ -197,8 +197,8 @@ class DeepShadowMap:
         Settings ``sampling`` and ``samples`` choose the samples. Source: docs/method/deep_shadow_maps.md#lookup.
 
         Args:
-            receivers: As for `build`. Give the receivers for which the map was built, in the same order; others may be
-                given, but the transmittance is 1 where the map is not tabulated.
+            receivers: As for `build`. Give the receivers for which the map was built, in the same order; other
+                receivers may be given, but the transmittance is 1 where the map is not tabulated.
 
         Returns:
             Transmittance of each Gaussian or point, in the order of the receivers, 0..1, shape (N,).
@@ -240,7 +240,7 @@ class DeepShadowMap:
             device: As for `create_renderer`.
 
         Raises:
-            DeviceError: There is no such device, or it is out of memory.
+            DeviceError: The device does not exist or is out of memory.
             FormatError: The file is not a deep shadow map.
             MissingFileError: There is no such file.
         """

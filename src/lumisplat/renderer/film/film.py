@@ -454,5 +454,5 @@ def _elements(words: FloatArray, array: DeviceArray) -> npt.NDArray[Any]:
 
 
 def _words(copies: Copies, names: list[str]) -> dict[str, FloatArray]:
-    """Returns the copied arrays of these names as 32-bit words."""
+    """Returns the copied arrays with the given names as 32-bit words."""
     return {name: copies.words(name) for name in names}

@@ -62,7 +62,7 @@ class DifferentiableRenderer(Renderer):
 
     Raises:
         ConfigError: The config asks for another pipeline or strategy, for more samples, or for lights.
-        DeviceError: There is no such device.
+        DeviceError: The device does not exist.
     """
 
     def __init__(
@@ -267,7 +267,7 @@ class DifferentiableRenderer(Renderer):
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
     ) -> tuple[FloatArray, PixelGradient]:
-        """Checks the upstream gradients at pixels; returns the colour's on the host, and both on the device."""
+        """Checks the upstream gradients at pixels; returns the colour gradient on the host, and both on the device."""
         by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
         by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
         gradient = PixelGradient()
@@ -288,7 +288,7 @@ class DifferentiableRenderer(Renderer):
     def _by_features(
         self, drawn: DrawnSplats, dL_dfeatures: npt.ArrayLike, shape: tuple[int, int], by_splat: DeviceArray
     ) -> FloatArray:
-        """Returns the gradients with respect to the features, and adds those of the splats' shapes to ``by_splat``."""
+        """Returns the gradients with respect to features, and adds their gradients of splat shapes to ``by_splat``."""
         if self._rendered_features is None:
             raise ConfigError("gradients: call render_features for this frame before passing dL_dfeatures")
         count = self._rendered_features.count
@@ -336,7 +336,7 @@ def splat_gradients(
 
     Raises:
         ConfigError: The config asks for another pipeline or strategy, or for lights.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: As for `lumisplat.Renderer.render`; or an array's shape does not fit, or a value is not finite.
     """
     renderer = DifferentiableRenderer(config, device)
@@ -375,7 +375,7 @@ def ray_gradients(
     Raises:
         ConfigError: The config asks for another strategy, more samples or lights; or a mesh reflects, refracts or
             blends.
-        DeviceError: There is no such device, or it is out of memory.
+        DeviceError: The device does not exist or is out of memory.
         SceneError: As for `lumisplat.trace_rays`; or an array's shape does not fit, or a value is not finite.
     """
     renderer = DifferentiableRenderer(tracing(config), device)

@@ -65,7 +65,7 @@ class PathIntegrator:
             )
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """Traces the paths that begin at these primary hits, wave by wave; returns the first wave."""
+        """Traces the paths that begin at the primary hits in ``hits``, wave by wave; returns the first wave."""
         paths = self._begin(plan, hits)
         first = wave = self._wave(scene, plan, hits, paths, 0)
         if first.count == 0:
@@ -232,7 +232,7 @@ class PathLayers:
         self._images = PathImages()
 
     def begin(self, plan: FramePlan, first: RayWave, lights: int) -> PathImages:
-        """Returns the images that paths add to; those that only `PathLayers` holds are set to 0.
+        """Returns the images that paths add to. Images that belong to `PathLayers` are set to 0.
 
         ``light`` and the images of shadow catchers are arrays of the first wave.
 

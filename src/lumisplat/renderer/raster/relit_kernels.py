@@ -202,7 +202,7 @@ def store_means(
         start: First item.
         camera: The view.
         meshes: Meshes, which bound the surface depth.
-        sums: Result of compositing the splats with these values.
+        sums: Result of compositing the splats that ``write_surface_attributes`` wrote.
         hits_inout: Hits of the rays; receives the means.
     """
     i = start + wp.tid()

@@ -60,7 +60,7 @@ class SplatRaster:
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        config: Settings; they do not change.
+        config: Settings, which stay the same for the lifetime of the object.
         binning: Sorts splats and lists them per tile.
     """
 

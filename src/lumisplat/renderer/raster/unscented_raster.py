@@ -50,7 +50,7 @@ class UnscentedRaster:
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        config: Settings; they do not change.
+        config: Settings, which stay the same for the lifetime of the object.
         binning: Sorts Gaussians and lists them per tile.
     """
 

@@ -142,7 +142,7 @@ class IndirectLight:
         return lobes
 
     def _bounce(self, scene: DeviceScene, plan: FramePlan, frame: int) -> None:
-        """Traces rays from cells of the radiance cache to others, so that light bounces from cell to cell."""
+        """Traces rays from cells of the radiance cache to other cells, so that light bounces from cell to cell."""
         points = self.cache.bounce_points(frame)
         count = len(device_array(points.is_active))
         rays = self._buffers.struct("cache.rays", RayData, -(-count // PACKET_RAYS) * PACKET_RAYS)

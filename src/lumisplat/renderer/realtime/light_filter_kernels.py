@@ -133,8 +133,8 @@ def history_of(
 ) -> PixelHistory:
     """Interpolates the history of a pixel's surface between the previous pixels around its reprojected position.
 
-    Only those of the four pixels that show the same surface count. If none does and the surface stands still, the
-    history is the mean over 3 x 3 pixels, because jittered samples may see past edges.
+    A previous pixel counts only if it shows the same surface. If none of the four does and the surface stands still,
+    the history is the mean over 3 x 3 pixels, because jittered samples may see past edges.
     """
     history = PixelHistory()
     position = surfaces.previous[pixel]
@@ -211,7 +211,7 @@ def reproject(
 def with_pixel(
     change: LightChange, is_old: bool, sampled: float, expected: float, mean: float, square: float
 ) -> LightChange:
-    """Adds one more pixel to the statistics; one with few frames (not ``is_old``) only widens the luminance range."""
+    """Adds one more pixel to the statistics; with few frames (not ``is_old``) it only widens the luminance range."""
     change.lowest = wp.min(change.lowest, sampled)
     change.highest = wp.max(change.highest, sampled)
     if not is_old:

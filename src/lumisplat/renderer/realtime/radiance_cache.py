@@ -154,8 +154,8 @@ class RadianceCache:
         Args:
             points: Result of the last `bounce_points`; points of evicted tiles are ignored.
             hits: Hit of the ray from each point, already inserted; inactive: no light arrives along the ray.
-            radiance_of: Converts radiance reflected at the hits to the radiance of the rays, linear, vec3; None: they
-                are equal.
+            radiance_of: Converts radiance reflected at the hits to the radiance of the rays, linear, vec3; None: the
+                rays have the radiance that is reflected at the hits.
         """
         run, count, tiles = self._launcher.run_banded, self._config.bounces, self.tiles
         means = self._get("means_before", wp.vec4, count)

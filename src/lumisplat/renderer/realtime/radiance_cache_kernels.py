@@ -1,6 +1,6 @@
 """Kernels of the radiance cache: they sort samples into cells, pass light between cells, and insert and evict tiles.
 
-Rays shorter than a coarse cell is wide use fine cells, all others coarse cells. Each array element
+A ray that is shorter than the width of a coarse cell uses fine cells, every other ray coarse cells. Each array element
 has one writer: the first of a cell's or tile's sorted samples does the work of all. Tiles are stored as a sorted list
 of keys, into which new keys are merged (docs/method/realtime.md#radiance-cache).
 """
@@ -251,7 +251,10 @@ def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: w
 
 @wp.func
 def near_rays(budget: int, near: int, far: int) -> int:
-    """Returns how many of ``budget`` rays go to fine cells: one each, but only half if coarse cells need the rest."""
+    """Returns how many of ``budget`` rays go to fine cells: at most one per cell.
+
+    The coarse cells get as many rays as they can use, but no more than half of the budget unless fine cells leave more.
+    """
     return wp.min(near, wp.max(budget - RAYS_MAX * far, budget // 2))
 
 

@@ -45,7 +45,7 @@ STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
 @wp.kernel
 def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
-    """Per probe: copies the fields that the next frame reads as those of the previous frame."""
+    """Per probe: copies the fields that the next frame reads as the state of the previous frame."""
     i = start + wp.tid()
     probes_out.is_placed[i] = probes.is_placed[i]
     probes_out.position[i] = probes.position[i]
@@ -323,7 +323,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Per probe cell: averages radiance over its probe, the tile's other probe, and those of four adjacent tiles."""
+    """Per probe cell: averages radiance over the probe, the tile's other probe, and the probes of four adjacent tiles."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells

@@ -63,7 +63,7 @@ def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Pro
     """Raises SceneError for a camera that the rasteriser cannot draw.
 
     The rasteriser needs a pinhole without aperture or rolling shutter. With ``Projection.UNSCENTED``, it can draw any
-    perspective or fisheye lens without aperture.
+    perspective or fisheye lens without aperture, also with a rolling shutter.
     """
     problem, remedy = None, ""
     if not pipeline.is_sequence:

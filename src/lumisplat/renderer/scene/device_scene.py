@@ -42,7 +42,7 @@ class DeviceScene:
     Args:
         launcher: Runs the kernels that build BVHs.
         buffers: Holds the tables.
-        config: Settings; they do not change.
+        config: Settings, which stay the same for the lifetime of the object.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:

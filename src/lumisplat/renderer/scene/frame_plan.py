@@ -147,7 +147,7 @@ class FramePlan:
     """Largest number of bounces. For Whitted rays: reflections, refractions and passes through blended meshes; 0 if
     the scene has no such surfaces. For paths: scattering events at any surface."""
     has_headlight: bool
-    """True if a headlight at the camera lights the scene, because it has no lights."""
+    """True if a headlight at the camera lights the scene, because the scene has no lights."""
     has_meshes: bool
     """True if the scene has mesh instances."""
     has_media: bool

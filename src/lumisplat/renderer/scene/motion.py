@@ -43,7 +43,7 @@ MOVED_FRAMES = 16
 """Number of frames for which cached lighting fades after objects move."""
 
 CHANGED_STRENGTH = 2.0
-"""Ratio between a light's strengths in two frames above which it counts as another light."""
+"""Ratio between the strengths of a light in two frames above which the light counts as another light."""
 
 SMALL = 16
 """Largest number of elements of arrays that are compared by value; larger arrays are compared by identity."""
@@ -165,7 +165,9 @@ def previous_indices(
 
 
 def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numbers: list[int | None]) -> list[int]:
-    """Returns the new index of each instance of the previous frame; ``UNMOVED`` if it stands still, or ``GONE``.
+    """Returns the new index of each instance of the previous frame.
+
+    The index is ``UNMOVED`` if the instance stands still, and ``GONE`` if the instance is not in this frame.
 
     Args:
         now: Asset and transform of each instance.
@@ -180,7 +182,7 @@ def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numb
 
 
 def is_same_capture(now: SplatInstance, before: SplatInstance) -> bool:
-    """Returns whether two Gaussian sets may be one capture whose Gaussians have moved: both have equally many."""
+    """Returns whether two Gaussian sets may be one capture whose Gaussians have moved: their counts are equal."""
     return now.gaussians.count == before.gaussians.count
 
 

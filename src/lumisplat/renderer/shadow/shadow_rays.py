@@ -44,7 +44,7 @@ class ShadowRays:
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        config: Settings; they do not change.
+        config: Settings, which stay the same for the lifetime of the object.
         name: Name of the buffers.
     """
 

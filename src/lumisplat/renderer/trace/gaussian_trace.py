@@ -42,7 +42,7 @@ class GaussianTracer:
     Args:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
-        config: Settings; they do not change.
+        config: Settings, which stay the same for the lifetime of the object.
         name: Prefix of the names of the buffers that hold the settings.
     """
 

@@ -1,4 +1,4 @@
-"""Kernels that join the hits of emissive captures and relit sets on rays of paths: one of them ends each ray.
+"""Kernels that join the hits of emissive captures and relit sets on rays of paths: one of the two hits ends each ray.
 
 One item is one ray.
 """

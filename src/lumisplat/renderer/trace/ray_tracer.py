@@ -23,7 +23,7 @@ class RayTracer:
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        config: Settings; they do not change.
+        config: Settings, which stay the same for the lifetime of the object.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:

@@ -76,7 +76,7 @@ class BoxTree:
         self.levels: list[tuple[int, int]] = []
         """Index of the first node, and number of nodes, of each level, beginning with the roots."""
         self.stack_size = 1
-        """Largest number of nodes on the stack of a traversal, whatever the order in which it visits children."""
+        """Largest number of nodes on the stack of a traversal that may visit children in any order."""
         self.build = -1
         """Unique number of the last build; levels and addresses of nodes stay the same until the next build."""
 
