@@ -1,4 +1,4 @@
-"""Actors in a captured scene, frame by frame: their shadows on the scene, and their light."""
+"""`AvatarLighter` casts shadows of actors on a captured scene, and lights the actors, frame by frame."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
 
 @pytest.fixture(autouse=True)
 def few_discs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Converts meshes to 4,000 Gaussians: the maps here show no more, and more take seconds per mesh."""
+    """Samples shadow-casting meshes with 4,000 Gaussians; small shadow maps resolve no more, and more take seconds."""
     monkeypatch.setattr(casters_and_receivers, "sample_surface", partial(sample_surface, count=4000))
 
 
 def floor(x: float = 0.0, cells: int = 21) -> ls.Gaussians:
-    """A grey floor at y = 0, 4 x 4 about (x, 0, 0): Gaussians 0.2 apart."""
+    """Returns a grey captured floor at y = 0, 4 by 4 units about (x, 0, 0), with Gaussians 0.2 apart by default."""
     steps = np.linspace(-2.0, 2.0, cells)
     points = np.stack(np.meshgrid(steps + x, [0.0], steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return captured(points, np.full(3, 0.4), scale=0.1)
 
 
 def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
-    """An opaque ball of radius 0.4 at height 1."""
+    """Returns an actor: an opaque ball of radius 0.4 at height 1."""
     rng = np.random.default_rng(1)
     points = rng.normal(size=(count, 3))
     points *= 0.4 / np.linalg.norm(points, axis=1, keepdims=True)
@@ -52,23 +52,23 @@ def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
 
 
 def config(**changes: object) -> ls.config.AvatarLightingConfig:
-    """Small maps, all light direct, nothing relit."""
+    """Returns settings with small shadow maps, only direct light and no relighting, except for the given changes."""
     return replace(ls.config.AvatarLightingConfig(shadow_map=SHADOW, direct=1.0, relight=False), **changes)
 
 
 def lighter(scene: ls.Scene, lights: Sequence[Light] | None = (LIGHT,), **changes: object) -> ls.AvatarLighter:
-    """A lighter on the CPU; ``changes`` as for ``config``."""
+    """Returns an `AvatarLighter` on the CPU; ``changes`` are fields of `AvatarLightingConfig`."""
     return ls.AvatarLighter(scene, lights, config(**changes), device="cpu")
 
 
 def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
-    """Linear factor of each Gaussian's mean colour, shape (N,)."""
+    """Returns the ratio of linear mean colours after and before lighting, for each Gaussian, shape (N,)."""
     old, new = (decode_srgb(g.sh[:, 0].mean(axis=1).astype(np.float64) * SH_C0 + 0.5) for g in (before, after))
     return new / old
 
 
 def test_actor_darkens_a_captured_floor_only_in_its_shadow() -> None:
-    """The ball's shadow on the floor is a disc of radius 0.61: black inside, unchanged outside."""
+    """A ball's shadow on the floor is a disc of radius 0.61: black inside, and unchanged outside."""
     ground = floor()
     scene = lighter(ls.Scene(splats=[ground])).light([puppet()])
     left = light_left(ground, scene.splats[0].gaussians)
@@ -79,7 +79,7 @@ def test_actor_darkens_a_captured_floor_only_in_its_shadow() -> None:
 
 
 def test_shadow_on_a_capture_follows_the_moving_actor() -> None:
-    """The next frame's shadow is at the actor's new position, and the previous one is gone."""
+    """In the next frame, the shadow is at the actor's new position, and the shadow at the old position is gone."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]))
     stage.light([puppet(-1.0)])
@@ -89,7 +89,7 @@ def test_shadow_on_a_capture_follows_the_moving_actor() -> None:
 
 
 def test_frames_of_an_actor_at_one_position_are_equal_to_the_bit() -> None:
-    """Frames are equal, also after the actor has moved away and back, relit or not."""
+    """The frame of an actor that moved away and back equals its first frame, including the relit colours."""
     stage = lighter(ls.Scene(splats=[floor()]), lights=[LIGHT, replace(LIGHT, position=(1.0, 2.0, 1.0))], relight=True)
     first = stage.light([puppet()])
     stage.light([puppet(0.7)])
@@ -99,14 +99,14 @@ def test_frames_of_an_actor_at_one_position_are_equal_to_the_bit() -> None:
 
 
 def test_actor_shadow_removes_only_the_direct_fraction_of_the_light() -> None:
-    """The other fraction of the light is never in shadow."""
+    """With a direct fraction of 0.6, the darkest Gaussian in shadow keeps 0.4 of its light."""
     ground = floor()
     left = light_left(ground, lighter(ls.Scene(splats=[ground]), direct=0.6).light([puppet()]).splats[0].gaussians)
     assert left.min() == pytest.approx(0.4, abs=0.02)
 
 
 def test_shadow_factor_is_the_mean_transmittance_of_all_lights() -> None:
-    """Two equal lights: factors are the mean of the transmittances of each light's map through all actors."""
+    """For two equal lights, the factor is the mean of their shadow maps' transmittances through all actors."""
     ground = floor()
     lights = [ls.LightDirectional((0.5, -1.0, 0.0)), ls.LightDirectional((-0.5, -1.0, 0.0))]
     actors = [puppet(-0.8), puppet(0.8)]
@@ -118,7 +118,7 @@ def test_shadow_factor_is_the_mean_transmittance_of_all_lights() -> None:
 
 
 def test_captures_outside_any_actor_shadow_stay_the_same_objects() -> None:
-    """Captured sets without a shadow stay the same objects."""
+    """Only the shadowed one of three captures becomes a new object, and is as dark as if it were the only capture."""
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
     # Equal bins for both, and no samples that depend on a receiver's index.
     same = replace(SHADOW, max_distance=4.0, sampling=ls.config.ReceiverSampling.CENTER)
@@ -131,7 +131,7 @@ def test_captures_outside_any_actor_shadow_stay_the_same_objects() -> None:
 
 
 def test_shadow_maps_of_later_frames_reuse_the_memory_of_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Device memory is that of the first frame."""
+    """Two lights build one shadow map each; later frames rebuild both maps without more device memory."""
     built = []
     build = DeepShadowMap.build.__func__
 
@@ -149,13 +149,13 @@ def test_shadow_maps_of_later_frames_reuse_the_memory_of_the_first(monkeypatch: 
 
 
 def test_frame_without_actors_has_the_captures_of_the_scene() -> None:
-    """All assets are the scene's own objects."""
+    """The captures are the scene's own objects, without copies."""
     scene = ls.Scene(splats=[floor()])
     assert lighter(scene).light([]).splats[0] is scene.splats[0]
 
 
 def test_flags_disable_shadow_or_relighting_of_single_actors() -> None:
-    """One actor casts no shadow, one keeps its colours; both are in the frame."""
+    """One actor casts no shadow and the other keeps its colours; both actors are in the frame."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), relight=True)
     scene = stage.light([puppet(-1.0), puppet(1.0)], casts_shadow=[False, True], relit=[True, False])
@@ -166,7 +166,7 @@ def test_flags_disable_shadow_or_relighting_of_single_actors() -> None:
 
 
 def test_relit_actor_is_lit_by_the_radiance_around_its_position() -> None:
-    """Over the floor and under nothing, the lower side is lit, the upper is not; without relighting, all stays."""
+    """Above a floor in black space, only the actor's lower side is lit; without relighting, its colours stay."""
     scene = ls.Scene(splats=[floor(cells=41)])
     normals = puppet().gaussians.means / 0.4
     actor = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
@@ -177,7 +177,7 @@ def test_relit_actor_is_lit_by_the_radiance_around_its_position() -> None:
 
 
 def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Normals belong to a set, probes to a position: a static actor needs neither again, a moving one needs a probe."""
+    """Normals are estimated once for each capture, and probes once for each position of an actor."""
     calls: list[str] = []
     estimate, capture = avatar_lighter.estimate_normals, ls.avatars.EnvironmentProbe.capture
 
@@ -201,7 +201,7 @@ def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch:
 
 
 def test_mesh_actors_cast_shadows_on_captures_and_stay_meshes() -> None:
-    """The frame is lit for the mesh; captured sets look as in an unlit frame."""
+    """The frame has lights for the mesh; pixels of captures equal those of an unlit frame."""
     ground = floor()
     pose = np.eye(4)
     pose[:3, 3] = (0.0, 1.0, 0.0)
@@ -222,7 +222,7 @@ def test_mesh_actors_cast_shadows_on_captures_and_stay_meshes() -> None:
 
 
 def test_captures_do_not_shadow_mesh_actors() -> None:
-    """Shadow rays from inside a lamp's own Gaussians, or through walls that a probe saw, would block all light."""
+    """A mesh actor under a captured lampshade and ceiling, which would block all shadow rays, is as bright as alone."""
     shade = light_ball(LIGHT.position, (0.9, 0.9, 0.9), radius=0.1, count=400)
     ceiling = captured(np.array([0.0, 4.0, 0.0]) + floor().means, np.full(3, 0.5), opacity=1.0, scale=0.2)
     pose = np.eye(4)
@@ -239,7 +239,7 @@ def test_captures_do_not_shadow_mesh_actors() -> None:
 
 
 def test_given_lights_illuminate_mesh_actors_without_a_probe() -> None:
-    """A light without shadows and an environment are in the frame; no probe is added to them."""
+    """The frame has all enabled lights; if they include an environment, no light from a probe is added."""
     lights = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
     stage = lighter(ls.Scene(splats=[floor()]), lights, relight=True)
     assert stage.lights == (LIGHT,)
@@ -249,7 +249,7 @@ def test_given_lights_illuminate_mesh_actors_without_a_probe() -> None:
 
 
 def test_reflecting_captures_beside_mesh_actors_are_rendered_unlit() -> None:
-    """The lights are for meshes: reflecting sets and actors lose their materials."""
+    """The frame's lights are for meshes, so captures and Gaussian actors lose materials and ``shadow_catcher``."""
     sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_catcher=True)]
     actors = [ls.MeshInstance(icosphere(0.4)), replace(puppet(2.0), material=ls.MaterialPbr())]
     stage = lighter(ls.Scene(splats=sets))
@@ -259,7 +259,7 @@ def test_reflecting_captures_beside_mesh_actors_are_rendered_unlit() -> None:
 
 
 def test_meshes_of_the_scene_cast_shadows_on_captures_without_actors() -> None:
-    """They were placed after the capture; their shadow multiplies with those of actors."""
+    """The capture was made without the meshes; their shadows are multiplied by the shadows of actors."""
     ground = floor()
     pose = np.eye(4)
     pose[:3, 3] = (1.0, 1.0, 0.0)
@@ -272,7 +272,7 @@ def test_meshes_of_the_scene_cast_shadows_on_captures_without_actors() -> None:
 
 
 def test_reflecting_captures_keep_the_scene_lights_and_ray_traced_shadows(caplog: pytest.LogCaptureFixture) -> None:
-    """Reflecting surfaces and shadow catchers get ray-traced shadows, and a warning says so."""
+    """Captures with a material and shadow catchers are shadowed by the renderer's rays, which a warning reports."""
     sets = [
         ls.SplatInstance(floor(), material=ls.MaterialPbr()),
         ls.SplatInstance(floor(), shadow_catcher=True),
@@ -291,7 +291,7 @@ def test_reflecting_captures_keep_the_scene_lights_and_ray_traced_shadows(caplog
 
 
 def test_missing_lights_are_estimated_once_around_the_first_actors() -> None:
-    """The planted lamp is found, with the direct part of the irradiance at the position."""
+    """A lamp in the capture becomes a light, with the direct fraction of the irradiance at the actor's position."""
     scene = ls.Scene(splats=[floor(), light_ball((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
     # The lamp does not light the floor: it is found by its score alone.
     looks = ls.config.LightEstimationConfig(evidence=0.0)
@@ -314,7 +314,7 @@ def test_missing_lights_are_estimated_once_around_the_first_actors() -> None:
 
 
 def test_light_inside_an_actor_is_logged_once_as_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    """The actor then shadows everything; a light above a flat Gaussian wide enough to reach it is not inside."""
+    """A light inside an actor is shadowed everywhere; a light just above a flat, wide Gaussian is not inside."""
     within = ls.LightPoint((0.1, 1.02, 0.0), name="torch")
     above = ls.LightPoint((0.0, 1.3, 0.0), name="lantern")
     # A disc that faces x, rotated by 90 degrees about z, faces y.
@@ -328,7 +328,7 @@ def test_light_inside_an_actor_is_logged_once_as_a_warning(caplog: pytest.LogCap
 
 
 def test_shadow_region_radius_is_measured_from_the_actors_of_each_frame() -> None:
-    """``region_radius`` is about the actors of each frame, not of the first."""
+    """After the actor has moved, ``region_radius`` is measured from its new position."""
     ground = floor()
     slanted = ls.LightDirectional((1.0, -1.0, 0.0))
     near = replace(SHADOW, region_radius=0.8)  # from the ball, of radius 0.4
@@ -340,7 +340,7 @@ def test_shadow_region_radius_is_measured_from_the_actors_of_each_frame() -> Non
 
 
 def test_shadow_region_without_receivers_is_logged_once_as_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    """Nothing is darkened."""
+    """The capture stays the same object, without any shadow."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), shadow_map=replace(SHADOW, region_radius=0.5))
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -350,7 +350,7 @@ def test_shadow_region_without_receivers_is_logged_once_as_a_warning(caplog: pyt
 
 
 def test_avatar_lighter_without_shadows_estimates_no_lights() -> None:
-    """No light is estimated."""
+    """The capture stays the same object, and the actor is added to the frame."""
     scene = ls.Scene(splats=[floor()])
     frame = ls.AvatarLighter(scene, None, config(shadows=False), device="cpu").light([puppet()])
     assert frame.splats[0] is scene.splats[0] and len(frame.splats) == 2
@@ -374,7 +374,7 @@ def test_avatar_lighter_without_shadows_estimates_no_lights() -> None:
 def test_avatar_lighter_refuses_invalid_scenes_lights_and_actors(
     scene: Any, lights: Any, actors: Any, said: str
 ) -> None:
-    """Cases: no captured sets, no lights, actors of another type."""
+    """Scenes without captures, lights that cast no shadow, and actors of another type are refused."""
     with pytest.raises(ls.SceneError, match=said):
         lighter(scene, lights).light(actors)
 
@@ -386,7 +386,7 @@ def test_avatar_lighter_refuses_actor_flags_of_another_count() -> None:
 
 
 def test_lights_of_an_unlit_scene_act_like_given_lights_on_actors() -> None:
-    """Nothing reflects them, so they act as if given, and captured walls do not block them."""
+    """No capture reflects the scene's lights, so they light actors like given lights; captures do not block them."""
     environment = ls.LightEnvironment(intensity=0.5, name="sky")
     bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))
     for lights in ((LIGHT,), (LIGHT, environment), (environment,)):
@@ -404,7 +404,7 @@ def test_lights_of_an_unlit_scene_act_like_given_lights_on_actors() -> None:
 
 
 def test_probe_of_an_actor_includes_the_background_radiance() -> None:
-    """An isolated capture is surrounded by the background's radiance."""
+    """An actor far from all captures is lit by the background's radiance alone."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     actor = puppet()
     colors = []
@@ -416,7 +416,7 @@ def test_probe_of_an_actor_includes_the_background_radiance() -> None:
 
 
 def test_dark_relit_actors_are_logged_once_with_a_gamma_as_advice(caplog: pytest.LogCaptureFixture) -> None:
-    """The advice is a gamma; with such a gamma there is no warning."""
+    """The line advises a larger ``RelightConfig.gamma``; with such a gamma, there is no warning."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
     for gamma, warnings in ((1.0, 1), (2.0, 0)):
@@ -432,7 +432,7 @@ def test_dark_relit_actors_are_logged_once_with_a_gamma_as_advice(caplog: pytest
 
 
 def test_light_that_hardly_reaches_the_capture_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    """The light is inside a hollow actor: inside no Gaussian, but the whole room is dark."""
+    """A light in a hollow actor is inside no Gaussian, but the whole capture is in shadow."""
     stage = lighter(ls.Scene(splats=[floor()]), [replace(LIGHT, position=(0.0, 1.0, 0.0), name="torch")])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         for x in (0.0, 0.1):
@@ -441,12 +441,12 @@ def test_light_that_hardly_reaches_the_capture_is_logged_once(caplog: pytest.Log
 
 
 def sunny(direction: tuple[float, float, float], intensity: float = 0.5 * np.pi) -> ls.LightDirectional:
-    """A sun that shines along a direction."""
+    """Returns a sun that shines along a direction."""
     return ls.LightDirectional(direction, intensity=intensity, name="sun")
 
 
 def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarray:
-    """Light on the puppet's Gaussians, relit in a scene, relative to a white environment, shape (N,)."""
+    """Returns the brightness of the puppet's Gaussians, relit in a scene, relative to a white environment, (N,)."""
     actor = puppet()
     actor = replace(actor, gaussians=replace(actor.gaussians, normals=actor.gaussians.means / np.float32(0.4)))
     white = ls.AvatarLighter(scene, lights, config(relight=True, **changes), background=(0.5, 0.5, 0.5), device="cpu")
@@ -454,7 +454,7 @@ def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarr
 
 
 def test_given_sun_adds_its_irradiance_to_relit_actors() -> None:
-    """A sun adds half of white's irradiance times the cosine; disabled suns and local lights add nothing."""
+    """A sun of irradiance pi / 2 adds half the cosine; local lights, or suns without ``sun_on_actors``, add nothing."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     sun = sunny((0.0, -1.0, 0.0))
     upwards = puppet().gaussians.means[:, 1] / 0.4
@@ -466,7 +466,7 @@ def test_given_sun_adds_its_irradiance_to_relit_actors() -> None:
 
 
 def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptureFixture) -> None:
-    """A roof blocks the sun with a warning; a roof elsewhere, or a sky beyond the shadow distance, does not."""
+    """A roof above the actor blocks the sun with a warning; a roof aside or beyond the shadow distance does not."""
     roof = captured(np.array([0.0, 3.0, 0.0]) + floor(cells=41).means, np.zeros(3), opacity=1.0, scale=0.1)
     sun = sunny((0.0, -1.0, 0.0))
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -483,7 +483,7 @@ def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptur
 
 
 def test_sun_irradiance_already_in_the_probe_is_subtracted() -> None:
-    """The probe's irradiance towards the sun beyond its mean is subtracted: all of a weak sun, none in the dark."""
+    """The probe's irradiance from the sun's direction beyond its mean is subtracted from the sun, down to 0."""
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     spot = np.where(directions[:, 1:2] > 0.9, 5.0, 0.2) * np.ones(3)
@@ -496,7 +496,7 @@ def test_sun_irradiance_already_in_the_probe_is_subtracted() -> None:
 
 
 def test_estimated_sun_casts_actor_shadows_where_no_lights_are_found(caplog: pytest.LogCaptureFixture) -> None:
-    """The sun has the direct part of the irradiance at the actor."""
+    """The estimated sun is within 10 degrees of the true one, and a warning reports that no local light was found."""
     towards = np.array([0.5, 0.7, 0.4])
     scene = ls.Scene(splats=[meadow((0.5, 0.7, 0.4))])
     stage = lighter(scene, None, direct=0.8)
@@ -518,7 +518,7 @@ def points_of_sphere(center: tuple[float, float, float], radius: float) -> tuple
 
 
 def test_relighting_reduces_the_metrics_paa_apf_and_ncm_by_a_fifth() -> None:
-    """A figure lit bluish from the side, among diffuse balls below a reddish ceiling: all fall by a fifth."""
+    """A figure lit bluish from the side is relit among diffuse balls below a reddish ceiling."""
     reddish, steps = np.array([1.0, 0.8, 0.6]), np.linspace(-8.0, 8.0, 33)
     ceiling = np.stack(np.meshgrid(steps, [2.5], steps, indexing="ij"), axis=-1).reshape(-1, 3)
     sets = [captured(ceiling, reddish, opacity=0.99, scale=0.4)]

@@ -1,4 +1,4 @@
-"""The gain of captured light on objects, and its estimate."""
+"""The capture gain scales captured light on objects, and its estimate exposes an object like the capture around it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SH_C0 = 0.28209479177387814
 
 
 def shell(color: float, *, half: bool = False) -> ls.SplatInstance:
-    """A ball of captured Gaussians around the origin with a grey display value; ``half``: its lower half."""
+    """Returns a captured sphere of one grey display value around the origin; ``half`` returns its lower half."""
     gaussians = ls.gaussians_from_mesh(ball(3.0, diffuse(0.5), hollow=True, rows=32), 6000)
     kept = gaussians.means[:, 1] < (0.0 if half else 9.0)
     sh = np.full((int(kept.sum()), 1, 3), (color - 0.5) / SH_C0, np.float32)
@@ -22,7 +22,7 @@ def shell(color: float, *, half: bool = False) -> ls.SplatInstance:
 
 
 def centre_radiance(pipeline: ls.Pipeline, gain: float, material: ls.MaterialPbr, samples: int = 64) -> np.ndarray:
-    """Radiance of the centre of a ball in the grey shell, linear."""
+    """Returns the linear radiance of the image centre, which shows a ball inside the captured grey sphere."""
     scene = ls.Scene([shell(0.5)], [ball(0.5, material, rows=24)])
     camera = ls.Camera.look_at((0, 0, -2), (0, 0, 0), (0, -1, 0), width=16, height=16, fov_y=0.2)
     frames = 32 if pipeline is ls.Pipeline.REALTIME else 1
@@ -35,7 +35,7 @@ def centre_radiance(pipeline: ls.Pipeline, gain: float, material: ls.MaterialPbr
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.REALTIME], ids=["path", "realtime"])
 def test_one_stop_of_capture_gain_doubles_captured_light_on_objects(pipeline: ls.Pipeline) -> None:
-    """A mirror shows the capture unchanged, whatever the gain."""
+    """A diffuse ball becomes twice as bright; a mirror shows the capture unchanged, whatever the gain."""
     plain, doubled = (centre_radiance(pipeline, gain, diffuse(0.4)) for gain in (0.0, 1.0))
     np.testing.assert_allclose(doubled / plain, 2.0, rtol=0.03)
     chrome = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.0)
@@ -44,7 +44,7 @@ def test_one_stop_of_capture_gain_doubles_captured_light_on_objects(pipeline: ls
 
 
 def test_capture_gain_on_rough_metal_is_equal_in_hybrid_and_path() -> None:
-    """Both pipelines show the same radiance in a grey shell."""
+    """Two stops make a rough metal ball four times as bright, and both pipelines show equal radiance."""
     metal = ls.MaterialPbr(base_color=(0.8, 0.6, 0.4), metallic=1.0, roughness=0.4)
     light = ls.LightPoint((0, 0, 2.5), intensity=1e-6)  # hybrid frames without any light are unlit
     camera = ls.Camera.look_at((0, 0, -2), (0, 0, 0), (0, -1, 0), width=16, height=16, fov_y=0.2)
@@ -62,15 +62,15 @@ def test_capture_gain_on_rough_metal_is_equal_in_hybrid_and_path() -> None:
 
 
 def test_estimated_capture_gain_exposes_an_object_like_the_capture_around() -> None:
-    """Walls of albedo 0.5 all around received twice their radiance: one stop; walls of half the sphere, two."""
-    thing = ball(0.3, diffuse(0.5), rows=16)
-    assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)], [thing]), device="cpu") == pytest.approx(
+    """The gain is one stop inside a captured sphere, and two stops inside half a sphere."""
+    inner_ball = ball(0.3, diffuse(0.5), rows=16)
+    assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)], [inner_ball]), device="cpu") == pytest.approx(
         1.0, abs=0.11
     )
-    assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.3)], [thing]), device="cpu") == pytest.approx(
+    assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.3)], [inner_ball]), device="cpu") == pytest.approx(
         1.0, abs=0.11
     )
-    half = ls.Scene([shell(0.5, half=True)], [thing])
+    half = ls.Scene([shell(0.5, half=True)], [inner_ball])
     assert ls.avatars.estimate_capture_gain(half, device="cpu") == pytest.approx(2.0, abs=0.11)
     gain = ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)]), (0.5, 0.0, 0.2), "cpu")
     lit = centre_radiance(ls.Pipeline.PATH, gain, diffuse(0.5))
@@ -85,6 +85,6 @@ def test_estimated_capture_gain_exposes_an_object_like_the_capture_around() -> N
     ],
 )
 def test_capture_gain_estimate_refuses_scenes_without_captured_light(scene: ls.Scene, said: str) -> None:
-    """The message is one line that says what is missing."""
+    """A scene without an unlit capture, or without an object and a position, is refused."""
     with pytest.raises(ls.SceneError, match=said):
         ls.avatars.estimate_capture_gain(scene, device="cpu")

@@ -1,4 +1,4 @@
-"""Captured colours in the shadow of several lights, against hand-computed factors."""
+"""Shadows of several lights darken captured colours by factors computed by hand."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from support.scenes.light_room import captured
 
 
 def receivers(points: npt.ArrayLike, linear: tuple[float, float, float] = (0.4, 0.4, 0.4)) -> ls.Gaussians:
-    """Gaussians of one colour at some points."""
+    """Returns Gaussians of one linear colour at points."""
     return captured(np.atleast_2d(points), np.array(linear))
 
 
 def linear(gaussians: ls.Gaussians) -> npt.NDArray[np.floating]:
-    """Mean colours, decoded."""
+    """Returns the mean colours of Gaussians in linear light, shape (N, 3)."""
     return decode_srgb(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5)
 
 
 def test_shadow_of_one_light_multiplies_colors_by_transmittance() -> None:
-    """Colours are multiplied by T, as in the paper for a single light."""
+    """A transmittance of 1 leaves the SH coefficients identical."""
     transmittance = np.array([0.0, 0.25, 0.5, 1.0])
     lit = receivers(np.eye(4)[:, :3])
     dark = ls.avatars.shadowed(lit, [ls.LightPoint((0, 0, 5))], transmittance[None])
@@ -37,7 +37,7 @@ def test_shadow_of_one_light_multiplies_colors_by_transmittance() -> None:
 
 
 def test_shadows_of_several_lights_are_weighted_by_irradiance_per_channel() -> None:
-    """A red light at 2 and a white one at 1, both of 4 candela: red has fractions 1/5 and 4/5, green only the white."""
+    """A red light at distance 2 has 1/5 of the red irradiance; a white one at distance 1 has all other irradiance."""
     red, white = ls.LightPoint((2, 0, 0), (1, 0, 0), 4.0), ls.LightPoint((0, 1, 0), (1, 1, 1), 4.0)
     lit = receivers((0.0, 0.0, 0.0))
     dark = linear(ls.avatars.shadowed(lit, [red, white], [[0.0], [1.0]]))[0] / 0.4
@@ -47,7 +47,7 @@ def test_shadows_of_several_lights_are_weighted_by_irradiance_per_channel() -> N
 
 
 def test_shadows_do_not_change_colors_that_no_light_reaches() -> None:
-    """Outside a spot's cone no light can be blocked; a channel without light keeps its bits."""
+    """Gaussians outside a spot's cone, and channels without light, keep their bits."""
     spot = ls.LightSpot((0, 0, 0), (0, 0, 1), color=(1, 1, 0), intensity=3.0)
     lit = receivers([(0, 0, -1), (0, 0, 1)])
     dark = ls.avatars.shadowed(lit, [spot], [[0.0, 0.0]])
@@ -57,7 +57,7 @@ def test_shadows_do_not_change_colors_that_no_light_reaches() -> None:
 
 
 def test_shadow_weights_of_lights_follow_the_instance_transform() -> None:
-    """The fractions of two lights follow the transform; the instance keeps everything but its colours."""
+    """Irradiances are computed at world positions; the instance keeps everything but its colours."""
     pose = np.diag([2.0, 2.0, 2.0, 1.0])
     pose[0, 3] = 1.0
     instance = ls.SplatInstance(receivers((1.0, 0.0, 0.0)), pose, name="floor", sh_degree=1)
@@ -69,7 +69,7 @@ def test_shadow_weights_of_lights_follow_the_instance_transform() -> None:
 
 
 def test_capture_without_any_shadow_is_returned_as_the_same_object() -> None:
-    """Fractions of several lights that sum to 1 up to rounding change nothing."""
+    """Weights of seven lights that sum to 1 only up to rounding change nothing."""
     rng = np.random.default_rng(0)
     lit = receivers(rng.random((1000, 3)))
     lights = [ls.LightPoint(tuple(rng.normal(size=3) * 3), tuple(rng.random(3)), 1.0 + rng.random()) for _ in range(7)]
@@ -96,7 +96,7 @@ def test_capture_without_any_shadow_is_returned_as_the_same_object() -> None:
     ],
 )  # fmt: skip
 def test_irradiance_of_each_light_type_equals_its_definition(light: ls.LightPoint, expected: float) -> None:
-    """The values at the origin follow each light's definition."""
+    """The irradiance at the origin, facing the light, is computed by hand for each light type."""
     np.testing.assert_allclose(facing_irradiance(light, np.zeros((1, 3)))[0], np.array([1, 0.5, 0]) * expected)
 
 
@@ -117,7 +117,7 @@ def test_irradiance_of_each_light_type_equals_its_definition(light: ls.LightPoin
 def test_shadowed_refuses_invalid_arguments_naming_them(
     change: dict[str, Any], error: type[Exception], said: str
 ) -> None:
-    """The message names the argument."""
+    """The error names the argument and what was expected."""
     arguments: dict[str, Any] = {
         "receivers": receivers([(0, 0, 0), (1, 0, 0)]),
         "lights": [ls.LightPoint((0, 0, 3))],
@@ -128,7 +128,7 @@ def test_shadowed_refuses_invalid_arguments_naming_them(
 
 
 def test_shadows_far_from_the_origin_equal_those_at_the_origin() -> None:
-    """A ball casts the same shadow on a floor at 5e6, where float32 is 0.5 apart."""
+    """A ball casts the same shadow on a floor at 5e6, where float32 numbers are 0.5 apart."""
     rng = np.random.default_rng(6)
     floor = np.column_stack([rng.uniform(-1.0, 1.0, (300, 2)), np.zeros(300)])
     ball = 0.2 * rng.normal(size=(80, 3)) / 2.0

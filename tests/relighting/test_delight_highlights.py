@@ -1,4 +1,4 @@
-"""Roughness from highlights: tables against textbook equations, and surfaces of known roughness."""
+"""Roughness is estimated from highlights: tables equal the equations, and known roughness is recovered."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 def material(alpha: float) -> bsdf_oracle.Material:
-    """A white dielectric of ior 1.5."""
+    """Returns a white dielectric with index of refraction 1.5."""
     return {
         "model": "pbr", "alpha": alpha, "specular": [0.04], "grazing": 1.0, "dielectric": 1.0, "eta": 1.0 / 1.5,
         "diffuse": [1.0],
@@ -43,12 +43,12 @@ def material(alpha: float) -> bsdf_oracle.Material:
 
 @pytest.fixture(scope="module")
 def lobes() -> Lobes:
-    """Tables for captures of degree 3."""
+    """Returns the tables for captures of SH degree 3."""
     return Lobes.of(3)
 
 
 def test_tabulated_bsdf_lobes_match_the_float64_equations(lobes: Lobes) -> None:
-    """Both parts at each roughness are cosine-weighted means over a bin's directions, in float64."""
+    """Entries of both lobes are cosine-weighted means over the directions of a bin, for each roughness."""
     samples = bin_samples()
     spread = SPREAD_SHARE**2 * 2.0 * np.pi / (samples.shape[0] * samples.shape[1])
     cosines = samples[..., 2]
@@ -64,7 +64,7 @@ def test_tabulated_bsdf_lobes_match_the_float64_equations(lobes: Lobes) -> None:
 
 
 def test_direction_samples_fall_into_their_bin_in_frames_about_normals() -> None:
-    """Frames are rotations that take z to the normals; every sample of a bin is found in it."""
+    """The frames are rotations that take z to the normals, and `bins_of` finds each sample in its bin."""
     normals = even_directions(50)
     frames = frames_of(normals)
     assert np.allclose(frames @ np.swapaxes(frames, 1, 2), np.eye(3), atol=1e-12)
@@ -76,7 +76,7 @@ def test_direction_samples_fall_into_their_bin_in_frames_about_normals() -> None
 
 
 def test_sh_projection_keeps_low_degrees_and_removes_high_ones(lobes: Lobes) -> None:
-    """Degree 1 passes up to the ridge; a function of degree 6 hardly does; degree 0 keeps the mean only."""
+    """Degree 1 passes up to the ridge, a function of high degree hardly passes, and degree 0 keeps only the mean."""
     low = sh_basis(lobes.views, 1)[:, 1:]
     assert np.abs(sh_projection(lobes.views, 3) @ low - low).max() < 0.02
     high = np.cos(12.0 * np.arctan2(lobes.views[:, 1], lobes.views[:, 0]))
@@ -85,7 +85,7 @@ def test_sh_projection_keeps_low_degrees_and_removes_high_ones(lobes: Lobes) -> 
 
 
 def test_irradiance_of_each_cell_is_in_the_bin_of_its_direction() -> None:
-    """The irradiance of each cell, from environment and capture, is in the bin of its direction; none is lost."""
+    """Irradiance from environment and capture is binned by direction, and the bins sum to the total."""
     normals = even_directions(9)
     cells = EnvironmentCells.even(4)
     rng = np.random.default_rng(2)
@@ -110,9 +110,10 @@ def test_irradiance_of_each_cell_is_in_the_bin_of_its_direction() -> None:
 def glossy(
     roughness: float, degree: int, noise: float = 0.0, turns: float = 0.0
 ) -> tuple[ls.Gaussians, np.ndarray, np.ndarray]:
-    """Gaussians of one material below a bright patch by the float64 equations; their normals and binned light.
+    """Returns Gaussians of one material lit by a bright patch, by float64 equations; their normals and binned light.
 
-    They lie on a ball whose normal turns by ``turns`` radians within a standard deviation of each; 0: far apart.
+    The Gaussians lie on a ball whose normal turns by ``turns`` radians within one scale of a Gaussian; 0 puts them far
+    apart, without curvature.
     """
     rng = np.random.default_rng(3)
     count = 30
@@ -150,7 +151,7 @@ def glossy(
 
 
 def turned_normals(spread: float) -> list[tuple[float, np.ndarray]]:
-    """Normals around z with normally distributed slopes, by Gauss-Hermite quadrature, and their weights."""
+    """Returns weights and normals around z whose slopes are normally distributed, by Gauss-Hermite quadrature."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(5 if spread else 1)
     weights = weights / weights.sum()
     pairs = [(i, j) for i in range(len(nodes)) for j in range(len(nodes)) if weights[i] * weights[j] > 1e-3]
@@ -165,7 +166,7 @@ def turned_normals(spread: float) -> list[tuple[float, np.ndarray]]:
 def radiance_of(
     roughness: float, normal: np.ndarray, views: np.ndarray, light: np.ndarray, power: np.ndarray
 ) -> np.ndarray:
-    """Radiance of a brown surface towards views, linear, (V, 3); 0 for views behind it."""
+    """Returns the linear radiance of a brown surface towards V view directions, (V, 3); 0 for directions below it."""
     arriving = power * np.maximum(light @ normal, 0.0)
     lit, seen = arriving > 0.0, views @ normal > 0.0
     wide = float(np.sqrt(roughness**4 + SPREAD_SHARE**2 * 2.0 * np.pi / len(light)))
@@ -178,7 +179,7 @@ def radiance_of(
 
 
 def fitted_roughness(plain: ls.Gaussians, normals: np.ndarray, arriving: np.ndarray, reach: float = 0.01) -> Roughness:
-    """Fits roughness with neighbours within this distance, relative to the distance from the centre."""
+    """Fits roughness; ``reach`` is the distance to neighbours relative to the distance from the centre."""
     means = plain.means.astype(np.float64)
     near = cross_pairs(means, means, reach * float(np.linalg.norm(means[0])))
     return RoughnessFit(plain, normals, near, Lobes.of(plain.sh_degree)).fitted(arriving)
@@ -186,7 +187,7 @@ def fitted_roughness(plain: ls.Gaussians, normals: np.ndarray, arriving: np.ndar
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 0.7])
 def test_roughness_is_recovered_from_sh_highlights_to_0_05(roughness: float) -> None:
-    """SH of degree 3 represent the equations' radiance in any frame, also with noise of 1 of 255."""
+    """The SH have degree 3, arbitrary frames, and noise of 1 of 255."""
     rough = fitted_roughness(*glossy(roughness, 3, 1.0 / 255.0))
     assert np.abs(rough.value - roughness).max() < 0.05
     assert rough.confidence.min() > 0.8
@@ -196,14 +197,14 @@ def test_roughness_is_recovered_from_sh_highlights_to_0_05(roughness: float) -> 
 def test_roughness_fit_does_not_mistake_curvature_for_roughness(
     roughness: float, turns: float, near: float, flat: float
 ) -> None:
-    """Roughness on balls is nearly right; the same colours taken for a flat surface give a rougher one."""
+    """Roughness on a ball is recovered; if the same colours are taken for a flat surface, the fit is rougher."""
     case = glossy(roughness, 3, 1.0 / 255.0, turns)
     assert np.abs(fitted_roughness(*case, 0.9).value - roughness).max() < near
     assert np.median(fitted_roughness(*case).value) > roughness + flat
 
 
 def test_normal_variance_is_the_square_of_curvature_times_scale() -> None:
-    """The variance is the square of curvature times scale on a ball, and 0 on a plane and in isolation."""
+    """The law holds on a ball; on a plane, and for Gaussians without neighbours, the variance is 0."""
     ball = ls.gaussians_from_mesh(ls.sphere(2.0), 800)
     normals = np.asarray(ball.normals, np.float64)
     expected = np.square(ball.scales.max(axis=1) / 2.0)
@@ -216,7 +217,7 @@ def test_normal_variance_is_the_square_of_curvature_times_scale() -> None:
 
 
 def test_lobes_are_widened_by_the_normal_variance() -> None:
-    """Weights sum to 1, a plane keeps its roughness, and variances add to those of the slopes."""
+    """Weights over the roughness grid sum to 1, variance 0 keeps the roughness, and variances of slopes add."""
     grid = np.array(ROUGHNESS_GRID)
     variances = np.array((0.0, 0.005, 0.05))
     shares = widened(variances)
@@ -227,7 +228,7 @@ def test_lobes_are_widened_by_the_normal_variance() -> None:
 
 
 def test_roughness_confidence_is_low_where_sh_cannot_show_highlights() -> None:
-    """Degree 0 leaves the prior to the bit; the sharpest roughness is only known to be small."""
+    """SH of degree 0 leave the prior to the bit; a very sharp highlight only gives an upper bound of the roughness."""
     unknown = fitted_roughness(*glossy(0.4, 0))
     assert (unknown.value == np.float32(ROUGHNESS_UNKNOWN)).all()
     assert unknown.confidence.max() < 1e-9
@@ -239,7 +240,7 @@ def test_roughness_confidence_is_low_where_sh_cannot_show_highlights() -> None:
 
 
 def test_roughness_fit_does_not_mistake_noise_for_highlights() -> None:
-    """Random view dependence gives neither small roughness nor high confidence."""
+    """Random view dependence gives neither a small roughness nor a high confidence."""
     plain, normals, arriving = glossy(1.0, 3)
     rng = np.random.default_rng(8)
     sh = plain.sh.copy()

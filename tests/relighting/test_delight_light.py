@@ -1,4 +1,4 @@
-"""Estimated light of captures: emitters, brightness of the environment, its image, and median radiance."""
+"""Light estimated from captures: emitters, brightness of the environment, its image, and median radiance."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ EMITTER, FLOOR = 60, 200
 
 
 def with_color(gaussians: ls.Gaussians, linear: float) -> ls.Gaussians:
-    """The set with one captured colour."""
+    """Returns the set with one captured grey of a linear value."""
     sh = np.full((gaussians.count, 1, 3), (float(encode_srgb(np.array(linear))) - 0.5) / SH_C0, np.float32)
     return replace(gaussians, sh=sh, albedo=None, roughness=None, normals=None)
 
 
 def emitter_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
-    """A white square that faces down, a dark floor, perhaps a black screen between them; and normals."""
+    """Returns a white square facing down above a dark floor, optionally a black screen between, and the normals."""
     sets = [
         ls.transform(ls.gaussians_from_mesh(ls.plane(0.5, 0.5), EMITTER), translation=(0.0, 1.0, 0.0)),
         ls.gaussians_from_mesh(ls.plane(2.0, 2.0), FLOOR),
@@ -41,13 +41,13 @@ def emitter_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarra
 
 
 def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray) -> Irradiance:
-    """Irradiance of the Gaussians of a set."""
+    """Returns the irradiance of the Gaussians of a set by ray tracing."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
 
 
 def test_radiance_of_a_captured_emitter_is_not_counted_twice() -> None:
-    """Observed irradiance contains a white square only if the square is no emitter."""
+    """Observed irradiance includes the light of a white square only if the square does not count as an emitter."""
     both, normals = emitter_over_floor()
     groups = emitters_of(both, is_white(both, normals))
     assert (groups[:EMITTER] == 0).all() and (groups[EMITTER:] == -1).all()
@@ -61,7 +61,7 @@ def test_radiance_of_a_captured_emitter_is_not_counted_twice() -> None:
 
 
 def test_captured_emitters_are_one_sided_and_cast_shadows() -> None:
-    """Surfaces below a screen, and above an emitter that faces down, are dark."""
+    """Surfaces below a screen, and above an emitter that faces down, receive no light from it."""
     both, normals = emitter_over_floor(screen=True)
     groups = emitters_of(both, is_white(both, normals))
     lit = incident(both, normals, groups).emitters[:, 0]
@@ -81,7 +81,7 @@ def test_transparent_white_gaussians_do_not_count_as_emitters() -> None:
 
 
 def test_refined_environment_cells_locate_the_sun_to_10_degrees() -> None:
-    """The brightest cells are divided: a ball in the sun loses its shading, and the brightest cell is the sun's."""
+    """The brightest cells are divided; a ball in the sun loses its shading."""
     plain = ls.gaussians_from_mesh(ls.sphere(1.0), 400)
     albedo = np.where(np.sin(6.0 * plain.means[:, 1]) > 0.0, 0.8, 0.4)
     sun = np.array((0.3, 0.8, 0.52)) / np.linalg.norm((0.3, 0.8, 0.52))  # away from the centres of the 16 cells
@@ -95,7 +95,7 @@ def test_refined_environment_cells_locate_the_sun_to_10_degrees() -> None:
 
 
 def test_light_is_scaled_until_the_lightest_surfaces_have_albedo_0_8() -> None:
-    """The 95th percentile of the largest channel becomes 0.8, whatever other light arrives."""
+    """The 95th percentile of each albedo's largest channel becomes 0.8, in the presence of observed light."""
     rng = np.random.default_rng(1)
     some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
     true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
@@ -112,7 +112,7 @@ def test_light_is_scaled_until_the_lightest_surfaces_have_albedo_0_8() -> None:
 
 
 def test_occluded_surfaces_do_not_change_an_emitters_radiance() -> None:
-    """Haze leaves a tenth of the Gaussians a fifth of the light."""
+    """A tenth of the Gaussians receive a fifth of the estimated light; equal weights would double the emitter."""
     rng = np.random.default_rng(3)
     lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))  # 0.8: the 95th percentile
     outgoing = albedo * (0.2 + 30.0 * lit) * np.ones(3)
@@ -126,7 +126,7 @@ def test_occluded_surfaces_do_not_change_an_emitters_radiance() -> None:
 
 
 def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
-    """A dark shade, 1 % of the Gaussians, gets fifty times the light of the walls, which decide."""
+    """A dark lampshade of 1 % of the Gaussians receives fifty times the light of the walls."""
     rng = np.random.default_rng(4)
     lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))
     lit[:40], albedo[:40] = 2.0, 0.05
@@ -136,7 +136,7 @@ def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
 
 
 def test_environment_image_of_an_estimate_respects_its_rotation() -> None:
-    """Radiance by direction is the same for every rotation of the image."""
+    """World-space radiance by direction is the same for every rotation of the image."""
     cells, environment = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
     found = replace(
@@ -156,7 +156,7 @@ def test_environment_image_of_an_estimate_respects_its_rotation() -> None:
 
 
 def test_median_outgoing_radiance_excludes_highlights() -> None:
-    """An SH lobe around one direction changes the median far less than the radiance there."""
+    """An SH lobe in one direction changes the median far less than the radiance in that direction."""
     plain = with_color(ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 20), 0.2)
     towards = np.array([0.5, 0.8, 0.2]) / np.linalg.norm([0.5, 0.8, 0.2])
     lobe = 0.1 * sh_basis(-towards, 3)[:, None] * np.ones(3)

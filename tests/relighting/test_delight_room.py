@@ -1,4 +1,4 @@
-"""Material estimation in a closed box with known emitter, colours and light: accuracy and flags."""
+"""Materials of a closed box with known emitter, albedo and light are estimated and flagged."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from lumisplat.relighting.delight import MaterialEstimate
 from support.scenes.captured_box import ALBEDOS, LIGHT, CapturedBox, captured_box
 
 FACTOR = 3.0
-"""Factor by which one Gaussian is brighter than the others: more than the light that reaches it."""
+"""Factor that makes one Gaussian's radiance larger than any albedo could reflect."""
 
 
 def too_light(box: CapturedBox) -> int:
-    """Index of a Gaussian of the lighter colour, where most light is the emitter's."""
+    """Returns the index of the Gaussian of the lighter albedo that receives most direct light of the emitter."""
     return int((box.direct[:, 0] * (box.albedo[:, 0] == ALBEDOS[0, 0])).argmax())
 
 
 @pytest.fixture(scope="module")
 def box() -> CapturedBox:
-    """The box, with one Gaussian that is far too light."""
+    """Returns the captured box with one Gaussian that is too bright for its light."""
     plain = captured_box()
     radiance = plain.albedo * plain.irradiance + plain.is_emitter[:, None] * LIGHT
     radiance[too_light(plain)] *= FACTOR
@@ -32,13 +32,13 @@ def box() -> CapturedBox:
 
 @pytest.fixture(scope="module")
 def estimate(box: CapturedBox) -> MaterialEstimate:
-    """The estimate for the box."""
+    """Returns the estimated materials of the box."""
     config = ls.DelightConfig(cells=5, matt=True, inside=True)
     return ls.inverse.estimate_materials(box.gaussians, config, device="cpu")
 
 
 def test_estimate_of_a_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: MaterialEstimate) -> None:
-    """Rays that escape pass gaps between Gaussians; the emitter is brighter than could be recorded."""
+    """Rays that escape only pass gaps between Gaussians; the emitter's radiance is above the recordable white."""
     assert estimate.is_inside and not len(estimate.cells) and estimate.environment.shape == (0, 3)
     assert not estimate.environment_image().any()
     np.testing.assert_array_equal(estimate.emitter_of == 0, box.is_emitter)
@@ -48,7 +48,7 @@ def test_estimate_of_a_room_has_an_emitter_and_no_environment(box: CapturedBox, 
 
 
 def test_delight_separates_the_albedo_of_a_room_from_its_light(box: CapturedBox, estimate: MaterialEstimate) -> None:
-    """Two colours differ by their ratio, while captured colours of one differ by more between walls."""
+    """The ratio of the two albedos is within 7 %, and albedo varies half as much as captured colours."""
     albedo, light = np.asarray(estimate.gaussians.albedo, np.float64), box.albedo[:, 0] == ALBEDOS[0, 0]
     medians = [np.median(albedo[rows & ~box.is_emitter], axis=0) for rows in (light, ~light)]
     np.testing.assert_allclose(medians[0] / medians[1], ALBEDOS[0] / ALBEDOS[1], rtol=0.07)
@@ -57,7 +57,7 @@ def test_delight_separates_the_albedo_of_a_room_from_its_light(box: CapturedBox,
 
 
 def test_albedo_confidence_is_the_observed_fraction_of_irradiance(box: CapturedBox, estimate: MaterialEstimate) -> None:
-    """Right below the unknown emitter it is small, and where the emitter does not shine it is 1."""
+    """Confidence is low where the estimated emitter gives most light, and 1 where it does not shine."""
     seen = 1.0 - box.direct.mean(axis=1) / box.irradiance.mean(axis=1)
     walls = ~box.is_emitter
     assert np.corrcoef(estimate.confidence[walls], seen[walls])[0, 1] > 0.9
@@ -66,7 +66,7 @@ def test_albedo_confidence_is_the_observed_fraction_of_irradiance(box: CapturedB
 
 
 def test_gaussian_too_bright_for_any_albedo_is_flagged(box: CapturedBox, estimate: MaterialEstimate) -> None:
-    """A Gaussian that is too light gets albedo 1 in its hue; its residual is the rest."""
+    """The Gaussian gets the albedo of its hue with largest channel 1; the residual is the unexplained radiance."""
     walls = ~box.is_emitter & ~estimate.out_of_range
     assert estimate.residual[walls].max() < 1e-5
     one = too_light(box)

@@ -1,4 +1,4 @@
-"""``evaluate_materials`` on a data set made from the capture itself, with known changes."""
+"""`evaluate_materials` measures known changes of a data set made from the capture itself."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ NAMES = ("r_002", "r_003")
 
 @pytest.fixture(scope="module")
 def ball() -> ls.Gaussians:
-    """A capture with all material columns."""
+    """Returns a capture with albedo, roughness and normals."""
     return painted_ball()
 
 
 @pytest.fixture
 def folder(tmp_path: Path, ball: ls.Gaussians) -> Path:
-    """A data set with the capture as ground truth."""
+    """Returns the folder of a data set with the capture as ground truth."""
     return write_relightable_set(tmp_path / "set", ball)
 
 
 def evaluate(ball: ls.Gaussians, folder: Path, environment: np.ndarray | None = None) -> ls.inverse.MaterialEvaluation:
-    """Evaluates on the CPU."""
+    """Evaluates a capture against a data set on the CPU."""
     return ls.inverse.evaluate_materials(ball, folder, environment=environment, config=CONFIG, device="cpu")
 
 
 def region(folder: Path, view: str) -> np.ndarray:
-    """Pixels that the ball covers."""
+    """Returns the mask of pixels that the ball covers by at least half."""
     images = {image.name: image for image in ls.io.load_training_images(folder).held_out}
     alpha = images[view].alpha()
     assert alpha is not None
@@ -50,7 +50,7 @@ def region(folder: Path, view: str) -> np.ndarray:
 
 
 def test_evaluation_of_the_ground_truth_itself_has_no_error(folder, ball):
-    """The test checks all metrics and images."""
+    """All metrics are perfect, and the result has one image for each layer and light of each view."""
     result = evaluate(ball, folder, panorama())
     np.testing.assert_allclose(result.albedo_scale, 1.0, atol=1e-6)
     assert result.albedo_psnr > 100.0 and result.albedo_psnr_unscaled > 100.0 and result.albedo_psnr_linear > 100.0
@@ -69,14 +69,14 @@ def test_evaluation_of_the_ground_truth_itself_has_no_error(folder, ball):
 
 
 def test_jittered_samples_do_not_blur_relit_images(folder, ball):
-    """They average light, but go through pixel centres, as in training."""
+    """Samples average light, but their rays pass through pixel centres, as in training."""
     spread = replace(CONFIG, jitter=True)
     result = ls.inverse.evaluate_materials(ball, folder, config=spread, device="cpu")
     assert result.relit["dusk"].psnr > 55.0
 
 
 def test_ray_traced_relit_captures_are_jittered_only_if_antialiased(folder, ball):
-    """Splats do so, too; rays of antialiased captures have no footprint and are jittered."""
+    """Rays with a footprint pass through pixel centres; rays of antialiased captures have none and are jittered."""
     spread = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=4)
     assert spread.jitter
     for capture, is_spread in ((ball, False), (replace(ball, antialiased=True), True)):
@@ -88,7 +88,7 @@ def test_ray_traced_relit_captures_are_jittered_only_if_antialiased(folder, ball
 
 
 def test_evaluation_recovers_the_albedo_scale_of_each_channel(folder, ball):
-    """One factor per channel serves all views; unscaled, the error is that of the factors in sRGB."""
+    """One factor per channel is fitted to all views; the unscaled PSNR measures the error without factors, in sRGB."""
     factors = np.array([0.5, 0.9, 1.6])
     expected = []
     for view in NAMES:
@@ -101,11 +101,11 @@ def test_evaluation_recovers_the_albedo_scale_of_each_channel(folder, ball):
     assert result.albedo_psnr > 90.0
     assert result.albedo_psnr_unscaled == pytest.approx(np.mean(expected), abs=1e-3)
     assert result.albedo_psnr_unscaled < 25.0
-    assert result.relit["dusk"].psnr < 35.0, "pictures are relit with the scaled albedo"
+    assert result.relit["dusk"].psnr < 35.0, "the relit images use the unscaled albedo"
 
 
 def test_known_errors_of_layers_give_the_expected_metrics(folder, ball):
-    """Display albedo is off by 0.1 in one of two views, roughness by 0.1, relit images by 0.05."""
+    """Displayed albedo is off by 0.1 in one of two views, roughness by 0.1, relit images by 0.05."""
     inside = region(folder, NAMES[0])
     displayed = encode_srgb(read_layer(folder, "albedo", NAMES[0]))
     sign = np.where(np.random.default_rng(0).random(displayed.shape) < 0.5, -0.1, 0.1)
@@ -124,7 +124,7 @@ def test_known_errors_of_layers_give_the_expected_metrics(folder, ball):
 
 
 def test_normals_rotated_by_10_degrees_give_an_error_of_10_degrees(folder, ball):
-    """Normals of the first view are rotated by 10 degrees: half of the pixels, as both views have equal regions."""
+    """Only the first view is rotated, so the mean over both views is weighted by their covered pixels."""
     normal = read_layer(folder, "normal", NAMES[0])
     side = np.cross(normal, (0.3, 0.5, 0.8))
     side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-6)
@@ -137,7 +137,7 @@ def test_normals_rotated_by_10_degrees_give_an_error_of_10_degrees(folder, ball)
 
 
 def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ball):
-    """Nonsense outside changes nothing, nonsense inside does."""
+    """Random values outside the object change nothing; random values inside it spoil all metrics."""
     before = evaluate(ball, folder)
     rng = np.random.default_rng(1)
 
@@ -165,13 +165,13 @@ def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ba
 
 
 def test_specular_strength_of_relit_images_comes_from_the_data_set(folder, ball):
-    """A data set declared Lambertian is relit without highlights."""
+    """A data set with ``specular`` 0 is relit without highlights."""
     (folder / "set.json").write_text('{"specular": 0.0}')
     assert evaluate(ball, folder).relit["dusk"].psnr < 50.0
 
 
 def test_evaluation_takes_captured_colors_for_a_missing_albedo(folder, ball):
-    """They are decoded, without view dependence, and a remark says so."""
+    """The mean captured colours are decoded to linear albedo, and a remark reports the missing layers."""
     bare = replace(ball, albedo=None, normals=None, roughness=None)
     bare = replace(bare, sh=np.concatenate([bare.sh, np.full((bare.count, 3, 3), 0.05)], axis=1))
     result = evaluate(bare, folder)
@@ -188,7 +188,7 @@ def test_evaluation_takes_captured_colors_for_a_missing_albedo(folder, ball):
 
 
 def test_evaluation_reports_missing_ground_truth_and_computes_the_rest(folder, ball):
-    """Metrics of roughness and relit images are missing, the others exist."""
+    """Without truth for roughness and relit images, their metrics are missing, and albedo is still measured."""
     for path in (folder / "truth" / "roughness").iterdir():
         path.unlink()
     (folder / "truth" / "roughness").rmdir()
@@ -210,17 +210,17 @@ def test_progress_of_the_evaluation_covers_layers_and_relit_images(folder, ball)
 
 
 def rename(folder: Path, name: str) -> None:
-    """Renames a file away."""
+    """Renames a file of the data set, so that it is missing."""
     (folder / name).rename(folder / "elsewhere")
 
 
 def small_layer(folder: Path, name: str) -> None:
-    """Writes a layer of another size."""
+    """Writes a ground-truth layer of another size."""
     write_layer(folder, name, NAMES[0], np.zeros((8, 8, 3)))
 
 
 def not_finite(folder: Path, name: str) -> None:
-    """Writes a layer with NaN."""
+    """Writes a ground-truth layer of NaN."""
     write_layer(folder, name, NAMES[0], np.full((32, 32, 3), np.nan))
 
 
@@ -244,7 +244,7 @@ def test_evaluation_refuses_incomplete_data_sets_naming_the_file(folder, ball, s
 
 
 def test_evaluation_refuses_invalid_folders_captures_and_environments(tmp_path, ball, folder):
-    """Images without ground truth, no folder, a broken set.json; and invalid captures and environments."""
+    """Missing folders, a broken set.json, images without ground truth and invalid arguments are refused."""
     with pytest.raises(ls.FormatError, match="no such folder"):
         evaluate(ball, tmp_path / "nowhere")
     (folder / "set.json").write_text('{"specular": 3}')
@@ -266,7 +266,7 @@ def test_evaluation_refuses_invalid_folders_captures_and_environments(tmp_path, 
 
 
 def test_evaluation_compares_environments_after_scaling_channels(folder, ball):
-    """Twice as bright and redder is equally good; another environment is not."""
+    """An environment twice as bright and redder is equal; a rotated one is not."""
     assert evaluate(ball, folder, panorama() * (2.5, 2.0, 2.0)).environment_psnr > 100.0
     write_radiance(folder / "environment.exr", np.roll(panorama(), 8, axis=1))
     assert evaluate(ball, folder, panorama()).environment_psnr < 30.0

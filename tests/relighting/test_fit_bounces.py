@@ -1,4 +1,4 @@
-"""Light fits with indirect light: path tracing, and the bias of fits without bounces."""
+"""Light fits with indirect light: path tracing is accurate, and fits without bounces are biased."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ PATHS = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=16, max_bounces=4)
 
 @pytest.fixture(scope="module")
 def bounced() -> np.ndarray:
-    """An image of a closed room, half of whose light is indirect."""
+    """Returns an image of a closed room, half of whose light is indirect."""
     return image_of(closed(*three_lights()), VIEW, replace(PATHS, samples=96, seed=5))
 
 
 def test_path_traced_light_fit_of_a_closed_room_is_within_5_percent(bounced):
-    """Lights are within 5 % with a quarter of the default samples."""
+    """The accuracy is reached with a quarter of the default samples."""
     lights = three_lights()
     found = ls.fit_lights(
         closed(*initial_lights(*lights)), VIEW, bounced, config=PATHS, environment_degree=None, device="cpu"
@@ -32,7 +32,7 @@ def test_path_traced_light_fit_of_a_closed_room_is_within_5_percent(bounced):
 
 
 def test_light_fit_without_bounces_is_biased_by_over_20_percent(bounced):
-    """Some light is wrong by a fifth and more, which is why path tracing is the default."""
+    """The bias of at least one light is why path tracing is the default."""
     lights = three_lights()
     found = ls.fit_lights(
         closed(*initial_lights(*lights)), VIEW, bounced, config=DIRECT, environment_degree=None, device="cpu"
@@ -67,7 +67,7 @@ def test_light_fit_with_eight_samples_does_not_bias_powers(bounced):
 
 
 def test_averaging_window_of_light_fits_scales_with_the_resolution():
-    """The window reaches 2 pixels to each side at 64 pixels, 4 at 128. Twice as wide, a light was 2.8 % off at 64."""
+    """The window has radius 2 in images of 64 pixels and 4 at 128. Twice as wide, a light was 2.8 % off at 64."""
     for width, radius in ((64, 2), (128, 4)):
         aovs = ("albedo", "lights", "direct_diffuse", "direct_glossy", "emission")
         frame = ls.render(closed(), view(width, 48), replace(PATHS, samples=1, aovs=aovs), device="cpu")
@@ -80,7 +80,7 @@ def test_averaging_window_of_light_fits_scales_with_the_resolution():
 
 
 def test_averaging_window_of_light_fits_ends_at_the_image_border():
-    """A corner of a floor that fills the image has a quarter of the neighbours of the centre."""
+    """On a floor that fills the image, a corner pixel has a quarter of the neighbours of the centre pixel."""
     floor = ls.Scene((), [ls.plane(40.0, 40.0)])
     above = ls.Camera.look_at((0.0, 3.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, fov_y=0.6)
     frame = ls.render(floor, above, replace(DIRECT, lighting=True, aovs=("albedo",)), device="cpu")
@@ -94,7 +94,7 @@ def test_averaging_window_of_light_fits_ends_at_the_image_border():
 @pytest.mark.deep
 @pytest.mark.parametrize("width", [64, 96])
 def test_path_traced_light_fit_with_default_samples_is_within_2_percent(width):
-    """Each channel of each light is within 2 % if the image has little noise."""
+    """Each channel of each light is within 2 % of the truth, for an image with little noise."""
     lights, camera, many = three_lights(), view(width, 3 * width // 4), replace(PATHS, samples=64)
     image = image_of(closed(*lights), camera, replace(PATHS, samples=256, seed=5))
     found = ls.fit_lights(

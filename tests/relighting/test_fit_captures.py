@@ -1,4 +1,4 @@
-"""Light fits with captures: unlit captures do not count, and captures have a colour to fit."""
+"""Light fits ignore pixels of unlit captures, and fit the colour of captures with a material."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from support.scenes.fit_rooms import DIRECT, assert_powers, closed, image_of, in
 
 HYBRID = replace(DIRECT, pipeline=ls.Pipeline.HYBRID)
 GAINS = np.array([0.5, 0.9, 1.4])
-"""Factors per channel between the true and the starting colour of the capture."""
+"""Factors per channel between the true and the initial colour of the capture."""
 SMALL = view(64, 48)
 
 
 def room_with_capture(*, has_albedo: bool = True) -> ls.Scene:
-    """The closed room, with its ball a capture, orange on one side and blue on the other."""
+    """Returns the closed room whose ball is a capture, orange on one side and blue on the other."""
     room = closed(*three_lights())
     ball = ls.gaussians_from_mesh(room.meshes[-2].mesh, 250)
     left = ball.means[:, :1] < ball.means[:, 0].mean()
@@ -32,7 +32,7 @@ def room_with_capture(*, has_albedo: bool = True) -> ls.Scene:
 
 
 def recolored(scene: ls.Scene, gains: np.ndarray) -> ls.Scene:
-    """The scene with the colours of its capture times a factor per channel."""
+    """Returns the scene with the colours of its capture multiplied by a factor per channel."""
     (capture,) = scene.splats
     given = capture.gaussians
     if given.albedo is None:
@@ -43,30 +43,30 @@ def recolored(scene: ls.Scene, gains: np.ndarray) -> ls.Scene:
 
 
 def fitted(scene: ls.Scene, image: np.ndarray, **options) -> ls.inverse.LightFit:
-    """A fit without bounces."""
+    """Fits lights without bounces."""
     options = {"config": HYBRID, "environment_degree": None, "device": "cpu"} | options
     return ls.fit_lights(scene, SMALL, image, **options)
 
 
 @pytest.mark.parametrize("has_albedo", [True, False])
 def test_light_fit_recovers_the_colour_of_a_capture_by_one_factor_per_channel(has_albedo):
-    """A capture that starts half as red and more blue gets its own two colours back, and the lights are found."""
+    """A capture that starts with wrong red, green and blue gets its two true colours, and the lights are recovered."""
     truth = room_with_capture(has_albedo=has_albedo)
     image = image_of(truth, SMALL, HYBRID)
-    thought = replace(recolored(truth, GAINS), lights=initial_lights(*three_lights()))
-    found = fitted(thought, image, base_colors=["ball"])
+    start = replace(recolored(truth, GAINS), lights=initial_lights(*three_lights()))
+    found = fitted(start, image, base_colors=["ball"])
     assert_powers(found.lights, three_lights(), 0.01)
-    own, expected = (base_colors(scene.splats[0].gaussians) for scene in (found.scene, truth))
-    np.testing.assert_allclose(own, expected, atol=0.01)
+    fitted_colors, expected = (base_colors(scene.splats[0].gaussians) for scene in (found.scene, truth))
+    np.testing.assert_allclose(fitted_colors, expected, atol=0.01)
     np.testing.assert_allclose(found.base_colors["ball"], expected.mean(axis=0), atol=0.01)
-    assert np.abs(base_colors(thought.splats[0].gaussians) - expected).max() > 0.2
+    assert np.abs(base_colors(start.splats[0].gaussians) - expected).max() > 0.2
     for name in ("means", "rotations_wxyz", "scales", "opacities", "normals"):
         assert getattr(found.scene.splats[0].gaussians, name) is getattr(truth.splats[0].gaussians, name)
     assert not found.remarks
 
 
 def test_fit_of_all_base_colors_includes_captures_with_a_material():
-    """If all are fitted, only products are determined; a capture without a material has no colour to fit."""
+    """A remark reports that lights and colours are determined up to one factor; captures without a material stay."""
     truth = room_with_capture()
     kept = replace(truth, splats=(*truth.splats, replace(truth.splats[0], material=None, name="kept")))
     found = fitted(kept, image_of(kept, SMALL, HYBRID), base_colors=True, size=24)
@@ -76,7 +76,7 @@ def test_fit_of_all_base_colors_includes_captures_with_a_material():
 
 
 def test_fitted_colours_of_a_capture_stay_at_most_white():
-    """The image shows more than it can reflect: Gaussians end at 1, and a remark counts them."""
+    """The image is three times too bright: albedo ends at 1, and a remark counts the white Gaussians."""
     truth = room_with_capture()
     bright = replace(truth, lights=[replace(light, intensity=3.0 * light.intensity) for light in three_lights()])
     linear = ls.render(bright, SMALL, HYBRID, device="cpu").color

@@ -1,4 +1,4 @@
-"""Fits of intensities, colours and SH environments to rendered images with known lights."""
+"""`fit_lights` recovers intensities, colours and SH environments of rendered images with known lights."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ VIEW, OTHER = view(64, 48), other_view(64, 48)
 
 
 def fitted(scene: ls.Scene, images, cameras=None, **options) -> ls.inverse.LightFit:
-    """A fit without bounces, at the images' own size."""
+    """Fits lights without bounces, at the images' own size."""
     options = {"config": DIRECT, "environment_degree": None, "device": "cpu"} | options
     return ls.fit_lights(scene, cameras or VIEW, images, **options)
 
 
 def test_light_fit_of_a_noiseless_image_finds_three_lights_exactly():
-    """Nothing is left to explain."""
+    """Powers are within 0.1 %, and the residual is below 0.001."""
     lights = three_lights()
     found = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), VIEW))
     assert_powers(found.lights, lights, 1e-3)
@@ -47,7 +47,7 @@ def test_light_fit_of_a_noiseless_image_finds_three_lights_exactly():
 
 
 def test_light_fit_errors_with_noise_are_within_5_standard_errors():
-    """Errors with noise and 8 bits are below 5 %."""
+    """With noise and 8 bits, powers are within 5 %."""
     lights = three_lights()
     found = fitted(closed(*initial_lights(*lights)), noisy(image_of(closed(*lights), VIEW)))
     assert_powers(found.lights, lights, 0.05)
@@ -57,7 +57,7 @@ def test_light_fit_errors_with_noise_are_within_5_standard_errors():
 
 
 def test_light_fit_gives_power_0_to_a_light_that_is_off():
-    """No power is negative, nor taken from another light."""
+    """No power is negative, and a remark reports a light that the fit turned off."""
     lights = three_lights()
     dark = replace(lights[1], intensity=0.0)
     found = fitted(closed(*initial_lights(*lights)), noisy(image_of(closed(lights[0], dark, lights[2]), VIEW)))
@@ -68,10 +68,10 @@ def test_light_fit_gives_power_0_to_a_light_that_is_off():
 
 
 def test_light_fit_with_keep_hues_fits_one_power_per_light():
-    """A blue light stays blue, and is about as strong as the white one in its position."""
-    lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 1.0, 1.0), 3.0)
-    tinted = replace(lamp, color=(0.5, 0.5, 1.0), intensity=0.1)
-    found = fitted(closed(tinted), image_of(closed(lamp), VIEW), keep_hues=True)
+    """A blue light stays blue, and becomes about as bright as the white light of the image."""
+    true_light = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 1.0, 1.0), 3.0)
+    tinted = replace(true_light, color=(0.5, 0.5, 1.0), intensity=0.1)
+    found = fitted(closed(tinted), image_of(closed(true_light), VIEW), keep_hues=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightPoint) and light.color == (0.5, 0.5, 1.0)
     assert 3.0 < light.intensity < 6.0
@@ -80,7 +80,7 @@ def test_light_fit_with_keep_hues_fits_one_power_per_light():
 
 
 def test_second_image_lowers_the_standard_errors_of_a_light_fit():
-    """Only the second camera sees the light behind the box."""
+    """Only the second camera sees the surfaces lit by the light behind the box."""
     lights = three_lights()
     cameras = [VIEW, OTHER]
     images = [image_of(closed(*lights), camera) for camera in cameras]
@@ -94,7 +94,7 @@ def test_second_image_lowers_the_standard_errors_of_a_light_fit():
 
 
 def test_objects_missing_from_the_scene_do_not_bias_the_light_fit():
-    """A black ball and a lit picture on the wall hide a sixth of the image: lights are within 5 %."""
+    """A black ball and a picture on the wall cover over a tenth of the image; powers are within 5 %."""
     lights = three_lights()
     room = closed(*lights)
     image = noisy(image_of(with_unmodelled_objects(room), VIEW))
@@ -108,7 +108,7 @@ def test_objects_missing_from_the_scene_do_not_bias_the_light_fit():
 
 
 def test_light_fit_ignores_and_counts_clipped_pixels():
-    """An image with three stops more exposure is partly white; the lights are right."""
+    """Lights six times as bright, which clip part of the image to white, are recovered."""
     lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lights()]
     image = image_of(closed(*lights), VIEW)
     white = (image >= 0.995).any(axis=2)
@@ -121,7 +121,7 @@ def test_light_fit_ignores_and_counts_clipped_pixels():
 
 
 def test_light_fit_ignores_and_counts_masked_pixels():
-    """Half of the image is painted over."""
+    """Twenty columns of the image are painted over and masked; the shares of the lights count all other pixels."""
     lights = three_lights()
     image = image_of(closed(*lights), VIEW)
     mask = np.ones(image.shape[:2])
@@ -138,7 +138,7 @@ def test_light_fit_ignores_and_counts_masked_pixels():
 
 
 def test_light_fit_applies_the_exposure_of_the_camera():
-    """A camera with two stops less gives the same lights."""
+    """An image darker by two stops gives the same lights, by the camera's exposure or by the argument."""
     lights = three_lights()
     darker = replace(VIEW, exposure=-2.0)
     found = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), darker), darker)
@@ -148,7 +148,7 @@ def test_light_fit_applies_the_exposure_of_the_camera():
 
 
 def test_light_fit_finds_exposures_relative_to_the_first_image():
-    """The first exposure is held, with a remark, if the scene emits no light; the second is found."""
+    """The exposure of image 0 stays, which a remark reports, because the scene has no emissive object."""
     lights = three_lights()
     cameras = [VIEW, replace(OTHER, exposure=-1.3)]
     images = [image_of(closed(*lights), camera) for camera in cameras]
@@ -159,7 +159,7 @@ def test_light_fit_finds_exposures_relative_to_the_first_image():
 
 
 def test_emissive_object_of_known_radiance_determines_the_fitted_exposure():
-    """The scene has a sign of known radiance."""
+    """The scene has a luminous sign."""
     lights = three_lights()
     shining = replace(matte(0.0), emissive=(0.5, 0.4, 0.3))
     sign = ls.Mesh(
@@ -179,7 +179,7 @@ def test_emissive_object_of_known_radiance_determines_the_fitted_exposure():
 
 @pytest.mark.parametrize("tone_map", ["neutral", "agx"])
 def test_light_fit_inverts_the_tone_map_of_the_image(tone_map):
-    """Lights of a tone-mapped image are wrong without ``tone_map``."""
+    """Without the argument ``tone_map``, the lights of a tone-mapped image are wrong."""
     lights = three_lights()
     image = image_of(closed(*lights), VIEW, replace(DIRECT, tone_map=tone_map))
     found = fitted(closed(*initial_lights(*lights)), image, tone_map=tone_map)
@@ -190,7 +190,7 @@ def test_light_fit_inverts_the_tone_map_of_the_image(tone_map):
 
 
 def test_light_fit_takes_exr_images_as_linear_without_clipping(tmp_path):
-    """An EXR may have any brightness."""
+    """Values above 1 count in EXR files, and in arrays with ``linear``."""
     lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lights()]
     frame = ls.render(closed(*lights), VIEW, DIRECT, device="cpu")
     frame.save(tmp_path / "photo.exr")
@@ -202,7 +202,7 @@ def test_light_fit_takes_exr_images_as_linear_without_clipping(tmp_path):
 
 
 def sh_environment(degree: int = 2) -> EnvironmentProbe:
-    """An SH environment: bright on one side above, dark below, nowhere negative."""
+    """Returns an SH environment that is bright on one upper side, dark below, and nowhere negative."""
     coefficients = np.zeros((9, 3))
     coefficients[0] = (1.4, 1.5, 1.8)
     coefficients[1:4] = np.array([[-0.5], [0.2], [0.2]]) * (1.0, 1.0, 1.1)
@@ -214,7 +214,7 @@ def sh_environment(degree: int = 2) -> EnvironmentProbe:
 
 
 def test_light_fit_recovers_an_sh_environment_of_degree_1():
-    """The irradiance is right with degree 1 and few samples, and no radiance is negative."""
+    """The irradiance of all surfaces is recovered from few samples, and no radiance is negative."""
     truth, camera = sh_environment(1), view(48, 36)
     image = image_of(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
     config = ls.RenderConfig(samples=32, seed=77)
@@ -224,7 +224,7 @@ def test_light_fit_recovers_an_sh_environment_of_degree_1():
 
 @pytest.mark.deep
 def test_light_fit_recovers_an_sh_environment_beside_a_light():
-    """Beside an environment of degree 2, the light is within 3 %."""
+    """Beside an environment of degree 2, the power of the light is within 3 %."""
     light = ls.LightPoint((3.0, 2.0, 3.2), (1.0, 0.7, 0.4), 1.5, name="lamp")
     truth, camera = sh_environment(2), view(64, 48)
     image = image_of(open_above(light, truth.light()), camera, ls.RenderConfig(samples=256))
@@ -235,9 +235,9 @@ def test_light_fit_recovers_an_sh_environment_beside_a_light():
 
 
 def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> None:
-    """Irradiance of the floor and the end wall is within 5 % of the mean, of the sides within 10 %.
+    """Asserts that the irradiance of floor and end wall is within 5 % of the mean, and of the side walls within 10 %.
 
-    The sides are red and green, and show little of the other channels.
+    The side walls are red and green, and reflect little of the other channels.
     """
     assert found.environment is not None and isinstance(found.lights[-1], ls.LightEnvironment)
     pale, colored = np.array([(0, 1, 0), (0, 0, 1)]), np.array([(1, 0, 0), (-1, 0, 0)])
@@ -250,7 +250,7 @@ def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> No
 
 @pytest.mark.parametrize("room", [open_above, closed])
 def test_light_fit_removes_an_sh_environment_without_light_and_reports_it(room):
-    """One remark reports that none of the environment's light was found, whether it is blocked or does not shine."""
+    """In a room open above, the environment is black; in a closed room, it is blocked."""
     lights = three_lights()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
     found = fitted(room(*initial_lights(*lights)), image_of(room(*lights), VIEW), **options)
@@ -261,7 +261,7 @@ def test_light_fit_removes_an_sh_environment_without_light_and_reports_it(room):
 
 
 def test_light_fit_recovers_an_environment_with_two_black_channels():
-    """Two channels are black everywhere, and so left out."""
+    """The environment is red, and the fit leaves out the channels that are black in the whole image."""
     red, camera = ls.LightEnvironment(color=(1.0, 0.0, 0.0), intensity=0.4), view(32, 24)
     config = ls.RenderConfig(samples=16)
     found = fitted(open_above(), image_of(open_above(red), camera, config), camera, config=config, environment_degree=0)
@@ -270,13 +270,13 @@ def test_light_fit_recovers_an_environment_with_two_black_channels():
 
 
 def test_light_fit_keeps_the_image_of_an_environment_light():
-    """An environment with an image is fitted as one light, and without SH unless they are asked for."""
+    """Only its colour and intensity are fitted, and no SH environment is added by default."""
     image = sh_environment().image(16)
     truth = ls.LightEnvironment(image, (1.0, 0.8, 0.6), 1.4, visible=False, name="sky")
     many = ls.RenderConfig(samples=64)
-    photograph = image_of(open_above(truth), view(48, 36), many)
+    rendered = image_of(open_above(truth), view(48, 36), many)
     found = ls.fit_lights(
-        open_above(replace(truth, color=(1, 1, 1), intensity=1.0)), view(48, 36), photograph, config=many, device="cpu"
+        open_above(replace(truth, color=(1, 1, 1), intensity=1.0)), view(48, 36), rendered, config=many, device="cpu"
     )
     (light,) = found.lights
     assert found.environment is None and isinstance(light, ls.LightEnvironment) and light.image is truth.image
@@ -284,7 +284,7 @@ def test_light_fit_keeps_the_image_of_an_environment_light():
 
 
 def test_light_fit_reports_lights_at_one_position_as_indistinguishable():
-    """The sum of their powers is right."""
+    """The sum of the two powers is correct."""
     light = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
     twin = replace(light, name="right")
     found = fitted(closed(*initial_lights(light, twin)), image_of(closed(light), VIEW))
@@ -293,7 +293,7 @@ def test_light_fit_reports_lights_at_one_position_as_indistinguishable():
 
 
 def test_light_fit_leaves_lights_that_no_image_shows_unchanged():
-    """One light shines into a box, and one is disabled."""
+    """One light is inside a closed box, and one is disabled."""
     lights = three_lights()
     hidden = ls.LightPoint((2.75, 0.85, 1.3), (1.0, 0.2, 0.1), 9.0, name="hidden")
     switched = replace(hidden, enabled=False, name="switched off")
@@ -304,7 +304,7 @@ def test_light_fit_leaves_lights_that_no_image_shows_unchanged():
 
 
 def test_light_fit_reports_requested_parameters_that_no_light_has():
-    """Each parameter has its own remark."""
+    """Radii and angles are requested for point lights; each gets its own remark."""
     lights = three_lights()
     small = view(32, 24)
     found = fitted(closed(*initial_lights(*lights)), image_of(closed(*lights), small), small, radii=True, angles=True)
@@ -315,7 +315,7 @@ def test_light_fit_reports_requested_parameters_that_no_light_has():
 
 
 def test_light_fit_recovers_the_base_colors_of_two_materials():
-    """The lights and the walls' colours are known."""
+    """Base colours are fitted alone with known lights, and together with unknown lights."""
     lights = three_lights()
     image = image_of(closed(*lights), VIEW)
     room = closed(*lights)
@@ -327,14 +327,14 @@ def test_light_fit_recovers_the_base_colors_of_two_materials():
     found = fitted(scene, image, intensities=False, base_colors=["ball", "box"])
     np.testing.assert_allclose(found.base_colors["ball"], (0.8, 0.5, 0.2), atol=2e-3)
     np.testing.assert_allclose(found.base_colors["box"], (0.2, 0.5, 0.8), atol=2e-3)
-    assert [power(light).tolist() for light in found.lights] == [power(lamp).tolist() for lamp in lights]
+    assert [power(light).tolist() for light in found.lights] == [power(light).tolist() for light in lights]
     both = fitted(replace(scene, lights=initial_lights(*lights)), image, base_colors=["ball", "box"])
     np.testing.assert_allclose(both.base_colors["box"], (0.2, 0.5, 0.8), atol=4e-3)
     assert_powers(both.lights, lights, 5e-3)
 
 
 def test_fit_of_lights_and_all_base_colors_holds_the_mean_base_color():
-    """Lights and surfaces are determined up to a factor, and a remark says so."""
+    """Lights and base colours are determined up to one factor, which a remark reports."""
     lights = three_lights()
     room, camera = closed(*lights), view(32, 24)
     image = image_of(room, camera)

@@ -1,4 +1,4 @@
-"""Fits of positions, radii and cones of lights that start at other values."""
+"""`fit_lights` recovers positions, radii, directions and cones of lights from wrong initial values."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ SOFT = ls.RenderConfig(shadows=ls.Shadows.SOFT, samples=16)
 
 
 def fitted(scene: ls.Scene, cameras, images, **options) -> ls.inverse.LightFit:
-    """A fit without bounces and without an environment."""
+    """Fits lights without bounces and without an environment."""
     return ls.fit_lights(
         scene, cameras, images, **({"config": DIRECT, "environment_degree": None, "device": "cpu"} | options)
     )
 
 
 def assert_positions(found: tuple[object, ...], lights: tuple[ls.LightPoint, ...], share: float) -> None:
-    """Checks that lights are at their true positions, to a fraction of the room's length."""
-    for light, lamp in zip(found, lights, strict=True):
+    """Asserts that lights are at their true positions, to a fraction of the room's length."""
+    for light, true_light in zip(found, lights, strict=True):
         assert isinstance(light, ls.LightPoint)
-        off = np.linalg.norm(np.subtract(light.position, lamp.position))
+        off = np.linalg.norm(np.subtract(light.position, true_light.position))
         assert off < share * ROOM, (light.name, off)
 
 
 def test_light_fit_recovers_the_position_of_a_light_to_2_percent():
-    """A light 0.3 of the room away, with noise and 8 bits: within 2 % of the room, and 5 % of its power."""
+    """The light starts 0.3 of the room away; with noise and 8 bits, its power is within 5 %."""
     light = three_lights()[1]
     start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
     assert math.dist(start.position, light.position) > 0.28 * ROOM
@@ -59,7 +59,7 @@ def test_light_fit_recovers_the_position_of_a_light_to_2_percent():
 
 
 def test_light_fit_reports_progress_for_every_render(monkeypatch):
-    """The fraction never falls, and ends at 1."""
+    """The fraction never decreases, and ends at 1."""
     light, rendered, reports = three_lights()[1], [], []
     both = LightLayers._both
     monkeypatch.setattr(LightLayers, "_both", lambda *args: rendered.append(len(reports)) or both(*args))
@@ -74,7 +74,7 @@ def test_light_fit_reports_progress_for_every_render(monkeypatch):
 
 
 def test_light_fit_recovers_a_position_if_no_downscaled_pixel_is_whole():
-    """Black dots leave no downscaled pixel whole, so the search runs at the full size."""
+    """Black dots spoil every pixel of a downscaled image, so the search runs at full size."""
     light = three_lights()[1]
     image = image_of(closed(light), view(48, 36))
     image[::2, ::2] = 0.0
@@ -84,7 +84,7 @@ def test_light_fit_recovers_a_position_if_no_downscaled_pixel_is_whole():
 
 
 def test_fitted_light_positions_stay_within_the_bounds_of_the_scene():
-    """A light far above is moved to the height of the walls at most."""
+    """A light far above the room is moved to the height of the walls at most."""
     light = ls.LightPoint((2.0, 9.0, 2.5), (1.0, 1.0, 1.0), 40.0)
     start = replace(light, position=(2.0, 2.0, 2.5), intensity=2.0)
     small = view(48, 36)
@@ -96,22 +96,22 @@ def test_fitted_light_positions_stay_within_the_bounds_of_the_scene():
 @pytest.mark.deep
 @pytest.mark.parametrize("count", [1, 2])
 def test_light_fit_recovers_the_positions_of_three_lights(count):
-    """Lights displaced by 0.3 of the room are found from one and two images, with noise and 8 bits. They may swap."""
-    lamps = three_lights()
+    """Lights displaced by 0.3 of the room are recovered from noisy 8-bit images, in any order."""
+    true_lights = three_lights()
     cameras = [view(), other_view()][:count]
-    images = [noisy(image_of(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
-    found = fitted(closed(*moved(lamps, 0.3)), cameras, images, positions=True, size=64)
+    images = [noisy(image_of(closed(*true_lights), camera), 0.01, number) for number, camera in enumerate(cameras)]
+    found = fitted(closed(*moved(true_lights, 0.3)), cameras, images, positions=True, size=64)
     positions = np.array([expect_kind(ls.LightPoint, light).position for light in found.lights])
-    order = [int(np.linalg.norm(positions - lamp.position, axis=1).argmin()) for lamp in lamps]
+    order = [int(np.linalg.norm(positions - true_light.position, axis=1).argmin()) for true_light in true_lights]
     assert sorted(order) == [0, 1, 2]
     lights = tuple(found.lights[row] for row in order)
-    assert_positions(lights, lamps, 0.02)
-    assert_powers(lights, lamps, 0.05)
+    assert_positions(lights, true_lights, 0.02)
+    assert_powers(lights, true_lights, 0.05)
 
 
 @pytest.mark.deep
 def test_light_fit_recovers_the_position_of_a_light_with_a_soft_shadow():
-    """The penumbra adds noise."""
+    """The penumbra adds noise to the renders."""
     light = replace(three_lights()[1], radius=0.1)
     start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
     image = noisy(image_of(closed(light), view(), SOFT))
@@ -121,11 +121,11 @@ def test_light_fit_recovers_the_position_of_a_light_with_a_soft_shadow():
 
 
 def test_light_fit_recovers_the_radius_of_a_light_from_its_penumbra():
-    """A sphere light that starts at a third of its radius is within a seventh, its power within 3 %."""
-    lamp = ls.LightSphere((2.6, 2.2, 3.4), 0.35, (1.0, 0.9, 0.8), 12.0, name="ball")
+    """A sphere light that starts at a third of its radius ends within a seventh of it, with its power within 3 %."""
+    true_light = ls.LightSphere((2.6, 2.2, 3.4), 0.35, (1.0, 0.9, 0.8), 12.0, name="ball")
     small = view(48, 36)
-    image = image_of(closed(lamp), small, replace(SOFT, samples=64))
-    found = fitted(closed(replace(lamp, radius=0.12, intensity=50.0)), small, image, radii=True, config=SOFT)
+    image = image_of(closed(true_light), small, replace(SOFT, samples=64))
+    found = fitted(closed(replace(true_light, radius=0.12, intensity=50.0)), small, image, radii=True, config=SOFT)
     (light,) = found.lights
     assert isinstance(light, ls.LightSphere)
     assert light.radius == pytest.approx(0.35, abs=0.05)
@@ -134,7 +134,7 @@ def test_light_fit_recovers_the_radius_of_a_light_from_its_penumbra():
 
 
 def test_light_fit_recovers_the_direction_and_cone_of_a_spot():
-    """The edge of its light determines both."""
+    """The edge of the lit area determines direction and cone angles."""
     spot = ls.LightSpot((2.0, 2.8, 2.6), (0.2, -1.0, -0.3), (1.0, 0.9, 0.7), 8.0, inner_angle=0.35, outer_angle=0.6)
     start = replace(spot, direction=(0.05, -1.0, -0.1), inner_angle=0.25, outer_angle=0.75, intensity=3.0)
     image = image_of(closed(spot), SMALL)
@@ -147,7 +147,7 @@ def test_light_fit_recovers_the_direction_and_cone_of_a_spot():
 
 
 def test_light_fit_recovers_the_direction_of_a_sun():
-    """Shadows determine the direction."""
+    """Shadows determine the direction to half a degree."""
     sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
     start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
     image = image_of(open_above(sun), SMALL)
@@ -159,7 +159,7 @@ def test_light_fit_recovers_the_direction_of_a_sun():
 
 
 def test_light_fit_derivatives_by_position_do_not_depend_on_the_step():
-    """Away from shadow edges, half the step gives the same derivative of each pixel by each coordinate."""
+    """Away from shadow edges, a quarter of the step gives equal derivatives, and the floor's equal the closed form."""
     light = replace(three_lights()[0], intensity=1.0)
     scene, images = closed(light), read_images(view(), image_of(closed(light), view()))
     task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)

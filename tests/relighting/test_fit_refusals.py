@@ -1,4 +1,4 @@
-"""Inputs that cannot be fitted are refused in one line that says what to do."""
+"""`fit_lights` refuses inputs that it cannot fit, in one line with advice."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GREY = np.full((72, 96, 3), 0.5)
 
 
 def refusal(*images, scene: ls.Scene | None = None, cameras=None, **options) -> str:
-    """Returns the message of a refusal, and checks that it is one line."""
+    """Returns the error message of a refused fit, and asserts that it is one line."""
     options = {"config": DIRECT, "device": "cpu", "environment_degree": None} | options
     given = list(images) if len(images) != 1 else images[0]
     with pytest.raises((ls.ConfigError, ls.SceneError)) as caught:
@@ -25,7 +25,7 @@ def refusal(*images, scene: ls.Scene | None = None, cameras=None, **options) -> 
 
 
 def test_light_fit_refuses_images_that_do_not_match_their_cameras():
-    """Another aspect ratio, or another number."""
+    """Images of another aspect ratio, number or shape are refused."""
     assert "the image is 96 x 96, but its camera" in refusal(np.full((96, 96, 3), 0.5))
     assert "1 cameras and 2 images" in refusal(GREY, GREY)
     assert "2 cameras and 1 images" in refusal(GREY, cameras=[view(), view()])
@@ -34,7 +34,7 @@ def test_light_fit_refuses_images_that_do_not_match_their_cameras():
 
 
 def test_light_fit_accepts_images_of_another_size_but_equal_aspect_ratio():
-    """The image is larger or smaller, with the same aspect ratio."""
+    """An image may be larger or smaller than its camera."""
     for width in (48, 192):
         fit = ls.fit_lights(
             closed(*three_lights()),
@@ -48,7 +48,7 @@ def test_light_fit_accepts_images_of_another_size_but_equal_aspect_ratio():
 
 
 def test_light_fit_refuses_images_without_usable_pixels():
-    """Black, white all over, masked, or not finite."""
+    """Images that are black, white, masked or not finite are refused."""
     assert "is black" in refusal(np.zeros((72, 96, 3)))
     assert "every pixel is clipped" in refusal(np.ones((72, 96, 3)))
     assert "clipped or masked" in refusal(GREY, masks=np.zeros((72, 96)))
@@ -59,7 +59,7 @@ def test_light_fit_refuses_images_without_usable_pixels():
 
 
 def test_light_fit_refuses_scenes_without_anything_to_fit():
-    """No lights, none enabled, nothing visible, nothing asked for."""
+    """Scenes without enabled lights, without visible surfaces, or without requested parameters are refused."""
     assert "no lights to fit" in refusal(GREY, scene=closed())
     off = [replace(light, enabled=False) for light in three_lights()]
     assert "no lights to fit" in refusal(GREY, scene=closed(*off))
@@ -71,7 +71,7 @@ def test_light_fit_refuses_scenes_without_anything_to_fit():
 
 
 def test_light_fit_refuses_settings_out_of_range_by_name():
-    """Messages name the setting."""
+    """Each message names the setting."""
     assert "environment_degree" in refusal(GREY, environment_degree=5)
     assert "positions is 1" in refusal(GREY, positions=1)
     assert "exposure is 'bright'" in refusal(GREY, exposure="bright")
@@ -84,7 +84,7 @@ def test_light_fit_refuses_settings_out_of_range_by_name():
 
 
 def test_light_fit_refuses_unreadable_image_files_by_name(tmp_path):
-    """Messages name the file."""
+    """Each message names the file."""
     assert "photo.png" in refusal(tmp_path / "photo.png")
     (tmp_path / "text.png").write_text("no picture")
     assert "text.png" in refusal(tmp_path / "text.png")

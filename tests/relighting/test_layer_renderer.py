@@ -1,4 +1,4 @@
-"""Rendered material layers against the Gaussians' own values."""
+"""Rendered material layers equal the materials of the Gaussians."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ CAMERA = ls.Camera.look_at((0.3, 3.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), wi
 
 
 def sheet() -> ls.Gaussians:
-    """A level square of Gaussians of one material that fills the image."""
+    """Returns a level square of Gaussians of one material that fills the image."""
     plain = ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 500)
     albedo, roughness = np.tile(ALBEDO, (plain.count, 1)), np.full(plain.count, ROUGHNESS)
     return replace(plain, albedo=albedo, roughness=roughness, normals=np.tile([0.0, 1.0, 0.0], (plain.count, 1)))
 
 
 def test_rendered_material_layers_equal_the_values_of_the_gaussians() -> None:
-    """Linear albedo, roughness and normals are exact, however much of a pixel is covered."""
+    """Linear albedo, roughness and normals are exact at any coverage of a pixel."""
     for opacity in (0.9, 0.2):
         some = replace(sheet(), opacities=np.full(500, opacity))
         drawn = LayerRenderer.of(some, "cpu").draw(CAMERA)

@@ -1,6 +1,6 @@
-"""Light estimation finds lamps planted in a room of Gaussians: positions, colours and order.
+"""Light estimation finds lamps in a captured room by their scores: positions, colours and order.
 
-Scores only: no lamp lights this room. test_light_evidence.py tests the evidence of shading.
+No lamp lights this room; test_light_evidence.py tests the evidence of shading.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from support.scenes.light_room import SIZE, bright_wall, captured, highlight, li
 CENTER = 0.5 * SIZE
 POSITIONS = ((1.0, 2.8, 1.2), (3.2, 2.5, 3.6), (0.4, 1.2, 4.2))
 COLORS = ((1.0, 0.9, 0.7), (0.5, 0.7, 0.8), (0.6, 0.2, 0.1))
-"""Colours in the order of decreasing luminance."""
+"""Colours of the lamps in decreasing luminance."""
 
 
 looks = partial(ls.config.LightEstimationConfig, evidence=0.0)
 
 
 def three_lamps() -> ls.Gaussians:
-    """The room with the three lamps, stored in another order."""
+    """Returns the room with the three lamps, stored in another order than by luminance."""
     return room_with(*(light_ball(POSITIONS[i], COLORS[i]) for i in (2, 0, 1)))
 
 
 def assert_at(light: ls.LightPoint, position: tuple[float, float, float], radius: float = 0.08) -> None:
-    """The light is inside a lamp of that radius."""
+    """Asserts that a light is inside the lamp of this position and radius."""
     assert np.linalg.norm(np.subtract(light.position, position)) < radius + 1e-5, light
 
 
 def test_estimated_lights_are_the_planted_lamps_brightest_first() -> None:
-    """Three lamps, brightest first, at their positions and with their linear colours."""
+    """Three lamps are found at their positions with their linear colours."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     for light, position, color in zip(found.lights, POSITIONS, COLORS, strict=True):
         assert_at(light, position)
@@ -50,7 +50,7 @@ def test_estimated_lights_are_the_planted_lamps_brightest_first() -> None:
 
 
 def test_light_estimate_reports_the_gaussian_at_each_light() -> None:
-    """Instance and index give the Gaussian at the light's position."""
+    """The reported instance and index identify the Gaussian at the light's position."""
     room = three_lamps()
     found = ls.inverse.estimate_lights(ls.Scene(splats=[walls(seed=9), room]), CENTER, 2, config=looks())
     assert found.instances.tolist() == [1, 1]
@@ -58,7 +58,7 @@ def test_light_estimate_reports_the_gaussian_at_each_light() -> None:
 
 
 def test_estimated_lights_give_the_requested_irradiance_at_the_centre() -> None:
-    """Irradiances sum to pi, divided by score over squared distance."""
+    """The irradiances of all lights sum to pi by default, in proportion to score over squared distance."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     arriving = sum(light.intensity / np.sum(np.subtract(light.position, CENTER) ** 2) for light in found.lights)
     assert arriving == pytest.approx(np.pi)
@@ -69,7 +69,7 @@ def test_estimated_lights_give_the_requested_irradiance_at_the_centre() -> None:
 
 
 def test_light_estimation_takes_no_broad_bright_wall_for_a_light(caplog: pytest.LogCaptureFixture) -> None:
-    """A wall as bright as the lamp is no light; a warning says that fewer lights were found."""
+    """The wall is as bright as the lamp; a warning reports that fewer lights than requested were found."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         found = ls.inverse.estimate_lights(
             room_with(bright_wall(), light_ball(POSITIONS[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
@@ -80,7 +80,7 @@ def test_light_estimation_takes_no_broad_bright_wall_for_a_light(caplog: pytest.
 
 
 def test_light_estimation_with_compactness_0_accepts_broad_emitters() -> None:
-    """Otherwise the wall alone is refused, with advice; at 0 it is a light, after any lamp."""
+    """By default, a bright wall alone is refused with advice; with compactness 0, it is a light that ranks last."""
     room = room_with(bright_wall())
     with pytest.raises(ls.SceneError, match=r"nothing bright stands out.*lower compactness"):
         ls.inverse.estimate_lights(room, CENTER, 2, config=looks())
@@ -94,7 +94,7 @@ def test_light_estimation_with_compactness_0_accepts_broad_emitters() -> None:
 
 
 def test_light_estimation_prefers_a_lamp_to_a_view_dependent_highlight() -> None:
-    """The sparkle, bright from one viewpoint only, ranks after a lamp of half its luminance."""
+    """A highlight that is bright from one viewpoint only ranks after a lamp of half its luminance."""
     position = np.array(POSITIONS[0])
     glint = highlight(POSITIONS[0], position - CENTER)
     room = room_with(glint, light_ball(POSITIONS[1], (0.6, 0.6, 0.6)))
@@ -107,7 +107,7 @@ def test_light_estimation_prefers_a_lamp_to_a_view_dependent_highlight() -> None
 
 
 def test_light_estimation_prefers_colours_constant_over_viewpoints() -> None:
-    """A colour with less variance over the viewpoints wins over one with equal variance over all directions."""
+    """Of two lamps whose colours vary equally over all directions, the one that varies less over viewpoints wins."""
     positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
     # Gradients of equal size: along the viewing direction, where viewpoints hardly matter, and across. The second is
     # 3 % brighter in mean and maximum luminance.
@@ -125,7 +125,7 @@ def test_light_estimation_prefers_colours_constant_over_viewpoints() -> None:
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.98, 0.0), (0.98, 0.98), (-0.98, 0.4)])
 def test_surrounding_score_is_high_at_wall_corners_and_low_at_lamps(x: float, y: float) -> None:
-    """Inside, at an edge and in a corner, some octant is as bright as the wall; around a lamp, none is."""
+    """At any point of a bright wall, some octant around it is as bright as the wall; around a lamp, none is."""
     steps = np.linspace(-1.0, 1.0, 81)
     wall = np.stack(np.meshgrid(steps, steps, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
     around = np.random.default_rng(0).uniform(-2.0, 2.0, (9000, 3))
@@ -136,7 +136,7 @@ def test_surrounding_score_is_high_at_wall_corners_and_low_at_lamps(x: float, y:
 
 
 def test_size_of_gaussians_does_not_change_their_light_score() -> None:
-    """Gaussians ten times larger score no more."""
+    """Gaussians ten times larger have the same score."""
     room = three_lamps()
     large = replace(room, scales=room.scales * np.where(np.arange(room.count) % 2, 10.0, 1.0)[:, None])
     one, other = (ls.inverse.estimate_lights(each, CENTER, 3, config=looks()) for each in (room, large))
@@ -145,7 +145,7 @@ def test_size_of_gaussians_does_not_change_their_light_score() -> None:
 
 
 def test_light_estimation_respects_instance_transforms() -> None:
-    """Lamps of a capture rotated, scaled and moved are found at their new positions, with equal scores."""
+    """Lamps of a rotated, scaled and moved capture are found at their new positions with equal colours."""
     angle = 0.7
     pose = np.eye(4)
     pose[:3, :3] = 1.5 * np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -163,14 +163,14 @@ def test_light_estimation_respects_instance_transforms() -> None:
 
 
 def test_light_estimation_is_deterministic() -> None:
-    """Two results are equal to the bit."""
+    """Scores and positions of two runs are equal to the bit."""
     one, other = (ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks()) for _ in range(2))
     np.testing.assert_array_equal(one.scores, other.scores)
     assert [light.position for light in one.lights] == [light.position for light in other.lights]
 
 
 def test_radius_and_separation_bound_the_light_search() -> None:
-    """No light is beyond the radius, and none nearer to another than the separation."""
+    """No light is beyond the radius, and no two lights are closer than the separation."""
     near = looks(radius=2.1, emitter_size=0.25)
     distances = [np.linalg.norm(np.subtract(position, CENTER)) for position in POSITIONS]
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=near)
@@ -180,7 +180,7 @@ def test_radius_and_separation_bound_the_light_search() -> None:
 
 
 def test_very_bright_outlier_does_not_hide_lamps_from_light_estimation() -> None:
-    """One Gaussian a hundred times brighter than white counts as a light, and the lamps still do."""
+    """One Gaussian a hundred times brighter than white becomes a light, and the lamps are found as well."""
     stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
     found = ls.inverse.estimate_lights(
         room_with(stray, *(light_ball(p, c) for p, c in zip(POSITIONS, COLORS, strict=True))), CENTER, 4, config=looks()
@@ -206,7 +206,7 @@ def test_very_bright_outlier_does_not_hide_lamps_from_light_estimation() -> None
     ],
 )
 def test_light_estimation_refuses_scenes_and_regions_without_lights(change: dict[str, Any], said: str) -> None:
-    """No region, no Gaussians, no light."""
+    """Regions without Gaussians, scenes without captures, and dark captures are refused."""
     with pytest.raises(ls.SceneError, match=said):
         ls.inverse.estimate_lights(**{"scene": walls(100), "center": CENTER} | change)
 

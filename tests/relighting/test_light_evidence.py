@@ -1,4 +1,4 @@
-"""Evidence of shading: lamps light their surroundings, flowers and paper do not; suns light and shadow surfaces."""
+"""Shading gives evidence of lights: lamps light surfaces around them, flowers and paper do not; suns cast shadows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUN: Point = (0.5, 0.7, 0.4)
 
 
 def test_light_estimation_finds_lamps_that_light_a_room_and_no_flowers() -> None:
-    """Two lamps among white balls and a sheet of paper are found and nothing else, whatever the requested number."""
+    """Only the two lamps are found among white balls and a sheet of paper, although four lights are requested."""
     found = ls.inverse.estimate_lights(room(LAMPS), CENTER, 4)
     positions = np.array([light.position for light in found.lights])
     assert len(positions) == 2
@@ -33,7 +33,7 @@ def test_light_estimation_finds_lamps_that_light_a_room_and_no_flowers() -> None
 
 
 def test_bright_objects_that_light_nothing_are_no_estimated_lights() -> None:
-    """Flowers in constant light are refused with advice; without evidence, they are accepted."""
+    """Flowers in a constant environment are refused with advice; with ``evidence`` 0, they are accepted."""
     capture = meadow(None, ambient=1.0)
     with pytest.raises(ls.SceneError, match=r"no light found within .* none lights its surroundings; give a sun"):
         ls.inverse.estimate_lights(capture, CENTER, 3)
@@ -42,7 +42,7 @@ def test_bright_objects_that_light_nothing_are_no_estimated_lights() -> None:
 
 
 def test_light_estimation_finds_a_lamp_outdoors_at_night() -> None:
-    """The ground is known there, and flowers on it need more evidence."""
+    """The ground is recognised outdoors, and flowers on it need more evidence than a lamp above."""
     found = ls.inverse.estimate_lights(meadow(None, ((1.2, 2.2, 0.6),)), CENTER, 3)
     assert np.linalg.norm(np.subtract(found.lights[0].position, (1.2, 2.2, 0.6))) < 0.1
     assert len(found.lights) == 1
@@ -50,7 +50,7 @@ def test_light_estimation_finds_a_lamp_outdoors_at_night() -> None:
 
 @pytest.mark.parametrize("sun", [SUN, pytest.param((-0.6, 0.5, 0.2), marks=pytest.mark.deep)])
 def test_estimated_sun_direction_is_within_ten_degrees(sun: Point) -> None:
-    """No flower in its light is a lamp."""
+    """Flowers in the sunlight do not count as lamps."""
     capture = meadow(sun)
     found = ls.inverse.estimate_sun(capture, CENTER)
     assert found is not None
@@ -62,7 +62,7 @@ def test_estimated_sun_direction_is_within_ten_degrees(sun: Point) -> None:
 
 
 def test_sun_estimate_is_none_for_captures_without_a_sun() -> None:
-    """Constant light, a room of lamps, a handful of Gaussians: None rather than a guess."""
+    """A constant environment, a room with lamps and a capture of few Gaussians have no sun."""
     assert ls.inverse.estimate_sun(meadow(None, ambient=1.0), CENTER) is None
     assert ls.inverse.estimate_sun(room(LAMPS), CENTER) is None
     few = room(LAMPS)
@@ -73,13 +73,13 @@ def test_sun_estimate_is_none_for_captures_without_a_sun() -> None:
 
 @pytest.mark.deep
 def test_sun_estimate_is_none_under_an_overcast_sky() -> None:
-    """An overcast sky is brightest at its top, and objects cast soft shadows."""
+    """An overcast sky is brightest at its zenith, and objects cast soft shadows."""
     capture = lit_capture("overcast", 7)
     assert ls.inverse.estimate_sun(capture.scene, capture.center) is None
 
 
 def test_captured_figure_without_surroundings_gives_no_light_and_no_sun(data_dir: Path) -> None:
-    """A figure without the lights that lit it: the error advises to give a sun, and no sun is found."""
+    """The lights that lit the figure are not in the capture; the error advises to specify a sun."""
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     beside = (-0.9, -1.3, 0.85)
     with pytest.raises(ls.SceneError, match=r"no light found within .*; give a sun"):
@@ -89,7 +89,7 @@ def test_captured_figure_without_surroundings_gives_no_light_and_no_sun(data_dir
 
 @pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.deep)])
 def test_estimated_sun_is_never_below_the_ground(seed: int) -> None:
-    """The ground is also found from the middle of the capture, if no centre is given."""
+    """The ground is found around the middle of the capture if no centre is given."""
     capture = lit_capture("sunny", seed)
     found = ls.inverse.estimate_sun(capture.scene)
     assert capture.sun is not None
@@ -112,13 +112,13 @@ def test_sun_search_of_over_a_second_reports_progress(monkeypatch: pytest.Monkey
 
 
 def surfaces(luminance: np.ndarray, normals: np.ndarray, blocks: np.ndarray) -> CapturedSurfaces:
-    """Unoccluded surfaces."""
+    """Returns captured surfaces in a space without solid cells."""
     cells = SolidCells(np.zeros((4, 4, 4), np.bool_), np.full(3, -2.0), 1.0)
     return CapturedSurfaces(np.zeros((len(luminance), 3)), normals, luminance, blocks, cells)
 
 
 def test_shading_regression_recovers_the_factor_of_a_light() -> None:
-    """Luminance made of a smooth environment and one light gives its factor, and the share 1 of the rest."""
+    """The light explains all variance that the smooth environment leaves; once added, it explains nothing more."""
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(3000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -134,7 +134,7 @@ def test_shading_regression_recovers_the_factor_of_a_light() -> None:
 
 
 def test_random_texture_per_block_is_seldom_significant_as_shading() -> None:
-    """Standard errors by blocks keep the false positive rate for random brightness and light per block."""
+    """Standard errors by spatial blocks keep the false positive rate for brightness that is random per block."""
     rng = np.random.default_rng(1)
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))
     blocks = rng.integers(0, 150, 2000)
@@ -148,7 +148,7 @@ def test_random_texture_per_block_is_seldom_significant_as_shading() -> None:
 
 
 def test_solid_voxels_block_rays_through_them_only() -> None:
-    """Rays through a wall of voxels are blocked; up to it and beside it, they are free."""
+    """Rays that pass through a wall of voxels are blocked; rays that end before it or pass beside it are free."""
     solid = np.zeros((8, 8, 8), np.bool_)
     solid[4, 2:6, 2:6] = True
     cells = SolidCells(solid, np.zeros(3), 1.0)

@@ -1,4 +1,4 @@
-"""Environment probes: radiance by direction, and irradiance of surfaces."""
+"""Environment probes hold radiance by direction as SH, and give the irradiance of surfaces."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ COLORS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1,
 
 
 def compass(center: np.ndarray, distance: float = 3.0) -> ls.Gaussians:
-    """A coloured ball in each direction of the axes."""
+    """Returns six coloured balls around a point, one in each direction of the axes."""
     means = center + distance * AXES
     return ls.Gaussians(means, [[1, 0, 0, 0]] * 6, np.full((6, 3), 0.5), np.ones(6), flat_sh(COLORS))
 
 
 def smooth_probe(seed: int = 0, degree: int = 2) -> ls.avatars.EnvironmentProbe:
-    """Varying radiance that is nowhere negative."""
+    """Returns a probe of varying radiance that is nowhere negative."""
     coefficients = 0.15 * np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
     coefficients[0] = [3.0, 2.5, 2.0]
     return ls.avatars.EnvironmentProbe(coefficients)
@@ -51,7 +51,7 @@ def test_solid_angles_of_small_cube_map_pixels_match_the_limit() -> None:
 
 @pytest.mark.parametrize("index", [*range(16), 24, 35, 80])
 def test_probe_fit_recovers_each_single_sh_basis_function(index: int) -> None:
-    """Only its own coefficient is not 0, also by rough quadrature."""
+    """All other coefficients are 0, even with coarse random sampling."""
     directions, degree = unit(1, 3000), 3 if index < 16 else 8
     radiance = sh_basis(directions, degree)[:, index, None] * [1.0, 2.0, -3.0]
     probe = ls.avatars.EnvironmentProbe.fit(directions, radiance, degree=degree)
@@ -62,7 +62,7 @@ def test_probe_fit_recovers_each_single_sh_basis_function(index: int) -> None:
 
 
 def test_probe_fit_recovers_constant_radiance() -> None:
-    """Radiance 1 is ``sqrt(4 pi)`` in the first coefficient; irradiance is pi."""
+    """For radiance 1, the first coefficient is ``sqrt(4 pi)`` and the irradiance pi."""
     probe = ls.avatars.EnvironmentProbe.fit(
         unit(2, 500), np.ones((500, 3)), np.random.default_rng(2).uniform(0.1, 1.0, 500)
     )
@@ -74,7 +74,7 @@ def test_probe_fit_recovers_constant_radiance() -> None:
 
 @pytest.mark.parametrize(("count", "unit_of_weights"), [(800, 1.0), (20_000, 1.0), (800, 1e-4)])
 def test_ridge_of_a_probe_fit_is_independent_of_sample_count_and_weights(count: int, unit_of_weights: float) -> None:
-    """A ridge shrinks evenly sampled radiance by ``1 / (1 + ridge)``, whatever the samples and unit of weights."""
+    """A ridge shrinks coefficients by ``1 / (1 + ridge)``, for any number of even samples and any unit of weights."""
     index = np.arange(count) + 0.5
     z, phi = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
     sine = np.sqrt(1.0 - z * z)
@@ -87,7 +87,7 @@ def test_ridge_of_a_probe_fit_is_independent_of_sample_count_and_weights(count: 
 
 
 def test_probe_sample_of_weight_3_equals_three_samples() -> None:
-    """Only the ratio of weights matters."""
+    """Samples of integer weights equal repeated samples."""
     directions, radiance = unit(4, 60), np.random.default_rng(4).uniform(size=(60, 3))
     weights = np.random.default_rng(5).integers(1, 4, 60)
     weighted = ls.avatars.EnvironmentProbe.fit(directions, radiance, weights, 2)
@@ -98,7 +98,7 @@ def test_probe_sample_of_weight_3_equals_three_samples() -> None:
 
 
 def test_probe_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
-    """The reference is a quadrature over the sphere, for radiance of degree 8 with every band."""
+    """The reference is a quadrature over the sphere, for radiance with all SH coefficients up to degree 8."""
     probe = ls.avatars.EnvironmentProbe(np.random.default_rng(6).normal(size=(81, 3)))
     directions, weights = sphere_quadrature(400)
     normals = unit(7, 12)
@@ -109,7 +109,7 @@ def test_probe_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
 def test_probe_has_each_colour_in_the_direction_of_its_object(pipeline: ls.Pipeline) -> None:
-    """No axis is swapped or mirrored, at any position."""
+    """No axis of radiance or irradiance is swapped or mirrored."""
     position = np.array([0.3, -1.2, 5.0])
     config = ls.RenderConfig(pipeline=pipeline)
     scene = ls.Scene([compass(position)])
@@ -122,7 +122,7 @@ def test_probe_has_each_colour_in_the_direction_of_its_object(pipeline: ls.Pipel
 
 
 def test_cube_map_faces_are_not_mirrored_or_rotated() -> None:
-    """A ball off the axes appears in its own direction, to a pixel, in each quarter of every face."""
+    """Balls in 24 random directions appear in their direction, to half a degree."""
     renderer = ls.create_renderer(ls.RenderConfig(), "cpu")
     for direction in unit(8, 24):
         ball = one_gaussian(tuple(4.0 * direction), 0.15, 1.0, (1.0, 1.0, 1.0))
@@ -132,7 +132,7 @@ def test_cube_map_faces_are_not_mirrored_or_rotated() -> None:
 
 
 def test_probe_of_an_unlit_mesh_has_its_linear_base_color() -> None:
-    """A mesh around the position gives its base colour, decoded, from all directions."""
+    """A mesh around the probe gives its linear base colour in all directions."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
@@ -144,7 +144,7 @@ def test_probe_of_an_unlit_mesh_has_its_linear_base_color() -> None:
 
 
 def test_probe_has_the_background_in_uncovered_directions() -> None:
-    """The background is decoded like captures; a transparent one is black, with a warning. White has radiance 1."""
+    """The background is decoded like captured colours, and white has radiance 1; a transparent background is black."""
     scene, background = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)]), (1.0, 0.5, 0.0)
     probe = ls.avatars.EnvironmentProbe.capture(
         scene, (0, 0, 0), config=ls.RenderConfig(background=background), device="cpu"
@@ -155,7 +155,7 @@ def test_probe_has_the_background_in_uncovered_directions() -> None:
 
 
 def test_partly_covered_probe_pixels_are_unpremultiplied_before_decoding() -> None:
-    """A frame's EXR is decoded in the same way."""
+    """A grey Gaussian of opacity 0.5 gives half of its linear grey."""
     renderer = ls.create_renderer(ls.RenderConfig(background=None), "cpu")
     half = one_gaussian((0.0, 0.0, 4.0), 50.0, 0.5, (0.5, 0.5, 0.5))
     seen = render_cube(ls.Scene([half]), np.zeros(3), renderer.render, 8, 0.01)
@@ -173,7 +173,7 @@ def test_probe_of_a_lit_scene_is_neither_decoded_nor_clipped() -> None:
 
 
 def test_near_plane_of_a_probe_clips_objects_at_its_position() -> None:
-    """A body at the position hides everything else, unless ``near`` is larger."""
+    """A body at the probe's position hides the room unless ``near`` is beyond it."""
     body = one_gaussian((0.1, 0.0, 0.1), 0.3, 1.0, (1.0, 0.0, 0.0))
     room = compass(np.zeros(3), 4.0)
     both, alone = ls.Scene([body, room]), ls.Scene([room])
@@ -186,7 +186,7 @@ def test_near_plane_of_a_probe_clips_objects_at_its_position() -> None:
 
 
 def test_probe_by_a_given_renderer_equals_the_probe_by_its_config() -> None:
-    """The size of the faces hardly matters."""
+    """The renderer can be used repeatedly; twice as many pixels change coefficients by at most 0.02."""
     scene = ls.Scene([random_gaussians(9, 200, 2, (0.0, 0.0, 0.0))])
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.2, 0.3, 0.4)), "cpu")
     own = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=renderer.config, device="cpu")
@@ -198,7 +198,7 @@ def test_probe_by_a_given_renderer_equals_the_probe_by_its_config() -> None:
 
 
 def test_probe_image_has_the_radiance_and_axes_of_an_environment_map() -> None:
-    """The axes are those of environments: +y on top, -z in the middle, +x right; with a rotation, too."""
+    """The image has +y on top, -z in the middle and +x to the right of it, also after a rotation."""
     probe = smooth_probe()
     image = probe.image(32)
     assert image.shape == (32, 64, 3) and image.dtype == np.float32
@@ -213,7 +213,7 @@ def test_probe_image_has_the_radiance_and_axes_of_an_environment_map() -> None:
 
 
 def test_probe_image_is_not_negative_and_keeps_the_mean_radiance() -> None:
-    """SH of strong contrasts become negative; the image does not, and keeps the mean, unlike plain clipping."""
+    """SH of strong contrasts become negative; clipping alone would increase the mean radiance."""
     directions = unit(10, 5000)
     probe = ls.avatars.EnvironmentProbe.fit(directions, np.where(directions[:, :1] > 0.95, 10.0, 0.0) * np.ones(3))
     assert probe.radiance(directions).min() < -0.01
@@ -225,7 +225,7 @@ def test_probe_image_is_not_negative_and_keeps_the_mean_radiance() -> None:
 
 
 def test_sh_degree_3_gives_irradiance_within_6_percent() -> None:
-    """Irradiance is within 6 % of the largest, for a lamp of 0.3 sr in a hundredth of its light."""
+    """The environment is a lamp of 0.3 sr that is a hundred times brighter than all other directions."""
     directions, weights = sphere_quadrature(120)
     environment = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
     normals = unit(14, 300)
@@ -236,14 +236,14 @@ def test_sh_degree_3_gives_irradiance_within_6_percent() -> None:
 
 @pytest.mark.parametrize("wxyz", [(1, 0, 0, 0), (0.5, -0.5, 0.5, 0.5), (0.9, 0.1, -0.3, 0.2)])
 def test_environment_light_made_of_a_probe_has_the_sh_of_the_probe(wxyz: tuple[float, ...]) -> None:
-    """The rotation of the image does not matter."""
+    """The coefficients are equal for any rotation of the light's image."""
     probe = smooth_probe(degree=3)
     again = ls.avatars.EnvironmentProbe.from_light(probe.light(128, wxyz), 3)
     np.testing.assert_allclose(again.coefficients, probe.coefficients, atol=2e-3)
 
 
 def test_probe_of_a_small_environment_image_interpolates_its_pixels() -> None:
-    """The probe matches the renderers; colour and intensity count."""
+    """Pixels are interpolated as by the renderers, and multiplied by the light's colour and intensity."""
     image = np.zeros((2, 4, 3), np.float32)
     image[0] = 1.0
     probe = ls.avatars.EnvironmentProbe.from_light(ls.LightEnvironment(image, (1.0, 0.5, 0.0), 2.0), 8)
@@ -255,7 +255,7 @@ def test_probe_of_a_small_environment_image_interpolates_its_pixels() -> None:
 
 @pytest.mark.parametrize("normal", [(0, 1, 0), (0, 0, -1), (1, 0, 0), (-0.6, -0.64, 0.48)])
 def test_rendered_surface_under_a_probe_light_has_the_probe_irradiance(normal: tuple[float, float, float]) -> None:
-    """White paper in the probe's environment has its irradiance over pi, from every side."""
+    """White paper facing any direction has radiance irradiance / pi."""
     probe = smooth_probe(3)
     along = np.array(normal, float)
     u = np.cross(along, (0.3, 0.5, 0.8))
@@ -270,7 +270,7 @@ def test_rendered_surface_under_a_probe_light_has_the_probe_irradiance(normal: t
 
 
 def test_saved_probe_file_has_the_same_radiance_to_the_bit(tmp_path) -> None:
-    """The EXR holds linear radiance, to the bit."""
+    """The file is an EXR with linear radiance; other file types are refused."""
     probe = smooth_probe()
     probe.save(tmp_path / "deep" / "probe.exr", 48, (0, 1, 0, 0))
     image = ls.io.load_radiance(tmp_path / "deep" / "probe.exr")
@@ -282,7 +282,7 @@ def test_saved_probe_file_has_the_same_radiance_to_the_bit(tmp_path) -> None:
 
 
 def test_non_finite_pixels_of_probe_faces_are_ignored_and_counted(caplog) -> None:
-    """They are counted; if none is finite, there is no probe."""
+    """A warning counts the pixels; a probe without any finite pixel is refused."""
     inner = ls.create_renderer(ls.RenderConfig(background=(1.0, 1.0, 1.0)), "cpu")
 
     class Broken:
@@ -307,7 +307,7 @@ def test_non_finite_pixels_of_probe_faces_are_ignored_and_counted(caplog) -> Non
 
 
 def test_probe_position_that_sees_nothing_is_logged_as_a_warning(caplog) -> None:
-    """The probe then holds the background only."""
+    """The probe is far from the only object, which is too small and faint to cover a pixel."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 1.0), 0.01, 1e-3)])
     with caplog.at_level(logging.WARNING):
         ls.avatars.EnvironmentProbe.capture(behind, (0, 0, 1e4), face_px=8, device="cpu")
@@ -354,21 +354,21 @@ def test_environment_probe_refuses_invalid_arguments_in_one_line(call, error: ty
 
 
 def test_probe_capture_refuses_both_a_renderer_and_a_config() -> None:
-    """Either defines how the scene is rendered."""
+    """A renderer already has a config, so one of the two arguments must be omitted."""
     renderer = ls.create_renderer(None, "cpu")
     with pytest.raises(ls.ConfigError, match="give one of the two"):
         ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), config=ls.RenderConfig(), renderer=renderer)
 
 
 def test_probe_fit_with_a_ridge_accepts_fewer_directions_than_coefficients() -> None:
-    """The SH then pass through the samples."""
+    """Three directions determine 16 coefficients that pass through the samples and stay small."""
     probe = ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3))
     np.testing.assert_allclose(probe.radiance(np.eye(3)), np.eye(3), atol=1e-5)
     assert np.abs(probe.coefficients).max() < 10.0
 
 
 def test_probe_rotates_with_the_scene_around_it() -> None:
-    """Radiance and irradiance rotate with a scene about the position."""
+    """Radiance and irradiance of a scene rotated about the probe are rotated alike."""
     scene = random_gaussians(12, 120, 0, (0.0, 0.0, 0.0))
     turn = rotation((1.0, 2.0, -0.5), 1.1)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)

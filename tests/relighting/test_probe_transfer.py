@@ -1,4 +1,4 @@
-"""Relighting by a probe: equations 9 and 10 of Mir et al., invariances, and the lit side."""
+"""`relight` scales captured colours by a probe, by equations 9 and 10 of Mir et al."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from support.scenes.sphere import unit
 
 
 def some_probe(seed: int = 0, degree: int = 3) -> ls.avatars.EnvironmentProbe:
-    """A probe of coloured light with some contrast and some negative radiance."""
+    """Returns a probe of coloured light with some contrast and some negative radiance."""
     coefficients = np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
     coefficients[0] += 3.0
     return ls.avatars.EnvironmentProbe(coefficients)
 
 
 def scales_twin(probe: ls.avatars.EnvironmentProbe, normals: np.ndarray, config: ls.config.RelightConfig) -> np.ndarray:
-    """Equations 9 and 10 of Mir et al. in float64, one normal at a time."""
+    """Returns the scales by equations 9 and 10 of Mir et al. in float64, one normal at a time, shape (N, 3)."""
     theta = (np.arange(config.rows) + 0.5) * np.pi / config.rows
     phi = (np.arange(2 * config.rows) + 0.5) * np.pi / config.rows
     theta, phi = (grid.ravel() for grid in np.meshgrid(theta, phi, indexing="ij"))
@@ -43,7 +43,7 @@ def scales_twin(probe: ls.avatars.EnvironmentProbe, normals: np.ndarray, config:
 
 
 def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
-    """Colours without view dependence, (N, 3)."""
+    """Returns display-referred colours without view dependence, shape (N, 3)."""
     return SH_C0 * gaussians.sh[:, 0] + 0.5
 
 
@@ -52,7 +52,7 @@ def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
     [{}, {"exponent": 2.0}, {"exponent": 7.3, "rows": 24}, {"scale_max": 0.8}, {"rows": 8}, {"exponent": 0.5}],
 )
 def test_relight_scales_match_the_equations_of_mir_et_al(settings: dict) -> None:
-    """Normals exceed one batch, and some are along the axes."""
+    """There are more normals than one batch holds, and some lie along the axes."""
     config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
     twin = scales_twin(some_probe(), normals, config)
@@ -61,7 +61,7 @@ def test_relight_scales_match_the_equations_of_mir_et_al(settings: dict) -> None
 
 
 def test_relight_scale_with_exponent_1_is_irradiance_over_pi() -> None:
-    """The accuracy is that of the grid: 1 % at 16 rows, less at 64."""
+    """The error is below 2 % for a grid of 16 rows, and below 0.15 % for 64 rows."""
     probe, normals = ls.avatars.EnvironmentProbe(np.abs(some_probe().coefficients)), unit(2, 200)
     exact = np.clip(probe.irradiance(normals) / np.pi, 0.0, 1e3)
     for rows, most in ((16, 0.02), (64, 0.0015)):
@@ -71,7 +71,7 @@ def test_relight_scale_with_exponent_1_is_irradiance_over_pi() -> None:
 
 @pytest.mark.parametrize("exponent", [1.0, 8.0, 64.0])
 def test_relight_scales_of_a_grid_of_16_rows_are_within_1_percent(exponent: float) -> None:
-    """The reference is a fine grid, for any lobe and any normal."""
+    """The reference is a grid of 128 rows, for any exponent and any normal."""
     probe, normals = some_probe(), unit(3, 400)
     rough, fine = (
         light_scales(probe, normals, ls.config.RelightConfig(exponent=exponent, rows=rows, scale_max=1e3))
@@ -82,7 +82,7 @@ def test_relight_scales_of_a_grid_of_16_rows_are_within_1_percent(exponent: floa
 
 @pytest.mark.parametrize("settings", [{}, {"exponent": 3.7}, {"exponent": 64.0}, {"rows": 61}])
 def test_relighting_by_constant_radiance_1_changes_no_bit(settings: dict) -> None:
-    """Scales are exactly 1, for any lobe."""
+    """The scales are exactly 1 for any exponent and grid."""
     gaussians = random_gaussians(4, 1500, 3)
     even = np.zeros((16, 3))
     even[0] = np.sqrt(4.0 * np.pi)
@@ -92,7 +92,7 @@ def test_relighting_by_constant_radiance_1_changes_no_bit(settings: dict) -> Non
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
 def test_relighting_by_a_captured_white_environment_changes_nothing(pipeline: ls.Pipeline) -> None:
-    """Rendered, fitted and averaged, display white is a factor of exactly 1."""
+    """A probe of a white background, rendered and fitted, gives scales of exactly 1."""
     config = ls.RenderConfig(pipeline=pipeline, background=(1.0, 1.0, 1.0))
     scene = ls.Scene([one_gaussian((0.0, 0.0, 2.0), color=(1.0, 1.0, 1.0), opacity=1e-3)])
     probe = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=config, device="cpu")
@@ -101,7 +101,7 @@ def test_relighting_by_a_captured_white_environment_changes_nothing(pipeline: ls
 
 
 def test_relight_gamma_scales_the_linear_light() -> None:
-    """Constant radiance 1 at gamma g gives g times the linear light; grey at gamma 1 / grey gives the original."""
+    """Constant radiance L with gamma g multiplies linear colours by L g."""
     gaussians = random_gaussians(7, 200)
     colors = display_colors(gaussians)
     seen = colors > 0.01
@@ -113,14 +113,14 @@ def test_relight_gamma_scales_the_linear_light() -> None:
 
 
 def test_relighting_scales_each_colour_channel_separately() -> None:
-    """Red light leaves red, and removes green and blue."""
+    """Red light removes green and blue."""
     probe = ls.avatars.EnvironmentProbe.fit(unit(9, 100), np.tile([[0.5, 0.0, 0.0]], (100, 1)), degree=0)
     relit = display_colors(ls.relight(one_gaussian(color=(0.8, 0.8, 0.8)), probe))
     np.testing.assert_allclose(relit, [[encode_srgb(0.5 * decode_srgb(np.array(0.8))), 0.0, 0.0]], atol=1e-5)
 
 
 def test_relit_side_towards_the_light_is_brighter() -> None:
-    """A ball under light from +x falls off from there; a glossier lobe falls off faster."""
+    """A ball under light from +x darkens away from +x; a larger exponent darkens it faster."""
     directions = unit(10, 20_000)
     environment = np.where(directions[:, :1] > 0.8, 5.0, 0.1) * np.ones(3)
     probe = ls.avatars.EnvironmentProbe.fit(directions, environment)
@@ -136,7 +136,7 @@ def test_relit_side_towards_the_light_is_brighter() -> None:
 
 
 def test_relighting_an_instance_rotates_normals_by_its_transform() -> None:
-    """Translation and scale do not matter; everything but the colours stays."""
+    """Translation and scale do not change the colours, and everything but the colours is unchanged."""
     gaussians = ls.gaussians_from_mesh(shapes.torus(), 800)
     pose = similarity((0.3, 1.0, -0.4), 2.0, 7.0, (5.0, -3.0, 1.0))
     instance = ls.SplatInstance(gaussians, pose, ls.MaterialPbr(), name="ring", sh_degree=2, shadow_catcher=True)
@@ -155,7 +155,7 @@ def test_relighting_an_instance_rotates_normals_by_its_transform() -> None:
 
 
 def test_relighting_uses_given_normals_instead_of_stored_ones() -> None:
-    """They may have any length."""
+    """The given normals may have any length."""
     gaussians = ls.gaussians_from_mesh(shapes.sphere(), 300)
     up = np.tile([[0.0, 3.0, 0.0]], (300, 1))
     scale = light_scales(some_probe(), [[0.0, 1.0, 0.0]])[0]
@@ -165,7 +165,7 @@ def test_relighting_uses_given_normals_instead_of_stored_ones() -> None:
 
 @pytest.mark.parametrize(("name", "most"), [("relit.ply", 1e-5), ("relit.spz", 0.02)])
 def test_saved_relit_capture_renders_like_the_relit_capture(tmp_path, name: str, most: float) -> None:
-    """A saved set renders as the relit one, with view dependence; PLY has its colours to the bit."""
+    """View dependence is preserved, and PLY files keep the colours to the bit."""
     relit = ls.relight(random_gaussians(11, 150, 2), some_probe(), ls.config.RelightConfig(gamma=0.6))
     ls.save(tmp_path / name, relit)
     loaded = ls.load(tmp_path / name)
@@ -179,7 +179,7 @@ def test_saved_relit_capture_renders_like_the_relit_capture(tmp_path, name: str,
 
 
 AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", {"gamma": 2}, "mean"))
-"""Gaussians for calls with arguments of wrong types."""
+"""Values of wrong types for the arguments of `relight`."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Fisheye, orthographic and thin-lens cameras and rolling shutters are validated, and have rays as by hand."""
+"""Fisheye, orthographic and thin-lens cameras and rolling shutters are validated, and rays equal closed forms."""
 
 from __future__ import annotations
 

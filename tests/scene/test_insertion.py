@@ -66,9 +66,9 @@ def test_inserted_mesh_overlaps_no_other_object() -> None:
         scene = ls.insert(scene, cone())
     for number in range(2):
         place = corners(scene, number)
-        assert np.abs(place[4, [0, 2]]).max() > 0.75, "it stands in the block"
+        assert np.abs(place[4, [0, 2]]).max() > 0.75, "the mesh stands in the block"
         np.testing.assert_allclose(place[:4, 1], 0.7, atol=0.06)
-    assert np.abs(corners(scene, 0)[4] - corners(scene, 1)[4]).max() > 0.55, "one stands in the other"
+    assert np.abs(corners(scene, 0)[4] - corners(scene, 1)[4]).max() > 0.55, "the two meshes overlap"
 
 
 def covered(mesh: ls.Mesh, at: tuple[float, float, float]) -> np.ndarray:

@@ -114,7 +114,7 @@ def test_local_frame_of_cameras_gives_them_the_requested_extent() -> None:
         cameras = [ls.Camera.look_at(eye, unit * UTM, (0, 0, 1)) for eye in eyes]
         frame = LocalFrame.of_cameras(cameras, 4.4)
         assert camera_extent([frame.camera(camera) for camera in cameras]) == pytest.approx(4.4, rel=1e-6)
-    one = [ls.Camera.look_at(UTM, UTM + way, (0, 0, 1)) for way in np.eye(3)[:2]]
+    one = [ls.Camera.look_at(UTM, UTM + direction, (0, 0, 1)) for direction in np.eye(3)[:2]]
     assert LocalFrame.of_cameras(one, 4.4).unit == 1.0
 
 

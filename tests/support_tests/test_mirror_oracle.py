@@ -30,7 +30,7 @@ def test_oracle_finds_the_closest_triangle_from_either_side() -> None:
     rng = np.random.default_rng(0)
     meshes = [MeshInstance(quad(0.0), similarity(tuple(rng.normal(size=3)), i, 0.8, (0, 0, 3.0 + i))) for i in range(4)]
     triangles = triangles_of(Scene([], meshes))
-    met = 0
+    hit_count = 0
     for _ in range(200):
         ray = random_ray(rng)
         hit = nearest(triangles, ray)
@@ -42,9 +42,9 @@ def test_oracle_finds_the_closest_triangle_from_either_side() -> None:
                 distances.append(t)
         assert hit.t == pytest.approx(min(distances, default=np.inf), rel=1e-9)
         if distances:
-            met += 1
+            hit_count += 1
             np.testing.assert_allclose(hit.weights @ triangles.corners[hit.triangle], ray.at(hit.t), atol=1e-9)
-    assert met > 20
+    assert hit_count > 20
 
 
 def test_meshes_hide_gaussians_that_peak_behind_them() -> None:
@@ -203,14 +203,14 @@ def test_white_mirrors_and_clear_glass_conserve_energy(material: MaterialPbr, mo
     monkeypatch.setattr(trace_oracle, "BOUNCE_WEIGHT_MIN", 1e-9)
     scene = Scene([], [ball(material)])
     rng = np.random.default_rng(0)
-    met = 0
+    hit_count = 0
     for _ in range(12):
         one = traced(
             scene, Ray(np.array([*rng.uniform(-0.6, 0.6, 2), 0.0]), AXIS.direction), background=0.6, bounces=24
         )
         assert one.color == pytest.approx([0.6] * 3, abs=2e-4)
-        met += one.alpha == 1.0
-    assert met == 12
+        hit_count += one.alpha == 1.0
+    assert hit_count == 12
 
 
 def test_glass_under_a_mirroring_transform_keeps_its_inside(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,7 +244,7 @@ def test_oracle_colour_variance_includes_reflected_outcomes() -> None:
     """A Gaussian before the mirror, one in the mirror and the background give the variance of three outcomes."""
     before = one_gaussian((0.0, 0.0, 2.0), opacity=0.3)
     dark = one_gaussian((0.0, 0.0, -2.0), opacity=0.6, color=(0.2, 0.3, 0.4))
-    # The mirrored ray meets the first Gaussian again, as it would any other.
+    # The mirrored ray hits the first Gaussian a second time.
     grey = replace(MIRROR, base_color=(0.5, 0.5, 0.5))
     scene = Scene([before, dark], [quad(4.0, 2.0, material=grey)])
     chance = np.array([0.3, 0.7 * 0.3, 0.49 * 0.6, 0.49 * 0.4])

@@ -1,4 +1,4 @@
-"""A stored twin stays valid until the code of its oracle changes."""
+"""Stored results of a float64 oracle (twins) stay valid until the oracle's code changes."""
 
 from __future__ import annotations
 
@@ -29,6 +29,6 @@ def test_key_of_stored_oracle_results_ignores_texts_imports_and_formatting() -> 
 
 
 def test_key_of_stored_oracle_results_changes_with_edited_code() -> None:
-    """A different constant, operator or name makes stored twins stale."""
+    """A different constant, operator or name makes the stored results stale."""
     for old, new in (("2.0", "3.0"), ("* x", "/ x"), ("def doubled", "def twice")):
         assert code_of(SOURCE.replace(old, new)) != code_of(SOURCE)

@@ -48,7 +48,7 @@ def test_alpha_of_background_coloured_gaussians_needs_alpha_loss_or_random_backg
 
 
 def test_random_training_backgrounds_depend_on_seed_and_iteration() -> None:
-    """Frame and image have the same background; images without alpha keep theirs."""
+    """Frame and image of an iteration have one random background; images without alpha keep the original background."""
     config = ls.TrainConfig(iterations=50, cap=50, initial=50, sh_degree=0, random_background=True)
     behind = (0.2, 0.4, 0.6)
     clear, solid = dark(1)[0], dark(1)[0]

@@ -1,4 +1,4 @@
-"""PSNR curve of a training, as numbers and as a readable plot."""
+"""The PSNR curve of a training is written as numbers and as a readable plot."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ WIDTH, HEIGHT = SIZE
 
 
 def dark(part: np.ndarray) -> int:
-    """Returns the black pixels of a plot."""
+    """Returns the number of black pixels in a part of a plot."""
     return int((part.max(axis=-1) < 100).sum())
 
 
 def colored(part: np.ndarray) -> int:
-    """Returns the orange pixels of a plot."""
+    """Returns the number of orange pixels in a part of a plot."""
     red, _, blue = np.moveaxis(part.astype(int), -1, 0)
     return int((red - blue > 120).sum())
 
@@ -31,9 +31,11 @@ def test_training_curve_plot_has_tick_labels_and_titles_on_both_axes() -> None:
     curve = Curve(steps=[50, 700], squared=[0.1, 0.001], measured=[(700, 28.0)])
     pixels = np.asarray(curve.image())
     left, below = pixels[:, : MARGIN - 2], pixels[HEIGHT - MARGIN + 2 :]
-    assert dark(left[: MARGIN - 15]) and dark(below[:, WIDTH // 2 - 30 : WIDTH // 2 + 30][-25:]), "names"
-    assert all(dark(part) for part in np.array_split(left[MARGIN:-MARGIN], 4)), "decibels"
-    assert all(dark(part[:28]) for part in np.array_split(below[:, MARGIN:-MARGIN], 4, axis=1)), "steps"
+    assert dark(left[: MARGIN - 15]) and dark(below[:, WIDTH // 2 - 30 : WIDTH // 2 + 30][-25:]), "titles"
+    assert all(dark(part) for part in np.array_split(left[MARGIN:-MARGIN], 4)), "tick labels in dB"
+    assert all(dark(part[:28]) for part in np.array_split(below[:, MARGIN:-MARGIN], 4, axis=1)), (
+        "tick labels in iterations"
+    )
     assert colored(pixels[MARGIN:, WIDTH - MARGIN - 10 :]) > 20
 
 

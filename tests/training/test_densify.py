@@ -1,4 +1,4 @@
-"""Densification and pruning of Gaussians."""
+"""Densification clones, splits, relocates and prunes Gaussians."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CONFIG = TrainConfig(densification=Densification.ADAPTIVE, cap=100)
 
 
 def parameters(opacities: list[float], scales: list[float] | None = None) -> TrainedParameters:
-    """Returns Gaussians with non-zero moments."""
+    """Returns Gaussians with the given opacities and scales, and optimiser moments of 1."""
     count, rng = len(opacities), np.random.default_rng(1)
     o = np.array(opacities)
     scales = scales or [0.1] * count
@@ -48,7 +48,7 @@ def parameters(opacities: list[float], scales: list[float] | None = None) -> Tra
 @pytest.mark.parametrize("opacity", [0.01, 0.3, 0.9])
 @pytest.mark.parametrize("degree", [2, 0, 1, 5])
 def test_relocated_gaussians_together_render_like_the_original(count: int, opacity: float, degree: int) -> None:
-    """Alpha at the centre and the integral along a line through it are equal (equation 9)."""
+    """Alpha at the centre and the integral of alpha along a line are equal (equation 9 of Kheradmand et al. 2024)."""
     each, factor = relocation(np.array([opacity]), np.array([count]), degree)
     assert each[0] >= 0.005, "no Gaussian is dead"
     if 1.0 - (1.0 - opacity) ** (1.0 / count) < 0.005:
@@ -63,7 +63,7 @@ def test_relocated_gaussians_together_render_like_the_original(count: int, opaci
 
 
 def test_densification_relocates_dead_gaussians_onto_living_ones() -> None:
-    """The number stays; moments of sources and copies are zero; other Gaussians are unchanged."""
+    """The number of Gaussians stays; moments of sources and copies are zero; other Gaussians are unchanged."""
     before, after = parameters([0.9, 0.001, 0.5, 0.002]), parameters([0.9, 0.001, 0.5, 0.002])
     after = relocated(after, TrainConfig(), np.random.default_rng(0))
     assert after.count == 4 and (after.opacities > 0.005).all()
@@ -102,7 +102,7 @@ def test_small_gaussians_of_large_gradient_are_cloned_and_large_ones_split() -> 
 
 
 def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:
-    """The rule needs ``grow_turn``; under the cap, the largest excess over a threshold comes first."""
+    """Normal gradients count only with ``grow_turn``; at the cap, the largest excess over a threshold comes first."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
     settings = {"densification": Densification.ADAPTIVE, "normals": 0.05}

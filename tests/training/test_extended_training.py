@@ -1,4 +1,4 @@
-"""Resuming a training with another number of iterations."""
+"""A training resumes with another number of iterations."""
 
 from __future__ import annotations
 
@@ -50,12 +50,14 @@ def test_finished_training_resumes_with_more_iterations(tmp_path: Path, caplog: 
     assert "iterations = 200" in (tmp_path / "a.training" / "settings.toml").read_text()
     caplog.clear()
     ls.train(images, LONG, output=output, device="cpu")
-    assert not caplog.records, "from now on, that is its number"
+    assert not caplog.records, "the checkpoint has the new number of iterations"
 
 
 def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Repeating the command resumes the training wherever it was stopped."""
-    monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
+    monkeypatch.setattr(
+        train, "time", SimpleNamespace(monotonic=itertools.count().__next__)
+    )  # one second per iteration
     folder, whole, parts = write_training_folder(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "parts.ply"
     for output in (whole, parts):
         ls.train(folder, SHORT, output=output, device="cpu")

@@ -1,4 +1,4 @@
-"""Materials and environment from images of a ball for which both are known."""
+"""Materials and environment are found from images of a ball for which both are known."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def bright_above(ray_directions: np.ndarray) -> np.ndarray:
 
 
 def test_find_materials_recovers_a_constant_environment_and_albedo(tmp_path: Path) -> None:
-    """Only the product of light and albedo is determined, channel by channel."""
+    """Only the product of radiance and albedo is determined, for each channel."""
     capture = matte(ball(), GREY, constant_radiance)
     found = ls.inverse.find_materials(capture, write_training_images(tmp_path, capture), QUICK, device="cpu")
     albedo, image = found.gaussians.albedo, found.environment.image
@@ -65,7 +65,7 @@ def test_find_materials_recovers_a_varying_environment_over_constant_albedo(tmp_
 
 
 def test_find_materials_adds_texture_of_the_images_that_the_capture_lacks(tmp_path: Path) -> None:
-    """The capture is plain, its images show checks."""
+    """The images show a chequered ball, and the capture a ball of constant colour."""
     checks = np.where(np.sign(ball().means).prod(axis=1, keepdims=True) > 0.0, 1.0, 0.4) * GREY
     folder = write_training_images(tmp_path, matte(ball(), checks, constant_radiance))
     capture = matte(ball(), GREY, constant_radiance)
@@ -83,7 +83,7 @@ def test_find_materials_adds_texture_of_the_images_that_the_capture_lacks(tmp_pa
 
 
 def test_find_materials_gives_the_same_bits_on_any_number_of_threads(tmp_path: Path) -> None:
-    """Compares one thread with three."""
+    """Results of one and of three threads are compared."""
     capture = matte(ball(200), GREY, bright_above)
     folder, config = (
         write_training_images(tmp_path, capture),
@@ -128,7 +128,7 @@ def test_traced_incident_visibility_and_radiance_match_brute_force() -> None:
 
 
 def test_fitted_environment_stays_constant_in_a_closed_room() -> None:
-    """The captured radiance is then the only light."""
+    """No ray leaves the room, so the captured radiance is the only light."""
     white = Irradiance(np.full((40, 3), 0.3), np.zeros((40, 16), np.float32), np.zeros((40, 0), np.float32))
     directions = even_directions(16)
     rng = np.random.default_rng(0)
@@ -140,7 +140,7 @@ def test_fitted_environment_stays_constant_in_a_closed_room() -> None:
 
 
 def test_fitted_environment_is_grey_in_mean_and_gives_a_largest_albedo_of_0_8() -> None:
-    """The mean log radiance is grey, and the lightest surfaces, by weight, have albedo 0.8."""
+    """The mean log radiance is grey; by weight, 95 % of the Gaussians have an albedo of at most 0.8."""
     rng = np.random.default_rng(1)
     white = Irradiance(
         np.full((300, 3), 0.02), rng.random((300, 32), np.float32) / 32.0, np.zeros((300, 0), np.float32)
@@ -154,7 +154,7 @@ def test_fitted_environment_is_grey_in_mean_and_gives_a_largest_albedo_of_0_8() 
 
 
 def test_neighbour_pairs_of_materials_are_the_6_nearest_gaussians() -> None:
-    """The reference is all distances; coinciding Gaussians are neighbours of each other, never of themselves."""
+    """The reference computes all distances; coincident Gaussians are neighbours of each other, never of themselves."""
     points = (np.random.default_rng(2).random((3000, 3)) * (1.0, 1.0, 0.01)).astype(np.float32)
     distances = np.linalg.norm(points[:, None].astype(float) - points, axis=2)
     np.fill_diagonal(distances, np.inf)
@@ -166,7 +166,7 @@ def test_neighbour_pairs_of_materials_are_the_6_nearest_gaussians() -> None:
 
 
 def test_smoothness_terms_of_a_single_gaussian_are_0() -> None:
-    """The smoothness terms are 0."""
+    """A set of one Gaussian has no pairs of neighbours."""
     pairs = neighbour_pairs(np.zeros((1, 3), np.float32))
     assert len(pairs.first) == 0
     for term, gradient in (pairs.square_term(np.ones(1)), pairs.albedo_term(np.ones((1, 3)))):
@@ -207,7 +207,7 @@ def test_find_materials_reports_images_of_changing_exposure(tmp_path: Path, capl
 
 
 def test_find_materials_refuses_impossible_requests_in_one_line(tmp_path: Path) -> None:
-    """A format without materials, an input that is not a capture, and images of another place."""
+    """Formats without materials, inputs that are no capture, and images that do not show the capture are refused."""
     capture = matte(ball(100), GREY, constant_radiance)
     folder = write_training_images(tmp_path / "set", capture, count=3, size=16)
     with pytest.raises(ls.ConfigError, match=r"expected \.ply"):

@@ -1,4 +1,4 @@
-"""Image loss, against SciPy's filters in float64 and central differences."""
+"""The image loss and its gradients agree with SciPy's filters in float64 and central differences."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.training.losses import ImageLoss, Loss
 
 SIZE = 23, 17
-"""Width and height; the window of 11 pixels reaches across both borders at once."""
+"""Width and height in pixels, so small that the SSIM window of 11 pixels can reach across two borders at once."""
 SSIM, ALPHA, ENTROPY = 0.3, 0.7, 0.4
 
 Wanted = tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
@@ -74,7 +74,7 @@ def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
 
 @pytest.mark.parametrize("kind", ["plain", "masked", "transparent", "both"])
 def test_image_loss_and_its_gradient_match_float64(kind: str) -> None:
-    """Gradients are compared inside, at borders and in a corner."""
+    """Gradients are compared inside the image, at its borders and in a corner."""
     color, alpha, image = images(1).astype(np.float64), images(2, None).astype(np.float64), images(3)
     weight = images(4, None) if kind in ("masked", "both") else None
     wanted = image, weight, images(5, None) if kind in ("transparent", "both") else None
@@ -96,7 +96,7 @@ def test_image_loss_and_its_gradient_match_float64(kind: str) -> None:
 
 
 def test_cross_entropy_of_correct_binary_alpha_is_finite_with_zero_gradient() -> None:
-    """Alpha of exactly 0 or 1 that is wrong has a large, finite cross entropy."""
+    """Wrong alpha of exactly 0 or 1 has a large, finite cross entropy and a gradient towards the target."""
     wanted = (images(2, None) > 0.5).astype(np.float32)
     right, _, by_alpha = differentiate(images(1), wanted, (images(3), None, wanted))
     assert 0.0 <= right.entropy < 1e-5 and not by_alpha.any()
@@ -106,7 +106,7 @@ def test_cross_entropy_of_correct_binary_alpha_is_finite_with_zero_gradient() ->
 
 
 def test_image_loss_gives_masked_pixels_no_gradient() -> None:
-    """The frame may show anything where the mask is black; the loss is the same."""
+    """The frame may show anything where the mask is black, without a change of the loss."""
     image, weight = images(3), np.zeros((SIZE[1], SIZE[0]), np.float32)
     weight[:, :9] = 1.0
     one, two = images(1), images(1)
@@ -116,7 +116,7 @@ def test_image_loss_gives_masked_pixels_no_gradient() -> None:
     second, by_two, _ = differentiate(two, alpha, (image, weight, images(5, None)))
     assert first == second and not by_one[:, 9:].any() and not by_alpha[:, 9:].any() and by_alpha[:, :9].any()
     whole = differentiate(one[:, :9], alpha[:, :9], (image[:, :9], None, None), size=(9, SIZE[1]))[0]
-    assert first.squared == pytest.approx(whole.squared, rel=1e-5), "a mean over what counts"
+    assert first.squared == pytest.approx(whole.squared, rel=1e-5), "the mean is over unmasked pixels"
     np.testing.assert_array_equal(by_one, by_two)
 
 
@@ -128,7 +128,7 @@ def test_image_loss_of_equal_images_is_zero_with_zero_gradient() -> None:
 
 
 def test_image_loss_has_the_same_bits_on_any_number_of_threads() -> None:
-    """One thread sums each row."""
+    """One thread sums each row, so the order of additions is fixed."""
     results = [differentiate(images(1), images(2, None), (images(3), None, None), threads) for threads in (1, 2, 5)]
     for other in results[1:]:
         assert other[0] == results[0][0]
@@ -136,7 +136,7 @@ def test_image_loss_has_the_same_bits_on_any_number_of_threads() -> None:
 
 
 def test_image_loss_summed_by_pixels_equals_the_loss_summed_by_rows() -> None:
-    """CUDA kernels process single pixels and add the sums afterwards."""
+    """CUDA kernels process single pixels, and CPU kernels rows."""
     wanted = images(3), images(4, None), images(5, None)
     rows, pixels = (differentiate(images(1), images(2, None), wanted, parallel=parallel) for parallel in (False, True))
     for row, pixel in zip(rows[1:], pixels[1:], strict=True):

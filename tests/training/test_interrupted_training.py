@@ -77,7 +77,7 @@ def finished(folder: Path, output: Path, *more: str) -> dict[str, bytes]:
 
 
 def test_killed_training_resumes_to_the_same_bits(tmp_path: Path) -> None:
-    """Kills within the bytes of a checkpoint, and at a random moment."""
+    """The training is killed while a checkpoint is written, and at a random moment."""
     folder = write_training_folder(tmp_path / "set")
     whole = finished(folder, tmp_path / "whole" / "a.ply")
     assert len(json.loads(whole["curve.json"])["steps"]) == 5
@@ -104,7 +104,7 @@ MOMENTS = (
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", ["mcmc", "adaptive"])
 def test_training_killed_at_any_moment_resumes_to_the_same_bits(kind: str, tmp_path: Path) -> None:
-    """One training is killed at all moments, and six times at random."""
+    """One training is killed at each moment of the list, and six times at random."""
     folder, more = write_training_folder(tmp_path / "set"), ("--densification", kind)
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
     output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(1)
@@ -119,7 +119,7 @@ def test_training_killed_at_any_moment_resumes_to_the_same_bits(kind: str, tmp_p
 
 @pytest.mark.deep
 def test_material_search_killed_at_any_moment_resumes_to_the_same_bits(tmp_path: Path) -> None:
-    """Kills during iterations, while the state is written, before the capture is written, and at random."""
+    """The search is killed in iterations, while its state is written, before the capture is written, and at random."""
     folder, more = write_training_folder(tmp_path / "set"), ("--relightable", "--material-steps", "40")
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
     output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(2)

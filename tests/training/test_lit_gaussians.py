@@ -1,4 +1,4 @@
-"""Shading of single Gaussians by incident radiance, and gradients of their radiance."""
+"""Single Gaussians are shaded by incident radiance, and gradients of their radiance are exact."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Shown:
         self.gaussians.shade(Materials(lit.albedo, lit.roughness, lit.normals, lit.environment), EYE, self.sh)
 
     def by_radiance(self, given: np.ndarray) -> Materials:
-        """Returns the gradient with respect to materials, given that by display-referred colours."""
+        """Returns the gradient with respect to materials, given that with respect to display-referred colours."""
         rects, splats = (np.zeros(len(given), table_dtype(struct)) for struct in (TileRect, SplatGradient))
         rects["x1"], rects["y1"], splats["color"] = 1, 1, given
         arrays: list[Any] = [
@@ -70,7 +70,7 @@ class Shown:
 
 
 def test_radiance_of_shaded_gaussians_matches_float64() -> None:
-    """The display-referred colour is at most white."""
+    """Display-referred colours are clipped at white."""
     lit = some(brightest=4.0)
     shown, expected = Shown(lit), radiance(lit, EYE)
     np.testing.assert_allclose(shown.gaussians.radiance, expected, rtol=2e-4, atol=1e-6)
@@ -80,7 +80,7 @@ def test_radiance_of_shaded_gaussians_matches_float64() -> None:
 
 
 def test_gaussian_viewed_from_below_its_plane_shows_the_mirrored_view() -> None:
-    """Gaussians show the same to an eye as far above their plane, as frames do for normals up to 30 degrees off."""
+    """The radiance equals the radiance seen from the eye's mirror image above the Gaussian's plane."""
     lit = some(2)
     directions = EYE - lit.means
     heights = (directions * lit.normals).sum(axis=1, keepdims=True)
@@ -148,7 +148,7 @@ def test_shading_gradients_by_materials_match_central_differences(name: str) -> 
 
 
 def test_shading_gradients_by_normals_match_central_differences() -> None:
-    """Only for normals that face the eye, along tangents, where no direction crosses the horizon."""
+    """Gradients are compared along tangents, for Gaussians that face the eye."""
     lit, rng = some(5), np.random.default_rng(6)
     given = rng.normal(size=(COUNT, 3))
     found = Shown(lit).by_radiance(given).normals
@@ -168,7 +168,7 @@ def test_shading_gradients_by_normals_match_central_differences() -> None:
 
 
 def test_radiance_above_white_gets_only_gradients_that_darken() -> None:
-    """Gaussians that were not drawn get no gradient."""
+    """A gradient that would brighten clipped Gaussians is 0."""
     lit = replace(some(8), environment=np.full((DIRECTIONS, 3), 9.0), open=np.ones((COUNT, DIRECTIONS)))
     shown = Shown(lit)
     bright = shown.gaussians.radiance.min(axis=1) > 1.0

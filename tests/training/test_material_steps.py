@@ -1,4 +1,4 @@
-"""Single steps of the material fit: effect of gradients and of smoothness terms."""
+"""Single steps of the material fit follow the gradients and the smoothness terms."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ SHAPES = {"albedo": (COUNT, 3), "roughness": (COUNT,), "environment": (DIRECTION
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with two images of a grey ball."""
+    """Returns a folder with two images of a grey ball."""
     folder = tmp_path_factory.mktemp("set")
     return write_training_images(folder, matte(ball(COUNT), np.full(3, 0.5), np.ones_like), count=2, size=8)
 
 
 @pytest.fixture
 def fit(images: Path) -> MaterialFit:
-    """Material fit of the ball, from constant albedo, roughness and environment."""
+    """Returns a material fit of the ball, with constant initial albedo, roughness and environment."""
     capture, directions = matte(ball(COUNT), np.full(3, 0.5), np.ones_like), even_directions(DIRECTIONS)
     light = np.ones((COUNT, DIRECTIONS), np.float32), np.zeros((COUNT, DIRECTIONS, 3), np.float32)
     normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
@@ -38,7 +38,7 @@ def fit(images: Path) -> MaterialFit:
 
 
 def moved(fit: MaterialFit, **gradient: np.ndarray) -> Materials:
-    """Returns the materials after a step with some gradients; the others are 0."""
+    """Returns the materials after a step with the given gradients; all other gradients are 0."""
     given = {name: np.zeros(shape) for name, shape in SHAPES.items()} | gradient
     fit._move(Materials(normals=np.zeros((COUNT, 3)), **given))  # pyright: ignore[reportPrivateUsage]
     return fit.materials

@@ -28,13 +28,13 @@ def bright_above(ray_directions: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def capture() -> ls.Gaussians:
-    """A small ball."""
+    """Returns a small captured ball."""
     return matte(ball(150), GREY, bright_above)
 
 
 @pytest.fixture(scope="module")
 def folder(capture: ls.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with four images of the ball."""
+    """Returns a folder with four images of the ball."""
     return write_training_images(tmp_path_factory.mktemp("set"), capture, count=4, size=24)
 
 
@@ -47,7 +47,7 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 def found(
     capture: ls.Gaussians, folder: Path, output: Path | None, dies_at: int | None = None
 ) -> ls.inverse.FoundMaterials:
-    """Runs the search, or dies before an iteration."""
+    """Runs the material search; ``dies_at`` raises `Killed` before the iteration of that number."""
     steps = iter(range(100))
 
     def progress(label: str, fraction: float) -> None:
@@ -66,7 +66,7 @@ def files_of(output: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def whole(capture: ls.Gaussians, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> ls.inverse.FoundMaterials:
-    """Result of an uninterrupted search."""
+    """Returns the result of an uninterrupted search."""
     return found(capture, folder, tmp_path_factory.mktemp("whole") / "a.ply")
 
 
@@ -80,7 +80,7 @@ def assert_same(first: ls.inverse.FoundMaterials, second: ls.inverse.FoundMateri
 
 def never(*arguments: Any, **options: Any) -> Any:
     """Fails if a finished stage is run again."""
-    raise AssertionError("done again")
+    raise AssertionError("a finished stage is run again")
 
 
 def test_interrupted_material_search_resumes_to_the_same_bits(
@@ -90,7 +90,7 @@ def test_interrupted_material_search_resumes_to_the_same_bits(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A resumed search traces no ray again; incident radiance is stored only as long as it is needed."""
+    """A resumed search traces no ray again, and the file of incident radiance is removed at the end."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=0)
@@ -109,7 +109,7 @@ def test_interrupted_material_search_resumes_to_the_same_bits(
 def test_resumed_material_search_traces_a_missing_incident_radiance_again(
     capture: ls.Gaussians, folder: Path, whole: ls.inverse.FoundMaterials, tmp_path: Path
 ) -> None:
-    """The result has the same bits."""
+    """The result has the same bits as that of an uninterrupted search."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=4)
@@ -124,7 +124,7 @@ def test_material_search_discards_the_state_of_another_search(
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Other colours, other settings, or damage: a log line reports it, and the search starts again."""
+    """A state of other colours or settings, or a damaged one, is reported in a log line, and the search starts anew."""
     output, path = tmp_path / "a.ply", tmp_path / "a.training" / "materials.npz"
     with pytest.raises(Killed):
         found(matte(ball(150), 0.5 * GREY, bright_above), folder, output, dies_at=4)
@@ -170,7 +170,7 @@ def test_material_search_refuses_an_unwritable_output_before_reading(
 def test_material_search_writes_both_environment_and_capture_or_neither(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
-    """Earlier files stay if the disk is full, and the message names the requested output."""
+    """If the disk is full, earlier files stay, and the message names the requested output."""
     output = tmp_path / "a.ply"
     found(capture, folder, output)
     for path in (output, tmp_path / "a.environment.exr"):
@@ -183,11 +183,11 @@ def test_material_search_writes_both_environment_and_capture_or_neither(
     with pytest.raises(ls.FormatError, match=r"^\S+/a(\.environment\.exr|\.ply): cannot be written: no space left"):
         found(capture, folder, output)
     assert {data for name, data in files_of(output).items() if "training" not in name} == {b"of before"}
-    assert len(files_of(output)) == 3  # what was found waits for the next call
+    assert len(files_of(output)) == 3  # the state of the search stays for the next call
 
 
 def test_overwriting_a_training_removes_its_material_files(capture: ls.Gaussians, folder: Path, tmp_path: Path) -> None:
-    """The folder may hold nothing but material files."""
+    """The training folder only has files of an interrupted material search."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=1)

@@ -37,9 +37,9 @@ def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("lens", [{}, {"projection": ls.config.Projection.UNSCENTED}], ids=["straightened", "as it is"])
+@pytest.mark.parametrize("lens", [{}, {"projection": ls.config.Projection.UNSCENTED}], ids=["undistorted", "distorted"])
 def test_resuming_a_training_with_another_lens_is_refused(lens: dict[str, Any], tmp_path: Path) -> None:
-    """Undistorted images with the same pinhole are refused, too."""
+    """Another distortion is refused, even if the images are undistorted to the same pinhole camera."""
     folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(3, distortion=BEFORE))
     config = replace(CONFIG, **lens)
     ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
@@ -85,7 +85,7 @@ def test_resuming_with_other_images_of_equal_names_and_sizes_is_refused(tmp_path
 
 
 def test_fingerprint_of_training_images_depends_on_masks_and_point_colours(tmp_path: Path) -> None:
-    """Changed files of the same size are found, too."""
+    """Changed mask files of equal size change the fingerprint as well."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     found = [ls.io.load_training_images(folder).fingerprint]
     (folder / "masks").mkdir()

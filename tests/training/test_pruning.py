@@ -79,7 +79,7 @@ def test_largest_blending_weights_along_rays_match_rendered_frames(
 
 
 def test_training_prunes_and_counts_gaussians_of_small_blending_weight(tmp_path: Path) -> None:
-    """They are removed from the capture, not from the checkpoint; the other Gaussians are unchanged."""
+    """Pruned Gaussians are removed from the capture, not from the checkpoint; the other Gaussians are unchanged."""
     folder = write_training_folder(tmp_path / "set")
     config = ls.TrainConfig(iterations=150, cap=150, initial=100, sh_degree=1)
     whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")

@@ -1,4 +1,4 @@
-"""Refinement of camera poses during training."""
+"""Camera poses are refined during training."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from support.scenes.training_scenes import BACKGROUND, known_gaussians, known_pa
 STILL = ls.config.LearningRates(
     means=1e-12, means_last=1e-13, rotations=0.0, log_scales=0.0, logits=0.0, sh=0.0, poses=1e-2, poses_last=3e-4
 )
-"""Gaussians stay where they are."""
+"""Learning rates that move camera poses and leave the Gaussians nearly unchanged."""
 CONFIG = ls.TrainConfig(iterations=600, cap=30, sh_degree=1, refine_poses=True, rates=STILL)
 
 
@@ -53,7 +53,7 @@ def errors(poses: np.ndarray, true: list[TrainingView]) -> np.ndarray:
 
 
 def test_training_recovers_perturbed_camera_poses_to_a_fifth() -> None:
-    """Rotations of a degree and shifts of a hundredth of the distance shrink to a fifth, with known Gaussians."""
+    """Errors of about 1 degree and 1 % of the distance shrink to a fifth, with known Gaussians."""
     true = views(12)
     one = started(moved(true, 1.0, 0.03), CONFIG)
     assert one.poses is not None
@@ -71,7 +71,7 @@ def test_training_recovers_perturbed_camera_poses_to_a_fifth() -> None:
     ids=["ellipses", "rays", "along rays"],
 )
 def test_loss_gradients_by_camera_poses_match_central_differences(drawn_by: dict[str, Any]) -> None:
-    """The reference is the loss of the trainer's own frames."""
+    """The reference moves the camera and compares the losses of the trainer's frames."""
     given = moved(views(2), 1.0, 0.03)
     one = started(given, replace(CONFIG, **drawn_by))
     camera, wanted = given[0].camera, given[0].read()
@@ -95,7 +95,7 @@ def test_loss_gradients_by_camera_poses_match_central_differences(drawn_by: dict
 
 
 def test_mean_motion_of_refined_cameras_stays_zero() -> None:
-    """Rotations stay orthogonal."""
+    """Rotation matrices stay orthogonal after many steps."""
     poses = Poses.of([view.camera for view in views(5)], 3.0)
     rng = np.random.default_rng(0)
     for _ in range(9):
@@ -115,7 +115,9 @@ def test_resumed_poses_and_exposures_have_the_same_bits_and_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Resumed results have the same bits, in the capture, the poses file and the exposures file."""
-    monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
+    monkeypatch.setattr(
+        train, "time", SimpleNamespace(monotonic=itertools.count().__next__)
+    )  # one second per iteration
     folder = write_training_folder(tmp_path / "set")
     config = ls.TrainConfig(iterations=60, cap=100, initial=80, sh_degree=1, exposures=True, refine_poses=True)
     whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
@@ -135,7 +137,7 @@ def test_resumed_poses_and_exposures_have_the_same_bits_and_are_written(
 
 
 def test_refined_poses_are_written_to_one_file_per_camera_model(tmp_path: Path) -> None:
-    """The set mixes a fisheye with pinholes and is trained without undistortion."""
+    """The images of a fisheye and of pinhole cameras are trained without undistortion."""
     folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(4))
     change_frame(folder / "transforms.json", 2, camera_model="OPENCV_FISHEYE")
     config = replace(CONFIG, iterations=2, sh_degree=0, projection=ls.config.Projection.UNSCENTED)

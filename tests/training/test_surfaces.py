@@ -1,4 +1,4 @@
-"""Surface terms of the loss, which flatten Gaussians onto surfaces."""
+"""Surface terms of the loss flatten Gaussians onto surfaces, with exact gradients."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def started(**settings: Any) -> Trainer:
 
 
 def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
-    """Returns the terms of the first view, and the gradient with respect to Gaussians."""
+    """Returns the sum of the surface terms for the first view, and its gradient with respect to the Gaussians."""
     camera, picture = one._views[0].downscaled(0)
     target = one._loss.load(picture.color, picture.weight, None)
     pixels = one._backend.draw(camera, 0, (0.0, 0.0, 0.0))
@@ -147,7 +147,7 @@ def test_surface_loss_gradients_match_central_differences(normals: float, depth:
 
 
 def test_densification_statistics_of_normals_match_central_differences() -> None:
-    """Normals are separate features here; the gradient across them is summed over pixels."""
+    """The statistic is the length of the loss gradient perpendicular to each normal, summed over pixels."""
     one = started(normals=NORMALS, normal_smoothness=SMOOTH, densification="adaptive", grow_turn=1.0)
     found_by(one)
     noted: Any = one._record.turns
@@ -162,7 +162,7 @@ def test_densification_statistics_of_normals_match_central_differences() -> None
 
 
 def test_flatness_term_acts_only_on_the_smallest_scale_of_drawn_gaussians() -> None:
-    """The gradient acts on the smallest scale."""
+    """A Gaussian behind the camera is not drawn and gets no gradient."""
     one = started(flatness=FLATNESS)
     _, found = found_by(one)
     scales = one.gaussians().scales

@@ -1,4 +1,4 @@
-"""Surface terms in scenes with cameras inside."""
+"""Surface terms of the loss keep the quality of scenes with cameras inside."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def camera(number: float) -> ls.Camera:
 
 
 def image(by: ls.Camera) -> TargetPixels:
-    """Returns the image of the box's walls, as the mean of four rays per pixel."""
+    """Returns the image of the box's walls from a camera, as the mean of four rays per pixel."""
     rays = by.scaled(2 * by.width, 2 * by.height).ray_directions() @ by.camera_from_world[:3, :3]
     away = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     distance = ((np.sign(away) * HALF - by.eye) / away).min(axis=-1)
@@ -48,6 +48,6 @@ def held_out_psnr(config: ls.TrainConfig) -> float:
 
 
 def test_surface_loss_terms_lower_the_psnr_of_a_room_by_less_than_1_db() -> None:
-    """The depth term must not create a thin layer of Gaussians in front of each camera (decision 0071)."""
+    """The depth term must not create a thin layer of Gaussians in front of each camera."""
     plain, flat = held_out_psnr(CONFIG), held_out_psnr(replace(CONFIG, **RELIGHTABLE))
     assert flat > plain - 1.0, (plain, flat)

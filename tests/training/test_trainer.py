@@ -1,4 +1,4 @@
-"""Whole trainings on small rendered sets."""
+"""Whole trainings on small rendered image sets improve, resume and refuse damaged checkpoints."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_training_by_splats_has_the_same_bits_on_any_number_of_threads(kind: ls.
 
 
 def test_non_finite_loss_ends_the_training_with_an_error() -> None:
-    """The iteration itself raises the error."""
+    """The iteration in which the loss becomes NaN raises the error."""
     broken = np.full((40, 40, 3), np.nan, np.float32)
     view = TrainingView("bad", cameras(1)[0], lambda: TargetPixels(broken))
     one = Trainer([view], CONFIG, device="cpu")
@@ -102,7 +102,9 @@ def test_stopped_training_resumes_to_the_same_bits(
     config = replace(CONFIG, iterations=260 if kind is ls.config.Densification.MCMC else 420, densification=kind)
     color = "#1a334d"
     whole = ls.train(folder, config, output=tmp_path / "a.ply", background=color, device="cpu")
-    monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
+    monkeypatch.setattr(
+        train, "time", SimpleNamespace(monotonic=itertools.count().__next__)
+    )  # one second per iteration
     parts: list[ls.training.TrainResult] = []
     while not parts or not parts[-1].is_finished:
         output = tmp_path / "b.ply"
@@ -185,7 +187,7 @@ def test_checkpoints_of_other_trainings_or_with_damage_are_refused(tmp_path: Pat
 
 
 def test_checkpoints_with_inconsistent_arrays_are_refused_in_one_line(tmp_path: Path) -> None:
-    """Intact archives with wrong arrays: missing Gaussians, wrong shapes, negative iterations, a decompression bomb."""
+    """Archives with missing Gaussians, wrong shapes, negative iterations or a decompression bomb are refused."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20, exposures=True)
     ls.train(folder, config, output=output, device="cpu")
@@ -228,7 +230,7 @@ def test_checkpoints_with_inconsistent_arrays_are_refused_in_one_line(tmp_path: 
 
 
 def test_non_finite_parameters_end_training_before_any_file_is_written() -> None:
-    """The loss does not reveal them, because non-finite Gaussians are not drawn."""
+    """The loss stays finite, because Gaussians with non-finite parameters are not drawn."""
     one = trainer()
     one.step()
     means: Any = one._device_splats.values.means
@@ -238,7 +240,7 @@ def test_non_finite_parameters_end_training_before_any_file_is_written() -> None
 
 
 def test_scene_scale_of_cameras_without_parallax_has_defaults() -> None:
-    """Cameras at one position, or with parallel axes."""
+    """The cameras are at one position, or have parallel axes."""
     spot = [ls.Camera.look_at((1.3, 0.7, -2.1), target) for target in np.random.default_rng(0).normal(size=(8, 3))]
     assert SceneScale.of(spot) == SceneScale(1.0, 1.0)
     rig = [ls.Camera.look_at((x, 0.0, 0.0), (x, 0.0, 1.0)) for x in (-0.1, 0.0, 0.1)]
@@ -247,7 +249,7 @@ def test_scene_scale_of_cameras_without_parallax_has_defaults() -> None:
 
 
 def test_initial_gaussian_scales_follow_the_three_nearest_points() -> None:
-    """The reference is all distances of points on a plane; also for very few points."""
+    """The reference computes all distances; one, two and coincident points are accepted."""
     points = np.random.default_rng(5).uniform(size=(2000, 3)) * (1.0, 1.0, 0.0)
     nearest = np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1:4]
     np.testing.assert_allclose(neighbour_distances(points), np.sqrt(np.square(nearest).mean(axis=1)))

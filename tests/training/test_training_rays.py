@@ -1,4 +1,4 @@
-"""Training by ray tracing: any kernel degree and any camera."""
+"""Training by ray tracing accepts any kernel degree and any camera."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def fisheyes(count: int) -> list[ls.Camera]:
 
 
 def seen(of: ls.Gaussians, some: list[ls.Camera]) -> list[np.ndarray]:
-    """Returns ray-traced training views."""
+    """Returns ray-traced images of Gaussians from cameras."""
     renderer = ls.create_renderer(FRAMES, "cpu")
     return [np.array(renderer.render(ls.Scene([of]), camera).color, np.float32) for camera in some]
 
@@ -52,7 +52,7 @@ def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
 
 
 def test_ray_traced_training_frame_equals_the_frame_of_the_renderer() -> None:
-    """The frames agree after the Gaussians have moved or been replaced, when the BVH is refitted."""
+    """The frames agree after the Gaussians have moved and the BVH is refitted, and after they were replaced."""
     one, camera = trainer(CONFIG, cameras(4, 20)), cameras(6)[5]
     for _ in range(30):
         one.step()
@@ -95,7 +95,7 @@ def test_training_by_rays_recovers_known_gaussians_of_kernel_degree_4(kind: str)
 
 
 def test_training_by_rays_has_the_same_bits_on_any_number_of_threads() -> None:
-    """Sums and BVH refits have a fixed order."""
+    """Gradients are summed, and the BVH is refitted, in a fixed order."""
     made = [trainer(CONFIG, cameras(4, 20), threads) for threads in (1, 2, 5)]
     for one in made:
         for _ in range(40):

@@ -1,4 +1,4 @@
-"""Start of a training: existing files, initial points and warnings; and what Ctrl C leaves."""
+"""A training checks existing files, initial points and cameras at its start, and Ctrl C leaves a checkpoint."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_overwriting_a_training_keeps_other_files_of_its_folder(tmp_path: Path) 
 
 
 def test_training_adds_random_points_to_fewer_than_20_known_points(caplog: pytest.LogCaptureFixture) -> None:
-    """A log line reports it; with enough points, or with none, nothing is added."""
+    """A log line reports the number of added points; with 20 points, or without any, none are added."""
     config, seen = ls.TrainConfig(cap=1000, initial=400), cameras(5)
     few, many = np.zeros((19, 3)), np.zeros((20, 3))
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -73,7 +73,7 @@ def test_training_adds_random_points_to_fewer_than_20_known_points(caplog: pytes
 def test_training_reports_few_camera_positions_and_duplicate_poses(
     numbers: list[int], problem: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One log line with advice; no line for enough distinct cameras."""
+    """The log has one line with advice, and none if there are enough distinct cameras."""
     seen = cameras(max(numbers) + 1, 16)
     listed = [replace(seen[number], name=f"v{index}") for index, number in enumerate(numbers)]
     folder = write_nerfstudio_images(tmp_path / "set", listed)

@@ -1,4 +1,4 @@
-"""Training by the unscented transform, from distorted images without undistortion."""
+"""Training by the unscented transform uses distorted images without undistortion."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def lenses(count: int, kind: str = "fisheye", size: int = 40) -> list[ls.Camera]
 
 
 def seen(of: ls.Gaussians, some: list[ls.Camera], config: ls.RenderConfig = TRACED) -> list[np.ndarray]:
-    """Returns training views, ray traced by default."""
+    """Returns images of Gaussians from cameras, ray traced by default."""
     renderer = ls.create_renderer(config, "cpu")
     return [np.array(renderer.render(ls.Scene([of]), camera).color, np.float32) for camera in some]
 
@@ -120,7 +120,7 @@ def test_initial_random_points_lie_within_the_view_of_a_fisheye() -> None:
 
 
 def test_unscented_training_has_the_same_bits_on_any_number_of_threads() -> None:
-    """Sums have a fixed order."""
+    """Gradients are summed in a fixed order."""
     made = [trainer(CONFIG, lenses(4), threads) for threads in (1, 2, 5)]
     for one in made:
         for _ in range(40):

@@ -25,14 +25,14 @@ def moved(camera: ls.Camera, unit: float, origin: np.ndarray) -> ls.Camera:
 
 
 def images(folder: Path, unit: float, origin: np.ndarray, *, points: bool = True) -> ls.io.TrainingImages:
-    """Returns a ring of cameras around points, as COLMAP would write them."""
+    """Writes images of a ring of cameras around points in COLMAP's format, and loads them."""
     cameras = [moved(camera, unit, origin) for camera in ring_cameras(6, 32, 24)]
     known = unit * POINTS + origin if points else POINTS[:0]
     return ls.io.load_training_images(write_colmap_images(folder, cameras, known), hold_out=3)
 
 
 def trained(images: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:
-    """Returns the trained Gaussians."""
+    """Returns the result of a training on the CPU."""
     return ls.train(images, config, device="cpu")
 
 
@@ -58,7 +58,7 @@ def test_training_is_independent_of_the_unit_and_origin_of_the_scene(
 
 @pytest.mark.parametrize("pipeline", ["trace", "unscented"])
 def test_ray_and_unscented_training_are_independent_of_the_unit(tmp_path: Path, pipeline: str) -> None:
-    """Checks the ray tracer and the unscented transform."""
+    """The held-out PSNR is equal for a scene in another unit, far from the origin."""
     backend = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.config.Projection.UNSCENTED}
     config = replace(CONFIG, iterations=20, **backend)
     scores = [
@@ -85,7 +85,7 @@ def test_training_far_from_the_origin_is_written_and_resumes(tmp_path: Path) -> 
 
 
 def test_camera_extent_in_the_training_frame_is_equal_for_any_unit(tmp_path: Path) -> None:
-    """Scale regularisation and noise therefore have the same effect."""
+    """Scale regularisation and position noise therefore have the same effect in any unit."""
     extents = []
     for unit, origin in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
         found = images(tmp_path / str(unit), unit, origin)

@@ -68,7 +68,7 @@ def settle(viewer: ls.Viewer) -> None:
 
     for _ in range(3):  # a message in transit may start another frame
         time.sleep(0.3)
-        eventually(rests, "the picture is not finished")
+        eventually(rests, "the image is not finished")
 
 
 def still(page: Any) -> np.ndarray:
@@ -172,7 +172,7 @@ def test_reloaded_page_is_admitted_by_its_cookie_without_a_token(browser: Any, v
     page = open_page(browser, viewer)
     address = viewer.url.partition("?")[0]
     assert page.goto(address).status == 200
-    eventually(lambda: len(viewer._pages) == 1, "the page did not come back")
+    eventually(lambda: len(viewer._pages) == 1, "the page did not reconnect")
     settle(viewer)
     until(lambda: shot(page).std() > 5.0, page)
     other = browser.new_context().new_page()
@@ -249,7 +249,7 @@ def test_page_can_be_reopened_after_the_browser_was_killed(browser: Any, viewer:
     settle(viewer)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    eventually(lambda: not viewer._pages, "the page is still there")
+    eventually(lambda: not viewer._pages, "the killed page is not removed")
     viewer._session.apply(lambda document: document.removed(light_id(viewer)))
     page = open_page(browser, viewer)
     viewer._session.set_options(outlines=False)

@@ -38,7 +38,7 @@ def test_viewer_handles_simultaneous_events_of_a_page_in_order(tmp_path: Path) -
     session.select(light)
     with LeanPage(viewer.url) as page:
         page.look(orbit(0.0))
-        wait_until(lambda: bool(viewer._pages), "the page is not there")
+        wait_until(lambda: bool(viewer._pages), "the page did not connect")
         for number in range(1, 11):
             page.send("TransformControlsDragStartMessage", name=viewer._gizmo.node)
             for share in (0.3, 0.6, 1.0):
@@ -62,7 +62,7 @@ def test_viewer_closes_cleanly_while_pages_send_events(tmp_path: Path) -> None:
         viewer._loader.join()
         with LeanPage(viewer.url) as page:
             page.look(orbit(0.0))
-            wait_until(lambda viewer=viewer: bool(viewer._pages), "the page is not there")
+            wait_until(lambda viewer=viewer: bool(viewer._pages), "the page did not connect")
             asking = threading.Thread(target=press_until_closed, args=(page,))
             asking.start()
             viewer.close()

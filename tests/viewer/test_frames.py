@@ -102,7 +102,7 @@ def random_capture(count: int) -> ls.Gaussians:
 
 
 def test_levels_of_detail_are_built_once_and_keep_the_instance_transform() -> None:
-    """The full capture is shown until its level exists; small captures have no levels."""
+    """The full capture is shown until its level of detail exists; small captures have no levels."""
     made = threading.Semaphore(0)
     levels = Levels(made.release)
     capture, small = random_capture(5 * LEVEL_GAUSSIANS_MIN), random_capture(100)

@@ -43,7 +43,7 @@ def test_exported_image_has_the_requested_size_and_samples(page: PageClient) -> 
     page.choose("width (px)", 100)
     page.choose("samples per pixel", 3, folder="images")
     page.press("render image")
-    eventually(lambda: "view.png" in page.downloads(), "no picture came")
+    eventually(lambda: "view.png" in page.downloads(), "no image was downloaded")
     picture = np.asarray(Image.open(io.BytesIO(page.downloads()["view.png"])))
     view = ls.Camera.look_at(
         (0.0, -0.4, -3.5), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=100, height=120, fov_y=camera().fov_y
@@ -62,7 +62,7 @@ def test_exported_exr_has_the_requested_layers(page: PageClient, tmp_path: Path)
     page.choose("format", "exr", folder="images")
     page.choose("layers", "albedo, lights")
     page.press("render image")
-    eventually(lambda: "view.exr" in page.downloads(), "no picture came")
+    eventually(lambda: "view.exr" in page.downloads(), "no image was downloaded")
     (tmp_path / "view.exr").write_bytes(page.downloads()["view.exr"])
     with OpenEXR.File(str(tmp_path / "view.exr")) as file:
         channels = set(file.channels())
@@ -83,9 +83,9 @@ def test_video_has_a_frame_for_each_time_of_the_camera_path(viewer: ls.Viewer, p
     page.choose("samples per pixel", 1, folder="video")
     page.choose("format", "webp", folder="video")
     page.choose("frames per second", 8.0)
-    eventually(lambda: viewer.document.top.get("animation", {}).get("fps") == 8.0, "the rate stayed")
+    eventually(lambda: viewer.document.top.get("animation", {}).get("fps") == 8.0, "the frame rate did not change")
     page.press("render video")
-    eventually(lambda: "video.webp" in page.downloads(), "no video came")
+    eventually(lambda: "video.webp" in page.downloads(), "no video was downloaded")
     video = Image.open(io.BytesIO(page.downloads()["video.webp"]))
     animation = viewer.document.animation
     assert animation is not None and animation.camera_path is not None and getattr(video, "n_frames", 0) == 4
@@ -102,11 +102,11 @@ def test_viewer_runs_one_background_job_at_a_time_and_can_cancel_it(viewer: ls.V
     """A long render ends when cancelled; another job is refused while it runs."""
     page.choose("samples per pixel", 60000, folder="images")
     page.press("render image")
-    eventually(lambda: bool(viewer._loop._background), "it did not begin")
+    eventually(lambda: bool(viewer._loop._background), "the job did not start")
     page.press("render image")
     eventually(lambda: any("cancel it" in note for note in page.notes()), "no notification arrived")
     page.press("cancel")
-    eventually(lambda: not viewer._loop._background, "it did not end")
+    eventually(lambda: not viewer._loop._background, "the job did not end")
     assert not page.downloads()
 
 
@@ -119,7 +119,7 @@ def test_viewer_closes_during_a_background_render() -> None:
         settled(viewer, page)
         page.choose("samples per pixel", 60000, folder="images")
         page.press("render image")
-        eventually(lambda: bool(viewer._loop._background), "it did not begin")
+        eventually(lambda: bool(viewer._loop._background), "the job did not start")
         viewer.close()
     assert not viewer._loop._thread.is_alive()
 

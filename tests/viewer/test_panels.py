@@ -113,7 +113,7 @@ def test_controls_of_any_dataclass_have_kind_range_and_help() -> None:
 
 @pytest.mark.parametrize("cls", [ls.RenderConfig, ls.RealtimeConfig, ls.ShadowConfig, ls.MaterialPbr, ls.LightSpot])
 def test_every_default_setting_round_trips_through_its_control(cls: type) -> None:
-    """Defaults of all settings survive display and reading, colours with 8 bits."""
+    """Each default, converted for display and back, is unchanged; colours are kept to 8 bits."""
     for one in control_settings(cls):
         if one.kind == "group" or repr(one.default).startswith("<dataclasses._MISSING"):
             continue
@@ -504,7 +504,7 @@ def test_long_names_of_uploads_are_shortened_and_keep_their_extension(tmp_path: 
 
 
 def test_displayed_command_selects_an_existing_animation_frame(tmp_path: Path) -> None:
-    """The end of the animation maps to the last frame; hidden actors do not count."""
+    """The end of the animation maps to the last frame; if all actors are hidden, the command renders a still image."""
     session = Session(Options())
     session.open(State(walker(tmp_path).with_animation(duration=2.0, fps=5.0)))
     session.set_options(time=2.0)
@@ -627,7 +627,7 @@ def test_editing_one_vector_component_keeps_the_others_exact() -> None:
 
 
 def test_first_material_edit_keeps_the_folder_and_controls_of_the_inspector(tmp_path: Path) -> None:
-    """The controls stay if the material type stays, also if the material came from the file before."""
+    """The controls stay as long as the material type stays, even if the material was the file's before the edit."""
     viewer = ls.view(ls.MeshInstance(ls.box(1.0)).mesh, height=90, device="cpu")
     viewer._loader.join()
     session, inspector = viewer._session, viewer._outliner._inspector

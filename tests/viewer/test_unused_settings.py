@@ -24,7 +24,7 @@ UNLIT = ls.Scene([replace(lit_scene().splats[0], material=None)])
 
 
 def shows(renderer: ls.Renderer, scene: ls.Scene, view: str) -> bool:
-    """True if a frame has a view."""
+    """Returns True if frames of a renderer have a view."""
     try:
         renderer.reconfigure(frame_config(renderer.config, view))
         renderer.render(scene, camera(height=9)).view(view)
@@ -169,13 +169,15 @@ def test_checkbox_sets_a_transparent_background_and_restores_the_colour() -> Non
         page.look(camera())
         settled(viewer, page)
         page.choose("no background", False)
-        eventually(lambda: session.state.config.background == (0.0, 0.0, 0.0), "there is no background yet")
+        eventually(lambda: session.state.config.background == (0.0, 0.0, 0.0), "the background is not black")
         page.choose("background", [255, 0, 0])
         eventually(lambda: session.state.config.background == (1.0, 0.0, 0.0), "the background is not red")
         page.choose("no background", True)
-        eventually(lambda: session.state.config.background is None, "the background stays")
+        eventually(lambda: session.state.config.background is None, "the background is not transparent")
         page.choose("no background", False)
-        eventually(lambda: session.state.config.background == (1.0, 0.0, 0.0), "its colour is forgotten")
+        eventually(
+            lambda: session.state.config.background == (1.0, 0.0, 0.0), "the last background colour is not restored"
+        )
     viewer.close()
 
 

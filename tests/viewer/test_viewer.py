@@ -145,7 +145,7 @@ def test_viewer_pages_have_independent_cameras(viewer: ls.Viewer) -> None:
 
 
 def test_click_in_the_image_selects_the_visible_object(viewer: ls.Viewer) -> None:
-    """The last frame decides: a capture with its Gaussian, a mesh, or nothing."""
+    """The AOVs of the last frame determine what is selected: a capture with its Gaussian, a mesh, or nothing."""
     with PageClient(viewer.url) as page:
         page.look(camera())
         settled(viewer, page)
@@ -156,7 +156,7 @@ def test_click_in_the_image_selects_the_visible_object(viewer: ls.Viewer) -> Non
         page.click(0.66, 0.5)
         eventually(lambda: viewer.document.entry(selected.selected or 0).name == "crate", "the mesh is not selected")
         page.click(0.02, 0.02)
-        eventually(lambda: selected.selected is None, "the background is not nothing")
+        eventually(lambda: selected.selected is None, "the click on the background selected an object")
         eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "no notification arrived")
 
 
@@ -219,7 +219,7 @@ def test_controls_of_a_viewer_page_change_its_image(viewer: ls.Viewer) -> None:
 def test_tone_map_exposure_and_view_changes_render_no_new_samples(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The still frame is developed again; other changes render a new frame."""
+    """The last frame is tone mapped again; a change of the seed renders a new frame."""
     render, count = ls.Renderer.render, 0
 
     def counted(*args: Any, **options: Any) -> ls.Frame:
@@ -329,7 +329,7 @@ def test_scene_saved_after_edits_renders_the_same_frame(viewer: ls.Viewer, tmp_p
         ({"pipeline": ls.Pipeline.PATH, "samples": 32, "background": (0.2, 0.4, 0.6)}, 0.5),
         ({"pipeline": ls.Pipeline.RASTER, "lighting": False, "raster": ls.RasterConfig(dilation=0.0)}, 0.0),
     ],
-    ids=["as it is", "soft, toned", "paths", "as captured"],
+    ids=["default", "soft shadows, tone mapped", "path traced", "unlit"],
 )
 def test_displayed_command_renders_the_image_of_the_page(
     viewer: ls.Viewer, tmp_path: Path, settings: dict[str, Any], exposure: float
@@ -435,7 +435,7 @@ def test_page_opened_after_a_lost_connection_shows_the_edited_scene(recwarn: pyt
 
 
 def test_closed_viewer_frees_its_port_and_threads() -> None:
-    """Closing works with a page open, and a second time."""
+    """A viewer can be closed while a page is open, and closed a second time."""
     before = set(threading.enumerate())
     viewer = ls.view(cloud(), height=HEIGHT, device="cpu")
     page = PageClient(viewer.url)
@@ -493,7 +493,7 @@ def test_invalid_view_options_of_a_page_are_reported_and_ignored(viewer: ls.View
 
 
 def test_split_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) -> None:
-    """The still comparison is finished also while another page moves."""
+    """The comparison of the scene before and after edits is finished even while another page's camera moves."""
     with PageClient(viewer.url) as page, PageClient(viewer.url) as other:
         page.look(camera())
         other.look(camera(1.0))
@@ -511,7 +511,7 @@ def test_split_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) 
         assert difference(joined[:, :78], before[:, :78]) < 2.0 and difference(joined[:, 83:], after[:, 83:]) < 2.0
         assert difference(before, after) > 4.0
         viewer._session.set_options(insets=True)
-        assert difference(settled(viewer, page)[64:, :30], joined[64:, :30]) > 4.0, "an inset is on both parts"
+        assert difference(settled(viewer, page)[64:, :30], joined[64:, :30]) > 4.0, "no inset is in the left part"
 
 
 def test_numbers_typed_into_a_control_are_applied_after_a_pause(
@@ -531,13 +531,15 @@ def test_numbers_typed_into_a_control_are_applied_after_a_pause(
         for typed in (0, 4, 42, 420):
             page.send("GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": typed})
         page.choose("insets", True)
-        eventually(lambda: viewer.document.entry(light).table["intensity"] == 420, "it was not taken")
+        eventually(lambda: viewer.document.entry(light).table["intensity"] == 420, "the typed number was not applied")
         assert len(session._past) == count + 1 and not {0, 4, 42} & set(seen) and not page.notes()
         session.end_merge()
         page.send("GuiUpdateMessage", uuid=handle._impl.uuid, updates={"value": 7})
         page.choose("grid", True)
-        eventually(lambda: viewer._session.options.grid, "the grid did not come")
-        assert viewer.document.entry(light).table["intensity"] == 7, "what was typed before comes before"
+        eventually(lambda: viewer._session.options.grid, "the grid is not shown")
+        assert viewer.document.entry(light).table["intensity"] == 7, (
+            "the typed number is not applied before the next event"
+        )
 
 
 def test_each_shown_gizmo_gets_a_new_node_name(viewer: ls.Viewer) -> None:

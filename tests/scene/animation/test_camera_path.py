@@ -98,7 +98,7 @@ FRAME = {"camera_to_world": [1, 0, 0, 2, 0, 1, 0, 3, 0, 0, 1, 4, 0, 0, 0, 1], "f
 
 
 def nerfstudio(**changes: Any) -> dict[str, Any]:
-    """Writes a file in the format of nerfstudio's viewer."""
+    """Returns the content of a camera path file of nerfstudio's viewer."""
     turned = {**FRAME, "camera_to_world": [0, 0, 1, 0, 0, 1, 0, 3, -1, 0, 0, 4, 0, 0, 0, 1]}
     shared = {"camera_type": "perspective", "render_width": 60, "render_height": 40, "fps": 30, "seconds": 0.1}
     return {"keyframes": [], **shared, "is_cycle": False, "camera_path": [FRAME, turned, FRAME], **changes}

@@ -14,7 +14,7 @@ COUNT = 1500
 
 
 def covariances(gaussians: ls.Gaussians, thin: bool = True) -> np.ndarray:
-    """Returns covariances, (N, 3, 3); optionally only of the two wide axes."""
+    """Returns covariances, shape (N, 3, 3); without ``thin``, only of the two wide axes of each disc."""
     from scipy.spatial.transform import Rotation
 
     axes = Rotation.from_quat(np.roll(gaussians.rotations_wxyz.astype(float), -1, axis=1)).as_matrix()

@@ -24,7 +24,7 @@ def covariances(gaussians: ls.Gaussians) -> np.ndarray:
 
 
 def test_area_of_a_gaussian_is_the_mean_silhouette_over_all_directions() -> None:
-    """The closed form is the root mean square over all directions n of the silhouette's sqrt(n adj(C) n)."""
+    """The closed form is the root mean square of sqrt(n adj(C) n) over all directions n, for a covariance C."""
     gaussians = random_gaussians(2, count=20, scale_range=(0.01, 2.0))
     directions, weights = sphere_quadrature(8)
     adjugates = np.linalg.inv(covariances(gaussians)) * np.linalg.det(covariances(gaussians))[:, None, None]

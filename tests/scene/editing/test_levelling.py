@@ -16,11 +16,13 @@ DOWN = np.array((0.0, -1.0, 0.0))
 TILTS = [(0.0, 0.0, 0.0), (12.0, 5.0, -8.0), (25.0, 60.0, 30.0)]
 
 
-def capture(points: np.ndarray, scale: float = 0.02, **said: Any) -> ls.Gaussians:
+def capture(points: np.ndarray, scale: float = 0.02, **stated: Any) -> ls.Gaussians:
     """Returns spherical Gaussians at points."""
     count = len(points)
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-    return ls.Gaussians(points, turns, np.full((count, 3), scale), np.full(count, 0.8), np.zeros((count, 1, 3)), **said)
+    return ls.Gaussians(
+        points, turns, np.full((count, 3), scale), np.full(count, 0.8), np.zeros((count, 1, 3)), **stated
+    )
 
 
 def box(low: tuple[float, ...], high: tuple[float, ...], count: int, seed: int = 0) -> np.ndarray:

@@ -71,10 +71,10 @@ def test_capture_and_camera_transformed_alike_give_the_same_frame(
     before = ls.render(ls.Scene(splats=[capture]), camera, config, device="cpu")
     after = ls.render(ls.Scene(splats=[moved]), moved_camera(camera, new_from_old, scale), config, device="cpu")
     flat = ls.render(ls.Scene(splats=[ls.editing.limit_sh_degree(capture, 0)]), camera, config, device="cpu")
-    # Harmonics matter here; float32 coordinates of about 10 move edges of footprints by little.
+    # View dependence matters here; float32 coordinates of about 10 move edges of footprints slightly.
     assert np.abs(flat.color - before.color).max() > 0.2
     assert ls.metrics.psnr(np.clip(after.color, 0, 1), np.clip(before.color, 0, 1)) > 70.0
-    # The same as placing the capture as it is.
+    # The transformed capture renders like the original with an instance transform.
     placed = ls.Scene(splats=[ls.SplatInstance(capture, new_from_old)])
     instance = ls.render(placed, moved_camera(camera, new_from_old, scale), config, device="cpu")
     assert ls.metrics.psnr(np.clip(after.color, 0, 1), np.clip(instance.color, 0, 1)) > 70.0

@@ -53,7 +53,7 @@ def test_points_beyond_the_range_of_cell_indices_have_no_neighbours(far: float) 
 
 
 def test_poisson_disk_selection_spaces_points_without_gaps() -> None:
-    """Kept points of a dense square are far apart, and every other point is near a kept one."""
+    """Selected points of a dense square are far apart, and every other point is near a selected one."""
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.random((4000, 2)), np.zeros(4000)]).astype(np.float32)
     spacing = (1.0 / 800) ** 0.5

@@ -25,14 +25,14 @@ def _plate() -> ls.Mesh:
 
 
 def _bowl() -> ls.Mesh:
-    """Returns a bowl, whose inner side is outside too: concave, and facing its own centre."""
+    """Returns a bowl; its inner side is outside of the surface, although it faces the bowl's centre."""
     angle = np.linspace(0.0, 0.5 * np.pi, 24)
     outer = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
     return shapes.lathe(np.concatenate([0.85 * outer, outer[::-1]]))
 
 
 def bare(mesh: ls.Mesh, count: int = 6000) -> tuple[ls.Gaussians, np.ndarray]:
-    """Returns Gaussians on a mesh without normals, and the removed normals."""
+    """Returns Gaussians sampled on a mesh, without their normals, and the removed normals."""
     gaussians = ls.gaussians_from_mesh(mesh, count)
     assert gaussians.normals is not None
     return replace(gaussians, normals=None), gaussians.normals

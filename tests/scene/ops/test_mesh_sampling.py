@@ -44,7 +44,7 @@ def alpha_at(gaussians: ls.Gaussians, points: np.ndarray) -> np.ndarray:
 
 
 def square(count: int = COUNT) -> tuple[ls.Gaussians, float]:
-    """Returns a unit square in y = 0, and its spacing."""
+    """Returns Gaussians sampled on a unit square in y = 0, and their mean spacing."""
     return gaussians_from_mesh(shapes.plane(1.0, 1.0), count), (1.0 / count) ** 0.5
 
 
@@ -317,7 +317,7 @@ def test_gaussians_sampled_on_a_mesh_render_like_the_mesh(name: str) -> None:
         inside = shrunk(solid.alpha > 0.5, 2)
         assert splats.alpha[inside].min() > 0.985
         assert np.abs(splats.color - solid.color)[inside].mean() < 0.01
-        # One pixel is about one spacing here, and the rasteriser's dilation adds another.
+        # A pixel is about as wide as the spacing of Gaussians, and the rasteriser's dilation adds another pixel.
         assert splats.alpha[shrunk(solid.alpha < 0.5, 5)].max() < 0.05
 
 
