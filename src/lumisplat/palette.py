@@ -35,9 +35,9 @@ class Palette:
     """Palette of K entries, and the index of the entry that approximates each of N vectors with D components."""
 
     entries: Floats
-    """Palette entries, shape (K, D)."""
+    """K palette entries with D components, shape (K, D)."""
     labels: Indices
-    """Index of the entry of each vector, shape (N,)."""
+    """Index of the entry that approximates each of N vectors, shape (N,)."""
 
 
 def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
@@ -66,13 +66,13 @@ def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
 
 
 def group_shares(group: Indices, errors: Floats, count: int) -> Indices:
-    """Divides ``count`` entries among the groups in proportion to the root of (group size x squared error).
+    """Divides ``count`` entries among the groups in proportion to the square root of (group size x squared error).
 
-    In proportion to the size alone, many entries would approximate vectors that are alike anyway. Each group gets at
-    least one entry, and no more than it has vectors.
+    If entries were divided by group size alone, many entries would approximate vectors that are nearly equal. Each
+    group gets at least one entry, and no more entries than it has vectors.
 
     Args:
-        group: Group of each vector, shape (N,).
+        group: Group of each of N vectors, shape (N,).
         errors: Squared distance of each vector to its group's mean, shape (N,).
         count: Number of entries to divide.
     """
@@ -89,7 +89,7 @@ def _lloyd(launcher: Launcher, values: Floats, group: Indices, shares: Indices) 
 
     Args:
         launcher: Launches the comparisons.
-        values: Vectors, shape (N, D).
+        values: N vectors with D components, shape (N, D).
         group: Group of each vector, shape (N,).
         shares: Number of entries of each group.
     """
@@ -113,7 +113,7 @@ class _Entries:
         rank = np.arange(len(owner)) - (np.cumsum(shares) - shares)[owner]
         self._used: Indices = LANES * self.first_row[owner] + rank
         self.values = np.full((self.first_row[-1] * LANES, vectors.shape[1]), _FAR, dtype=np.float32)
-        """Entries, shape (16 rows, D)."""
+        """Entries with D components in rows of 16, shape (16 * number of rows, D)."""
         # Entries start at vectors spread evenly over the group: captures in Morton order make that even in space.
         members = np.argsort(group, kind="stable")
         sizes = np.bincount(group, minlength=len(shares))

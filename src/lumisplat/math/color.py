@@ -31,10 +31,10 @@ def encode_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
 
 
 def albedo_in_range(albedo: Doubles) -> Doubles:
-    """Scales albedos with a channel above 1 down until their largest channel is 1; shape (N, 3).
+    """Scales albedos with a channel above 1 down until their largest channel is 1; shape (N, 3) for N albedos.
 
-    All channels are scaled alike, which keeps the hue: an albedo above 1 usually means that the light was
-    underestimated by one factor. Clipping each channel would desaturate the colour.
+    All channels of an albedo are scaled by one factor, which keeps the hue: an albedo above 1 usually means that the
+    light was underestimated by one factor. Clipping each channel would desaturate the colour.
     """
     return albedo / np.maximum(albedo.max(axis=1, keepdims=True), 1.0)
 

@@ -16,7 +16,7 @@ def cubic_samples(image: _Image, points: Doubles) -> _Image:
     """Samples an image by Catmull-Rom bicubic interpolation (1974), clamped to the range of the four nearest pixels.
 
     Args:
-        image: Shape (H, W, C); the edge pixels extend outwards.
+        image: Image of C channels, shape (H, W, C); the edge pixels extend outwards.
         points: Columns and rows, with pixel centres at +0.5; finite, shape (..., 2).
 
     Returns:
@@ -45,7 +45,7 @@ def area_mean(image: _Image, width: int, height: int) -> FloatArray:
     """Shrinks an image; each new pixel is the exact mean over its area, including fractions of pixels.
 
     Args:
-        image: Shape (H, W, C).
+        image: Image of C channels, shape (H, W, C).
         width: New width, 1 to W.
         height: New height, 1 to H.
 

@@ -38,7 +38,7 @@ def rotation_from_degrees(angles: npt.NDArray[np.floating]) -> Doubles:
 
 
 def matrices_from_quaternions(wxyz: _Floats) -> Doubles:
-    """Returns the rotation matrices, shape (N, 3, 3), of quaternions of any length above 0, shape (N, 4)."""
+    """Returns the rotation matrices, shape (N, 3, 3), of N quaternions of any length above 0, shape (N, 4)."""
     w, x, y, z = np.asarray(wxyz, dtype=np.float64).T
     scaled = np.array(
         [
@@ -51,7 +51,7 @@ def matrices_from_quaternions(wxyz: _Floats) -> Doubles:
 
 
 def quaternions_from_matrices(matrices: _Floats) -> _Floats:
-    """Returns the unit quaternions, shape (N, 4), of rotation matrices, shape (N, 3, 3).
+    """Returns the unit quaternions, shape (N, 4), of N rotation matrices, shape (N, 3, 3).
 
     There are four formulas (Shepperd 1978); each matrix uses the one with the largest divisor.
     """

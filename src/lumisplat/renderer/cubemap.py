@@ -36,11 +36,11 @@ class CubeSamples(NamedTuple):
     """Incident radiance at a position from N directions, one row per direction."""
 
     directions: Doubles
-    """Unit directions in world space, shape (N, 3)."""
+    """Unit directions in world space, shape (N, 3) for N directions."""
     radiance: FloatArray
-    """Linear Rec.709 radiance, shape (N, 3)."""
+    """Linear Rec.709 radiance from each of N directions, shape (N, 3)."""
     weights: Doubles
-    """Solid angle that each direction stands for, steradians, shape (N,)."""
+    """Solid angle that each of N directions stands for, steradians, shape (N,)."""
 
 
 class CubeFaces(NamedTuple):
@@ -113,7 +113,7 @@ def render_cube(
 
 
 def face_pixels(directions: Doubles, face_px: int) -> IntArray:
-    """Returns the index of the cube map pixel in each direction.
+    """Returns the index of the cube map pixel in each of N directions.
 
     Args:
         directions: Directions in world space, of any length above 0, shape (N, 3).

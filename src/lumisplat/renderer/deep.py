@@ -329,7 +329,7 @@ def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
 
 
 def _environment_radiance(environment: LightEnvironment, directions: FloatArray) -> FloatArray:
-    """Returns an environment's radiance in unit directions of world space, (N, 3)."""
+    """Returns an environment's radiance in each of N unit directions of world space, (N, 3)."""
     image = np.ones((1, 1, 3)) if environment.image is None else environment.image
     world_from_environment = matrices_from_quaternions(np.array([environment.rotation_wxyz]))[0]
     radiance = panorama_lookup(image, directions.astype(np.float64) @ world_from_environment)
@@ -381,7 +381,7 @@ def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
 
 
 def _view_colors(scene: Scene, camera: Camera) -> FloatArray:
-    """Returns each Gaussian's linear colour seen from the camera, splat instance by splat instance, (N, 3)."""
+    """Returns the linear colour of each of N Gaussians seen from the camera, instance by instance, (N, 3)."""
     shown = [np.zeros((0, 3), np.float32)]
     for splat in scene.splats:
         object_from_world = np.linalg.inv(splat.transform)

@@ -77,7 +77,7 @@ def trace_rays(
 
     Args:
         scene: The scene to trace.
-        origins: World-space origin of each ray, shape (N, 3), or one origin for all rays, shape (3,).
+        origins: World-space origin of each of N rays, shape (N, 3), or one origin for all rays, shape (3,).
         directions: World-space direction of each ray, of any length, shape (N, 3).
         config: Settings; None: the defaults. ``background`` is visible in mirrors only.
         profile: Whether to list the Gaussians on each ray up to the first mesh in ``RayHits.profile``. The list is
@@ -135,7 +135,7 @@ def transmittance(
 
     Args:
         scene: The scene that blocks the rays.
-        origins: World-space origin of each ray, shape (N, 3), or one origin for all rays, shape (3,).
+        origins: World-space origin of each of N rays, shape (N, 3), or one origin for all rays, shape (3,).
         directions: World-space direction of each ray, of any length, shape (N, 3).
         max_distance: Distance at which the segment ends, scene units: one number, or one per ray, shape (N,).
         config: Settings; None: the defaults.

@@ -489,7 +489,7 @@ class Renderer:
             self._integrators.forget()
 
     def _local(self, points: npt.NDArray[np.floating]) -> FloatArray:
-        """Converts world positions to the synced scene's local frame, shape (N, 3)."""
+        """Converts N world positions to the synced scene's local frame, shape (N, 3)."""
         return self._scene.frame.points(points).astype(np.float32)
 
     def _with_captured_light(self, scene: Scene) -> Scene:

@@ -138,7 +138,7 @@ class DeepShadowMap:
             light_position: A light, or the position of a point light, world space, shape (3,). Lights with an extent
                 are treated as points at their centre. The rays of a `LightDirectional` are parallel.
             receivers: Objects or points whose shadows will be looked up: the types allowed for ``casters``, or points
-                of shape (N, 3). None: any point behind the casters.
+                of shape (N, 3) for N points. None: any point behind the casters.
             config: Settings; None: the defaults.
             device: As for `create_renderer`.
             progress: Called with a label and a fraction 0..1 while kernels compile.
@@ -180,7 +180,7 @@ class DeepShadowMap:
         """Returns the transmittance from the light to N points.
 
         Args:
-            points: World-space points, shape (N, 3). A map built for receivers is tabulated only around them: the
+            points: N world-space points, shape (N, 3). A map built for receivers is tabulated only around them: the
                 transmittance at other points may be 1 although they are shadowed.
 
         Returns:
@@ -201,7 +201,7 @@ class DeepShadowMap:
                 receivers may be given, but the transmittance is 1 where the map is not tabulated.
 
         Returns:
-            Transmittance of each Gaussian or point, in the order of the receivers, 0..1, shape (N,).
+            Transmittance of each Gaussian or point, in the order of the receivers, 0..1, shape (N,) for N of them.
 
         Raises:
             SceneError: A receiver is of another type, or a value is not finite.

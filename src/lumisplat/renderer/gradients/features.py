@@ -214,7 +214,7 @@ def _normals(instance: SplatInstance, camera: Camera) -> Doubles:
 def _added(
     gradient: SetGradient, instance: SplatInstance, camera: Camera, by_depth: Doubles, by_normal: Doubles
 ) -> SetGradient:
-    """Adds an instance's gradients through depths, (N, 1), and world normals, (N, 3), to those of its Gaussian set."""
+    """Adds gradients of an instance's N depths, (N, 1), and N world normals, (N, 3), to those of its Gaussian set."""
     by_mean = by_depth * (camera.camera_from_world[2, :3] @ instance.transform[:3, :3])
     by_rotation_vector = np.cross(_normals(instance, camera), by_normal @ _rotation(instance))
     by_rotation = _by_quaternion(instance.gaussians, by_rotation_vector)

@@ -114,7 +114,10 @@ class PathIntegrator:
     def _add_captured(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, paths: PathData, images: PathImages
     ) -> None:
-        """Adds the irradiance on shadow catchers in the capture without added objects, along rays that leave them."""
+        """Adds the irradiance on shadow catchers that the capture causes without added objects.
+
+        The irradiance is sampled by the rays that leave the catchers.
+        """
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         rows = self._row("paths1", PathData, paths), self._row("images", PathImages, images)
         ends = self._buffers.get("path.receiver_ends", wp.float32, count)

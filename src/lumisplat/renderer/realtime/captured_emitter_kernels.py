@@ -25,7 +25,7 @@ POINT_BRANCH = wp.constant(9)
 BOX_BRANCH = wp.constant(10)
 """Branch of a ray's random key for choosing a box around a capture, and the depth within the box."""
 RAY_BRANCH = wp.constant(11)
-"""Branch of a ray's random key for the hits of its ray towards captures."""
+"""Branch of a camera ray's random key for choosing the hits of the ray from its surface towards captures."""
 OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 

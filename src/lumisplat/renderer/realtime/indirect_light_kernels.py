@@ -24,7 +24,7 @@ coordinate. Without it, rounding could put the origin below the surface."""
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
-"""Number mixed into the seed, so that random numbers for highlights differ from those of other look-ups."""
+"""Number mixed into the seed, so that highlights and other look-ups of probes use different random numbers."""
 
 
 @wp.kernel

@@ -260,7 +260,11 @@ def near_rays(budget: int, near: int, far: int) -> int:
 
 @wp.func
 def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
-    """Returns the rank of the tile where ``ray`` starts, if each cell has ``rays`` rays; -1 after the last tile."""
+    """Returns the rank of the tile where ``ray`` starts, if each filled cell sends ``rays`` rays.
+
+    The result is -1 for rays after those of the last whole tile within ``budget`` rays. ``ends`` is the running sum
+    over the ranks of the number of filled cells.
+    """
     tile = first_not_below(ends, ends.shape[0], ray // rays + 1)
     if tile < ends.shape[0]:
         if ends[tile] * rays <= budget:

@@ -245,7 +245,7 @@ JITTER_X = wp.constant(wp.uint32(0))
 """Dimensions of the random numbers by which a pixel's look-up of probes is jittered."""
 JITTER_Y = wp.constant(wp.uint32(1))
 LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
-"""Number mixed into the seed, so that random numbers for look-ups differ from those of rays."""
+"""Number mixed into the seed, so that look-ups and rays of probes use different random numbers."""
 
 
 @wp.kernel
@@ -323,7 +323,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Per probe cell: averages radiance over the probe, the tile's other probe, and the probes of four adjacent tiles."""
+    """Per probe cell: averages radiance over the probe, the tile's other probe, and probes of four adjacent tiles."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells

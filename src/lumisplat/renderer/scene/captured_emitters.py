@@ -131,7 +131,7 @@ def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Dou
     Args:
         instance: The capture.
         bounds: Lower and upper corner of a box around the capture, object space, shape (2, 3).
-        receivers: World-space sample points on lit surfaces, and the area that each represents, shape (N, 4).
+        receivers: N world-space sample points on lit surfaces, and the area that each point represents, shape (N, 4).
     """
     if not len(receivers):
         return False
