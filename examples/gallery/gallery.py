@@ -361,9 +361,9 @@ def main() -> None:
         print(f"{len(frames)} of {len(values)}", flush=True)
     if options.name in ("hero", "flight"):
         frames += frames[-2:0:-1]
-    frames[0].save(
-        options.output, save_all=True, append_images=frames[1:], duration=1000 // fps, loop=0, quality=90, method=6
-    )
+    # Key frames only: differences between frames leave streaks in a smooth sky.
+    video = {"save_all": True, "append_images": frames[1:], "duration": 1000 // fps, "loop": 0, "kmin": 0, "kmax": 1}
+    frames[0].save(options.output, quality=70, method=6, **video)
 
 
 if __name__ == "__main__":
