@@ -165,7 +165,7 @@ class DatasetObjects:
     own_size: bool = False
     """Keeps the objects' own sizes, times ``scale``, in place of ``size``."""
     scale: Annotated[Span, Range(1e-6, 1e6)] = (1.0, 1.0)
-    """Factor of the size of objects that keep their own."""
+    """Factor of the size of objects, if ``own_size`` is set."""
     upright: bool = True
     """Keeps objects upright, rotated about the vertical alone; otherwise they have any orientation."""
     unevenness: Share = 0.1

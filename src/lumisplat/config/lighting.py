@@ -175,7 +175,7 @@ class LightEstimationConfig:
     Low or broad lights must explain twice as much. At 0, anything bright counts as a light, whether or not it lights
     surfaces."""
     irradiance: Annotated[float, Range(1e-6, 1e6)] = math.pi
-    """Irradiance that all lights together give a surface at the character's centre that faces each of them. With pi,
+    """Sum over all lights of the irradiance on a surface at the character's centre that faces the light. With pi,
     white paper is display white."""
 
     __post_init__ = take_fields

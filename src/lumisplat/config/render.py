@@ -88,8 +88,8 @@ class PathPrimary(Enum):
     """One Gaussian with its own normal and material, chosen at random by the opacities of all Gaussians on the ray.
     Later surfaces of the path are chosen in the same way."""
     ISO = "iso"
-    """The iso-opacity surface of the other pipelines, with normals and colours blended over the ray. Its depth is that
-    of ``TraceConfig.depth_iso_transmittance``."""
+    """The iso-opacity surface of the other pipelines, with normals and colours blended over the ray. Its depth is
+    where the transmittance falls to ``TraceConfig.depth_iso_transmittance``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -142,7 +142,7 @@ class TrainConfig:
 
     @property
     def makes_flat(self) -> bool:
-        """True if the loss has terms on surfaces."""
+        """True if the loss has terms that make Gaussians flat or align them with surfaces."""
         return max(self.flatness, self.normals, self.depth_spread, self.normal_smoothness) > 0.0
 
     def _check_pipeline(self) -> None:

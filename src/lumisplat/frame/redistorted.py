@@ -262,9 +262,7 @@ def _motion(motion: _Image, points: Doubles, camera: Camera, pinhole: Camera) ->
 
 
 def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
-    """Averages a pinhole image of C channels, (H, W, C), over several points per pixel (Catmull-Rom without
-    overshoot).
-    """
+    """Averages a pinhole image with C channels, (H, W, C), over points in each pixel: Catmull-Rom without overshoot."""
     total = np.zeros((*points[0].shape[:2], image.shape[2]))
     for point in points:
         visible = ~np.isnan(point[..., :1])

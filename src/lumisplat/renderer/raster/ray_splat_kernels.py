@@ -41,7 +41,7 @@ def project_gaussians(
 ):
     """Projects a Gaussian to the image. One item is one Gaussian of one instance of an asset.
 
-    Its depth key is the bits of a positive float, which sort as the float does.
+    The depth key of the Gaussian is the bits of a positive float, which sort as the float does.
     """
     i = start + wp.tid()
     count = gaussians.means.shape[0]

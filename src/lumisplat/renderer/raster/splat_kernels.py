@@ -77,7 +77,7 @@ def project_splats(
 ):
     """Projects a Gaussian to an ellipse in the image. One item is one Gaussian of one instance of an asset.
 
-    Its depth key is the bits of a positive float, which sort as the float does.
+    The depth key of the Gaussian is the bits of a positive float, which sort as the float does.
     """
     i = start + wp.tid()
     view = camera[0]

@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def larger_kind(pixel: int, splats: SurfacePixels, meshes: SurfacePixels) -> int:
-    """Returns the kind of the surface that covers more of a pixel: 0 splats, 1 meshes, -1 if the pixel has no surface.
+    """Returns the kind of the surface that covers more of a pixel: 0 Gaussians, 1 meshes, -1 no surface.
 
     The arrays of one kind may be empty.
     """

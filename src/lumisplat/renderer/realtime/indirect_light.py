@@ -155,7 +155,7 @@ class IndirectLight:
         )
 
     def _larger(self, surfaces: list[PixelSurfaces]) -> SurfacePixels:
-        """Returns, for each pixel, the surface that covers more of the pixel."""
+        """Returns, for each pixel, the surface of Gaussians or the mesh surface, whichever covers more of the pixel."""
         if len(surfaces) == 1:
             return surfaces[0].now
         count = len(device_array(surfaces[0].now.share))

@@ -29,7 +29,7 @@ GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
 
 @wp.kernel
 def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, larger_out: SurfacePixels):
-    """Per pixel: copies the surface that covers more of the pixel."""
+    """Per pixel: copies the surface of Gaussians or the mesh surface, whichever covers more of the pixel."""
     pixel = start + wp.tid()
     chosen = splats
     if meshes.share[pixel] > splats.share[pixel]:

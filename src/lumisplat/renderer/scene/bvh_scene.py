@@ -79,7 +79,7 @@ class BvhScene:
         """Hit distance that kernels compute: HIT_MEAN if any instance has it, else the hit distance of all instances.
         """
         self.stack = TRAVERSE_STACK_SMALL
-        """Number of stack entries that CUDA kernels need to traverse the trees, rounded up to one of two sizes."""
+        """Number of stack entries that CUDA kernels need to traverse the BVHs, rounded up to one of two sizes."""
         self.extent = 0.0
         """Size of the largest instance, world space."""
         self.packet_radius = 0.0
