@@ -79,7 +79,7 @@ _GROUPS: dict[str, dict[str, type[Any]]] = {
 _RENAMED_COMMANDS = {"frames": "extract-frames"}
 """Former name of a command -> present name."""
 
-_Command: Any = Union[  # noqa: UP007, as its members are computed
+_Command: Any = Union[  # noqa: UP007, as the members are computed
     tuple(Annotated[kind, subcommand(name)] for kinds in _GROUPS.values() for name, kind in kinds.items())
 ]
 
@@ -88,19 +88,19 @@ def main(args: Sequence[str] | None = None) -> int:
     """Runs one command.
 
     Args:
-        args: Arguments behind the program's name; None takes those of the process.
+        args: Arguments after the program's name; None takes those of the process.
 
     Returns:
-        Exit status: 0, 2 after a user's mistake, 3 if some frames failed, 130 after an interruption.
+        Exit status: 0 on success, 2 after a user's mistake, 3 if some frames failed, 130 after an interruption.
 
     Raises:
-        BrokenPipeError: The reader of standard output has closed it.
+        BrokenPipeError: The reader of standard output has closed the pipe.
         OSError: Standard output or standard error cannot be written.
     """
     args = list(sys.argv[1:] if args is None else args)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a file name that the terminal cannot show does not end a command
+            stream.reconfigure(errors="replace")  # characters that the terminal cannot show must not end a command
     if args == ["--version"]:
         print(f"lumisplat {ls.__version__}")
         return 0
@@ -114,7 +114,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except ArgumentsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except SystemExit:  # after the help
+    except SystemExit:  # tyro exits after printing the help
         return 0
     if isinstance(command, Completion):
         with contextlib.suppress(SystemExit):
@@ -123,7 +123,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _parsed(args: Sequence[str]) -> Any:
-    """Returns the command that the arguments describe. Raises SystemExit after printing a help or a mistake."""
+    """Parses arguments to a command object. Raises SystemExit after printing the help or an error message."""
     return tyro.cli(_Command, args=args, prog="lumisplat", description=_DESCRIPTION, config=(FlagCreatePairsOff,))
 
 
@@ -143,12 +143,12 @@ def _help() -> str:
 
 
 def _arguments(args: Sequence[str]) -> tuple[list[str], str]:
-    """Returns arguments as the parser takes them, and the command that they run, such as ``lumisplat farm render``.
+    """Returns the arguments in the form that tyro parses, and the command as typed, such as ``lumisplat farm render``.
 
-    Numbers of an option become one argument, and the files of a command follow each other.
+    Several numbers of one option are joined to one argument, and a command's files are moved next to each other.
 
     Raises:
-        ArgumentsError: There is no such command, or it has no such option.
+        ArgumentsError: There is no such command, or the command has no such option.
     """
     words = joined_numbers(args)
     farmed = get_type_hints(Farm, include_extras=True)["what"]
@@ -175,7 +175,7 @@ def _arguments(args: Sequence[str]) -> tuple[list[str], str]:
 
 
 def _commands(union: Any) -> dict[str, type[Any]]:
-    """Returns the commands of a union by name."""
+    """Returns the command classes of a tyro union by command name."""
     return {named.name: command for command, named in map(get_args, get_args(union))}
 
 
@@ -187,12 +187,12 @@ def _run(command: Command) -> int:
     except KeyboardInterrupt as stop:
         print(f"interrupted: {stop}" if stop.args else "interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # no mistake of the user: the caller ends the process
+    except BrokenPipeError:  # not a user's mistake: the caller of main ends the process
         raise
     except (ls.LumisplatError, OSError, MemoryError) as error:
         if command.debug:
             traceback.print_exc()
         setting = error.setting if isinstance(error, ls.LumisplatError) else None
         print(f"error: {shell_words(one_line(error), command, setting)}", file=sys.stderr)
-        return getattr(error, "status", 2)  # 3 of a FramesMissingError
+        return getattr(error, "status", 2)  # FramesMissingError has status 3
     return 0

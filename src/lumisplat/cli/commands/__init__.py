@@ -1,1 +1,1 @@
-"""Commands, one a file: a dataclass whose fields are the options, with a method `run`."""
+"""Commands, one per file: a dataclass whose fields are the options, with a method `run`."""

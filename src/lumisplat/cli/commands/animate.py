@@ -102,7 +102,7 @@ class Animate(FrameCommand):
         return FrameJob(frames=frames, render=maker.render, write=maker.write, summarise=summarise)
 
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
-        """Returns the animation of the scene file with the changes of options."""
+        """Loads the animation of the scene file, and applies the options to its light, up direction and frame rate."""
         report(f"loading {self.scene.name}", 0.0)
         animation = ls.load_animation(
             self.scene,
@@ -116,7 +116,7 @@ class Animate(FrameCommand):
         return animation if self.fps is None else _at_rate(animation, self.fps)
 
     def _cameras(self, animation: ls.Animation) -> list[ls.Camera]:
-        """Returns one camera for each frame."""
+        """Returns the camera of each frame."""
         count, source = animation.frame_count, self.cameras or self.scene
         cameras = self.load_cameras(self.cameras, self.scene)
         if self.camera is not None:
@@ -142,7 +142,7 @@ class Animate(FrameCommand):
     def _provenance(
         self, animation: ls.Animation, config: ls.RenderConfig, device: str, folder: Path
     ) -> dict[str, str]:
-        """Returns everything that a frame depends on, except its number."""
+        """Returns the values that determine all frames, by name: version, device, settings, fingerprints of files."""
         files = [
             self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
@@ -172,7 +172,8 @@ def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
 _log = logging.getLogger("lumisplat")
 
 _SURROUNDED_STOPS = 1.4
-"""Largest `estimate_capture_gain` at a position that captures surround, covering three quarters of all directions."""
+"""Gain, in stops, from `estimate_capture_gain` up to which captures count as surrounding the actors. This is the gain
+where captures cover three quarters of all directions."""
 
 
 class _AnimationFrames:
@@ -180,10 +181,10 @@ class _AnimationFrames:
 
     Args:
         animation: Scene, actors and their lighting.
-        cameras: One for each frame.
+        cameras: Camera of each frame.
         source: Renders the frames.
         folder: Folder of the frames.
-        remarks: Returns log lines about the settings for the first rendered scene.
+        remarks: Returns log lines about the settings; called once, with the scene of the first rendered frame.
     """
 
     def __init__(
@@ -202,14 +203,14 @@ class _AnimationFrames:
         self._seconds = {"lighting": 0.0, "rendering": 0.0, "writing": 0.0}
 
     def render(self, index: int, report: Report) -> ls.Frame:
-        """Renders a frame."""
+        """Lights the actors at a frame's time and renders the frame."""
         is_first = self._last is None
         if is_first and self._animation.scene.splats and self._animation.actors:
             self._start_lighter(report)
         with self._timed("lighting"):
             scene = self._lit_scene(index)
         if is_first:
-            # Remarks are about the lit scene, as actors may bring light into a scene without any.
+            # Remarks are about the lit scene, because actors may light a scene without lights.
             for line in (*self._remarks(scene), *self._light_remarks()):
                 _log.warning("%s", line)
         if self._last != index - 1:
@@ -225,13 +226,13 @@ class _AnimationFrames:
             frame.save(self._folder.path(index))
 
     def summarise(self, frame: ls.Frame, count: int) -> None:
-        """Prints the mean time of ``count`` frames, and the statistics of the last one."""
+        """Prints the mean time of ``count`` frames, and the statistics of ``frame``, the last one."""
         rows = [(name, f"{1e3 * taken / count:8.1f} ms") for name, taken in self._seconds.items()]
         print_table(f"mean of {count} frames", rows)
         print_stats(frame, self._source.renderer.config.pipeline)
 
     def _start_lighter(self, report: Report) -> None:
-        """Estimates the lights around the actors at frame 0, for all frames; without any, disables shadows."""
+        """Creates the actors' lighter and estimates lights at frame 0; without lights, disables the actors' shadows."""
         self._lighter = ls.AvatarLighter(
             self._animation.scene,
             config=self._exposed_lighting(),
@@ -269,7 +270,7 @@ class _AnimationFrames:
         return replace(config, transfer=replace(config.transfer, gamma=2.0**stops))
 
     def _lit_scene(self, index: int) -> ls.Scene:
-        """Returns the scene of a frame with its actors, their shadows and their light."""
+        """Returns the scene at a frame's time, with actors that are lit and cast shadows."""
         animation, now = self._animation, float(self._animation.times[index])
         placed = [(instance, actor) for actor in animation.actors for instance in actor.at(now)]
         instances = [instance for instance, _ in placed]
@@ -289,7 +290,7 @@ class _AnimationFrames:
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:
-        """Adds the duration of the block to the seconds of ``name``."""
+        """Adds the duration of the ``with`` block to the total seconds of the stage ``name``."""
         begun = time.perf_counter()
         try:
             yield
@@ -298,7 +299,7 @@ class _AnimationFrames:
 
 
 def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance], device: str) -> float:
-    """Returns the stops that captured light lacks at the actors; 0 without captures that are shown as captured."""
+    """Returns how many stops too dark captured light is at the actors; 0 if the scene shows no capture as captured."""
     around = ls.Scene(splats=tuple(one for one in scene.splats if one.material is None or one.shadow_catcher))
     if not around.splats:
         return 0.0
@@ -308,7 +309,7 @@ def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshIn
 
 
 def with_actors(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance]) -> ls.Scene:
-    """Returns the scene with actors, without their light and shadows."""
+    """Returns the scene with actors added, as their files colour them: not relit, and without shadows on captures."""
     splats = [actor for actor in actors if isinstance(actor, ls.SplatInstance)]
     meshes = [actor for actor in actors if isinstance(actor, ls.MeshInstance)]
     return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))

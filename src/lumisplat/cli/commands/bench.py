@@ -39,14 +39,14 @@ _log = logging.getLogger("lumisplat")
 
 @dataclass(frozen=True)
 class _SteadyFrames:
-    """Times of the frames after the first in milliseconds: of each frame, and of its stages."""
+    """Times of all frames after the first, in milliseconds, and of the stages of these frames."""
 
     last: ls.Frame
     frame_ms: list[float]
     stage_ms: list[dict[str, float]]
 
     def stage_medians(self) -> dict[str, float]:
-        """Returns the median of each stage."""
+        """Returns the median time of each stage, milliseconds."""
         return {name: statistics.median(row[name] for row in self.stage_ms) for name in self.stage_ms[0]}
 
 
@@ -124,7 +124,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
             report("timing", done / self.repeats)
             begun = time.perf_counter()
             frame = renderer.render(scene, camera)
-            assert frame.color.size  # downloaded
+            assert frame.color.size  # waits for the download
             frame_ms.append(1e3 * (time.perf_counter() - begun))
             stage_ms.append(stage_times(frame))
         assert frame is not None
@@ -133,7 +133,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     def _profiled_stages(
         self, report: Report, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera
     ) -> dict[str, float]:
-        """Returns stage times of a frame that waits after each stage, as GPUs need; their sum exceeds a frame."""
+        """Returns the stage times of a frame with profiling, which GPUs need and which waits after each stage."""
         renderer = self.start_renderer(report, config, profile=True)
         renderer.render(scene, camera)
         return stage_times(renderer.render(scene, camera))
@@ -145,9 +145,9 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
 
 
 def _peak_bytes() -> int | None:
-    """Returns the peak resident memory of the process; None where the system does not report it (Windows)."""
+    """Returns the peak resident memory of the process in bytes; None on Windows, which does not report it."""
     status = Path("/proc/self/status")
-    if status.exists():  # ru_maxrss would include what started this process
+    if status.exists():  # ru_maxrss would include the parent process
         found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())
         return 1024 * int(found[1]) if found else None
     try:

@@ -1,4 +1,4 @@
-"""``lumisplat blocks``: writes captures larger than memory as a folder from which views load what they see."""
+"""``lumisplat blocks``: writes captures larger than memory as a folder of blocks; views load only visible blocks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from lumisplat.cli.options.command import Flag, LoadingCommand, own_options_firs
 from lumisplat.cli.output.console import Report, byte_size, counted, print_columns, progress_bars
 
 _LEVEL_SHARE = 1.34
-"""Size of all levels in finest levels: each coarser level has a quarter of the one before."""
+"""Size of all levels of detail relative to the finest: each level has a quarter of the Gaussians of the next finer
+one."""
 
 
 @own_options_first
@@ -88,7 +89,7 @@ class Blocks(LoadingCommand):
         return self.output
 
     def _part(self, path: Path, report: Report) -> ls.io.PlyStream | ls.Gaussians:
-        """Returns a capture, as a stream that is read later if its format allows."""
+        """Opens a capture: as a stream that is read piece by piece if its format allows, else loads it."""
         if ls.io.can_stream(path):
             return ls.io.stream_ply(
                 path, drop_invalid=self.drop_invalid, progress=partial(report, f"reading {path.name}")
@@ -99,7 +100,7 @@ class Blocks(LoadingCommand):
         return loaded
 
     def _check_room(self, output: Path, parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> None:
-        """Refuses captures for which the disk has no room."""
+        """Raises an error if the disk has too little free space for the blocks."""
         count = sum(part.count for part in parts)
         sh_count = max(part.sh_count if isinstance(part, ls.io.PlyStream) else part.sh.shape[1] for part in parts)
         needed = 4 * (11 + 3 * sh_count) * count * (_LEVEL_SHARE if self.coarser else 1.0)
@@ -109,7 +110,7 @@ class Blocks(LoadingCommand):
             raise ls.FormatError(output, f"needs {byte_size(needed)}, but the disk has {byte_size(free)} free")
 
     def _plan(self) -> None:
-        """Prints a table with a row for each worker."""
+        """Prints, for each worker, the number of its views, the bytes that it loads, and its peak memory."""
         folder = block_folder(self.files[0]) if len(self.files) == 1 else None
         if folder is None:
             raise ls.ConfigError("--plan needs one folder that lumisplat blocks has written")
@@ -145,7 +146,7 @@ class Blocks(LoadingCommand):
 
 
 def _pieces(parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaussians]:
-    """Yields all captures, a piece at a time."""
+    """Yields the Gaussians of all captures, piece by piece."""
     for part in parts:
         if isinstance(part, ls.Gaussians):
             yield part
@@ -154,7 +155,7 @@ def _pieces(parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaus
 
 
 def _cell(part: ls.io.PlyStream | ls.Gaussians) -> float:
-    """Returns an edge length of cubes that suits a capture."""
+    """Returns the default edge length of blocks for a capture, in scene units."""
     if isinstance(part, ls.io.PlyStream):
         return part.cell()
     low, high = part.bounds()

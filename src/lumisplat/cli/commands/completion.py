@@ -29,7 +29,7 @@ complete -o bashdefault -o default -F _lumisplat lumisplat
 complete --command lumisplat --force-files
 """,
 }
-"""Additions to the script of each shell, which complete files where no word matches."""
+"""Shell code by shell, appended to tyro's completion script: completes file names where no option or value matches."""
 
 
 @own_options_first
@@ -48,5 +48,5 @@ class Completion(Command):
     """Write the script for this shell."""
 
     def run(self) -> None:
-        """Prints the additions to the script of tyro, which `lumisplat.cli.main` prints before."""
+        """Prints the shell code of `FILES`; `lumisplat.cli.main` has printed tyro's completion script before."""
         print(FILES[self.shell], end="")

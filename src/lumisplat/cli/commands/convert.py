@@ -103,7 +103,7 @@ class Convert(LevelsCommand):
             raise ls.ConfigError("joining several captures needs -o: lumisplat convert A B -o OUT")
         if target is None or not sources:
             raise ls.ConfigError("convert needs a file to read and a file to write: lumisplat convert IN OUT")
-        ls.io.check_format(target)  # found now, rather than after the work
+        ls.io.check_format(target)  # fails before the slow work
         for option, given in (
             (f"--columns {self.columns}", self.columns != "lumisplat"),
             ("--incident", self.incident),
@@ -118,7 +118,7 @@ class Convert(LevelsCommand):
         return self.incident
 
     def _loaded(self, source: Path, report: Report) -> ls.Gaussians:
-        """Loads one capture."""
+        """Loads a capture; the captures of a glTF or OpenUSD scene are merged."""
         loaded = self.load_asset(source, report)
         if isinstance(loaded, ls.Scene) and loaded.splats and not loaded.meshes:
             turn = (180.0, 0.0, 0.0) if loaded.up == (0.0, 1.0, 0.0) else (0.0, 0.0, 0.0)  # captures have y down
@@ -133,7 +133,7 @@ class Convert(LevelsCommand):
         return loaded
 
     def _edits(self, report: Report, done: list[str]) -> Iterator[tuple[str, _Edit]]:
-        """Yields the edits in order, each with the options that ask for it; lines to print are appended to ``done``."""
+        """Yields the edits in order, each with the options that ask for it, and appends lines to print to ``done``."""
         if self.box is not None or self.sphere is not None:
             box = None if self.box is None else _halves(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
             sphere = None
@@ -172,11 +172,11 @@ _BY = {
     "axes": "by the axes of the capture itself, as no ground is found: look whether it is right",
     "stated": "as the file states it, as no ground is found",
 }
-"""Descriptions of how the up direction was found without a ground."""
+"""How the up direction was found if no ground was, by the source that `lumisplat.editing.find_up` reports."""
 
 
 def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
-    """Returns a capture rotated so that its up is an axis; appends a line about it to ``done``."""
+    """Returns a capture rotated so that its up direction is an axis; appends a line about the rotation to ``done``."""
     found = ls.editing.find_up(ls.Scene([gaussians]))
     level = ls.editing.level(gaussians, found.up)
     assert level.up is not None
@@ -190,7 +190,7 @@ def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
 
 
 def _halves(values: tuple[float, ...], first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Returns the first values, and the others."""
+    """Splits values into the first ``first`` values and the rest."""
     return values[:first], values[first:]
 
 
@@ -223,7 +223,7 @@ def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
 
 
 def _count_of(text: str, whole: int) -> int:
-    """Parses a number of Gaussians, or a percentage of ``whole``."""
+    """Returns the number of Gaussians that ``--decimate`` asks for, as a count or as a percentage of ``whole``."""
     try:
         count = round(whole * float(text[:-1]) / 100.0) if text.endswith("%") else int(text)
         positive = float(text.removesuffix("%")) > 0.0

@@ -32,7 +32,7 @@ from lumisplat.cli.output.images import check_folder, refuse_standard_output
 _log = logging.getLogger("lumisplat")
 
 _NOT_IN_PROVENANCE = ("views", "shard_views")
-"""Settings that existing views do not depend on."""
+"""Settings whose changes do not affect views that already exist."""
 
 
 @own_options_first
@@ -73,7 +73,7 @@ class Dataset(FrameCommand, InsertingCommand):
     """Delete the existing views before rendering."""
 
     def run(self) -> None:
-        """Renders the missing views, then writes the files about all views."""
+        """Renders the missing views, then writes transforms.json and the other files that list all views."""
         with progress_bars() as report:
             job = self.open_frames(report)
             lines = make_frames(job, report, overwrite=self.overwrite, video=None, fewer="--views")
@@ -81,7 +81,7 @@ class Dataset(FrameCommand, InsertingCommand):
         self.finish()
 
     def settings(self) -> ls.config.DatasetConfig:
-        """Returns the settings of the file with the changes of options.
+        """Returns the settings of the ``--settings`` file, changed by the command's options.
 
         Raises:
             ConfigError: A value is out of range, or options exclude each other.
@@ -165,7 +165,7 @@ class Dataset(FrameCommand, InsertingCommand):
         )
 
     def finish(self) -> None:
-        """Writes the files about all views once these exist, and prints a summary."""
+        """Writes transforms.json, shards and the contact sheet if all views exist, and prints a summary."""
         summary = ls.dataset.finish_dataset(self.output, self.settings())
         if summary.missing:
             are, them = ("is", "it") if summary.missing == 1 else ("are", "them")
@@ -184,7 +184,7 @@ class Dataset(FrameCommand, InsertingCommand):
         )
 
     def _cameras(self, settings: ls.config.DatasetConfig) -> list[ls.Camera]:
-        """Returns the cameras near which views are placed."""
+        """Returns the cameras near which views are placed; empty if views are placed around the scene."""
         if settings.poses.where is not ls.config.PosePlaces.CAMERAS:
             return []
         cameras = self.load_cameras(self.cameras, camera_file(self.scene))
@@ -193,8 +193,8 @@ class Dataset(FrameCommand, InsertingCommand):
         return cameras
 
     def _provenance(self, settings: ls.config.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
-        """Returns everything that a view depends on, except its number."""
-        # The settings file itself is left out: its values are in the settings, and some may change.
+        """Returns the values that determine all views, by name: version, device, settings and fingerprints of files."""
+        # The settings file itself is left out: `settings` has its values, and some of them do not affect views.
         files = [*self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
         files += [Path(name) for name in (*settings.objects.files, *settings.lights.environments)]
         return {
@@ -216,7 +216,7 @@ class _ViewMaker:
     """Renders and writes views.
 
     Args:
-        command: The command.
+        command: Command with the options.
         views: Views of the data set.
         source: Renders the frames.
     """
@@ -237,6 +237,6 @@ class _ViewMaker:
         self._views.save(self._view, frame, self._command.output)
 
     def _exposed(self, camera: ls.Camera) -> ls.Camera:
-        """Returns the camera with ``--exposure`` added to its own exposure."""
+        """Returns the camera with ``--exposure`` added to the camera's exposure."""
         more = self._command.light.exposure
         return camera if more is None else replace(camera, exposure=camera.exposure + more)

@@ -1,4 +1,4 @@
-"""``lumisplat delight``: finds the materials of a capture, without the light in which it was taken."""
+"""``lumisplat delight``: estimates the materials of a capture, separated from the light in which it was captured."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Delight(LevelsCommand, DeviceCommand):
             print(f"{self.save_environment}: {outcome}")
 
     def _save_environment(self, found: ls.inverse.MaterialEstimate, path: Path, capture: ls.Gaussians) -> None:
-        """Writes the image of the environment."""
+        """Writes the estimated environment as an image."""
         try:
             scene = upright(ls.Scene([capture]), self.up)
             warn_if_up_is_guessed(scene)
@@ -93,7 +93,7 @@ class Delight(LevelsCommand, DeviceCommand):
             raise
 
     def _check_outputs(self) -> None:
-        """Refuses outputs that cannot be written, before anything slow is done."""
+        """Raises an error if an output cannot be written, before the slow estimation."""
         parse_up(self.up)
         if self.save_environment is not None and self.inside == "yes":
             raise ls.ConfigError("--save-environment and --inside yes exclude each other: a room has no environment")
@@ -102,7 +102,7 @@ class Delight(LevelsCommand, DeviceCommand):
                 self.output,
                 "expected .ply, .glb, .gltf, .usda, .usdc, .usdz or .usd: others cannot store materials",
             )
-        ls.io.check_format(self.output)  # whether what writes it is installed
+        ls.io.check_format(self.output)  # also checks for the packages that write the format
         if self.save_environment is not None and self.save_environment.suffix.lower() != ".exr":
             raise ls.FormatError(self.save_environment, "unknown extension for an environment image, expected .exr")
         for path in (self.output, self.save_environment):

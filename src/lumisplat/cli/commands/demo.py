@@ -69,14 +69,15 @@ class Demo(DeviceCommand):
 
 
 _SAMPLES = 16
-"""Samples of each lit image: dark corners stay noisy, and a frame takes seconds."""
+"""Samples per pixel of the lit images: dark corners stay noisy, and a frame takes seconds."""
 _SWING_FRAMES = 24
-"""Frames of the animation: one swing of the light, there and back."""
+"""Frames of the animation, in which the spot light swings once, there and back."""
 _SWING_SAMPLES = 8
-"""Half of the samples that its lights need without noise: 88 instead of 156 s of one core."""
+"""Samples per pixel of the animation. This is half of what noise-free lights need: 88 s instead of 156 s on one core.
+"""
 _SWING_FPS = 12.0
 _SWING_MIDDLE = 0.2
-"""x of the plane through the room about which the spot light swings, metres."""
+"""x coordinate, in metres, at the middle of the spot light's swing."""
 
 
 def _lit_config() -> ls.RenderConfig:
@@ -84,7 +85,7 @@ def _lit_config() -> ls.RenderConfig:
     return ls.RenderConfig(
         pipeline=ls.Pipeline.HYBRID,
         shadows=ls.Shadows.SOFT,
-        # On average as bright as exact shadows; with this many samples no difference is visible.
+        # Stochastic shadows are unbiased; with this many samples, no difference from exact ones is visible.
         shadow_rays=ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC),
         tone_map=ls.ToneMap.NEUTRAL,
         samples=_SAMPLES,
@@ -93,7 +94,7 @@ def _lit_config() -> ls.RenderConfig:
 
 
 _Start = Callable[["ls.RenderConfig"], "ls.Renderer"]
-"""Function that makes a renderer."""
+"""Function that creates a renderer with the given settings."""
 
 
 def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, report: Report) -> Iterator[Path]:
@@ -103,7 +104,7 @@ def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, 
         scene: The lit scene.
         camera: The camera; lit images have half its width, the animation a quarter.
         folder: An existing folder.
-        start: Makes renderers.
+        start: Creates a renderer with the given settings.
         report: Receives the progress.
 
     Yields:
@@ -129,7 +130,7 @@ def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, 
 
 @contextmanager
 def _few_samples() -> Generator[None]:
-    """Hides warnings about few samples inside the block, as the demo has chosen them."""
+    """Suppresses warnings about few samples in the ``with`` block, because the demo chooses few on purpose."""
     log = logging.getLogger("lumisplat.noise")
     level = log.level
     log.setLevel(logging.ERROR)
@@ -158,27 +159,28 @@ def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) ->
 
 
 def _labelled(report: Report, label: str) -> Report:
-    """Returns a report function that replaces the label."""
+    """Returns a progress function that reports every fraction under one label."""
     return lambda _, share: report(label, share)
 
 
 _COLUMNS = 4
 _LAYERS = ("albedo", "normal", "depth", "position", "gaussian_index", "instance_index", "emission", "reflection")
-"""Layers in the first rows of the sheet. Two rows of lights follow, which end with hits a ray and the image itself."""
+"""Layers in the first two rows of the contact sheet. The third row shows the direct light of each light and ``hits``,
+the fourth the shadows of each light and the image itself."""
 
 _SHEET_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
-"""Layers of a frame that the sheet needs."""
+"""AOVs that a frame must have for the contact sheet."""
 
 
 def _write_sheet(frame: ls.Frame, path: Path) -> None:
-    """Writes the sheet of a frame that has every layer and three lights, twice as wide as the frame."""
+    """Writes the contact sheet of a frame with all layers and three lights, twice as wide as the frame."""
     from PIL import Image
 
     tiles = _tiles(frame)
     width, height = max(1, frame.camera.width // 2), max(1, frame.camera.height // 2)
     sheet = Image.new("RGB", (_COLUMNS * width, -(-len(tiles) // _COLUMNS) * height))
     for index, (name, picture) in enumerate(tiles.items()):
-        # Colours of indices must not mix.
+        # Nearest, because index colours must not be blended.
         how = Image.Resampling.NEAREST if "index" in name else Image.Resampling.BOX
         tile = picture.resize((width, height), how)
         _label(tile, name)
@@ -187,7 +189,7 @@ def _write_sheet(frame: ls.Frame, path: Path) -> None:
 
 
 def _tiles(frame: ls.Frame) -> dict[str, Image.Image]:
-    """Returns the images of the sheet by name, in order."""
+    """Returns the images of the contact sheet by layer name, in order."""
     from PIL import Image
 
     with tempfile.TemporaryDirectory() as folder:
@@ -196,7 +198,7 @@ def _tiles(frame: ls.Frame) -> dict[str, Image.Image]:
             file.name.removeprefix("picture.").removesuffix("png").strip("."): Image.open(file).convert("RGB")
             for file in Path(folder).iterdir()
         }
-    # Lights stay in their order, whatever their names.
+    # Lights are listed in scene order, not by name.
     parts = {part: [f"light.{name}.{part}" for name in frame.light_names] for part in ("direct", "shadow")}
     order = [*_LAYERS, *parts["direct"], "hits", *parts["shadow"], ""]
     return {name or "picture": pictures[name] for name in order}

@@ -72,7 +72,7 @@ def _memory(count: int) -> list[str]:
 
 
 def _state(extra: ExtraFacts) -> str:
-    """Returns the installed packages of an extra, or the command that installs it."""
+    """Returns the installed packages of an extra; if some are missing, the command that installs the extra."""
     if extra.is_installed:
         return ", ".join(f"{package.name} {package.installed}" for package in extra.packages)
     return extra.install

@@ -34,7 +34,7 @@ _log = logging.getLogger("lumisplat")
 _HOLD_OUT = 8
 """Default of ``--hold-out``."""
 _WORST = 3
-"""Number of the worst views that are listed and written."""
+"""Number of the worst views that the report lists and writes as images."""
 
 
 @own_options_first
@@ -121,7 +121,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the images")
 
     def _compare_materials(self, captures: Sequence[Path], folder: Path) -> None:
-        """Compares materials and environment with the true ones, prints a table, and writes a report if asked."""
+        """Compares materials and environment with the ground truth, prints a table, and writes a report if asked."""
         if (
             self.scale != 1.0
             or self.hold_out != _HOLD_OUT
@@ -178,12 +178,12 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
 
 def _files_of(images: ls.io.TrainingImages) -> list[Path]:
-    """Returns all image files: training and held-out images of different folders may share names."""
+    """Returns the paths of all training and held-out images; names are not unique, as there may be two folders."""
     return [view.path for view in (*images.training, *images.held_out)]
 
 
 def _common_scales(views: Sequence[ls.io.TrainingImage]) -> int:
-    """Returns the number of MS-SSIM scales that suits all images; fewer than five are logged."""
+    """Returns the largest number of MS-SSIM scales that all images allow, at most five; logs if there are fewer."""
     smallest = min((view.camera for view in views), key=lambda camera: min(camera.width, camera.height))
     scales = ls.metrics.ms_ssim_scales(smallest.height, smallest.width)
     if 0 < scales < 5:
@@ -200,7 +200,7 @@ _FIGURES = {
     "roughness_rmse": ("roughness, rmse", "", 4),
     "environment_psnr": ("environment, one scale a channel", "dB", 2),
 }
-"""Label, unit and digits of each row of the table."""
+"""Label, unit and number of decimals of each metric in the table, by metric."""
 _VIEW_FIGURES = (
     "coverage",
     "albedo_psnr",
@@ -213,7 +213,7 @@ _VIEW_FIGURES = (
 
 
 def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list[list[str]]]:
-    """Returns the table of all metrics."""
+    """Returns the header and the rows of the table of all metrics."""
     rows: list[list[str]] = []
     for name, (label, unit, digits) in _FIGURES.items():
         rows.append([label, _number(getattr(result, name), digits), unit])
@@ -226,7 +226,7 @@ def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list
 
 
 def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) -> None:
-    """Writes metrics.json, and for each of the worst views an image with a row for each estimated quantity."""
+    """Writes metrics.json, and an image of each of the worst views with a row for each estimated quantity."""
     overall: Figures = {name: getattr(result, name) for name in (*_FIGURES, "albedo_psnr_linear")}
     figures = plain(overall) | {"relit": _relit(result.relit), "albedo_scale": list(result.albedo_scale)}
     views = [
@@ -241,7 +241,7 @@ def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) 
 
 
 def _quality(view: ls.inverse.MaterialView) -> float:
-    """Returns the value by which views are ranked: PSNR of relit images, else of albedo, else negative normal error."""
+    """Returns the value that ranks views: PSNR of relit images, else PSNR of albedo, else the negative normal error."""
     relit = mean([figures.psnr for figures in view.relit.values()])
     others = [value for value in (relit, view.albedo_psnr, -view.normal_mean) if not math.isnan(value)]
     return others[0] if others else 0.0

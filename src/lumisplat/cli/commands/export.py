@@ -38,7 +38,7 @@ class Export(InsertingCommand):
 
     def run(self) -> None:
         """Loads the scene, writes it, and prints what the file holds."""
-        ls.io.check_format(self.output, scene=True)  # found now, rather than after the work
+        ls.io.check_format(self.output, scene=True)  # fails before the slow work
         check_folder(self.output.absolute().parent, self.output)
         cameras = self._cameras()
         with progress_bars() as report:
@@ -84,7 +84,7 @@ class Export(InsertingCommand):
 
 
 def _held(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, int]:
-    """Returns the number of lights and cameras in the written file; log lines name those that the format lacks."""
+    """Counts the lights and cameras in the written file, which may lack some of the scene's."""
     if path.suffix.lower() in USD:
         return len(scene.lights), sum(camera.model is not ls.CameraModel.FISHEYE for camera in cameras)
     file = path / "scene.glb" if path.is_dir() else path
@@ -94,7 +94,7 @@ def _held(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, i
 
 
 def _moves(file: Path) -> bool:
-    """Returns whether a scene file has actors or moving cameras; False if it cannot be read, which fails later."""
+    """Returns True if a scene file has actors or moving cameras; False also for a file that cannot be read."""
     values: dict[str, Any] = {}
     with suppress(OSError, ValueError):
         values = toml_values(file)
@@ -102,5 +102,5 @@ def _moves(file: Path) -> bool:
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
-    """Returns the tables of a list; empty for other values."""
+    """Returns the dictionaries in a list; an empty list if ``value`` is not a list."""
     return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []  # pyright: ignore[reportUnknownVariableType]

@@ -13,7 +13,7 @@ from lumisplat.cli.options.command import Command, own_options_first
 from lumisplat.cli.output.console import counted, progress_bars
 
 _FIRST_SIZE = 320
-"""Longer side, in pixels, to which the suggested first training scales the images, so that it is quick."""
+"""Longer side of the images, in pixels, in the first training that the command suggests, so that it is quick."""
 
 
 @own_options_first

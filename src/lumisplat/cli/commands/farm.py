@@ -1,4 +1,4 @@
-"""``lumisplat farm``: renders frames of animate, orbit, render and dataset, or trains, by several workers."""
+"""``lumisplat farm``: runs animate, orbit, render, dataset or train with several worker processes."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ class FarmDataset(Dataset):
     """Files are bit-identical to those of a single process."""
 
     def run(self) -> None:
-        """Renders the missing views, then writes the files about all views."""
-        self.settings()  # its mistakes are found before workers start
+        """Renders the missing views, then writes transforms.json and the other files that list all views."""
+        self.settings()  # mistakes in settings are found before workers start
         run_farm(self, overwrite=self.overwrite, video=None)
         self.finish()
 

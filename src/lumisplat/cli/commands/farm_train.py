@@ -1,4 +1,4 @@
-"""``lumisplat farm train``: trains captures from several folders of images, one by each worker.
+"""``lumisplat farm train``: trains a capture from each of several folders of images, distributed over workers.
 
 A settings file has a table for each folder with other options, whose keys are options of train::
 
@@ -38,9 +38,9 @@ from lumisplat.cli.output.images import make_folder
 _log = logging.getLogger("lumisplat")
 
 _SHARED_OPTIONS = ("folder", "output", "overwrite", "stop_after", "device", "debug")
-"""Options that no table of a settings file may have, and that captures do not depend on."""
+"""Options that tables of a settings file must not set, and that do not affect the trained captures."""
 _SETTINGS = "settings of "
-"""Prefix of the names under which the provenance has the settings of each capture."""
+"""Prefix of the provenance keys that hold the settings of each capture."""
 
 
 @own_options_first
@@ -122,13 +122,13 @@ class FarmTrain(Train):
         return list(named)
 
     def _trainings(self) -> list[Train]:
-        """Returns the trainings, each with its own settings.
+        """Returns the `Train` command of each folder, with the settings of the folder's table.
 
         Raises:
             LumisplatError: An option or a setting is wrong.
         """
         shared: dict[str, Any] = {entry.name: getattr(self, entry.name) for entry in fields(Train)}
-        shared["overwrite"] = False  # the folder has been emptied, and workers go on after others
+        shared["overwrite"] = False  # the driver has emptied the folder; workers may continue a training
         trainings: list[Train] = []
         settings = TrainSettings.read(self.settings, self._names())
         for name, folder in zip(self._names(), self.folder, strict=True):
@@ -137,7 +137,7 @@ class FarmTrain(Train):
         return trainings
 
     def _train(self, index: int, report: Report) -> Any:
-        """Trains one capture; returns the printed report, and whether the training has finished."""
+        """Trains one capture; returns its report as text, and True if the training has finished."""
         training = self._trainings()[index]
         make_folder(self.output)
         result, found = training.make(report)
@@ -147,12 +147,12 @@ class FarmTrain(Train):
         return printed.getvalue(), result.is_finished
 
     def _write(self, made: Any, index: int) -> None:
-        """Writes the report of a training, whose file marks it as done."""
+        """Writes the report of a training; the name of the report's file says whether the training has finished."""
         text, is_finished = made
         self._folder().write_report(index, text, is_finished=is_finished)
 
     def _provenance(self) -> dict[str, str]:
-        """Returns everything that captures depend on, except their images."""
+        """Returns the values that determine all captures, except the images, by name: version and settings."""
         own = {entry.name: f"{getattr(self, entry.name)}" for entry in fields(Train)}
         settings = TrainSettings.read(self.settings, self._names())
         return {
@@ -164,10 +164,10 @@ class FarmTrain(Train):
 
 @dataclass(frozen=True)
 class CaptureFolder(FrameFolder):
-    """Folder of captures, each with the report of its training: ``NAME.txt``, or ``NAME.unfinished.txt``."""
+    """Folder of captures with the report of each training: ``NAME.txt``, or ``NAME.unfinished.txt`` if unfinished."""
 
     def is_stopped(self, index: int) -> bool:
-        """Returns whether a training is unfinished because its time was over."""
+        """Returns True if a training is unfinished because it reached the time of ``--stop-after``."""
         return self._unfinished(index).is_file()
 
     def report(self, index: int) -> str:
@@ -198,7 +198,7 @@ class CaptureFolder(FrameFolder):
         return self.path(index).with_suffix(".unfinished.txt")
 
     def _clear(self, stamp: Path) -> None:
-        """Removes stamp, reports and checkpoints, so that trainings start anew."""
+        """Removes the stamp, reports, captures and checkpoints, so that trainings start anew."""
         stamp.unlink(missing_ok=True)
         for index in range(len(self.names or ())):
             ls.training.forget_training(self.path(index).with_suffix(".ply"))
@@ -206,12 +206,12 @@ class CaptureFolder(FrameFolder):
         super()._clear(stamp)
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
-        """Returns the content of the stamp, with the captures of other commands that share all other settings."""
+        """Returns the provenance to store, including the settings of captures that earlier commands trained here."""
         others = {name: value for name, value in (stored_provenance(stamp) or {}).items() if name.startswith(_SETTINGS)}
         return others | dict(provenance)
 
     def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
-        """Returns differing names; captures that only one side has do not count, as captures may be added."""
+        """Returns the keys whose values differ, except captures that only one side lists: captures may be added."""
         return [
             name
             for name in super()._differing(stored, provenance)
@@ -221,7 +221,7 @@ class CaptureFolder(FrameFolder):
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Tables of a settings file, by names of folders."""
+    """Options of single folders, from the tables of a settings file, by folder name."""
 
     path: Path | None
     names: list[str]
@@ -254,20 +254,20 @@ class TrainSettings:
         return TrainSettings(path, names, cast(dict[str, dict[str, Any]], document))
 
     def warn_of_unused(self) -> None:
-        """Logs a table that belongs to no given folder."""
+        """Logs a warning about a table whose name is that of no given folder."""
         if others := [name for name in self.tables if name not in self.names]:
             given = ", ".join(self.names)
             _log.warning("%s: [%s] belongs to no given folder: there are %s", self.path, others[0], given)
 
     def text(self, name: str) -> str:
-        """Returns the settings of a folder as text, which is equal for equal settings."""
+        """Returns the settings of a folder as text for the provenance; equal settings give equal text."""
         return ", ".join(f"{key} = {value!r}" for key, value in sorted(self.tables.get(name, {}).items()))
 
     def applied(self, name: str, training: Train) -> Train:
-        """Returns a training with the settings of its folder.
+        """Returns a `Train` command with the settings of one folder's table.
 
         Raises:
-            FormatError: A key is no option of single folders, or a value is wrong.
+            FormatError: A key is not an option that tables may set, or a value is wrong.
         """
         known = [entry.name for entry in fields(Train) if entry.name not in _SHARED_OPTIONS]
         args: list[str] = []

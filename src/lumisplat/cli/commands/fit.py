@@ -133,7 +133,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         print(f"{self.output}: residual {residuals} (1 is white)")
 
     def _check_output(self, images: list[Path]) -> None:
-        """Refuses outputs that cannot be written, before anything slow is done."""
+        """Raises an error if an output cannot be written, before the slow fit."""
         if self.output.suffix.lower() != ".toml":
             raise ls.FormatError(self.output, "is no .toml: the fitted scene is saved as .toml")
         if self.output.exists() and not self.overwrite:
@@ -163,7 +163,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return [_named(path, known, image.stem) for image in images]
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """Returns the settings of the renders: path tracing, unless another pipeline is given."""
+        """Returns the render settings of the fit: path tracing, unless ``--pipeline`` is given."""
         config = replace(base, pipeline=ls.Pipeline(self.pipeline or "path"), samples=self.samples, tone_map="none")
         return self.changed(config if self.shadows is None else replace(config, shadows=ls.Shadows(self.shadows)))
 
@@ -173,7 +173,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return None if self.environment_degree == "none" else int(self.environment_degree)
 
     def _base_colors(self) -> bool | list[str]:
-        """Returns the materials of ``--base-colors``: all, none, or their names."""
+        """Returns the materials whose base colour is fitted: True for all, False for none, or a list of names."""
         if self.base_colors is None or self.base_colors == "all":
             return self.base_colors is not None
         names = [name.strip() for name in self.base_colors.split(",") if name.strip()]
@@ -182,7 +182,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return names
 
     def _exposure(self) -> float | Literal["fit"] | None:
-        """Returns the value of ``--exposure``."""
+        """Returns the exposure in stops, ``fit`` to find it, or None to keep the exposures of the cameras."""
         if self.exposure is None or self.exposure == "fit":
             return "fit" if self.exposure else None
         try:
@@ -192,7 +192,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
 
 
 def _named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
-    """Returns the camera of a name, or of an image file of that name."""
+    """Returns the camera with a name; the name may leave out the camera's file extension."""
     for camera in cameras:
         if name in (camera.name, Path(camera.name).stem):
             return camera
@@ -236,13 +236,13 @@ def _fitted_document(
 
 
 def _environment_table(light: ls.LightEnvironment) -> dict[str, Any]:
-    """Returns the table of an environment without its image."""
+    """Returns the scene-file table of an environment, without the path of its image."""
     (entry,) = ls.io.SceneDocument.of(ls.Scene(lights=[light])).entries
     return {key: value for key, value in entry.table.items() if key != "path"}
 
 
 def _written(fit: ls.inverse.LightFit, output: Path) -> Path:
-    """Writes the SH environment as an image, and returns its file."""
+    """Writes the SH environment as an image file, and returns the path."""
     assert fit.environment is not None
     path = _made_assets(output) / "environment.exr"
     fit.environment.save(path, rotation_wxyz=fit.scene.upright_wxyz, height=32)
@@ -250,7 +250,7 @@ def _written(fit: ls.inverse.LightFit, output: Path) -> Path:
 
 
 def _assets_of(output: Path) -> Path:
-    """Returns the folder for the files that a scene file refers to."""
+    """Returns the folder ``NAME.assets`` for the files that the scene file ``NAME.toml`` refers to."""
     return output.with_name(f"{output.stem}.assets").absolute()
 
 
@@ -263,7 +263,7 @@ def _relative_name(document: ls.io.SceneDocument, path: Path) -> str:
 
 
 def _made_assets(output: Path) -> Path:
-    """Makes and returns the folder for the files that a scene file refers to."""
+    """Creates the folder of `_assets_of` if needed, and returns its path."""
     folder = _assets_of(output)
     make_folder(folder)
     return folder
@@ -272,7 +272,10 @@ def _made_assets(output: Path) -> Path:
 def _with_captures(
     document: ls.io.SceneDocument, fit: ls.inverse.LightFit, output: Path
 ) -> tuple[ls.io.SceneDocument, list[str]]:
-    """Returns the document with captures of new base colours, each in a file of its own, and lines about others."""
+    """Writes captures with new base colours to files, and returns the document with these files.
+
+    Also returns a log line for each capture whose colours cannot be written.
+    """
     before, after = document.scene(), fit.scene
     entries = [document.owner(number) for number in range(len(before.splats))]
     changed = [n for n, (old, new) in enumerate(zip(before.splats, after.splats, strict=True)) if old is not new]
@@ -290,7 +293,7 @@ def _with_captures(
 
 
 def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tuple[ls.io.SceneDocument, list[str]]:
-    """Returns the document with the new base colours of meshes, and lines about those that it cannot store."""
+    """Returns the document with the new base colours of meshes, and a log line for each colour that it cannot store."""
     before, after = document.scene(), fit.scene
     owned: dict[int, list[int]] = {}
     for number in range(len(before.meshes)):
@@ -318,7 +321,7 @@ _WIDTH = 480
 
 
 def _light_rows(fit: ls.inverse.LightFit) -> tuple[list[str], list[list[str]]]:
-    """Returns the table of the lights: power, standard error, position, and fraction of the light."""
+    """Returns header and rows of the table of lights: power, position, standard errors, and fraction of all light."""
     header = ["light", "red", "green", "blue", "+-", "position", "+-", "share"]
     rows: list[list[str]] = []
     for number, light in enumerate(fit.lights):
@@ -345,7 +348,7 @@ def _write_report(
     images: Sequence[Path],
     renderer: ls.Renderer,
 ) -> None:
-    """Writes report.json, and for each image a picture with the image, the lit render and their difference.
+    """Writes report.json, and for each image a PNG with the image, the lit render and their difference.
 
     Raises:
         FormatError: A file cannot be written.
@@ -388,7 +391,7 @@ def _name(fit: ls.inverse.LightFit, number: int) -> str:
 
 
 def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
-    """Returns colour times intensity of a light, or the mean radiance of an SH environment."""
+    """Returns the linear RGB of a light: colour times intensity; for an SH environment, the mean radiance."""
     light = fit.lights[number]
     if fit.environment is not None and number == len(fit.lights) - 1:
         return [float(x) / (2.0 * math.sqrt(math.pi)) for x in fit.environment.coefficients[0]]
@@ -396,7 +399,7 @@ def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
 
 
 def _beside(image: Any, frame: ls.Frame) -> tuple[Any, Any]:
-    """Returns an image at the size of a frame, and the frame, in display colours, shape (H, W, 3)."""
+    """Returns an image resized to a frame, and the frame, both in display colours, shape (H, W, 3)."""
     import numpy as np
     from PIL import Image
 

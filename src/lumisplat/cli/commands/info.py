@@ -111,7 +111,7 @@ class Info(LevelsCommand):
                 return head | radiance_facts(held)
 
     def _load(self, path: Path) -> tuple[str, Held]:
-        """Loads a file; returns its kind and content."""
+        """Loads a file; returns its kind, such as ``capture``, and its content."""
         suffix = path.suffix.lower()
         if _holds_cameras(path):
             return "cameras", ls.load_cameras(path)
@@ -127,14 +127,14 @@ class Info(LevelsCommand):
 
 def _holds_cameras(path: Path) -> bool:
     """Returns whether a path is a camera file, or the folder or a file of a sparse COLMAP model."""
-    if os.path.isdir(path):  # Path.is_dir raises on too long names, which the reader reports
+    if os.path.isdir(path):  # Path.is_dir raises for names that are too long; the reader reports these
         return any((path / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
     of_colmap = path.stem in ("cameras", "images") and path.suffix in (".bin", ".txt")
     return of_colmap or (path.suffix.lower() == ".json" and path.name not in ("meta.json", "lod-meta.json", BLOCKS))
 
 
 def _cameras(path: Path) -> list[ls.Camera]:
-    """Returns the cameras of a scene's file."""
+    """Returns the cameras of a scene file; empty for formats without cameras."""
     return ls.load_cameras(path) if path.suffix.lower() in WITH_CAMERAS else []
 
 
@@ -146,7 +146,7 @@ def _animation(path: Path) -> ls.Animation | None:
 
 
 def _rig(path: Path) -> ls.avatars.Rig | None:
-    """Returns the rig of a glTF file; None without joints and clips, or if it cannot be played."""
+    """Returns the rig of a glTF file; None if the file has no joints or clips, or a rig that cannot be animated."""
     if path.suffix.lower() not in (".glb", ".gltf"):
         return None
     document = gltf_document(path)
@@ -154,7 +154,7 @@ def _rig(path: Path) -> ls.avatars.Rig | None:
         return None
     try:
         return ls.avatars.load_rig(path)
-    except ls.SceneError:  # the scene is then shown at rest
+    except ls.SceneError:  # the table then shows the scene without its rig
         return None
 
 
@@ -188,7 +188,7 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
 
 
 def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object]) -> list[tuple[int, _Instance, int]]:
-    """Returns the first instance of each kind, with its index and the number of instances of the kind."""
+    """Groups instances by the value of ``kind``; returns index, first instance and size of each group."""
     groups: dict[object, list[int]] = {}
     for index, instance in enumerate(instances):
         groups.setdefault(kind(instance), []).append(index)
@@ -196,7 +196,7 @@ def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object
 
 
 def _times(count: int) -> str:
-    """Returns a count as text, if it is above 1."""
+    """Returns a count as text such as ``(3 times)``; empty text for a count of 1."""
     return f"   ({count:,} times)" if count > 1 else ""
 
 
@@ -226,7 +226,7 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
     ]
     if any(gaussians.origin):
         rows.insert(3, ("origin", _origin(gaussians.origin)))
-    if gaussians.kernel_degree != 2:  # all but a few captures
+    if gaussians.kernel_degree != 2:  # few captures use another kernel
         rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
     if gaussians.up is not None:
         rows.append(("up", up_name(gaussians.up)))
@@ -277,7 +277,7 @@ def placed_mesh_rows(instance: ls.MeshInstance) -> Rows:
 
 
 def _placed(rows: Rows, instance: ls.SplatInstance | ls.MeshInstance) -> Rows:
-    """Inserts the world bounding box behind that of the asset."""
+    """Inserts a row with the world bounding box after the row with the bounds in file coordinates."""
     after = next(index for index, (name, _) in enumerate(rows) if name == "bounds") + 1
     return [*rows[:after], ("placed", box(*instance.bounds())), *rows[after:]]
 
@@ -289,7 +289,7 @@ def rig_rows(rig: ls.avatars.Rig) -> Rows:
 
 
 def _joint_count(rig: ls.avatars.Rig) -> int:
-    """Returns the number of nodes that move vertices."""
+    """Returns the number of rig nodes that move vertices."""
     return len({int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes})
 
 
@@ -385,7 +385,7 @@ def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
 
 
 def _lenses(cameras: Sequence[ls.Camera]) -> Iterator[str]:
-    """Yields the models of cameras, and the coefficients of the first distorting one."""
+    """Yields texts about camera models, and the distortion coefficients of the first camera with distortion."""
     yield ", ".join(dict.fromkeys(camera.model.value for camera in cameras))
     distorted = [camera for camera in cameras if camera.is_distorted]
     if distorted:
@@ -423,12 +423,12 @@ def changed_settings(config: ls.RenderConfig) -> str:
 
 
 def image_size(image: Array) -> str:
-    """Returns width and height as text."""
+    """Returns the width and height of an image as text."""
     return f"{image.shape[1]} x {image.shape[0]}"
 
 
 def box(low: Array, high: Array) -> str:
-    """Returns a box as text, by two of its corners."""
+    """Returns a box as text: its lowest and its highest corner."""
     return f"{_point(low)} to {_point(high)}"
 
 
@@ -438,12 +438,12 @@ def _point(values: Iterable[float]) -> str:
 
 
 def _setting(value: object) -> str:
-    """Returns a value as TOML names it."""
+    """Returns a setting's value as text in the form of scene files."""
     return str(getattr(value, "value", value))
 
 
 def _surface(material: Material) -> str:
-    """Returns the factors of a material as text."""
+    """Returns the factors of a material, such as roughness and emission, as text."""
     if isinstance(material, ls.MaterialPbr):
         names = ("metallic", "roughness", "specular", "ior", "transmission")
         texts = [f"{name} {getattr(material, name):.3g}" for name in names]
@@ -457,7 +457,7 @@ def _surface(material: Material) -> str:
 
 
 def _inside(material: Material) -> Rows:
-    """Returns the table row of a mesh's interior medium; empty for opaque materials."""
+    """Returns a table row about the medium inside a transmissive mesh; no row for opaque materials."""
     if not isinstance(material, ls.MaterialPbr) or material.transmission <= 0.0:
         return []
     if material.thin_walled:
@@ -470,7 +470,7 @@ def _inside(material: Material) -> Rows:
 
 
 def _histogram(opacities: Array) -> str:
-    """Returns bars for the number of opacities in each tenth of 0..1."""
+    """Returns a text histogram of opacities, with a bar for each tenth of 0..1."""
     import numpy as np
 
     counts, edges = np.histogram(opacities, bins=10, range=(0.0, 1.0))
@@ -484,7 +484,7 @@ Facts = dict[str, Any]
 
 
 def capture_facts(gaussians: ls.Gaussians) -> Facts:
-    """Returns the values of a capture, in its own coordinates."""
+    """Returns the JSON values of a capture, in file coordinates."""
     import numpy as np
 
     arrays = gaussians.arrays()
@@ -506,7 +506,7 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
 
 
 def block_facts(index: ls.io.BlockIndex) -> Facts:
-    """Returns the values of a capture in blocks, from its index alone."""
+    """Returns the JSON values of a capture in blocks, read from its index without loading blocks."""
     low, high = index.bounds
     levels = max(len(block.levels) for block in index.blocks)
     return {
@@ -523,7 +523,7 @@ def block_facts(index: ls.io.BlockIndex) -> Facts:
 
 
 def mesh_facts(mesh: ls.Mesh) -> Facts:
-    """Returns the values of a mesh, in its own coordinates."""
+    """Returns the JSON values of a mesh, in file coordinates."""
     return {
         "vertices": mesh.vertex_count,
         "faces": mesh.face_count,
@@ -537,7 +537,7 @@ def mesh_facts(mesh: ls.Mesh) -> Facts:
 
 
 def _inside_facts(material: Material) -> Facts | None:
-    """Returns the interior medium of a transmissive mesh; None for others."""
+    """Returns the JSON values of the medium inside a transmissive mesh; None for opaque materials."""
     if getattr(material, "transmission", 0.0) <= 0.0:
         return None
     names = ("thin_walled", "attenuation_color", "attenuation_distance", "ior", "priority")
@@ -545,12 +545,12 @@ def _inside_facts(material: Material) -> Facts | None:
 
 
 def black_share(mesh: ls.Mesh) -> float:
-    """Returns the fraction of black vertices, 0..1; black vertices stay black under any light."""
+    """Returns the fraction of vertices that are black, 0..1; black vertices stay black under any light."""
     return 0.0 if mesh.colors is None else float((mesh.colors.max(axis=1) < 0.5 / 255.0).mean())
 
 
 def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
-    """Returns the values of a scene: instances with their world bounding boxes, lights and cameras."""
+    """Returns the JSON values of a scene: instances with their world bounding boxes, lights and cameras."""
     return {
         "bounds": _box(scene.bounds()) if scene.splats or scene.meshes else None,
         "captures": [
@@ -566,13 +566,13 @@ def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
 
 
 def rig_facts(rig: ls.avatars.Rig) -> Facts:
-    """Returns the values of a rig: number of joints, and clips with their durations in seconds."""
+    """Returns the JSON values of a rig: number of joints, and clips with their durations in seconds."""
     clips = [{"name": name, "duration": rig.duration(name)} for name in rig.clips]
     return {"joints": _joint_count(rig), "clips": clips}
 
 
 def animation_facts(animation: ls.Animation) -> Facts:
-    """Returns the actors of a scene, and the length of their animation in seconds."""
+    """Returns the JSON values of an animation: actors, and duration in seconds."""
     return {
         "fps": animation.fps,
         "frames": animation.frame_count,
@@ -582,7 +582,7 @@ def animation_facts(animation: ls.Animation) -> Facts:
 
 
 def actor_facts(actor: ls.Actor) -> Facts:
-    """Returns the values of an actor: kind and motion."""
+    """Returns the JSON values of an actor: kind and motion."""
     rig, motion, subject = actor.rig, actor.motion, actor.subject
     is_sequence = isinstance(subject, ls.io.GaussianSequence)
     return {
@@ -604,13 +604,13 @@ def actor_facts(actor: ls.Actor) -> Facts:
 
 
 def light_facts(light: Light) -> Facts:
-    """Returns the values of a light: kind, and all fields but images."""
+    """Returns the JSON values of a light: kind, and all fields except images."""
     named = {field.name: getattr(light, field.name) for field in fields(light) if field.name != "image"}
     return {"kind": type(light).__name__.removeprefix("Light").lower(), **{k: _plain(v) for k, v in named.items()}}
 
 
 def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
-    """Returns the values of the cameras of a file."""
+    """Returns the JSON values of the cameras of a file."""
     import numpy as np
 
     eyes = np.array([camera.eye for camera in cameras])
@@ -625,7 +625,7 @@ def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
 
 
 def radiance_facts(image: Any) -> Facts:
-    """Returns the values of a radiance image."""
+    """Returns the JSON values of a radiance image."""
     return {
         "width": int(image.shape[1]),
         "height": int(image.shape[0]),
@@ -635,7 +635,7 @@ def radiance_facts(image: Any) -> Facts:
 
 
 def _box(corners: tuple[Any, Any]) -> list[list[float]]:
-    """Returns two corners as lists, with 0 for -0."""
+    """Returns the lowest and the highest corner of a box as lists, with 0 for -0."""
     return [[float(value) + 0.0 for value in corner] for corner in corners]
 
 

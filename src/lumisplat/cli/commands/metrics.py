@@ -90,7 +90,7 @@ class Metrics(LoadingCommand):
         print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *cells(means)]])
 
     def _compare_light(self, scene: Path) -> None:
-        """Prints the light metrics of an avatar, or of two avatars and the gain."""
+        """Prints the light metrics of an avatar; with ``--before``, of both avatars, and the improvement."""
         if self.metrics is not None:
             raise ls.ConfigError("--metrics selects image metrics: with --scene, all three light metrics are computed")
         if len(self.files) != 1:
@@ -120,7 +120,7 @@ class Metrics(LoadingCommand):
         return asset
 
     def _light_figures(self, avatar: _Capture, scene: _Capture) -> Figures:
-        """Returns the light metrics by name."""
+        """Returns the light metrics of an avatar in a scene, by name."""
         points = ls.metrics.LitPoints.of(avatar)
         options = {} if self.radius is None else {"radius": self.radius}
         return {name: _metric(name)(points, scene, **options) for name in _LIGHT_METRICS}
@@ -140,7 +140,7 @@ def _print_gain(before: Figures, after: Figures, *, as_json: bool) -> None:
 
 
 def _wanted(names: str | None) -> list[str]:
-    """Returns the names of metrics in a list with commas; None selects the usual image metrics."""
+    """Returns the metrics named in a comma-separated list; None selects the default image metrics."""
     chosen = [*_USUAL] if names is None else [name.strip() for name in names.split(",") if name.strip()]
     for name in chosen or [names]:
         if name not in METRICS:
@@ -149,7 +149,7 @@ def _wanted(names: str | None) -> list[str]:
 
 
 def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tuple[list[Figures], list[str]]:
-    """Returns the metrics of each pair, NaN for failed ones, and the reasons for failures, each once."""
+    """Returns the metrics of each image pair, NaN where a metric failed, and the distinct reasons for failures."""
     rows: list[Figures] = []
     problems: dict[str, ls.LumisplatError] = {}
     for index, pair in enumerate(pairs):
@@ -170,7 +170,7 @@ def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tu
 
 
 def _figure(name: str, pair: Pair) -> float:
-    """Returns one metric of one pair."""
+    """Returns one metric of an image pair."""
     load = _loaded_image if name in _IMAGE_METRICS else _shadow_strength
     image, reference = load(pair.image), load(pair.reference)
     try:
@@ -181,18 +181,18 @@ def _figure(name: str, pair: Pair) -> float:
 
 @lru_cache(maxsize=2)
 def _loaded_image(path: Path) -> npt.NDArray[np.float32]:
-    """Loads an image in display colours; the last two are cached for the next metric."""
+    """Loads an image in display colours; the last two images are cached for the pair's next metric."""
     return ls.load_image(path)
 
 
 def _metric(name: str) -> Callable[..., float]:
-    """Returns the library's function of a metric."""
+    """Returns the function in `lumisplat.metrics` that computes a metric."""
     return getattr(ls.metrics, name)
 
 
 @lru_cache(maxsize=2)
 def _shadow_strength(path: Path) -> npt.NDArray[np.float32]:
-    """Returns the mean of the channels: linear for .exr and .hdr files, else in display colours."""
+    """Returns the mean over an image's colour channels: linear for .exr and .hdr files, else of display colours."""
     linear = path.suffix.lower() in (".exr", ".hdr")
     return (ls.io.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
 
@@ -215,10 +215,10 @@ class Pair:
 
 
 def image_pairs(image: Path, reference: Path) -> list[Pair]:
-    """Returns the pairs of two files, or of two folders in the order of their names.
+    """Pairs an image with a reference, or the images of two folders, sorted by name.
 
-    Images of folders are paired by name without extension, so that a PNG may have an EXR as reference. A log line names
-    images without a partner, which are left out.
+    Images of folders are paired by name without extension, so that a PNG may have an EXR as reference. Images without a
+    partner are left out and logged.
 
     Raises:
         FormatError: A path is missing, only one is a folder, a folder has no images or two of the same name, or no

@@ -112,7 +112,7 @@ class Orbit(ViewsCommand, FrameCommand):
         )
 
     def _turntable_cameras(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
-        """Returns the cameras around the scene."""
+        """Returns the cameras on a circle around the scene."""
         start, target = self.viewpoint_camera(scene, all_around=True), self.viewpoint.target_point(scene)
         return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)
 
@@ -128,7 +128,7 @@ class Orbit(ViewsCommand, FrameCommand):
         return max(1, round(self.seconds * self.fps))
 
     def _provenance(self, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
-        """Returns everything that a frame depends on, except its number."""
+        """Returns the values that determine all frames, by name: version, device, settings, fingerprints of files."""
         files = [*self.scene, *(path for path in (self.camera_path, self.light.environment) if path is not None)]
         chosen = (
             "seconds",

@@ -26,7 +26,7 @@ from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 _SH_Y00 = 0.5 / math.sqrt(math.pi)
-"""SH basis function of degree 0: a probe's first coefficient times this is its mean radiance."""
+"""Value of the SH basis function of degree 0. A probe's first coefficient times this value is its mean radiance."""
 _GAMMA_MAX = 1000.0
 """Largest ``gamma`` of `RelightConfig`."""
 
@@ -98,13 +98,13 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
         self._print_summary(relit, probe, position)
 
     def _check_outputs(self) -> None:
-        """Raises a FormatError for outputs that cannot be written, before anything slow is done."""
+        """Raises a FormatError if an output cannot be written, before the slow relighting."""
         ls.io.check_format(self.output)
         if self.probe is not None and self.probe.suffix.lower() != ".exr":
             raise ls.FormatError(self.probe, "unknown extension for the image of a probe, expected .exr")
 
     def _loaded_avatar(self, report: Report) -> ls.SplatInstance:
-        """Loads the avatar, at the position that its file gives."""
+        """Loads the avatar; a scene.toml also sets its transform."""
         asset = self.load_asset(self.avatar, report)
         if isinstance(asset, ls.Gaussians):
             return ls.SplatInstance(asset)
@@ -118,7 +118,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     def _print_summary(
         self, relit: ls.Gaussians, probe: ls.avatars.EnvironmentProbe, position: tuple[float, float, float]
     ) -> None:
-        """Prints the written file, the brightness of the light, and a ``--gamma`` that preserves the avatar's."""
+        """Prints the written file, the brightness of the gathered light, and the ``--gamma`` that would preserve it."""
         mean = _SH_Y00 * probe.coefficients[0]
         print(
             f"{self.output}: {counted(relit.count, 'Gaussian')} in the light at "
@@ -135,7 +135,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
 
 
 def _middle(avatar: ls.SplatInstance) -> tuple[float, float, float]:
-    """Returns the centre of the bulk of an avatar."""
+    """Returns the centre of an avatar's bounding box, ignoring stray Gaussians."""
     low, high = ls.Scene(splats=(avatar,)).bulk_bounds()
     x, y, z = (float(value) for value in 0.5 * (low + high))
     return x, y, z

@@ -50,12 +50,12 @@ _log = logging.getLogger("lumisplat")
 _STAMP = "render.json"
 _NUMBERS = re.compile(r"[\d:x\s-]+")
 _NOT_IN_PROVENANCE = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device", "changes")
-"""Options that existing images do not depend on."""
+"""Options whose changes do not affect images that already exist."""
 
 
 @dataclass(frozen=True)
 class _ImageJob:
-    """Scene, cameras and renderer of the images of a command."""
+    """Scene, cameras, renderer and writer of the images of one command."""
 
     scene: ls.Scene
     shots: list[Shot]
@@ -120,10 +120,13 @@ class Render(ViewsCommand, FrameCommand):
             print(job.writer.legend)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, and loads the scene, to render missing images.
+        """Checks options and files, and loads the scene, for ``--resume``, ``--tiles`` and farms.
 
         Args:
             report: Receives the progress.
+
+        Returns:
+            The images, or parts of images, as units of work.
 
         Raises:
             LumisplatError: An option or a file is wrong.
@@ -176,7 +179,7 @@ class Render(ViewsCommand, FrameCommand):
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)})
         if config.pipeline.is_sequence and self.samples is not None:
             config = replace(config, samples=base.samples)  # --samples counts warm-up frames here
-        # What fails fast comes first: cameras, environment and device before a capture of a gigabyte.
+        # Cameras, environment and device can fail fast, so they come before large captures.
         cameras = self._cameras(camera_file(self.scene))
         shots = self._shots(cameras) if cameras else None
         check_writable(self.output)
@@ -204,7 +207,7 @@ class Render(ViewsCommand, FrameCommand):
         return block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=self.viewpoint.upright)
 
     def _check_tiles(self) -> None:
-        """Refuses outputs that need the whole image."""
+        """Raises a ConfigError if an option needs the whole image, so that ``--tiles`` cannot be combined with it."""
         layers = self._layers
         given = {
             "--aov deep": layers.deep,
@@ -220,18 +223,18 @@ class Render(ViewsCommand, FrameCommand):
 
     @property
     def _parts(self) -> tuple[str, bool]:
-        """Grid of ``--tiles``, and whether samples are rendered in parts, too."""
+        """Grid of ``--tiles``, empty without tiles; and True if samples are rendered in blocks."""
         parts = [part.strip() for part in self.tiles.split(",")]
         return ",".join(part for part in parts if part != "samples"), "samples" in parts
 
     def _wanted(self, shots: list[Shot]) -> list[int]:
-        """Returns the numbers of the images to render, among those that were planned."""
+        """Returns the indices of the images in ``shots`` that ``--frames`` selects."""
         is_chosen = self._is_one_file or self._names([shot.camera for shot in shots])
         return frame_numbers("--frames", "" if is_chosen else self.frames, len(shots), self._unit)
 
     @property
     def _is_one_file(self) -> bool:
-        """True if ``-o`` is an image file."""
+        """True if ``-o`` names an image file instead of a folder."""
         return self.output.suffix.lower().removeprefix(".") in FORMATS
 
     @property
@@ -239,7 +242,7 @@ class Render(ViewsCommand, FrameCommand):
         return "camera" if self.camera_path is None else "frame"
 
     def _names(self, cameras: Sequence[ls.Camera]) -> list[str]:
-        """Returns the cameras that ``--frames`` names; empty if it has numbers."""
+        """Returns the camera names in ``--frames``; empty if the option holds numbers."""
         names = {camera.name for camera in cameras}
         parts = [part.strip() for part in self.frames.split(",") if part.strip()]
         is_named = any(
@@ -252,7 +255,7 @@ class Render(ViewsCommand, FrameCommand):
         shots = [job.shots[index] for index in self._wanted(job.shots)]
         make_folder(shots[0].path.parent)
         with suppress(OSError):
-            (shots[0].path.parent / _STAMP).unlink()  # it no longer describes the images
+            (shots[0].path.parent / _STAMP).unlink()  # the stamp no longer describes the images
         fewer = "--frames" if self.camera_path is None else "--frames, --fps"
         progress = FrameProgress(report, "rendering", len(shots), fewer)
         frame: ls.Frame | None = None
@@ -266,7 +269,7 @@ class Render(ViewsCommand, FrameCommand):
         return _summary(shots, frame)
 
     def _provenance(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
-        """Returns everything that an image depends on, except its number."""
+        """Returns the values that determine all images, by name: version, device, settings, fingerprints of files."""
         files = [
             *self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
@@ -283,7 +286,7 @@ class Render(ViewsCommand, FrameCommand):
         }
 
     def _write(self, job: _ImageJob, frame: ls.Frame, shot: Shot) -> None:
-        """Writes an image with its mattes; deep samples come first, as the image marks it as done."""
+        """Writes an image with its mattes. Deep samples are written first, as an existing image counts as finished."""
         if self._layers.deep:
             renderer = job.source.renderer
             camera = job.source.focused(job.scene, shot.camera)
@@ -293,18 +296,18 @@ class Render(ViewsCommand, FrameCommand):
         job.writer.write(frame, shot.path, mattes)
 
     def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.layers.Mattes | None:
-        """Returns the mattes of an image, if they are asked for."""
+        """Returns the mattes of an image; None without ``--aov cryptomatte``."""
         if not self._layers.cryptomatte:
             return None
         return ls.layers.render_mattes(scene, camera, renderer.config, device=renderer.device)
 
     def _warm_up(self) -> WarmUp:
-        """Returns the warm-up of real-time images, whose frames ``--samples`` counts."""
+        """Returns the warm-up of real-time images; ``--samples`` sets its number of frames."""
         frames = self.samples if isinstance(self.samples, int) else REALTIME_FRAMES
         return WarmUp(frames=frames, each=self.camera_path is None)
 
     def _cameras(self, file: Path | None) -> list[ls.Camera]:
-        """Returns the cameras of files or of ``--camera-path``; empty if one has to be made."""
+        """Returns the cameras of files or of ``--camera-path``; empty if the view has to be chosen from the scene."""
         if self.camera_path is None:
             if self.cameras is None and not self.viewpoint.is_given:
                 warn_of_unused_cameras(self.scene)
@@ -313,7 +316,7 @@ class Render(ViewsCommand, FrameCommand):
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
-        """Returns cameras and files of the images."""
+        """Returns the camera and the file of each image."""
         names = self._names(cameras)
         if self._is_one_file and not names:
             cameras = [cameras[index] for index in frame_numbers("--frames", self.frames, len(cameras), self._unit)]
@@ -336,7 +339,7 @@ def _summary(shots: list[Shot], frame: ls.Frame) -> str:
 
 
 def _samples(frame: ls.Frame) -> str:
-    """Returns the number of samples and their noise as text, if the number was not given."""
+    """Returns the number of samples and the noise as text; empty without a time or noise limit."""
     config, noise = frame.config, frame.stats.noise if frame.stats else None
     if config is None or (config.time_limit is None and config.noise is None) or not frame.samples:
         return ""

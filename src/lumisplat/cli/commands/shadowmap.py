@@ -112,7 +112,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         )
 
     def _map_config(self) -> ls.config.DeepShadowConfig:
-        """Returns the settings of the map."""
+        """Returns the settings of the shadow map."""
         changes = without_none({"strength": self.strength, "resolution": self.resolution})
         if self.absorption is not None:
             changes["absorption"] = ls.config.Absorption(self.absorption)
@@ -121,7 +121,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         return replace(ls.config.DeepShadowConfig(), **changes)
 
     def _lights(self) -> tuple[ls.LightPoint | ls.LightDirectional, ...]:
-        """Returns the lights that were given."""
+        """Returns the lights of ``--light`` or ``--sun``; empty without these options."""
         if self.sun is not None and self.light:
             raise ls.ConfigError("--sun and --light are both given: choose one")
         if self.sun is not None:

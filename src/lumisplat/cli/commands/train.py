@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 _CAPTURES = (".ply", ".spz")
 _POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "cameras.txt")
-"""Files with poses, one of which makes a search for poses unnecessary."""
+"""Files with camera poses: if the folder has one of these, ``--poses`` does not search for poses."""
 _WORST = 5
-"""Number of the worst views that are listed."""
+"""Number of the worst held-out views in the printed table."""
 _RELIGHTABLE = (0.3, 0.05, 0.3)
-"""Weights of flatness, normals and depth spread for ``--relightable``."""
+"""Weights of the losses ``flatness``, ``normals`` and ``depth_spread`` with ``--relightable``."""
 _TOO_LIGHT = 0.02
-"""Fraction of visible Gaussians with a clipped albedo above which a line reports them."""
+"""Fraction of visible Gaussians with a clipped albedo above which the command prints a line about them."""
 
 
 @own_options_first
@@ -132,7 +132,7 @@ class Train(DeviceCommand):
             report: Receives the progress.
 
         Returns:
-            Result of the training, and of ``--relightable``.
+            Result of the training, and the materials of ``--relightable``; None without materials.
 
         Raises:
             KeyboardInterrupt: The training was interrupted; the message says how to continue.
@@ -165,7 +165,7 @@ class Train(DeviceCommand):
         return result, self._materials(result, images, self._materials_config(), report)
 
     def print_results(self, result: ls.training.TrainResult, found: ls.inverse.FoundMaterials | None) -> None:
-        """Prints the results of the training, and of ``--relightable``."""
+        """Prints the results of the training and, if not None, of the materials."""
         self._print_results(result)
         if found is not None:
             self._print_materials(found)
@@ -177,10 +177,10 @@ class Train(DeviceCommand):
         config: ls.config.MaterialsConfig,
         report: Report,
     ) -> ls.inverse.FoundMaterials | None:
-        """Finds and writes materials after a finished training."""
+        """Finds and writes materials after a finished training; returns None without ``--relightable``."""
         if not self.relightable or not result.is_finished:
             return None
-        if result.cameras is not None:  # poses have moved
+        if result.cameras is not None:  # training has refined the poses
             moved = zip(images.training, result.cameras, strict=True)
             images = replace(images, training=tuple(replace(one, camera=camera) for one, camera in moved))
         try:
@@ -193,7 +193,7 @@ class Train(DeviceCommand):
         return found
 
     def _print_materials(self, found: ls.inverse.FoundMaterials) -> None:
-        """Prints the files of the materials, and a doubtful result."""
+        """Prints the files of the materials, and a line if many albedos are clipped."""
         environment = self.output.with_name(self.output.stem + ".environment.exr")
         print(f"{environment}: the environment; {self.output.with_suffix('.training')}/materials has images of both")
         if found.too_light > _TOO_LIGHT:
@@ -223,7 +223,7 @@ class Train(DeviceCommand):
         return self.background.strip().lower() == "random"
 
     def _checked_background(self) -> str:
-        """Returns the background with which transparent images are read."""
+        """Returns the background behind transparent training images, after checking it; black for ``random``."""
         if self._is_random:
             return "black"
         try:
@@ -233,7 +233,7 @@ class Train(DeviceCommand):
         return self.background
 
     def _print_results(self, result: ls.training.TrainResult) -> None:
-        """Prints the results of the training."""
+        """Prints PSNR of held-out views, number of Gaussians, steps and time of the training."""
         score = result.score
         if score is not None:
             worst = sorted(score.of_views.items(), key=lambda item: item[1])[:_WORST]
@@ -252,21 +252,22 @@ class Train(DeviceCommand):
 
     @property
     def _again(self) -> str:
-        """Description of the command that continues the training."""
+        """Wording for messages of the command that continues the training."""
         return "the same command without --overwrite" if self.overwrite else "the same command"
 
 
 _VIEWS = 4
-"""Largest number of images beside which materials are written."""
+"""Number of views for which a PNG shows the training image beside its materials."""
 _ENVIRONMENT_PX = 16
-"""Size of an environment pixel in its PNG, pixels."""
+"""Magnification of the environment's pixels in its PNG."""
 _ENVIRONMENT_MEAN = 0.3
-"""Linear mean of the environment in its PNG: its brightness is arbitrary, and values above 1 are white."""
+"""Mean linear radiance to which the environment is scaled in its PNG. The environment's absolute brightness is
+arbitrary, and values above 1 are shown white."""
 _SH_C0 = 0.28209479177387814
 
 
 def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.io.TrainingImages, device: str) -> None:
-    """Writes an image for some views, preferably held-out ones, the environment as a PNG, and values as JSON."""
+    """Writes PNGs of views (held-out ones if any) and their materials, a PNG of the environment, and a JSON summary."""
     import numpy as np
 
     make_folder(folder)
@@ -287,7 +288,7 @@ def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.
 
 
 def _layers(gaussians: ls.Gaussians) -> list[ls.Gaussians]:
-    """Returns the capture with albedo, roughness and normals as colours."""
+    """Returns three copies of the capture, coloured by albedo, roughness and normals."""
     import numpy as np
 
     assert gaussians.albedo is not None and gaussians.roughness is not None and gaussians.normals is not None
@@ -302,7 +303,7 @@ def _colored(gaussians: ls.Gaussians, color: npt.NDArray[np.floating]) -> ls.Gau
 
 
 def _encoded(linear: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Returns display-referred sRGB values of linear ones."""
+    """Converts linear values to sRGB values."""
     import numpy as np
 
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1.0 / 2.4) - 0.055

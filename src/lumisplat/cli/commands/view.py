@@ -56,7 +56,7 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
         if not self.scene:
             raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
         self.check_levels(self.scene)
-        self._config(ls.RenderConfig())  # mistakes of --set are found before the page opens
+        self._config(ls.RenderConfig())  # mistakes in --set are found before the page opens
         levels = self.levels
         self.quiet_warp()
         viewer = ls.view(
@@ -88,7 +88,7 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
             viewer.close()
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """Returns settings with the changes of options."""
+        """Returns the given settings, changed by the command's options."""
         return self.pipeline_config(base, self.light.changes())
 
 

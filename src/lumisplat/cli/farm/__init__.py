@@ -1,1 +1,1 @@
-"""Rendering of frames in this process, or by workers on this machine or a Ray cluster."""
+"""Makes frames in this process, or with workers on this machine or on a Ray cluster."""

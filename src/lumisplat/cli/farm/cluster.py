@@ -18,27 +18,28 @@ import lumisplat as ls
 LOCAL = "local"
 """Address of a Ray instance that is started here for one job."""
 _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
-"""Environment variable. At 0, Ray uses 127.0.0.1 for its node, as on Windows and macOS, and opens its ports there
-only. Otherwise it opens them on all interfaces, whatever ``_node_ip_address`` is (measured with ``ss``, Ray 2.60)."""
+"""Environment variable of Ray. With the value 0, Ray uses 127.0.0.1 as the address of its node, as on Windows and
+macOS, and opens its ports only there. Otherwise Ray opens its ports on all interfaces, whatever ``_node_ip_address`` is
+(measured with ``ss``, Ray 2.60)."""
 _CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
 """File in which Ray stores the address of the cluster that was started last on this machine."""
 _CONNECT_S = 10.0
-"""Timeout of a connection, seconds."""
+"""Timeout of a test connection, seconds."""
 _IP = re.compile(r"^\s*ip: (\S+)", re.MULTILINE)
-"""Pattern of an address in Ray's description of an actor."""
+"""Pattern of the IP address in Ray's error message about an actor."""
 _VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
-"""Pattern of two versions in Ray's message about a mismatch."""
+"""Pattern of Ray's and Python's version, which occurs twice in Ray's message about a version mismatch."""
 _ERROR_CHARS = 300
-"""Characters of Ray's messages that are passed on."""
+"""Largest number of characters of a Ray message that an error message repeats."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @contextlib.contextmanager
 def connected(address: str, cpus: int) -> Generator[Any]:
-    """Connects to a Ray cluster, or starts Ray here, logs a line about it, and yields the module ``ray``.
+    """Connects to a Ray cluster or starts Ray on this machine, logs a line about it, and yields the module ``ray``.
 
-    An existing connection of the process is kept.
+    If the process is already connected, that connection is used.
 
     Args:
         address: ``local`` starts Ray here for the time of the job; ``auto`` uses the cluster that runs here;
@@ -51,7 +52,7 @@ def connected(address: str, cpus: int) -> Generator[Any]:
     """
     if address == LOCAL:
         os.environ.setdefault(_LOOPBACK, "0")
-    elif _has_token():  # else it is not shown where an address is given, as of Ray 2.60
+    elif _has_token():  # otherwise Ray 2.60 sends no token to a given address
         os.environ.setdefault("RAY_AUTH_MODE", "token")
     ray = _load_ray()
     if ray.is_initialized():
@@ -60,10 +61,10 @@ def connected(address: str, cpus: int) -> Generator[Any]:
     _check_reachable(address)
     options: dict[str, Any] = {"include_dashboard": False, "num_cpus": cpus} if address == LOCAL else {}
     try:
-        # Ray shows its workers the working folder, where a stranger's capture may bring modules: they see another.
+        # Ray adds the working folder to the workers' import path. Downloaded captures there could hide Python modules.
         with contextlib.chdir(sys.prefix):
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **options)
-    except Exception as error:  # Ray raises whatever its parts do
+    except Exception as error:  # Ray raises errors of many types
         raise ls.ConfigError(f"--address {address}: {_connection_problem(error)}") from None
     try:
         resources = ray.cluster_resources()
@@ -98,19 +99,20 @@ def _load_ray() -> Any:
 
 
 def _has_token() -> bool:
-    """Returns whether an authentication token exists where Ray looks for it."""
+    """Returns whether Ray would find an authentication token in the environment or in its default file."""
     named = os.environ.get("RAY_AUTH_TOKEN_PATH")
     path = Path(named) if named else Path.home() / ".ray" / "auth_token"
     return "RAY_AUTH_TOKEN" in os.environ or path.is_file()
 
 
 def _check_reachable(address: str) -> None:
-    """Raises a ConfigError if nothing listens at an address, for which Ray would try for minutes.
+    """Raises a ConfigError if nothing listens at an address; Ray itself would keep trying for minutes.
 
-    If a cluster listens on 127.0.0.1 only, Ray is told so, as it would try another address of this machine.
+    If a cluster listens only on 127.0.0.1, sets an environment variable that makes Ray connect to that address instead
+    of this machine's network address.
     """
     named = address
-    if address == "auto":  # Ray remembers clusters that have died
+    if address == "auto":  # Ray may remember the address of a cluster that has ended
         named = os.environ.get("RAY_ADDRESS", "")
         with contextlib.suppress(OSError):
             named = named or _CURRENT.read_text().strip()
@@ -127,11 +129,11 @@ def _check_reachable(address: str) -> None:
 
 
 def _own_address() -> str:
-    """Returns this machine's address in its network; sends no packet."""
+    """Returns this machine's IP address in its network, without sending a packet; 127.0.0.1 without a network."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("8.8.8.8", 53))
-        except OSError:  # it has no network
+        except OSError:  # the machine has no network
             return "127.0.0.1"
         return probe.getsockname()[0]
 
@@ -146,7 +148,7 @@ def _listens(host: str, port: int) -> bool:
 
 
 def _connection_problem(error: BaseException) -> str:
-    """Returns why a cluster cannot be used, from an error of Ray."""
+    """Returns the reason why a cluster cannot be used, taken from an error of Ray."""
     if "Version mismatch" in str(error) and len(sides := _VERSIONS.findall(str(error))) == 2:
         there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
         return f"the cluster is of {there}, this process of {here}: install the same on both sides"
@@ -154,12 +156,12 @@ def _connection_problem(error: BaseException) -> str:
 
 
 def actor_failure(error: BaseException) -> str:
-    """Returns a short description of an actor's end, from an error of Ray."""
+    """Returns a short reason why a Ray actor failed, taken from an error of Ray."""
     text, cause = str(error), getattr(error, "cause", None)
     where = f" on {found[1]}" if (found := _IP.search(text)) else ""
-    if isinstance(cause, BaseException):  # an error of ours that was not caught
+    if isinstance(cause, BaseException):  # an uncaught error of the worker's code
         return f"{type(cause).__name__}: {' '.join(str(cause).split())}"
-    if "creation task" in text:  # the last line of a traceback is the error's
+    if "creation task" in text:  # the last line of the traceback names the error
         return f"it could not start{where}: {text.strip().splitlines()[-1].strip()}"
     if "node has died" in text or "node was terminated" in text:
         return f"its node{where} has died"
@@ -169,6 +171,6 @@ def actor_failure(error: BaseException) -> str:
 
 
 def _short(error: BaseException) -> str:
-    """Returns the beginning of Ray's message, which may have pages."""
+    """Returns Ray's error message on one line, cut to `_ERROR_CHARS` characters."""
     words = " ".join(str(error).split()) or type(error).__name__
     return words if len(words) <= _ERROR_CHARS else f"{words[:_ERROR_CHARS]} ..."

@@ -1,8 +1,8 @@
-"""Assigns frames to workers on Ray until each exists or has failed.
+"""Assigns frames to workers on Ray until each frame exists or has failed.
 
-Ray starts workers, gives each a GPU of its own if there are any, and reports their ends. The driver replaces lost
-workers, and tries failed frames once more. Several failures in a row, without a finished frame between them, end the
-job, as a full disk and the like affect all frames.
+Ray starts the workers, gives each its own GPU if there are any, and reports when a worker ends. The driver replaces
+lost workers, and tries failed frames once more. Several failures in a row, without a finished frame between them, end
+the job, because problems such as a full disk affect all frames.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ _log = logging.getLogger("lumisplat")
 CORES = 4
 """Default number of CPU cores of a worker."""
 TRIES = 2
-"""Attempts for a frame: a frame that kills two workers would kill a third."""
+"""Attempts for each frame: a frame that ends two workers would probably end a third."""
 FAILURES_IN_A_ROW = 4
-"""Failures of frames in a row after which the job ends."""
+"""Number of failures in a row, over all frames, after which the job ends."""
 STARTS_IN_A_ROW = 2
-"""Failed starts of workers in a row after which no worker is replaced."""
+"""Number of failed worker starts in a row after which lost workers are no longer replaced."""
 _WAIT_S = 1.0
-"""Time to wait for an answer before checking for workers that exceed their time, seconds."""
+"""Longest wait for a worker's answer before the time limits of all workers are checked, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FarmOptions:
-    """Options of the workers."""
+    """Options that set number, resources and time limit of the workers."""
 
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per GPU, else per 4 cores)")] = (
         None
@@ -59,7 +59,7 @@ class FarmOptions:
 
 
 FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]
-"""Type of a command's field that shows these options as a group."""
+"""Type of a command's field that shows `FarmOptions` as a group in the help."""
 
 
 class FarmCommand(FrameMaker, Protocol):
@@ -87,12 +87,12 @@ class FarmCommand(FrameMaker, Protocol):
 
 
 def run_farm(command: FarmCommand, *, overwrite: bool, video: Path | None) -> None:
-    """Makes the missing frames of a command by workers, then the video, and prints a summary.
+    """Makes the missing frames of a command with workers, then the video, and prints a summary.
 
     Args:
         command: The command.
-        overwrite: Make existing frames anew.
-        video: Video of the frames; None for none.
+        overwrite: True deletes existing frames first.
+        video: Path of the video; None writes no video.
 
     Raises:
         ConfigError: An option is wrong, or there is no cluster.
@@ -124,15 +124,15 @@ class _Task:
     frame: int | None
     """Number of the frame; None while the worker loads the scene."""
     since: float
-    """Start time of the task, seconds."""
+    """Start time of the task, seconds of `Driver.clock`."""
 
 
 @dataclass
 class Driver:
-    """Makes frames by workers; its arguments are those of `run_farm`."""
+    """Makes the frames of one `run_farm` call by assigning them to workers."""
 
     ray: Any
-    """The module, connected to a cluster."""
+    """Module ``ray``, connected to a cluster."""
     order: Order
     options: FarmOptions
     device: str
@@ -143,18 +143,19 @@ class Driver:
 
     def __post_init__(self) -> None:
         self._frames: FrameList | None = None
-        """Frames as the first worker sees them; None before it is ready."""
+        """Frames of the command, as the first worker that is ready reports them; None before."""
         self._wanted = 0
         self._waiting: deque[int] = deque()
         self._tasks: dict[Any, _Task] = {}
         self._idle: list[Any] = []
         self._done: dict[int, float] = {}
-        """Seconds of a worker for each frame that has been made."""
+        """Seconds that a worker took for each finished frame, by frame number; 0 for a frame that already existed."""
         self._failed: dict[int, BaseException] = {}
         self._tries: dict[int, int] = {}
         self._lost = self._failures = self._bad_starts = 0
         self._refusals: list[BaseException] = []
-        """Errors of workers that could not start, not yet logged; the last is the job's error if no worker can."""
+        """Errors, not yet logged, of workers that could not start. If no worker can start, the last one is the job's
+        error."""
         self._refusal: BaseException | None = None
         self._logged: set[str] = set()
 
@@ -162,12 +163,12 @@ class Driver:
         """Makes the missing frames, then the video.
 
         Returns:
-            Lines about the frames and their time.
+            Summary lines about the frames and their time.
 
         Raises:
             KeyboardInterrupt: The command was interrupted; the message counts the existing frames.
             FramesMissingError: Some frames failed.
-            LumisplatError: No worker can work, or the first frame has a mistake that all frames share.
+            LumisplatError: No worker could start, or the first frame has a mistake that all frames share.
         """
         begun = self.clock()
         count, needs, threads = self._resources()
@@ -191,10 +192,10 @@ class Driver:
         return self._summary(begun)
 
     def _resources(self) -> tuple[int, dict[str, float], int]:
-        """Returns the number of workers, the resources that each needs of the cluster, and its threads.
+        """Returns the number of workers, and for each worker its Ray resources and its number of CPU threads.
 
-        A worker has a GPU to itself if there are any, else its cores. Workers without room in a cluster wait for new
-        nodes; on one machine, they share its GPUs.
+        A worker reserves one GPU if there are any, else its CPU cores. In a cluster, workers that do not fit wait for
+        new nodes; on one machine, several workers may share a GPU.
         """
         here = self.options.address == LOCAL
         resources = self.ray.cluster_resources()
@@ -206,7 +207,7 @@ class Driver:
         return count, {"num_gpus": share, "num_cpus": 1} if gpus else {"num_cpus": cores}, cores
 
     def _summary(self, begun: float) -> str:
-        """Returns lines about the finished job; raises its error if frames are missing."""
+        """Returns summary lines of the finished job; raises the job's error if frames are missing."""
         why = self._refusal or ls.DeviceError(
             "no worker could be started" if self._frames is None else "all workers were lost"
         )
@@ -233,7 +234,7 @@ class Driver:
 
     @property
     def _mean_seconds(self) -> float:
-        """Mean time of a worker for a frame, seconds; 0 if it is unknown."""
+        """Mean time that one worker takes for a frame, seconds; 0 before a frame was rendered."""
         made = [seconds for seconds in self._done.values() if seconds > 0.0]
         return sum(made) / len(made) if made else 0.0
 
@@ -247,7 +248,7 @@ class Driver:
         self._tasks[worker.open.remote()] = _Task(worker, None, self.clock())
 
     def _receive(self, ref: Any) -> None:
-        """Handles the answer of a worker, or its end."""
+        """Handles the answer of a worker, or replaces the worker if it was lost."""
         task = self._tasks.pop(ref)
         try:
             answer: Answer = self.ray.get(ref)
@@ -265,7 +266,7 @@ class Driver:
         self._assign_frames()
 
     def _worker_ready(self, worker: Any, answer: Answer) -> None:
-        """Accepts a worker that has loaded the scene, if it has the same frames as the first one."""
+        """Accepts a worker that has loaded the scene, unless its frames differ from those of the first worker."""
         if answer.frames is None:
             assert answer.error is not None
             self._refuse(worker, answer.error)
@@ -283,7 +284,7 @@ class Driver:
         self._log_refusals()
 
     def _begin(self, frames: FrameList) -> None:
-        """Prepares the folder for the frames of the first worker."""
+        """Prepares the folder and the list of missing frames, once the first worker has loaded the scene."""
         self.report("starting", 1.0)
         if self.video is not None:
             check_video(self.video, frames.fps or 0.0)
@@ -297,7 +298,7 @@ class Driver:
             )
 
     def _refuse(self, worker: Any, error: BaseException) -> None:
-        """Ends a worker that cannot work; the others continue."""
+        """Ends a worker that could not start; the other workers continue."""
         self.ray.kill(worker)
         self._refusal = error
         self._refusals.append(error)
@@ -305,14 +306,14 @@ class Driver:
             self._log_refusals()
 
     def _log_refusals(self, reported: str = "") -> None:
-        """Logs each reason, except the one that is reported as the job's error."""
+        """Logs why workers could not start, except the reason ``reported``, which is the job's error."""
         for reason in map(one_line, self._refusals):
             if reason != reported:
                 self._log_once(f"one worker fewer: {reason}")
         self._refusals.clear()
 
     def _frame_done(self, worker: Any, frame: int, answer: Answer) -> None:
-        """Handles a finished or failed frame, and frees its worker."""
+        """Records a finished or failed frame, and marks its worker as idle."""
         self._idle.append(worker)
         if answer.error is None:
             self._failures = 0
@@ -338,7 +339,7 @@ class Driver:
             self._start()
 
     def _end_hung(self) -> None:
-        """Ends workers that take longer for a frame than ``--frame-timeout``."""
+        """Ends and replaces workers whose frame takes longer than ``--frame-timeout``."""
         if (timeout := self.options.frame_timeout) is None:
             return
         limit = seconds_of("--frame-timeout", timeout)
@@ -350,7 +351,7 @@ class Driver:
         self._assign_frames()
 
     def _count_failure(self, frame: int, error: BaseException) -> None:
-        """Schedules a frame for another attempt, or gives it up."""
+        """Schedules a failed frame for another attempt, or gives it up after `TRIES` attempts."""
         self._failures += 1
         self._tries[frame] = self._tries.get(frame, 0) + 1
         if self._tries[frame] < TRIES:
@@ -370,7 +371,10 @@ class Driver:
             self._tasks[worker.make.remote(frame)] = _Task(worker, frame, self.clock())
 
     def _next(self) -> int | None:
-        """Removes and returns the first frame whose needed frames exist; frames that need a failed frame fail, too."""
+        """Removes and returns the first waiting frame whose prerequisite frames exist; None if no frame can start.
+
+        Frames whose prerequisite has failed fail, too.
+        """
         if not self._waiting or self._frames is None or not self._frames.needs:
             return self._waiting.popleft() if self._waiting else None
         undone = {*self._waiting, *(task.frame for task in self._tasks.values())}
@@ -385,7 +389,7 @@ class Driver:
         return None
 
     def _report_progress(self) -> None:
-        """Reports the number of finished frames, and their time."""
+        """Reports how many frames are finished or failed, and the mean time of a frame."""
         if self._wanted == 0 or self._frames is None:
             return
         ended = len(self._done) + len(self._failed)
@@ -394,7 +398,7 @@ class Driver:
         self.report(f"{self._frames.unit}s, {ended} of {self._wanted}{cost}{failed}", ended / self._wanted)
 
     def _log_once(self, line: str) -> None:
-        """Logs a line once, whichever worker sends it."""
+        """Logs a line, unless another worker has sent it before."""
         if line not in self._logged:
             self._logged.add(line)
             _log.warning("%s", line)

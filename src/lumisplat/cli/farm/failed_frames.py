@@ -1,4 +1,4 @@
-"""Error about frames that failed, in a module of its own, as errors import NumPy and help must not."""
+"""Error about failed frames. Other error modules import NumPy, which the command line's help must not need."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import lumisplat as ls
 
 
 class FramesMissingError(ls.LumisplatError):
-    """Raised if some frames failed; the others exist, and the same command tries again."""
+    """Raised if some frames failed; the same command tries these frames again."""
 
     status = 3
-    """Exit status of the process, which lets schedulers distinguish failures from mistakes (2), which would be
-    repeated."""
+    """Exit status of the process. Schedulers can repeat a command with this status; status 2 means a mistake that
+    would recur."""

@@ -1,4 +1,4 @@
-"""Frames as units of work: which are wanted, where they are written, and how to make them in this process."""
+"""Frames as units of work: which frames are wanted, where they are written, and how to make them in this process."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ from lumisplat.cli.output.console import FrameProgress, Report, counted, one_lin
 from lumisplat.cli.output.frame_folder import FrameFolder, check_video, write_video
 
 NAMED_REASONS = 3
-"""Number of reasons for failures that a message names, each with its first frame."""
+"""Largest number of failure reasons in an error message, each with the first frame that it affects."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameList:
-    """Frames of a command."""
+    """Frames that a command has to make."""
 
     folder: FrameFolder
     """Folder of the frames."""
     provenance: dict[str, str]
-    """Everything that the frames depend on, by name."""
+    """Values that determine the frames, by name, such as settings and fingerprints of files."""
     wanted: tuple[int, ...]
-    """Numbers of the frames."""
+    """Numbers of the frames to make."""
     fps: float | None = None
-    """Frames a second of an animation; None for single images."""
+    """Frames per second of an animation; None for single images."""
     in_sequence: bool = False
-    """True if each frame depends on those before it."""
+    """True if each frame depends on earlier frames."""
     needs: Mapping[int, tuple[int, ...]] = field(default_factory=dict[int, tuple[int, ...]])
-    """Frame -> the frames that it is made from, which have to exist before."""
+    """Numbers of the prerequisite frames that a frame is made from, by the frame's number."""
     unit: str = "frame"
-    """Noun for one frame."""
+    """Noun for one frame in messages, such as ``view``."""
     go_on: str = "without --overwrite"
-    """Change of the command that continues a run."""
+    """How to change the command so that it continues an interrupted run, for messages."""
 
     def begin(self, overwrite: bool) -> list[int]:
-        """Prepares the folder, and returns the missing frames.
+        """Prepares the folder, and returns the numbers of the missing frames.
 
         Raises:
-            ConfigError: There are frames of another provenance.
+            ConfigError: The folder has frames of another provenance.
             FormatError: The folder cannot be written.
         """
         self.folder.prepare(self.provenance, overwrite)
         return [index for index in self.wanted if not self.folder.is_finished(index)]
 
     def count_line(self, overwrite: bool = False) -> str:
-        """Returns the number of existing frames, and how to continue, as text."""
+        """Returns text that says how many frames exist and which command continues."""
         count = sum(map(self.folder.is_finished, self.wanted))
         again = f"the same command {self.go_on}" if overwrite else "the same command"
         return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} continues"
@@ -78,17 +78,17 @@ class FrameJob:
 
     frames: FrameList
     render: Callable[[int, Report], Any]
-    """Renders one frame: a `lumisplat.Frame`, or a part of one."""
+    """Renders the frame of a number: a `lumisplat.Frame`, or the unit's own result, such as a block of samples."""
     write: Callable[[Any, int], None]
-    """Writes a frame."""
+    """Writes a rendered frame, given its number."""
     summarise: Callable[[Any, int], None] | None = None
-    """Prints the time of a number of frames; the first argument is the last frame."""
+    """Prints statistics, given the last frame and the number of frames."""
 
     def make(self, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart | None:
-        """Renders a frame and writes it whole, unless it exists.
+        """Renders and writes a frame, unless its file exists.
 
         Returns:
-            The frame; None if another process has made it.
+            The frame; None if its file already exists, as another process may have written it.
 
         Raises:
             ConfigError: Another run with other settings has started in the folder.
@@ -101,7 +101,7 @@ class FrameJob:
         try:
             frame = self.render(index, report)
         except ls.FormatError:
-            if folder.is_finished(index):  # another process has made it, and removed its parts
+            if folder.is_finished(index):  # another process has made the frame and removed its parts
                 return None
             raise
         folder.check_current(provenance)
@@ -117,7 +117,7 @@ class FrameJob:
 
 
 class FrameMaker(Protocol):
-    """Command whose result is a set of frames."""
+    """Command that makes a set of frames."""
 
     def open_frames(self, report: Report) -> FrameJob:
         """Checks options and files, and loads the scene."""
@@ -125,7 +125,7 @@ class FrameMaker(Protocol):
 
 
 def is_mistake(error: BaseException, frames: FrameList) -> bool:
-    """Returns whether an error of the first frame would occur in all: a wrong setting, file or package."""
+    """Returns whether an error of the first frame would recur in all frames: a wrong setting, file or package."""
     if isinstance(error, ls.FormatError):
         return not frames.folder.holds(error.path)
     return isinstance(error, ls.ConfigError | ls.SceneError | ls.errors.MissingExtraError)
@@ -135,14 +135,14 @@ def make_frames(job: FrameJob, report: Report, *, overwrite: bool, video: Path |
     """Makes the missing frames in this process, then the video.
 
     Args:
-        job: Makes the frames.
+        job: Frames to make, with the functions that render and write them.
         report: Receives the progress.
-        overwrite: Make existing frames anew.
-        video: Video of the frames; None for none.
-        fewer: Options that reduce the number of frames, as typed.
+        overwrite: True deletes existing frames first.
+        video: Path of the video; None writes no video.
+        fewer: Options that reduce the number of frames, as typed, for an advice in the log.
 
     Returns:
-        Lines about the frames.
+        Summary lines about the frames.
 
     Raises:
         KeyboardInterrupt: The command was interrupted; the message counts the existing frames.
@@ -161,7 +161,7 @@ def make_frames(job: FrameJob, report: Report, *, overwrite: bool, video: Path |
 
 
 def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool, fewer: str) -> None:
-    """Makes frames; an error in one of them ends it."""
+    """Makes the missing frames in order; the first error ends the run."""
     if not missing:
         return
     unit = job.frames.unit
@@ -182,12 +182,12 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
 
 
 def finish_frames(frames: FrameList, made: int, video: Path | None, report: Report) -> str:
-    """Joins parts or writes the video of all frames, if there is one, and returns lines about the frames.
+    """Joins the tiles of images, or writes the video, once all frames exist; returns summary lines.
 
     Args:
         frames: The frames, all of which exist.
-        made: Number of frames that were missing.
-        video: File of the video; None for none.
+        made: Number of frames that this run has made.
+        video: Path of the video; None writes no video.
         report: Receives the progress.
 
     Raises:

@@ -1,7 +1,7 @@
-"""Parts of images as files, until the image exists: tiles, blocks of samples, or blocks of samples of each tile.
+"""Splits images into parts that are rendered and stored one by one: tiles, blocks of samples, or blocks of each tile.
 
-Tiles are joined when all of an image exist. Blocks of samples are merged by their sums to an image or tile, which is a
-unit of work that comes after them.
+Tiles are joined once all tiles of an image exist. Merging the blocks of samples to an image or a tile is a unit of work
+of its own, which needs these blocks.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from lumisplat.cli.output.images import Shot
 
 AUTO = "auto"
 AUTO_PIXELS = 2**22
-"""Approximate pixels of a tile with ``--tiles auto``: the memory of a frame of 2048 x 2048."""
+"""Approximate number of pixels of a tile with ``--tiles auto``: those of a frame of 2048 x 2048."""
 _GRID = re.compile(r"(\d+)x(\d+)")
 
 
 @dataclass(frozen=True)
 class SplitImage:
-    """An image, and the files of its tiles by their windows; without tiles, a unit of work writes it."""
+    """An image, and the files of its tiles by their pixel windows. Without tiles, the image is written as a whole."""
 
     path: Path
     tiles: dict[tuple[int, int, int, int], Path] = field(default_factory=dict[tuple[int, int, int, int], Path])
@@ -39,7 +39,7 @@ class SplitImage:
         return self.path.is_file() or (bool(self.tiles) and all(map(Path.is_file, self.tiles.values())))
 
     def join(self) -> None:
-        """Joins the tiles, unless the image exists.
+        """Joins the tiles to the image, unless the image already exists.
 
         Raises:
             FormatError: A tile cannot be read, or the image cannot be written.
@@ -48,28 +48,28 @@ class SplitImage:
             try:
                 ls.io.join_windows(self.path, self.tiles)
             except ls.FormatError:
-                if not self.path.is_file():  # else another run has joined it, and removed the tiles
+                if not self.path.is_file():  # otherwise another run has joined the image and removed the tiles
                     raise
 
 
 @dataclass(frozen=True)
 class PartFolder(FrameFolder):
-    """Folder of the parts of images, numbered image after image."""
+    """Folder of images that are made from parts; frame numbers count the parts of all images."""
 
     images: tuple[SplitImage, ...] = ()
     holders: tuple[tuple[Path, ...], ...] = ()
-    """Files that each part belongs to: once one of them exists, the part is no longer needed."""
+    """Files of the tile and the image that contain each part; once one of these exists, the part is not needed."""
 
     def is_finished(self, index: int) -> bool:
-        """Returns whether a part exists, or a file that it belongs to."""
+        """Returns whether the file of a part exists, or a file that contains the part."""
         return any(path.is_file() for path in (self.path(index), *self.holders[index]))
 
     def tidy(self, index: int) -> None:
-        """Removes the parts of a frame that exists."""
+        """Removes the parts from which a finished tile or image was made."""
         _remove_parts(self._parts.get(self.path(index), []))
 
     def join(self, report: Report) -> list[Path]:
-        """Writes the images whose parts exist, removes the parts, and returns the existing images.
+        """Joins the images whose tiles all exist, removes their parts, and returns all existing images.
 
         Raises:
             FormatError: Raised by `SplitImage.join`.
@@ -84,7 +84,7 @@ class PartFolder(FrameFolder):
 
     @cached_property
     def _parts(self) -> dict[Path, list[Path]]:
-        """Parts of each file that has any."""
+        """Files of the parts that each tile or image is made from."""
         parts: dict[Path, list[Path]] = {}
         for index, holders in enumerate(self.holders):
             for holder in holders:
@@ -97,25 +97,25 @@ class PartFolder(FrameFolder):
 
 @dataclass(frozen=True)
 class Parts:
-    """Units of work of a command's images: images or tiles, each preceded by the blocks of its samples."""
+    """Units of work of a command's images: images or tiles, each preceded by the blocks of its samples, if any."""
 
     folder: PartFolder
     shots: tuple[Shot, ...]
-    """Images or tiles: a camera and a file each."""
+    """Camera and file of each image or tile."""
     wanted: tuple[int, ...]
-    """Numbers of the units of the wanted images."""
+    """Numbers of the units of work that make the wanted images."""
     blocks: tuple[range, ...] = ()
-    """Sample numbers of each block, the same for each shot; empty if shots are rendered whole."""
+    """Range of sample numbers of each block, equal for all shots; empty if samples are not split."""
 
     @staticmethod
     def of(shots: list[Shot], wanted: tuple[int, ...], output: Path, stamp: str) -> Parts:
-        """Returns images that are not split.
+        """Returns units of work that each render a whole image.
 
         Args:
             shots: The images.
             wanted: Numbers of the images to make.
             output: Value of ``-o``: a folder, or the file of the only image.
-            stamp: File name of the stamp in a folder; for a single file, its name precedes.
+            stamp: File name of the stamp in a folder; a single image's stamp begins with the image's stem.
         """
         folder = shots[0].path.parent
         name = stamp if folder == output else f"{output.stem}.{stamp}"
@@ -128,10 +128,10 @@ class Parts:
 
         Args:
             grid: ``auto``, or columns and rows such as ``4x4``.
-            has_layers: Whether there are layers besides the colour.
+            has_layers: True if layers are written besides the colour.
 
         Raises:
-            ConfigError: The grid is impossible, or the format cannot be written in rows.
+            ConfigError: The grid is invalid, or the file format does not support tiles.
         """
         tiles: list[list[Shot]] = []
         images: list[SplitImage] = []
@@ -154,7 +154,7 @@ class Parts:
         )
 
     def split(self, blocks: list[range]) -> Parts:
-        """Splits the samples of images or tiles into blocks."""
+        """Splits the samples of each image or tile into blocks; each block becomes a unit of work."""
         units: list[list[Path]] = []
         holders: list[tuple[Path, ...]] = []
         for shot, wholes in zip(self.shots, self.folder.holders, strict=True):
@@ -164,7 +164,7 @@ class Parts:
         return replace(self._divided(units, tuple(holders)), blocks=tuple(blocks))
 
     def _divided(self, units: list[list[Path]], holders: tuple[tuple[Path, ...], ...]) -> Parts:
-        """Returns parts with several files in place of each."""
+        """Returns the units of work after each unit has been replaced by several, given the files of these."""
         names = tuple(str(path.relative_to(self.folder.folder)) for files in units for path in files)
         ends = list(accumulate(map(len, units), initial=0))
         wanted = tuple(number for one in self.wanted for number in range(ends[one], ends[one + 1]))
@@ -172,19 +172,19 @@ class Parts:
 
     @property
     def needs(self) -> dict[int, tuple[int, ...]]:
-        """Units that have to exist before others: the blocks of a shot."""
+        """Numbers of the units that render an image's or tile's sample blocks, by the number of the merging unit."""
         count = len(self.blocks)
         return {end: tuple(range(end - count, end)) for end in self.wanted if count and end % (count + 1) == count}
 
     def shot(self, index: int) -> Shot:
-        """Returns the image or tile of a unit."""
+        """Returns the image or tile to which a unit belongs."""
         return self.shots[index // (len(self.blocks) + 1)]
 
     def make(self, source: FrameSource, scene: ls.Scene, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart:
-        """Renders a block of samples, or an image or tile, which is merged from its blocks if it has any.
+        """Renders a block of samples, merges the blocks of an image or tile, or renders an image or tile whole.
 
         Raises:
-            ConfigError: Such frames cannot be split by samples.
+            ConfigError: The render settings do not allow samples to be split.
             FormatError: A block cannot be read.
             LumisplatError: Raised by `FrameSource.frame`.
         """
@@ -198,13 +198,13 @@ class Parts:
         return source.finished(ls.farm.merge_samples(source.renderer, scene, camera, self._loaded(index)))
 
     def _loaded(self, index: int) -> Iterator[ls.farm.SamplePart]:
-        """Loads the blocks of a shot one by one."""
+        """Loads the sample blocks of an image or tile one by one, given the number of the unit that merges them."""
         for number in range(index - len(self.blocks), index):
             yield ls.farm.SamplePart.load(self.folder.path(number))
 
 
 def _check_format(path: Path, *, has_layers: bool) -> None:
-    """Refuses images that are not written in rows."""
+    """Raises a ConfigError if an image's file format does not support tiles."""
     if path.suffix.lower() not in (".png", ".exr"):
         raise ls.ConfigError(f"{path}: --tiles needs .png or .exr")
     if has_layers and path.suffix.lower() == ".png":
@@ -213,7 +213,7 @@ def _check_format(path: Path, *, has_layers: bool) -> None:
 
 def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
     """Returns the cameras of the tiles of an image."""
-    if grid == AUTO:  # bands as wide as the picture, which are joined in as little memory as they are made in
+    if grid == AUTO:  # full-width tiles: joining needs no more memory than rendering one
         return camera.windows(1, -(-camera.width * camera.height // AUTO_PIXELS))
     numbers = _GRID.fullmatch(grid)
     if numbers is None:
@@ -225,7 +225,7 @@ def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
 
 
 def _remove_parts(parts: list[Path]) -> None:
-    """Removes parts, and their folders if these are empty."""
+    """Removes the files of parts, and folders that become empty."""
     for part in parts:
         with suppress(OSError):
             part.unlink(missing_ok=True)

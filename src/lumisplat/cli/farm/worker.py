@@ -1,4 +1,4 @@
-"""Worker of a farm, a Ray actor that loads the scene once and makes frames."""
+"""Worker of a farm: a Ray actor that loads the scene once, then makes frames."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, FrameMaker, is_mistake
 
 THREADS_VARIABLE = "LUMISPLAT_THREADS"
-"""Environment variable with the number of CPU threads of a process."""
+"""Environment variable that sets a process's number of CPU threads."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """Description of the workers' task."""
+    """Command and settings that the driver sends to each worker."""
 
     command: FrameMaker
     """Command whose frames are made."""
     folder: str
-    """Folder to which relative paths refer."""
+    """Working folder, to which relative paths of the command refer."""
     debug: bool = False
     """True if workers print their errors with tracebacks."""
 
@@ -35,30 +35,30 @@ class Answer:
     """Answer of a worker that has loaded the scene or made a frame."""
 
     lines: list[str]
-    """Log lines of the worker."""
+    """Warnings that the worker has logged since its last answer."""
     host: str
-    """Name of its machine."""
+    """Name of the worker's machine."""
     frames: FrameList | None = None
-    """Frames of the command as the worker sees them, after loading the scene."""
+    """Frames of the command, if the task was to load the scene; None otherwise."""
     error: BaseException | None = None
     """Error of the task; None if it succeeded."""
     is_mistake: bool = False
-    """True if the error would occur in all frames."""
+    """True if the error would recur in all frames."""
     seconds: float = 0.0
-    """Time of the frame, seconds; 0 if it existed."""
+    """Time to make the frame, seconds; 0 if the frame already existed."""
 
 
 class Worker:
     """Makes frames of a command.
 
     Args:
-        order: The task.
+        order: Command and settings.
         threads: Number of CPU threads, which is set before anything is loaded.
     """
 
     def __init__(self, order: Order, threads: int) -> None:
         os.environ[THREADS_VARIABLE] = f"{threads}"
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the driver's, which ends its workers
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver handles Ctrl-C and ends its workers
         self._order = order
         self._job: FrameJob | None = None
         self._made = 0
@@ -68,7 +68,7 @@ class Worker:
         log.propagate = False
 
     def open(self) -> Answer:
-        """Loads the scene."""
+        """Loads the scene; answers with the command's frames."""
         try:
             if not Path(self._order.folder).is_dir():
                 what = "is no folder on a worker's machine: scene and frames need a folder that all machines see"
@@ -80,7 +80,7 @@ class Worker:
         return self._answer(frames=self._job.frames)
 
     def make(self, frame: int) -> Answer:
-        """Makes a frame."""
+        """Makes a frame; answers with its time."""
         assert self._job is not None
         begun = time.perf_counter()
         try:
@@ -104,8 +104,8 @@ class Worker:
         return Answer(lines=lines, host=host, frames=frames, error=error, is_mistake=is_mistake, seconds=seconds)
 
     def _portable_error(self, error: Exception) -> BaseException:
-        """Returns an error that can be sent to the driver, and prints it with ``--debug``."""
-        if not isinstance(error, ls.LumisplatError | OSError | MemoryError):  # a mistake of ours
+        """Converts an error to one that can be sent to the driver; with ``--debug``, also prints the traceback."""
+        if not isinstance(error, ls.LumisplatError | OSError | MemoryError):  # a bug of this package
             at = traceback.extract_tb(error.__traceback__)[-1]
             described = ls.LumisplatError(f"{type(error).__name__}: {error}, in {at.filename}, line {at.lineno}")
             described.__cause__, error = error, described
@@ -115,7 +115,7 @@ class Worker:
 
 
 class _Collected(logging.Handler):
-    """Log handler that stores lines for the driver, which logs each once for all workers."""
+    """Log handler that collects a worker's warnings for the driver, which logs equal lines of all workers once."""
 
     def __init__(self, lines: list[str]) -> None:
         super().__init__(logging.WARNING)
@@ -127,4 +127,4 @@ class _Collected(logging.Handler):
 
 
 def _no_progress(label: str, fraction: float) -> None:
-    """Ignores the progress of single frames, which the driver does not show."""
+    """Discards the progress of single frames, which the driver does not show."""

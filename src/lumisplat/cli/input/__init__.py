@@ -1,1 +1,1 @@
-"""Input of commands: arguments, numbers, and files of a scene."""
+"""Reads the input of commands: arguments, numbers, and files of a scene."""

@@ -1,8 +1,8 @@
-"""Converts arguments to the form of the parser, and messages to the options of the command line.
+"""Converts arguments to the form that tyro parses, and setting names in messages to command-line options.
 
 Messages of the library name ``Pipeline.TRACE``, ``RenderConfig.trace.strategy``, or a refused setting: ``samples is
 0``. On the command line they become ``--pipeline trace``, ``--set trace.strategy`` and ``--samples is 0``. Errors of
-the parser become one line.
+tyro, which fill a panel, become one line.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
 
 
 def joined_numbers(args: Sequence[str]) -> list[str]:
-    """Joins the numbers behind an option to one argument: ``--at 1 2 3`` and ``--at -1,2,3`` become ``--at=1,2,3``.
+    """Joins the numbers after an option to one argument: ``--at 1 2 3`` and ``--at -1,2,3`` become ``--at=1,2,3``.
 
-    Options of several numbers thus accept commas or spaces, and may begin with a minus.
+    Options of several numbers thus accept commas or spaces, and numbers that begin with a minus.
     """
     joined: list[str] = []
     waiting = list(args)
@@ -52,10 +52,10 @@ def joined_numbers(args: Sequence[str]) -> list[str]:
 
 
 def gathered_positionals(args: Sequence[str], command: type[Any]) -> list[str]:
-    """Returns the arguments of a command with its files moved together, to the first of them, as the parser requires.
+    """Returns the arguments of a command with all files moved to the position of the first file, as tyro requires.
 
     Args:
-        args: Arguments behind the name of the command; numbers are joined to their option.
+        args: Arguments after the name of the command, as returned by `joined_numbers`.
         command: Dataclass of the command.
     """
     if "--" in args:
@@ -77,7 +77,7 @@ def gathered_positionals(args: Sequence[str], command: type[Any]) -> list[str]:
 
 
 def _values(command: Any) -> Iterator[tuple[str, float]]:
-    """Yields the options of a dataclass that are not followed by exactly one value, and the number of their values."""
+    """Yields each option of a command that does not take exactly one value, and the number of its values."""
     yield from (("--help", 0.0), ("-h", 0.0))
     for field in fields(command):
         kind = str(field.type)
@@ -103,24 +103,24 @@ def options_of(command: type[Any]) -> list[str]:
 
 
 def _group(field: Field[Any]) -> Any:
-    """Returns the group of options that a field holds; None if it is a single option."""
+    """Returns the options group that is a field's default; None if the field is a single option."""
     made = None if field.default_factory is MISSING else field.default_factory()
     return made if is_dataclass(made) else None
 
 
 _OPTION_OF = {"aovs": "--aov"}
-"""Setting -> its option, of settings whose option has another name."""
+"""Option of each setting whose option is not named after the setting."""
 _OPTION_OF_ENUM = {"NormalEstimate": "--normals", "Absorption": "--absorption", "ReceiverSampling": "--sampling"}
-"""Enum -> the option of a command that accepts its values."""
+"""Option that accepts the values of an enum, by the enum's class name."""
 _SETTINGS_WITH_OPTION = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")
-"""Settings of a frame that have an option of their own."""
+"""Render settings that have an option; all others need ``--set``."""
 
 _MEMBER = re.compile(r"\b([A-Z]\w+)\.([A-Z][A-Z_]*)\b")
 _FIELD = re.compile(r"\b([A-Z]\w*Config)\.((?:\w+\.)*[a-z]\w*)\b(?:=(True|False)\b)?")
 
 
 _NAMED = re.compile(r"(?:camera )?(\w+) is ")
-"""Beginning of a message about a refused value, with the setting's name."""
+"""Pattern of the start of a message about a refused value, with the setting's name."""
 
 
 def shell_words(message: str, command: Command, setting: str | None = None) -> str:
@@ -129,8 +129,8 @@ def shell_words(message: str, command: Command, setting: str | None = None) -> s
     Args:
         message: Message of one line.
         command: The command that runs.
-        setting: `lumisplat.LumisplatError.setting`, whose name at the start of the message becomes its option if that
-            option was given. None: the first word of a message about a refused value.
+        setting: Name of the refused setting, from `lumisplat.LumisplatError.setting`. At the start of the message, the
+            name is replaced by its option if the user gave that option. None takes the name from the message.
     """
     if setting is None and (found := _NAMED.match(message)):
         setting = found[1]
@@ -143,7 +143,7 @@ def shell_words(message: str, command: Command, setting: str | None = None) -> s
 
 @contextmanager
 def logging_in_shell_words(command: Command) -> Generator[None]:
-    """Replaces settings and enum members by options in the log lines of the block."""
+    """Replaces settings and enum members by options in all lines that are logged in the ``with`` block."""
 
     def translate(record: logging.LogRecord) -> bool:
         record.msg, record.args = shell_words(record.getMessage(), command), ()
@@ -159,7 +159,11 @@ def logging_in_shell_words(command: Command) -> Generator[None]:
 
 @lru_cache(maxsize=1)
 def _settings() -> tuple[dict[str, str], dict[str, str]]:
-    """Returns the settings by class names of their enums, and the prefixes of groups by class name."""
+    """Returns two dictionaries about `lumisplat.RenderConfig`.
+
+    The first maps the class name of each enum to the setting of that type. The second maps the class name of each
+    nested group of settings to its prefix, such as ``trace.``.
+    """
     enums: dict[str, str] = {}
     groups: dict[str, str] = {"RenderConfig": "", "RelightConfig": "animation.lighting.transfer."}
 
@@ -177,7 +181,7 @@ def _settings() -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _member(found: re.Match[str]) -> str:
-    """Returns an enum member as an option with its value."""
+    """Returns an enum member in a message as an option with its value, such as ``--pipeline trace``."""
     kind, setting = getattr(ls.config, found[1], None), _settings()[0].get(found[1])
     if not (isinstance(kind, type) and issubclass(kind, Enum)) or found[2] not in kind.__members__:
         return found[0]
@@ -188,23 +192,23 @@ def _member(found: re.Match[str]) -> str:
 
 
 def _field(found: re.Match[str]) -> str:
-    """Returns a setting as an option, with the value that the message may have."""
+    """Returns a setting in a message as an option, with the value that the message may give."""
     group = _settings()[1].get(found[1])
     value = {"True": "on", "False": "off"}.get(found[3] or "", "")
-    if group is None:  # of another command's settings
+    if group is None:  # settings of training or of another command
         return f"--{found[2].rpartition('.')[2].replace('_', '-')} {value}".rstrip()
     return _typed(group + found[2], value)
 
 
 def _typed(setting: str, value: str) -> str:
-    """Returns a setting and its value, which may be empty, as an option."""
+    """Returns a setting as typed on the command line, with its value unless that is empty."""
     if setting in _SETTINGS_WITH_OPTION:
         return f"{_OPTION_OF.get(setting, '--' + setting.replace('_', '-'))} {value}".rstrip()
     return f"--set {setting}={value}" if value else f"--set {setting}"
 
 
 def _given(options: Any) -> Iterator[str]:
-    """Yields the options of a command and of its groups that were given."""
+    """Yields the options that the user gave, of a command and of its option groups."""
     for field in fields(options):
         value = getattr(options, field.name)
         if is_dataclass(value):
@@ -220,7 +224,7 @@ _NO_NUMBER = re.compile(
     r"instantiated from \['(?P<value>.*)'\]\.|could not convert string to float: '(?P<float>.*)'|"
     r"invalid literal for int\(\) with base 10: '(?P<int>.*)')"
 )
-"""Message of tyro about a value that is no number; ``word`` is a word that the option takes, too."""
+"""Pattern of tyro's message about a value that is not a number; ``word`` is a word that the option also accepts."""
 _NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.*?)'\. Expected one of \((.*)\)\.")
 _NO_VALUE = re.compile(r"Missing value for argument '(.*?)'\..*")
 _UNRECOGNIZED = re.compile(r"Unrecognized (?:or misplaced )?options: ([^\s,]+).*")
@@ -228,12 +232,12 @@ _MISSING = re.compile(r"(?:-\w \S+, )?(--[\w-]+ \S+)|([\w.|\[\]]+)")
 
 
 class ArgumentsError(Exception):
-    """Raised for arguments that do not parse; the message is one line."""
+    """Raised for arguments that cannot be parsed; the message is one line."""
 
 
 @contextlib.contextmanager
 def panels_as_errors(program: str) -> Generator[None]:
-    """Turns the panel that tyro prints before it exits into an exception.
+    """Converts the panel that tyro prints before it exits to an exception.
 
     Args:
         program: The command whose help the message names, such as ``lumisplat render``.
@@ -252,11 +256,11 @@ def panels_as_errors(program: str) -> Generator[None]:
 
 
 def one_line(panel: str, program: str) -> str:
-    """Returns the first paragraph of a panel of tyro as one line, and the command that prints the help.
+    """Returns the first paragraph of tyro's error panel as one line, followed by the command that prints the help.
 
     Args:
-        panel: What tyro has printed; a panel without a paragraph is returned whole, its lines joined.
-        program: As of `panels_as_errors`.
+        panel: Text that tyro has printed. If it has no paragraph, all its lines are joined.
+        program: The command whose help the message names, such as ``lumisplat render``.
     """
     rows = [row.strip(" │") for row in _STYLES.sub("", panel).splitlines()[1:]]
     message = " ".join(takewhile(lambda row: row and not _is_rule(row), dropwhile(_is_rule, rows)))
@@ -278,14 +282,14 @@ def _unrecognized(argument: str, program: str) -> str:
 
 
 def _missing(message: str) -> str:
-    """Returns the required arguments that a message of tyro lists with their help: ``FOLDER and -o FILE``."""
+    """Returns the required arguments that tyro's message lists with their help, as ``FOLDER and -o FILE``."""
     texts = [text.strip() for text in message.partition(": ")[2].split("(required)")]
     found = [match for text in texts if (match := _MISSING.match(text))]
     return " and ".join((match[1] or match[2]).replace("--output ", "-o ") for match in found)
 
 
 def _no_number(found: re.Match[str]) -> str:
-    """Returns the message about a value that is no number, in the form of other refused values."""
+    """Returns the message about a value that is not a number, in the form of the library's messages."""
     value = next(text for text in (found["value"], found["float"], found["int"]) if text is not None)
     is_whole = found["kind"] == "INT" or found["int"] is not None
     word = f" or {found['word']}" if found["word"] else ""
@@ -293,7 +297,7 @@ def _no_number(found: re.Match[str]) -> str:
 
 
 def _no_choice(found: re.Match[str]) -> str:
-    """Returns the message about a value that is no choice; choices are sorted, as tyro does not keep their order."""
+    """Returns the message about a value that is not among the choices; sorts these, as tyro loses their order."""
     choices = {choice for choice in re.findall(r"'([^']*)'", found[3]) if choice != "None"}
     *others, last = sorted(choices, key=lambda choice: (len(choice) * choice.isdigit(), choice))
     name = found[2] if found[2].startswith("-") else "the argument"

@@ -1,6 +1,6 @@
-"""Loads the files of a scene and their settings, and captures in blocks view by view.
+"""Loads the files of a scene and their settings; for captures in blocks, the visible blocks of each view.
 
-`file_fingerprints` detects changed files, and changed files that these refer to, by size and time.
+`file_fingerprints` detects changed files, and changes in files that they refer to, by size and modification time.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _log = logging.getLogger("lumisplat")
 USD = (".usd", ".usda", ".usdc", ".usdz")
 """Extensions of OpenUSD files."""
 WITH_CAMERAS = (".toml", ".glb", ".gltf", *USD)
-"""Extensions of scenes, which may have cameras."""
+"""Extensions of scene files, which can contain cameras."""
 _SCENES = (".glb", ".gltf", *USD)
-"""Extensions of scenes that other programs write."""
+"""Extensions of scene formats of other programs: glTF and OpenUSD."""
 
 BLOCKS = "blocks.json"
-"""Index file of a capture in blocks."""
+"""File name of the index of a capture in blocks."""
 
 
 def load_scene(
@@ -41,14 +41,14 @@ def load_scene(
     keep_coordinates: bool = False,
     around: ls.Scene | None = None,
 ) -> ls.Scene:
-    """Loads files of any kind into one scene, and inserts meshes into captures beside them: `lumisplat.insert`.
+    """Loads files of any kind into one scene; with `lumisplat.insert`, puts meshes onto captures beside them.
 
     Args:
         paths: The files.
         load: Loads one file.
-        up: Up direction of the scene; None takes that of the files.
-        keep_coordinates: Leave meshes at the coordinates of their files.
-        around: Scene that exists already and is not part of the result; None for none.
+        up: Up direction of the scene; None takes the up direction of the files.
+        keep_coordinates: True leaves meshes at the coordinates of their files.
+        around: Existing scene into which meshes are inserted, and which is not part of the result; None for none.
 
     Raises:
         ConfigError: No file was given.
@@ -57,7 +57,7 @@ def load_scene(
     if not paths:
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
     around = around or ls.Scene()
-    # Scene files come first, as mistakes in them are found before other files are loaded, which may take minutes.
+    # Scene files are loaded first, so that their mistakes appear before minutes of loading other files.
     loaded = {path: as_scene(load(path)) for path in sorted(paths, key=lambda path: path.suffix.lower() != ".toml")}
     scenes = {path: loaded[path] for path in paths}
     inserted = [path for path in scenes if path.suffix.lower() != ".toml" and not scenes[path].splats]
@@ -91,7 +91,7 @@ def _stated_up(scenes: Mapping[Path, ls.Scene], around: ls.Scene) -> tuple[float
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:
-    """Returns a scene with a single asset at the origin, or a given scene itself."""
+    """Returns a scene with an asset at the origin; returns an asset that is a scene unchanged."""
     if isinstance(asset, ls.Scene):
         return asset
     if isinstance(asset, ls.Mesh):
@@ -103,7 +103,7 @@ def scene_file(paths: Sequence[Path]) -> Path | None:
     """Returns the ``scene.toml`` among the files of a scene, which has cameras and settings; None without one.
 
     Raises:
-        ConfigError: There are two.
+        ConfigError: Several files are a ``scene.toml``.
     """
     found = [path for path in paths if path.suffix.lower() == ".toml"]
     if len(found) > 1:
@@ -112,9 +112,9 @@ def scene_file(paths: Sequence[Path]) -> Path | None:
 
 
 def camera_file(paths: Sequence[Path]) -> Path | None:
-    """Returns the file that has the cameras of a scene: its scene.toml, or the only file if that is a scene.
+    """Returns the file with a scene's cameras: its scene.toml, or its only file if that is glTF or OpenUSD; else None.
 
-    A scene beside other files is inserted among them, so that its own cameras would not show it.
+    A glTF or OpenUSD file beside other files is moved onto their ground, so that its cameras would not show it.
 
     Raises:
         ConfigError: There are two scene files.
@@ -124,13 +124,13 @@ def camera_file(paths: Sequence[Path]) -> Path | None:
 
 
 def warn_of_unused_cameras(paths: Sequence[Path]) -> None:
-    """Logs a line about glTF and OpenUSD files whose cameras are not used, as they are not the only file."""
+    """Logs a warning if cameras of glTF or OpenUSD files are not used, because other files are given, too."""
     if len(paths) < 2:
         return
     having: list[str] = []
     for path in paths:
         if path.suffix.lower() in _SCENES:
-            with suppress(ls.LumisplatError):  # loading the scene reports what is wrong with the file
+            with suppress(ls.LumisplatError):  # loading the scene reports the error
                 having += [str(path)] * bool(ls.load_cameras(path))
     if having:
         _log.warning(
@@ -148,9 +148,10 @@ def scene_settings(file: Path | None) -> ls.RenderConfig:
 
 
 def size_on_disk(path: Path) -> int:
-    """Returns the bytes of a file, or of the folder of an unpacked or streamed SOG or of blocks.
+    """Returns the size in bytes of a file, or of the folder of an unpacked or streamed SOG or a capture in blocks.
 
-    A folder may be given itself or by its index file.
+    Args:
+        path: File, folder, or index file of a folder.
     """
     path = path.parent if path.name in ("meta.json", "lod-meta.json", BLOCKS) else path
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
@@ -158,7 +159,7 @@ def size_on_disk(path: Path) -> int:
 
 
 def block_folder(path: Path) -> Path | None:
-    """Returns the folder of a capture in blocks, given itself or by its index; None for other paths."""
+    """Returns the folder of a capture in blocks, given the folder or its index file; None for other paths."""
     if path.name == BLOCKS:
         return path.parent
     return path if os.path.isfile(path / BLOCKS) else None
@@ -166,18 +167,18 @@ def block_folder(path: Path) -> Path | None:
 
 @dataclass
 class BlockViews:
-    """Capture in blocks, of which each view loads the visible part; the part of the last view stays in memory."""
+    """Capture in blocks that loads the visible part for each view; the last view's part stays in memory."""
 
     index: ls.io.BlockIndex
     pixels: float
-    """Argument of `lumisplat.io.visible_blocks`."""
+    """Largest mean size of the Gaussians of far blocks, pixels, as in `lumisplat.io.visible_blocks`."""
     preview: ls.Scene
-    """Scene of a few of its Gaussians, from which cameras are chosen."""
+    """Scene with a small subset of the capture's Gaussians, from which cameras are chosen."""
     _parts: list[ls.io.BlockPart] = field(default_factory=list["ls.io.BlockPart"], init=False)
     _scene: ls.Scene | None = field(default=None, init=False)
 
     def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
-        """Returns the part that a camera sees; the whole capture for cameras other than pinholes.
+        """Returns the part of the capture that a camera sees; the whole capture if the camera is not a pinhole.
 
         Args:
             camera: The camera.
@@ -197,7 +198,7 @@ class BlockViews:
     def _seen(self, camera: ls.Camera) -> list[ls.io.BlockPart]:
         try:
             return ls.io.visible_blocks(self.index, camera, pixels=self.pixels)
-        except ls.SceneError:  # a lens that sees around corners
+        except ls.SceneError:  # visible_blocks supports pinhole cameras only
             return ls.io.all_blocks(self.index)
 
 
@@ -210,15 +211,18 @@ def block_views(
     whole: str = "",
     upright: Callable[[ls.Scene], ls.Scene],
 ) -> BlockViews | None:
-    """Returns the capture in blocks among the files; None without one, or with a log line if all of it is needed.
+    """Returns the capture in blocks among the files.
 
     Args:
         paths: Files of the scene.
         config: Settings of the frames.
         pixels: Value of ``--lod pixels=``.
-        lit: Whether lights are added to the scene.
+        lit: True if an option adds lights to the scene.
         whole: Given option that needs the whole capture; empty without one.
         upright: Sets the up direction of a scene.
+
+    Returns:
+        The capture; None without a capture in blocks, or if frames need the whole capture, which is logged.
 
     Raises:
         ConfigError: ``pixels`` is given without a capture in blocks, or is negative.
@@ -254,31 +258,32 @@ def block_views(
 
 
 def holds_all_columns(path: Path) -> bool:
-    """Returns whether a capture of that name can store any columns: an uncompressed .ply."""
+    """Returns whether a capture's format can store any columns: True for an uncompressed .ply."""
     name = path.name.lower()
     return name.endswith(".ply") and not name.endswith(".compressed.ply")
 
 
 def holds_materials(path: Path) -> bool:
-    """Returns whether a capture of that name can store albedo, roughness and normals, as .ply, glTF and OpenUSD can."""
+    """Returns whether a capture's format can store albedo, roughness and normals, as .ply, glTF and OpenUSD can."""
     return holds_all_columns(path) or path.suffix.lower() in _SCENES
 
 
 _OBJ_REFERENCE = re.compile(r"^(?:mtllib|map_\w+|norm|bump)\s+(?:.*\s)?(\S+)\s*$", re.MULTILINE)
 _USDA_REFERENCE = re.compile(r"@([^@\n]+)@")
 _OBJ_HEAD = 2**20
-"""Bytes at the start of an OBJ file that are searched for its material library."""
+"""Number of bytes at the start of an OBJ file that are searched for references to material libraries."""
 
 
 def file_fingerprints(paths: list[Path], excluded: Path) -> dict[str, str]:
-    """Returns size and time of files, and of all files that they refer to, by their path relative to the first one.
+    """Returns size and modification time of files, and of all files that they refer to, by path.
 
-    A text in a file refers to a file if it is that file's path from the folder of the file with the text. The path of a
-    folder refers to the files in it.
+    Keys are paths relative to the folder of the first file. A string in a file counts as a reference to another file if
+    it is that file's path, relative to the folder of the file with the string. The path of a folder refers to all files
+    in it.
 
     Args:
         paths: Files to start with; the first is the scene file.
-        excluded: Folder that is ignored: that of the frames.
+        excluded: Folder of the frames, which is ignored.
     """
     found: dict[Path, str] = {}
     waiting = list(paths)
@@ -293,7 +298,7 @@ def file_fingerprints(paths: list[Path], excluded: Path) -> dict[str, str]:
             continue
         status = path.stat()
         found[path] = f"{status.st_size} bytes, {status.st_mtime_ns} ns"
-        with suppress(ValueError):  # a file that does not parse refers to nothing here; its reader reports it
+        with suppress(ValueError):  # the file's reader reports the error
             waiting += [path.parent / name for text in _texts(path) for name in _paths(text)]
     home = Path(os.path.abspath(paths[0])).parent
     return {os.path.relpath(path, home): mark for path, mark in sorted(found.items())}
@@ -305,19 +310,19 @@ def toml_values(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: The file is not TOML; a FormatError, which is a ValueError, if it cannot be read.
     """
-    from lumisplat.io.files.source import read_text  # at last, as help comes without NumPy
+    from lumisplat.io.files.source import read_text  # imported late: the help must not need NumPy
 
     return tomllib.loads(read_text(path))
 
 
 def _paths(text: str) -> set[str]:
-    r"""Returns the paths that a text may be, with ``/`` or Windows' ``\\``; none for this folder and its parents."""
+    r"""Returns a string as the paths that it may mean, with ``\`` or ``/``; none for ``.``, ``..`` and ``/``."""
     is_path = 0 < len(text) < 1024 and "\0" not in text and bool(set(Path(text).parts) - {".", "..", "/"})
     return {text, text.replace("\\", "/")} if is_path else set()
 
 
 def _texts(path: Path) -> Iterator[str]:
-    """Yields the texts of a file that may refer to other files."""
+    """Yields the strings of a file that may be paths of other files."""
     suffix = path.suffix.lower()
     if suffix == ".toml":
         yield from _strings(toml_values(path))
@@ -345,16 +350,16 @@ def gltf_document(path: Path) -> Any:
 
 
 def _usd_references(path: Path) -> list[str]:
-    """Returns the files that a binary OpenUSD layer refers to: layers, and values of attributes at all times."""
+    """Returns the paths in a binary OpenUSD layer: other layers, and assets in attribute values at all times."""
     try:
         library: Any = importlib.import_module("pxr.UsdUtils")
-    except ImportError:  # then nothing reads it
+    except ImportError:  # without OpenUSD, the layer cannot be loaded either
         return []
     return [text for texts in library.ExtractExternalReferences(str(path)) for text in texts]
 
 
 def _strings(value: object) -> Iterator[str]:
-    """Yields all texts in the values of a document."""
+    """Yields all strings in nested dictionaries and lists."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Numbers on the command line: with commas or spaces, ranges of frames, and durations."""
+"""Parses numbers of the command line: vectors with commas or spaces, ranges of frames, and durations."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import lumisplat as ls
 
 _BETWEEN = re.compile(r"[,\s]+")
 _INCLUSIVE = re.compile(r"(\d+)(?:-(\d+)(?:x(\d+))?)?")
-"""Ranges ``5``, ``1-100`` and ``1-100x2``."""
+"""Pattern of ranges with both ends included: ``5``, ``1-100`` and ``1-100x2``."""
 _HALF_OPEN = re.compile(r"(\d*):(\d*)")
-"""Ranges ``0:48``, ``48:`` and ``:10``."""
+"""Pattern of ranges whose end is excluded: ``0:48``, ``48:`` and ``:10``."""
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
@@ -24,12 +24,12 @@ def numbers(option: str, text: str, count: int, example: str) -> tuple[float, ..
 
     Args:
         option: Option as typed, for messages.
-        text: Its value.
+        text: Value of the option.
         count: Required number of numbers.
         example: Correct value, for messages.
 
     Raises:
-        ConfigError: The text is anything else.
+        ConfigError: The text is not ``count`` finite numbers.
     """
     try:
         values = tuple(float(part) for part in _BETWEEN.split(text.strip().strip(",")))
@@ -48,23 +48,23 @@ def vector(option: str, text: str, example: str = "0,-2.5,1") -> tuple[float, fl
     """Returns three finite numbers from ``x,y,z`` or ``x y z``.
 
     Raises:
-        ConfigError: The text is anything else.
+        ConfigError: The text is not three finite numbers.
     """
     x, y, z = numbers(option, text, 3, example)
     return x, y, z
 
 
 def frame_numbers(option: str, text: str, count: int, unit: str = "frame") -> list[int]:
-    """Returns the sorted frame numbers of ``1-100``, ``1-100x2``, ``1,5,9`` or ``A:B``; all of them for an empty text.
+    """Returns the sorted frame numbers of ``1-100``, ``1-100x2``, ``1,5,9`` or ``A:B``; all numbers for an empty text.
 
     Args:
         option: Option as typed, for messages.
-        text: Its value; parts are separated by commas or spaces.
+        text: Value of the option: ranges separated by commas or spaces.
         count: Number of frames that exist.
         unit: Noun for one frame, for messages.
 
     Raises:
-        ConfigError: A part is no range, or names a frame that does not exist.
+        ConfigError: A range is invalid, or names a frame that does not exist.
     """
     if not text.strip():
         return list(range(count))
@@ -83,7 +83,7 @@ def frame_numbers(option: str, text: str, count: int, unit: str = "frame") -> li
 
 
 def _frames_of(part: str, count: int) -> range | None:
-    """Returns the frames of one part; None if it is no range."""
+    """Returns the frame numbers of one range; None if the text is not a range."""
     if found := _INCLUSIVE.fullmatch(part):
         first, step = int(found[1]), int(found[3] or 1)
         return range(first, int(found[2] or first) + 1, step) if step else None
@@ -100,7 +100,7 @@ def seconds_of(option: str, text: str) -> float:
         text: Duration such as ``90s``, ``10m`` or ``1.5h``.
 
     Raises:
-        ConfigError: The text is no duration.
+        ConfigError: The text is not a duration.
     """
     match = _DURATION.fullmatch(text.strip().lower())
     if match is None or float(match[1]) <= 0.0:

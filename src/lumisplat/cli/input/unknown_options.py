@@ -1,4 +1,4 @@
-"""Answers options and commands that do not exist: with a setting, the present name, or what was probably meant."""
+"""Suggests what to type in place of an unknown option or command: a setting, the present name, or a similar name."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FORMER_SETTINGS = {
     "--time": ("time_limit",),
     "--transmittance-min": ("raster.transmittance_min", "trace.transmittance_min", "shadow_rays.transmittance_min"),
 }
-"""Settings of each former option of render or animate."""
+"""Settings for ``--set`` that replace each former option of render or animate."""
 
 FORMER_OPTIONS = {
     "--cryptomatte": "--aov cryptomatte",
@@ -80,21 +80,21 @@ _SYNONYMS = {
 
 _OPTION = re.compile(r"--[A-Za-z][\w.-]*")
 _SIMILARITY = 0.7
-"""Least `difflib` ratio of a suggested name: 0.67 would offer --cap for --cpu."""
+"""Smallest `difflib` ratio of a suggested name: 0.67 would suggest --cap for --cpu."""
 _NAMED = 3
-"""Most suggestions, and commands, that a line names."""
+"""Largest number of suggestions, or of commands, in one message."""
 
 
 def unknown_option(
     args: Sequence[str], command: type[Any], commands: Mapping[str, type[Any]], program: str
 ) -> str | None:
-    """Returns the line about the first option that a command does not have; None if it has all of them.
+    """Returns an error message about the first option that a command does not have; None if it has all options.
 
     Args:
-        args: The arguments behind the name of the command.
-        command: The dataclass of its options.
-        commands: All commands by name: the line says which of them have the option.
-        program: The command as it is typed, such as ``lumisplat render``.
+        args: Arguments after the name of the command.
+        command: Dataclass of the command.
+        commands: All commands by name; the message names those that have the option.
+        program: The command as typed, such as ``lumisplat render``.
     """
     known = {*options_of(command), "--help"}
     typed = list(takewhile(lambda arg: arg != "--", args))
@@ -133,9 +133,9 @@ def _answer(option: str, value: str, command: type[Any], commands: Mapping[str, 
 
 
 def _settings(option: str, value: str) -> list[str]:
-    """Returns ``NAME=VALUE`` of the settings of a frame that an option names, by their whole or their last name."""
+    """Returns ``NAME=VALUE`` for each render setting whose full name or last part equals an option's name."""
     name = option.removeprefix("--").replace("-", "_")
-    from lumisplat.config.setting import all_settings  # only now, as help needs no NumPy
+    from lumisplat.config.setting import all_settings  # imported late: the help must not need NumPy
 
     declared = all_settings(ls.RenderConfig)
     found = [name] if name in declared else [other for other in declared if other.rpartition(".")[2] == name]
@@ -147,7 +147,7 @@ def _settings(option: str, value: str) -> list[str]:
 
 
 def _near_settings(option: str, value: str) -> list[str]:
-    """Returns ``NAME=VALUE`` of the settings of a frame whose last names are similar to an option's."""
+    """Returns ``NAME=VALUE`` for each render setting whose last part is similar to an option's name."""
     from lumisplat.config.setting import all_settings
 
     declared = [*all_settings(ls.RenderConfig)]
@@ -157,7 +157,11 @@ def _near_settings(option: str, value: str) -> list[str]:
 
 
 def _meant(option: str, command: type[Any]) -> list[str]:
-    """Returns what was probably meant: a synonym, options that begin so, the option of a value, or a similar one."""
+    """Returns suggestions for an unknown option.
+
+    The first of these that exists: a synonym, options that begin with the given text, an option with the given word as
+    a value, or the most similar option.
+    """
     known = options_of(command)
     synonym = _SYNONYMS.get(option)
     if synonym and synonym.split()[0] in known:
@@ -172,7 +176,7 @@ def _meant(option: str, command: type[Any]) -> list[str]:
 
 
 def _choices(command: type[Any]) -> Iterator[tuple[str, set[str]]]:
-    """Yields the options of a command that take certain words, with these words."""
+    """Yields each option of a command that accepts only certain words, with these words."""
     for name, hint in get_type_hints(command, include_extras=True).items():
         option, words = f"--{name.replace('_', '-')}", {*_literals(hint)}
         if words and option in options_of(command):
@@ -188,7 +192,7 @@ def _literals(hint: Any) -> Iterator[str]:
 
 
 def unknown_command(name: str, commands: Iterable[str], program: str) -> str:
-    """Returns the line about a first argument that is no command: the command that shows a file, or a similar one."""
+    """Returns an error message about an unknown command; suggests ``render`` for a file, else a similar command."""
     if os.path.exists(name) or os.path.splitext(name)[1]:
         return f"'{name}' is no command: {program} render {name} renders it (see {program} --help)"
     near = difflib.get_close_matches(name, commands, 1, _SIMILARITY)

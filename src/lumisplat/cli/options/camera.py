@@ -25,7 +25,7 @@ UpOption = Annotated[str, arg(metavar="AXIS|X,Y,Z", help_behavior_hint="(default
 
 @dataclass(frozen=True, kw_only=True)
 class ViewpointOptions:
-    """Options for the arguments of `lumisplat.Camera.look_at` and `lumisplat.frame_camera`."""
+    """Options of a viewpoint, the arguments of `lumisplat.Camera.look_at` and `lumisplat.frame_camera`."""
 
     eye: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Look from this point."""
@@ -44,17 +44,17 @@ class ViewpointOptions:
 
     @property
     def is_given(self) -> bool:
-        """True if an option describes a camera."""
+        """True if the user gave an option of the camera; ``--up`` does not count."""
         return bool(self._given())
 
     def check(self, cameras: Path | None) -> None:
-        """Refuses contradicting options before files are loaded.
+        """Checks the options for contradictions and ranges, before files are loaded.
 
         Args:
             cameras: Camera file of ``--cameras``; None without one.
 
         Raises:
-            ConfigError: Two options exclude each other, or a value is no number or out of range.
+            ConfigError: Two options exclude each other, or a value is not a number or out of range.
         """
         given = self._given()
         if given and cameras is not None:
@@ -86,7 +86,7 @@ class ViewpointOptions:
         Args:
             scene: Scene to look at, with its up direction.
             width: Image width in pixels; None keeps the aspect ratio, or 1280 x 720 if both are None.
-            height: Image height in pixels, likewise.
+            height: Image height in pixels; None as for the width.
             all_around: Argument of `lumisplat.frame_camera`.
 
         Raises:
@@ -105,7 +105,7 @@ class ViewpointOptions:
         return {} if self.fov is None else {"fov_y": math.radians(self.fov)}
 
     def _looking(self, scene: ls.Scene, size: tuple[int, int]) -> ls.Camera:
-        """Returns the camera at ``--eye``."""
+        """Returns the camera at ``--eye`` that looks at the target."""
         assert self.eye is not None
         eye = vector("--eye", self.eye)
         target = self.target_point(scene)
@@ -114,14 +114,14 @@ class ViewpointOptions:
             raise ls.ConfigError(f"--eye is {self.eye}, which equals the target: choose another")
         vertical = sum(u * (t - e) for u, e, t in zip(scene.up_direction, eye, target, strict=True))
         up = scene.up_direction
-        if abs(vertical) > (1.0 - 1e-6) * distance:  # along the vertical, up is where the front camera looks
+        if abs(vertical) > (1.0 - 1e-6) * distance:  # straight up or down: the image's up is the front view's direction
             x, y, z = -ls.frame_camera(scene, elevation=0.5 * math.pi, distance=1.0).camera_from_world[1, :3]
             up = (x, y, z)
         camera = ls.Camera.look_at(eye, target, up, width=size[0], height=size[1], name="view", **self._lens())
         return replace(camera, near=min(camera.near, 1e-3 * distance))
 
     def _framing(self, scene: ls.Scene, size: tuple[int, int], all_around: bool) -> ls.Camera:
-        """Returns the camera at ``--azimuth``, ``--elevation`` and ``--distance``."""
+        """Returns the camera that ``--azimuth``, ``--elevation`` and ``--distance`` place around the target."""
         given = {"azimuth": self.azimuth, "elevation": self.elevation}
         angles: dict[str, Any] = {name: math.radians(value) for name, value in given.items() if value is not None}
         return ls.frame_camera(
@@ -145,12 +145,12 @@ class ViewpointOptions:
 
 
 ViewpointGroup = Annotated[ViewpointOptions, arg(name="camera"), OmitArgPrefixes]
-"""Type of a command's field that shows these options as a group."""
+"""Type of a command's field that shows `ViewpointOptions` as a group in the help."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions(ViewpointOptions):
-    """Options of a viewpoint, of the aperture, and of the pixel for `lumisplat.rays.focused`."""
+    """Options of a viewpoint and its lens: aperture, and the pixel on which `lumisplat.Renderer.focused` focuses."""
 
     aperture: Annotated[float | None, setting("UNITS", "the camera's, or 0")] = None
     """Set the lens radius; objects out of focus blur."""
@@ -158,7 +158,7 @@ class CameraOptions(ViewpointOptions):
     """Focus on the surface in this pixel; 0,0 is the upper left."""
 
     def pixel(self) -> tuple[int, int] | None:
-        """Returns column and row of ``--focus``; None without it.
+        """Returns column and row of ``--focus``; None without the option.
 
         Raises:
             ConfigError: The value is not two integers.
@@ -175,25 +175,25 @@ class CameraOptions(ViewpointOptions):
 
 
 CameraGroup = Annotated[CameraOptions, arg(name="camera"), OmitArgPrefixes]
-"""Type of a command's field that shows these options as a group."""
+"""Type of a command's field that shows `CameraOptions` as a group in the help."""
 
 
 def upright(scene: ls.Scene, up: str) -> ls.Scene:
-    """Returns the scene with an up direction.
+    """Returns the scene with the up direction of ``--up``.
 
     Args:
         scene: The scene.
         up: Value of ``--up``; ``auto`` keeps the scene's own.
 
     Raises:
-        ConfigError: ``up`` is no direction.
+        ConfigError: ``up`` is not a direction.
     """
     direction = parse_up(up)
     return scene if direction is None else replace(scene, up=direction)
 
 
 def warn_if_up_is_guessed(scene: ls.Scene) -> None:
-    """Logs a line if the up direction of a scene with captures is a guess; call it where the direction matters."""
+    """Logs a warning if a scene's up direction is guessed, not read from a file. Call it where this matters."""
     if scene.splats and scene.up_source == "guess":
         message = "up is guessed as %s, as no file states it: --up sets it, lumisplat convert --level finds it"
         _log.warning(message, up_name(scene.up_direction))
@@ -203,7 +203,7 @@ def parse_up(text: str) -> str | tuple[float, float, float] | None:
     """Returns the value of ``--up`` for `lumisplat.Scene`; None for ``auto``.
 
     Raises:
-        ConfigError: The value is no direction.
+        ConfigError: The value is not a direction.
     """
     if text == "auto":
         return None

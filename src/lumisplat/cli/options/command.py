@@ -1,6 +1,6 @@
 """Base classes of commands, with the options that several commands share.
 
-``--pipeline`` and ``--samples`` set their settings of a frame, ``--set`` all others.
+``--pipeline`` and ``--samples`` set the two most used render settings; ``--set`` sets any other.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _Command = TypeVar("_Command", bound=type[Any])
 
 
 def own_options_first(command: _Command) -> _Command:
-    """Lists a command's own options before inherited ones in its help, and ``--debug`` last.
+    """Class decorator that lists a command's own options before inherited ones in the help, and ``--debug`` last.
 
     All fields are keyword-only, so their order has no other effect.
     """
@@ -94,17 +94,17 @@ class LoadingCommand(Command):
 
     @property
     def keeps_incident(self) -> bool:
-        """Argument ``incident`` of `lumisplat.load`."""
+        """Argument ``incident`` of `lumisplat.load`: True keeps the incident light of a capture."""
         return False
 
     @property
     def keeps_coordinates(self) -> bool:
-        """True if meshes beside captures stay at the coordinates of their files."""
+        """True if meshes beside captures keep the coordinates of their files."""
         return False
 
     @property
     def levels(self) -> dict[str, int | None]:
-        """Arguments ``lod`` and ``budget`` of `lumisplat.load`, of commands that have an option for them."""
+        """Arguments ``lod`` and ``budget`` of `lumisplat.load`; empty for commands without ``--lod``."""
         return {}
 
     def load_asset(
@@ -146,8 +146,8 @@ class LoadingCommand(Command):
             paths: The files.
             report: Receives the progress.
             up: Argument of `lumisplat.load`.
-            given_up: Up direction of the scene from an option; None without one.
-            around: Scene that exists already and is not part of the result; meshes are inserted into its captures, too.
+            given_up: Up direction of the scene from ``--up``; None without the option.
+            around: Existing scene into whose captures meshes are inserted, and which is not part of the result.
 
         Raises:
             ConfigError: No file was given.
@@ -184,10 +184,10 @@ class LevelsCommand(LoadingCommand):
 
     @property
     def levels(self) -> dict[str, int | None]:
-        """Level of detail, or the largest number of Gaussians that it may have, as arguments of `lumisplat.load`.
+        """Level of detail, or the largest number of Gaussians, of ``--lod``, as arguments of `lumisplat.load`.
 
         Raises:
-            ConfigError: The value of ``--lod`` is neither, or negative.
+            ConfigError: The value of ``--lod`` is neither a level nor a number of Gaussians.
         """
         kind, text = self._lod()
         try:
@@ -202,7 +202,7 @@ class LevelsCommand(LoadingCommand):
         return {"lod": None, "budget": number} if kind == "budget" else {"lod": number, "budget": None}
 
     def _lod(self) -> tuple[str, str]:
-        """Returns kind and value of ``--lod``.
+        """Splits ``--lod`` into kind and number, as text.
 
         The kind is ``budget``, ``pixels``, or empty for a level. Both are empty without the option.
         """
@@ -229,10 +229,10 @@ class LevelsCommand(LoadingCommand):
         return self.lod is not None and self._lod()[0] != "pixels"
 
     def check_levels(self, paths: Sequence[Path]) -> None:
-        """Refuses a level of detail for files that have none.
+        """Checks that ``--lod`` chooses a level only for files that can have levels of detail.
 
         Raises:
-            ConfigError: No file is or names a streamed SOG or blocks.
+            ConfigError: No file is a folder, an index or a scene.toml.
         """
         if self.chooses_level and not any(path.is_dir() or path.suffix.lower() in (".json", ".toml") for path in paths):
             named = ", ".join(map(str, paths[:3]))
@@ -246,14 +246,14 @@ class LevelsCommand(LoadingCommand):
         given_up: str | tuple[float, float, float] | None = None,
         around: ls.Scene | None = None,
     ) -> ls.Scene:
-        """Loads the scene as `LoadingCommand.load_scene`, after `check_levels`."""
+        """Loads the scene as `LoadingCommand.load_scene` does, after `check_levels`."""
         self.check_levels(paths)
         return super().load_scene(paths, report, up, given_up, around)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewsCommand(LevelsCommand, InsertingCommand):
-    """Base class of commands that show captures in blocks view by view."""
+    """Base class of commands that load only the visible blocks of a capture in blocks."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
     """Load level N, the finest within budget=COUNT Gaussians, or Gaussians of pixels=PX on screen."""
@@ -263,7 +263,7 @@ class ViewsCommand(LevelsCommand, InsertingCommand):
         """Largest mean size of the Gaussians of far blocks, in pixels; None without ``--lod pixels=``.
 
         Raises:
-            ConfigError: The value is no number of at least 0.
+            ConfigError: The value is not a number >= 0.
         """
         kind, text = self._lod()
         if kind != "pixels":
@@ -283,14 +283,14 @@ class ViewsCommand(LevelsCommand, InsertingCommand):
 
 PipelineName = Literal["raster", "trace", "hybrid", "path", "realtime"]
 Changes = dict[str, Any]
-"""Settings by the names of `lumisplat.RenderConfig`; a group's settings are a dictionary under the group's name."""
+"""Values of settings by their names in `lumisplat.RenderConfig`; a group of settings is a nested dictionary."""
 
 _Config = TypeVar("_Config")
 
 LIGHTING = "animation.lighting."
-"""Table of a scene file with the settings of avatar lighting."""
+"""Prefix of ``--set`` names of the avatar lighting, a table of scene files."""
 CREASE = "meshes.crease_angle_degrees"
-"""Key of a scene file that applies to all meshes."""
+"""Name in ``--set`` of the crease angle of all meshes, a key of scene files."""
 
 
 def setting(metavar: str, default: str) -> object:
@@ -311,10 +311,11 @@ class SetCommand(Command):
     """Change any setting of docs/settings.md, such as trace.hits_per_pass=8."""
 
     def set_values(self, prefix: str = "") -> dict[str, str]:
-        """Returns the values that ``--set`` gives, by name.
+        """Returns the values that ``--set`` gives, as text by name.
 
         Args:
-            prefix: Return only names that begin with this, without it; empty returns those of ``[render]``.
+            prefix: `LIGHTING` selects the settings of avatar lighting and removes this prefix; `CREASE` selects the
+                crease angle; empty selects the render settings.
 
         Raises:
             ConfigError: A text has no name or no value.
@@ -335,12 +336,12 @@ class SetCommand(Command):
 
         Args:
             base: The settings.
-            prefix: Argument of `set_values`.
+            prefix: Selects settings, as in `set_values`.
 
         Raises:
             ConfigError: A setting is unknown, or its value is out of range.
         """
-        from lumisplat.io import change_config  # at last, as help comes without NumPy
+        from lumisplat.io import change_config  # imported late: the help must not need NumPy
 
         for name, value in self.set_values(prefix).items():
             try:
@@ -358,11 +359,11 @@ class PipelineCommand(SetCommand):
     """Render by raster, trace, hybrid, path or realtime."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings of a scene file with the changes of options; ``--set`` overrides other options.
+        """Returns the settings of a scene file, changed by options; ``--set`` overrides other options.
 
         Args:
             base: Settings of the file, or the defaults.
-            changes: Changes of other options.
+            changes: Changes from other options of the command.
 
         Raises:
             ConfigError: A value is out of range.
@@ -379,7 +380,7 @@ class SamplesCommand(PipelineCommand):
     """Average N samples per pixel; with realtime, render N frames before each image."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings of `PipelineCommand.pipeline_config`, with ``--samples``."""
+        """Returns the settings of `PipelineCommand.pipeline_config`, also changed by ``--samples``."""
         own: Changes = {} if self.samples is None else {"samples": None if self.samples == "auto" else self.samples}
         return super().pipeline_config(base, *changes, own)
 
@@ -400,13 +401,13 @@ def changed_config(base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
 
 
 def given_settings_of(command: Command, kind: type[DataclassInstance]) -> Changes:
-    """Returns the fields of a settings class for which the command's options of the same names are given."""
+    """Returns the given options of a command whose names are fields of a settings class, with their values."""
     values = {one.name: getattr(command, one.name, None) for one in fields(kind)}
     return without_none(values)
 
 
 def without_none(settings: Mapping[str, Any]) -> Changes:
-    """Returns the entries that are not None."""
+    """Returns the entries whose value is not None."""
     return {name: value for name, value in settings.items() if value is not None}
 
 
@@ -425,7 +426,7 @@ def given_options(options: DataclassInstance, names: Sequence[str] | None = None
 
 
 def given_settings(command: SetCommand) -> Iterator[tuple[str, str]]:
-    """Yields the settings of a frame that options give, each with its option."""
+    """Yields each render setting that an option sets, and the option."""
     for name in ("pipeline", "samples"):
         if getattr(command, name, None) is not None:
             yield name, f"--{name}"

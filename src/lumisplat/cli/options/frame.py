@@ -1,4 +1,4 @@
-"""Options of commands that render frames: light, cameras and settings. Logs options without effect."""
+"""Options of commands that render frames: light, cameras and settings; and log lines about options without effect."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class LightOptions:
     """Tone-map lit colours by none (clips), neutral (preserves hues) or agx (filmic)."""
 
     def changes(self) -> Changes:
-        """Returns the settings that options give."""
+        """Returns the settings that the given options change."""
         frame = {
             "shadows": self.shadows and ls.Shadows(self.shadows),
             "tone_map": self.tone_map and ls.ToneMap(self.tone_map),
@@ -59,7 +59,7 @@ class LightOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentOptions(LightOptions):
-    """Options of light, with the environment, the exposure, captured light and denoising."""
+    """Light options extended by environment, exposure, gain of captured light, and denoising."""
 
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Light the scene with this latitude-longitude image, .hdr or .exr."""
@@ -73,17 +73,17 @@ class EnvironmentOptions(LightOptions):
     """Denoise lit frames; needs pip install 'lumisplat[denoise]'."""
 
     def changes(self) -> Changes:
-        """Returns the settings that options give."""
+        """Returns the settings that the given options change."""
         gain = None if self.capture_gain == "auto" else self.capture_gain
         return super().changes() | without_none({"capture_gain": gain})
 
     def with_capture_gain(self, renderer: ls.Renderer, config: ls.RenderConfig, scene: ls.Scene) -> ls.RenderConfig:
-        """Returns settings with the gain of ``--capture-gain auto``, and reconfigures the renderer with them.
+        """Returns settings with the gain estimated for ``--capture-gain auto``, and passes them to the renderer.
 
         Args:
             renderer: Renderer of the frames.
-            config: Its settings.
-            scene: Scene that it renders.
+            config: Settings of the renderer, returned unchanged for other values of ``--capture-gain``.
+            scene: Scene of the frames.
 
         Raises:
             LumisplatError: The scene has no captured light, or nothing that captured light illuminates.
@@ -105,7 +105,7 @@ class EnvironmentOptions(LightOptions):
         return camera if self.exposure is None else replace(camera, exposure=self.exposure)
 
     def environment_light(self) -> ls.LightEnvironment | None:
-        """Returns the light of ``--environment``, upright for y up and not rotated; None without the option.
+        """Loads the environment of ``--environment``, unrotated and with +y up; returns None without the option.
 
         Raises:
             ConfigError: ``--environment-rotation`` is not finite, or is given without ``--environment``.
@@ -120,7 +120,7 @@ class EnvironmentOptions(LightOptions):
         return ls.LightEnvironment(image=ls.io.load_radiance(self.environment), name=self.environment.stem)
 
     def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None) -> ls.Scene:
-        """Returns the scene with the given environment, rotated upright, in place of its own.
+        """Returns the scene with another environment, rotated upright and by ``--environment-rotation``.
 
         Args:
             scene: The loaded scene.
@@ -132,17 +132,17 @@ class EnvironmentOptions(LightOptions):
         half = 0.5 * math.radians(self.environment_rotation or 0.0)
         w, x, y, z = scene.upright_wxyz
         c, s = math.cos(half), math.sin(half)
-        # First about the image's vertical, +y, then upright: Hamilton's product with (c, 0, s, 0).
+        # Rotates about the image's vertical, +y, first: Hamilton's product upright * (c, 0, s, 0).
         turned = replace(environment, rotation_wxyz=(w * c - y * s, x * c - z * s, w * s + y * c, x * s + z * c))
         others = (light for light in scene.lights if not isinstance(light, ls.LightEnvironment))
         return replace(scene, lights=(*others, turned))
 
 
 LightGroup = Annotated[LightOptions, arg(name="light"), OmitArgPrefixes]
-"""Type of a command's field that shows these options as a group."""
+"""Type of a command's field that shows `LightOptions` as a group in the help."""
 
 EnvironmentGroup = Annotated[EnvironmentOptions, arg(name="light"), OmitArgPrefixes]
-"""Type of a command's field that shows these options as a group."""
+"""Type of a command's field that shows `EnvironmentOptions` as a group in the help."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,14 +181,14 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return None if text is None else math.radians(degrees)
 
     def frame_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings of a scene file with the changes of options.
+        """Returns the settings of a scene file, changed by the command's options.
 
         Args:
             base: Settings of the file, or the defaults.
             changes: Further changes of the command.
 
         Raises:
-            ConfigError: A value is out of range, or ``--focus`` is no pixel.
+            ConfigError: A value is out of range, or ``--focus`` is not a pixel.
             MissingExtraError: ``--denoise`` is given, and its package is not installed.
             SceneError: The image size is out of range.
         """
@@ -208,29 +208,29 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
         Args:
             renderer: Renders the frames.
-            warm_up: Warm-up of real-time frames; None is that of a sequence.
+            warm_up: Warm-up of real-time frames; None uses the default warm-up of frame sequences.
             blocks: Loads the part of a capture in blocks that a camera sees; None for whole scenes.
 
         Raises:
-            ConfigError: ``--focus`` is no pixel.
+            ConfigError: ``--focus`` is not a pixel.
         """
         lens = self.viewpoint
         return FrameSource(renderer, lens.aperture, lens.pixel(), self.light.denoise, warm_up or WarmUp(), blocks)
 
     def _check_size(self) -> None:
-        """Refuses image sizes out of range, before files are loaded and the error names them."""
+        """Raises a SceneError for an image size out of range, before files are loaded and appear in the message."""
         given = without_none({"width": self.width, "height": self.height})
         ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), **given)
 
     def load_cameras(self, cameras: Path | None, scene_file: Path | None) -> list[ls.Camera]:
-        """Returns the cameras of ``--cameras``, else of the scene file; empty without any, or with a viewpoint.
+        """Returns the cameras of ``--cameras``, else of the scene file; empty without any or with viewpoint options.
 
         Args:
             cameras: File of ``--cameras``; None without it.
             scene_file: File of the scene that may have cameras, from `camera_file`.
 
         Raises:
-            ConfigError: Options of the viewpoint contradict each other.
+            ConfigError: Viewpoint options contradict each other.
             FormatError: The file cannot be read, or the file of ``--cameras`` has no cameras.
         """
         path = cameras or scene_file
@@ -260,7 +260,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return ls.io.load_camera_path(path, width=self.width, height=self.height)
 
     def cameras_on_path(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
-        """Returns the cameras of ``--camera-path`` at the times of frames; the path is stretched to the last time."""
+        """Returns the cameras of ``--camera-path`` at given times; the path is stretched to end at the last time."""
         whole = self.load_camera_path(path)
         stretched = whole.stretched(float(times[-1])) if times[-1] > 0.0 else whole
         along = (stretched.at(float(time)) for time in times)
@@ -271,13 +271,13 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
         Args:
             scene: Scene to look at.
-            *files: Files of the scene, for errors.
+            *files: Files of the scene, for error messages.
             all_around: Argument of `lumisplat.frame_camera`.
 
         Raises:
             SceneError: The scene is empty or too large; the message names the files.
         """
-        if self.light.environment is None:  # otherwise lit_scene has logged it
+        if self.light.environment is None:  # otherwise lit_scene has already warned
             warn_if_up_is_guessed(scene)
         try:
             camera = self.viewpoint.camera(scene, self.width, self.height, all_around=all_around)
@@ -287,7 +287,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
 
 def shared_provenance(command: FrameCommand, config: ls.RenderConfig) -> dict[str, str]:
-    """Returns the options that frames depend on, of those that all frame commands have, by name."""
+    """Returns the values of the options of `FrameCommand` that affect frames, and of all settings, by name."""
     return {
         "exposure": f"{command.light.exposure}",
         "denoise": f"{command.light.denoise}",
@@ -311,8 +311,8 @@ def frame_remarks(
     Args:
         config: Settings of the frame.
         scene: Scene of the frame.
-        given: Settings that were given, each with its option.
-        light: Options of light.
+        given: Option that the user gave for each setting, by the setting's name.
+        light: Light options.
         device: Value of ``--device``.
     """
     yield from unused_options(config, scene, given, light)
@@ -325,10 +325,10 @@ def frame_remarks(
 def unused_options(
     config: ls.RenderConfig, scene: ls.Scene, given: Mapping[str, str], light: EnvironmentOptions
 ) -> Iterator[str]:
-    """Yields a log line for each reason why options have no effect; the arguments are those of `frame_remarks`."""
+    """Yields one log line for each reason why given options have no effect; for the arguments, see `frame_remarks`."""
     lit = config.is_lit(by_default=scene.is_lit_by_default)
     unused = config.unused_settings(lit=lit)
-    unused.pop("adaptive", None)  # frames refuse it
+    unused.pop("adaptive", None)  # rendering reports this setting as an error
     if config.pipeline.is_sequence:
         del unused["samples"]  # --samples counts warm-up frames
     if not lit:
@@ -345,7 +345,7 @@ def unused_options(
 
 
 def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
-    """Yields a log line for each lit or shadowed capture whose Gaussians form no surface."""
+    """Yields a log line for each lit or shadow-catching capture whose Gaussians do not form a surface."""
     if config.lighting is False or not any(light.enabled for light in scene.lights):
         return
     lit = {id(one.gaussians): one for one in scene.splats if one.shadow_catcher or one.material is not None}
@@ -355,7 +355,7 @@ def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: 
 
 
 def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
-    """Yields a log line if lights shine on captures with albedo that have no material, and so stay as captured."""
+    """Yields a log line if lights do not affect captures that have an albedo, because these have no material."""
     unlit = [one for one in scene.splats if one.gaussians.albedo is not None and one.material is None]
     lights = [light for light in scene.lights if light.enabled]
     if config.lighting is not False and lights and any(not one.shadow_catcher for one in unlit):
@@ -366,13 +366,13 @@ def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
 
 
 def _unlit_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
-    """Yields a log line if a single light shines on surfaces beside a capture, whose other sides will be black.
+    """Yields a log line if one light is alone beside a capture, so that surfaces are black on their unlit sides.
 
     Several lights are taken as a deliberate choice.
     """
     lights = [light for light in scene.lights if light.enabled]
     is_surrounded = any(isinstance(light, ls.LightEnvironment) for light in lights)
-    bounces = config.pipeline.bounces_light  # captures light them there
+    bounces = config.pipeline.bounces_light  # captures then light the other sides
     if config.lighting is False or len(lights) != 1 or is_surrounded or not scene.splats or bounces:
         return
     relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_catcher]
@@ -389,7 +389,7 @@ def _unlit_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
 
 
 def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: EnvironmentOptions) -> Iterator[str]:
-    """Yields a log line if captures alone light added objects: their light sources are clipped at display white."""
+    """Yields a log line if only captures light added objects: captured light is too dark, clipped at display white."""
     bounces = config.pipeline.bounces_light and config.lighting is not False
     relit = [one for one in scene.splats if one.material is not None and not one.shadow_catcher]
     has_captures = len(relit) < len(scene.splats)
@@ -402,6 +402,6 @@ def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: EnvironmentO
 
 
 def _needs_light(material: Material) -> bool:
-    """Returns whether a surface without light is black; mirrors, glass and emitters are not."""
+    """Returns whether a material is black without light; mirrors, glass and emitters are not."""
     own = material.emissive + (material.ambient if isinstance(material, ls.MaterialSimple) else ())
     return not material.is_smooth and not any(own)

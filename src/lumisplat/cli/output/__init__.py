@@ -1,1 +1,1 @@
-"""Output of commands: tables, progress, images, and frames of an animation."""
+"""Writes the output of commands: tables, progress, images, and frames of an animation."""

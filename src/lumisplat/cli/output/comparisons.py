@@ -1,4 +1,4 @@
-"""Comparisons of images with renders: metrics, JSON, and images side by side."""
+"""Compares images with renders: metrics, JSON, and images side by side."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Metrics of one view."""
+    """Metrics of the frame of one view, compared with the view's image."""
 
     view: ls.io.TrainingImage
     figures: Figures
@@ -68,7 +68,7 @@ def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparis
 
 
 def write_view_comparison(view: ls.io.TrainingImage, frame: ls.Frame, path: Path) -> None:
-    """Writes image, render and their difference from left to right; masked pixels have no difference.
+    """Writes image, render and their difference side by side; the difference is black where the mask excludes pixels.
 
     Raises:
         FormatError: The file cannot be written.
@@ -77,7 +77,7 @@ def write_view_comparison(view: ls.io.TrainingImage, frame: ls.Frame, path: Path
 
 
 def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
-    """Returns the pixels of an image that are compared, shape (H, W)."""
+    """Returns True for the pixels of an image that are compared, shape (H, W)."""
     import numpy as np
 
     mask = view.mask()
@@ -85,7 +85,7 @@ def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
 
 
 Figures = dict[str, float]
-"""Values by name of their metric; NaN is a missing value."""
+"""Metric values by name; NaN marks a missing value."""
 
 _DIGITS = {"psnr": 2, "ncm_ab": 2}
 
@@ -97,28 +97,28 @@ def mean(values: Sequence[float]) -> float:
 
 
 def plain(figures: Figures) -> dict[str, float | str | None]:
-    """Returns values as JSON can store them: null for NaN, ``"inf"`` for infinity."""
+    """Converts metric values to JSON values: null for NaN, ``"inf"`` for infinity."""
     return {
         name: None if math.isnan(value) else "inf" if math.isinf(value) else value for name, value in figures.items()
     }
 
 
 def cells(figures: Figures) -> list[str]:
-    """Returns values as texts of a table row."""
+    """Formats metric values as the cells of a table row."""
     return [digits(name, value) for name, value in figures.items()]
 
 
 def digits(name: str, value: float) -> str:
-    """Returns a value as text of a table."""
+    """Formats the value of the metric ``name`` for a table; ``-`` for NaN."""
     return "-" if math.isnan(value) else f"{value:.{_DIGITS.get(name, 4)}f}"
 
 
 _GAIN = 4.0
-"""Factor by which images of differences are amplified."""
+"""Factor by which difference images are amplified."""
 
 
 def check_report(folder: Path, images: Iterable[Path]) -> None:
-    """Refuses report folders that cannot be written, or that hold compared images, which have the same names.
+    """Checks that a report folder can be written, and holds no compared image, which the report would overwrite.
 
     Args:
         folder: Folder of the report.
@@ -134,7 +134,7 @@ def check_report(folder: Path, images: Iterable[Path]) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Writes values as JSON.
+    """Writes a dictionary as JSON.
 
     Raises:
         FormatError: The file cannot be written.
@@ -144,7 +144,7 @@ def write_json(path: Path, content: Mapping[str, object]) -> None:
 
 
 def write_image(path: Path, color: Picture) -> None:
-    """Writes a PNG.
+    """Writes an image of display colours as PNG.
 
     Raises:
         FormatError: The file cannot be written.
@@ -159,11 +159,11 @@ def write_image(path: Path, color: Picture) -> None:
 def write_comparison(
     path: Path, rows: Sequence[tuple[Picture, Picture]], region: npt.NDArray[np.bool_] | None = None
 ) -> None:
-    """Writes pairs of images side by side with their difference, amplified four times.
+    """Writes pairs of images as rows of a PNG, each with the pair's difference, amplified four times.
 
     Args:
-        path: The PNG.
-        rows: Pairs from the top to the bottom.
+        path: Path of the PNG.
+        rows: Pairs of images, from top to bottom.
         region: Pixels whose difference is shown, shape (H, W); None shows all.
 
     Raises:

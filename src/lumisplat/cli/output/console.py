@@ -1,4 +1,4 @@
-"""Tables, numbers, progress bars and statistics of frames in the terminal."""
+"""Prints tables, numbers, progress bars and frame statistics in the terminal."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LINE_EVERY_S = 60.0
-"""Time between two progress lines without a terminal, seconds."""
+"""Time between two progress lines where no terminal can show bars, seconds."""
 
 _NARROW = 100
-"""Width of terminals with short bars, columns, so that most descriptions fit beside them."""
+"""Terminal width, in columns, below which progress bars are short, so that most labels fit beside them."""
 _BAR_NARROW, _BAR_WIDE = 10, 40
 
 Report = Callable[[str, float], None]
-"""Function that receives the progress: a label and the fraction done, 0..1."""
+"""Function that receives progress: a label, and the completed fraction, 0..1."""
 
 
 @contextmanager
 def progress_bars() -> Generator[Report]:
-    """Shows a bar for each label from its first report until its fraction is 1; a later report shows a bar again.
+    """Yields a progress function that shows a bar for each label until the label's fraction is 1.
 
-    Text behind a comma in a label may change between reports without a new bar. Bars show the remaining time at the
-    current pace, and disappear at the end. Without a terminal, a line is printed each minute.
+    Text after a comma in a label may change between reports without a new bar. Bars show the estimated remaining time,
+    and disappear at the end. Without a terminal, a line is printed each minute instead.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -39,7 +39,7 @@ def progress_bars() -> Generator[Report]:
 
     console = Console(stderr=True)
     is_narrow, is_hidden = console.width < _NARROW, not console.is_terminal
-    # The description alone is shortened: percentage and times stay readable on a narrow terminal.
+    # Only the description is shortened, so that percentage and times stay readable on a narrow terminal.
     shortened, whole = Column(ratio=1, no_wrap=True, overflow="ellipsis"), Column(no_wrap=True)
     columns = (
         TextColumn("{task.description}", markup=False, table_column=shortened),
@@ -50,7 +50,7 @@ def progress_bars() -> Generator[Report]:
     )
     with Progress(*columns, console=console, transient=True, disable=is_hidden, expand=is_narrow) as bars:
         tasks: dict[str, tuple[TaskID, float, float]] = {}
-        """Bar of each label, with time and fraction of its first report."""
+        """Bar of each label, with the time and the fraction of the label's first report."""
 
         last_line = 0.0 if console.is_terminal else time.monotonic()
 
@@ -83,7 +83,7 @@ def quiet_warp() -> None:
 
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
-    """Prints name and value pairs as they are: without markup, and with ``?`` for control characters."""
+    """Prints name and value pairs as a table, without interpreting markup, and with ``?`` for control characters."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
@@ -95,7 +95,7 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
 
 
 def print_columns(header: list[str], rows: list[list[str]]) -> None:
-    """Prints a table of names in the first column, and right-aligned numbers in the others."""
+    """Prints a table with a header, names in the first column, and right-aligned numbers in the other columns."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -107,7 +107,7 @@ def print_columns(header: list[str], rows: list[list[str]]) -> None:
 
 
 def _print(table: Table) -> None:
-    """Prints a table; a closed pipe raises BrokenPipeError, which the caller of the command line handles."""
+    """Prints a table. A closed pipe raises BrokenPipeError, which `lumisplat.cli.main` passes on to its caller."""
     from rich.console import Console
 
     class PipedConsole(Console):
@@ -118,7 +118,7 @@ def _print(table: Table) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """Returns the message of an error, and its notes, without line breaks."""
+    """Returns an error's message and notes without line breaks."""
     notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: cannot be read or written: {error.strerror}{notes}"
@@ -128,7 +128,7 @@ def one_line(error: BaseException) -> str:
 
 
 def counted(count: int, noun: str, plural: str | None = None) -> str:
-    """Returns a count with its noun: ``1 frame``, ``2,000 frames``; ``plural`` is for nouns without an s."""
+    """Returns a count with its noun, such as ``1 frame`` or ``2,000 frames``; ``plural`` is for irregular plurals."""
     return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
 
 
@@ -148,7 +148,7 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
 
 
 def _time_left(seconds: float, first: float, fraction: float) -> str:
-    """Returns the remaining time after ``seconds`` from fraction ``first`` to ``fraction``; empty without progress."""
+    """Estimates the remaining time, as text, if ``first`` to ``fraction`` took ``seconds``; empty without progress."""
     return f"{duration_text(seconds * (1.0 - fraction) / (fraction - first))} left" if fraction > first else ""
 
 
@@ -176,19 +176,19 @@ def up_name(direction: tuple[float, float, float]) -> str:
 
 
 def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
-    """Prints times, counts and memory of a frame that ``pipeline`` rendered."""
+    """Prints times, counts and memory of a frame that was rendered with ``pipeline``."""
     print_table("last frame", [*stage_rows(stage_times(frame)), *count_rows(frame, pipeline)])
 
 
 def stage_times(frame: ls.Frame) -> dict[str, float]:
-    """Returns a copy of the milliseconds of each stage of a frame; empty on CUDA without profiling."""
+    """Returns the time of each stage of a frame, milliseconds; empty on CUDA without profiling."""
     return dict(frame.stats.stage_ms) if frame.stats else {}
 
 
 def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
     """Returns table rows with the milliseconds of each stage and their sum; empty if stages were not timed.
 
-    A frame of several passes has a row for each pass, followed by the rows of its stages.
+    A stage name ``PASS: STAGE`` adds a row with the total of each pass, followed by the rows of its stages.
     """
     if not stage_ms:
         return []
@@ -221,11 +221,11 @@ def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
 _log = logging.getLogger("lumisplat")
 
 _LONG_S = 60.0
-"""Expected time of all frames above which a line announces it, seconds."""
+"""Expected time of the remaining frames above which a log line announces it, seconds."""
 
 
 class FrameProgress:
-    """Progress bar of all frames, and a log line if they take more than a minute: the time, and what is faster.
+    """Progress bar of all frames. If they take more than a minute, logs the expected time and how to shorten it.
 
     Args:
         report: Receives the progress.
@@ -241,15 +241,15 @@ class FrameProgress:
         report(label, 0.0)
 
     def add(self, frame: ls.Frame | ls.farm.SamplePart | None) -> None:
-        """Counts a frame that has been rendered and written; None for a frame that another process has made."""
+        """Counts a frame that has been rendered and written; None counts a frame that another process has made."""
         before, self._since = self._since, time.monotonic()
         self._done += 1
-        if self._done == 2:  # the first may have waited for kernels that compile once, and for the scene's upload
+        if self._done == 2:  # the first frame may include compilation and upload
             self._announce(self._since - before, 1 if frame is None else frame.samples)
         self._report(self._label, self._done / self._count)
 
     def _announce(self, seconds: float, samples: int) -> None:
-        """Logs the time of the remaining frames, of ``seconds`` each, if it is long."""
+        """Logs the expected time of the remaining frames if it is long, given the ``seconds`` of one frame."""
         left = self._count - self._done
         if left * seconds > _LONG_S:
             remedies = [f"fewer frames ({self._fewer})"] * bool(self._fewer) + ["--samples 1"] * (samples > 1)

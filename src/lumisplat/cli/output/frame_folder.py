@@ -1,8 +1,9 @@
-"""Folder of an animation's frames: which frames exist, and which scene and settings they were made from.
+"""Folder of rendered frames, which records the scene and the settings that the frames were made from.
 
 Frames are written whole or not at all, so that existing ones need not be rendered again. A stamp file beside them,
-``animate.json`` (``orbit.json`` of an orbit, ``render.json`` of images), stores their provenance: everything that they
-depend on. Frames of another provenance are refused. A video is made from existing frames.
+``animate.json`` (``orbit.json`` of an orbit, ``render.json`` of images), stores their provenance: the values of
+everything that affects them. A run whose provenance differs does not continue with these frames. Videos are made from
+the files of the frames.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ _FRAME = re.compile(r"frame_\d{4,}\.(png|exr|npz)")
 
 @dataclass(frozen=True)
 class FrameFolder:
-    """Folder of the frames of one animation."""
+    """Folder of the frames of one animation, or of other files that a command makes one by one."""
 
     folder: Path
     extension: str
     stamp: str = "animate.json"
     """File name of the stamp, which stores the provenance of the frames."""
     names: tuple[str, ...] | None = None
-    """File names of the frames; None is ``frame_0000`` and so on."""
+    """File names of the frames; None names them ``frame_0000`` and so on."""
     is_default: bool = field(default=False, kw_only=True)
-    """True if the user has not named the folder: frames of other settings are then replaced, with a log line."""
+    """True if the user did not name the folder. Frames of other settings are then replaced, and a log line says so."""
 
     @staticmethod
     def named_after(output: Path | None, video: Path | None, otherwise: str, extension: str, stamp: str) -> FrameFolder:
@@ -63,7 +64,7 @@ class FrameFolder:
         return FrameFolder(folder, extension, stamp, is_default=output is None)
 
     def path(self, index: int) -> Path:
-        """Returns the file of a frame."""
+        """Returns the file path of a frame, given its number."""
         return self.folder / (f"frame_{index:04d}.{self.extension}" if self.names is None else self.names[index])
 
     def holds(self, path: str) -> bool:
@@ -76,18 +77,18 @@ class FrameFolder:
         return self.path(index).is_file()
 
     def is_stopped(self, index: int) -> bool:
-        """Returns whether a frame is unfinished because its time was over; the same command then continues."""
+        """Returns whether a frame is unfinished because it reached a time limit; the same command then continues it."""
         return False
 
     def tidy(self, index: int) -> None:
-        """Removes the parts of a frame that exists."""
+        """Removes files that are no longer needed once a frame exists; none in this class."""
 
     def prepare(self, provenance: Mapping[str, str], overwrite: bool) -> None:
-        """Prepares the folder for frames of a provenance; existing frames of the same provenance stay.
+        """Creates the folder and its stamp; existing frames of the same provenance stay.
 
         Args:
-            provenance: Everything that the frames depend on, by name.
-            overwrite: Remove all existing frames first.
+            provenance: Values of everything that the frames depend on, by name.
+            overwrite: True removes all existing frames first.
 
         Raises:
             ConfigError: There are frames of another provenance; the message names the differences.
@@ -97,12 +98,14 @@ class FrameFolder:
         if self._frames() and not overwrite:
             overwrite = self._check(stamp, provenance)
         make_folder(self.folder)
-        temporary = stamp.with_name(f".{stamp.stem}.{secrets.token_hex(6)}.lumisplat.json")  # as those of frames
+        temporary = stamp.with_name(
+            f".{stamp.stem}.{secrets.token_hex(6)}.lumisplat.json"
+        )  # named like temporary files of frames
         try:
             temporary.write_text(json.dumps(self._stamped(stamp, provenance), indent=1) + "\n")
             if overwrite:
                 self._clear(stamp)
-            while not _put(temporary, stamp):  # another run has begun at the same moment, or before its first frame
+            while not _put(temporary, stamp):  # another run has put its stamp there meanwhile
                 stored = stored_provenance(stamp)
                 if overwrite:
                     self._clear(stamp)
@@ -111,7 +114,7 @@ class FrameFolder:
                 elif self._differing(stored, provenance):
                     raise self._begun_by_another(stored, provenance)
                 else:
-                    os.replace(temporary, stamp)  # perhaps with more of the same origin
+                    os.replace(temporary, stamp)  # the new stamp may list more captures
                     return
         except OSError as error:
             raise ls.FormatError(stamp, f"cannot be written: {error.strerror or error}") from None
@@ -122,8 +125,8 @@ class FrameFolder:
     def _clear(self, stamp: Path) -> None:
         """Removes the stamp, then the frames.
 
-        Other runs in the folder stop without the stamp, and remove frames that they write later. After a kill in
-        between, nothing can be continued by mistake.
+        Other runs in the folder stop when the stamp is gone, and remove frames that they have just written. If the
+        process is killed after removing the stamp, no later run can continue with the remaining frames by mistake.
         """
         stamp.unlink(missing_ok=True)
         for path in self._frames():
@@ -133,7 +136,7 @@ class FrameFolder:
         """Checks that no run with other settings has started in the folder.
 
         Raises:
-            ConfigError: Another run has started, or the stamp is gone.
+            ConfigError: Another run has started, or the stamp is missing.
         """
         stored = stored_provenance(self.folder / self.stamp)
         if stored is None or self._differing(stored, provenance):
@@ -150,16 +153,15 @@ class FrameFolder:
         return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
 
     def _check(self, stamp: Path, provenance: Mapping[str, str]) -> bool:
-        """Returns whether existing frames are to be replaced. Raises ConfigError if they may not be."""
+        """Returns whether existing frames have to be replaced; raises a ConfigError if the user has to decide."""
         advice = f"give --overwrite to remove them, or another folder{' by -o' if self.is_default else ''}"
         stored = stored_provenance(stamp)
         if stored is None:
             raise ls.ConfigError(f"{self.folder} holds frames, but no {self.stamp} with their settings: {advice}")
         if not (changed := self._differing(stored, provenance)):
             return False
-        if (
-            not self.is_default or stored.keys() != provenance.keys()
-        ):  # frames of other files are no earlier try of these
+        # Frames of other files are not replaced unasked: they are not an earlier try of this scene.
+        if not self.is_default or stored.keys() != provenance.keys():
             what = f"other settings or files ({_listed(changed)})"
             raise ls.ConfigError(f"{self.folder} holds frames of {what}: {advice}")
         old = f"{counted(len(self._frames()), 'frame')} of other settings or files ({_listed(changed)})"
@@ -167,7 +169,7 @@ class FrameFolder:
         return True
 
     def _begun_by_another(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> ls.ConfigError:
-        """Returns the error about another run with other settings that has written no frame yet."""
+        """Returns the error about a run with other settings that has started here but has not written a frame yet."""
         differing = self._differing(stored, provenance)
         return ls.ConfigError(
             f"{self.folder}: another run has begun there, which differs in {_listed(differing)}: "
@@ -175,7 +177,7 @@ class FrameFolder:
         )
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
-        """Returns the content of the stamp."""
+        """Returns the values to store in the stamp."""
         return dict(provenance)
 
     def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
@@ -184,23 +186,26 @@ class FrameFolder:
 
 
 def _listed(names: list[str]) -> str:
-    """Returns the first three names, and the number of others."""
+    """Returns at most three names as text, and how many more there are."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _put(temporary: Path, stamp: Path) -> bool:
-    """Makes a file the stamp, unless one exists; returns whether it did. One of two simultaneous runs succeeds."""
+    """Renames a file to the stamp's name, unless a stamp exists; returns True on success.
+
+    If two runs do this at the same time, one of them succeeds.
+    """
     try:
         os.link(temporary, stamp)
     except FileExistsError:
         return False
-    except OSError:  # a file system without links: the run that begins last stops the other
+    except OSError:  # no hard links here: of two runs, the later one stops the other
         os.replace(temporary, stamp)
     return True
 
 
 def stored_provenance(stamp: Path) -> dict[str, object] | None:
-    """Returns the content of a stamp; None if it is missing or no stamp."""
+    """Returns the content of a stamp; None if the file is missing or is not a JSON object."""
     try:
         stored: Any = json.loads(stamp.read_text())
     except (OSError, ValueError):
@@ -209,7 +214,7 @@ def stored_provenance(stamp: Path) -> dict[str, object] | None:
 
 
 def flat_settings(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:
-    """Yields names and values of settings; those of groups are named ``group.name``."""
+    """Yields name and value of each setting as text; settings of a group are named ``group.name``."""
     for entry in fields(settings):
         value = getattr(settings, entry.name)
         if is_dataclass(value) and not isinstance(value, type):

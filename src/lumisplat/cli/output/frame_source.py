@@ -1,4 +1,4 @@
-"""Renders the frames of a command, with focus, warm-up and denoising."""
+"""Renders the frames of a command, with focus, real-time warm-up and denoising."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ from typing import Protocol
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, counted
 
-_log = logging.getLogger("lumisplat.noise")  # the library logs noise there, too
+_log = logging.getLogger("lumisplat.noise")  # the library logs noise under this name, too
 
 NOISE_MAX = 0.1
-"""Noise of a path-traced frame above which a log line advises: 5 % of the pixels are off by a tenth or more."""
+"""Relative noise of a path-traced frame above which a log line gives advice: 5 % of the pixels are off by a tenth or
+more."""
 
 
 REALTIME_FRAMES = 32
-"""Real-time frames that are rendered of the first view; the last one is the first that is shown."""
+"""Default number of real-time frames rendered for the first view; only the last one is shown."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WarmUp:
-    """Warm-up of real-time frames, before the first of them is shown."""
+    """Number of real-time frames that are rendered before one is shown, and when."""
 
     frames: int = REALTIME_FRAMES
-    """Frames that are rendered of the same view; the last one is shown."""
+    """Number of frames rendered for one view; only the last one is shown."""
     each: bool = False
-    """True if each image needs a warm-up, as views are unrelated; False if only the first of a sequence does."""
+    """True if each image needs a warm-up, because views are unrelated; False if only the first frame of a sequence
+    does."""
 
 
 class SceneForView(Protocol):
@@ -59,26 +61,26 @@ class FrameSource:
         """Renders and finishes one frame.
 
         Raises:
-            ConfigError: Focus needs an aperture, or rays.
+            ConfigError: ``--focus`` is given without an aperture, or with a pipeline without rays.
             DeviceError: Raised by `lumisplat.Renderer.render`.
-            SceneError: Raised by `lumisplat.Renderer.render`, or the pixel in focus shows nothing.
+            SceneError: Raised by `lumisplat.Renderer.render`, or no surface is in the pixel to focus on.
         """
         if self.blocks is not None:
             scene = self.blocks.scene(camera, self.renderer.release)
         return self.finished(self._rendered(scene, self.focused(scene, camera), report))
 
     def focused(self, scene: ls.Scene, camera: ls.Camera) -> ls.Camera:
-        """Returns the camera with the aperture and the focus of the options.
+        """Returns the camera with the options' aperture and focus.
 
         Raises:
-            ConfigError: Focus needs an aperture, or rays.
-            SceneError: The pixel in focus shows nothing.
+            ConfigError: ``--focus`` is given without an aperture, or with a pipeline without rays.
+            SceneError: No surface is in the pixel to focus on.
         """
         camera = camera if self.aperture is None else replace(camera, aperture=self.aperture)
         return camera if self.focus is None else self._focused(scene, camera, *self.focus)
 
     def finished(self, frame: ls.Frame) -> ls.Frame:
-        """Returns a rendered frame, denoised if wanted; otherwise logs advice about its noise once."""
+        """Returns a rendered frame, denoised if asked; otherwise logs advice about noise, at most once."""
         if self.denoises and frame.has("light"):
             return frame.denoised()
         if not self._has_warned and (line := noise_advice(frame)):
@@ -87,11 +89,11 @@ class FrameSource:
         return frame
 
     def cut(self) -> None:
-        """Marks the next frame as unrelated to the last one."""
+        """Marks the next frame as unrelated to the previous one, so that real-time frames need a new warm-up."""
         self._is_warm = False
 
     def _rendered(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
-        """Renders one frame; in real time, the last frame of the warm-up if one is needed."""
+        """Renders one frame; in the realtime pipeline, after a warm-up if one is needed."""
         if not self.renderer.config.pipeline.is_sequence:
             return self.renderer.render(scene, camera, progress=report)
         if self._is_warm and not self.warm_up.each:
@@ -113,14 +115,14 @@ class FrameSource:
 
 
 def noise_advice(frame: ls.Frame) -> str | None:
-    """Returns advice against the noise of a path-traced frame; None if there is little, or the noise was chosen."""
+    """Returns advice on reducing the noise of a path-traced frame; None if noise is low or was chosen by the user."""
     config, noise = frame.config, None if frame.stats is None else frame.stats.noise
     if config is None or not config.pipeline.traces_paths or config.noise is not None:
         return None
     if frame.light is None or not frame.light.any():
-        return None  # an unlit capture: its only noise is at edges
+        return None  # unlit captures are noisy only at edges
     if noise is None and frame.samples == 1:
-        found = ""  # one sample gives no estimate
+        found = ""  # one sample allows no noise estimate
     elif noise is not None and noise > NOISE_MAX:
         found = f" (about {noise:.2g} of noise)"
     else:

@@ -1,4 +1,4 @@
-"""Image files of cameras, with their layers and views."""
+"""Writes the image files of cameras, with their layers and false-colour views."""
 
 from __future__ import annotations
 
@@ -150,16 +150,16 @@ class Layers:
     """Layers, mattes and deep samples that ``--aov`` asks for."""
 
     names: tuple[str, ...]
-    """Layers of the frame itself."""
+    """Layers that the frame itself contains."""
     cryptomatte: bool
     deep: bool
 
     @classmethod
     def of(cls, text: str) -> Layers:
-        """Parses names with commas.
+        """Parses layer names that are separated by commas.
 
         Raises:
-            ConfigError: A name is no layer.
+            ConfigError: A name is not that of a layer.
         """
         known = (*ls.Frame.LAYERS, "cryptomatte", "deep")
         given = [name.strip() for name in text.split(",") if name.strip()]
@@ -174,7 +174,9 @@ class Layers:
 
 @dataclass
 class FrameWriter:
-    """Writes frames with their layers, or one view of each, whose colours mean the same in all frames of a run.
+    """Writes frames with their layers, or one false-colour view of each frame.
+
+    The colour scale of a view is set by the first frame, so that colours mean the same in all frames of a run.
 
     Raises:
         ConfigError: Both a view and layers are given.
@@ -184,7 +186,7 @@ class FrameWriter:
     """Names of the layers."""
     view: ViewName | None
     legend: str | None = field(default=None, init=False)
-    """Meaning of the view's colours or of depth values, once a frame has been written."""
+    """Meaning of the view's colours or of depth values, as text; None before a frame has been written."""
     _limits: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -193,7 +195,7 @@ class FrameWriter:
 
     @property
     def aovs(self) -> tuple[str, ...]:
-        """Layers that ``RenderConfig.aovs`` has to list."""
+        """AOVs that ``RenderConfig.aovs`` must list for the layers or the view."""
         names = (*self.layers, self.view or "")
         return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
 
@@ -201,7 +203,7 @@ class FrameWriter:
         """Writes one frame.
 
         Raises:
-            ConfigError: The frame lacks a layer, or what the view needs.
+            ConfigError: The frame lacks a layer, or data that the view needs.
             FormatError: The file cannot be written.
         """
         if self.view is None:
@@ -216,7 +218,7 @@ class FrameWriter:
 
 
 def _depth_legend(path: Path, frame: ls.Frame, *, first: bool) -> str:
-    """Returns the meaning of 16-bit depth: the range of the first frame, or where later files store theirs."""
+    """Returns the meaning of 16-bit depth: the range of the first frame, or where each later file stores its range."""
     if not first:
         return (
             ".depth16.png: depth in scene units, from depth_near (1) to depth_far (65535) of each file's text; 0: none"
@@ -231,7 +233,7 @@ STANDARD_OUTPUT = Path("-")
 
 
 def refuse_standard_output(output: Path | None) -> None:
-    """Refuses ``-o -`` for commands that write several files.
+    """Raises an error for ``-o -``, in commands that write several files.
 
     Raises:
         ConfigError: ``-o -`` is given.
@@ -242,16 +244,16 @@ def refuse_standard_output(output: Path | None) -> None:
 
 @contextlib.contextmanager
 def standard_output(suffix: str) -> Generator[Path]:
-    """Yields a temporary file that is copied to standard output at the end, whole or not at all.
+    """Yields a temporary file whose content is copied to standard output if the ``with`` block succeeds.
 
-    Text that is printed in between appears on standard error.
+    Text that the block prints appears on standard error.
 
     Args:
         suffix: Extension of the file, which selects its format.
 
     Raises:
         ConfigError: Standard output is a terminal, or closed.
-        LumisplatError: Raised by the block, with standard output in place of the file in its message.
+        LumisplatError: Raised by the block; messages name standard output in place of the temporary file.
     """
     out = sys.stdout
     if sys.__stdout__ is None or out.isatty():
