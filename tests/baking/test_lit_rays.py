@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.baking import joint_sh_fit
-from lumisplat.baking.joint_sh_fit import HitGaussians, JointShFit, Pixels, clear_spans, reflected_colors
+from lumisplat.baking.joint_sh_fit import HitGaussians, JointShFit, Pixels, reflected_colors, wanted_segments
 from lumisplat.baking.sample_rays import SampleRays
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb, encode_srgb
@@ -80,7 +80,7 @@ def test_clear_span_of_a_sample_ray_ends_half_way_to_gaussians_not_being_baked()
         t=np.array([1.0, 2.0, 3.0, 5.0, 6.0, 2.0, 4.0, 1.0, 1.0]),
         rays=5,
     )
-    begin, end, within = clear_spans(hits, wanted, np.array([0, 1, 0, 0, 0], np.bool_))
+    begin, end, within = wanted_segments(hits, wanted, np.array([0, 1, 0, 0, 0], np.bool_))
     np.testing.assert_array_equal(within, [0, 1, 1, 0, 0, 1, 1, 0, 0])
     np.testing.assert_allclose(begin, [1.5, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(end, [4.0, 4.0, 0.0, 0.0, 0.0], rtol=2e-4)

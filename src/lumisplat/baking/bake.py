@@ -1,4 +1,4 @@
-"""Bakes lit scenes into captures that every Gaussian splat viewer can show: ``bake``."""
+"""Implements ``bake``: turns a lit scene into captures that every Gaussian splat viewer can show."""
 
 from __future__ import annotations
 
@@ -47,16 +47,18 @@ BAKE_SAMPLES = 8
 """Paths per view; an even number, because the noise is estimated from two halves."""
 
 VIEWS_AT_ONCE = 2**17
-"""Views that are on the device at once, about 60 MiB."""
+"""Number of views that are on the device at once; their arrays take about 60 MiB."""
 
 PILOT_DIRECTIONS = 8
-"""Directions of the pilot views, two paths each, which find the visible side of each Gaussian."""
+"""Number of directions of a Gaussian's pilot views, which find its visible side; each view traces two paths."""
 
 SIGNAL_MIN = 1e-8
-"""Lower bound of the variance of colours over directions, display-referred: a standard deviation of 0.03 of 255."""
+"""Lower bound of the variance of a Gaussian's display-referred colours over directions: that of a standard deviation
+of 0.03 of 255."""
 
 BAKE_DIRECTIONS_MAX = 1024
-"""Largest number of directions. More is taken for a typing error, because SH of degree 3 has 16 coefficients."""
+"""Largest number of directions. A larger one is taken for a typing error, because SH of degree 3 has 16 coefficients.
+"""
 
 _log = logging.getLogger("lumisplat")
 
@@ -111,7 +113,7 @@ def bake(
     if not any(lit):
         raise SceneError(
             "nothing to bake: no splat set has a material or an albedo, so all show their captured colours under any "
-            "light; delight estimates an albedo"
+            "light: add a material, or estimate an albedo with delight"
         )
     viewer = GaussianViewer(config, Launcher(device), progress)
     frame, _ = rendered_frame(scene)
@@ -152,7 +154,7 @@ class _Settings:
 
     @property
     def samples_separate(self) -> int:
-        """Samples per view of sets whose SH are refitted jointly afterwards."""
+        """Samples per view of sets whose Gaussians are first fitted separately and then jointly."""
         return max(self.samples // 2, 2)
 
 
@@ -166,11 +168,12 @@ class _Baker:
     total: int
     """Number of Gaussians in the scene."""
     rays: SampleRays
-    """Distribution of camera rays towards the Gaussians of relit sets, filled for those already baked."""
+    """Distributions of camera rays towards the Gaussians of relit sets. Rows of sets that are not baked yet are
+    uninitialised."""
     rays_stored: int = 0
 
     def baked(self, scene: Scene, number: int) -> SplatInstance:
-        """Returns a splat instance of the scene with its light baked into the SH."""
+        """Returns splat instance ``number`` of the scene with its light baked into the SH."""
         instance = scene.splats[number]
         first = sum(one.gaussians.count for one in scene.splats[:number])
         parts: list[FloatArray] = []
@@ -199,7 +202,7 @@ class _Baker:
         return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
 
     def joint_fitted(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
-        """Refits the SH of relit sets so that alpha blends of Gaussians match rendered frames."""
+        """Refits the SH of all relit sets jointly, so that alpha blends of Gaussians match rendered frames."""
         if not self.rays_stored:
             return splats
         terms = (self.settings.degree + 1) ** 2
@@ -218,7 +221,7 @@ class _Baker:
         ]
 
     def _views(self, instance: SplatInstance, first: int) -> Iterator[_Views]:
-        """Yields the views of a set, for a range of Gaussians at a time."""
+        """Yields the views of a set, for one range of its Gaussians after the other."""
         count = instance.gaussians.count
         at_once = max(VIEWS_AT_ONCE // self.settings.directions, 1)
         rotation = instance.transform[:3, :3] / instance.scale
@@ -233,7 +236,7 @@ class _Baker:
             yield replace(pilot, directions=pilot.on_visible_sides(self._rendered(pilot, 2), turned))
 
     def _rendered(self, views: _Views, samples: int) -> ViewRadiance:
-        """Renders views of single Gaussians."""
+        """Renders the given views with ``samples`` samples each."""
         count = views.directions.shape[1]
         gaussian = np.repeat(np.arange(views.first, views.first + views.gaussians.count), count)
         number = views.first * count % 2**30  # seeds 32-bit random numbers on the device
@@ -242,7 +245,7 @@ class _Baker:
 
 @dataclass(frozen=True, slots=True)
 class _Views:
-    """A range of Gaussians of a set, and the directions from which they are viewed."""
+    """A range of N Gaussians of a set, and the D directions from which each is viewed."""
 
     gaussians: Gaussians
     directions: Doubles
@@ -254,16 +257,16 @@ class _Views:
 
     @property
     def along(self) -> FloatArray:
-        """Directions of all views in world space, shape (N * D, 3)."""
+        """Unit directions of all views, from the camera to the Gaussian, world space, shape (N * D, 3)."""
         return (self.directions.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
 
     def on_visible_sides(self, viewed: ViewRadiance, directions: Doubles) -> Doubles:
-        """Mirrors other directions of these Gaussians to the side that these views found visible."""
+        """Mirrors ``directions`` of the same Gaussians to the sides that the pilot views, ``viewed``, found visible."""
         weights = self._weights(viewed)
         return on_visible_sides(directions, plane_normals(self.gaussians), weights, self._front)
 
     def fitted_sh(self, viewed: ViewRadiance, settings: _Settings) -> FloatArray:
-        """Fits SH to the radiance of the views, shape (N, K, 3)."""
+        """Fits K SH coefficients to the radiance of the views of each Gaussian, shape (N, K, 3)."""
         shape = (*self.directions.shape[:2], 3)
         even, odd = viewed.even.reshape(shape), viewed.odd.reshape(shape)
         front = self._front
@@ -284,13 +287,16 @@ class _Views:
         return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
 
     def rays(self, viewed: ViewRadiance, instance: SplatInstance) -> SampleRays:
-        """Returns the distribution of camera rays towards these Gaussians, weighted by the views."""
+        """Returns the distribution of camera rays towards each Gaussian, with probabilities from the views' weights."""
         weights, distances = self._weights(viewed), viewed.distance.reshape(self.directions.shape[:2])
         some = replace(instance, gaussians=self.gaussians)
         return SampleRays.of_views(some, self.directions, weights, distances, self.first)
 
     def shadow(self, viewed: ViewRadiance) -> FloatArray:
-        """Returns factors of the captured colours, shape (N, 3); exactly 1 where the irradiance did not change."""
+        """Returns a factor for the captured colour of each Gaussian, shape (N, 3).
+
+        The factor is exactly 1 where the added objects do not change the irradiance.
+        """
         shape = (*self.directions.shape[:2], 3)
         weights = self._weights(viewed)[..., None]
         change = (weights * viewed.change.reshape(shape)).sum(axis=1)
@@ -312,18 +318,20 @@ class _Views:
 
 
 def _extent(scene: Scene) -> float:
-    """Returns the largest distance of a camera, scene units: the diagonal of a box around the bulk of the scene."""
+    """Returns the largest distance of a camera from a Gaussian: the diagonal of the box around most Gaussians."""
     low, high = scene.bulk_bounds()
     return max(float(np.linalg.norm(high - low)), 1e-6)
 
 
 def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Doubles, degree: int) -> FloatArray:
-    """Fits SH whose colours ``SH + 0.5`` match viewed colours, by weighted ridge least squares.
+    """Fits SH coefficients to the colours of N Gaussians in D views each, by weighted ridge least squares.
+
+    The colour of a Gaussian is its SH series plus 0.5.
 
     Args:
         directions: Unit directions from the camera to the Gaussian, object space, shape (N, D, 3).
         colors: Display-referred colours, shape (N, D, 3).
-        noise: Variance of the colours, shape (N,).
+        noise: Variance of the noise in each Gaussian's colours, shape (N,).
         weights: Weights of the views, at least 0, shape (N, D).
         degree: SH degree, 0 to 3.
 
@@ -341,11 +349,11 @@ def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Double
 
 
 def _penalties(colors: Doubles, noise: Doubles, shares: Doubles, degree: int) -> Doubles:
-    """Returns the ridge of each coefficient, shape (N, K).
+    """Returns the ridge of each of K coefficients of N Gaussians, shape (N, K).
 
     The ridge is the noise variance of a coefficient over its expected variance (Wiener filter). The expected variance
-    is that of the colours over directions less noise, distributed over the degrees as 1 / l^2. A small constant keeps
-    the system regular.
+    is the variance of the colours over directions minus that of the noise, distributed over the degrees l as 1 / l^2. A
+    small constant keeps the system regular.
     """
     mean = (shares[..., None] * colors).sum(axis=1, keepdims=True)
     spread = (shares * np.square(colors - mean).mean(axis=2)).sum(axis=1)

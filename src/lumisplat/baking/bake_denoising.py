@@ -10,60 +10,60 @@ import numpy.typing as npt
 from lumisplat.math.arrays import Doubles, Flags
 
 SHARED_COLOR_MIN = 0.02
-"""Lower bound of a ray's colour in a constant environment when deviations are divided by it. On darker rays,
-deviations count less, because they are due to reflections rather than to noise of the light."""
+"""Lower bound of a ray's colour in a constant environment, by which deviations of radiance are divided. On darker
+rays, deviations count less, because they are due to reflections rather than to noise of the light."""
 
 _Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayWeights:
-    """Sparse matrix of the weights with which P rays blend N Gaussians, with S entries."""
+    """Sparse matrix of the weights with which P rays blend N Gaussians; S entries are not zero."""
 
     ray: _Rows
-    """Ray of each entry, shape (S,)."""
+    """Index of each entry's ray, shape (S,)."""
     gaussian: _Rows
-    """Gaussian of each entry, shape (S,)."""
+    """Index of each entry's Gaussian, shape (S,)."""
     weight: Doubles
     """Blend weight of each entry, shape (S,)."""
     rays: int
     gaussians: int
 
     def blended(self, values: Doubles) -> Doubles:
-        """Sums values over the Gaussians of each ray, shape (N, C) to (P, C)."""
+        """Blends C values of each Gaussian along each ray, shape (N, C) to (P, C)."""
         return _sums(self.ray, self.weight, self.gaussian, values, self.rays)
 
     def mean_of(self, values: Doubles) -> Doubles:
-        """Averages values over the rays that view each Gaussian, shape (P, C) to (N, C); 0 where no ray does."""
+        """Averages C values of each ray over the rays that view a Gaussian, shape (P, C) to (N, C); 0 without a ray."""
         total = np.maximum(np.bincount(self.gaussian, self.weight, self.gaussians), 1e-12)
         return _sums(self.gaussian, self.weight, self.ray, values, self.gaussians) / total[:, None]
 
 
 def _sums(to: _Rows, weight: Doubles, of: _Rows, values: Doubles, count: int) -> Doubles:
-    """Returns weighted sums, one column at a time to save memory."""
+    """Multiplies a sparse matrix by ``values``, one column at a time to save memory."""
     return np.stack([np.bincount(to, weight * column[of], count) for column in values.T], axis=1).astype(np.float64)
 
 
 def denoised_by_rays(halves: Doubles, hit_share: Doubles, base: Doubles, weights: RayWeights, slope: float) -> Doubles:
-    """Shrinks the radiance of rays towards the mean radiance of the same Gaussians on other rays.
+    """Shrinks the radiance of P rays towards the mean radiance of the same Gaussians on other rays.
 
-    Radiance divided by the ray's colour in a constant environment varies little along a surface. The ratio is averaged
-    over the rays that view a Gaussian, then blended on each ray, as a ratio of sums, so that dark rays count little. A
-    ray's deviation from that mean is noise, which the difference of the two halves estimates, and signal such as shadow
-    edges and reflections, which the shrinkage keeps. With stochastic coverage, radiance is that of the samples that hit
-    something.
+    Radiance divided by the ray's colour in a constant environment varies little along a surface. This ratio is averaged
+    over the rays that view a Gaussian, then blended on each ray. Both steps are ratios of sums, so that dark rays count
+    little. A ray's deviation from its blended mean is noise plus signal. The difference between the two halves of the
+    samples estimates the noise. The shrinkage keeps the signal, such as shadow edges and reflections. With stochastic
+    coverage, radiance is that of the samples that hit something.
 
     Args:
         halves: Linear radiance of the even and of the odd samples, shape (2, P, 3).
-        hit_share: Fraction of these samples that hit something, shape (2, P, 1).
+        hit_share: Fraction of the even and of the odd samples that hit something, shape (2, P, 1).
         base: Colour of each ray's hits in a constant environment of radiance 1, shape (P, 3).
         weights: Blend weights of Gaussians on the rays.
         slope: Slope of the shrinkage: how quickly a ray keeps its own radiance as its deviation exceeds the noise. With
             1, the estimator is that of James and Stein (1961).
 
     Returns:
-        Radiance of the hits alone, each half separately, shape (2, P, 3). Rays without any hit get the mean of other
-        rays.
+        Radiance of the hits, without the samples that hit nothing, for each half of the samples, shape (2, P, 3). Rays
+        without any hit get the mean of other rays.
     """
     weight = np.maximum(weights.blended(np.ones((weights.gaussians, 1))), 1e-12)
     shared = np.stack([_averaged(*of_half, base, weights, weight) for of_half in zip(halves, hit_share, strict=True)])
@@ -83,7 +83,7 @@ def denoised_by_rays(halves: Doubles, hit_share: Doubles, base: Doubles, weights
 
 
 def _averaged(light: Doubles, hit_share: Doubles, base: Doubles, weights: RayWeights, weight: Doubles) -> Doubles:
-    """Returns the radiance of rays from the mean radiance of their Gaussians, shape (P, 3).
+    """Returns the radiance of P rays if every Gaussian had its mean radiance over all rays, shape (P, 3).
 
     ``weight`` is the sum of the blend weights of each ray, shape (P, 1).
     """
@@ -92,17 +92,21 @@ def _averaged(light: Doubles, hit_share: Doubles, base: Doubles, weights: RayWei
 
 
 def angularly_denoised(even: Doubles, odd: Doubles, weights: Doubles, front: Flags) -> tuple[Doubles, Doubles]:
-    """Shrinks both halves of the samples towards the mean over the directions of their side.
+    """Shrinks the radiance of N Gaussians in D directions towards the mean over the directions of the same side.
 
-    The variance of radiance over directions is that of the signal plus that of the noise, which the difference of the
-    halves estimates. The factor 1 - noise / variance keeps the signal (James and Stein 1961). Diffuse sides become
-    constant, highlights stay. Radiance is linear here, so that means are unbiased.
+    The variance of radiance over directions is that of the signal plus that of the noise. The difference between the
+    two halves of the samples estimates the noise. The factor 1 - noise / variance keeps the signal (James and Stein
+    1961). Sides with diffuse reflection become constant, highlights stay. Radiance is linear here, so that means are
+    unbiased.
 
     Args:
         even: Linear radiance of the even samples, shape (N, D, 3).
-        odd: Linear radiance of the odd samples.
+        odd: Linear radiance of the odd samples, shape (N, D, 3).
         weights: Weights of the directions, shape (N, D).
         front: Directions that view the front, shape (N, D).
+
+    Returns:
+        The denoised radiance of the even and of the odd samples.
     """
     mean = 0.5 * (even + odd)
     denoised_even, denoised_odd = even.copy(), odd.copy()

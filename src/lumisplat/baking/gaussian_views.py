@@ -1,4 +1,4 @@
-"""Renders single lit Gaussians from given directions on the device (docs/method/relighting.md#baking)."""
+"""Renders single lit Gaussians, viewed from given directions, on the device (docs/method/relighting.md#baking)."""
 
 from __future__ import annotations
 
@@ -23,32 +23,37 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
 
 VIEW_SPREAD = 0.5
-"""Standard deviation of the viewed points on a Gaussian, in standard deviations of the Gaussian. At 1, blending blurs
-edges a second time and Gaussians receive light around corners (1.1 dB worse in a room). At 0, shadow edges are jagged.
+"""Standard deviation of the points on a Gaussian that views show, relative to the Gaussian's standard deviation. At 1,
+blending blurs edges a second time and Gaussians receive light around corners (1.1 dB worse in a capacity). At 0, shadow
+edges are jagged.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class CatcherLight:
-    """Irradiance of shadow catchers, arrays of one shape; the device's `catcher_change` is the same for one channel."""
+    """Irradiance of shadow catchers, in arrays of one shape.
+
+    On the device, `catcher_change` evaluates the same equations for one channel.
+    """
 
     unshadowed: Doubles
     """Irradiance from the scene's lights without the added objects."""
     change: Doubles
-    """Change of that irradiance by the added objects, indirect light included."""
+    """Change of ``unshadowed`` by the added objects, including indirect light."""
     emitted_unshadowed: Doubles
-    """Irradiance from the surrounding captures without the added objects, as far as rays found it."""
+    """Irradiance, without the added objects, from those parts of the surrounding captures that sampled rays hit."""
     emitted_change: Doubles
-    """Change of that irradiance by the added objects, including the light that they emit."""
+    """Change of ``emitted_unshadowed`` by the added objects, including the light that they emit."""
     ambient: Doubles
-    """Given irradiance in addition to the lights'; 0: only what rays found of the captures."""
+    """Ambient irradiance that the scene specifies; 0 if it specifies none, so that ``emitted_unshadowed`` takes its
+    place."""
     blocked: Doubles
     """Part of ``ambient`` that the added objects block."""
     least: Doubles
     """Lower bound of the total irradiance, because no surface reflects more than it receives."""
 
     def change_and_received(self) -> tuple[Doubles, Doubles]:
-        """Returns the change of the total irradiance by the added objects, and the irradiance before."""
+        """Returns the change of the total irradiance by the added objects, and the total irradiance without them."""
         given, rest = self.ambient > 0.0, self.least - self.unshadowed
         ambient = np.maximum(np.where(given, self.ambient, self.emitted_unshadowed), rest)
         emitted_share = np.divide(
@@ -61,7 +66,7 @@ class CatcherLight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRadiance:
-    """Radiance of V views of single Gaussians, as means over the samples."""
+    """Radiance of V views, each of a single Gaussian; means over the samples of a view."""
 
     even: Doubles
     """Linear radiance of the even samples, without captured colours, shape (V, 3)."""
@@ -74,7 +79,7 @@ class ViewRadiance:
     change: Doubles
     """Change of a shadow catcher's irradiance by the added objects, shape (V, 3)."""
     received: Doubles
-    """Irradiance of the shadow catcher as captured, shape (V, 3); 0 for other Gaussians."""
+    """Irradiance of a shadow catcher without the added objects, shape (V, 3); 0 for other Gaussians."""
     distance: Doubles
     """Distance from the Gaussian towards the camera up to the first occluder, scene units, shape (V,)."""
     nonfinite: int
@@ -82,7 +87,7 @@ class ViewRadiance:
 
 
 class GaussianViewer(Renderer):
-    """Renders single Gaussians of a scene, each as if a camera ray had hit that Gaussian alone.
+    """Renders single Gaussians of a scene, each as if a camera ray had hit no other Gaussian.
 
     Args:
         config: Settings, with ``Pipeline.PATH`` or ``Pipeline.TRACE``.
@@ -105,7 +110,7 @@ class GaussianViewer(Renderer):
 
     @property
     def launcher(self) -> Launcher:
-        """Launcher of the views' device."""
+        """Launcher of the device that renders the views."""
         return self._launcher
 
     @property
@@ -116,41 +121,41 @@ class GaussianViewer(Renderer):
     def render_views(
         self, first: int, gaussian: npt.NDArray[np.integer], direction: FloatArray, samples: int
     ) -> ViewRadiance:
-        """Renders views of single Gaussians.
+        """Renders V views of single Gaussians.
 
         Args:
             first: Number of the first view, which seeds the random numbers.
-            gaussian: Index of each view's Gaussian among all of the scene, shape (V,).
+            gaussian: Index of each view's Gaussian among all Gaussians of the scene, shape (V,).
             direction: Unit directions from the camera to the Gaussian, world space, shape (V, 3).
             samples: Samples per view, at least 2.
         """
         scene, buffers, run = self._scene, self._buffers, self._launcher.run_banded
         count = len(gaussian)
-        room = whole_packets(grown_capacity(count))
-        views = buffers.struct("bake.views", kernels.GaussianViews, room)
+        capacity = whole_packets(grown_capacity(count))
+        views = buffers.struct("bake.views", kernels.GaussianViews, capacity)
         device_array(views.gaussian)[:count].assign(gaussian.astype(np.int32))
         device_array(views.direction)[:count].assign(direction)
-        rays, outward = (buffers.struct(f"bake.{name}", RayData, room) for name in ("rays", "outward"))
-        meshes = buffers.struct("bake.meshes", MeshHits, room)
-        gaussian_hits = buffers.struct("bake.hits", GaussianHits, room, EXTRA_FIELDS)
-        sums = buffers.struct("bake.sums", kernels.ViewSums, room)
+        rays, outward = (buffers.struct(f"bake.{name}", RayData, capacity) for name in ("rays", "outward"))
+        meshes = buffers.struct("bake.meshes", MeshHits, capacity)
+        gaussian_hits = buffers.struct("bake.hits", GaussianHits, capacity, EXTRA_FIELDS)
+        sums = buffers.struct("bake.sums", kernels.ViewSums, capacity)
         hits = PrimaryHits(rays, meshes, gaussian_hits)
         degree = self.config.trace.sh_degree
         for sample in range(samples):
             scene.begin_sample(sample)
             run(
                 kernels.hit_gaussians,
-                room,
+                capacity,
                 *(first, count, degree, VIEW_SPREAD, scene.shading, scene.gaussians, views),
                 *(rays, meshes, gaussian_hits, outward),
             )
             hidden = self._tracer.find_hits(scene, outward, "bake.hidden", bounced=True)
             wave = self._integrators.of(self._plan).shade(scene, self._plan, hits, sample)
-            run(kernels.add_views, room, sample, self._far, wave.data, hidden.meshes, hidden.gaussians, sums)
+            run(kernels.add_views, capacity, sample, self._far, wave.data, hidden.meshes, hidden.gaussians, sums)
         return self._means(sums, count, samples)
 
     def _means(self, sums: kernels.ViewSums, count: int, samples: int) -> ViewRadiance:
-        """Divides the sums over samples by the number of samples."""
+        """Downloads the sums over samples, and divides them by the number of samples."""
 
         def read(array: Any) -> Doubles:
             return device_array(array).numpy()[:count].astype(np.float64)

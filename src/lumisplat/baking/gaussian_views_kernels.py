@@ -1,8 +1,8 @@
-"""Kernels that view single Gaussians, each as if a camera ray had hit it alone. One item is one view.
+"""Kernels that view single Gaussians, each as if a camera ray had hit no other Gaussian. One item is one view.
 
-``hit_gaussians`` writes the hit that a ray would have on the Gaussian, and integrators shade these hits as any others.
-A second ray, from the Gaussian towards the camera, measures how far the Gaussian can be seen. The equations are in
-docs/method/relighting.md#baking.
+``hit_gaussians`` writes the hit of a view's ray on its Gaussian, and integrators shade this hit like any other. A
+second ray, from the Gaussian towards the camera, measures from how far away the Gaussian is visible. The equations are
+in docs/method/relighting.md#baking.
 """
 
 import warp as wp
@@ -22,9 +22,9 @@ wp.set_module_options({"enable_backward": False})
 
 # Random branches that no integrator uses.
 POINT_BRANCH = wp.constant((1 << 20) + 8)
-"""Random branch of the viewed point's first two coordinates within the Gaussian."""
+"""Branch of the random numbers for the first two coordinates of the viewed point within the Gaussian."""
 THIRD_BRANCH = wp.constant((1 << 20) + 9)
-"""Random branch of the viewed point's third coordinate."""
+"""Branch of the random numbers for the third coordinate of the viewed point within the Gaussian."""
 
 
 @struct
@@ -32,20 +32,20 @@ class GaussianViews:
     """Gaussian and direction of each view."""
 
     gaussian: wp.array[int]
-    """Index of the Gaussian among all of the scene."""
+    """Index of the view's Gaussian among all Gaussians of the scene."""
     direction: wp.array[wp.vec3]
     """Unit direction from the camera to the Gaussian, world space."""
 
 
 @struct
 class ViewSums:
-    """Sums over the samples of each view, with radiance of even and odd samples apart."""
+    """Sums over the samples of each view; radiance has separate sums for even and odd samples."""
 
     even: wp.array[wp.vec3]
     """Linear radiance of the even samples, without captured colours."""
     odd: wp.array[wp.vec3]
     count: wp.array[int]
-    """Number of finite samples; others are dropped."""
+    """Number of samples in the sums; samples that are not finite are dropped."""
     captured: wp.array[wp.vec3]
     """Display-referred captured colour of an unlit Gaussian, equal in all samples."""
     captured_weight: wp.array[float]
@@ -53,8 +53,8 @@ class ViewSums:
     factor: wp.array[wp.vec3]
     """Fraction of the captured colour that shadows leave, in frames without path tracing."""
     unshadowed: wp.array[wp.vec3]
-    """Irradiance of a shadow catcher from lights without added objects, in path tracing. The next five are as in
-    `RayRadiance`."""
+    """Irradiance of a shadow catcher from lights without added objects, in path tracing. This and the next five fields
+    are as in `RayRadiance`."""
     shadowed: wp.array[wp.vec3]
     emitted_unshadowed: wp.array[wp.vec3]
     emitted_shadowed: wp.array[wp.vec3]
@@ -66,7 +66,7 @@ class ViewSums:
 
 @wp.func
 def normal_point(key: wp.uint32, sample: int, reach: float) -> wp.vec3:
-    """Samples a point of the 3D standard normal distribution, pulled back to at most ``reach`` from the origin."""
+    """Samples a standard normal point in 3D, moved towards the origin to a distance of at most ``reach``."""
     u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
     v = sobol_2d(branch_key(key, THIRD_BRANCH), sample)
     radius = wp.sqrt(-2.0 * wp.log(1.0 - u[0]))
@@ -85,7 +85,7 @@ def store_hit(
     direction: wp.vec3,
     hits: GaussianHits,
 ):
-    """Stores the hit of a ray on Gaussian ``k`` of an instance alone, at the ray's origin.
+    """Stores the hit of a ray on Gaussian ``k`` of an instance, at the ray's origin, as if there were no others.
 
     Args:
         i: Index of the ray.
@@ -152,19 +152,19 @@ def hit_gaussians(
     hits_out: GaussianHits,
     outward_out: RayData,
 ):
-    """Creates the ray of each view with the hit on its Gaussian, and the ray from the Gaussian to the camera.
+    """Creates each view's ray with the hit on its Gaussian, and a second ray from the Gaussian to the camera.
 
     Args:
         start: First item: a view.
         first: Number of the first view among all views of the set.
-        count: Number of views; further elements become inactive.
+        count: Number of views; items from ``count`` on become inactive.
         sh_degree: Largest SH degree to evaluate.
-        spread: Standard deviation of the viewed points, in standard deviations of the Gaussian.
+        spread: Standard deviation of the viewed points, relative to that of the Gaussian.
         scene: The scene.
         assets: Distinct Gaussian sets of the scene.
         views: The views.
         rays_out: Rays of length 0 at the viewed points.
-        meshes_out: Mesh hits of these rays: none.
+        meshes_out: Mesh hits of ``rays_out``; no ray hits a mesh.
         hits_out: Hits on the Gaussians.
         outward_out: Rays from the viewed points to the camera, starting beyond Gaussians of the same layer.
     """
@@ -201,7 +201,7 @@ def hit_gaussians(
 
 @wp.func
 def is_finite(color: wp.vec3) -> bool:
-    """Returns whether no channel is NaN or infinite."""
+    """Returns whether all channels are finite."""
     return wp.isfinite(color[0] + color[1] + color[2])
 
 

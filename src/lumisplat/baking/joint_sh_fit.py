@@ -29,110 +29,119 @@ from lumisplat.scene.ops.colors import base_colors
 from lumisplat.scene.ops.neighbours import morton_order
 from lumisplat.scene.scene import Scene, SplatInstance
 
-RAYS_A_DIRECTION = 2
-"""Rays to each Gaussian in the joint fit, per direction of its separate fit."""
+RAYS_PER_DIRECTION = 2
+"""Number of rays to a Gaussian in the joint fit, for each direction of its separate fit."""
 
 RAY_DRAWS = 8
-"""Maximum number of times rays are drawn for Gaussians that still lack usable ones. In closed rooms a quarter to a
-half of the rays show backs or sets that are not baked; near corners, up to nine in ten."""
+"""Largest number of times that rays are drawn for a Gaussian that has too few usable ones. In closed rooms a quarter
+to a half of the rays show backs or sets that are not baked; near corners, up to nine in ten."""
 
 DIRECT_SLOPE = 2.0
 """Slope of the shrinkage of direct light, as in `denoised_by_rays`. With 1, shadow edges are also blurred, which costs
 0.5 dB in a room."""
 
 BOUNCED_FRACTION = 2
-"""Divisor of the samples for indirect light: as it is averaged over rays, fewer paths suffice."""
+"""Number by which the samples per ray are divided for indirect light. Indirect light is averaged over rays, so fewer
+paths suffice."""
 
 BOUNCED_MIN = 2
-"""Smallest number of paths with bounces in each half of the samples, if the half has as many."""
+"""Smallest number of paths with bounces in each half of a ray's samples, unless the half has fewer samples."""
 
 CONTRIBUTION_MIN = 0.005
-"""Blend weight below which a Gaussian is ignored on a ray: half of the hits, and 1 % of the colour."""
+"""Blend weight below which a Gaussian is ignored on a ray. Half of the hits are below it, with 1 % of the colour."""
 
 COVERED_MIN = 0.05
-"""Smallest alpha of a ray that is used."""
+"""Alpha below which a ray is not used."""
 
 OTHERS_MAX = 0.02
-"""Largest weight on a usable ray of sets that are not baked and of meshes, which are not shaded."""
+"""Largest blend weight, on a usable ray, of sets that are not baked and of meshes; the fit cannot change their
+colours."""
 
-SPAN_PAST = 1e-4
-"""Distance by which a ray ends behind its last Gaussian and before a mesh, relative to the Gaussian's distance: more
-than the rounding of float32."""
+SEGMENT_MARGIN = 1e-4
+"""Distance by which a ray ends behind its last Gaussian and before a mesh, relative to the Gaussian's distance; larger
+than the rounding errors of float32."""
 
 RAYS_AT_ONCE = 2**17
-"""Rays whose Gaussians are listed at once, about 200 MB of host memory."""
+"""Number of rays whose Gaussians are listed at once; the lists take about 200 MB of host memory."""
 
 CHANGE_SPREAD = 0.15
-"""Expected standard deviation of the change of the coefficient of degree 0 in the joint fit. Degree l has 1 / (l + 1)
-of it, so that noise does not make diffuse surfaces view-dependent."""
+"""Standard deviation that is expected of the joint fit's change of the SH coefficient of degree 0. Degree l has 1 / (l
++ 1) of it, so that noise does not make diffuse surfaces view-dependent."""
 
 MISFIT = 0.03
-"""Expected error of blended SH colours in addition to noise, display-referred."""
+"""Error of blended SH colours, display-referred, that is expected in addition to noise."""
 
 JOINT_STEPS = 40
-"""Maximum number of conjugate gradient steps. Ten steps lose 0.3 dB on a room, 0.3 on a statue and 0.6 on a rough
-metal ball."""
+"""Largest number of conjugate gradient steps. With ten steps, images have 0.3 dB less PSNR in a room, 0.3 on a statue
+and 0.6 on a rough metal ball."""
 
 JOINT_ERROR = 1e-6
-"""Relative residual at which conjugate gradients end: the resolution of single precision on the device."""
+"""Relative residual at which conjugate gradients end, as single precision on the device cannot resolve less."""
 
 JOINT_RAYS = 2**19
-"""Rays in one joint fit: those to 8,192 Gaussians with 32 directions."""
+"""Number of rays in one joint fit, such as those to 8,192 Gaussians with 32 directions."""
 
 _Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """Frame colours on P rays, and the Gaussians that are blended there."""
+    """Colours of a rendered frame on P rays, and the Gaussians that viewers blend on these rays.
+
+    A contribution is a Gaussian on a ray; there are S contributions.
+    """
 
     colors: Doubles
     """Display-referred colours, shape (P, 3)."""
     noise: float
-    """Mean variance of the colours."""
+    """Variance of the noise in the colours, a mean over all rays."""
     ray: _Rows
-    """Ray of each of S contributions, ascending, shape (S,)."""
+    """Index of each contribution's ray, ascending, shape (S,)."""
     gaussian: _Rows
-    """Gaussian of each contribution, shape (S,)."""
+    """Index of each contribution's Gaussian, shape (S,)."""
     weight: Doubles
-    """Blend weight of the Gaussian's colour on the ray, shape (S,)."""
+    """Blend weight of each contribution in the colour of its ray, shape (S,)."""
     direction: FloatArray
     """Unit direction from the camera to the Gaussian's mean, object space, shape (S, 3)."""
 
     def information(self, gaussians: int) -> Doubles:
-        """Returns the information about each Gaussian's coefficients, in units of 1 / noise variance, shape (N,).
+        """Returns the information that the rays hold about the SH coefficients of each of N Gaussians, shape (N,).
 
-        It is the diagonal of the normal equations for views from all directions: the mean square of an SH basis
-        function over the sphere is 1 / (4 pi). All parts of a bake are assumed to be equally noisy.
+        The value is the Fisher information times the noise variance: the diagonal of the normal equations for views
+        from all directions. The mean square of an SH basis function over the sphere is 1 / (4 pi). All rays of a bake
+        are assumed to be equally noisy.
         """
         return np.bincount(self.gaussian, np.square(self.weight), gaussians) / (4.0 * np.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _UsableRays:
-    """P rays that show only front sides of relit sets, and the S contributions of Gaussians to them."""
+    """P rays that show only front sides of relit sets, and their S contributions.
+
+    A contribution is a Gaussian on a ray.
+    """
 
     origins: FloatArray
-    """Origins, world space, shape (P, 3)."""
+    """Origins of the rays, world space, shape (P, 3)."""
     directions: FloatArray
-    """Unit directions, shape (P, 3)."""
-    share: Doubles
+    """Unit directions of the rays, shape (P, 3)."""
+    alpha: Doubles
     """Alpha of each ray, shape (P,)."""
     before_mesh: Flags
-    """True where a ray ends at a mesh behind its Gaussians, shape (P,)."""
+    """True for rays that end at a mesh behind their Gaussians, shape (P,)."""
     ray: _Rows
-    """Ray of each contribution, ascending, shape (S,)."""
+    """Index of each contribution's ray, ascending, shape (S,)."""
     side: IntArray
-    """Twice the Gaussian's index, plus one where its back is visible, shape (S,)."""
+    """Side of a Gaussian that each contribution shows: twice the Gaussian's index, plus 1 for its back, shape (S,)."""
     weight: Doubles
-    """Blend weights, which sum to the alpha of each ray, shape (S,)."""
+    """Blend weight of each contribution, shape (S,); the weights on a ray sum to the ray's alpha."""
     along: FloatArray
-    """Unit direction from the camera to the Gaussian's mean, object space, shape (S, 3)."""
+    """Unit direction of each contribution from the camera to the Gaussian's mean, object space, shape (S, 3)."""
 
     @classmethod
     def joined(cls, parts: list[_UsableRays]) -> _UsableRays:
-        """Concatenates rays and empties the list, so that only one field at a time is in memory twice."""
-        firsts = np.cumsum([0, *(len(part.share) for part in parts)])
+        """Concatenates sets of rays into one; empties ``parts``, so that only one field is in memory twice."""
+        firsts = np.cumsum([0, *(len(part.alpha) for part in parts)])
         fields = {name: [getattr(part, name) for part in parts] for name in cls.__slots__}
         fields["ray"] = [ray + first for ray, first in zip(fields["ray"], firsts, strict=False)]
         parts.clear()
@@ -176,14 +185,15 @@ class JointShFit:
         self._blends = Renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), launcher)
 
     def refitted(self, sh: Doubles, rays_of_gaussians: SampleRays, progress: Progress | None) -> Doubles:
-        """Refits the SH of all Gaussians, shape (N, K, 3), so that blends along sampled rays match rendered frames.
+        """Refits the K SH coefficients of all N Gaussians, shape (N, K, 3), to rendered frames.
 
-        Some thousands of neighbouring Gaussians are fitted at a time. Gaussians around them that the rays also show
-        change too, but less the more rays they were fitted to before.
+        Afterwards, alpha blends of the SH colours along sampled rays match the frames. Some thousands of neighbouring
+        Gaussians are fitted at a time. Their rays also show Gaussians of earlier fits. These change again, but less the
+        more rays they were fitted to.
         """
         result, information = np.array(sh), np.zeros(len(sh))
         order = morton_order(self._means[rays_of_gaussians.gaussian])
-        rays = RAYS_A_DIRECTION * rays_of_gaussians.shares.shape[1]
+        rays = RAYS_PER_DIRECTION * rays_of_gaussians.cumulative.shape[1]
         for rows in _ranges(len(order), max(JOINT_RAYS // rays, 1)):
             if progress:
                 progress("baking", 0.5 + 0.5 * rows.start / len(order))
@@ -200,11 +210,15 @@ class JointShFit:
     def pixels(self, rays_of_gaussians: SampleRays, count: int) -> Pixels:
         """Draws ``count`` usable rays to each Gaussian, and renders the frame's colours on them."""
         rays = self._rays(rays_of_gaussians, count)
-        colors, noise = self._displayed(self._light(rays), rays.share[:, None])
+        colors, noise = self._displayed(self._light(rays), rays.alpha[:, None])
         return Pixels(colors, noise, rays.ray, rays.side.astype(np.int64) // 2, rays.weight, rays.along)
 
     def _rays(self, rays_of_gaussians: SampleRays, count: int) -> _UsableRays:
-        """Draws usable rays to each Gaussian, again for Gaussians that lack some, up to `RAY_DRAWS` times."""
+        """Draws ``count`` usable rays to each Gaussian.
+
+        Rays are drawn up to `RAY_DRAWS` times for Gaussians that have too few usable rays; some may stay below
+        ``count``.
+        """
         parts: list[_UsableRays] = []
         lacking = np.full(len(rays_of_gaussians.gaussian), count)
         for number in range(RAY_DRAWS):
@@ -221,7 +235,7 @@ class JointShFit:
         return _UsableRays.joined(parts)
 
     def _choose_usable(self, drawn: DrawnRays, wanted: _Rows) -> tuple[_UsableRays, _Rows]:
-        """Returns the first usable rays to each Gaussian, at most ``wanted``, and how many each has."""
+        """Returns the first ``wanted`` usable rays to each Gaussian, or fewer if there are fewer, and their number."""
         origins, directions = (array.reshape(-1, 3) for array in (drawn.origins, drawn.directions))
         hits = self._blends.trace_rays(self._scene, origins, directions, profile=True)
         assert hits.profile is not None
@@ -253,11 +267,11 @@ class JointShFit:
         return rays, found
 
     def _facing(self, gaussian: _Rows, directions: FloatArray) -> Doubles:
-        """Returns cosines between directions and normals of Gaussians: above 0 where a ray shows the back."""
+        """Returns the cosine between each direction and its Gaussian's normal; above 0, the ray shows the back."""
         return (self._normals[gaussian] * directions).sum(axis=1)
 
     def _light(self, rays: _UsableRays) -> Doubles:
-        """Renders the radiance of rays from even and from odd samples, linear and denoised, shape (2, P, 3)."""
+        """Renders the linear radiance of P rays, from even and from odd samples, and denoises it, shape (2, P, 3)."""
         begins, ends, base = self._lit_segments(rays)
         starts = (rays.origins + begins[:, None] * rays.directions).astype(np.float32)
         twice = (
@@ -273,7 +287,7 @@ class JointShFit:
 
         # The two sides of a sheet are lit differently.
         sides, renamed = np.unique(rays.side, return_inverse=True)
-        weights = RayWeights(rays.ray, renamed, rays.weight, len(rays.share), len(sides))
+        weights = RayWeights(rays.ray, renamed, rays.weight, len(rays.alpha), len(sides))
         light = denoised_by_rays(*rendered(self._paths), base, weights, DIRECT_SLOPE)
         if self._bounced is not None:
             (whole, hit_share), (first, _) = map(rendered, self._bounced)
@@ -281,18 +295,18 @@ class JointShFit:
         return light
 
     def _lit_segments(self, rays: _UsableRays) -> tuple[Doubles, Doubles, Doubles]:
-        """Finds the segment of each ray that contains only relit sets, and its colour in a constant environment.
+        """Finds the segment of each of P rays that contains only relit sets, and its colour in a constant environment.
 
         Lit frames sort Gaussians by their hit distance, viewers of captures by the distance of their means.
 
         Returns:
-            Start and end of the segments, shape (P,) each, and colours, shape (P, 3).
+            Start and end of each segment, shape (P,) each, and colours, shape (P, 3).
         """
         parts: list[tuple[Doubles, Doubles, Doubles]] = []
-        for rows in _ranges(len(rays.share), RAYS_AT_ONCE):
+        for rows in _ranges(len(rays.alpha), RAYS_AT_ONCE):
             profile = self._hit_rays.hits(self._scene, rays.origins[rows], rays.directions[rows])
             hits = HitGaussians.of(profile, self._firsts)
-            begins, ends, within = clear_spans(hits, self._relit[hits.gaussian], rays.before_mesh[rows])
+            begins, ends, within = wanted_segments(hits, self._relit[hits.gaussian], rays.before_mesh[rows])
             hits = hits.where(within)
             totals = [hits.total(channel[hits.gaussian]) for channel in (*self._colors.T, np.ones(len(self._colors)))]
             parts.append((begins, ends, np.stack(totals[:3], axis=1) / np.maximum(totals[3], 1e-12)[:, None]))
@@ -313,7 +327,7 @@ class JointShFit:
         return colors, float(0.25 * np.square(halves[0] - halves[1]).mean()) if len(colors) else 0.0
 
     def _directions(self, eyes: FloatArray, gaussian: _Rows) -> FloatArray:
-        """Returns unit directions from camera positions in world space to Gaussians, each in its object space."""
+        """Returns unit directions from camera positions, world space, to Gaussians, in each one's object space."""
         towards = self._means[gaussian] - eyes
         for number, one in enumerate(self._scene.splats):
             here = self._instance[gaussian] == number
@@ -323,7 +337,7 @@ class JointShFit:
 
 
 class Blend:
-    """Blends SH colours of Gaussians into pixels, and gathers errors of pixels, on the device."""
+    """Blends SH colours of Gaussians into pixels on the device, and applies the transpose of this linear map."""
 
     def __init__(self, pixels: Pixels, gaussians: int, terms: int, launcher: Launcher) -> None:
         buffers = Buffers(launcher.device)
@@ -342,15 +356,15 @@ class Blend:
         self._sh = buffers.get("sh", wp.vec3, (gaussians, terms))
 
     def pixel_colors(self, sh: Doubles) -> Doubles:
-        """Returns the colours of pixels, SH of shape (N, K, 3) to (P, 3), with negative Gaussian colours clamped."""
+        """Blends Gaussians into pixel colours, with negative colours clamped to 0; SH of shape (N, K, 3) to (P, 3)."""
         return self._blended(sh, 0.5, 0.0)
 
     def blend(self, sh: Doubles) -> Doubles:
-        """Returns the linear part of `pixel_colors`, without constant and clamping."""
+        """Returns the linear part of `pixel_colors`, without the constant 0.5 and without clamping."""
         return self._blended(sh, 0.0, -float(np.finfo(np.float32).max))
 
     def gather(self, errors: Doubles) -> Doubles:
-        """Applies the transpose of ``blend``, shape (P, 3) to (N, K, 3)."""
+        """Applies the transpose of ``blend``: errors of pixels, shape (P, 3), to SH, shape (N, K, 3)."""
         self._colors.assign(errors.astype(np.float32))
         self._sh.fill_(0.0)
         self._launcher.run_banded(
@@ -371,16 +385,19 @@ class Blend:
 
 
 def refitted_sh(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubles) -> Doubles:
-    """Returns SH of shape (N, K, 3), changed so that blended pixels match their colours, by ridge least squares.
+    """Changes SH of shape (N, K, 3) so that blended pixels match their colours, by ridge least squares.
 
-    The ridge is the ratio of two variances: that of the pixels' noise, and that of the expected change of the
-    coefficients, a few hundredths. Conjugate gradients solve the system.
+    The ridge is the ratio of two variances: that of the pixels' noise, and that expected of the coefficients' change.
+    Conjugate gradients solve the system.
 
     Args:
         blend: Blending of the pixels.
         pixels: Colours and Gaussians of the pixels.
-        sh: SH to change.
-        information: Information of earlier pixels about each Gaussian, as in `Pixels.information`, shape (N,).
+        sh: Coefficients before the fit, N Gaussians with K each.
+        information: Information of earlier fits about each Gaussian, as in `Pixels.information`, shape (N,).
+
+    Returns:
+        Coefficients after the fit.
     """
     level: Doubles = np.floor(np.sqrt(np.arange(sh.shape[1], dtype=np.float64) + 0.5))[:, None]
     ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2 * (level + 1.0) ** 2 + information[:, None, None]
@@ -396,7 +413,7 @@ def refitted_sh(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubles)
 
 
 def _ranges(count: int, at_once: int) -> Iterator[slice]:
-    """Yields slices of at most ``at_once`` numbers; at least one, which may be empty."""
+    """Yields slices that divide 0..``count`` into ranges of at most ``at_once``; one empty slice if ``count`` is 0."""
     for begin in range(0, max(count, 1), at_once):
         yield slice(begin, min(begin + at_once, count))
 
@@ -407,7 +424,7 @@ def _world_normals(instance: SplatInstance) -> Doubles:
 
 
 def _first_of(numbers: _Rows, count: int) -> IntArray:
-    """Returns the first position of each number in the sorted numbers, followed by their count."""
+    """Returns the first position of each number below ``count`` in sorted ``numbers``, followed by their length."""
     return np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))]).astype(np.int32)
 
 
@@ -418,14 +435,14 @@ def _uploaded(buffers: Buffers, name: str, values: IntArray) -> DeviceArray:
 
 
 class FrameRays(Renderer):
-    """Renders radiance along segments of rays, and lists the Gaussians that rays hit in the order of the settings."""
+    """Renders radiance along segments of rays, and lists the Gaussians that rays hit."""
 
     def radiance(self, scene: Scene, origins: FloatArray, directions: FloatArray, ends: FloatArray) -> RayHits:
-        """Renders rays up to these distances, shape (N,); directions are unit vectors."""
+        """Renders each ray from its origin to its distance in ``ends``, shape (N,). Directions are unit vectors."""
         return self._queries.query(self._scene, self._ready(scene), origins, directions, ends=ends)
 
     def hits(self, scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
-        """Lists the Gaussians on each ray; directions are unit vectors."""
+        """Lists the Gaussians on each ray in blending order. Directions are unit vectors."""
         self._ready(scene)
         return self._profiles.query(self._scene, scene, origins, directions)
 
@@ -437,21 +454,21 @@ class FrameRays(Renderer):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HitGaussians:
-    """Gaussians on P rays: S rows, sorted by ray, and on each ray in blending order."""
+    """Gaussians that P rays hit, as S rows: sorted by ray and, for each ray, in blending order."""
 
     ray: _Rows
-    """Ray of each row, shape (S,)."""
+    """Index of each row's ray, shape (S,)."""
     gaussian: _Rows
-    """Index among all Gaussians of the scene, shape (S,)."""
+    """Index of each row's Gaussian among all Gaussians of the scene, shape (S,)."""
     weight: Doubles
     """Blend weight of the Gaussian on the ray, shape (S,)."""
     t: Doubles
-    """Distance along the ray, scene units, shape (S,)."""
+    """Distance of the hit along the ray, scene units, shape (S,)."""
     rays: int
 
     @classmethod
     def of(cls, profile: RayProfile, firsts: IntArray) -> HitGaussians:
-        """Converts a ray profile; ``firsts`` is the index of each instance's first Gaussian."""
+        """Converts a ray profile; ``firsts`` holds the scene index of each instance's first Gaussian."""
         return cls(
             ray=np.repeat(np.arange(len(profile)), np.diff(profile.first)),
             gaussian=firsts[profile.instance_index] + profile.gaussian_index.astype(np.int64),
@@ -461,26 +478,26 @@ class HitGaussians:
         )
 
     def where(self, rows: Flags) -> HitGaussians:
-        """Returns some rows, on the same rays."""
+        """Returns the selected rows of the same P rays."""
         return HitGaussians(self.ray[rows], self.gaussian[rows], self.weight[rows], self.t[rows], self.rays)
 
     def total(self, values: Doubles | Flags) -> Doubles:
-        """Returns sums over each ray of values times blend weights, shape (P,)."""
+        """Multiplies each row's value by its blend weight, and sums over each ray, shape (P,)."""
         return np.bincount(self.ray, self.weight * values, self.rays).astype(np.float64)
 
 
-def clear_spans(hits: HitGaussians, wanted: Flags, before_mesh: Flags) -> tuple[Doubles, Doubles, Flags]:
-    """Returns the segment of each ray that contains only wanted Gaussians, around the one with the largest weight.
+def wanted_segments(hits: HitGaussians, wanted: Flags, before_mesh: Flags) -> tuple[Doubles, Doubles, Flags]:
+    """Returns the segment of each ray around its heaviest wanted Gaussian that contains only wanted Gaussians.
 
     Args:
-        hits: The Gaussians on the rays.
-        wanted: Rows of wanted Gaussians, shape (S,).
-        before_mesh: Rays that hit a mesh behind all Gaussians, shape (P,).
+        hits: The Gaussians on P rays, in S rows.
+        wanted: True for rows of wanted Gaussians, shape (S,).
+        before_mesh: True for rays that hit a mesh behind all Gaussians, shape (P,).
 
     Returns:
-        Start and end of each segment, shape (P,) each, and the rows inside, shape (S,). A segment ends half-way between
-        a wanted and an unwanted Gaussian; without unwanted Gaussians it goes from 0 to infinity. It is empty if the ray
-        has no wanted Gaussian.
+        Start and end of each segment, shape (P,) each, and the rows inside the segments, shape (S,). A segment ends
+        half-way between a wanted and an unwanted Gaussian. Without unwanted Gaussians it goes from 0 to infinity, or to
+        just behind the last Gaussian before a mesh. It is empty if the ray has no wanted Gaussian.
     """
     ray, t = hits.ray, hits.t
     most, middle = np.zeros(hits.rays), np.zeros(hits.rays)
@@ -496,16 +513,16 @@ def clear_spans(hits: HitGaussians, wanted: Flags, before_mesh: Flags) -> tuple[
     np.minimum.at(first, ray[within], t[within])
     np.maximum.at(last, ray[within], t[within])
     begin = np.where(low > 0.0, 0.5 * (low + first), 0.0)
-    end = np.where(np.isfinite(high), 0.5 * (high + last), np.where(before_mesh, (1.0 + SPAN_PAST) * last, np.inf))
+    end = np.where(np.isfinite(high), 0.5 * (high + last), np.where(before_mesh, (1.0 + SEGMENT_MARGIN) * last, np.inf))
     empty = np.isinf(first)
     return np.where(empty, 0.0, begin), np.where(empty, 0.0, end), within
 
 
 def reflected_colors(instance: SplatInstance) -> Doubles:
-    """Returns approximate colours of a set's Gaussians in a constant environment of radiance 1, linear, shape (N, 3).
+    """Returns approximate linear colours of N Gaussians in a constant environment of radiance 1, shape (N, 3).
 
-    Colours are those that the set is shaded with: captured colours if the set emits them, else the albedo. A white
-    specular part is added, so that glossy black dielectrics are not black.
+    The colour is the one with which the set is shaded: the captured colour if the set emits it, else the albedo. A
+    white specular part is added, so that glossy black dielectrics are not black.
     """
     (by_albedo,) = shading_overrides(Scene([instance]), lit=True)["shows_albedo"]
     gaussians = instance.gaussians if by_albedo else replace(instance.gaussians, albedo=None)
@@ -518,12 +535,12 @@ def reflected_colors(instance: SplatInstance) -> Doubles:
 
 
 def hits_light(lights: Iterable[Light], origins: FloatArray, directions: FloatArray) -> Flags:
-    """Returns which rays reach a visible light, ignoring occluders, shape (N,).
+    """Returns which of N rays would hit a visible light if nothing were in between, shape (N,).
 
     Args:
         lights: Lights of a scene.
-        origins: Origins, world space, shape (N, 3).
-        directions: Unit directions, shape (N, 3).
+        origins: Origins of the rays, world space, shape (N, 3).
+        directions: Unit directions of the rays, shape (N, 3).
     """
     starts, along = origins.astype(np.float64), directions.astype(np.float64)
     reaches = np.zeros(len(origins), np.bool_)

@@ -1,4 +1,4 @@
-"""Blends SH colours of Gaussians along rays, and the transpose of that (docs/method/relighting.md#baking).
+"""Blends SH colours of Gaussians along rays, and applies the transpose (docs/method/relighting.md#baking).
 
 A *contribution* is a Gaussian on a ray; contributions are sorted by ray. One item is a ray when colours are blended,
 and a Gaussian when errors are gathered.
@@ -14,12 +14,12 @@ wp.set_module_options({"enable_backward": False})
 
 @struct
 class Contributions:
-    """Gaussians that contribute to rays."""
+    """Contributions: pairs of a Gaussian and a ray on which it is blended."""
 
     ray: wp.array[int]
     gaussian: wp.array[int]
     weight: wp.array[float]
-    """Blend weight of the Gaussian's colour in the ray's."""
+    """Blend weight of the Gaussian in the ray's colour."""
     direction: wp.array[wp.vec3]
     """Unit direction from the camera to the Gaussian's mean, object space."""
 

@@ -16,13 +16,15 @@ from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import SplatInstance
 
 SIDE_MIN = 0.05
-"""Fraction of the weight of one side of a Gaussian below which all views are moved to the other side."""
+"""Smallest fraction of a Gaussian's view weight for a visible side. Views of a side below it are mirrored to the
+other."""
 
-BACK_SHARE = 0.02
-"""Weight of back views of Gaussians with known normals, relative to front views."""
+BACK_WEIGHT = 0.02
+"""Weight of views of a Gaussian's back relative to views of its front, if its normal is given."""
 
 DARK_SIDE_MIN = 1e-3
-"""Smallest weight factor of a dark side where the other side is lit. The dark side is the inside of a closed object."""
+"""Smallest weight factor of a Gaussian's darker side, relative to the brighter side. The darker side is usually the
+inside of a closed object."""
 
 GOLDEN_STEP = 0.6180339887498949
 """Fractional part of the golden ratio, whose multiples are evenly distributed in 0..1 for any count."""
@@ -33,7 +35,7 @@ POINT_REACH = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnRays:
-    """Rays, world space, R to each of N Gaussians."""
+    """Rays in world space, R towards each of N Gaussians."""
 
     origins: FloatArray
     """Camera positions, shape (N, R, 3)."""
@@ -43,7 +45,7 @@ class DrawnRays:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleRays:
-    """Distributions of camera rays towards N Gaussians, D directions each, world space, from which rays are drawn."""
+    """Distributions of camera rays in world space: D directions towards each of N Gaussians, with probabilities."""
 
     gaussian: IntArray
     """Index of each Gaussian in the scene, shape (N,)."""
@@ -52,15 +54,15 @@ class SampleRays:
     axes: FloatArray
     """Axes of the Gaussians times their standard deviations, as columns, shape (N, 3, 3)."""
     directions: FloatArray
-    """Unit directions from the camera, shape (N, D, 3)."""
+    """Unit directions from the camera to the Gaussian, shape (N, D, 3)."""
     distances: FloatArray
-    """Largest distance from which each direction sees the Gaussian, scene units, shape (N, D)."""
-    shares: FloatArray
+    """Largest distance from which the Gaussian is visible along each direction, scene units, shape (N, D)."""
+    cumulative: FloatArray
     """Cumulative probability of the directions, ending at 1, shape (N, D)."""
 
     @classmethod
     def allocated(cls, gaussians: int, directions_each: int) -> SampleRays:
-        """Allocates uninitialised distributions for a number of Gaussians and of directions for each."""
+        """Allocates uninitialised distributions for N = ``gaussians`` and D = ``directions_each``."""
         shapes = (3,), (3, 3), (directions_each, 3), (directions_each,), (directions_each,)
         return cls(np.empty(gaussians, np.int32), *(np.empty((gaussians, *shape), np.float32) for shape in shapes))
 
@@ -68,17 +70,18 @@ class SampleRays:
     def of_views(
         cls, instance: SplatInstance, directions: Doubles, weights: Doubles, distances: Doubles, first: int
     ) -> SampleRays:
-        """Builds the distributions from views: probability is proportional to a view's weight times its distance.
+        """Builds the distributions of a splat instance from the weights and distances of views.
 
-        Cameras anywhere in free space would be uniform along a view, and each would show the Gaussian in equally many
-        pixels. The additional factor of the distance reflects that people look across rooms rather than at the wall
-        beside them.
+        The probability of a direction is proportional to weight times distance. Cameras anywhere in free space would be
+        uniform along a view, and each would show the Gaussian in equally many pixels. The additional factor of the
+        distance reflects that people look across rooms rather than at the wall beside them.
 
         Args:
-            instance: The splat instance.
-            directions: Unit directions from the camera, object space, shape (N, D, 3).
+            instance: The splat instance, with N Gaussians.
+            directions: Unit directions of D views each, from the camera to the Gaussian, object space, shape (N, D, 3).
             weights: Weights of the directions, shape (N, D).
-            distances: Largest distance from which each direction sees the Gaussian, scene units, shape (N, D).
+            distances: Largest distance from which the Gaussian is visible along each direction, scene units, shape (N,
+                D).
             first: Index of the instance's first Gaussian in the scene.
         """
         gaussians = instance.gaussians
@@ -95,31 +98,32 @@ class SampleRays:
         )
 
     def put(self, first: int, some: SampleRays) -> None:
-        """Copies the distributions of some Gaussians into the rows from ``first``."""
+        """Copies other distributions into the rows from ``first`` on."""
         rows = slice(first, first + len(some.gaussian))
         for name in self.__slots__:
             getattr(self, name)[rows] = getattr(some, name)
 
     def of(self, rows: npt.NDArray[np.int64]) -> SampleRays:
-        """Returns the distributions of some Gaussians."""
+        """Returns the distributions of the Gaussians in ``rows``."""
         return SampleRays(*(getattr(self, name)[rows] for name in self.__slots__))
 
     def draw(self, number: int, count: int, seed: int) -> DrawnRays:
-        """Draws rays to each Gaussian through random points of it, stratified over its directions.
+        """Draws rays towards random points of each Gaussian, stratified over its directions.
 
-        The density of camera positions along a direction grows linearly with the distance.
+        The probability density of camera positions along a direction grows linearly with the distance from the
+        Gaussian.
 
         Args:
             number: Number of the iteration, from 0; each iteration draws other rays.
             count: Number of rays to each Gaussian, equal in all iterations.
-            seed: Seed of points and distances, together with the Gaussian's index.
+            seed: Seed of points and distances, combined with the Gaussian's index.
         """
         uniform, points = self._draws(number, count, seed)
         wanted = (GOLDEN_STEP * np.arange(number * count, (number + 1) * count) + uniform[:, :1]) % 1.0
-        # Adding the row index makes the shares of all Gaussians one ascending array for a single search.
+        # Adding the row index makes the probabilities of all Gaussians one ascending array, for a single search.
         row = np.arange(len(wanted))[:, None]
-        below = np.searchsorted((row + self.shares[:, :-1].astype(np.float64)).ravel(), row + wanted)
-        chosen = below - row * (self.shares.shape[1] - 1)
+        below = np.searchsorted((row + self.cumulative[:, :-1].astype(np.float64)).ravel(), row + wanted)
+        chosen = below - row * (self.cumulative.shape[1] - 1)
         along = np.take_along_axis(self.directions, chosen[:, :, None], axis=1).astype(np.float64)
         away = np.take_along_axis(self.distances, chosen, axis=1) * np.sqrt(uniform[:, 1:])
         points *= np.minimum(1.0, POINT_REACH / np.maximum(np.linalg.norm(points, axis=2, keepdims=True), 1e-12))
@@ -131,7 +135,10 @@ class SampleRays:
         return DrawnRays(eyes.astype(np.float32), to_point.astype(np.float32))
 
     def _draws(self, number: int, count: int, seed: int) -> tuple[Doubles, Doubles]:
-        """Returns uniform numbers, shape (N, 1 + R), the first equal in all iterations, and normal ones, (N, R, 3)."""
+        """Returns uniform random numbers, shape (N, 1 + R), and standard normal ones, (N, R, 3), for R rays each.
+
+        The first uniform number of a Gaussian is the same in all iterations.
+        """
         uniform, normal = np.empty((len(self.gaussian), 1 + count)), np.empty((len(self.gaussian), count, 3))
         for row, gaussian in enumerate(self.gaussian):
             start, rng = (
@@ -151,27 +158,30 @@ def random_rotations(count: int, rng: np.random.Generator) -> Doubles:
 
 
 def rotated_directions(count: int, rotations: Doubles) -> Doubles:
-    """Returns evenly spread directions, rotated differently for each Gaussian, shape (N, count, 3)."""
+    """Returns ``count`` evenly spread directions for each of N Gaussians, rotated differently, shape (N, count, 3)."""
     return even_directions(count) @ np.swapaxes(matrices_from_quaternions(rotations), 1, 2)
 
 
 def plane_normals(gaussians: Gaussians) -> Doubles:
-    """Returns normals, object space, shape (N, 3): the stored ones, else the shortest axes with arbitrary sign."""
+    """Returns the normals of N Gaussians in object space, shape (N, 3).
+
+    Without stored normals, the shortest axes are returned, with arbitrary sign.
+    """
     if gaussians.normals is not None:
         return gaussians.normals.astype(np.float64)
     return shortest_axes(gaussians)
 
 
 def on_visible_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:
-    """Mirrors directions of a Gaussian to its visible side, if nearly all weight is on one side.
+    """Mirrors directions to a Gaussian's visible side, if nearly all weight of its pilot views is on one side.
 
     Args:
-        directions: Directions to mirror, shape (N, D, 3).
+        directions: Directions to mirror, D for each of N Gaussians, shape (N, D, 3).
         normals: Normals of the Gaussians, shape (N, 3).
-        weights: Weights of the pilot views, shape (N, E).
-        front: Pilot views that show the front, shape (N, E).
+        weights: Weights of E pilot views of each Gaussian, shape (N, E).
+        front: True for pilot views that show the front, shape (N, E).
     """
-    share = side_means(weights, front.astype(np.float64))[:, None]
+    share = weighted_means(weights, front.astype(np.float64))[:, None]
     across = (directions * normals[:, None]).sum(axis=2)
     unseen = ((share < SIDE_MIN) & (across < 0.0)) | ((share > 1.0 - SIDE_MIN) & (across > 0.0))
     mirrored = directions - 2.0 * across[..., None] * normals[:, None]
@@ -179,31 +189,32 @@ def on_visible_sides(directions: Doubles, normals: Doubles, weights: Doubles, fr
 
 
 def view_weights(front: Flags, light: Doubles, distance: Doubles, *, has_front: bool) -> Doubles:
-    """Returns the weights of views, shape (N, D).
+    """Returns the weights of D views of each of N Gaussians, shape (N, D).
 
     A view's weight is proportional to the distance up to which cameras see the Gaussian. If cameras are anywhere in
     free space, their number grows with the squared distance and the Gaussian's pixels shrink by as much, so that each
     distance counts equally. SH cannot show two differently lit sides of a sheet, so the brighter side counts more: the
-    darker side is the inside of a closed object, or the outside of a room. If normals are known, the front counts more.
+    darker side is the inside of a closed object, or the outside of a room. If normals are stored, the front counts
+    more.
 
     Args:
-        front: Views that show the front, shape (N, D).
+        front: True for views that show the front, shape (N, D).
         light: Linear radiance of the views, shape (N, D, 3).
         distance: Distance up to which cameras see the Gaussian, shape (N, D).
-        has_front: Whether the front is known to be the outside.
+        has_front: True if normals are stored, so that the front is the outside.
     """
     weights = np.maximum(distance, 1e-6 * distance.max(initial=1e-30))
     luminance = light @ np.array(LUMINANCE)
-    front_light, back_light = (side_means(weights * side, luminance) for side in (front, ~front))
+    front_light, back_light = (weighted_means(weights * side, luminance) for side in (front, ~front))
     brighter = np.maximum(np.maximum(front_light, back_light), 1e-30)
     of_front = np.maximum(np.square(front_light / brighter), DARK_SIDE_MIN)
     of_back = np.maximum(np.square(back_light / brighter), DARK_SIDE_MIN)
     if has_front:
-        of_back *= BACK_SHARE
+        of_back *= BACK_WEIGHT
     return weights * np.where(front, of_front[:, None], of_back[:, None])
 
 
-def side_means(weights: Doubles, values: Doubles) -> Doubles:
-    """Returns weighted means over directions, shape (N, D) to (N,); 0 where all weights are 0."""
+def weighted_means(weights: Doubles, values: Doubles) -> Doubles:
+    """Returns the weighted mean of each row, shape (N, D) to (N,); 0 where all weights are 0."""
     total = weights.sum(axis=1)
     return np.divide((weights * values).sum(axis=1), total, out=np.zeros(len(total)), where=total > 0.0)
