@@ -336,5 +336,7 @@ def test_ssim_refuses_a_region_at_the_image_border():
     edge = np.zeros(image.shape[:2], bool)
     edge[:5] = True
     for metric in (ls.metrics.ssim, ls.metrics.ms_ssim):
-        with pytest.raises(ls.SceneError, match="region has no pixel whose window lies inside the images"):
+        with pytest.raises(
+            ls.SceneError, match="no window of 11 x 11 pixels inside the images has its centre in region"
+        ):
             metric(image, image, region=edge)

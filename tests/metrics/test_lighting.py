@@ -268,7 +268,9 @@ def test_light_metrics_refuse_invalid_arguments_in_one_line():
     """Errors are a scene with no point near the avatar, too few or black points, invalid settings and arrays."""
     avatar = points(np.full(4000, 0.2))
     far = replace(avatar, positions=avatar.positions + np.array([9, 0, 0], np.float32))
-    with pytest.raises(ls.SceneError, match=r"no point of the scene is within 1.5 of the avatar, the nearest is 8.5"):
+    with pytest.raises(
+        ls.SceneError, match=r"no point of the scene is within 1.5 of the avatar's centre, the nearest is 8.5"
+    ):
         ls.metrics.paa_y(avatar, far)
     gaussians = splats(np.full((40, 3), 0.5), None, 40)
     with pytest.raises(

@@ -166,14 +166,14 @@ def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfi
             "exposure": camera.exposure,
             "camera_from_world": camera.camera_from_world.tolist(),
         },
-        "lights": [_light(light) for light in view.scene.lights],
-        "things": [_thing(thing, ids) for thing in view.things],
+        "lights": [_light_record(light) for light in view.scene.lights],
+        "things": [_object_record(thing, ids) for thing in view.things],
         "left_out": list(view.left_out),
         "files": {layer: layer_file(layer, view.name) for layer in ("color", *config.layers)},
     }
 
 
-def _thing(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
+def _object_record(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
     """Returns the JSON entry of an object, with the bounding box of its visible pixels."""
     rows, columns = np.nonzero(ids == thing.id)
     box = None
@@ -195,22 +195,22 @@ def _thing(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
     }
 
 
-def _light(light: Light) -> dict[str, Any]:
+def _light_record(light: Light) -> dict[str, Any]:
     """Returns the JSON entry of a light: its class and its fields, except the image of an environment."""
     values = {
         field.name: getattr(light, field.name)
         for field in dataclasses.fields(light)
         if field.name not in ("image", "enabled", "casts_shadow")
     }
-    return {"type": type(light).__name__, **{name: _plain(value) for name, value in values.items()}}
+    return {"type": type(light).__name__, **{name: _json_value(value) for name, value in values.items()}}
 
 
-def _plain(value: object) -> object:
-    """Converts a field value to JSON types; an infinite number becomes null."""
+def _json_value(value: object) -> object:
+    """Converts a field's value to JSON types; an infinite number becomes null."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, tuple | list | np.ndarray):
-        return [_plain(one) for one in np.asarray(value, dtype=np.float64).tolist()]
+        return [_json_value(one) for one in np.asarray(value, dtype=np.float64).tolist()]
     return value
 
 

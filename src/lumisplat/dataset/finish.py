@@ -35,7 +35,7 @@ _AXES = "cameras: x right, y down, z forward (OpenCV); camera_from_world takes c
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSummary:
-    """Number of views in each split, of views not rendered yet, and of objects without a free position."""
+    """Numbers of views in each split, of views not rendered yet, and of objects without a free position."""
 
     train: int
     """Number of training views."""

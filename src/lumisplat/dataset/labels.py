@@ -37,7 +37,7 @@ class DatasetThing:
     is_object: bool
     """True for an object that was inserted into the scene, False for a capture or mesh of the scene."""
     instances: tuple[int, ...]
-    """Values of the object's pixels in the frame's ``instance_index``."""
+    """Values that the frame's ``instance_index`` has in the object's pixels."""
     world_from_object: Doubles
     """Object-to-world transform, shape (4, 4)."""
     low: Doubles
@@ -65,7 +65,7 @@ class Catalogue:
         """Names of the categories, in the order of their ids from 1."""
 
     def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
-        """Returns the labels of all objects in a view with these inserted objects, in the order of their ids."""
+        """Returns the labels of all objects in a view, in the order of their ids; ``objects`` are the inserted ones."""
         things = self._scene_objects(sum(len(one.splats) for one in objects))
         next_splat = len(self._scene.splats)
         next_mesh = next_splat + sum(len(one.splats) for one in objects) + len(self._scene.meshes)
@@ -137,7 +137,7 @@ def id_images(
 
 
 def _capture_box(splat: SplatInstance) -> tuple[Doubles, Doubles]:
-    """Returns the bounding box of a capture in its own coordinates, without stray Gaussians."""
+    """Returns the bounding box of a capture in its object space, without stray Gaussians."""
     gaussians = splat.gaussians
     ends = [bulk_extent(axis, gaussians.opacities, BOX_TAIL) for axis in gaussians.means.T.astype(np.float64)]
     low, high = np.array(ends).T

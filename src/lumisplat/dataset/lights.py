@@ -25,13 +25,13 @@ _LIGHT_CLEARANCE = 0.01
 
 
 class LightSampler:
-    """Samples random lights, for each view.
+    """Samples random lights for each view.
 
     Args:
         config: Ranges of the lights.
         space: Extent and free space of the scene.
         environments: Environments loaded from files.
-        where: Where the cameras are placed; it decides where point lights are placed.
+        where: Region in which cameras are placed; point lights are placed accordingly.
         needs_light: True if the scene has surfaces that are black without light.
     """
 
@@ -78,7 +78,7 @@ class LightSampler:
         return draws.between(self._config.exposure)
 
     def _is_replaced(self, light: Light) -> bool:
-        """Returns whether an environment from a file replaces this light of the scene."""
+        """Returns whether an environment from a file replaces ``light``, which is one of the scene."""
         return isinstance(light, LightEnvironment) and bool(self._environments)
 
     def _rotated(self, light: Light, angle: float, brightness: float) -> Light:

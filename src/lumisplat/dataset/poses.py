@@ -122,7 +122,7 @@ class PoseSampler:
         level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(space.up, front)
         backward = math.cos(elevation) * level + math.sin(elevation) * space.up
         if target_object is not None:
-            return _looking(target_object.center + radii * target_object.radius * backward, -backward, space.up)
+            return _upright(target_object.center + radii * target_object.radius * backward, -backward, space.up)
         target = space.middle + poses.aim * offsets * (space.high - space.low)
         framing = frame_camera(
             space.scene,
@@ -136,7 +136,7 @@ class PoseSampler:
         distance = float(
             np.float32(np.linalg.norm(framing.eye - target))
         )  # single precision, as the corners of the space
-        return _looking(target + factor * distance * backward, -backward, space.up)
+        return _upright(target + factor * distance * backward, -backward, space.up)
 
     def _inside(self, draws: Draws, target_object: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
         """Returns the eye, right and forward vectors of a camera at a random position in the scene's box.
@@ -155,7 +155,7 @@ class PoseSampler:
         forward += math.sin(pitch) * space.up
         if target_object is not None and (distance := np.linalg.norm(target_object.center - eye)) > 0.0:
             forward = (target_object.center - eye) / distance
-        return _looking(eye, forward, space.up)
+        return _upright(eye, forward, space.up)
 
     def _near_camera(self, draws: Draws) -> tuple[Doubles, Doubles, Doubles]:
         """Returns the eye, right and forward vectors of one of the given cameras, shifted and rotated at random."""
@@ -166,15 +166,15 @@ class PoseSampler:
         return given[:3, 3] + shift, rotation @ given[:3, 0], rotation @ given[:3, 2]
 
     def _is_free(self, eye: Doubles, objects: Sequence[PlacedObject]) -> bool:
-        """Returns whether the eye keeps the configured clearance from all surfaces and from the inserted objects."""
+        """Returns whether the eye is at least the configured clearance away from all surfaces and inserted objects."""
         clearance = self._poses.clearance * self._space.diagonal
         if any(np.linalg.norm(eye - one.center) < one.radius + clearance for one in objects):
             return False
         return self._space.is_free(eye, clearance)
 
 
-def _looking(eye: Doubles, forward: Doubles, up: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Returns the eye, right and forward vectors of a camera whose image is upright."""
+def _upright(eye: Doubles, forward: Doubles, up: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+    """Returns the eye, right and forward vectors of a camera that looks along ``forward`` with its image upright."""
     right = np.cross(forward, up)
     if np.linalg.norm(right) < _UPRIGHT:
         right = level_axes(up)[0]

@@ -1,1 +1,1 @@
-"""The demo scene: its meshes, textures, lights and captured daylight, all made by formula."""
+"""The demo scene: its meshes, textures, lights and captured daylight, all computed from formulas."""

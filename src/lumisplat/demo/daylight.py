@@ -1,7 +1,7 @@
 """Bakes daylight into the colours of the demo's capture, so that it looks photographed.
 
-The light is a sun and an overcast sky. Visibility is found by shadow maps of the scene's own points, one per direction
-(Williams 1978); many of them give ambient occlusion.
+The light is a sun and an overcast sky. Shadow maps of points on the scene's surfaces, one per direction, give
+visibility (Williams 1978); many directions give ambient occlusion.
 """
 
 from __future__ import annotations
@@ -25,20 +25,22 @@ class Daylight:
     sun_color: tuple[float, float, float] = (2.6, 1.95, 1.2)
     """Irradiance of a surface that faces the sun, linear Rec.709; white paper is 1."""
     sky_color: tuple[float, float, float] = (0.74, 0.80, 0.86)
-    """Irradiance of an open, horizontal surface from the sky alone."""
+    """Irradiance of a horizontal, unoccluded surface from the sky alone, linear Rec.709."""
     bounce_color: tuple[float, float, float] = (0.36, 0.28, 0.20)
-    """Irradiance from the lit floor: 1.35 times this on a surface that faces down, and 0.35 times, via the ceiling, on
-    one that faces up. It is reduced where the sky in front of the surface is blocked."""
+    """Irradiance that the lit floor reflects, linear Rec.709.
+
+    A surface that faces down receives 1.35 times this colour, one that faces up 0.35 times, via the ceiling. Surfaces
+    receive less where the sky in front of them is blocked."""
     sky_directions: int = 48
-    """Number of depth maps for the sky."""
+    """Number of shadow maps for the sky."""
     texel: float = 0.012
-    """Side of a texel of the depth maps, scene units: at least half the distance between casters."""
+    """Side of a texel of the shadow maps, scene units: at least half the distance between neighbouring casters."""
 
 
 def irradiance(
     casters: npt.ArrayLike, receivers: npt.ArrayLike, normals: npt.ArrayLike, light: Daylight
 ) -> npt.NDArray[np.float32]:
-    """Returns the daylight at surface points, linear Rec.709, compressed to 0..1 by a soft shoulder, shape (N, 3).
+    """Returns the daylight at N surface points, linear Rec.709, compressed to 0..1 by `shoulder`, shape (N, 3).
 
     Args:
         casters: Points that block light, dense enough to leave no gaps, shape (M, 3).
@@ -62,7 +64,10 @@ def irradiance(
 
 
 def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight) -> tuple[_Floats, _Floats]:
-    """Returns sky light relative to an open horizontal surface, and the open fraction of the sky, shape (N,) each."""
+    """Returns two arrays of shape (N,) for N receivers: sky light, and the unoccluded fraction of the sky.
+
+    Sky light is relative to that of a horizontal, unoccluded surface.
+    """
     start = receivers + 2.2 * light.texel * normals
     lit, weight = (np.zeros(receivers.shape[0], dtype=np.float32) for _ in range(2))
     for direction in _hemisphere(light.sky_directions):
@@ -86,10 +91,11 @@ def _hemisphere(count: int) -> FloatArray:
 
 
 def _visibility(casters: _Floats, receivers: _Floats, direction: _Floats, texel: float, *, blur: int) -> _Floats:
-    """Returns the fraction of a directional light that reaches each receiver, 0..1, shape (N,).
+    """Returns the fraction of a directional light that reaches each of N receivers, 0..1, shape (N,).
 
-    Each texel stores its nearest caster, also from neighbouring texels, so that points form closed surfaces. Depths are
-    compared at texels; the results are interpolated bilinearly or, if ``blur`` is 2, by a cubic B-spline.
+    Each texel stores the caster nearest to the light, including those in neighbouring texels, so that points form
+    closed surfaces. Depths are compared at texels; the results are interpolated bilinearly or, if ``blur`` is 2, by a
+    cubic B-spline.
     """
     axes = _basis(direction) / np.float32(texel)
     # Sums of columns: BLAS starts threads for products this thin, and they cost more than they help.
@@ -120,14 +126,14 @@ def _visibility(casters: _Floats, receivers: _Floats, direction: _Floats, texel:
 
 
 def _spline(t: _Floats, tap: int) -> _Floats:
-    """Returns the weight of the tap at -1, 0, 1 or 2 of a cubic B-spline at offset ``t``."""
+    """Returns a cubic B-spline's weight of the texel at -1, 0, 1 or 2, for a position ``t`` between texels 0 and 1."""
     distance = np.abs(t - tap)
     near = (4.0 + distance * distance * (3.0 * distance - 6.0)) / 6.0
     return np.where(distance < 1.0, near, np.maximum(2.0 - distance, 0.0) ** 3 / 6.0)
 
 
 def _dilate(depth: _Floats) -> _Floats:
-    """Returns the maximum over each texel and its neighbours."""
+    """Replaces each texel by the maximum over the texel and its neighbours."""
     padded = np.pad(depth, 1, constant_values=-np.inf)
     tall = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
     return np.maximum(np.maximum(tall[:, :-2], tall[:, 1:-1]), tall[:, 2:])
@@ -142,7 +148,7 @@ def _basis(direction: _Floats) -> FloatArray:
 
 
 def shoulder(light: _Floats) -> _Floats:
-    """Compresses light above 0.6 towards 1, so that nothing clips; linear below."""
+    """Compresses light above 0.6 towards 1, so that nothing clips; light below stays linear."""
     knee = np.float32(0.6)
     over = np.maximum(light - knee, 0.0) / (1.0 - knee)
     return np.where(light < knee, light, knee + (1.0 - knee) * over / (1.0 + over)).astype(np.float32)

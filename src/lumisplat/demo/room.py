@@ -42,7 +42,7 @@ from lumisplat.scene.mesh import Mesh
 _Floats = npt.NDArray[np.floating]
 
 LEFT, RIGHT, BACK, FRONT, HEIGHT = -2.2, 2.1, -1.6, 1.5, 2.45
-"""Inner sides of the room: x from LEFT to RIGHT, z from BACK to FRONT, the floor at y = 0, metres."""
+"""Inner sides of the room, metres: x from LEFT to RIGHT, z from BACK to FRONT; the floor is at y = 0."""
 
 SKIRTING = 0.13
 """Height of the skirting board, metres; the lime wash of the walls begins above it."""
@@ -51,19 +51,19 @@ NICHE_X, NICHE_WIDTH, NICHE_HEIGHT, NICHE_DEPTH = -0.62, 1.04, 1.86, 0.42
 """Centre and size of the arched niche in the back wall, metres."""
 
 WINDOW_LOW, WINDOW_HIGH, WINDOW_BACK, WINDOW_FRONT = 0.62, 2.22, -1.32, 0.66
-"""Extent of the window opening in y and z, metres."""
+"""Lower and upper end of the window opening in y, then its ends in z, metres."""
 
 _RECESS = 0.03
-"""Distance of the window's frame behind the wall, metres.
+"""Distance of the window's frame behind the inner side of the wall, metres.
 
-Meshes hide Gaussians by the depth of their centres. Gaussians at the edge of the wall must therefore be nearer than the
-frame from every viewpoint."""
+Meshes hide Gaussians by the depth of the Gaussians' centres. Gaussians at the edge of the wall must therefore be nearer
+than the frame from every viewpoint."""
 _CASING = 0.02
 """Visible width of the frame around the window's opening, metres."""
 
 
 def _placement(x: float, y: float, z: float, *, angle: float = 0.0, size: float = 1.0) -> _Floats:
-    """Returns the transform that scales, rotates about y by ``angle`` radians, then translates, shape (4, 4)."""
+    """Returns a transform that scales, rotates by ``angle`` radians about y, then translates, shape (4, 4)."""
     cos, sin = size * np.cos(angle), size * np.sin(angle)
     return np.array([[cos, 0.0, sin, x], [0.0, size, 0.0, y], [-sin, 0.0, cos, z], [0.0, 0.0, 0.0, 1.0]])
 
@@ -157,7 +157,7 @@ def _window() -> list[Mesh]:
 
 
 def _arch(width: float, height: float, *, foot: float = 0.0, steps: int = 48) -> _Floats:
-    """Returns the outline (x, y) of an opening with a round top, from the left foot over the top to the right foot."""
+    """Returns the outline (x, y) of an opening with a semicircular top, from the left foot to the right foot."""
     radius = 0.5 * width
     around = np.linspace(np.pi, 0.0, steps + 1)
     top = np.stack([radius * np.cos(around), height - radius + radius * np.sin(around)], axis=1)
@@ -182,14 +182,14 @@ def _wall_around(opening: npt.NDArray[np.floating]) -> Mesh:
 
 
 def _with_corners(outer: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Returns the outer edge, with the points closest to the two upper corners of the wall moved to them."""
+    """Moves the points of an outline that are closest to the wall's two upper corners onto these corners."""
     for x in (LEFT, RIGHT):
         outer[np.hypot(outer[:, 0] - x, outer[:, 1] - HEIGHT).argmin()] = (x, HEIGHT)
     return outer
 
 
 def _moulding(outline: npt.NDArray[np.floating], radius: float) -> Mesh:
-    """Returns a half-round bar on the wall along an outline; its axis is just outside of the outline."""
+    """Returns a half-round bar on the wall that follows an outline; the bar's axis is just outside of the outline."""
     steps = np.gradient(outline, axis=0)
     outwards = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
@@ -200,19 +200,22 @@ def _moulding(outline: npt.NDArray[np.floating], radius: float) -> Mesh:
 
 
 def _panel(start: tuple[float, float, float], end: tuple[float, float, float], height: float) -> Mesh:
-    """Returns an upright rectangle, from ``start`` to ``end``, its lower left and right corner seen from the front."""
+    """Returns an upright rectangle of some height above its lower edge, from ``start`` to ``end``.
+
+    Seen from the front, ``start`` is the lower left corner and ``end`` the lower right one.
+    """
     lower = np.array([start, end])
     return _world_uvs(grid_surface(np.stack([lower + np.array([0.0, height, 0.0]), lower])))
 
 
 def _beam(size: tuple[float, float, float], centre: tuple[float, float, float]) -> Mesh:
-    """Returns a bar with a vertex every 3 cm, so that it can show shadows."""
+    """Returns a bar with a vertex every 3 cm; daylight is baked into vertices, so shadows need them this dense."""
     x, y, z = (max(1, round(extent / 0.03)) for extent in size)
     return transform_mesh(rounded_box(size, 0.006, segments=1, flat_segments=(x, y, z)), _placement(*centre))
 
 
 def _world_uvs(mesh: Mesh) -> Mesh:
-    """Returns texture coordinates from positions, repeated every 2 m, so that neighbouring panels match."""
+    """Returns texture coordinates computed from positions, repeated every 2 m, so that neighbouring panels match."""
     along = mesh.positions[:, 0] + mesh.positions[:, 2]
     return replace(mesh, uvs=np.stack([0.5 * along, -0.5 * mesh.positions[:, 1]], axis=1))
 
@@ -327,14 +330,14 @@ def stones(rng: np.random.Generator) -> list[Mesh]:
 
 
 def ball(rng: np.random.Generator) -> Mesh:
-    """Returns a striped glass ball, not part of the capture."""
+    """Returns a striped glass ball, which stays a mesh instead of becoming part of the capture."""
     swirl = stripes(((0.78, 0.72, 0.60), (0.50, 0.075, 0.035), (0.80, 0.37, 0.06)), 2, rng)
     material = _material("striped glass", roughness=0.05, texture=swirl)
     return _placed_mesh(sphere(0.19, rows=96, columns=192), material, _placement(-0.46, 0.193, 0.30, angle=0.4))
 
 
 def knot() -> Mesh:
-    """Returns a brass torus knot on its cube, not part of the capture."""
+    """Returns a brass torus knot on the cube, which stays a mesh instead of becoming part of the capture."""
     brass = _material("brass", (0.80, 0.53, 0.17), roughness=0.25, metallic=1.0)
     body = torus_knot(2, 3, major=0.155, minor=0.075, radius=0.042, columns=420, rows=40)
     up = np.eye(4)
@@ -349,7 +352,7 @@ def cube(rng: np.random.Generator) -> Mesh:
 
 
 def jewel() -> Mesh:
-    """Returns a cut stone on the cushion, not part of the capture."""
+    """Returns a cut stone on the cushion, which stays a mesh instead of becoming part of the capture."""
     cos, sin = np.cos(-0.765), np.sin(-0.765)
     lying = np.eye(4)
     lying[:2, :2] = [[cos, -sin], [sin, cos]]

@@ -1,6 +1,6 @@
-"""Makes the demo scene by formula: a room with a capture of nearly 300,000 Gaussians and four meshes.
+"""Computes the demo scene from formulas: a room with a capture of nearly 300,000 Gaussians and four meshes.
 
-In the evening it is lit by a spot, a point light and the environment, without its captured daylight.
+The evening version is lit by a spot light, a point light and an environment, without the captured daylight.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DAYLIGHT = Daylight(sun_direction=(-1.0, 0.52, 0.36))
 """Daylight baked into the demo's capture; it enters through the window on the left."""
 
 GARDEN_COUNT = 4_000
-"""Number of Gaussians of the garden outside of the window; they are the last ones of the capture."""
+"""Number of Gaussians of the garden outside of the window; they are at the end of the capture."""
 
 _VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], float]] = {
     "hero": ((0.95, 1.30, 3.25), (-0.06, 0.70, -0.55), 0.585),
@@ -41,11 +41,11 @@ _VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], 
     "niche": ((-0.20, 1.25, 0.75), (-0.66, 0.98, -1.75), 0.62),
     "above": ((0.25, 2.30, 2.45), (0.0, 0.25, -0.35), 0.66),
 }
-"""Views by name: eye, target, vertical field of view."""
+"""Name, eye, target and vertical field of view of each view."""
 
 
 def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
-    """Makes a furnished room without any file: one Gaussian set and four meshes.
+    """Creates a furnished room, without reading any file: one Gaussian set and four meshes.
 
     The set is a capture of procedural meshes. As in any capture, daylight is baked into its display colours (``sh``);
     ``albedo``, ``normals``, ``roughness`` and ``metallic`` describe the surfaces without that light. The vertex
@@ -125,7 +125,7 @@ def _bake_daylight(capture: Gaussians, meshes: list[Mesh]) -> tuple[Gaussians, l
 
 
 def _dense_points(mesh: Mesh, spacing: float) -> npt.NDArray[np.floating]:
-    """Returns the vertices, and further points on all triangles at most ``spacing`` apart."""
+    """Returns a mesh's vertices, and points on its triangles so dense that neighbours are at most ``spacing`` apart."""
     corners = mesh.positions[mesh.indices]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     steps = np.ceil(longest / spacing).astype(int)
@@ -145,18 +145,18 @@ def _required(values: FloatArray | None) -> FloatArray:
 
 
 def _ignore(step: str, share: float) -> None:
-    """Ignores progress."""
+    """Progress callback that does nothing."""
 
 
 _POLISHED = {
     "brass": {"base_color": (0.95, 0.78, 0.42), "metallic": 1.0},
     "aquamarine": {"base_color": (0.75, 0.93, 1.0), "transmission": 1.0, "ior": 1.58},
 }
-"""Material settings, by name, of the meshes that become a mirror and glass."""
+"""New material settings, by mesh name, of the meshes that become a mirror and glass in the evening version."""
 
 
 def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], None] | None = None) -> Scene:
-    """Makes the demo scene relit: the room captured in daylight, under evening light.
+    """Creates the relit demo scene: the room captured in daylight, under evening light.
 
     The room's Gaussians reflect by their albedo, roughness and metallic, so that none of the captured daylight
     is left; the baked daylight of the meshes is removed. The brass knot is a mirror, the jewel is glass. The garden
@@ -164,7 +164,7 @@ def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], 
     soft ``lamp`` in the niche, and a dim, cool ``sky``.
 
     Args:
-        scene: Result of `demo_scene`; None to make it again, which takes seconds.
+        scene: Result of `demo_scene`; None to create it, which takes seconds.
         progress: As for `demo_scene`.
 
     Returns:
@@ -184,7 +184,7 @@ def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], 
 
 
 def _without_daylight(instance: MeshInstance) -> MeshInstance:
-    """Returns the instance without baked daylight, and with its polished material if it has one."""
+    """Returns a mesh instance without baked daylight, and with its settings from `_POLISHED`, if it has any."""
     mesh = instance.mesh
     assert isinstance(mesh.material, MaterialPbr)
     material = mesh.material
@@ -211,7 +211,8 @@ def _lights() -> tuple[Light, ...]:
 def _evening_sky(rows: int = 64) -> FloatArray:
     """Returns an environment image of linear radiance, shape (rows, 2 rows, 3).
 
-    The sky is blue above and pale at the horizon, the ground dark; brighter clouds are where light enters the room.
+    The sky is blue above and pale at the horizon, the ground dark. Clouds are brighter in the directions from which
+    light enters the room.
     """
     theta = (np.arange(rows) + 0.5) * np.pi / rows
     phi = (np.arange(2 * rows) + 0.5 - rows) * np.pi / rows

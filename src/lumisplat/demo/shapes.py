@@ -1,4 +1,4 @@
-"""Meshes made by formula: watertight if closed, wound counter-clockwise from outside, with normals and uvs.
+"""Meshes computed from formulas, with normals and uvs; counter-clockwise from outside, and watertight if closed.
 
 Profiles are swept around an axis, tubes follow curves. Each mesh is in its own space around the origin, y up, metres.
 """
@@ -26,9 +26,9 @@ def grid_surface(points: npt.ArrayLike, *, wrap_rows: bool = False, wrap_columns
     closed direction the last row or column repeats the first; a row or column repeated inside the grid makes a crease.
 
     Args:
-        points: Shape (R, C, 3).
-        wrap_rows: Whether the last row repeats the first: normals are then shared across the seam.
-        wrap_columns: The same for columns.
+        points: Grid of R rows and C columns, shape (R, C, 3).
+        wrap_rows: True if the last row repeats the first; normals are then shared across the seam.
+        wrap_columns: True if the last column repeats the first; normals are then shared across the seam.
 
     Returns:
         A mesh with vertex normals weighted by area, and uvs from 0 to 1 along columns (u) and rows (v).
@@ -54,7 +54,10 @@ def _grid_normals(
     wrap_rows: bool,
     wrap_columns: bool,
 ) -> _Floats:
-    """Returns normals weighted by area, shape (R C, 3), shared across seams and at poles."""
+    """Returns the normals of a grid of R rows and C columns, shape (R C, 3), shared across seams and at poles.
+
+    A vertex normal is the mean of the face normals around the vertex, weighted by area.
+    """
     normals = sum_at_vertices(areas, quads, points.shape[0] * points.shape[1]).reshape(points.shape)
     if wrap_columns:
         normals[:, 0] = normals[:, -1] = normals[:, 0] + normals[:, -1]
@@ -69,7 +72,7 @@ def _grid_normals(
 
 
 def _close_seams(points: _Floats, *, rows: bool = False, columns: bool = False) -> _Floats:
-    """Copies the first row or column of a grid, shape (R, C, 3), to the last, so that rounding cannot open the seam."""
+    """Copies the first row or column of a grid, shape (R, C, 3), to the last, so that rounding errors open no seam."""
     if rows:
         points[-1] = points[0]
     if columns:
@@ -89,7 +92,7 @@ def transform_mesh(mesh: Mesh, world_from_object: npt.ArrayLike) -> Mesh:
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Joins meshes with the same kinds of vertex data into one, which has the material of the first.
+    """Joins meshes into one, with the material of the first; all must have the same kinds of vertex data.
 
     Raises:
         SceneError: The list is empty, or only some of the meshes have normals, uvs or colours.
@@ -150,7 +153,10 @@ def sphere(radius: float = 1.0, *, rows: int = 48, columns: int = 96) -> Mesh:
 
 
 def icosphere(radius: float = 1.0, *, subdivisions: int = 3) -> Mesh:
-    """Returns an icosahedron projected to a sphere; each triangle is split in four ``subdivisions`` times; no uvs."""
+    """Returns an icosahedron projected to a sphere, without uvs.
+
+    Each triangle is split into four ``subdivisions`` times.
+    """
     g = (1.0 + 5.0**0.5) / 2.0
     corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
     corners += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
@@ -228,7 +234,7 @@ def _rounded_side(cube: _Floats, inner: _Floats, radius: float) -> Mesh:
 
 
 def _latitude_longitude(rows: int, columns: int) -> tuple[_Floats, _Floats]:
-    """Returns latitudes from the top down, shape (R, 1), and longitudes eastwards, shape (1, C)."""
+    """Returns R latitudes from the top down, shape (R, 1), and C longitudes eastwards, shape (1, C)."""
     return np.linspace(0.5 * np.pi, -0.5 * np.pi, rows + 1)[:, None], np.linspace(-np.pi, np.pi, columns + 1)[None]
 
 
@@ -245,12 +251,12 @@ def lathe(profile: npt.ArrayLike, *, columns: int = 96) -> Mesh:
     """Returns a surface of revolution: a profile swept around the y axis.
 
     Args:
-        profile: Points (radius, height) from the top down the outside, shape (R, 2). Radius 0 at both ends closes the
-            surface; a repeated point makes a sharp edge.
+        profile: R points (radius, height) down the outside of the surface, from the top, shape (R, 2). Radius 0 at both
+            ends closes the surface; a repeated point makes a sharp edge.
         columns: Grid cells around.
 
     Returns:
-        u runs around, v down the profile by arc length.
+        A mesh whose u runs around the axis, and v down the profile by arc length.
 
     Raises:
         SceneError: A radius is negative, or there are fewer than two points.
@@ -276,7 +282,7 @@ def fluted_lathe(profile: npt.ArrayLike, flutes: int, depth: float, *, columns: 
 
 
 def rounded_profile(corners: npt.ArrayLike, radius: float, *, segments: int = 6) -> _Floats:
-    """Returns a polyline whose inner corners are rounded by ``radius``, or less at short edges, shape (R, 2)."""
+    """Rounds the inner corners of a polyline of R points by ``radius``, or by less at short edges, shape (R, 2)."""
     corners = np.asarray(corners, dtype=np.float64)
     points = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:], strict=True):
@@ -290,9 +296,9 @@ def rounded_profile(corners: npt.ArrayLike, radius: float, *, segments: int = 6)
 
 
 def smooth_profile(knots: npt.ArrayLike, *, segments: int = 8) -> _Floats:
-    """Returns a Catmull-Rom spline through ``knots``, shape (K, 2).
+    """Returns a Catmull-Rom spline through K ``knots`` (radius, height), shape (K, 2).
 
-    It has ``segments`` steps between two knots; radii are clamped to >= 0.
+    The spline has ``segments`` steps between two knots; radii are clamped to >= 0.
     """
     knots = np.asarray(knots, dtype=np.float64)
     padded = np.concatenate([2.0 * knots[:1] - knots[1:2], knots, 2.0 * knots[-1:] - knots[-2:-1]])
@@ -306,18 +312,18 @@ def smooth_profile(knots: npt.ArrayLike, *, segments: int = 8) -> _Floats:
 
 
 def tube(curve: npt.ArrayLike, radius: float, *, rows: int = 24) -> Mesh:
-    """Returns a closed tube of round section along a closed curve.
+    """Returns a closed tube of circular section along a closed curve.
 
-    The frame is moved along the curve by parallel transport, and its final twist is distributed over the length, so
+    Parallel transport moves the section's axes along the curve. Their final twist is distributed over the length, so
     that the seam closes (Wang et al. 2008 discuss such frames).
 
     Args:
-        curve: Points in order; the first one is not repeated at the end, shape (C, 3).
+        curve: C points in order, shape (C, 3); the first one is not repeated at the end.
         radius: Radius of the section, smaller than the curve's radius of curvature.
         rows: Grid cells around the section.
 
     Returns:
-        u runs along the curve, v around the section.
+        A mesh whose u runs along the curve, and v around the section.
     """
     curve = np.asarray(curve, dtype=np.float64)
     tangents = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
@@ -371,11 +377,11 @@ def spiral_shell(
         turns: Number of whorls.
         growth: Natural logarithm of the growth per radian.
         section: Radius of the tube over its distance from the y axis; whorls touch from ``tanh(pi * growth)`` on.
-        rise: Drop of the tube over its distance from the axis: 0 for an ammonite, above 1 for a snail.
+        rise: Vertical drop of the tube over its distance from the axis: 0 for an ammonite, above 1 for a snail.
         ribs: Ribs per whorl.
         radius: Distance of the last whorl's centre from the axis.
         columns: Grid cells along the tube.
-        rows: Grid cells around it.
+        rows: Grid cells around the tube.
     """
     angle = np.linspace(-2.0 * np.pi * turns, 0.0, columns + 1)
     # Each end has its ring twice, for a sharp rim, and once more shrunk to a point.
@@ -391,7 +397,7 @@ def spiral_shell(
 
 
 def gem(*, radius: float = 1.0, sides: int = 8) -> Mesh:
-    """Returns a cut stone with flat facets: table, crown, girdle and pavilion, its tip at the bottom.
+    """Returns a cut stone with flat facets: table, crown, girdle, and pavilion with its tip at the bottom.
 
     Args:
         radius: Radius of the girdle.
@@ -430,9 +436,9 @@ def faceted_mesh(points: npt.ArrayLike, faces: npt.NDArray[np.integer]) -> Mesh:
 
 
 def _parallel_transport(tangents: _Floats) -> _Floats:
-    """Returns unit vectors perpendicular to a closed curve, without twist.
+    """Returns a unit vector at each point of a closed curve, perpendicular to the curve and without twist.
 
-    The last one belongs to the first point again.
+    The last vector belongs to the first point again; the two differ by the total twist.
     """
     side = np.cross(tangents[0], np.eye(3)[np.abs(tangents[0]).argmin()])
     sides: list[_Floats] = []

@@ -1,4 +1,4 @@
-"""Base-colour textures made by formula. All return sRGB-encoded uint8 of shape (H, W, 3), seamless unless noted."""
+"""Base-colour textures computed from formulas: sRGB-encoded uint8, shape (H, W, 3), seamless unless noted."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy.typing as npt
 from lumisplat.math.color import encode_srgb
 
 Rgb = tuple[float, float, float]
-"""Linear Rec.709, 0..1."""
+"""Red, green and blue, linear Rec.709, 0..1."""
 Texture = npt.NDArray[np.uint8]
 
 _Floats = npt.NDArray[np.floating]
@@ -56,7 +56,7 @@ def blend(a: Rgb | _Floats, b: Rgb | _Floats, share: _Floats) -> _Floats:
 
 
 def texels(linear: _Floats) -> Texture:
-    """Encodes linear colours as an sRGB texture."""
+    """Converts linear colours to an sRGB-encoded texture."""
     return np.round(255.0 * encode_srgb(np.clip(linear, 0.0, 1.0))).astype(np.uint8)
 
 
@@ -68,7 +68,7 @@ def plaster(color: Rgb, rng: np.random.Generator, *, size: int = 384, contrast: 
 
 
 def marble(ground: Rgb, vein: Rgb, rng: np.random.Generator, *, size: int = 384, cells: int = 3) -> Texture:
-    """Returns stone with thin veins along the zero lines of warped noise, and faint clouds between them."""
+    """Returns stone with thin veins where warped noise is 0, and faint clouds between them."""
     warp = fractal_noise(size, size, (cells, cells), rng, octaves=4)
     veins = np.abs(fractal_noise(size, size, (cells, cells), rng) + 0.35 * warp)
     hairs = np.abs(fractal_noise(size, size, (2 * cells, 2 * cells), rng) - 0.2 * warp)
@@ -118,7 +118,7 @@ def herringbone(
 
 
 def painted_vase(ground: Rgb, paint: Rgb, rng: np.random.Generator, *, height: int = 768, width: int = 768) -> Texture:
-    """Returns painted pottery, u around and v down: rings, a frieze of scales, a wave and a row of leaves."""
+    """Returns the paint of a vase, u around and v down: rings, a frieze of scales, a wave and a row of leaves."""
     v, u = (np.mgrid[0:height, 0:width] + 0.5) / np.array([[[height]], [[width]]])
     wobble = 0.004 * fractal_noise(height, width, (6, 12), rng, octaves=3)
     w = v + wobble
@@ -142,7 +142,7 @@ def painted_vase(ground: Rgb, paint: Rgb, rng: np.random.Generator, *, height: i
 
 
 def _edge(distance: _Floats, softness: float) -> _Floats:
-    """Returns a soft step: 0 at negative distances, 1 at positive ones."""
+    """Maps a distance from an edge to 0 on the negative side and 1 on the positive, with a smooth transition."""
     return np.clip(0.5 + 0.5 * distance / softness, 0.0, 1.0)
 
 
@@ -157,7 +157,7 @@ def _scales(u: _Floats, v: _Floats) -> _Floats:
 
 
 def stripes(colors: tuple[Rgb, ...], repeats: int, rng: np.random.Generator, *, size: int = 512) -> Texture:
-    """Returns the texture of a glass marble: bands of colour along u that twist with v."""
+    """Returns the texture of a glass marble: stripes of colour along u that twist with v."""
     v, u = (np.mgrid[0:size, 0:size] + 0.5) / size
     swirl = 0.5 * fractal_noise(size, size, (3, 3), rng, octaves=3)
     phase = np.mod(repeats * u + 1.6 * v + 0.35 * swirl, 1.0) * len(colors)

@@ -43,7 +43,7 @@ def psnr(image: npt.ArrayLike, reference: npt.ArrayLike, *, region: npt.ArrayLik
         region: The pixels to compare, booleans of shape (H, W); None: all.
 
     Returns:
-        Decibels, at least 0, the higher the better; infinite if both are equal.
+        Decibels, at least 0, the higher the better; infinite if the images are equal.
 
     Raises:
         SceneError: The images differ in size or leave 0..1, or the region is empty.
@@ -122,7 +122,7 @@ def flip(
 
 
 _WEIGHTS = np.array((0.0448, 0.2856, 0.3001, 0.2363, 0.1333))
-"""Exponents of the scales, finest first: section 3.2 of the paper."""
+"""Exponents of the scales, finest first (Wang et al. 2003, section 3.2)."""
 _C1, _C2 = 0.01**2, 0.03**2
 
 
@@ -132,8 +132,9 @@ def ms_ssim(
     """Returns the multi-scale structural similarity (Wang et al. 2003): a product over scales, averaged over channels.
 
     Each scale has half the size of the previous one, by means over 2 x 2 pixels; an odd last row or column is repeated.
-    The factor of a scale is the mean of contrast times structure, at the coarsest scale also times luminance, to the
-    power of its weight: 0.0448, 0.2856, 0.3001, 0.2363, 0.1333. A negative mean counts as 0. Windows are as in `ssim`.
+    The factor of a scale is a mean over windows, to the power of the scale's weight: 0.0448, 0.2856, 0.3001, 0.2363,
+    0.1333. The mean is that of contrast times structure and, at the coarsest scale, times luminance. A negative mean
+    counts as 0. Windows are as in `ssim`.
 
     Args:
         image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3), at least ``10 * 2 ** (scales - 1) + 1`` pixels in
@@ -142,11 +143,11 @@ def ms_ssim(
         scales: Number of scales, 1 to 5. With fewer than 5, the remaining weights are divided by their sum; such values
             are only comparable to others with as many scales. One scale is `ssim` itself.
         region: The pixels to compare, booleans of shape (H, W); None: all. Means are over windows whose centre is in
-            the region; at coarser scales, over those whose centre covers a part of it. The image is set to its
-            reference outside of the region.
+            the region; at coarser scales, over windows whose central pixel covers a part of the region. The image is
+            set to its reference outside of the region.
 
     Returns:
-        0..1, the higher the better; 1 if both are equal.
+        0..1, the higher the better; 1 if the images are equal.
 
     Raises:
         ConfigError: ``scales`` is out of range.
@@ -177,12 +178,15 @@ def ms_ssim(
 
 
 def ms_ssim_scales(height: int, width: int) -> int:
-    """Returns the largest number of scales of `ms_ssim` for images of a size, 0 to 5."""
+    """Returns the largest number of scales that `ms_ssim` can use for images of a given size, 0 to 5."""
     return sum(min(height, width) > 10 * 2**scale for scale in range(len(_WEIGHTS)))
 
 
 def _similarity(tested: Image, wanted: Image) -> tuple[Image, Image]:
-    """Returns luminance, and contrast times structure, of each window inside: equations 1 to 6 of the paper."""
+    """Returns luminance, and contrast times structure, of each window inside the images.
+
+    The equations are 1 to 6 of Wang et al. 2003.
+    """
     mean_x, mean_y = _blurred(tested), _blurred(wanted)
     variance_x = _blurred(tested * tested) - mean_x * mean_x
     variance_y = _blurred(wanted * wanted) - mean_y * mean_y
@@ -192,7 +196,10 @@ def _similarity(tested: Image, wanted: Image) -> tuple[Image, Image]:
 
 
 def _blurred(image: Image) -> Image:
-    """Returns Gaussian-weighted means over windows; each side is shorter by the window's size less 1."""
+    """Returns Gaussian-weighted means over all windows inside an image.
+
+    Each side of the result is shorter than the image's by the window's size minus 1.
+    """
     offsets = np.arange(SSIM_WINDOW_PX) - SSIM_WINDOW_PX // 2
     bell = np.exp(-0.5 * (offsets / SSIM_SIGMA_PX) ** 2)
     bell /= bell.sum()
@@ -202,7 +209,7 @@ def _blurred(image: Image) -> Image:
 
 
 def _halved(image: Image) -> Image:
-    """Returns means over 2 x 2 pixels; an odd last row or column is repeated."""
+    """Halves the size of an image by means over 2 x 2 pixels; an odd last row or column is repeated."""
     even = np.pad(image, [(0, size % 2) for size in image.shape[:2]] + [(0, 0)], mode="edge")
     return 0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
 
@@ -213,7 +220,7 @@ Image = npt.NDArray[np.float64]
 def image_pair(
     image: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None = None
 ) -> tuple[Image, Image, Flags]:
-    """Returns both images as float64, shape (H, W, 3), equal outside of the region, and the region.
+    """Validates an image and its reference; returns both as float64, shape (H, W, 3), and the region.
 
     Args:
         image: Display-referred values, 0..1, shape (H, W, 3); bytes are divided by 255.
@@ -238,7 +245,7 @@ def image_pair(
 
 
 def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None) -> tuple[Image, Image]:
-    """Returns both images of shadow strength as float64, shape (H, W), NaN outside of ``region``.
+    """Validates two images of shadow strength; returns both as float64, shape (H, W), NaN outside of ``region``.
 
     Args:
         shadow: Shadow strength, 0 (lit) to 1 (black), shape (H, W); bytes are divided by 255.
@@ -260,31 +267,34 @@ def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.Arr
 
 
 def check_window(metric: str, height: int, width: int) -> None:
-    """Refuses images smaller than the window of SSIM.
+    """Raises a SceneError unless the images are at least as large as a window of SSIM.
 
     Raises:
-        SceneError: The image is smaller.
+        SceneError: The images are smaller; the message names ``metric``.
     """
     if min(height, width) < SSIM_WINDOW_PX:
         window = f"{SSIM_WINDOW_PX} x {SSIM_WINDOW_PX}"
-        raise SceneError(f"{metric} compares windows of {window} pixels, the images are {width} x {height}")
+        raise SceneError(
+            f"{metric} compares windows of {window} pixels, the images are {width} x {height}: use larger images, "
+            "or psnr"
+        )
 
 
 def region_means(values: Image, inside: Flags) -> Image:
-    """Returns the mean of each channel over windows whose centre is in a region.
+    """Returns the mean of each channel over windows whose centre is in a region, shape (3,).
 
     Args:
-        values: One value for each window, shape (H, W, 3).
-        inside: The region, shape (H, W).
-
-    Returns:
-        Shape (3,).
+        values: One value for each channel of each window, at the window's centre, shape (H, W, 3).
+        inside: True for centres in the region, shape (H, W).
 
     Raises:
-        SceneError: The region has no such window.
+        SceneError: No window has its centre in the region.
     """
     if not inside.any():
-        raise SceneError("region has no pixel whose window lies inside the images")
+        window = f"{SSIM_WINDOW_PX} x {SSIM_WINDOW_PX}"
+        raise SceneError(
+            f"no window of {window} pixels inside the images has its centre in region: enlarge region, or use psnr"
+        )
     return values[inside].mean(axis=0)
 
 
@@ -296,7 +306,7 @@ def _checked_region(region: npt.ArrayLike, shape: tuple[int, ...]) -> Flags:
 
 
 def _unit_range(name: str, values: npt.ArrayLike) -> Image:
-    """Returns values as float64; refuses values outside 0..1."""
+    """Returns ``values`` as float64, bytes divided by 255; raises a SceneError if any is outside 0..1."""
     try:
         array = np.asarray(host_array(values))
     except ValueError:  # rows of different lengths

@@ -27,16 +27,18 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 
 IRRADIANCE_SH_DEGREE = 3
-"""SH degree L of the irradiance that PAA-Y and APF-Y fit. Section 4.1."""
+"""SH degree L of the irradiance that PAA-Y and APF-Y fit (Mir et al. 2026, section 4.1)."""
 
 NEIGHBOURHOOD_RADIUS = 1.5
-"""Distance from an avatar's centre within which the scene is compared, metres: the middle of section 4.1's 1 to 2."""
+"""Distance from an avatar's centre within which the scene is compared, metres: the middle of the 1 to 2 m of Mir et
+al. 2026, section 4.1."""
 
 TRIMMED_SHARE = 0.05
-"""Fraction of the largest residuals that a fit leaves out. Section 4.1."""
+"""Fraction of the points, those with the largest residuals, that a fit leaves out (Mir et al. 2026, section 4.1)."""
 
 HUBER_WIDTH_MIN = 0.05
-"""Relative residual below which no point is an outlier, however well the others fit: 8-bit colours are no more exact.
+"""Relative residual below which no point is an outlier, however well the others fit, because 8-bit colours are no more
+exact.
 """
 
 FIT_STEPS_MAX = 100
@@ -46,18 +48,19 @@ FIT_TOLERANCE = 1e-9
 """Change of the coefficients, relative to the largest one, at which a fit ends."""
 
 IRRADIANCE_SMOOTHNESS = 1e-3
-"""Weight per sample of the penalty l (l + 1) c^2 on an SH band of irradiance, which keeps irradiance smooth in
-directions without normals. With normals in all directions, it shrinks bands by about 4 to 20 %, higher ones more. A
-smaller weight leaves noise. For an evenly lit floor, with 3000 normals within 0.2 of upright and scales log-normal by
-0.5, PAA-Y from constant light is 0.12 to 0.20, and 0.3 to 0.45 with a tenth of the weight."""
+"""Weight per sample of the penalty l (l + 1) c^2 on an SH coefficient c of degree l of irradiance. It keeps irradiance
+smooth in directions without normals. With normals in all directions, the penalty shrinks coefficients by about 4 to
+20 %, those of higher degrees more. A smaller weight leaves noise. For an evenly lit floor, with 3000 normals within
+0.2 of upright and scales log-normal by 0.5, PAA-Y from constant light is 0.12 to 0.20, and 0.3 to 0.45 with a tenth of
+the weight."""
 
 IRRADIANCE_FLOOR = 0.1
-"""Irradiance, relative to the mean luminance, below which residuals are no longer relative to it. Darker values are
-mostly noise and the camera's black level."""
+"""Irradiance, as a fraction of the mean luminance, below which residuals are no longer divided by the irradiance.
+Darker values are mostly noise and the camera's black level."""
 
 CHROMATICITY_SAMPLES_MAX = 2000
-"""Maximum number of Gaussians on each side of NCM-ab; more are subsampled at random. Optimal transport between so many
-takes half a second, between four times as many half a minute."""
+"""Largest number of Gaussians that NCM-ab uses on each side; of more, a random sample is used. Optimal transport
+between so many takes half a second, between four times as many half a minute."""
 
 Lit = Gaussians | SplatInstance | Scene
 """Types that `LitPoints.of` accepts."""
@@ -68,15 +71,15 @@ class LitPoints:
     """N points on lit surfaces. Arrays become read-only float32; normals are normalised.
 
     Raises:
-        SceneError: There is no point, shapes do not fit, values are not finite, or a colour is negative.
+        SceneError: There is no point, shapes do not match, values are not finite, or a colour is negative.
     """
 
     positions: FloatArray = given(converter=to_floats)
-    """World space, metres, shape (N, 3)."""
+    """Positions in world space, metres, shape (N, 3)."""
     normals: FloatArray = given(converter=to_floats)
     """Unit normals, world space, shape (N, 3)."""
     rgb: FloatArray = given(converter=to_floats)
-    """Linear Rec.709, white 1, at least 0, shape (N, 3)."""
+    """Colours, linear Rec.709, white 1, at least 0, shape (N, 3)."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -90,14 +93,14 @@ class LitPoints:
     def of(cls, subject: Lit, *, around: npt.ArrayLike | None = None, radius: float | None = None) -> LitPoints:
         """Makes points from the Gaussians of a set, an instance or a scene, in world space.
 
-        Colours are those of SH degree 0, the mean over all directions, decoded to linear light. Normals are those of
-        the set, else `estimate_normals`.
+        Colours are those of SH degree 0, the mean over all directions, decoded to linear light. Normals are the set's
+        stored normals, or the result of `estimate_normals` if it has none.
 
         Args:
             subject: Gaussians, an instance, or a scene, whose splat instances all count; meshes do not.
             around: World-space point, shape (3,). Only Gaussians near the point are used, and estimated normals are
                 flipped towards it, like the walls of a room around a person. None: all Gaussians, with outward normals.
-            radius: Largest distance from ``around``, metres; required with it.
+            radius: Largest distance from ``around``, metres; required if ``around`` is given.
 
         Raises:
             ConfigError: ``radius`` is not above 0.
@@ -127,7 +130,7 @@ class LitPoints:
 
     @property
     def luminance(self) -> npt.NDArray[np.float64]:
-        """CIE Y, linear, white 1, shape (N,)."""
+        """CIE Y of each point's colour, linear, white 1, shape (N,)."""
         return luminance(self.rgb)
 
 
@@ -139,7 +142,7 @@ def check_radius(radius: object) -> float:
 
 
 class _Ball(NamedTuple):
-    """Ball of the scene that is compared."""
+    """Ball around the avatar's centre, inside of which the scene is compared."""
 
     center: Doubles
     radius: float
@@ -152,11 +155,11 @@ class _Ball(NamedTuple):
         return cls(point, checked)
 
     def distances(self, instance: SplatInstance) -> Doubles:
-        """Returns the distances of the means from the centre, shape (N,)."""
+        """Returns the distances of an instance's N means from the centre, shape (N,)."""
         return np.linalg.norm(instance.world_means - self.center, axis=1)
 
     def holds(self, instance: SplatInstance) -> npt.NDArray[np.bool_]:
-        """Returns which means are inside, shape (N,)."""
+        """Returns which of an instance's N means are inside the ball, shape (N,)."""
         return self.distances(instance) <= self.radius
 
 
@@ -198,16 +201,16 @@ def paa_y(avatar: Points, scene: Points, *, radius: float = NEIGHBOURHOOD_RADIUS
     """Returns the probe-avatar agreement in luminance: L1 distance between irradiance on the avatar and on the scene.
 
     ``PAA-Y = ||c_avatar - c_scene||_1``, where c are the 16 SH coefficients of irradiance (L = 3) that explain
-    luminance by normals, ``Y_i = alpha_i E(n_i; c)``. Each c is scaled to ``||c||_1 = 1``, because only its product
-    with alpha is known. The fit uses Huber's loss and trims 5 %. Source: Mir et al. 2026, section 4.1 (1).
+    luminance by normals, ``Y_i = alpha_i E(n_i; c)``. Each c is scaled to ``||c||_1 = 1``, because only the product of
+    c and alpha can be determined. The fit uses Huber's loss and trims 5 %. Source: Mir et al. 2026, section 4.1 (1).
 
     Args:
-        avatar: Its points or Gaussians, world space.
+        avatar: Points or Gaussians of the avatar, world space.
         scene: Points or Gaussians of the scene.
         radius: Distance from the avatar's centre within which the scene counts, metres.
 
     Returns:
-        0..2, without unit, the lower the better; 0 for equal light up to its intensity.
+        0..2, without unit, the lower the better; 0 if the lights differ at most in intensity.
 
     Raises:
         ConfigError: ``radius`` is not above 0.
@@ -226,7 +229,7 @@ def apf_y(avatar: Points, scene: Points, *, radius: float = NEIGHBOURHOOD_RADIUS
     and b fitted to the avatar with the same robust loss. Source: Mir et al. 2026, section 4.1 (2).
 
     Args:
-        avatar: Its points or Gaussians, world space.
+        avatar: Points or Gaussians of the avatar, world space.
         scene: Points or Gaussians of the scene.
         radius: Distance from the avatar's centre within which the scene counts, metres.
 
@@ -261,14 +264,14 @@ def ncm_ab(
     (3).
 
     Args:
-        avatar: Its points or Gaussians, world space.
+        avatar: Points or Gaussians of the avatar, world space.
         scene: Points or Gaussians of the scene.
         radius: Distance from the avatar's centre within which the scene counts, metres.
-        samples: Maximum number of points per side, 1 to 20,000; more are subsampled at random, without replacement. Two
-            samples of the same colours are not at distance 0: samples of 2000, from colours with an RMS distance of 10
-            Delta E from their mean, are about 0.75 apart.
-        seed: Seed of the samples, 0..2^32 - 1. Sides of the same length, such as an avatar before and after relighting,
-            get the same points.
+        samples: Largest number of points of the avatar and of the scene, 1 to 20,000; of more, a random sample is drawn
+            without replacement. Two samples of the same colours are not at distance 0: samples of 2000, from colours
+            with an RMS distance of 10 Delta E from their mean, are about 0.75 apart.
+        seed: Seed of the samples, 0..2^32 - 1. Arrays of the same length, such as an avatar's points before and after
+            relighting, are sampled at the same rows.
 
     Returns:
         At least 0, in units of Delta E_ab, the lower the better.
@@ -288,7 +291,7 @@ def ncm_ab(
 
 
 def _sides(avatar: Points, scene: Points, radius: float) -> tuple[LitPoints, LitPoints]:
-    """Returns the avatar, and the scene within ``radius`` of the mean of its points."""
+    """Returns the points of the avatar, and those of the scene within ``radius`` of the avatar's mean point."""
     check_radius(radius)
     figure = avatar if isinstance(avatar, LitPoints) else LitPoints.of(avatar)
     center = figure.positions.mean(axis=0, dtype=np.float64)
@@ -298,13 +301,14 @@ def _sides(avatar: Points, scene: Points, radius: float) -> tuple[LitPoints, Lit
     near = distance <= radius
     if not near.any():
         raise SceneError(
-            f"no point of the scene is within {radius:g} of the avatar, the nearest is {distance.min():.3g}"
+            f"no point of the scene is within {radius:g} of the avatar's centre, the nearest is {distance.min():.3g} "
+            "away: check the position of the avatar, and that the unit is metres"
         )
     return figure, LitPoints(scene.positions[near], scene.normals[near], scene.rgb[near])
 
 
 def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
-    """Returns at most ``count`` rows, drawn at random without replacement."""
+    """Returns all rows, or ``count`` of them drawn at random without replacement if there are more."""
     if len(colors) <= count:
         return colors
     return colors[np.random.default_rng(seed).choice(len(colors), count, replace=False)]
@@ -312,17 +316,18 @@ def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
 
 COEFFICIENTS = (IRRADIANCE_SH_DEGREE + 1) ** 2
 _BANDS = np.repeat(np.arange(IRRADIANCE_SH_DEGREE + 1), 2 * np.arange(IRRADIANCE_SH_DEGREE + 1) + 1)
-"""Band l of each coefficient."""
+"""Degree l of each SH coefficient."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
-    """Irradiance as a function of the normal, with a scale for each point; the result of `fit_irradiance`."""
+    """Irradiance as a function of the normal, with a scale for each of N points; the result of `fit_irradiance`."""
 
     coefficients: Doubles
-    """SH coefficients c, real and orthonormal in the order of captures, shape (16,). Their absolute values sum to 1."""
+    """SH coefficients c of irradiance, shape (16,). The basis functions are real, orthonormal, and in the order of
+    captures. The absolute values of c sum to 1."""
     scales: Doubles
-    """Scale alpha of each point, luminance over irradiance, at least 0, shape (N,)."""
+    """Scale alpha of each point: its luminance over irradiance, at least 0, shape (N,)."""
 
     def at(self, normals: npt.ArrayLike) -> Doubles:
         """Evaluates the irradiance E for unit normals, shape (N, 3)."""
@@ -340,12 +345,12 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     only, whatever their distribution.
 
     Args:
-        normals: Unit normals, shape (N, 3).
+        normals: Unit normals of N points, shape (N, 3).
         luminance: CIE Y, linear, at least 0, shape (N,).
-        name: Name of the points in messages.
+        name: Name of the points in error messages.
 
     Returns:
-        c and the scales. The unit of luminance changes the scales by a factor, and c not at all.
+        The coefficients c and the scales. Luminance in another unit changes the scales by a factor, and c not at all.
 
     Raises:
         SceneError: There are fewer points than coefficients, or all are black.
@@ -377,14 +382,15 @@ def robust_fit(
     so that the fit scales with the values.
 
     Args:
-        design: Shape (N, K).
-        values: Shape (N,).
-        penalty: Weight of each squared coefficient against the mean over the rows, shape (K,); None: no penalty.
-        relative_above: If given, residuals are relative to the fitted value or to this number, whichever is larger; for
+        design: N rows for K coefficients, shape (N, K).
+        values: Values to match, shape (N,).
+        penalty: Weight of each squared coefficient relative to the mean loss over the rows, shape (K,); None: no
+            penalty.
+        relative_above: If given, residuals are divided by the fitted value or by this number, whichever is larger; for
             values that vary by factors. None: residuals are differences.
 
     Returns:
-        Shape (K,); the smallest solution if there are several.
+        The coefficients x, shape (K,); the smallest solution if there are several.
     """
     ridge = np.diag(np.zeros(int(design.shape[1])) if penalty is None else penalty)
     found = _huber_fit(
@@ -419,7 +425,7 @@ def _huber_fit(
 def _residuals(
     design: Doubles, values: Doubles, found: Doubles, relative_above: float | None
 ) -> tuple[Doubles, Doubles | float]:
-    """Returns absolute residuals, and the unit in which each is measured."""
+    """Returns absolute residuals, each divided by its unit, and the units."""
     fitted = design @ found
     unit = 1.0 if relative_above is None else np.maximum(fitted, relative_above)
     return np.abs(values - fitted) / unit, unit

@@ -13,10 +13,11 @@ BLACK = 0.0015
 """Linear value, 5 of 255 on a display, below which colours count as black and their ratios as meaningless."""
 
 LIT_SHARE = 0.02
-"""Fraction of the weight that must not be black for a channel to have a scale; a few stray pixels give no median."""
+"""Fraction of a channel's weight that must not be black for the channel to get a scale. The median ratio of a few
+stray pixels would be meaningless."""
 
 ENVIRONMENT_ROWS = 16
-"""Rows at which environments are compared, as R3DG's, which are 16 x 32."""
+"""Number of pixel rows at which environments are compared: 16, with 32 columns, as in R3DG."""
 
 Channels = tuple[float, float, float]
 
@@ -25,7 +26,7 @@ def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.Array
     """Returns the factor of each channel that matches estimated colours to ground truth: the median of their ratios.
 
     Only the product of light and albedo can be estimated, so a factor per channel is no error. The median is that of
-    TensoIR (Jin et al. 2023), GS-IR and R3DG, except that colours that are black in either are left out here.
+    TensoIR (Jin et al. 2023), GS-IR and R3DG, except that colours that are black in either input are left out here.
 
     Args:
         found: Estimated linear colours, shape (N, 3).
@@ -33,7 +34,7 @@ def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.Array
         weights: Weight of each colour, shape (N,); None: equal weights.
 
     Returns:
-        Factors; 1 for a channel in which less than a fiftieth of the weight is not black.
+        Factors of red, green and blue; 1 for a channel in which less than a fiftieth of the weight is not black.
     """
     given, wanted = np.asarray(host_array(found), np.float64), np.asarray(host_array(truth), np.float64)
     shares = np.ones(len(given)) if weights is None else np.asarray(host_array(weights), np.float64)
@@ -45,7 +46,7 @@ def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.Array
 
 
 def normal_errors(found: npt.ArrayLike, truth: npt.ArrayLike) -> Doubles:
-    """Returns angles between normals, degrees, shape (N,); 90 for missing normals.
+    """Returns angles between estimated and true normals, degrees, shape (N,); 90 for missing normals.
 
     Args:
         found: Estimated normals of any length, shape (N, 3); zero where none was estimated.
@@ -60,13 +61,14 @@ def normal_errors(found: npt.ArrayLike, truth: npt.ArrayLike) -> Doubles:
 
 
 def environment_psnr(found: npt.ArrayLike, truth: npt.ArrayLike) -> float:
-    """Returns the peak signal-to-noise ratio of a panorama after scaling each channel, dB, weighted by solid angle.
+    """Returns the peak signal-to-noise ratio of an environment image, dB, after scaling each channel.
 
-    Both are reduced to 16 x 32 directions, the resolution of R3DG's, by means over solid angle. The scale is the
-    weighted median of ratios, as in `channel_scale`. Colours are compared display-referred, clipped at 1.
+    Errors are weighted by solid angle. Both images are reduced to 16 x 32 directions, the resolution of R3DG's, by
+    means over solid angle. The scale is the weighted median of ratios, as in `channel_scale`. Colours are compared
+    display-referred, clipped at 1.
 
     Args:
-        found: Linear radiance, shape (H, W, 3), with the axes of `LightEnvironment`.
+        found: Estimated linear radiance, shape (H, W, 3), with the axes of `LightEnvironment`.
         truth: Ground truth of any size in the same form, with the exposure of images in its light.
     """
     weights = np.repeat(panorama_solid_angles(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS), 2 * ENVIRONMENT_ROWS)
@@ -78,7 +80,10 @@ def environment_psnr(found: npt.ArrayLike, truth: npt.ArrayLike) -> float:
 
 
 def _weighted_median(values: Doubles, weights: Doubles) -> float:
-    """Returns the weighted median, a mean of two values where exactly half of the weight ends; 1 without weight."""
+    """Returns the weighted median of ``values``; 1 if all weights are 0.
+
+    If exactly half of the weight lies below a gap between two values, the result is their mean.
+    """
     if weights.sum() == 0.0:
         return 1.0
     order = np.argsort(values, kind="stable")
@@ -89,7 +94,10 @@ def _weighted_median(values: Doubles, weights: Doubles) -> float:
 
 
 def _coarse(image: Doubles) -> Doubles:
-    """Returns means over the solid angles of 16 x 32 pixels, from lookups on a grid finer than the image."""
+    """Reduces an environment image to 16 x 32 pixels, by means over solid angle.
+
+    The means are over lookups on a grid finer than the image.
+    """
     height = ENVIRONMENT_ROWS
     fine = -(-max(image.shape[0], image.shape[1] // 2, 4 * height) // height)
     looked_up = panorama_lookup(image, panorama_directions(height * fine, 2 * height * fine))

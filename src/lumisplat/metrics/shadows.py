@@ -14,10 +14,10 @@ from lumisplat.config.checks import check_range
 from lumisplat.metrics.images import Image, shadow_pair
 
 SHADOW_MASK_THRESHOLD = 0.1
-"""Shadow strength tau above which a pixel is in shadow. Section 4.2."""
+"""Shadow strength tau above which a pixel is in shadow (Mir et al. 2026, section 4.2)."""
 
 BOUNDARY_TOLERANCE_PX = 2.0
-"""Distance, pixels, within which boundaries of shadows agree. Section 4.2, table 3."""
+"""Largest distance between two shadow boundaries that agree, pixels (Mir et al. 2026, section 4.2, table 3)."""
 
 _Mask = npt.NDArray[np.bool_]
 
@@ -31,12 +31,12 @@ def sae(
 ) -> float:
     """Returns the shadow attenuation error: the mean of ``|S - S_ref|`` over the pixels with ``S_ref > threshold``.
 
-    Shadow outside of the reference's shadow does not count here, but in `sm_iou`. Source: Mir et al. 2026, section 4.2.
+    Shadow outside of the reference's shadow does not count; `sm_iou` measures it. Source: Mir et al. 2026, section 4.2.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
-        reference: Shadow strength of the reference, of the same shape.
-        threshold: tau, 0..1.
+        reference: Shadow strength S_ref of the reference, of the same shape.
+        threshold: Shadow strength tau above which a pixel is in shadow, 0..1.
         region: The pixels to compare, booleans of the same shape; None: all.
 
     Returns:
@@ -65,7 +65,7 @@ def sm_iou(
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
         reference: Shadow strength of the reference, of the same shape.
-        threshold: tau, 0..1.
+        threshold: Shadow strength tau above which a pixel is in shadow, 0..1.
         region: The pixels to compare, booleans of the same shape; None: all.
 
     Returns:
@@ -91,16 +91,16 @@ def boundary_f(
     """Returns the boundary F-measure (BF): the agreement of the outlines of two shadows.
 
     A pixel in shadow is on the boundary if one of its four neighbours is lit; the border of the image or of the region
-    is no boundary. P is the fraction of boundary pixels with a pixel of the reference's boundary within ``tolerance``
-    (between pixel centres), R the fraction of the reference's boundary pixels with one of the boundary. ``BF = 2 P R /
-    (P + R)``. Source: Mir et al. 2026, section 4.2; the definition is that of Perazzi et al. (DAVIS, 2016), with a
-    tolerance in pixels.
+    is no boundary. P is the fraction of the image's boundary pixels that have a boundary pixel of the reference within
+    ``tolerance`` (between pixel centres). R is the fraction of the reference's boundary pixels that have one of the
+    image within it. ``BF = 2 P R / (P + R)``. Source: Mir et al. 2026, section 4.2; the definition is that of Perazzi
+    et al. (DAVIS, 2016), with a tolerance in pixels.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
         reference: Shadow strength of the reference, of the same shape.
-        tolerance: Pixels, 0..100.
-        threshold: tau, 0..1.
+        tolerance: Largest distance between boundary pixels that agree, pixels, 0..100.
+        threshold: Shadow strength tau above which a pixel is in shadow, 0..1.
         region: The pixels to compare, booleans of the same shape; None: all.
 
     Returns:
@@ -127,14 +127,14 @@ def _checked(
 
 
 def _boundary(image: Image, threshold: float) -> _Mask:
-    """Returns the pixels in shadow with a lit neighbour; NaN is neither lit nor in shadow."""
+    """Returns which pixels are in shadow and have a lit neighbour; NaN is neither lit nor in shadow."""
     lit = np.pad(image <= threshold, 1)
     beside = lit[:-2, 1:-1] | lit[2:, 1:-1] | lit[1:-1, :-2] | lit[1:-1, 2:]
     return (image > threshold) & beside
 
 
 def _dilate(mask: _Mask, radius: float) -> _Mask:
-    """Returns the pixels within ``radius`` of a pixel of ``mask``."""
+    """Returns which pixels lie within ``radius`` pixels of a True pixel of ``mask``."""
     reach = math.floor(radius)
     height, width = mask.shape
     padded = np.pad(mask, reach)

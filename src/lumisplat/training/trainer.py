@@ -233,7 +233,10 @@ class Trainer:
             exposed = ExposedFrame(self._launcher, self._buffers, exposure, step_input.background)
         loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, target)
         if not np.isfinite(loss.total):
-            raise DivergedError(f"training stopped at iteration {self.iteration + 1:,}: the loss is {loss.total}")
+            raise DivergedError(
+                f"training stopped at iteration {self.iteration + 1:,}: the loss is {loss.total}: check that the "
+                "images hold finite values, or lower TrainConfig.rates"
+            )
         if self.exposures is not None and exposed is not None:
             gradient, by_exposure = exposed.backward(pixels, gradient)
             rate = decayed_rate(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
@@ -350,7 +353,7 @@ class Trainer:
             if bad:
                 raise DivergedError(
                     f"training stopped at iteration {self.iteration:,}: {name} of {bad:,} of {parameters.count:,} "
-                    "Gaussians are not finite"
+                    "Gaussians are not finite: lower TrainConfig.rates"
                 )
         return parameters
 

@@ -44,7 +44,10 @@ def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
 
 
 def _animation_of(path: Path, drop_invalid: bool) -> Animation:
-    """Reads an animation in the current process, which later reads the deforming prims; see `read_usd_animation`."""
+    """Reads an animation in the current process, which must stay alive to read deforming prims later.
+
+    See `read_usd_animation`.
+    """
     with reading_usd(path):
         file = open_usd(path)
         animation = _read(file, drop_invalid)

@@ -37,7 +37,7 @@ _RENDER = "/Render"
 
 
 class _Size(NamedTuple):
-    """Image size in pixels."""
+    """Width and height of an image in pixels."""
 
     width: int
     height: int

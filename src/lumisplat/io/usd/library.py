@@ -130,8 +130,8 @@ def check_layers(path: Path, text: str) -> list[Any]:
         text: The path of the file in UTF-8, as the library needs it.
 
     Returns:
-        Layers that the caller must keep referenced. The library cannot open text with a byte order mark, so such layers
-        are created in memory, and the library finds them only as long as they exist.
+        Layers that the caller must keep referenced. The library cannot open text with a byte order mark. Layers with
+        one are therefore created in memory, and the library finds them only as long as they exist.
 
     Raises:
         FormatError: A layer is no regular file; its path leaves the folder of ``path`` without permission; or its name
@@ -141,7 +141,9 @@ def check_layers(path: Path, text: str) -> list[Any]:
     waiting, checked, layers = [path], {os.path.abspath(path)}, list[Any]()
     while waiting:
         if len(checked) > USD_LAYERS_MAX:
-            raise FormatError(path, f"is composed of more than {USD_LAYERS_MAX:,} layers")
+            raise FormatError(
+                path, f"is composed of more than {USD_LAYERS_MAX:,} layers: flatten it with usdcat --flatten"
+            )
         file = waiting.pop()
         if not file.exists():
             continue  # the stage is composed without the layer, and a remark reports it
@@ -167,10 +169,12 @@ def check_layers(path: Path, text: str) -> list[Any]:
 
 
 def _marked_layer(file: Path, name: str) -> Any | None:
-    """Creates the layer of a text file with a byte order mark, which the library cannot open; None for other files.
+    """Creates the layer of a text file that starts with a byte order mark; returns None if the file has none.
+
+    The USD library cannot open such files itself.
 
     Raises:
-        FormatError: The file is not text.
+        FormatError: The file starts with a byte order mark, but is not text in that encoding.
     """
     px = pxr()
     with open(file, "rb") as stream:
@@ -203,7 +207,10 @@ def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
         )
     name, arguments = px.Sdf.Layer.SplitIdentifier(name)
     if arguments:
-        raise FormatError(path, f"names the layer {name[:200]!r} with arguments, which is not supported")
+        raise FormatError(
+            path,
+            f"names the layer {name[:200]!r} with arguments, which is not supported: flatten it with usdcat --flatten",
+        )
     found = px.Sdf.ComputeAssetPathRelativeToLayer(layer, name)
     if px.Ar.IsPackageRelativePath(found):
         found = px.Ar.SplitPackageRelativePathOuter(found)[0]
@@ -224,7 +231,11 @@ def check_loaded(path: Path) -> None:
         if px.Ar.IsPackageRelativePath(name):
             name = px.Ar.SplitPackageRelativePathOuter(name)[0]
         if name and leaves_folder(path, Path(name)):
-            raise FormatError(path, f"names {name[:200]!r}, which is not in its folder")
+            raise FormatError(
+                path,
+                f"names {name[:200]!r}, which is not in its folder: move it there, or trust the file by "
+                "--allow-outside (allow_outside=True)",
+            )
 
 
 def _layer_dependencies(layer: Any) -> Iterator[str]:

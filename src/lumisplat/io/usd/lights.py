@@ -60,7 +60,8 @@ _UNREAD_INPUTS = {
     "inputs:specular": ("diffuse and specular multipliers of lights", 1.0),
     "inputs:shaping:focus": ("shaping:focus of lights", 0.0),
 }
-"""Light inputs that Lumisplat does not read. For each: the remark to log, unless the input has its neutral value."""
+"""Remark to log, and neutral value, of each light input that Lumisplat does not read. An input with its neutral value
+has no effect and is not reported."""
 _SOFTNESS_MIN = 1e-6
 """Smallest softness of a cone's edge, as a fraction of its angle."""
 

@@ -211,7 +211,8 @@ _UNSUPPORTED_FIELDS = {
     "transmission_texture": ("transmission textures", None),
     "priority": ("priorities of overlapping media", 0),
 }
-"""Material fields that UsdPreviewSurface lacks. For each: the remark to log, unless the field has its neutral value."""
+"""Remark to log, and neutral value, of each material field that UsdPreviewSurface lacks. A field with its neutral
+value has no effect and is not reported."""
 
 _Key = tuple[int, bool]
 
@@ -460,7 +461,10 @@ class _Decoder:
         self._values["base_color_texture"] = np.concatenate([colors[:, :, :3], plane[:, :, None]], axis=2)
 
     def _wrap_values(self) -> dict[str, Any]:
-        """Returns the wrap modes of the first texture as default, and by name those of textures that differ from it."""
+        """Returns the wrap fields of the material: the first texture's modes as default, and those of other textures.
+
+        Only textures whose modes differ from the default are listed.
+        """
         if not self._wraps:
             return {}
         first = next(iter(self._wraps.values()))

@@ -63,15 +63,17 @@ USD_IDLE_SECONDS = 60.0
 _log = logging.getLogger("lumisplat")
 
 _START = "import sys; sys.path[:] = sys.argv[1:]; from lumisplat.io.usd.process import serve; serve()"
-"""Program of the child. The child imports modules from the parent's path, never from the working folder."""
+"""Python program that the child runs. The child imports modules from the parent's path, never from the working folder.
+"""
 
 _FORKS = hasattr(os, "fork") and sys.platform != "darwin"
-"""True if children fork for each request. They do not on macOS, whose libraries do not survive a fork."""
+"""True if the child forks a process for each request. On macOS it does not, because system libraries do not survive a
+fork."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """The function to call in the child, its arguments and its limits."""
+    """Request to a child: the function to call, its arguments and its limits."""
 
     module: str
     function: str
@@ -368,7 +370,11 @@ def _checked_size(path: Path, file: Path) -> int:
         FormatError: The layer is outside of the stage's folder, or is no regular file.
     """
     if leaves_folder(path, file):
-        raise FormatError(path, f"names {os.fspath(file)[:200]!r}, which is not in its folder")
+        raise FormatError(
+            path,
+            f"names {os.fspath(file)[:200]!r}, which is not in its folder: move it there, or trust the file by "
+            "--allow-outside (allow_outside=True)",
+        )
     status = file.stat()
     check_regular(file, status)
     return status.st_size

@@ -39,9 +39,9 @@ USD_INSTANCES_MAX = 1_000_000
 multiply, so a small file could ask for any number."""
 
 _NAMES_LISTED = 3
-"""Largest number of prim names that the log line lists after a remark."""
+"""Largest number of prim names listed after a remark in the log line of `Remarks.report`."""
 _REMARKS_LISTED = 12
-"""Largest number of remarks that the log line lists."""
+"""Largest number of remarks listed in the log line of `Remarks.report`."""
 
 _CUSTOM_DATA_KEY = "lumisplat"
 """Key in a prim's customData whose dictionary holds the Lumisplat settings that OpenUSD has no attribute for."""
@@ -134,7 +134,7 @@ def open_usd(path: Path) -> UsdFile:
 
 
 def _first_time(stage: Any) -> Any:
-    """Returns the stage's startTimeCode if its time range is authored; else the earliest time of each attribute."""
+    """Returns the stage's startTimeCode if its time range is authored, else the earliest time of each attribute."""
     code = pxr().Usd.TimeCode
     return code(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else code.EarliestTime()
 
