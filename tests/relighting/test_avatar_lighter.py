@@ -120,7 +120,7 @@ def test_shadow_factor_is_the_mean_transmittance_of_all_lights() -> None:
 def test_captures_outside_any_actor_shadow_stay_the_same_objects() -> None:
     """Only the shadowed one of three captures becomes a new object, and is as dark as if it were the only capture."""
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
-    # Equal bins for both, and no samples that depend on a receiver's index.
+    # Both shadow maps get equal bins, and no sample depends on the index of a receiver.
     same = replace(SHADOW, max_distance=4.0, sampling=ls.config.ReceiverSampling.CENTER)
     scene = lighter(ls.Scene(splats=sets), shadow_map=same).light([puppet()])
     assert scene.splats[0] is sets[0] and scene.splats[2] is sets[2]
@@ -213,7 +213,7 @@ def test_mesh_actors_cast_shadows_on_captures_and_stay_meshes() -> None:
     away = np.hypot(ground.means[:, 0], ground.means[:, 2])
     assert left[away < 0.3].max() < 0.05 and (left[away > 1.6] == 1.0).all()
     camera = ls.Camera.look_at((0.0, 2.5, 3.0), (0.0, 0.0, 0.0), width=48, height=32, fov_y=1.0)
-    # One sample through the centres of pixels, as in the unlit frame.
+    # One sample passes through each pixel centre, as in the unlit frame.
     lit = ls.render(scene, camera, ls.RenderConfig(samples=1), device="cpu").pixels_srgb()
     unlit = ls.render(ls.Scene(splats=scene.splats), camera, device="cpu").pixels_srgb()
     there = ls.render(ls.Scene(meshes=scene.meshes), camera, device="cpu").alpha > 0.0
@@ -331,7 +331,7 @@ def test_shadow_region_radius_is_measured_from_the_actors_of_each_frame() -> Non
     """After the actor has moved, ``region_radius`` is measured from its new position."""
     ground = floor()
     slanted = ls.LightDirectional((1.0, -1.0, 0.0))
-    near = replace(SHADOW, region_radius=0.8)  # from the ball, of radius 0.4
+    near = replace(SHADOW, region_radius=0.8)  # measured from the ball of radius 0.4
     stage = lighter(ls.Scene(splats=[ground]), [slanted], shadow_map=near)
     stage.light([puppet(-1.5)])
     left = light_left(ground, stage.light([puppet(0.5)]).splats[0].gaussians)
@@ -397,7 +397,7 @@ def test_lights_of_an_unlit_scene_act_like_given_lights_on_actors() -> None:
             assert [(o.name, o.intensity, o.casts_shadow) for o in frame.lights] == [
                 (g.name, g.intensity, g.casts_shadow) for g in given
             ]
-        # Without meshes only the background is left.
+        # Without meshes, the frame only has the environment as background.
         assert own.light([]).lights == tuple(light for light in lights if light is environment)
     shiny = replace(puppet(), material=ls.MaterialPbr())
     assert lighter(ls.Scene(splats=bare, lights=[LIGHT]), None).light([shiny]).lights == (LIGHT,)

@@ -95,7 +95,7 @@ def test_side_vote_of_one_gaussian_spreads_over_its_plane_only() -> None:
     found = agreed_sides(axes, votes, near) * signs
     assert (found[:400] == 1.0).all()
     assert (found[400:] == -1.0).all()
-    votes[11] = -0.3 * signs[11]  # a weaker, wrong vote
+    votes[11] = -0.3 * signs[11]  # a wrong vote of lower weight
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
 
 
@@ -204,7 +204,9 @@ def test_delight_removes_the_shading_of_a_ball_lit_from_above(ball: tuple[ls.Gau
     """The ratio of estimated to true albedo varies less than 0.3 times as much as that of captured colours."""
     plain, albedo = ball
     up = np.asarray(plain.normals)[:, 1].astype(np.float64)
-    captured = colored(plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None])  # half of the environment shines
+    captured = colored(
+        plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None]
+    )  # radiance of the upper half of the environment
     found = np.asarray(ls.delight(captured, ls.DelightConfig(cells=8, matt=True), device="cpu").albedo)
 
     def spread(values: np.ndarray) -> float:
@@ -310,7 +312,9 @@ def test_delight_refuses_captures_without_estimable_materials(
         ls.delight(replace(colored(plain, albedo), opacities=np.full(plain.count, 0.05, np.float32)))
     with pytest.raises(ls.SceneError, match="clipped at display white"):
         ls.delight(colored(plain, np.ones((plain.count, 3))), device="cpu")
-    scattered = replace(plain, means=40.0 * plain.means, normals=None)  # more groups than EMITTERS_MAX
+    scattered = replace(
+        plain, means=40.0 * plain.means, normals=None
+    )  # the white Gaussians form more groups than EMITTERS_MAX
     with pytest.raises(ls.SceneError, match="clipped at display white"):
         ls.delight(colored(scattered, np.ones((plain.count, 3))), device="cpu")
     with pytest.raises(ls.SceneError, match="all Gaussians are black"):

@@ -68,7 +68,9 @@ def test_captured_emitters_are_one_sided_and_cast_shadows() -> None:
     floor, screen = lit[EMITTER : EMITTER + FLOOR], lit[EMITTER + FLOOR :]
     middle = np.abs(both.means[EMITTER : EMITTER + FLOOR, [0, 2]]).max(axis=1) < 0.4
     assert middle.sum() > 20 and floor[middle].max() < 0.02 * screen.max()
-    above = replace(both, means=both.means + (0.0, 2.0, 0.0) * (groups < 0)[:, None])  # all but the emitter
+    above = replace(
+        both, means=both.means + (0.0, 2.0, 0.0) * (groups < 0)[:, None]
+    )  # moves all Gaussians but the emitter's above it
     facing_it = np.tile([0.0, -1.0, 0.0], (both.count, 1))
     assert not incident(above, facing_it, groups).emitters[EMITTER:].any()
 
@@ -114,7 +116,10 @@ def test_light_is_scaled_until_the_lightest_surfaces_have_albedo_0_8() -> None:
 def test_occluded_surfaces_do_not_change_an_emitters_radiance() -> None:
     """A tenth of the Gaussians receive a fifth of the estimated light; equal weights would double the emitter."""
     rng = np.random.default_rng(3)
-    lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))  # 0.8: the 95th percentile
+    lit, albedo = (
+        rng.uniform(0.02, 0.06, (4000, 1)),
+        rng.uniform(0.1, 0.84, (4000, 1)),
+    )  # the 95th percentile of the albedo is 0.8
     outgoing = albedo * (0.2 + 30.0 * lit) * np.ones(3)
     hidden = np.arange(4000)[:, None] % 10 == 0
     found = lit * np.where(hidden, rng.uniform(0.1, 0.3, (4000, 1)), 1.0)
@@ -149,7 +154,7 @@ def test_environment_image_of_an_estimate_respects_its_rotation() -> None:
     plain = panorama_lookup(found.environment_image(), directions)
     turned = panorama_lookup(
         found.environment_image(rotation), directions @ rotation_matrix(rotation)
-    )  # image from world
+    )  # rotates directions from world to image space
     assert np.median(np.abs(plain - turned)) < 0.01
     nearest = np.argmax(directions @ cells.directions.T, axis=1)
     assert np.median(np.abs(plain - environment[nearest])) < 0.01

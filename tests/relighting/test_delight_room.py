@@ -73,5 +73,7 @@ def test_gaussian_too_bright_for_any_albedo_is_flagged(box: CapturedBox, estimat
     assert estimate.out_of_range[one] and not estimate.out_of_range[box.is_emitter].any()
     albedo = np.asarray(estimate.gaussians.albedo)[one]
     assert albedo.max() == 1.0
-    np.testing.assert_allclose(albedo / albedo[0], ALBEDOS[0] / ALBEDOS[0, 0], rtol=0.1)  # clipped: 1, 1, 0.9
+    np.testing.assert_allclose(
+        albedo / albedo[0], ALBEDOS[0] / ALBEDOS[0, 0], rtol=0.1
+    )  # the albedo is clipped to 1, 1, 0.9
     assert 0.3 < estimate.residual[one] < 0.8

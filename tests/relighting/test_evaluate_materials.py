@@ -157,7 +157,7 @@ def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ba
     assert after.relit["dusk"].psnr == before.relit["dusk"].psnr
     assert after.relit["dusk"].ssim == pytest.approx(
         before.relit["dusk"].ssim, abs=0.02
-    )  # windows across the edge differ
+    )  # SSIM windows across the edge differ
     spoil(region(folder, NAMES[0]), NAMES[0])
     spoilt = evaluate(ball, folder)
     assert spoilt.views[0].albedo_psnr < 20.0 and spoilt.normal_mean > 10.0 and spoilt.roughness_rmse > 0.1

@@ -101,7 +101,7 @@ def test_light_estimation_prefers_a_lamp_to_a_view_dependent_highlight() -> None
     found = ls.inverse.estimate_lights(room, CENTER, 2, config=looks(weakest=0.0))
     assert_at(found.lights[0], POSITIONS[1])
     assert_at(found.lights[1], POSITIONS[0])
-    # From the character, the sparkle is brighter than the lamp.
+    # Seen from the centre, the highlight is brighter than the lamp.
     away = (glint.means - CENTER) / np.linalg.norm(glint.means - CENTER, axis=1, keepdims=True)
     assert decode_srgb(colors_along(glint, away)).min() > 1.1
 
@@ -109,8 +109,8 @@ def test_light_estimation_prefers_a_lamp_to_a_view_dependent_highlight() -> None
 def test_light_estimation_prefers_colours_constant_over_viewpoints() -> None:
     """Of two lamps whose colours vary equally over all directions, the one that varies less over viewpoints wins."""
     positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
-    # Gradients of equal size: along the viewing direction, where viewpoints hardly matter, and across. The second is
-    # 3 % brighter in mean and maximum luminance.
+    # The colours of both lamps vary equally: of the first along the viewing direction, where viewpoints hardly matter,
+    # of the second across it. The second lamp is 3 % brighter in mean and maximum luminance.
     steady, unsteady = (
         light_ball(tuple(positions[0]), (0.67, 0.67, 0.67)),
         light_ball(tuple(positions[1]), (0.8, 0.8, 0.8)),

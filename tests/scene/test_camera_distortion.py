@@ -12,7 +12,7 @@ from lumisplat.math.distortion import distort, distortion_reach, undistort
 from support.scenes.raster_scenes import front_camera
 
 FOX = (0.0578421, -0.0805099, 0.0, 0.0, -0.000980296, 0.00015575)
-"""Distortion of a phone: instant-ngp's fox."""
+"""Distortion of the phone camera of instant-ngp's fox data set."""
 BARREL = (-0.28, 0.09, -0.012, 0.0, 0.0006, -0.0011)
 """Distortion of an action camera."""
 CUSHION = (0.21, 0.03, 0.01, 0.002, 0.004, -0.003)
@@ -46,7 +46,7 @@ def camera_of(lens, model=ls.CameraModel.PINHOLE, **changes) -> ls.Camera:
 
 
 def shown_at(camera: ls.Camera) -> np.ndarray:
-    """Returns the pixel centres divided by the focal length, (N, 2)."""
+    """Returns the pixel centres relative to the principal point, divided by the focal length, shape (N, 2)."""
     y, x = np.mgrid[: camera.height, : camera.width]
     points = np.stack([(x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy], axis=-1)
     return points.reshape(-1, 2)
@@ -93,7 +93,7 @@ def test_pixels_beyond_the_fold_of_the_distortion_have_no_ray():
 
 
 def test_distortion_coefficients_of_zero_change_no_bits():
-    """Coefficients of zero change nothing."""
+    """Rays equal those without distortion, and the camera does not count as distorted."""
     np.testing.assert_array_equal(camera_of(NONE).ray_directions(), camera_of([0] * 6).ray_directions())
     assert not camera_of(NONE).is_distorted
     assert distortion_reach(NONE) == np.inf
@@ -114,7 +114,7 @@ def test_camera_refuses_invalid_distortion_coefficients(changes, message):
 
 
 def test_lens_distortion_does_not_depend_on_the_image_size():
-    """Coefficients refer to tangents, not to pixels."""
+    """Coefficients apply to tangents of view angles, not to pixels."""
     small, large = camera_of(BARREL).scaled(30, 20), camera_of(BARREL)
     corner = 0.25 * (large.ray_directions()[0, 0] + large.ray_directions()[1, 1])
     corner += 0.25 * (large.ray_directions()[0, 1] + large.ray_directions()[1, 0])

@@ -70,7 +70,7 @@ def test_rays_of_an_orthographic_camera_are_parallel() -> None:
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
 def test_scaled_keeps_the_view_of_every_camera_model(model: ls.CameraModel) -> None:
-    """With twice as many pixels, the four that replace a pixel surround its ray; lens and shutter stay."""
+    """With twice as many pixels, the mean of four new rays equals the ray of the old pixel; lens and shutter stay."""
     end = posed(rotation((0.0, 1.0, 0.0), 0.1))
     camera = front_camera(
         8, 6, 5.0, model=model, cx=3.0, aperture=0.2, focus_distance=3.0, camera_from_world_end=end, near=0.5
@@ -159,7 +159,7 @@ def test_camera_look_at_focuses_on_its_target_by_default() -> None:
 def test_shutter_rotation_and_motion_lead_from_the_first_pose_to_the_last(
     axis: tuple[float, float, float], angle: float, start: float
 ) -> None:
-    """The first pose rotated by ``shutter_turn`` is the last one, and the eye moves by ``shutter_motion``."""
+    """The first pose rotated by ``shutter_rotation`` is the last one, and the eye moves by ``shutter_motion``."""
     if np.linalg.norm(axis) < 0.1:
         return
     first = rotation((0.3, -0.5, 0.8), start)
@@ -173,7 +173,7 @@ def test_shutter_rotation_and_motion_lead_from_the_first_pose_to_the_last(
 
 
 def test_camera_with_equal_or_no_end_pose_has_no_shutter_motion() -> None:
-    """Without an end pose, or with an equal one, motion and turn are exactly zero."""
+    """``shutter_rotation`` and ``shutter_motion`` are exactly zero."""
     pose = posed(rotation((0.3, -0.5, 0.8), 1.234), (0.1, 0.2, 0.3))
     for end in (None, pose):
         camera = front_camera(camera_from_world=pose, camera_from_world_end=end)
@@ -206,7 +206,7 @@ def test_raster_and_realtime_refuse_camera_features_they_do_not_support(changes:
 
 
 def test_raster_depth_and_ray_directions_give_the_same_depth_z() -> None:
-    """A flat Gaussian off the axis has one view depth, by the raster's depth and ``ray_directions``."""
+    """A flat Gaussian off the axis, facing the camera, has the same depth_z at all its pixels."""
     scene = ls.Scene([one_gaussian((0.9, -0.7, 3.0), (0.3, 0.3, 1e-4), 0.9)])
     frame = ls.render(scene, front_camera(), device="cpu")
     found = np.isfinite(frame.depth)

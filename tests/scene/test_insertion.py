@@ -43,7 +43,7 @@ def cone(height: float = 1.0, at: tuple[float, float] = (0.0, 0.0)) -> ls.Mesh:
 
 
 def corners(scene: ls.Scene, number: int = -1) -> np.ndarray:
-    """Returns world positions of a mesh's corners: x to the right, y up, z to the front."""
+    """Returns a mesh's vertices in world space, rotated so that x is right, y is up and z is to the front."""
     instance = scene.meshes[number]
     world = instance.mesh.positions @ instance.transform[:3, :3].T + instance.transform[:3, 3]
     return world @ y_up_from(scene.up_direction).T
@@ -126,7 +126,7 @@ def test_inserted_mesh_may_stand_on_a_shadow_catcher_plane() -> None:
 def test_mesh_inserted_into_a_capture_without_ground_is_in_the_first_view(
     height: float, spread: float, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Before a wall, the whole mesh is in view in front of the wall, and a log line reports the missing ground."""
+    """The whole mesh is visible in front of a captured wall, and a log line reports the missing ground."""
     across, up = (axis.ravel() for axis in np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-2, 2, 41)))
     wall = np.stack([across, up, np.zeros_like(up)], axis=1)
     sky = spread * np.random.default_rng(0).normal(size=(600, 3))
@@ -177,7 +177,7 @@ def test_mesh_inserted_beside_an_object_without_ground_stands_at_its_foot() -> N
 def test_inserted_mesh_in_another_unit_is_scaled_and_logged(
     height: float, scaled: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Meshes in millimetres or kilometres become a quarter of the capture; meshes that fit keep their size."""
+    """Meshes in millimetres or kilometres get a quarter of the capture's size; meshes that fit keep their size."""
     ground = ls.Scene([capture("y-down")], up="y-down")
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         placed = corners(ls.insert(ground, cone(height)))
@@ -246,7 +246,7 @@ def test_scene_file_entry_without_position_stands_upright_and_is_logged(
     ["position = [0, 0, 0]", "rotation_wxyz = [1, 0, 0, 0]", "rotation_degrees = [0, 0, 0]", "upright = false"],
 )
 def test_scene_file_entry_with_a_position_or_rotation_is_not_placed(tmp_path: Path, keys: str) -> None:
-    """Any key of position or rotation leaves the mesh as in its file."""
+    """Any key of position or rotation, or ``upright = false``, leaves the mesh as in its file."""
     np.testing.assert_array_equal(loaded(scene_file(tmp_path, keys)).meshes[0].transform, np.eye(4))
 
 

@@ -51,17 +51,17 @@ def test_local_frame_changes_no_projection_of_a_camera(model: ls.CameraModel, un
 
 
 def test_scene_near_the_origin_is_rendered_in_world_space() -> None:
-    """Scenes some sizes off the origin are used without copies."""
+    """A scene a few times its size away from the origin is used without a copy."""
     scene = ls.Scene([ls.SplatInstance(ball(), position=(3.0, -2.0, 5.0))])
     frame, near = rendered_frame(scene)
     assert frame.is_world and frame.scene(scene) is scene
-    assert near < NEAR_PLANE  # of a scene of one unit
+    assert near < NEAR_PLANE  # the scene has a size of one unit
     assert rendered_frame(ls.Scene([ball(100.0)]))[1] == NEAR_PLANE
     assert rendered_frame(ls.Scene())[1] == NEAR_PLANE
 
 
 def test_origin_of_the_local_frame_stays_while_objects_move() -> None:
-    """The origin stays within some sizes of a moving object; lights and captures move alike in float64."""
+    """One origin serves all positions of a moving object; lights and captures are shifted alike in float64."""
     origins = set()
     for step in np.linspace(0.0, 3.0, 7):
         scene = ls.Scene([ls.SplatInstance(ball(), position=UTM + np.array([step, 0.0, 0.0]))])
@@ -94,7 +94,7 @@ def test_capture_with_means_far_from_its_origin_is_recentred_once() -> None:
 
 
 def test_local_origin_is_needed_at_a_distance_of_many_scene_sizes() -> None:
-    """An origin is needed at a hundred sizes or more in any unit; strays and non-finite values do not count."""
+    """The unit of the scene does not matter; strays and non-finite positions are ignored."""
     points = np.random.default_rng(1).normal(size=(500, 3))
     assert not needed_origin(points + 100.0, 0.05).any()
     assert needed_origin(points + UTM, 0.05).any()

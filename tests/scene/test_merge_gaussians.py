@@ -24,7 +24,7 @@ def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
 
 
 def test_merged_captures_keep_their_order_and_pad_sh_with_zeros() -> None:
-    """Rows follow each other; lower SH degrees are padded with zeros."""
+    """The Gaussians of each set follow those of the previous one, and lower SH degrees are padded."""
     both = merge_gaussians([make(2, 1), make(3, 4)])
     np.testing.assert_array_equal(both.means[:, 0], [2, 2, 3, 3, 3])
     np.testing.assert_array_equal(both.sh[:, 1:].any(axis=(1, 2)), [False, False, True, True, True])
@@ -44,7 +44,7 @@ def test_merge_keeps_settings_that_all_captures_share() -> None:
 
 
 def test_merge_refuses_empty_lists_and_captures_of_different_kernels() -> None:
-    """An empty list, and sets whose opacities or scales have different meanings, raise one clear error."""
+    """Sets whose opacities or scales have different meanings cannot be merged."""
     with pytest.raises(ls.SceneError, match="expected at least one"):
         merge_gaussians([])
     with pytest.raises(ls.SceneError, match="antialiased"):
@@ -54,7 +54,7 @@ def test_merge_refuses_empty_lists_and_captures_of_different_kernels() -> None:
 
 
 def test_opaque_captures_merge_whatever_their_antialiasing(caplog: pytest.LogCaptureFixture) -> None:
-    """Opacities of 1 mean the same with and without dilation; those of trained captures do not."""
+    """Opacity 1 means the same with and without dilation; lower opacities of trained captures do not."""
     opaque = replace(make(2, 1), opacities=np.full(2, 0.995, np.float32), antialiased=True)
     both = merge_gaussians([make(3, 1), opaque])
     assert both.count == 5 and not both.antialiased and "they are now dilated" in caplog.text

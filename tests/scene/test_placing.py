@@ -75,7 +75,7 @@ def test_front_key_of_a_scene_file_equals_the_front_argument(tmp_path):
 
 
 def test_splat_instances_take_the_placement_arguments_of_mesh_instances():
-    """A splat instance is placed by the same arguments, and can be changed afterwards."""
+    """Position, rotation and scale place the Gaussians, and a replaced transform replaces the placement."""
     splat = ls.SplatInstance(one_gaussian((0, 0, 1)), position=(1, 0, 0), rotation_degrees=(0, 90, 0), scale_by=2.0)
     np.testing.assert_allclose(splat.world_means, [(3, 0, 0)], atol=1e-6)
     assert splat.scale == pytest.approx(2.0)
@@ -284,7 +284,7 @@ def test_smooth_normals_of_a_mesh_break_at_creases():
 
 
 def test_obj_files_without_normals_get_smooth_normals(tmp_path):
-    """OBJ files without normals become smooth unless a small crease angle is set; scene files give it in degrees."""
+    """A crease angle of 0, or a small one in a scene file, keeps edges sharp."""
     ball = ls.sphere(1.0, rows=8)
     lines = [f"v {x} {y} {z}" for x, y, z in ball.positions] + [
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in ball.indices
@@ -300,7 +300,7 @@ def test_obj_files_without_normals_get_smooth_normals(tmp_path):
 
 
 def test_crease_angle_of_load_applies_to_all_obj_files_of_a_scene_file(tmp_path):
-    """The crease angle given to `load` applies to all OBJ files of a scene file without their own."""
+    """An entry's own ``crease_angle_degrees`` takes precedence over the argument."""
     corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
     (tmp_path / "corner.obj").write_text(corners + "f 1 2 3\nf 1 3 4\nf 1 4 2\n")
     entry = '[[meshes]]\npath = "corner.obj"\n'

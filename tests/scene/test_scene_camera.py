@@ -22,7 +22,7 @@ def pixel_of(camera: ls.Camera, point: np.ndarray) -> np.ndarray:
 
 @given(coordinates, coordinates)
 def test_camera_look_at_centres_the_target_with_up_upward(eye: tuple[float, ...], target: tuple[float, ...]) -> None:
-    """The target is at the image centre at its distance; up is up and right is right."""
+    """Points above the target are higher in the image, and points to its right are further right."""
     offset = np.subtract(target, eye)
     distance = float(np.linalg.norm(offset))
     if np.linalg.norm(np.cross(offset, (0.0, 1.0, 0.0))) < 1e-3 * distance or distance < 1e-3:

@@ -87,7 +87,7 @@ def test_rect_and_disk_lights_emit_from_one_side_only(light: ls.LightRect | ls.L
     np.testing.assert_allclose(distances[np.isfinite(distances)], 2.0)
     assert np.isinf(light.distances(starts + 4.0 * up, -up)).all()
     np.testing.assert_allclose(light.area_vector, (0.0, -area, 0.0), atol=1e-12)
-    # Half as much at 60 degrees, and nothing on the other side.
+    # The irradiance is half at 60 degrees off the axis, and 0 behind the light.
     below = facing_irradiance(light, np.array([(0, -8, 0), (10 * math.sin(math.pi / 3), -3, 0), (0, 3, 0)]))[:, 0]
     np.testing.assert_allclose(below, (area / 100, 0.5 * area / 100, 0.0), atol=1e-12)
 

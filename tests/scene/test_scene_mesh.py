@@ -24,7 +24,7 @@ def test_mesh_converts_lists_to_read_only_arrays() -> None:
 
 
 def test_later_changes_of_the_callers_arrays_do_not_change_a_mesh() -> None:
-    """Later changes of the caller's arrays do not change a mesh; a bad index would read out of bounds."""
+    """Indices changed after validation could read out of bounds."""
     positions, indices = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32)
     mesh = ls.Mesh(positions, indices)
     positions[:], indices[:] = np.nan, 10**6
@@ -63,13 +63,13 @@ def test_mesh_normalises_normals_and_fills_missing_ones() -> None:
     ],
 )
 def test_mesh_refuses_invalid_arrays_naming_the_array(changes: dict[str, Any], message: str) -> None:
-    """The error names the array and both sides of the contradiction, in one line."""
+    """The error states what the array has and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Mesh(**{"positions": CORNERS, "indices": FACES} | changes)
 
 
 def test_mesh_removes_and_logs_degenerate_triangles(caplog: pytest.LogCaptureFixture) -> None:
-    """Triangles with invalid or repeated indices or collinear corners are removed; vertices and the rest stay."""
+    """Triangles with invalid or repeated indices or collinear corners are removed; vertices and all others stay."""
     positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.25, 0.75, 0], [1, 0, 0], [3e9, 3e9, 0]]
     whole = [[0, 1, 2], [0, 1, 3]]
     broken = [[0, 1, 6], [-1, 0, 1], [0, 1, 1], [1, 2, 3], [0, 1, 4], [2, 2, 2]]
@@ -93,7 +93,7 @@ def test_mesh_indices_may_have_any_integer_type(kind: type) -> None:
 
 @pytest.mark.parametrize("size", [1e-30, 1.0, 1e30])
 def test_mesh_keeps_small_and_thin_triangles(size: float, caplog: pytest.LogCaptureFixture) -> None:
-    """Only the shape counts: small triangles stay, and so do triangles that are thin from rounding to float32."""
+    """Triangles stay at any size, and so do triangles that are thin only from rounding to float32."""
     corners = np.array([[0, 0, 0], [1, 1 / 3, 0], [2, 2 / 3, 1e-7]], np.float32) * np.float32(size)
     assert ls.Mesh(corners, [[0, 1, 2]]).face_count == 1
     assert ls.Mesh(np.array(CORNERS, np.float32) * np.float32(size), [[0, 1, 2]]).face_count == 1
@@ -120,7 +120,7 @@ def test_rounding_to_float64_gives_collinear_triangles_no_area() -> None:
 
 
 def test_triangle_check_finds_bad_triangles_in_every_chunk() -> None:
-    """Each triangle is judged by its own corners, however many there are."""
+    """Invalid triangles at the borders of chunks are found."""
     indices = np.tile(np.array([[0, 1, 2]]), (200_000, 1))
     bad = np.array([0, 65_535, 65_536, 131_072, 199_999])
     indices[bad] = [[0, 0, 1], [0, 1, 9], [1, 1, 1], [0, -1, 2], [2, 1, 2]]

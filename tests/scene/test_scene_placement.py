@@ -38,7 +38,7 @@ TURN = similarity((1.0, 2.0, 3.0), 0.7, 3.0, (0.0, 0.0, 0.0))[:3, :3]
     ],
 )
 def test_splat_instance_refuses_all_transforms_but_similarities(linear: np.ndarray, reason: str) -> None:
-    """Splats refuse other transforms and report the numbers; a mesh accepts any invertible transform."""
+    """The error reports the scales, angles or determinant; a mesh instance accepts any invertible transform."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear
     taken = "rotation, uniform scale and translation only"
@@ -70,7 +70,7 @@ def test_very_small_and_very_large_scales_do_not_count_as_singular(factor: float
 
 
 def test_scene_wraps_gaussians_and_meshes_in_instances_at_the_origin() -> None:
-    """Gaussians and meshes need no instance; lists become tuples."""
+    """Lists of captures and meshes become tuples of instances."""
     scene = ls.Scene([random_gaussians(0, 7)], [quad(1.0)])
     assert isinstance(scene.splats, tuple) and isinstance(scene.splats[0], ls.SplatInstance)
     assert isinstance(scene.meshes[0], ls.MeshInstance)

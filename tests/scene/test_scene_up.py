@@ -16,7 +16,7 @@ ROTATION = ls.SplatInstance(capture(1), rotation_degrees=(90.0, 0.0, 0.0)).trans
 
 
 def test_up_of_a_scene_comes_from_the_scene_then_captures_then_a_guess() -> None:
-    """The scene's own up counts before its captures', and theirs before a guess."""
+    """``up_source`` reports which of them was used."""
     plain, tilted = capture(5), replace(capture(5), up=(0.0, 1.0, 1.0))
     assert (ls.Scene([plain]).up_direction, ls.Scene([plain]).up_source) == ((0.0, -1.0, 0.0), "guess")
     assert ls.Scene().up_source == "guess"
@@ -47,7 +47,7 @@ def test_captures_refuse_an_invalid_up_or_first_view() -> None:
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "a.glb"])
 def test_scene_file_without_up_takes_the_up_of_its_capture(tmp_path: Path, name: str) -> None:
-    """Up follows the entry's rotation; the file's own up counts first, and ``upright`` entries give no up."""
+    """The up follows the entry's rotation; the scene file's own up takes precedence; ``upright`` entries give no up."""
     ls.save(tmp_path / name, replace(capture(5), up="z-up"))
     file = tmp_path / "scene.toml"
 

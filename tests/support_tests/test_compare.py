@@ -70,7 +70,7 @@ def test_comparison_outside_a_band_fails_if_the_band_covers_the_image(image: np.
 
 
 def test_similar_images_must_meet_both_the_mean_and_the_share_bound(image: np.ndarray) -> None:
-    """A small error everywhere exceeds the mean bound, a large one in a few pixels lowers the share of equal pixels."""
+    """A small error everywhere exceeds the mean bound; a large error in a few pixels exceeds the share bound."""
     with pytest.raises(AssertionError, match="mean absolute"):
         assert_images_alike(image + 0.003, image, mean=0.002, within=0.015, share=0.995)
     few = image.copy()

@@ -63,18 +63,18 @@ def test_oracle_optical_depth_equals_the_integral_of_absorption(seed):
 @pytest.mark.parametrize(
     ("mean", "scale", "aim"),
     [
-        ((0.1, -0.2, 0.3), 0.2, (0.3, 0.1, 4.0)),  # The light in the centre.
-        ((0.2, -0.2, 0.2), (0.3, 0.1, 0.5), (0.3, 0.1, 4.0)),  # The light inside, off the centre.
-        ((0.1, -0.2, 4.3), (0.5, 0.5, 1e-4), (0.1, -0.2, 4.3)),  # A thin disc, face on,
-        ((0.1, -0.2, 4.3), (1e-4, 0.5, 0.5), (0.1, -0.2, 4.3)),  # and edge on.
-        ((0.1, -0.2, 4.3), (0.02, 0.02, 2.0), (0.11, -0.2, 4.3)),  # A needle, nearly along it.
-        ((50.0, 80.0, 400.0), (0.01, 2.0, 0.3), (50.005, 80.5, 400.0)),  # Far.
-        ((0.0, 0.0, 4.0), 0.1, (0.55, 0.0, 4.0)),  # Grazing, five scales off.
-        ((0.1, -0.2, -0.3), 0.3, (0.1, -0.2, 4.0)),  # Behind the light, which is still in its tail.
+        ((0.1, -0.2, 0.3), 0.2, (0.3, 0.1, 4.0)),  # The light is in the centre.
+        ((0.2, -0.2, 0.2), (0.3, 0.1, 0.5), (0.3, 0.1, 4.0)),  # The light is inside, off the centre.
+        ((0.1, -0.2, 4.3), (0.5, 0.5, 1e-4), (0.1, -0.2, 4.3)),  # The ray hits a thin disc face on.
+        ((0.1, -0.2, 4.3), (1e-4, 0.5, 0.5), (0.1, -0.2, 4.3)),  # The ray hits a thin disc edge on.
+        ((0.1, -0.2, 4.3), (0.02, 0.02, 2.0), (0.11, -0.2, 4.3)),  # The ray is nearly along a needle.
+        ((50.0, 80.0, 400.0), (0.01, 2.0, 0.3), (50.005, 80.5, 400.0)),  # The Gaussian is far away.
+        ((0.0, 0.0, 4.0), 0.1, (0.55, 0.0, 4.0)),  # The ray passes five scales beside the Gaussian.
+        ((0.1, -0.2, -0.3), 0.3, (0.1, -0.2, 4.0)),  # The Gaussian is behind the light, which is still in its tail.
     ],
 )
 def test_oracle_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
-    """Optical depth stays exact where floats cancel: light inside, thin, distant, grazed or hindmost Gaussians."""
+    """The light is inside, or the Gaussian is thin, distant, grazed by the ray, or behind the light."""
     gaussian = one_gaussian(mean, scale, 0.9, rotation=(0.9999, 0.004, -0.003, 0.002))
     direction = (np.array(aim) - LIGHT) / np.linalg.norm(np.array(aim) - LIGHT)
     distance = np.linalg.norm(np.array(mean) - LIGHT)
@@ -83,7 +83,7 @@ def test_oracle_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
 
 
 def test_average_absorption_through_the_centre_reproduces_the_opacity():
-    """Across the centre of an isotropic Gaussian, `avg` absorption gives the optical depth of its opacity."""
+    """`Absorption.AVERAGE` gives an isotropic Gaussian the optical depth of its opacity."""
     for scale in (0.01, 0.2):
         field = oracle.absorbers(one_gaussian((0.0, 0.0, 4.0), scale, 0.7))
         depth = oracle.optical_depth(field, np.zeros(3), np.array([0.0, 0.0, 1.0]), np.asarray(9.0))
@@ -93,7 +93,7 @@ def test_average_absorption_through_the_centre_reproduces_the_opacity():
 
 
 def test_oracle_absorptions_equal_the_formulas_of_mir_et_al():
-    """Absorptions equal section 4.4 B by hand for scales 1, 2 and 4; opacity 1 counts as the largest alpha."""
+    """Section 4.4 B is evaluated by hand for scales 1, 2 and 4; opacity 1 counts as the largest alpha."""
     opacity, scales = np.array([1.0 - math.exp(-2.0)]), np.array([[1.0, 2.0, 4.0]])
     mean_precision = (1.0 + 1.0 / 4.0 + 1.0 / 16.0) / 3.0
     mass = 2.0 / ((2.0 * math.pi) ** 1.5 * 8.0)
@@ -254,9 +254,11 @@ def test_deep_shadow_transmittance_is_1_at_the_light_and_constant_past_the_last_
 
 
 def test_stencil_points_lie_on_the_axes_of_the_receiving_gaussian():
-    """The 7 points of a rotated receiver are its mean and one scale along each axis; weights are responses."""
+    """The 7 points are the mean and one scale along each axis in both directions; weights are responses."""
     half = math.sqrt(0.5)
-    receiver = one_gaussian((1.0, 2.0, 3.0), (0.1, 0.2, 0.4), rotation=(half, 0.0, 0.0, half))  # x to y, y to -x.
+    receiver = one_gaussian(
+        (1.0, 2.0, 3.0), (0.1, 0.2, 0.4), rotation=(half, 0.0, 0.0, half)
+    )  # rotates x to y and y to -x
     points = oracle.footprint_points(receiver, oracle.STENCIL)[0] - [1.0, 2.0, 3.0]
     expected = [[0, 0, 0], [0, 0.1, 0], [-0.2, 0, 0], [0, 0, 0.4], [0, -0.1, 0], [0.2, 0, 0], [0, 0, -0.4]]
     assert points == pytest.approx(np.array(expected), abs=1e-6)

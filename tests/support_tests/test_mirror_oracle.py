@@ -193,7 +193,7 @@ def test_mirror_at_the_maximum_of_bounces_shows_the_background() -> None:
     for bounces, seen in ((0, (0.5, 0.5, 0.5)), (1, (1.0, 0.0, 0.0))):
         assert traced(behind, background=0.5, bounces=bounces).color == pytest.approx(seen)
     out = Ray(np.zeros(3), oracles.normalized(np.array([0.6, 0.0, 5.0])))
-    for bounces in (1, 2, 5):  # It leaves sideways after two.
+    for bounces in (1, 2, 5):  # The ray leaves the mirrors sideways after two reflections.
         assert traced(scene, out, background=0.5, bounces=bounces).color == pytest.approx([0.5] * 3)
 
 
@@ -241,7 +241,7 @@ def test_reflections_by_shading_normals_stay_outside_the_surface(
 
 
 def test_oracle_colour_variance_includes_reflected_outcomes() -> None:
-    """A Gaussian before the mirror, one in the mirror and the background give the variance of three outcomes."""
+    """A Gaussian before the mirror, one in the mirror and the background are the possible outcomes of a ray."""
     before = one_gaussian((0.0, 0.0, 2.0), opacity=0.3)
     dark = one_gaussian((0.0, 0.0, -2.0), opacity=0.6, color=(0.2, 0.3, 0.4))
     # The mirrored ray hits the first Gaussian a second time.

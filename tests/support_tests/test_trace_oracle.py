@@ -37,7 +37,7 @@ def traced(scene: Scene, ray: Ray = AXIS, **settings: Any) -> Traced:
 
 
 def found_on(scene: Scene, ray: Ray = AXIS, **settings: Any) -> Hits:
-    """Returns the Gaussians that count on a ray."""
+    """Returns the hits of a ray that are blended."""
     every = hits(world_of(scene, trace_config(**settings)), ray)
     return picked(every, every.counts)
 
@@ -107,7 +107,7 @@ def test_oracle_finds_all_hits_sorted_by_distance_then_index() -> None:
 
 @pytest.mark.parametrize("scales", [(1e-6, 1.0, 1.0), (1e-6, 1e-6, 1.0), (1e6, 1e6, 1e6), (1e6, 1e-6, 1.0)])
 def test_hits_of_gaussians_with_extreme_scales_keep_their_precision(scales: tuple[float, float, float]) -> None:
-    """A ray aimed at a known canonical distance measures that distance, however flat or huge the Gaussian is."""
+    """Rays are aimed at a canonical distance of 1.5 from very flat, thin and large Gaussians."""
     rng = np.random.default_rng(3)
     gaussians = one_gaussian((0.3, -0.2, 4.0), scales, 0.8, rotation=(0.8, 0.2, -0.5, 0.3))
     world = world_of(Scene([gaussians]), trace_config())
@@ -161,7 +161,7 @@ def test_reach_of_a_gaussian_separates_hits_from_misses(
 
 
 def test_kernel_degree_setting_overrides_the_degree_of_each_capture() -> None:
-    """The setting overrides each capture's kernel degree; None keeps it."""
+    """Without the setting, each capture has its own kernel degree."""
     scene = Scene([replace(one_gaussian(opacity=0.5), kernel_degree=1), one_gaussian(opacity=0.5)])
     ray = Ray(np.array([0.2, 0.0, 0.0]), AXIS.direction)
     assert found_on(scene, ray).alpha == pytest.approx([0.5 * np.exp(-1.5), 0.5 * np.exp(-0.5)], rel=1e-6)
@@ -193,7 +193,7 @@ def test_hull_hit_distance_is_the_nearer_point_at_the_reach(degree: int) -> None
 
 
 def test_hull_of_a_gaussian_around_the_eye_has_depth_zero() -> None:
-    """The peak decides whether a hull around the eye counts, and its depth is not negative."""
+    """The hull begins behind the eye; whether the Gaussian is hit depends on its peak alone."""
     ahead = Scene([one_gaussian((0.0, 0.0, 0.1), 0.5, 0.9)])
     assert traced(ahead, hit_distance=HitDistance.HULL).depth == 0.0
     assert found_on(ahead, hit_distance=HitDistance.HULL).t[0] < 0.0
@@ -369,7 +369,7 @@ def test_stochastic_pass_without_iso_surface_takes_its_farthest_hit() -> None:
 
 
 def test_gaussians_of_the_background_colour_are_invisible() -> None:
-    """Gaussians with the background's colour are invisible."""
+    """The law holds for all tracing strategies, without variance."""
     gaussians = random_gaussians(10, 300)
     uniform = replace(gaussians, sh=flat_sh(np.full((300, 3), 0.37)))
     rng = np.random.default_rng(0)
@@ -380,7 +380,7 @@ def test_gaussians_of_the_background_colour_are_invisible() -> None:
             assert one.color_variance == pytest.approx([0.0] * 3, abs=1e-12)
 
 
-# --- What rounding may do ---
+# --- Effects of rounding ---
 
 
 def shaken(gaussians: Gaussians, seed: int) -> Gaussians:

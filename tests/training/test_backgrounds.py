@@ -1,4 +1,4 @@
-"""Training with transparent and masked pixels."""
+"""Training handles transparent and masked pixels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BLACK = (0.0, 0.0, 0.0)
 
 
 def dark(count: int, size: int = 40) -> list[TrainingView]:
-    """Returns views with alpha of black Gaussians, which are invisible over black."""
+    """Returns training views with alpha of black Gaussians over a black background."""
     gaussians = replace(known_gaussians(), sh=np.full((30, 1, 3), -5.0))
     renderer, found = ls.create_renderer(ls.RenderConfig(), "cpu"), list[TrainingView]()
     for number, camera in enumerate(cameras(count, size)):
@@ -27,7 +27,7 @@ def dark(count: int, size: int = 40) -> list[TrainingView]:
 
 
 def error_of_alpha(config: ls.TrainConfig) -> float:
-    """Returns the mean alpha error over views between the training views."""
+    """Trains, and returns the mean alpha error of views between the training views."""
     one = Trainer(dark(8), config, device="cpu")
     for _ in range(config.iterations):
         one.step()

@@ -47,7 +47,7 @@ def test_ticks_of_the_training_curve_are_round_numbers() -> None:
 
 
 def test_training_curve_without_points_is_a_blank_image() -> None:
-    """Infinite PSNR is not drawn either."""
+    """A curve whose only PSNR is infinite is blank as well."""
     for curve in (Curve(), Curve(steps=[50], squared=[0.0])):
         assert (np.asarray(curve.image()) == 255).all()
 

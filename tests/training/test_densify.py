@@ -77,7 +77,7 @@ def test_densification_relocates_dead_gaussians_onto_living_ones() -> None:
 
 
 def test_densification_adds_a_twentieth_of_the_gaussians_up_to_the_cap() -> None:
-    """One densification adds a twentieth."""
+    """A hundred Gaussians become 105, or fewer if ``cap`` is smaller."""
     rng = np.random.default_rng(0)
     assert grown(parameters([0.5] * 100), TrainConfig(cap=1000), rng).count == 105
     assert grown(parameters([0.5] * 100), TrainConfig(cap=102), rng).count == 102
@@ -121,14 +121,14 @@ def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:
 
 
 def test_densification_prunes_transparent_and_oversized_gaussians() -> None:
-    """Other Gaussians stay in their order."""
+    """The other Gaussians keep their order; without a finite extent, no size is too large."""
     after = pruned(parameters([0.5, 0.001, 0.5, 0.4], [0.01, 0.01, 5.0, 0.02]), extent=1.0)
     np.testing.assert_allclose(after.opacities, [0.5, 0.4], rtol=1e-5)
     assert pruned(parameters([0.5], [5.0]), extent=math.inf).count == 1
 
 
 def test_opacity_reset_caps_opacities_and_zeroes_their_moments() -> None:
-    """Lower opacities stay as they are."""
+    """Opacities above 0.01 become 0.01, and lower opacities stay."""
     after = parameters([0.9, 0.006])
     reset_opacities(after)
     np.testing.assert_allclose(after.opacities, [0.01, 0.006], rtol=1e-4)

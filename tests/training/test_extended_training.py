@@ -25,7 +25,7 @@ LONG = replace(SHORT, iterations=200)
 
 
 def checkpoint_of(output: Path) -> Path:
-    """Returns the checkpoint of a capture."""
+    """Returns the path of the checkpoint that belongs to a capture."""
     return output.with_suffix(".training") / "checkpoint.npz"
 
 

@@ -29,12 +29,12 @@ def silent(label: str, fraction: float) -> None:
 
 
 def constant_radiance(ray_directions: np.ndarray) -> np.ndarray:
-    """Returns constant radiance."""
+    """Returns constant radiance for N ray directions, shape (N, 3)."""
     return np.full((len(ray_directions), 3), 0.8)
 
 
 def bright_above(ray_directions: np.ndarray) -> np.ndarray:
-    """Returns bluish radiance that grows towards smaller y."""
+    """Returns bluish radiance for N ray directions, brighter towards smaller y, shape (N, 3)."""
     return (1.0 - 0.8 * ray_directions[:, 1:2]) * (0.6, 0.7, 0.9)
 
 
@@ -203,7 +203,7 @@ def test_find_materials_reports_images_of_changing_exposure(tmp_path: Path, capl
     ls.inverse.find_materials(capture, folder, quick, device="cpu")
     match = re.search(r"varies by ([\d.]+) stops \(standard deviation\)", caplog.text)
     assert match is not None
-    assert float(match[1]) == pytest.approx(np.std([-1, -1, 0, 0, 0, 1, 1, 1]), abs=0.03)  # the first one is held out
+    assert float(match[1]) == pytest.approx(np.std([-1, -1, 0, 0, 0, 1, 1, 1]), abs=0.03)  # the first image is held out
 
 
 def test_find_materials_refuses_impossible_requests_in_one_line(tmp_path: Path) -> None:

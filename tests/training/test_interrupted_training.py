@@ -28,13 +28,13 @@ RESULTS = ("curve.json", "curve.png", "metrics.json", "settings.toml", "held out
 
 
 def command(folder: Path, output: Path, moment: str, number: int, *more: str) -> list[str]:
-    """Returns the command of a training in its own process."""
+    """Returns the command of a training that kills itself when it reaches ``moment`` for the ``number``-th time."""
     program = [sys.executable, "-m", "support.killed_training", moment, str(number)]
     return [*program, "train", str(folder), "-o", str(output), *OPTIONS, *more]
 
 
 def killed(folder: Path, output: Path, moment: str, number: int, *more: str) -> None:
-    """Runs a training that kills itself."""
+    """Runs a training that kills itself when it reaches ``moment`` for the ``number``-th time."""
     done = subprocess.run(
         command(folder, output, moment, number, *more), check=False, capture_output=True, text=True, env=ENVIRONMENT
     )

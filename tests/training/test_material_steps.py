@@ -57,7 +57,7 @@ def test_material_fit_moves_parameters_against_their_gradients(fit: MaterialFit,
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_smoothness_terms_of_the_material_fit_pull_neighbours_together(fit: MaterialFit, name: str) -> None:
-    """An outlier moves back, and some of its neighbours follow it."""
+    """An outlier moves back towards its neighbours, and some of the neighbours move towards the outlier."""
     state = {key: values.copy() for key, values in fit.state.items()}
     state["sky" if name == "environment" else name][3] += 1.0
     fit.restore(state, 0)

@@ -22,7 +22,7 @@ class Killed(Exception):
 
 
 def bright_above(ray_directions: np.ndarray) -> np.ndarray:
-    """Returns bluish radiance that grows towards smaller y."""
+    """Returns bluish radiance for N ray directions, brighter towards smaller y, shape (N, 3)."""
     return (1.0 - 0.8 * ray_directions[:, 1:2]) * (0.6, 0.7, 0.9)
 
 
@@ -103,7 +103,7 @@ def test_interrupted_material_search_resumes_to_the_same_bits(
     assert_same(found(capture, folder, output), whole)
     assert set(files_of(output)) == {"a.ply", "a.environment.exr", "a.training/materials.npz"}
     monkeypatch.setattr(find_materials.MaterialFit, "step", never)
-    assert_same(found(capture, folder, output), whole)  # at once
+    assert_same(found(capture, folder, output), whole)  # without a further iteration
 
 
 def test_resumed_material_search_traces_a_missing_incident_radiance_again(

@@ -234,7 +234,7 @@ def test_non_finite_parameters_end_training_before_any_file_is_written() -> None
     one = trainer()
     one.step()
     means: Any = one._device_splats.values.means
-    means.numpy()[3:5, 1] = np.nan  # the memory itself, on a CPU
+    means.numpy()[3:5, 1] = np.nan  # on the CPU, a view of the memory
     with pytest.raises(
         ls.training.DivergedError,
         match=r"iteration 1: means of 2 of 80 Gaussians are not finite: lower TrainConfig.rates$",

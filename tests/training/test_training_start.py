@@ -100,7 +100,7 @@ def test_ctrl_c_ends_training_between_iterations_with_a_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The training resumes from the checkpoint to the same bits."""
-    monkeypatch.setattr("lumisplat.training.train.PROGRESS_EVERY_S", 0.0)  # however quick the machine is
+    monkeypatch.setattr("lumisplat.training.train.PROGRESS_EVERY_S", 0.0)  # reports each iteration on any machine
     folder, whole, ended = write_training_folder(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "ended.ply"
     config = ls.TrainConfig(iterations=300, cap=80, sh_degree=1)
     ls.train(folder, config, output=whole, device="cpu")

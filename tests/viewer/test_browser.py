@@ -1,4 +1,4 @@
-"""The viewer in Chromium, driven by Playwright; skipped if no Chromium is installed."""
+"""The viewer works in Chromium, driven by Playwright; skipped if no Chromium is installed."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def shown(viewer: ls.Viewer) -> np.ndarray:
 
 
 def shows_its_frame(page: Any, viewer: ls.Viewer) -> bool:
-    """True if a page shows the image rendered for it, up to JPEG error; waits for a busy browser."""
+    """Returns True if a page shows the image rendered for it, up to JPEG error; waits for a busy browser."""
     for _ in range(200):
         if ls.metrics.psnr(shot(page) / 255.0, shown(viewer) / 255.0) > 30.0:
             return True

@@ -1,4 +1,4 @@
-"""A short endurance run of the viewer: three pages edit at the same time."""
+"""Three pages of a viewer edit its scene at the same time, in a short endurance run."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import lumisplat as ls
 from support.viewer.endurance import WEIGHTS, LeanPage, endured, orbit, scene_in, wait_until
 
 MEMORY_MIB = 60.0
-"""Memory that a hundred edits may add, MiB: undo keeps them, and allocators do not return everything. Keeping an edit
-for each frame, or a closed page, would exceed the limit."""
+"""Memory that a hundred edits may add, MiB: undo stores the edits, and allocators do not return all memory. Storing an
+edit for each frame of a drag, or the data of a closed page, would exceed the limit."""
 
 
 @pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")  # a page may close during a send
@@ -30,7 +30,7 @@ def test_viewer_keeps_all_concurrent_edits_and_leaves_no_threads(edits: int, tmp
 
 
 def test_viewer_handles_simultaneous_events_of_a_page_in_order(tmp_path: Path) -> None:
-    """No press is mistaken for the next one, and no drag ends before it begins."""
+    """Ten drags, each followed by undo and redo, are ten edits in the order in which the page sent them."""
     viewer = ls.view(scene_in(tmp_path), height=90, device="cpu")
     viewer._loader.join()
     session = viewer._session

@@ -1,4 +1,4 @@
-"""Frames of the viewer: level of detail, cameras, picking and overlays."""
+"""Frames of the viewer have levels of detail, cameras, picking and overlays."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FACING = ls.Camera.look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 
 
 
 def chosen_steps(cost: dict[DetailStep, float], budget: float, frames: int = 200) -> list[DetailStep]:
-    """Returns the chosen steps for frames whose time is given for each step."""
+    """Returns the detail steps that the controller chooses for frames, given the time of each step in milliseconds."""
     detail, taken = DetailController(), []
     for _ in range(frames):
         taken.append(detail.step)
@@ -40,7 +40,7 @@ def chosen_steps(cost: dict[DetailStep, float], budget: float, frames: int = 200
 
 
 def costs(full: float) -> dict[DetailStep, float]:
-    """Returns milliseconds for each step, dominated by the Gaussian count."""
+    """Returns the milliseconds of each detail step, proportional to Gaussians and image scale."""
     return {step: full * (1.0, 0.25, 0.125)[step.level] * step.scale for step in GAUSSIAN_STEPS}
 
 
@@ -114,7 +114,9 @@ def test_levels_of_detail_are_built_once_and_keep_the_instance_transform() -> No
     assert coarse.splats[0].gaussians.count == round(0.25 * capture.count) and coarse.splats[1].gaussians is small
     np.testing.assert_array_equal(coarse.splats[0].transform, scene.splats[0].transform)
     assert levels.scene(scene, 1) is coarse
-    assert levels.scene(scene, 2).splats[0].gaussians is coarse.splats[0].gaussians  # a sixteenth would be too few
+    assert (
+        levels.scene(scene, 2).splats[0].gaussians is coarse.splats[0].gaussians
+    )  # a level of a sixteenth would have too few Gaussians
     levels.close()
 
 
@@ -171,7 +173,7 @@ def test_camera_of_a_page_pose_equals_the_page_camera_at_any_height() -> None:
 
 @pytest.mark.parametrize(("size", "units"), [(0.02, 100.0), (1.0, 1.0), (20.0, 1.0), (400.0, 0.01), (1e5, 1e-5)])
 def test_page_scale_is_a_power_of_ten_and_one_for_common_sizes(size: float, units: float) -> None:
-    """Scenes whose size suits a page are not scaled."""
+    """Scenes of about 1 to 20 units are shown at scale 1."""
     cube = ls.Scene(meshes=[ls.MeshInstance(ls.box(size / math.sqrt(3.0)), position=(7.0, 0.0, 0.0))])
     extent = Extent.of(cube)
     assert extent.size == pytest.approx(size, rel=1e-5) and extent.page_from_scene == pytest.approx(units)
@@ -201,7 +203,7 @@ def test_picking_returns_the_object_and_depth_of_the_frame_at_a_pixel() -> None:
 
 
 def test_depth_sent_to_a_page_is_view_depth_in_page_units() -> None:
-    """The depth has every fourth pixel; pixels without a surface are farther away than any gizmo."""
+    """The depth image has every fourth pixel; pixels without a surface are farther away than any gizmo."""
     depth = page_depth(box_frame(), 10.0)
     assert depth.shape == (math.ceil((90 - 2) / DEPTH_STRIDE), 160 // DEPTH_STRIDE)
     assert depth[11, 20] == pytest.approx(30.0, rel=1e-3) and depth[0, 0] >= 1000.0

@@ -1,4 +1,4 @@
-"""Access control and message validation, by the rules and over a real port."""
+"""The guard controls access and validates messages, directly and over a real port."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def test_page_server_reports_an_occupied_or_invalid_port() -> None:
 
 
 def test_closed_page_server_frees_its_port_and_threads(capfd: pytest.CaptureFixture[str]) -> None:
-    """The server also prints nothing."""
+    """Starting and closing the server prints nothing."""
     before = set(threading.enumerate())
     server = PageServer("127.0.0.1", 0)
     get(server, f"/?token={server.guard.token}")
@@ -256,13 +256,13 @@ PART = {"type": "FileTransferPart", "source_component_uuid": "u", "transfer_uuid
 
 
 def accepts(*messages: object) -> list[bool]:
-    """Returns which messages of one page are accepted."""
+    """Returns for each message of one page whether it is accepted."""
     inbox = Inbox()
     return [inbox.accepts(msgspec.msgpack.encode(message)) for message in messages]
 
 
 def test_valid_page_messages_are_accepted() -> None:
-    """A camera, a changed value and a file in parts are accepted."""
+    """The messages are a camera, a changed control value and an uploaded file in parts."""
     start = UPLOAD | {"size_bytes": 5, "part_count": 2}
     parts = [PART | {"part_index": number, "content": content} for number, content in enumerate((b"abc", b"de"))]
     changed = {"type": "GuiUpdateMessage", "uuid": "u", "updates": {"value": 3}}

@@ -1,4 +1,4 @@
-"""Setting the up direction by fitting the ground or by three clicks, its effects, and undo."""
+"""The up direction is set by fitting the ground or by three clicks, and can be undone."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def click(viewer: ls.Viewer, page: Page, at: tuple[float, ...]) -> None:
 
 
 def test_collinear_clicks_on_the_ground_leave_up_unchanged(viewer: ls.Viewer) -> None:
-    """An error is reported, up is unchanged, and the mode ends."""
+    """An error is reported, and the mode of clicking ground points ends."""
     problems: list[str] = []
     viewer._session.error_listeners.append(problems.append)
     with PageClient(viewer.url) as client:

@@ -1,4 +1,4 @@
-"""Downloads from the viewer: images with layers, videos, and captures as HTML."""
+"""The viewer offers downloads: images with layers, videos, and captures as HTML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Panels: how they display settings, and how they edit entries."""
+"""Panels display settings in controls, and edit entries of the scene."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def shift(x: float, y: float, z: float) -> np.ndarray:
 
 
 def test_gizmo_drag_translates_objects_and_lights() -> None:
-    """A box keeps its rotation and size; lights follow the gizmo, and a sun stays on its dome."""
+    """A box keeps its rotation and size; lights follow the gizmo, and the gizmo of a sun moves on a sphere."""
     before = document().scene()
     after = moved(0, shift(0.5, 0.0, -1.0)).scene()
     np.testing.assert_allclose(after.meshes[0].transform, shift(0.5, 0.0, -1.0) @ before.meshes[0].transform, atol=1e-9)
@@ -319,7 +319,7 @@ def test_crop_removes_gaussians_outside_the_slider_ranges() -> None:
     everything, reach = crop_ranges(start, 0, session)
     assert everything[1, 0] == pytest.approx(50.0) and 0.4 < reach[1, 0] < 1.0
     ends = reach.copy()
-    ends[0, 1] = 0.0  # y above 0
+    ends[0, 1] = 0.0  # keeps y above 0
     half = cropped(start, 0, ends, reach, everything)
     means = np.asarray(half.scene().splats[0].gaussians.means)
     assert means[:, 1].min() >= 0.0 and means[:, 0].max() == pytest.approx(50.0)
@@ -428,7 +428,7 @@ def test_insets_change_only_the_lower_left_corner_of_the_image() -> None:
 
 
 def test_selection_sphere_encloses_the_selected_object() -> None:
-    """A box gets its bounding sphere and a light a fraction of the scene size; no selection gives None."""
+    """A light gets a sphere of a fraction of the scene size; without a selection, there is no sphere."""
     session = Session(Options())
     session.open(State(document()))
     assert selected_sphere(session) is None
@@ -526,7 +526,7 @@ def test_undo_history_is_limited_by_capture_memory() -> None:
         states.append(replace(states[-1], exposure=1.0))
     captures = [state.document.entry(0).splats[0].gaussians for state in states]
     most = sum(array.nbytes for capture in (captures[5], captures[7]) for array in arrays_of(capture))
-    small = 8192  # matrices and bounds
+    small = 8192  # bytes of matrices and bounds
     assert limit_undo_memory(states[:-1], states[-1], most + small) == states[-6:-1]
     assert limit_undo_memory(states[:-1], states[-1]) == states[:-1]
 
@@ -568,7 +568,7 @@ def test_displayed_command_repeats_loading_options_and_the_exact_view(tmp_path: 
 
 @pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
 def test_sun_direction_of_the_inspector_follows_angles_and_hour(up: tuple[float, float, float]) -> None:
-    """Angles round-trip for every up direction; the sun rises in the east at 6 and is highest, in front, at 12."""
+    """Angles round-trip for every up direction; the sun rises in the east at 6 and is highest at 12."""
     for azimuth, elevation in ((0.0, 30.0), (90.0, 5.0), (200.0, -40.0), (359.0, 80.0)):
         direction = direction_of_angles(azimuth, elevation, up)
         assert np.linalg.norm(direction) == pytest.approx(1.0)

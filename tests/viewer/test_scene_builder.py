@@ -1,4 +1,4 @@
-"""Scenes with actors: lit as by `lumisplat animate`, and fast to update when other objects change."""
+"""Scenes with actors are lit as by `lumisplat animate`, and are cached while their inputs stay."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def colors(scene: ls.Scene) -> list[np.ndarray]:
 
 
 def test_viewer_lights_actors_as_in_animation_frames(scenes: SceneBuilder) -> None:
-    """Shadows on the floor and the relit actor are equal bit for bit, and unchanged inputs return the same scene."""
+    """The shadowed floor and the relit actor equal those of `AvatarLighter` bit for bit."""
     wanted = animation()
     shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
     expected = ls.AvatarLighter(wanted.scene, config=wanted.lighting, device="cpu").light(wanted.actors_at(1.0))

@@ -100,7 +100,7 @@ def test_every_choice_of_an_enabled_raster_control_is_accepted(pipeline: ls.Pipe
 
 
 def is_rejected(config: ls.RenderConfig) -> bool:
-    """True if the settings are rejected because of the projection."""
+    """Returns True if the settings are rejected because of the projection."""
     try:
         check_projection(config)
     except ls.ConfigError:

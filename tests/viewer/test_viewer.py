@@ -80,7 +80,7 @@ async def wait_for_events() -> None:
 
 
 def has_reported_pose(viewer: ls.Viewer, number: int) -> bool:
-    """True if the viewer has the camera that the page reported last."""
+    """Returns True if the viewer has the camera that the page reported last."""
     client, page = viewer._viser.get_clients().get(number), viewer._pages.get(number)
     if client is None or page is None:
         return True
@@ -264,7 +264,7 @@ def test_damaged_uploads_are_reported_and_leave_no_trace(viewer: ls.Viewer, tmp_
 
 
 def document_in(folder: Path) -> ls.io.SceneDocument:
-    """Returns a document whose file would be in a folder."""
+    """Returns a document opened from a scene file in a folder."""
     ls.save(folder / "ball.ply", cloud())
     (folder / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n')
     return ls.io.SceneDocument.open(folder / "scene.toml")
@@ -552,7 +552,7 @@ def test_each_shown_gizmo_gets_a_new_node_name(viewer: ls.Viewer) -> None:
 
 
 def test_viewer_notifications_wait_until_a_page_is_open(viewer: ls.Viewer) -> None:
-    """Log warnings about a scene wait, too; repeated messages are shown once."""
+    """Log warnings about a scene wait like errors, and repeated messages are shown once."""
     log = logging.getLogger("lumisplat")
     log.warning("colours of leaves are odd")
     viewer._session.report("a file was left out")
@@ -573,7 +573,7 @@ def test_viewer_notifications_wait_until_a_page_is_open(viewer: ls.Viewer) -> No
 
 
 def test_render_loop_drops_a_page_closed_before_it_was_added(viewer: ls.Viewer) -> None:
-    """Otherwise the render loop would keep the page for ever."""
+    """A closed page in the render loop would never be removed."""
     page = Page(BrowserScreen(cast(Any, None)), viewer._session.changed)
     page.close()
     viewer._loop.add(page)

@@ -1,4 +1,4 @@
-"""The camera path: key views are keyframes of the scene file, and saving preserves the path."""
+"""Key views of the viewer's camera path are keyframes of the scene file, and saving preserves the path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The viewer as the result of a notebook cell: camera control, images, fallbacks and cleanup."""
+"""A notebook cell shows the viewer: camera control, images, fallbacks and cleanup."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_orbit_elevation_is_clamped_at_the_poles(above: float) -> None:
 
 
 def test_orbit_camera_right_above_the_target_can_rotate() -> None:
-    """The elevation is clamped, so that the up direction is defined."""
+    """The elevation is clamped below the pole, so that the image's up direction is defined."""
     orbit = Orbit.of((0.0, -5.0, 0.0), (0.0, 0.0, 0.0), UP, 0.8)
     assert orbit.elevation == pytest.approx(ELEVATION_MAX) and orbit.distance == pytest.approx(5.0)
     assert np.isfinite(orbit.rotated(1.0, -0.5).pose(1.5).camera(90).camera_from_world).all()
@@ -100,7 +100,7 @@ def test_panning_moves_the_orbit_target_by_the_given_image_fractions() -> None:
 
 
 def test_zooming_changes_only_the_orbit_distance_within_limits() -> None:
-    """Repeated zooming stops at the limits."""
+    """The distance is clamped between a nearest and a farthest distance."""
     orbit = Orbit.of(EYE, TARGET, UP, 0.8)
     assert orbit.zoomed(0.5, 0.1, 100.0) == replace(orbit, distance=0.5 * orbit.distance)
     assert orbit.zoomed(1e-9, 0.1, 100.0).distance == 0.1 and orbit.zoomed(1e9, 0.1, 100.0).distance == 100.0

@@ -105,7 +105,7 @@ def nerfstudio(**changes: Any) -> dict[str, Any]:
 
 
 def test_nerfstudio_camera_path_loads_as_one_camera_for_each_frame(tmp_path):
-    """Poses are OpenGL row by row, fields of view vertical degrees, and each frame is one camera at the file's rate."""
+    """Poses are OpenGL matrices in row-major order, and fields of view are vertical angles in degrees."""
     (tmp_path / "camera_path.json").write_text(json.dumps(nerfstudio()))
     first, second, _ = ls.load_cameras(tmp_path / "camera_path.json")
     assert (first.width, first.height) == (60, 40)
@@ -168,7 +168,7 @@ def folder(tmp_path) -> Path:
 
 
 def test_camera_keyframes_of_a_scene_file_define_its_camera_path(folder):
-    """The first moving camera is the path; omitted values keep the previous ones; camera lists take its first view."""
+    """The first camera with keyframes is the path; keyframes repeat omitted values; `load_cameras` gives its start."""
     path = ls.io.load_camera_path(write_scene(folder, FLIGHT))
     assert path.duration == 2.5 and [camera.name for camera in path.cameras] == ["flight"] * 2
     assert path.cameras[1].fov_y == pytest.approx(math.radians(40))

@@ -47,7 +47,7 @@ def affine_rig(matrix: np.ndarray) -> TubeRig:
 
 
 def test_rigged_gaussians_at_rest_equal_gaussians_from_the_mesh(tmp_path):
-    """At rest, the Gaussians equal those of `gaussians_from_mesh` in position and look."""
+    """Means, shapes and normals at rest equal those of `gaussians_from_mesh`, and colours are the same arrays."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path)
     alone = ls.gaussians_from_mesh(rigged.rig.mesh, COUNT)
     np.testing.assert_array_equal(rigged.gaussians.means, alone.means)
@@ -101,7 +101,7 @@ def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.nd
 
 
 def test_rigged_gaussians_stay_at_their_barycentric_coordinates(tmp_path):
-    """In a bent pose, every centre has its barycentric coordinates between the oracle's vertices."""
+    """In a bent pose, each mean is the barycentric mean of the oracle's posed triangle vertices."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
     positions, _ = posed(rig, "bend", 0.8)
@@ -159,7 +159,7 @@ def test_rigged_gaussians_at_equal_times_have_identical_arrays(tmp_path):
 
 
 def test_meshes_of_a_rig_share_the_requested_number_of_gaussians(tmp_path):
-    """Gaussians of a rig with two materials are as many as requested, each with its own material's colour."""
+    """A rig with two materials gets exactly the requested Gaussians, each with the colour of its material."""
     gltf = TubeRig(clips={"bend": BEND}).gltf()
     first = gltf.json["meshes"][0]["primitives"][0]
     black = gltf.add("materials", pbrMetallicRoughness={"baseColorFactor": [0.0, 0.0, 0.0, 1.0]})

@@ -123,7 +123,7 @@ def test_remove_floaters_removes_isolated_small_gaussians_but_no_wide_background
 
 @pytest.mark.parametrize(("neighbours", "reach"), [(1, 1.0), (4, 3.0), (20, 2.0)])
 def test_remove_floaters_counts_neighbours_as_brute_force_does(neighbours: int, reach: float) -> None:
-    """The result equals that of comparing each Gaussian with every other."""
+    """The reference compares each Gaussian with every other."""
     capture = random_gaussians(8, count=700, scale_range=(0.001, 0.9))
     capture = replace(capture, scales=capture.scales * 0.5)
     largest = capture.scales.max(axis=1)

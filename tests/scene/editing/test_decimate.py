@@ -34,7 +34,7 @@ def test_area_of_a_gaussian_is_the_mean_silhouette_over_all_directions() -> None
 
 
 def test_capture_decimated_to_one_gaussian_has_the_moments_of_the_mixture() -> None:
-    """The single Gaussian has the mass, mean, covariance, SH and materials of a plain NumPy mixture."""
+    """NumPy computes mass, mean, covariance, SH and materials of the mixture."""
     rng = np.random.default_rng(7)
     normals = unit(5, 40)
     normals[:, 2] = np.abs(normals[:, 2])
@@ -63,9 +63,9 @@ def test_capture_decimated_to_one_gaussian_has_the_moments_of_the_mixture() -> N
 
 @pytest.mark.parametrize("count", [1, 2, 57, 299, 300])
 def test_decimation_preserves_mass_mean_and_covariance_of_the_capture(count: int) -> None:
-    """Any target count is met exactly, and mean and covariance of the whole mixture stay."""
+    """The number of Gaussians is exactly the requested one."""
     gaussians = random_gaussians(4, count=300, degree=1, scale_range=(0.2, 0.9))
-    gaussians = replace(gaussians, opacities=gaussians.opacities * 0.01)  # none reaches opacity 1
+    gaussians = replace(gaussians, opacities=gaussians.opacities * 0.01)  # merged opacities stay below 1
     fewer = ls.editing.decimate(gaussians, count)
     assert (fewer.count, fewer.sh_degree) == (count, 1)
     everything = np.zeros(300, np.intp)
@@ -77,7 +77,7 @@ def test_decimation_preserves_mass_mean_and_covariance_of_the_capture(count: int
 
 
 def test_decimated_discs_of_a_plane_stay_flat_and_in_the_plane() -> None:
-    """Adjacent discs in a plane merge to larger discs in it, with the opacity that covers their sum."""
+    """Adjacent discs merge to larger discs with the plane's normal and the thickness of the original ones."""
     x, y = np.meshgrid(np.arange(32.0), np.arange(32.0))
     means = np.column_stack([x.ravel(), y.ravel(), np.full(1024, 5.0)])
     scales = np.tile([0.7, 0.7, 1e-4], (1024, 1))
@@ -101,14 +101,14 @@ def test_decimation_does_not_merge_gaussians_of_different_colours() -> None:
 
 
 def test_decimation_merges_copies_and_transparent_gaussians_to_finite_values() -> None:
-    """A thousand copies of one Gaussian, transparent or opaque, merge within some passes to finite values."""
+    """A thousand copies of one Gaussian, transparent or opaque, merge to the same Gaussian in less than 40 passes."""
     one = random_gaussians(1, count=1, degree=1)
     for opacity in (0.0, 1.0):
         copies = replace(one.subset(np.zeros(1000, np.int64)), opacities=np.full(1000, opacity))
         passes: list[float] = []
         fewer = ls.editing.decimate(copies, 3, progress=passes.append)
         assert fewer.count == 3
-        assert len(passes) < 40  # each pass merges a good share, also where all costs are equal
+        assert len(passes) < 40  # each pass merges many pairs, even if all costs are equal
         np.testing.assert_allclose(fewer.means, np.repeat(one.means, 3, axis=0), atol=1e-6)
         np.testing.assert_allclose(fewer.opacities, opacity, atol=1e-5 if opacity == 0.0 else 0.0)
         np.testing.assert_allclose(np.sort(fewer.scales), np.sort(np.repeat(one.scales, 3, axis=0)), rtol=1e-4)
@@ -144,7 +144,7 @@ def test_decimated_capture_looks_better_than_a_random_or_most_opaque_subset(
     count = int(biker.count * share)
     passes: list[float] = []
     merged = ls.editing.decimate(biker, count, progress=passes.append)
-    assert len(passes) <= 4.0 * math.log2(1.0 / share)  # each merges a sixth or more: about a second together
+    assert len(passes) <= 4.0 * math.log2(1.0 / share)  # each pass removes a sixth of the Gaussians or more
     chosen = np.random.default_rng(0).choice(biker.count, count, replace=False)
     opaque = np.argsort(-biker.opacities, kind="stable")[:count]
     low, high = np.quantile(biker.means, (0.05, 0.95), axis=0)

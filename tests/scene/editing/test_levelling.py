@@ -98,7 +98,7 @@ def test_level_aligns_a_capture_with_the_axis_nearest_to_its_stated_up(stated: A
 
 
 def test_find_up_takes_a_principal_axis_of_an_object_without_ground() -> None:
-    """A flat back is no ground, and an upright object keeps its up."""
+    """The flat back of a guitar does not count as a ground, and an upright guitar keeps its up."""
     one, up = turned(GUITAR, (20.0, 15.0, -25.0))
     found = ls.editing.find_up(ls.Scene([one]))
     assert found.source == "axes"
@@ -135,7 +135,7 @@ def test_find_up_reports_that_a_ball_has_no_distinct_axis() -> None:
 def test_find_up_from_three_ground_points_is_exact_in_any_order(
     degrees: tuple[float, float, float], order: tuple[int, ...]
 ) -> None:
-    """Three ground points in any order give up, on the side where the capture is, in any orientation."""
+    """The capture lies on the upper side of the plane through the points."""
     one, up = turned(GARDEN, degrees)
     corners = ls.transform(
         capture(np.array([(-3.0, 0, -3.0), (3.0, 0, -3.0), (0.0, 0, 3.0)])), rotation_degrees=degrees

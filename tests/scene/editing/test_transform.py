@@ -23,7 +23,7 @@ def random_rotation(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_rotated_sh_have_the_original_values_in_rotated_directions(seed: int) -> None:
-    """A rotated function has its old value in the rotated direction, up to degree 8 and the rounding of doubles."""
+    """The law holds up to degree 8 and rounding in float64."""
     turn, directions = random_rotation(seed), unit(1, 200)
     matrix = sh_rotation(turn, 8)
     coefficients = np.random.default_rng(seed).normal(size=81)
@@ -42,7 +42,7 @@ def test_sh_coefficients_of_degree_1_rotate_like_a_vector() -> None:
 
 
 def test_rotation_from_degrees_rotates_about_fixed_axes_x_first() -> None:
-    """A quarter turn about x takes y to z, which the following turn about z leaves."""
+    """A quarter turn about x takes y to z, which the following quarter turn about z leaves unchanged."""
     turn = rotation_from_degrees(np.array([90.0, 0.0, 90.0]))
     np.testing.assert_allclose(turn @ [0, 1, 0], [0, 0, 1], atol=1e-15)
     np.testing.assert_allclose(turn @ [1, 0, 0], [0, 1, 0], atol=1e-15)

@@ -10,7 +10,7 @@ from lumisplat.scene.ops.neighbours import cell_order, cross_pairs, neighbour_pa
 
 
 def brute_force(points: np.ndarray, others: np.ndarray, radius: float) -> set[tuple[int, int]]:
-    """Returns all pairs (i, j) with point i closer than ``radius`` to other j."""
+    """Returns all pairs (i, j) with point i of the first set closer than ``radius`` to point j of the second."""
     distance = np.linalg.norm(points[:, None] - others[None], axis=2)
     return {(int(i), int(j)) for i, j in np.argwhere(distance < radius)}
 

@@ -1,4 +1,4 @@
-"""SH of linear colours convert to SH of display colours."""
+"""SH coefficients of linear colours convert to SH coefficients of display-referred colours."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lumisplat.scene.ops.colors import display_sh
 
 
 def colors(sh: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Returns colours in all directions, shape (D, N, 3)."""
+    """Returns the colours of N Gaussians in D directions, shape (D, N, 3)."""
     return np.maximum(np.einsum("dk,nkc->dnc", basis, sh.astype(np.float64)) + 0.5, 0.0)
 
 
@@ -45,7 +45,7 @@ def test_display_sh_minimise_the_squared_error_over_directions(degree: int) -> N
 
 
 def test_display_sh_of_small_contrasts_scale_by_the_slope_of_the_srgb_curve() -> None:
-    """For small contrasts, display coefficients are linear ones times the slope of the transfer function."""
+    """Small display coefficients are the linear ones times the slope of the curve at the mean colour."""
     sh = np.zeros((1, 4, 3))
     sh[0, 2] = 1e-4
     slope = (encode_srgb(0.5 + 1e-6) - encode_srgb(0.5 - 1e-6)) / 2e-6

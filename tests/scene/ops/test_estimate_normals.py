@@ -62,7 +62,7 @@ def test_estimated_normals_point_outwards_on_convex_and_concave_shapes(
 
 
 def test_hole_in_a_shell_does_not_flip_the_estimated_normals() -> None:
-    """A hole in a vase's wall does not make its inside count as outside."""
+    """A hole in a hollow ball does not make its inside count as outside."""
     gaussians, truth = bare(shapes.sphere(), 12_000)
     wall = gaussians.means @ unit(1, 1)[0] < 0.85
     normals = ls.estimate_normals(gaussians.subset(wall), AXIS)
@@ -156,7 +156,7 @@ def test_estimated_normals_of_a_thin_sheet_agree_on_one_side() -> None:
 
 
 def test_estimate_normals_refuses_invalid_methods_and_other_objects() -> None:
-    """An invalid method and an argument that is not a set are refused."""
+    """An unknown method and a scene instead of Gaussians are refused."""
     with pytest.raises(ls.ConfigError, match="method is 'mean', expected 'auto', 'smallest-axis' or 'pca'"):
         ls.estimate_normals(one_gaussian(), "mean")
     with pytest.raises(ls.SceneError, match="takes Gaussians, got a Scene"):
@@ -165,7 +165,7 @@ def test_estimate_normals_refuses_invalid_methods_and_other_objects() -> None:
 
 @pytest.mark.data
 def test_estimated_normals_of_a_mesh_with_holes_point_outwards(data_dir) -> None:
-    """The bunny's normals point outwards although the flood fill enters through the holes below."""
+    """Normals of the bunny point outwards, although the flood fill enters through the holes in its base."""
     bunny = ls.load(data_dir / "meshes" / "stanford-bunny.obj")
     assert isinstance(bunny, ls.Mesh)
     gaussians, truth = bare(bunny, 20_000)

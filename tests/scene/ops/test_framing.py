@@ -88,7 +88,7 @@ def test_scene_refuses_an_up_that_is_not_a_direction(up):
 
 
 def test_model_made_upright_faces_the_frame_camera_for_any_up():
-    """A y-up model rotated by `Scene.upright_wxyz` looks as in a scene of its own."""
+    """A y-up model rotated by `Scene.upright_wxyz` looks as in a y-up scene."""
     from lumisplat.math.transforms import rotation_matrix
 
     mesh = ls.Mesh([(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 1, 2)])
@@ -170,7 +170,7 @@ def test_orbit_cameras_refuses_invalid_arguments_in_one_line(arguments, message)
 @pytest.mark.parametrize("spread", [0.0, 1.0, 1e6])
 @pytest.mark.parametrize("count", [1, 2, 50, 5000])
 def test_bulk_bounds_exclude_2_percent_of_the_opacity_at_each_end(count, spread):
-    """The bulk equals the result of sorting, to the bit, also with ties and distant outliers."""
+    """The bounds equal those found by sorting, to the bit, even with equal heights and distant outliers."""
     rng = np.random.default_rng(count)
     heights = np.round(rng.standard_cauchy(count), 1) * spread
     weights = rng.uniform(0.0, 1.0, count).astype(np.float32)
@@ -205,7 +205,7 @@ def test_frame_camera_takes_the_first_view_of_a_capture_without_its_roll():
     np.testing.assert_allclose(camera.camera_from_world[2], VIEW.camera_from_world[2], atol=1e-12)
     assert camera.camera_from_world[0, 1] == pytest.approx(0.0, abs=1e-12)
     assert camera.camera_from_world[1, 1] > 0.9
-    assert camera.fov_y == pytest.approx(1.1)  # a portrait view, whose height fits a wide frame
+    assert camera.fov_y == pytest.approx(1.1)  # the height of a portrait view fits into a wide frame
     assert camera.focus_distance == pytest.approx(VIEW.focus_distance)
 
 
@@ -234,14 +234,14 @@ def test_azimuth_of_a_frame_camera_starts_at_the_first_view(up):
 
 @pytest.mark.parametrize("height", [5.0, -5.0])
 def test_frame_camera_of_a_vertical_first_view_keeps_that_views_up(height):
-    """An aerial view has no horizon, so its own up is used."""
+    """The horizon is not defined for an aerial view, so the camera takes the view's own up."""
     view = ls.Camera.look_at((0.0, height, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
     camera = ls.frame_camera(viewed("y-up", view))
     np.testing.assert_allclose(camera.camera_from_world, view.camera_from_world, atol=1e-9)
 
 
 def pole(*more: np.ndarray) -> ls.Gaussians:
-    """Returns a ball with a thin pole of 1 % of its Gaussians, and further means."""
+    """Returns a ball with a thin pole of 1 % of its Gaussians, and Gaussians at further means."""
     ball = np.random.default_rng(5).normal(size=(5000, 3)) * 0.3
     up = np.column_stack([np.zeros(50), np.linspace(-0.5, -2.5, 50), np.zeros(50)])
     means = np.concatenate([ball, up, *more])
@@ -263,7 +263,7 @@ def test_frame_camera_shows_connected_thin_parts_but_no_strays():
     assert 0.0 < row < 0.1 * plain.height
     assert strewn.focus_distance == pytest.approx(plain.focus_distance, rel=0.05)
     low, high = ls.Scene([pole()]).bulk_bounds()
-    assert low[1] > -1.0 and high[1] < 1.0  # the bulk alone would cut the pole off
+    assert low[1] > -1.0 and high[1] < 1.0  # the bulk excludes the pole
 
 
 def test_frame_camera_ignores_small_parts_across_a_gap():

@@ -119,7 +119,7 @@ def test_centres_of_sampled_gaussians_are_blue_noise() -> None:
 
 
 def test_density_of_sampled_gaussians_does_not_depend_on_triangle_sizes() -> None:
-    """Counts in equal cells vary less than random ones, although one half has 1600 times smaller triangles."""
+    """Counts in equal cells vary less than random ones, although the triangles of one half are 1600 times smaller."""
     fine = shapes.transform_mesh(shapes.plane(0.5, 1.0, segments=(20, 40)), translated(-0.25))
     coarse = shapes.transform_mesh(shapes.plane(0.5, 1.0), translated(0.25))
     gaussians = gaussians_from_mesh(shapes.join_meshes([fine, coarse]), 4000)
@@ -157,7 +157,7 @@ def test_sampled_discs_do_not_extend_beyond_open_edges() -> None:
 
 
 def test_both_sides_of_a_thin_sheet_are_sampled_without_gaps() -> None:
-    """Each side of a sheet thinner than the spacing is sampled without gaps, whatever lies on the other."""
+    """The sheet is thinner than the spacing, and each side is sampled independently of the other."""
     top = shapes.plane(1.0, 1.0)
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
     half_turn[1, 3] = -1e-4
@@ -205,7 +205,7 @@ def textured(texture: np.ndarray) -> ls.Mesh:
 
 
 def test_texels_finer_than_a_gaussian_are_averaged_in_linear_light() -> None:
-    """Black and white noise of hundreds of texels per Gaussian averages to 0.5; sizes need not be powers of two."""
+    """Black and white noise with hundreds of texels per Gaussian averages to 0.5; no texture side is a power of two."""
     noise = np.random.default_rng(0).integers(0, 2, (1000, 777, 1)).astype(np.uint8) * np.uint8(255)
     gaussians = gaussians_from_mesh(textured(np.repeat(noise, 3, axis=2)), COUNT)
     assert gaussians.albedo is not None
@@ -214,7 +214,7 @@ def test_texels_finer_than_a_gaussian_are_averaged_in_linear_light() -> None:
 
 
 def test_averaging_a_texture_shifts_neither_its_position_nor_its_colour() -> None:
-    """A ramp stays the same ramp at every level, and a constant texture of any size stays its colour."""
+    """An averaged ramp stays the same ramp, and a constant texture of any size keeps its colour."""
     ramp = np.round(255.0 * encode_srgb((np.arange(1001) + 0.5) / 1001.0)).astype(np.uint8)
     gaussians = gaussians_from_mesh(textured(np.tile(ramp[None, :, None], (3, 1, 3))), 200)
     u = gaussians.means[:, 0] + 0.5
@@ -226,7 +226,7 @@ def test_averaging_a_texture_shifts_neither_its_position_nor_its_colour() -> Non
 
 
 def test_sampling_skips_degenerate_triangles_of_a_mesh() -> None:
-    """Lines and points among the triangles change nothing; all centres lie on the real triangle."""
+    """Triangles that are lines or points get no Gaussians."""
     positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [9.0, 9.0, 9.0], [2.0, 0.0, 0.0]]
     mesh = ls.Mesh(np.array(positions, np.float32), np.array([[3, 3, 3], [0, 1, 2], [0, 1, 4], [3, 0, 3]], np.int32))
     gaussians = gaussians_from_mesh(mesh, 300)
@@ -235,7 +235,7 @@ def test_sampling_skips_degenerate_triangles_of_a_mesh() -> None:
 
 
 def test_number_of_crease_points_of_a_sliver_is_limited() -> None:
-    """Points along edges are limited for a triangle without area, where the spacing would need billions."""
+    """A triangle of nearly no area would need billions of points along its edges at its spacing."""
     sliver = ls.Mesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-11, 0.0]], [[0, 1, 2]])
     normal = np.array([[0.0, 0.0, 1.0]])
     assert 400 <= len(crease_points(sliver, normal, 1e-9, limit=1000).positions) <= 1003
@@ -243,7 +243,7 @@ def test_number_of_crease_points_of_a_sliver_is_limited() -> None:
 
 
 def test_gaussians_from_mesh_refuses_invalid_counts_and_objects() -> None:
-    """A count below one, a fraction, too many, and an argument that is not a mesh raise one clear error."""
+    """Counts below 1, fractional or too large counts, and arguments other than meshes are refused."""
     with pytest.raises(ls.SceneError, match="count is 0"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 0)
     with pytest.raises(ls.SceneError, match=r"count is 10\.5, expected a whole number"):

@@ -1,4 +1,4 @@
-"""Pixel rays are in world space, and their points lie on surfaces."""
+"""World-space pixel rays equal those of the ray tracer, and their hit positions lie on surfaces."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def shuttered(model: CameraModel) -> Camera:
 @pytest.mark.parametrize("model", list(CameraModel))
 @pytest.mark.parametrize("moving", [False, True])
 def test_world_space_pixel_rays_equal_the_rays_of_the_ray_tracer(model: CameraModel, moving: bool) -> None:
-    """Rays equal the oracle's for all camera models, and for a rolling shutter with one pose per row."""
+    """The oracle of the ray tracer covers all camera models, and a rolling shutter with one pose per row."""
     view = shuttered(model) if moving else camera(model)
     origins, directions, _ = camera_rays(view, jitter=False)
     found = world_rays(view)

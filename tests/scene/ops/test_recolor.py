@@ -34,7 +34,7 @@ def mean_color(asset: ls.Gaussians) -> np.ndarray:
 
 
 def color_towards(asset: ls.Gaussians, direction: np.ndarray) -> np.ndarray:
-    """Returns max(SH + 0.5, 0), shape (N, 3)."""
+    """Returns the clamped colours of N Gaussians towards a direction, max(SH + 0.5, 0), shape (N, 3)."""
     basis = sh_basis(direction)[: asset.sh.shape[1]]
     return np.maximum(np.einsum("k,nkc->nc", basis, asset.sh.astype(np.float64)) + 0.5, 0.0)
 
@@ -64,7 +64,7 @@ def test_scale_light_multiplies_colours_in_all_directions_alike(coefficients: in
 
 
 def test_scale_light_multiplies_colours_below_black_by_the_factor() -> None:
-    """Below black, the linear part of the transfer function applies the factor."""
+    """Negative display values lie on the linear part of the sRGB curve, so the factor applies to them directly."""
     black = ls.Gaussians(np.zeros((1, 3)), [[1, 0, 0, 0]], np.ones((1, 3)), [1.0], np.full((1, 1, 3), -0.6 / SH_C0))
     np.testing.assert_allclose(mean_color(scale_light(black, [0.5]))[0], -0.05, atol=1e-6)
 

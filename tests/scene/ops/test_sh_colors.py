@@ -13,7 +13,7 @@ from support.scenes.raster_scenes import random_gaussians
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_device_colours_from_sh_equal_the_oracle_for_each_degree(degree: int) -> None:
-    """Clamped colours of a set of degree 3 equal the oracle's, up to each degree."""
+    """Colours of a set of degree 3, evaluated up to each degree, are clamped at 0."""
     instance = ls.SplatInstance(random_gaussians(5, degree=3))
     eye = np.array([0.3, -2.0, 1.0])
     along = instance.gaussians.means - eye
