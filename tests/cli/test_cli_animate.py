@@ -183,7 +183,7 @@ def test_animate_frames_of_a_range_equal_those_of_the_whole(work, monkeypatch):
 
     def estimated(scene, position, *args, **_):
         positions.append(tuple(position))
-        # Without the evidence of lit surfaces: the floor of this scene is unlit.
+        # The estimate uses no lit surfaces, because the floor of this scene is unlit.
         return ls.inverse.estimate_lights(scene, position, *args, config=ls.config.LightEstimationConfig(evidence=0.0))
 
     # The module is looked up by name, as `lumisplat.relight` is a function.

@@ -41,7 +41,7 @@ def test_render_logs_unlit_sides_of_meshes_beside_captures(scene: ls.Scene, thin
     assert line.startswith(f"sides of {things} that no light reaches are black: [environment]")
     assert "--environment FILE" in line
     assert remarks(scene, lighting=False) == []
-    assert remarks(scene, pipeline="realtime") == []  # the capture lights them
+    assert remarks(scene, pipeline="realtime") == []  # in real time, the capture lights the meshes
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,7 @@ def test_default_settings_pass_their_checks_unchanged(kind: Any) -> None:
         default = field.default
         again = (*default,) if isinstance(default, tuple) else default
         if isinstance(again, float) and one.kind == "number":
-            again = np.float64(again)  # another object, which is checked
+            again = np.float64(again)  # a new object, which is checked again
         if isinstance(again, Enum):
             again = again.value
         if one.name in ("direction", "edge_u", "edge_v"):

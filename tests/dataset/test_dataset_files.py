@@ -79,7 +79,7 @@ def test_data_set_layers_match_the_geometry_of_the_scene(folder, index: int) -> 
     upward = np.round(127.5 * (1.0 + camera.camera_from_world[:3, 1]))
     assert np.abs(image(folder, record, "normal")[floor].astype(float) - upward).max() <= 1.0
     assert not image(folder, record, "normal")[ids == 0].any()
-    # Points of surfaces are in the boxes of their objects.
+    # Surface points lie in the boxes of their objects.
     points = origins + along_rays(camera, depth)[..., None] * directions
     for entry in objects.values():
         rows, columns = np.nonzero(ids == entry["id"])

@@ -116,7 +116,7 @@ def test_environment_lookup_matches_the_float64_oracle(shape: tuple[int, int], d
     """Bilinear lookups, times colour and intensity, match the oracle within the rounding of float32 directions."""
     image = np.random.default_rng(3).random((*shape, 3), dtype=np.float32)
     environment = DeviceEnvironment(image, device, rotation_wxyz=ROTATED, color=(1.0, 0.5, 0.25), intensity=2.0)
-    # Directions next to the poles are left out: rounding changes their longitude by much.
+    # Directions next to the poles are left out, because rounding changes their longitude strongly.
     vectors = direction_at(ROTATED, *np.random.default_rng(4).uniform(0.02, 0.98, (2, 5000)))
     expected = lookup(image, *image_coordinates(ROTATED, vectors)) * (2.0, 1.0, 0.5)
     np.testing.assert_allclose(environment.evaluate(vectors)[0], expected, atol=2e-6 * max(shape) + 2e-6)

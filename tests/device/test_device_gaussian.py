@@ -91,7 +91,7 @@ def test_normal_of_a_gaussian_is_that_of_its_plane_of_maximum_density(
     expected = axes / scales**2 @ axes.T @ np.array(to_eye)
     expected /= np.linalg.norm(expected)
     assert actual @ to_eye > -1e-6
-    # Where to_eye all but lies in a thin Gaussian's plane, float32 cannot resolve the direction.
+    # If to_eye is nearly in the plane of a thin Gaussian, float32 cannot resolve the normal.
     local = np.abs(axes.T @ to_eye)
     if local[scales.argmin()] > 1e-3:
         np.testing.assert_allclose(actual, expected, atol=1e-3)

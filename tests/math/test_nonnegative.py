@@ -51,7 +51,7 @@ def test_bounded_least_squares_minimum_satisfies_the_kkt_conditions(seed):
     matrix, target = rng.normal(size=(40, 6)), rng.normal(size=40)
     bounded, least = rng.normal(size=(9, 6)), rng.normal(size=9) - 1.5
     gram, moments = matrix.T @ matrix, matrix.T @ target
-    least[0] = bounded[0] @ np.linalg.solve(gram, moments) + 0.3  # the free minimum breaks it
+    least[0] = bounded[0] @ np.linalg.solve(gram, moments) + 0.3  # the unconstrained minimum violates this bound
     found = bounded_least_squares(gram, moments, bounded, least)
     slack = bounded @ found - least
     assert (slack >= -1e-8).all()

@@ -152,7 +152,7 @@ def test_tone_mapped_image_is_continuous_as_light_on_a_capture_tends_to_zero(ton
     before = encode_srgb(dark)
     for share in (1e-2, 1e-3, 1e-4):
         shown = lit_picture(captured, weight, share * light, 0.0, tone_map)
-        # Near black the sRGB curve is at its steepest, 12.92; the change is one of at most half the light there was.
+        # The light is at most half of the captured radiance, and the slope of the sRGB curve at most 12.92.
         assert np.abs(shown - before).max() < 3.0 * share + 1e-5
 
 
@@ -228,7 +228,7 @@ def test_remove_tone_map_inverts_apply_tone_map(tone_map, brightest):
     inside = ((shown > 0.02) & (shown < 0.99)).all(axis=1)
     assert inside.mean() > 0.5
     back = remove_tone_map(shown, tone_map)
-    # Pictures are float32, curves are flat where they end, and colours mix: errors are of the brightest channel.
+    # Errors are relative to the brightest channel, because tone maps mix channels and flatten near black and white.
     brightest = light.max(axis=1, keepdims=True)
     np.testing.assert_allclose((back / brightest)[inside], (light / brightest)[inside], atol=1e-3)
 

@@ -141,7 +141,7 @@ def test_luminance_and_lab_match_reference_values():
     assert luminance([0.5, 0.25, 1.0]) == pytest.approx(0.1063 + 0.1788 + 0.0722)
     expected = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86], [100.0, 0.0, 0.0]]
     np.testing.assert_allclose(lab([*np.eye(3), np.ones(3)]), expected, atol=0.03)
-    # 18 % grey: 116 cbrt(0.18) - 16 = 49.50; below (6/29)^3 it is straight: 903.3 x 0.005 = 4.52.
+    # 18 % grey: 116 cbrt(0.18) - 16 = 49.50; below (6/29)^3 the curve is linear: 903.3 x 0.005 = 4.52.
     np.testing.assert_allclose(lab([[0.18] * 3, [0.005] * 3]), [[49.496, 0, 0], [4.5165, 0, 0]], atol=1e-3)
 
 

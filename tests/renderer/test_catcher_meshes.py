@@ -49,7 +49,7 @@ def test_mesh_catcher_has_the_shadow_ratio_of_a_captured_floor(pipeline: ls.Pipe
     expected = given * (1.0 - SHARE) / (given + SUN.intensity * np.array(SUN.color))
     assert frame.shadow_ratio is not None and frame.shadow_matte is not None
     np.testing.assert_allclose(frame.shadow_ratio.mean(axis=(0, 1)), expected, rtol=0.04)
-    # For compositing over a backplate, the transparent frame holds the shadow only.
+    # For compositing over a backplate, the transparent frame contains only the shadow.
     np.testing.assert_allclose(frame.alpha.mean(), 1.0 - expected.min(), rtol=0.02)
     np.testing.assert_allclose(frame.shadow_matte[..., :3], 0.0, atol=1e-6)
     assert RADIUS > HEIGHT

@@ -167,7 +167,7 @@ def test_bright_environment_does_not_change_nearer_deep_samples() -> None:
     hidden = replace(scene, lights=[replace(scene.lights[0], visible=False)])
     wanted = linear(ls.render(hidden, front_camera(), config, device="cpu"))
     error = np.abs(nearer.flattened() - wanted)[wanted[..., 3] > 0.1]
-    assert np.quantile(error[:, :3], 0.99) < 0.03 and error[:, :3].mean() < 0.01  # of 0.2
+    assert np.quantile(error[:, :3], 0.99) < 0.03 and error[:, :3].mean() < 0.01  # the light is 0.2
 
 
 LIGHTS = {

@@ -56,7 +56,7 @@ def test_ray_traced_flat_gaussian_equals_the_2d_surfel_of_its_trainer(tmp_path: 
     hits = ls.trace_rays(ls.Scene(splats=[gaussians]), np.zeros_like(directions), directions, device="cpu")
     expected = surfel_alpha(axes, directions)
     assert (expected > 0.1).sum() > 50
-    # Alpha changes by less than 1 per standard deviation, and the disc is a thousandth of one thick.
+    # The disc is 0.001 standard deviations thick, and alpha changes by less than 1 per standard deviation.
     np.testing.assert_allclose(1.0 - hits.transmittance, expected, atol=0.004)
     facing = np.abs(hits.normal @ axes[:, 2])[expected > 0.3]
     np.testing.assert_allclose(facing, 1.0, atol=1e-3)
@@ -69,7 +69,7 @@ def test_rasterised_flat_gaussian_is_close_to_the_2d_surfel_of_its_trainer(tmp_p
     camera = ls.Camera.look_at((0, 0, 0), tuple(CENTRE), (0, -1, 0), width=240, height=180, fov_y=0.15)
     frame = ls.render(ls.Scene(splats=[gaussians]), camera, device="cpu")
     expected = surfel_alpha(axes, world_rays(camera)[1].reshape(-1, 3)).reshape(frame.alpha.shape)
-    # The tilted disc is 0.07 nearer at one standard deviation than at its centre, of 4: 2 % in its size there.
+    # At one standard deviation, the tilted disc is 0.07 of 4 units nearer than its centre: 2 % of its size.
     np.testing.assert_allclose(frame.alpha, expected, atol=0.03)
     normals = np.abs(frame.normal @ axes[:, 2])[expected > 0.3]
     np.testing.assert_allclose(normals, 1.0, atol=1e-3)

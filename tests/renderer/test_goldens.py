@@ -20,7 +20,7 @@ def test_demo_scene_looks_like_its_approved_golden_images(case: Golden, demo: ls
             seen = np.isfinite(expected)
             assert (seen == np.isfinite(now[layer])).mean() > 0.999, f"{layer}: the outline moved"
             actual = np.where(seen & np.isfinite(now[layer]), now[layer], 0.0)
-            # Sampling the scene's surfaces rounds differently from one NumPy to another: a few Gaussians may move.
+            # NumPy versions round differently, so that a few Gaussians sampled from the surfaces may move.
             assert_images_alike(
                 actual, np.where(seen, expected, 0.0), mean=1 / 255, within=8 / 255, share=0.98, name=layer
             )

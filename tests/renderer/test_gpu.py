@@ -74,7 +74,7 @@ def test_ray_gradients_of_cuda_and_cpu_are_equal(degree: int) -> None:
     found: list[ls.gradients.SplatGradients] = []
     for device in ("cpu", "cuda", "cuda"):
         renderer = ls.DifferentiableRenderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device)
-        for _ in range(3):  # the third is from a graph
+        for _ in range(3):  # the third frame is replayed from a graph
             renderer.render(scene, camera)
         found.append(renderer.gradients(*gradient_scenes.by_pixels(camera), pose=True))
     cpu, cuda, again = map(gradient_scenes.vars_of, found)
@@ -106,7 +106,7 @@ def test_unscented_frames_and_gradients_of_cuda_and_cpu_are_equal(name: str) -> 
         assert np.quantile(error, 0.98) < 1e-3 * np.abs(value).mean(), key
     poses = [one.camera_from_world for one in found]
     assert poses[0] is not None and poses[1] is not None
-    assert np.abs(poses[0] - poses[1]).max() < 5e-3 * np.abs(poses[0]).max()  # pixels at a threshold pull on all of it
+    assert np.abs(poses[0] - poses[1]).max() < 5e-3 * np.abs(poses[0]).max()  # all pixels affect the pose
 
 
 def test_replayed_cuda_graph_gives_the_bits_of_a_direct_frame() -> None:

@@ -139,7 +139,7 @@ def test_developing_a_frame_with_another_tone_map_takes_no_new_samples(pipeline:
     np.testing.assert_array_equal(np.asarray(by_device, np.uint8), np.asarray(expected, np.uint8))
     added = renderer.render(LIT, by_device.camera, resume=by_device)
     assert added.samples == 4
-    by_host = renderer.develop(first, 1.0)  # whose samples the film has no longer
+    by_host = renderer.develop(first, 1.0)  # from the frame's arrays: the film holds the samples of another frame
     np.testing.assert_array_equal(by_host.pixels_srgb(), expected.pixels_srgb())
     of_four = ls.create_renderer(replace(shown, samples=4), "cpu").render(LIT, by_device.camera)
     np.testing.assert_array_equal(added.color, of_four.color)

@@ -134,7 +134,7 @@ def test_garbage_collection_may_return_a_memory_block_while_another_is_taken(mon
     kept = lender.copies({"a": array_of(2.0, 3.0)})
     assert lender.lent == {"host": 0, "device": 1}
     assert kept.words("a").tolist() == [2.0, 3.0]
-    assert lender.device_bytes == 16  # of what came back, too, until the next frame of another size
+    assert lender.device_bytes == 16  # includes returned blocks, until a frame of another size
 
 
 def test_concurrent_threads_respect_the_limit_of_memory_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +147,7 @@ def test_concurrent_threads_respect_the_limit_of_memory_blocks(monkeypatch: pyte
     def interrupted(*args: Any, **options: Any) -> Any:
         if other.ident is None:
             other.start()
-            other.join(0.2)  # it has to wait; without a lock, it is done by then
+            other.join(0.2)  # the lock makes this thread wait; without a lock it would finish
         return make(*args, **options)
 
     monkeypatch.setattr(downloads, "_empty", interrupted)

@@ -30,7 +30,7 @@ def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         values_inout[i] = 2.0 * values_inout[i]
 
     made = cast(Any, twice)
-    made.module.unload()  # the tests share it
+    made.module.unload()  # tests share the module
     load_module(made.module, "cpu", 1)
     made.module.unload()
     return made

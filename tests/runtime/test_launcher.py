@@ -85,7 +85,7 @@ def test_failed_launch_waits_for_the_threads_that_still_run(joining: threading.E
                 raise KeyboardInterrupt
             begun.append(start)
             started.set()
-            joining.wait()  # at work until somebody waits for it
+            joining.wait()  # runs until the launcher waits for its jobs
             finished.append(start)
 
     try:

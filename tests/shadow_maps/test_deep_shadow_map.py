@@ -113,7 +113,7 @@ def test_error_of_a_deep_shadow_map_decreases_with_resolution(layout: ls.config.
     for resolution in (32, 64, 128):
         config = replace(WHOLE, layout=layout, resolution=resolution, bins=resolution)
         errors.append(np.abs(build(config=config).transmittance(points) - expected).mean())
-    # Faces of a cube come in multiples of 8 texels: not every step doubles them.
+    # Cube faces have multiples of 8 texels, so that not every step doubles their size.
     assert errors[2] < errors[0] / 6.0
     assert errors[2] < 1e-3
 
@@ -125,13 +125,11 @@ def test_errors_of_a_deep_shadow_map_at_atlas_seams_are_no_larger(layout: ls.con
     circles = [
         np.stack(
             [np.cos(rotation), np.sin(rotation), np.full_like(rotation, -0.6)], axis=1
-        ),  # Over all four folded edges.
-        np.stack(
-            [np.cos(rotation), 0.3 * np.cos(rotation), np.sin(rotation)], axis=1
-        ),  # A great circle, past the pole.
+        ),  # crosses all four folded edges
+        np.stack([np.cos(rotation), 0.3 * np.cos(rotation), np.sin(rotation)], axis=1),  # a great circle near the pole
         np.stack(
             [np.cos(rotation), np.sin(rotation), np.zeros_like(rotation)], axis=1
-        ),  # The diamond within the square.
+        ),  # the diamond within the square
     ]
     shadow = build(config=replace(WHOLE, layout=layout, resolution=256))
     for circle in circles:

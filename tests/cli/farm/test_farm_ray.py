@@ -267,7 +267,7 @@ def processes():
     return {path.name.split("_")[1] for path in Path("made").iterdir()} if Path("made").exists() else set()
 
 def watch(*_):
-    # Two workers are wanted, and there is room for one: the other waits for the second node.
+    # Two workers are requested but one node has cores for one: the other waits for the second node.
     if not joined and len(maker.contents) >= 5:
         assert len(processes()) == 1
         joined.append(cluster.add_node(num_cpus=1))

@@ -149,7 +149,7 @@ def test_missing_or_short_usd_particle_attributes_get_defaults(tmp_path: Path) -
     assert loaded.sh.shape == (2, 1, 3) and not loaded.sh.any()
     np.testing.assert_array_equal(loaded.scales, np.ones((2, 3)))
     np.testing.assert_array_equal(loaded.opacities, (1.0, 1.0))
-    np.testing.assert_array_equal(np.abs(loaded.rotations_wxyz), [(0, 1, 0, 0)] * 2)  # rotated to y down
+    np.testing.assert_array_equal(np.abs(loaded.rotations_wxyz), [(0, 1, 0, 0)] * 2)  # converted to y down
     long = {"float[] opacities": "[0.25, 0.5, 0.75]"}
     loaded = load_gaussians(write_usda(tmp_path / "b.usda", field(long)))
     np.testing.assert_array_equal(loaded.opacities, (0.25, 0.5))

@@ -96,7 +96,7 @@ def test_thin_walled_pane_does_not_shift_objects_behind_it(pipeline: ls.Pipeline
         for meshes in (halves, [*halves, quad((-9, -9, 0.0), (18, 0, 0), (0, 18, 0), thin)])
     ]
     assert 0.2 < shown[0].mean() < 0.8
-    assert (shown[1] != shown[0]).any(axis=2).sum() <= 4  # of 128, at the very edge
+    assert (shown[1] != shown[0]).any(axis=2).sum() <= 4  # of 128 edge pixels
 
 
 @TRACED
@@ -113,7 +113,7 @@ def test_overlap_of_two_media_is_the_medium_of_higher_priority(
     sea = slab(0.0, 2.0, replace(water, priority=water_priority))
     berg = slab(-1.0, 1.0, replace(ice, priority=ice_priority))
     found = color(ls.Scene(meshes=[sea, berg], lights=[ENVIRONMENT]), pipeline, 4)
-    rtol = 0.01 if pipeline is ls.Pipeline.PATH else 1e-4  # roulette
+    rtol = 0.01 if pipeline is ls.Pipeline.PATH else 1e-4  # Russian roulette adds noise
     np.testing.assert_allclose(found, [0.5 ** (3.0 - in_ice), 0.25**in_ice, 1.0], rtol=rtol)
 
 

@@ -143,7 +143,7 @@ def test_glass_slab_shifts_rays_by_snells_law(rig: RayRig) -> None:
     origin = rig.waves[2].origin[leaving]
     shift = np.linalg.norm(np.cross(origin, along[0]))
     expected = thickness * np.sin(angle) * (1.0 - np.cos(angle) / (ior * np.cos(beyond)))
-    # Off by what rays start off a surface that is a hundred units wide.
+    # The tolerance is the offset at which rays start from a surface a hundred units wide.
     assert shift == pytest.approx(expected, rel=3e-4)
     assert origin[2] == pytest.approx(1.0 + thickness, rel=3e-5)
 

@@ -46,7 +46,7 @@ def test_reflectance_under_water_at_normal_incidence_uses_both_indices(
     black = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=ior)
     if thin_walled:
         black = replace(black, transmission=1.0, thin_walled=True)
-    is_path = pipeline is ls.Pipeline.PATH  # roulette ends most of what is so dim
+    is_path = pipeline is ls.Pipeline.PATH  # Russian roulette ends most of such dim paths
     found = color(ls.Scene(meshes=[sea(), facing(black)], lights=[ENVIRONMENT]), pipeline, 256 if is_path else 4)
     np.testing.assert_allclose(found, ((ior - 1.33) / (ior + 1.33)) ** 2, rtol=0.1 if is_path else 2e-3, atol=1e-9)
 
@@ -57,7 +57,7 @@ def test_underwater_body_is_shaded_like_one_in_air_with_the_relative_index(
     pipeline: ls.Pipeline, kind: str, roughness: float
 ) -> None:
     """The test compares highlight and diffuse reflection of a light behind the camera."""
-    by_chance = pipeline is ls.Pipeline.PATH and roughness == 0.0  # mirrored, or scattered below
+    by_chance = pipeline is ls.Pipeline.PATH and roughness == 0.0  # a path is mirrored or scattered at random
 
     def shown(ior: float, around: list[ls.Mesh]) -> Any:
         material = ls.MaterialPbr(base_color=(0.6, 0.6, 0.6), roughness=roughness, ior=ior)
@@ -68,7 +68,7 @@ def test_underwater_body_is_shaded_like_one_in_air_with_the_relative_index(
             scene = ls.Scene(splats=[capture], meshes=around, lights=[FACING])
         return color(scene, pipeline, 256 if by_chance else 1, max_bounces=1, shadows=ls.Shadows.OFF)
 
-    # Behind the water's surface, a path has no bounce left: light that it mirrors back is missing in both.
+    # One bounce is allowed, so that light that the water's surface reflects back is missing in both scenes.
     np.testing.assert_allclose(shown(1.6, [sea()]), shown(1.6 / 1.33, []), rtol=0.01 if by_chance else 2e-3)
     if roughness > 0.0:
         assert shown(1.6, []).mean() > 1.02 * shown(1.6 / 1.33, []).mean()

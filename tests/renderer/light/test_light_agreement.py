@@ -99,7 +99,7 @@ def test_mesh_and_gaussians_of_one_object_cast_equal_shadows(name: str, pipeline
     assert dark[floor].sum() > 300
     assert overlap(dark[floor], dark_too[floor]) > 0.95
 
-    # Where light grazes, neither has much of it to block.
+    # At grazing angles, the surface gets too little light for a shadow to be measured.
     whole = inner((mesh.instance_index == 1) & (splats.instance_index == 0), mesh.normal)
     direct = mesh.light_direct[0].mean(axis=2)
     facing = whole & (direct > 0.5 * direct[whole].mean())

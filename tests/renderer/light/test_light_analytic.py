@@ -211,7 +211,7 @@ def highlight_albedo(material: ls.MaterialPbr, cosines: np.ndarray, steps: int =
         s = 0.5 * (1.0 + stretched[2])
         y = (1.0 - s) * np.sqrt(1.0 - x * x) + s * y
         z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
-        # Across the stretched view: the y axis, and what is square to both.
+        # The tangents of the stretched view are the y axis and the vector perpendicular to both.
         facet = x[..., None] * [0.0, 1.0, 0.0] + y[..., None] * [-stretched[2], 0.0, stretched[0]]
         facet = (facet + z[..., None] * stretched) * [alpha, alpha, 1.0]
         facet /= np.linalg.norm(facet, axis=-1, keepdims=True)
@@ -352,7 +352,7 @@ def test_convex_objects_of_lossless_materials_are_invisible_in_a_white_furnace(n
     material, off = FURNACE[name]
     camera = ls.Camera.look_at((1.5, 1.0, 2.6), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.6)
     scene = ls.Scene((), [ball_at((0.0, 0.0, 0.0), 0.7, material)], [EVEN])
-    samples = 2 if name in ("mirror", "glass") else 96  # nothing random
+    samples = 2 if name in ("mirror", "glass") else 96  # mirrors and glass have no noise
     frame = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=samples, max_bounces=16)
     inside = frame.instance_index == 0
     assert 0.3 < inside.mean() < 0.9

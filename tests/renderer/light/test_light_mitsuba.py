@@ -45,7 +45,7 @@ def reference_of(name: str) -> Reference:
 
 def frame_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> ls.Frame:
     """Returns Lumisplat's lit frame of a scene."""
-    # The references have direct light alone: what rough metals reflect of other surfaces is not in them.
+    # The references have only direct light, without reflections of other surfaces in rough metals.
     direct = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=one.shadows, max_bounces=8)
     config = replace(direct, glossy_reflections=False)
     frame = ls.render(one.scene, one.camera, replace(config, **changes), device="cpu")

@@ -26,7 +26,7 @@ def checked(image: np.ndarray | None) -> np.ndarray:
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_layers_of_a_lit_frame_add_up_to_its_colour(pipeline: ls.Pipeline) -> None:
     """Colour is captured radiance plus light; light is emission, the shadowed light of each light, and reflections."""
-    # Of one sample: means of display-referred and of linear colours do not add up.
+    # With several samples, captured colours are averaged in display values and light linearly, so sums would differ.
     settings = config(pipeline, samples=1, aovs=all_aovs(), background=(0.0, 0.0, 0.0))
     frame = ls.render(scene(*LIGHTS, ENVIRONMENT), camera(), settings, device="cpu")
     weight = checked(frame.captured_weight)[..., None]
@@ -68,7 +68,7 @@ def test_lit_frames_do_not_depend_on_cuda_schedule_graphs_or_thread_count(
         np.testing.assert_array_equal(frame.color, frames[0].color)
     for frame in frames[1:]:
         assert np.abs(frame.color - frames[0].color).max(axis=2).mean() < 1e-4
-        # Rounding moves edges, and what is drawn by chance there.
+        # Rounding moves edges, and changes random decisions there.
         assert np.mean(np.abs(frame.color - frames[0].color).max(axis=2) > 1e-3) < 0.01
 
 
@@ -185,12 +185,12 @@ def pane_below() -> ls.MeshInstance:
 def test_trace_rays_returns_the_linear_colours_of_the_lit_frame() -> None:
     """The radiance excludes the background."""
     view = camera()
-    thin = ls.TraceConfig(dilation=0.0)  # given rays have no footprint
+    thin = ls.TraceConfig(dilation=0.0)  # rays of queries have no footprint
     frame = ls.render(scene(), view, config(background=(0.0, 0.0, 0.0), trace=thin), device="cpu")
     directions = view.ray_directions().reshape(-1, 3) @ view.world_from_camera[:3, :3].T
     hits = ls.trace_rays(scene(), view.eye, directions, config(background=(0.0, 0.0, 0.0)), device="cpu")
     assert hits.color_space == "linear"
-    # Frames blend the thin edges of captures with the background as display colours, rays have none to blend with.
+    # Frames blend edges of captures with the background in display values; ray queries have no background.
     solid = (frame.alpha > 0.9999).ravel()
     assert solid.mean() > 0.25
     np.testing.assert_allclose(hits.radiance[solid], frame.color.reshape(-1, 3)[solid], atol=5e-4)
@@ -235,7 +235,7 @@ def test_roughness_of_a_previous_capture_is_not_reused_for_the_next_capture(pipe
     warm = ls.create_renderer(settings, "cpu")
     shown: list[np.ndarray] = []
     for roughness in (0.1, 0.9, 0.3, 0.7):
-        # Scenes are temporary, so that a later one may lie where an earlier one did.
+        # Scenes are temporary, so that a later scene may have the memory address of an earlier one.
         shown.append(warm.render(glossy(roughness), view).color)
         np.testing.assert_array_equal(
             shown[-1], ls.create_renderer(settings, "cpu").render(glossy(roughness), view).color

@@ -210,11 +210,11 @@ def test_blocked_and_bounced_light_of_a_catcher_is_bounded_by_its_received_light
     assert change(unshadowed=2.0, change=-2.0, ambient=1.0, blocked=0.5) == pytest.approx(-2.5 / 3.0)
     assert change(emitted_unshadowed=4.0, emitted_change=-1.0) == pytest.approx(-0.25)
     assert change(emitted_unshadowed=4.0, emitted_change=-1.0, least=8.0) == pytest.approx(-0.125)
-    # More was found of the captures than is given: it counts as much as is given.
+    # Captures emit more than the given ambient light: their light counts only up to that amount.
     assert change(
         unshadowed=1.0, emitted_unshadowed=4.0, emitted_change=-2.0, ambient=1.0, blocked=0.7
     ) == pytest.approx(-0.25)
-    # Less was found: the rest of what is given comes from everywhere.
+    # Captures emit less than the given ambient light: the rest comes equally from all directions.
     assert change(
         unshadowed=1.0, emitted_unshadowed=1.0, emitted_change=-1.0, ambient=2.0, blocked=1.0
     ) == pytest.approx(-1.5 / 3.0)

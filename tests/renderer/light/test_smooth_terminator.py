@@ -88,7 +88,7 @@ def test_surfaces_facing_away_from_the_light_stay_black(pipeline: ls.Pipeline) -
     """The surfaces are a coarse smooth sphere, and a box with face normals."""
     ball = frame_of([sphere(12)], BEHIND, pipeline)
     assert ball.alpha.max() == 1.0
-    # The camera, not infinitely far away, sees a little less than the dark half.
+    # The camera is at a finite distance, and sees less than the unlit half of the ball.
     assert not ball.color.any()
     box = frame_of([cube()], BEHIND, pipeline)
     assert box.alpha.max() == 1.0
@@ -131,7 +131,7 @@ def test_concave_creases_with_smoothed_normals_keep_their_shadow() -> None:
     camera = ls.Camera.look_at((0.0, 3.0, 0.01), (0.0, 0.0, 0.0), width=64, height=64, fov_y=0.5)
     frame = frame_of([valley], low, camera=camera)
     x = (np.arange(64) - 31.5)[None, :] * np.ones((64, 1))
-    facing_away = x > 0.0  # it rises towards the light
+    facing_away = x > 0.0  # this slope rises towards the light
     assert frame.alpha.min() == 1.0
     assert not frame.color[facing_away].any()
     assert frame.color[x < -20.0].all()

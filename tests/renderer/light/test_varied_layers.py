@@ -79,7 +79,7 @@ def test_clearcoat_and_sheen_textures_multiply_the_factors_of_the_material(
     found = seen(wall(textured), pipeline, max_bounces=0)
     for side, factor in ((np.s_[:, :7], 0.2), (np.s_[:, 9:], 0.8)):
         constant = replace(textured, sheen_roughness=0.9 * factor, sheen_roughness_texture=None)
-        # Between the curves of a table, the albedo of what is below is known to 1.5 %.
+        # The interpolated sheen albedo, which scales the layer below, is accurate to 1.5 %.
         np.testing.assert_allclose(found[side], seen(wall(constant), pipeline, max_bounces=0)[side], rtol=0.015)
 
 
@@ -150,7 +150,7 @@ def test_base_colour_and_emission_textures_have_separate_wrap_modes(pipeline: ls
             for light in (replace(far, enabled=False), far)
         )
         shown.append((both - emitted, emitted))
-    rtol = 0.03 if pipeline is ls.Pipeline.PATH else 1e-3  # a random choice of wall or light
+    rtol = 0.03 if pipeline is ls.Pipeline.PATH else 1e-3  # a path chooses the wall or the light at random
     np.testing.assert_allclose(shown, [(low, high), (high, low)], rtol=rtol)
 
 

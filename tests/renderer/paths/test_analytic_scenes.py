@@ -154,7 +154,7 @@ def test_light_bounces_between_two_gaussian_sheets_match_the_closed_form(side: s
         lights=[ls.LightEnvironment(environment)],
     )
     camera = ls.Camera.look_at((0.0, 0.0, -1.0), (0.0, 0.0, 0.0), width=32, height=32, fov_y=0.02)
-    # By the rule for captures, two surfaces of such wide Gaussians would be one layer.
+    # With the default shadow offset, two surfaces of such wide Gaussians would count as one layer.
     small_offset = ls.ShadowConfig(offset=0.0, offset_absolute=0.01)
     frame = paths(scene, camera, 128, 32, shadow_rays=small_offset)
     assert_is(frame.color[..., 1].astype(np.float64), truth)

@@ -50,7 +50,7 @@ def test_path_traced_mirror_shows_captures_blended_in_display_values() -> None:
     behind = [captured_sheet(-5.0, 0.5, (0.0, 0.0, 0.0)), captured_sheet(-7.0, 0.999, (1.0, 1.0, 1.0))]
     camera = ls.Camera.look_at((0, 0, -4), (0, 0, 1), width=4, height=4, fov_y=0.01)
     shown = paths(ls.Scene(meshes=[mirror], splats=behind), camera, 4, 2).color
-    np.testing.assert_allclose(shown, linear(0.5), rtol=0.02)  # the sheets' alpha ends at 0.99
+    np.testing.assert_allclose(shown, linear(0.5), rtol=0.02)  # the alpha of a sheet is at most 0.99
 
 
 def test_path_traced_haze_in_front_of_a_lit_sheet_is_unbiased() -> None:
@@ -89,7 +89,7 @@ def test_floor_below_two_captured_panels_receives_their_blended_display_value() 
     ]
     above = ls.Camera.look_at((0, 0.5, 0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.05)
     frame: Any = paths(ls.Scene(meshes=[floor], splats=lids), above, 32, 1)
-    # Sideways, the sheets are as opaque: they are far wider than they are far away.
+    # Rays at an angle have the same alpha, because the sheets are far wider than their distance.
     np.testing.assert_allclose(frame.color, 0.6 * linear(0.5), rtol=0.01)
 
 

@@ -125,7 +125,7 @@ def test_direct_light_of_one_square_on_another_equals_their_form_factor(
 def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstance:
     """Returns a surface of Gaussians that emit 1 and reflect ``albedo``."""
     gaussians = as_splats(mesh, count).gaussians
-    shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # both the emitting and the reflecting surface
+    shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # the SH colour scales emission and reflection
     emissive = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
     return ls.SplatInstance(replace(gaussians, sh=shown), material=emissive)
 

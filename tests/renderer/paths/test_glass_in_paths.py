@@ -56,7 +56,7 @@ def test_alpha_blended_emissive_glass_lights_a_floor_by_its_alpha() -> None:
     lid = ls.MeshInstance(replace(ls.box(np.array([8.0, 8.0, 0.1])), material=emissive), position=(0.0, 0.0, -1.0))
     view = ls.Camera.look_at((0, 0, -0.5), (0, 0, 0), (0, 1, 0), width=16, height=12, fov_y=0.02)
     values = np.pi / 0.5 * paths(ls.Scene(meshes=[floor, lid]), view, 64, 4).color[..., 1].astype(np.float64)
-    # Who enters by the face below, which adds a half, leaves by another, which adds a half.
+    # A ray crosses two faces of the lid, each of which adds half of the emission.
     below = np.array([(-4, -4, -0.95), (-4, 4, -0.95), (4, 4, -0.95), (4, -4, -0.95)])
     truth = polygon_irradiance((0, 0, 0), (0, 0, -1), below)
     assert_is(values, truth)

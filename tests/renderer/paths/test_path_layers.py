@@ -34,7 +34,7 @@ def test_layers_of_path_traced_frames_add_up_to_the_frame(shown: str) -> None:
     parts = sum(getattr(frame, name).astype(np.float64) for name in PATH_PARTS)
     np.testing.assert_allclose(np.maximum(parts, 0.0), frame.color, rtol=1e-5, atol=1e-5)
     changed = frame.emission - captured - frame.bounces[0]
-    if shown == "all":  # else this is what light has taken from captures
+    if shown == "all":  # in other scenes, this is the light that shadows take from captures
         np.testing.assert_allclose(changed, 0.0, atol=1e-5)
     np.testing.assert_allclose(frame.bounces.sum(0) + changed + captured, frame.color, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(frame.light_total.sum(0), frame.bounces.sum(0), rtol=1e-5, atol=1e-5)

@@ -56,7 +56,7 @@ def test_light_through_frosted_panes_is_equal_for_sampled_and_hit_lights(source:
     error = np.hypot(both.std(), sampled.std()) / np.sqrt(both.size)
     assert error < 0.03 * sampled.mean()
     np.testing.assert_allclose(both.mean(), sampled.mean(), atol=4.0 * error)
-    if source == "sky":  # a furnace, but for what single scattering loses
+    if source == "sky":  # white furnace except for the loss of single scattering
         smoother = replace(glass, material=replace(glass.material, roughness=0.3))
         furnace = paths(ls.Scene(meshes=[smoother], lights=[ENVIRONMENT]), view, 64, 8, background=None).color
         assert 0.93 < furnace.mean() / 0.3 <= 1.003

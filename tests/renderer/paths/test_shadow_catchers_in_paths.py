@@ -57,7 +57,7 @@ def test_black_disc_blocks_its_form_factor_on_a_path_traced_shadow_catcher(sourc
             lights=[ls.LightEnvironment(color=(0.7, 0.8, 0.9), visible=False)],
         )
     else:
-        # A floor as small as that is not taken for the layer that the ceiling is in.
+        # The floor is small, so that the ceiling does not count as part of its layer.
         scene = ls.Scene([captured_sheet(0.0, 0.5, size=0.5), captured_sheet(3.0, 0.8)], meshes=[disc(black)])
     assert_is(factor(scene), 1.0 - SHARE)
 
@@ -80,7 +80,7 @@ def test_white_disc_reflects_light_of_the_floor_to_a_path_traced_catcher() -> No
         meshes=[disc(diffuse(0.8))],
         lights=[ls.LightEnvironment(color=(1, 1, 1), visible=False)],
     )
-    # From below, the disc sees only the captured light of the wide floor, and some of the environment behind.
+    # The underside of the disc gets the captured light of the wide floor, and environment light beyond the floor.
     assert_is(factor(scene, 128), 1.0 - SHARE + SHARE * 0.8 * shines, share=0.02)
 
 
@@ -142,7 +142,7 @@ def test_path_traced_edge_pixels_composite_object_and_catcher_by_coverage() -> N
     )
     view = ls.Camera.look_at((0.0, 0.3, 0.0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.3)
     frame = paths(scene, view, 64, 0)
-    # So little environment light is less than the floor must have received: all of it is lost, and no more.
+    # The floor must have received more light than the dim environment gives: only the environment's light is removed.
     captured = paths(ls.Scene(scene.splats), below(), 1, 0).color.mean()
     left = 1.0 - np.pi * 0.1 / (np.pi * captured)
     floor = paths(scene, below(), 64, 0).color.mean()

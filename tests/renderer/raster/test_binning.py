@@ -97,7 +97,7 @@ def test_tile_lists_contain_all_touching_splats_in_depth_order(parallel: bool) -
     order = make_order(parallel)
     depth_order = order.sort(DeviceArray(keys, dtype=wp.uint32, device="cpu"))
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
-    assert order.finish() != parallel  # 400 items start with room for 1024 pairs, fewer than there are
+    assert order.finish() != parallel  # 400 items have more pairs than the first capacity of 1024
     order.begin()
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
     assert order.finish()
@@ -138,6 +138,6 @@ def test_frame_with_truncated_tile_lists_is_drawn_again_with_longer_lists() -> N
         camera = scenes.front_camera(400, 300, 300.0, camera_from_world=pose)
         frame = renderer.render(scene, camera)
     assert frame.stats is not None and frame.stats.pair_count > 1024
-    assert launcher.draws == 6  # the last frame came from the graph, was cut, and was drawn again
+    assert launcher.draws == 6  # the last frame was replayed, truncated and drawn again
     expected = ls.render(scene, camera, device="cpu")
     np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)

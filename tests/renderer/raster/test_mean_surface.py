@@ -41,7 +41,7 @@ def surfaces(
     """Returns the mean surface of each pixel in a real-time frame's G-buffer, and ``depth_z``; 0 without Gaussians."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, raster=raster, max_bounces=0, jitter=False)
     renderer = renderer_of(backend, config)
-    frames = 4 if backend == "cpu as graph" else 1  # a graph is captured by the third and replayed by the fourth
+    frames = 4 if backend == "cpu as graph" else 1  # the third frame captures a graph, and the fourth replays it
     for _ in range(frames):
         ls.Renderer.render(renderer, scene, camera)
     count = camera.height * camera.width

@@ -198,7 +198,7 @@ def test_reused_renderer_equals_a_new_one_after_assets_are_rearranged(backend: s
     ):
         scene = ls.Scene([ls.SplatInstance(*s) for s in splats], [ls.MeshInstance(*m) for m in meshes])
         assert_equal(warm.render(scene, front_camera()), renderer_of(backend).render(scene, front_camera()))
-    # Nor does it take the buffers of one size for those of another; a smaller one, as a stale graph cannot overrun it.
+    # The next image has another size. The size is smaller, so that a stale graph cannot write out of bounds.
     assert_equal(warm.render(scene, front_camera(40, 30)), renderer_of(backend).render(scene, front_camera(40, 30)))
 
 

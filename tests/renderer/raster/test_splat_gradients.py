@@ -55,7 +55,7 @@ def test_raster_gradients_are_the_adjoint_of_the_jacobian(antialiased: bool) -> 
         ]
         expected = sum(float((found[name] * direction[name]).sum()) for name in found)
         scale = sum(float(np.abs(found[name] * direction[name]).sum()) for name in found)
-        if abs(moved[0] - moved[1]) < 1e-6 * scale:  # no pixel crosses a threshold between the two
+        if abs(moved[0] - moved[1]) < 1e-6 * scale:  # no pixel crosses a threshold between the two steps
             agreed += 1
             assert abs(moved[1] - expected) < 1e-5 * scale
     assert agreed >= 6

@@ -37,9 +37,9 @@ def test_unscented_frame_equals_the_ray_traced_frame_for_every_lens(name: str) -
     frame = ls.render(scene, camera, unscented(dilation=0.0), device="cpu")
     expected = ls.render(scene, camera, traced(0.0), device="cpu")
     assert expected.alpha.mean() > 0.02
-    # A rolling shutter: a Gaussian has one colour and one normal a frame, a ray of the tracer those of its own eye.
+    # With a rolling shutter, the rasteriser evaluates SH once per Gaussian, the tracer from the eye of each ray.
     slack = 4e-3 if camera.camera_from_world_end is not None else 0.0
-    np.testing.assert_allclose(frame.alpha, expected.alpha, atol=1.5e-4)  # the tracer blends one more at the end
+    np.testing.assert_allclose(frame.alpha, expected.alpha, atol=1.5e-4)  # the tracer blends one more Gaussian
     np.testing.assert_allclose(frame.color, expected.color, atol=2e-4 + slack)
     same = frame.gaussian_index == expected.gaussian_index
     assert same.mean() > 0.999
@@ -60,7 +60,7 @@ def test_unscented_frame_of_pixel_sized_gaussians_is_close_to_the_traced_one(nam
     expected = ls.render(scene, camera, traced(), device="cpu")
     sharp = ls.render(scene, camera, traced(0.0), device="cpu")
     error = np.abs(frame.alpha - expected.alpha)
-    assert error.max() < 1.1 / 255.0 and (error > 2e-3).mean() < 1e-3  # outlines are elsewhere
+    assert error.max() < 1.1 / 255.0 and (error > 2e-3).mean() < 1e-3  # outlines differ in a few pixels
     assert np.abs(sharp.alpha - expected.alpha).max() > 0.3
 
 
@@ -132,14 +132,14 @@ def rim(seed: int, camera: ls.Camera, degrees: float) -> ls.Gaussians:
 def cut_off(camera: ls.Camera, seeds: range, scene_of: Callable[[int], ls.Gaussians] = large) -> int:
     """Fails if tiles cut off parts of Gaussians; returns the number of pixels with visible Gaussians."""
     renderer = ls.create_renderer(unscented(transmittance_min=0.0, dilation=0.0), "cpu")
-    camera = replace(camera, near=0.011)  # the default follows the size of the scene, and the twin does not
+    camera = replace(camera, near=0.011)  # the twin lacks the default that follows the size of the scene
     twin = Twin(camera, dilation=0.0, transmittance_min=0.0)
     seen = 0
     for seed in seeds:
         gaussians = scene_of(seed)
         _, transmittance = twin.sums(Parameters.of(gaussians))
         frame = renderer.render(ls.Scene([gaussians]), camera)
-        # Half of what one pixel loses where an alpha of 1/255 is cut off; rounding may do so at an outline.
+        # A truncated tile loses alphas of at least 1/255; rounding at an outline may lose one in one pixel.
         difference = np.abs(frame.alpha - (1.0 - transmittance)) > 0.5 / 255.0 * transmittance
         assert difference.sum() <= 1, (seed, np.argwhere(difference))
         seen += int(np.count_nonzero(transmittance < 0.9))

@@ -96,7 +96,7 @@ def test_rearranged_gaussian_sets_keep_their_bvhs(backend: str, change: str) -> 
     warm = renderer_of(backend, TRACE)
     warm.render(ls.Scene([first, second]), view())
     a, b = bvh_ids(warm)
-    old_bvhs = warm._scene.bvh._cached  # so that a new tree cannot have an old one's identity
+    old_bvhs = warm._scene.bvh._cached  # keeps old BVHs alive, so that no new BVH gets the id of an old one
     other = random_gaussians(7, 60)
     scenes: dict[str, tuple[list[ls.Gaussians], list[int | None]]] = {
         "count": ([random_gaussians(7, 61), second], [None, b]),
@@ -208,7 +208,7 @@ def test_failed_upload_leaves_no_stale_addresses_in_the_bvh_tables(monkeypatch: 
     first, second = random_gaussians(9, 60), random_gaussians(10, 70)
     renderer = renderer_of("cpu", TRACE)
     renderer.render(ls.Scene([first]), view())
-    freed = renderer._scene.assets[0].data  # kept alive, so that its successor has another address
+    freed = renderer._scene.assets[0].data  # kept alive, so that the next upload gets another address
 
     def refuse(*_: object) -> None:
         raise RuntimeError("out of memory")
@@ -343,7 +343,7 @@ def test_many_instances_are_traced_like_one_merged_set(backend: str, count: int,
     shown, expected = (renderer_of(backend, TRACE).render(one, view()) for one in (scene, whole))
     assert expected.alpha.mean() > 0.05
     for name in ("color", "alpha"):
-        # Where float32 decides otherwise about a step of 1/255, it is one of a Gaussian's rim.
+        # Rounding may add or drop the rim of a Gaussian, whose alpha is 1/255.
         assert_close(getattr(shown, name), getattr(expected, name), atol=1.0 / 255.0, name=name)
         images = (getattr(one, name) for one in (shown, expected))
         assert_images_alike(*images, mean=1e-5, within=2e-5, share=0.97, name=name)

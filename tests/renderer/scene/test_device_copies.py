@@ -162,7 +162,7 @@ def test_gaussian_set_whose_memory_was_overwritten_is_uploaded_again(pipeline: l
     a, b, c = (
         dataclasses.replace(random_gaussians(7, 40), opacities=np.full(40, o, np.float32)) for o in (0.3, 0.6, 0.9)
     )
-    one_frame = ls.RealtimeConfig(antialiasing=False)  # whose alpha is no mean over frames
+    one_frame = ls.RealtimeConfig(antialiasing=False)  # without antialiasing, alpha is no mean over frames
     settings = config(pipeline, samples=1, realtime=one_frame)
     renderer = ls.Renderer(settings, GraphLauncher())
     camera = front_camera()
@@ -182,7 +182,7 @@ def test_rebuilt_bvhs_are_shrunk_again_for_shared_random_numbers() -> None:
     renderer = ls.Renderer(settings, GraphLauncher())
     capture, rng = shown.splats[0].gaussians, np.random.default_rng(5)
     means = rng.uniform(-0.5, 0.5, (capture.count, 3)).astype(np.float32)
-    means[np.arange(400), rng.integers(0, 3, 400)] = rng.choice([-0.5, 0.5], 400)  # of all sets: their bounds are equal
+    means[np.arange(400), rng.integers(0, 3, 400)] = rng.choice([-0.5, 0.5], 400)  # gives all sets equal bounds
     clumped = np.concatenate([means[:400], means[400:] * np.float32(0.05)])
     shuffled = np.concatenate([means[:400], rng.permutation(means[400:])])
     builds = set()

@@ -179,9 +179,9 @@ def test_environment_row_sampling_probabilities_follow_the_solid_angle() -> None
     """Of two equally bright rows, the one with the larger solid angle has the higher probability."""
     image = np.ones((3, 2, 3), dtype=np.float32)
     rows, columns = environment_cdfs(image)
-    np.testing.assert_allclose(rows, (0.25, 0.75, 1.0), rtol=1e-6)  # 1 - cos 60 degrees, halved
+    np.testing.assert_allclose(rows, (0.25, 0.75, 1.0), rtol=1e-6)  # 0.25 is (1 - cos 60 degrees) / 2
     np.testing.assert_allclose(columns, [(0.5, 1.0)] * 3)
     image[0] = 0.0
     image[2] = 0.0
-    rows, _ = environment_cdfs(image)  # cells beside it get 1/8, its own keeps 3/4
+    rows, _ = environment_cdfs(image)  # bilinear cell means: 3/4 in the bright row, 1/8 in its neighbours
     np.testing.assert_allclose(rows, np.cumsum([0.125 * 0.25, 0.75 * 0.5, 0.125 * 0.25]) / 0.4375, rtol=1e-6)

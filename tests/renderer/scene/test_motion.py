@@ -120,7 +120,7 @@ def test_previous_positions_of_still_instances_are_equal_to_the_bit() -> None:
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     sequence = Sequence()
     for _ in range(2):
-        # Transforms that are equal, but other arrays.
+        # The transforms are equal values in new arrays.
         sequence.show(ls.SplatInstance(gaussians, HERE.copy()), ls.MeshInstance(mesh, HERE.copy()))
     points = points_near(HERE).astype(np.float32).astype(np.float64)
     np.testing.assert_array_equal(sequence.splats_before(0, points), points)
@@ -192,7 +192,7 @@ def test_new_and_replaced_instances_have_no_previous_positions() -> None:
     sequence.show(*old, ls.SplatInstance(gaussians), ls.MeshInstance(mesh))
     close(sequence.splats_before(0, points), points)
     assert np.isnan(sequence.splats_before(1, points)).all() and np.isnan(sequence.mesh_before(1, 0)).all()
-    # Assets of another size.
+    # Instances get assets of another size.
     rest = ls.Mesh(mesh.positions, mesh.indices[:-1])
     sequence.show(ls.SplatInstance(capture(2, 21), HERE), ls.MeshInstance(rest, HERE))
     assert np.isnan(sequence.splats_before(0, points)).all() and np.isnan(sequence.mesh_before(0, 0)).all()

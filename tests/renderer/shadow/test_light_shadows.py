@@ -63,7 +63,7 @@ def test_hard_shadow_of_a_sphere_has_the_exact_radius(pipeline: ls.Pipeline, hei
     assert set(np.unique(frame.light_shadow[0])) == {0.0, 1.0}
     assert not bright[on_floor & (distance < edge - 0.05 * pixel)].any()
     assert bright[on_floor & (distance > edge + 0.05 * pixel)].all()
-    # The sphere hides parts of the shadow, so all floor that is not bright counts.
+    # The sphere hides parts of the shadow, so the test measures the outline of the bright floor.
     area = np.count_nonzero(~(bright & on_floor)) * pixel**2
     assert math.sqrt(area / np.pi) == pytest.approx(edge, abs=0.15 * pixel)
 
@@ -391,7 +391,7 @@ def test_shadow_catcher_is_darkened_by_the_blocked_fraction_of_its_light(pipelin
     covered = dark & (unlit.alpha > 0.99)
     np.testing.assert_allclose(frame.color[covered], 0.0, atol=0.01)
 
-    # A light without shadows lights the shadow, with and without a layer of its own.
+    # A light that casts no shadow brightens the shadow, with and without a layer per light.
     second_light = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, casts_shadow=False)
     ratio = 3.0 / (3.0 + power)
     for aovs in ((), ("lights",)):

@@ -25,7 +25,7 @@ def test_smaller_of_two_gaussians_determines_the_shadow_offset_between_them(
     """A Gaussian blocks beyond the smaller of the offsets of either Gaussian, in scales and in world units."""
     rig = ShadowRig(schedule)
     for scale, placed, t_min, absolute, arrives in (
-        (0.2, 1.0, 9.0, 0.0, 0.5),  # 4 * 0.2 < 1: beyond its own offset, however wide the surface's Gaussian is
+        (0.2, 1.0, 9.0, 0.0, 0.5),  # 4 * 0.2 < 1: the blocking Gaussian's offset is smaller than the distance
         (0.3, 1.0, 9.0, 0.0, 1.0),  # 4 * 0.3 > 1
         (0.3, 1.0, 0.9, 0.0, 0.5),  # the surface's Gaussian is smaller
         (0.1, 3.0, 9.0, 0.0, 1.0),  # 4 * 0.1 * 3 > 1: an instance of scale 3

@@ -587,7 +587,7 @@ def test_resumed_frames_draw_new_stochastic_shadows_for_each_sample(pipeline: ls
     )
     scene = ls.Scene([floor, one_gaussian((0.0, -0.4, 4.0), 0.25, 0.6)], lights=[ls.LightDirectional((0, 1, 0))])
     camera = ls.Camera.look_at((0.0, -1.0, 0.5), (0.0, 0.3, 4.0), (0, -1, 0), width=24, height=16, fov_y=0.6)
-    # Without jitter, samples differ by their shadows only.
+    # Without jitter, samples differ only by their shadows.
     config = ls.RenderConfig(pipeline=pipeline, jitter=False, shadow_rays=ls.ShadowConfig(method=STOCHASTIC))
     renderers = {count: ls.create_renderer(replace(config, samples=count), "cpu") for count in (1, 2, 4)}
     whole = renderers[4].render(scene, camera)

@@ -63,11 +63,11 @@ def test_footprint_behind_a_mirror_grows_with_the_length_of_the_whole_path() -> 
     splats = random_gaussians(61, 200, center=(0.0, 0.0, -2.0), extent=(1.5, 1.0, 0.5), scale_range=(0.002, 0.02))
     mirror = quad(1.0, 3.0, material=MIRROR)
     seen = traced(ls.Scene([splats], [mirror]), front_camera(64, 48, 60.0)).color
-    behind = np.diag([-1.0, 1.0, -1.0, 1.0])  # looks back from where the mirror shows the camera
+    behind = np.diag([-1.0, 1.0, -1.0, 1.0])  # pose of the mirrored camera, which looks back
     behind[2, 3] = 2.0
     direct = traced(ls.Scene([splats]), front_camera(64, 48, 60.0, camera_from_world=behind)).color[:, ::-1]
     thin = traced(ls.Scene([splats]), front_camera(64, 48, 60.0, camera_from_world=behind), dilation=0.0).color[:, ::-1]
-    # At alphas of just 1/255 rounding decides.
+    # Rounding decides whether an alpha of about 1/255 is blended.
     assert np.abs(seen - direct).max() < 1.1 / 255.0 and np.abs(seen - direct).mean() < 1e-5
     assert np.abs(seen - thin).mean() > 1e-3
 

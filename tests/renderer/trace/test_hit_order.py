@@ -75,7 +75,7 @@ def test_emissive_sets_are_traced_in_order_of_means_and_relit_sets_of_peaks(back
     captured, through = expected_weights(scene, camera)
     assert 0.1 < captured.mean() < 0.9 and through.mean() < 0.7
     assert frame.captured_weight is not None
-    # The background is display-referred, too.
+    # The captured weight includes the background, which is display-referred, too.
     np.testing.assert_allclose(frame.captured_weight, captured + through, atol=2e-5)
     one_order = replace(config, trace=replace(trace, hit_distance=PEAK))
     other = renderer_of(backend, one_order).render(scene, camera).captured_weight

@@ -64,7 +64,7 @@ def test_hits_on_thousands_of_mesh_instances_equal_a_loop_over_instances(paralle
     hits = RayRig(parallel=parallel).hits(scene, origins, along)
     t, which = nearest_one_by_one(scene, origins, along)
     same = hits.instance == which
-    assert same.mean() > 0.99  # float32 decides the others, at edges
+    assert same.mean() > 0.99  # at edges, float32 may hit the neighbouring triangle
     np.testing.assert_allclose(hits.t[same], t[same], rtol=2e-5, atol=2e-6)
 
 

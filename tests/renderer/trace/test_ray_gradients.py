@@ -165,7 +165,7 @@ def test_ray_gradients_are_the_adjoint_of_the_jacobian(degree: int) -> None:
         ]
         expected = sum(float((found[name] * direction[name]).sum()) for name in found)
         scale = sum(float(np.abs(found[name] * direction[name]).sum()) for name in found)
-        if abs(moved[0] - moved[1]) < 1e-6 * scale:  # no ray crosses a threshold between the two
+        if abs(moved[0] - moved[1]) < 1e-6 * scale:  # no ray crosses a threshold between the two steps
             agreed += 1
             assert abs(moved[1] - expected) < 1e-5 * scale
     assert agreed >= 6
@@ -201,7 +201,7 @@ def test_gaussians_behind_a_mesh_have_zero_ray_gradients() -> None:
     assert behind.any() and before.any()
     assert not found.sets[0].means[behind].any() and found.sets[0].means[before].any(axis=1).all()
     assert not found.background.any(), "it is hidden, too"
-    one = lone((0.1, 0.0, -1.0))  # the same as over a background of the wall's colour
+    one = lone((0.1, 0.0, -1.0))  # has the gradients over a background of the wall's colour
     shown = ls.DifferentiableRenderer(config(), "cpu").render(ls.Scene([], [wall]), camera).color[15, 18]
     over = replace(config(), background=tuple(float(c) for c in shown))
     by_color = by_pixels(camera)[0]

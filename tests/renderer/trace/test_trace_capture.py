@@ -77,7 +77,7 @@ def in_mirror(scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Scene, ls.Camera]:
     corners = [plane + size * (a * right + b * camera.camera_from_world[1, :3]) for a in (-1, 1) for b in (-1, 1)]
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, metallic=1.0)
     mirror = ls.MeshInstance(ls.Mesh(np.array(corners), np.array([[0, 1, 2], [2, 1, 3]]), material=silver))
-    # A reflection swaps left and right, so the image of the camera that looks back is flipped.
+    # A reflection swaps left and right, so the image of the mirrored camera is flipped.
     behind = camera.camera_from_world.copy()
     behind[0], behind[2] = -behind[0], -behind[2]
     behind[:3, 3] = -behind[:3, :3] @ (camera.eye + 0.04 * size * forward)

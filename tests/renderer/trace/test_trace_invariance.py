@@ -169,7 +169,7 @@ def test_invisible_gaussians_do_not_change_a_traced_frame(backend: str, strategy
     visible = joined(random_gaussians(76, 150), *wall)
     frame = render(backend, ls.Scene([visible]), view(), settings(strategy))
     for name, hidden in HIDDEN.items():
-        # The others look behind a wall with a probability; it is the sorted ray that ends there.
+        # Rays of stochastic strategies may pass the wall at random; only sorted rays always end there.
         if strategy is SORTED or name != "occluded":
             scene = ls.Scene([joined(visible, hidden)])
             assert_equal(render(backend, scene, view(), settings(strategy)), frame)
@@ -277,7 +277,7 @@ def test_ray_packets_have_the_hits_of_single_rays(
         one, other = getattr(together, image), getattr(alone, image)
         if hit_distance is not ls.config.HitDistance.HULL:
             assert_close(one, other, atol=2e-6, name=image)
-        else:  # rounding is amplified where a ray only touches a hull
+        else:  # a ray that only touches a hull amplifies rounding
             assert_close(one, other, atol=2e-5, name=image)
             assert np.isclose(one, other, rtol=0.0, atol=2e-6).mean() > 0.99
     assert together.alpha.max() > 0.0
@@ -360,7 +360,7 @@ def test_seed_changes_only_stochastic_frames(backend: str) -> None:
     accepted = render(backend, flat, view(), settings(HIT)).alpha.ravel()
     assert set(np.unique(accepted)) == {0.0, 1.0}
     assert 0.4 < accepted.mean() < 0.6
-    for lag in range(1, 300):  # of at least 132 pairs of pixels, half differ
+    for lag in range(1, 300):  # half of the pixel pairs differ, of at least 132
         assert 0.25 < (accepted[lag:] != accepted[:-lag]).mean() < 0.75, f"pixels {lag} apart are alike"
 
 
@@ -407,7 +407,7 @@ def test_traced_frame_is_unchanged_if_scene_and_camera_move_together(
     frame = render(backend, moved, view(camera_from_world=pose, near=camera.near * scale), config)
     for name in ("color", "alpha"):
         images = getattr(frame, name), getattr(expected, name)
-        # A few rays run along an edge of the octahedron and see its other face.
+        # A few rays along an edge of the octahedron hit the other face of the edge.
         assert_images_alike(*images, mean=2e-3, within=2e-5, share=0.99, name=name)
     assert_images_alike(frame.normal @ move[:3, :3] / scale, expected.normal, mean=5e-3, within=1e-4, share=0.98)
     same = frame.gaussian_index == expected.gaussian_index
@@ -428,10 +428,10 @@ def test_near_plane_hides_gaussians_and_meshes_in_front_of_it(backend: str) -> N
     wall = ls.Scene([rest], [quad(3.0)])
     assert_equal(render(backend, wall, hidden), render(backend, alone, hidden))
     assert (render(backend, wall, shown).instance_index == 1).sum() > 20
-    # The plane is one of view depth: at 45 degrees off the axis the ray is longer by the square root of two.
+    # The near plane has constant view depth: 45 degrees off the axis, the ray to it is sqrt(2) times longer.
     wide = front_camera(21, 3, 10.0, near=3.01)
     side = ls.Scene([one_gaussian((3.0, 0.0, 3.0), (0.2, 0.2, 1e-3), 0.8)])
-    flat = settings(dilation=0.0)  # widened by a footprint, it is no disc
+    flat = settings(dilation=0.0)  # a footprint would make the disc thick
     assert render(backend, side, wide, flat).alpha.max() == 0.0
     assert render(backend, side, replace(wide, near=2.99), flat).alpha.max() > 0.7
 

@@ -85,7 +85,7 @@ def test_traced_frame_is_the_mean_of_samples_at_their_sub_pixel_positions(backen
     frame = renderer(backend, 8).render(scene(), camera)
     for name in ("color", "alpha"):
         mean = np.mean([getattr(single, name) for single in singles], axis=0, dtype=np.float64)
-        # A ray may just miss a triangle in one of the two, which rounds its pixels differently.
+        # Rounding differs between the shifted cameras, so that a ray may just miss a triangle in one of them.
         close = np.abs(getattr(frame, name) - mean).reshape(18, 24, -1).max(axis=-1) < 1e-5
         assert close.mean() > 0.99, name
     assert np.abs(frame.color - singles[0].color).max() > 0.05
@@ -164,7 +164,7 @@ def test_resumed_traced_frames_equal_uninterrupted_ones(backend: str, strategy: 
     steps = renderer(backend, 1, strategy)
     frame = steps.render(scene(), view())
     for _ in range(7):
-        steps.render(ls.Scene([], [quad(3.0)]), view())  # what is drawn in between leaves no trace
+        steps.render(ls.Scene([], [quad(3.0)]), view())  # a frame of another scene in between changes nothing
         frame = steps.render(scene(), view(), resume=frame)
     assert frame.samples == 8
     assert_equal(frame, whole)

@@ -202,7 +202,7 @@ class Traced:
     gaussian_index: int
     instance_index: int
     slack: float  # Largest effect of rounding on colour and alpha.
-    depth_slack: float  # Largest effect on the distance of the surface, if it is the same.
+    depth_slack: float  # Largest effect on the distance if the surface is unchanged.
     normal_slack: float  # Largest effect on the normal.
     band: bool  # True if rounding may change the surface.
 

@@ -22,7 +22,7 @@ Environment = Callable[[np.ndarray], np.ndarray]
 def ball(count: int = 700) -> ls.Gaussians:
     """Returns an opaque grey ball of radius 0.6; the shortest axes of its Gaussians point outwards."""
     normals = even_directions(count)
-    half = normals + np.array([0.0, 0.0, 1.0])  # half a turn about this takes z to the normal
+    half = normals + np.array([0.0, 0.0, 1.0])  # a half turn about this vector maps z to the normal
     width = 0.6 * np.sqrt(4.0 * np.pi / count)
     return ls.Gaussians(
         means=0.6 * normals,
