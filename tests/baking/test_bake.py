@@ -191,11 +191,11 @@ def test_progress_of_a_bake_rises_from_0_to_at_least_half() -> None:
     """Fractions never decrease."""
     reports: list[float] = []
 
-    def tell(label: str, fraction: float) -> None:
+    def report(label: str, fraction: float) -> None:
         if label == "baking":
             reports.append(fraction)
 
-    baked(ls.Scene([floor(60), floor(60)], lights=[SUN]), TRACE, directions=8, progress=tell)
+    baked(ls.Scene([floor(60), floor(60)], lights=[SUN]), TRACE, directions=8, progress=report)
     assert reports == sorted(reports) and reports[0] == 0.0 and reports[-1] >= 0.5
 
 

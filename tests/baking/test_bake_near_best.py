@@ -112,10 +112,10 @@ def test_fitting_a_bake_100_gaussians_at_a_time_costs_under_1_db(monkeypatch: py
         "refitted_sh",
         lambda blend, some, sh, information: fit(blend, some, sh, np.zeros_like(information)),
     )
-    heedless = baked()
-    print(f"whole {whole:.2f} dB, in parts {parts:.2f} dB, if later rays undo what others have told {heedless:.2f} dB")
+    overriding = baked()
+    print(f"whole {whole:.2f} dB, in parts {parts:.2f} dB, if later rays override earlier ones {overriding:.2f} dB")
     assert parts > whole - 1.0
-    assert whole - parts < 0.7 * (whole - heedless)
+    assert whole - parts < 0.7 * (whole - overriding)
 
 
 @pytest.mark.deep

@@ -81,12 +81,12 @@ def test_few_later_rays_do_not_override_many_earlier_ones_in_a_fit() -> None:
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
     many, few = noisy(rng, truth, RAYS), noisy(rng, truth, RAYS // 20)
     first = refitted_sh(*many, np.zeros_like(truth), np.zeros(GAUSSIANS))
-    then, heedless = (
+    then, overriding = (
         refitted_sh(*few, first, information) for information in (many[1].information(GAUSSIANS), np.zeros(GAUSSIANS))
     )
-    off, off_then, off_heedless = (np.square(found - truth).mean() for found in (first, then, heedless))
+    off, off_then, off_overriding = (np.square(found - truth).mean() for found in (first, then, overriding))
     assert off_then < 1.05 * off
-    assert off_heedless > 2.0 * off
+    assert off_overriding > 2.0 * off
 
 
 LIGHTS = [

@@ -47,8 +47,8 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 
 def contents(work: Workspace, folder: str) -> dict[str, bytes]:
     """Returns the content of all files of a folder."""
-    home = work.path(folder)
-    return {str(path.relative_to(home)): path.read_bytes() for path in sorted(home.rglob("[!.]*")) if path.is_file()}
+    root = work.path(folder)
+    return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("[!.]*")) if path.is_file()}
 
 
 def make(work: Workspace, folder: str, *options: str, farm: bool = False):

@@ -111,7 +111,7 @@ def test_delight_reports_a_full_disk_for_the_environment_in_one_line(work):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (
             ("@ball.ply", "-o", "@out.spz"),
@@ -143,10 +143,10 @@ def test_delight_reports_a_full_disk_for_the_environment_in_one_line(work):
         (("@few.ply", "-o", "@out.ply"), "few.ply: no surface to estimate materials of: 9 of 9 Gaussians"),
     ],
 )
-def test_delight_reports_mistakes_in_one_line(work, arguments, said):
+def test_delight_reports_mistakes_in_one_line(work, arguments, message):
     """Each line states what was expected, and nothing is written."""
     done = work.run("delight", *arguments, "--device", "cpu")
     assert done.status == 2
-    assert said in done.err
+    assert message in done.err
     assert len(done.err.strip().splitlines()) == 1
     assert not work.path("out.ply").exists()

@@ -79,10 +79,10 @@ def test_evaluate_output_has_metrics_and_images_of_the_worst_views(work):
     assert all(view["compared"] == 1.0 for view in report["views"])
     assert (report["ms_ssim_scales"], report["scale"]) == (2, 1.0)
     beside = np.asarray(Image.open(work.path("report/v4.png")))
-    image, picture, difference = np.split(beside.astype(int), 3, axis=1)
+    image, render, difference = np.split(beside.astype(int), 3, axis=1)
     np.testing.assert_array_equal(image, np.asarray(Image.open(work.path("photos/images/v4.png"))))
-    np.testing.assert_allclose(picture, 255.0 * shown(work), atol=0.501)
-    np.testing.assert_allclose(difference, np.minimum(4 * np.abs(image - picture), 255), atol=4)
+    np.testing.assert_allclose(render, 255.0 * shown(work), atol=0.501)
+    np.testing.assert_allclose(difference, np.minimum(4 * np.abs(image - render), 255), atol=4)
 
 
 def test_evaluate_does_not_compare_masked_pixels(work):

@@ -15,12 +15,12 @@ from support.kinds import present
 from support.scenes.training_scenes import write_training_folder
 
 GROUND = np.random.default_rng(0).uniform((-3.0, -0.01, -3.0), (3.0, 0.01, 3.0), (2000, 3))
-THING = np.random.default_rng(1).uniform((-0.5, -1.5, -0.5), (0.5, 0.0, 0.5), (1000, 3))
+OBJECT = np.random.default_rng(1).uniform((-0.5, -1.5, -0.5), (0.5, 0.0, 0.5), (1000, 3))
 
 
 def garden(**stated: object) -> ls.Gaussians:
     """Returns objects on a ground, y down."""
-    means = np.concatenate([GROUND, THING])
+    means = np.concatenate([GROUND, OBJECT])
     count = len(means)
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     sizes, colors = np.full((count, 3), 0.03), np.zeros((count, 1, 3))

@@ -68,7 +68,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return workspace
 
 
-class Stage:
+class RecordingRenderer:
     """Stands in for a renderer: records its arguments, and returns black frames."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,7 +78,7 @@ class Stage:
         self.device = "cpu"
         monkeypatch.setattr("lumisplat.create_renderer", self._created, raising=False)
 
-    def _created(self, config: ls.RenderConfig, *_: object, **__: object) -> Stage:
+    def _created(self, config: ls.RenderConfig, *_: object, **__: object) -> RecordingRenderer:
         self.config = config
         return self
 
@@ -106,17 +106,17 @@ FILE_CONFIG = ls.RenderConfig(
 
 def test_render_uses_cameras_and_settings_of_a_scene_file(work, monkeypatch):
     """Without options, everything is that of the file."""
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     assert work.run("render", "@scene.toml", "-o", "@out").status == 0
-    assert stage.config == FILE_CONFIG
-    assert [(camera.name, camera.exposure) for camera in stage.cameras] == [("near", 1.0), ("far", 0.0)]
+    assert recorder.config == FILE_CONFIG
+    assert [(camera.name, camera.exposure) for camera in recorder.cameras] == [("near", 1.0), ("far", 0.0)]
     assert {path.name for path in work.path("out").iterdir()} == {"near.png", "far.png"}
-    assert isinstance(stage.scenes[0].lights[0], ls.LightPoint)
+    assert isinstance(recorder.scenes[0].lights[0], ls.LightPoint)
 
 
 def test_render_options_override_settings_of_a_scene_file(work, monkeypatch):
     """Each option changes only its setting, even back to the library's default."""
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     options = ("--pipeline", "raster", "--samples", "auto", "--shadows", "hard", "--tone-map", "none")
     options += (
         "--background",
@@ -127,8 +127,8 @@ def test_render_options_override_settings_of_a_scene_file(work, monkeypatch):
         "-2",
     )
     assert work.run("render", "@scene.toml", "-o", "@a.png", "--frames", "near", *options).status == 0
-    assert stage.config == ls.RenderConfig()
-    assert [camera.exposure for camera in stage.cameras] == [-2.0]
+    assert recorder.config == ls.RenderConfig()
+    assert [camera.exposure for camera in recorder.cameras] == [-2.0]
     assert (
         work.run(
             "render",
@@ -142,7 +142,7 @@ def test_render_options_override_settings_of_a_scene_file(work, monkeypatch):
         ).status
         == 0
     )
-    assert stage.config == replace(
+    assert recorder.config == replace(
         FILE_CONFIG, lighting=False, raster=ls.RasterConfig(sh_degree=1), trace=replace(FILE_CONFIG.trace, sh_degree=1)
     )
 
@@ -161,9 +161,9 @@ LIGHT_OPTIONS = (
 
 def test_every_light_option_of_render_reaches_the_renderer(work, monkeypatch):
     """Each option changes the setting of its name."""
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     assert work.run("render", "@mesh.obj", "-o", "@a.png", "--exposure", "0.5", *LIGHT_OPTIONS).status == 0
-    assert stage.config == ls.RenderConfig(
+    assert recorder.config == ls.RenderConfig(
         pipeline=ls.Pipeline.HYBRID,
         lighting=True,
         shadows=ls.Shadows.SOFT,
@@ -178,37 +178,37 @@ def test_every_light_option_of_render_reaches_the_renderer(work, monkeypatch):
             color_strength=3.0,
         ),
     )
-    assert [camera.exposure for camera in stage.cameras] == [0.5]
+    assert [camera.exposure for camera in recorder.cameras] == [0.5]
     for word, lighting in (("auto", None), ("off", False)):
         assert work.run("render", "@mesh.obj", "-o", "@a.png", "--lighting", word).status == 0
-        assert stage.config.lighting is lighting
+        assert recorder.config.lighting is lighting
 
 
 def test_render_cameras_replace_those_of_the_scene_file(work, monkeypatch):
     """``--cameras`` may also name another scene file; settings stay."""
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     work.path("views.toml").write_text("[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\nname = 'third'\n")
     assert work.run("render", "@scene.toml", "--cameras", "@views.toml", "-o", "@out", "--width", "32").status == 0
-    assert [(camera.name, camera.width) for camera in stage.cameras] == [("third", 32)]
-    assert stage.config == FILE_CONFIG
+    assert [(camera.name, camera.width) for camera in recorder.cameras] == [("third", 32)]
+    assert recorder.config == FILE_CONFIG
 
 
 def test_render_frames_a_scene_file_without_cameras(work, monkeypatch):
     """The camera has the requested size and exposure."""
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     work.path("plain.toml").write_text(SCENE.partition("[[cameras]]")[0])
     args = ("render", "@plain.toml", "-o", "@a.png", "--width", "30", "--height", "20", "--exposure", "2")
     assert work.run(*args).status == 0
-    assert [(camera.name, camera.width, camera.exposure) for camera in stage.cameras] == [("front", 30, 2.0)]
+    assert [(camera.name, camera.width, camera.exposure) for camera in recorder.cameras] == [("front", 30, 2.0)]
 
 
 def test_bench_uses_the_first_camera_and_settings_of_a_scene_file(work, monkeypatch):
     """An option changes one of the settings."""
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     assert work.run("bench", "@scene.toml", "--repeats", "1", "--set=trace.strategy=stochastic-hit").status == 0
     strategy = ls.config.TraceStrategy.STOCHASTIC_HIT
-    assert stage.config == replace(FILE_CONFIG, trace=replace(FILE_CONFIG.trace, strategy=strategy))
-    assert {camera.name for camera in stage.cameras} == {"near"}
+    assert recorder.config == replace(FILE_CONFIG, trace=replace(FILE_CONFIG.trace, strategy=strategy))
+    assert {camera.name for camera in recorder.cameras} == {"near"}
 
 
 @pytest.fixture
@@ -235,11 +235,11 @@ def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sk
 
     ``--environment-rotation`` is about the vertical.
     """
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     args = ("render", "@mesh.obj", "-o", "@a.png", "--up", up, "--environment", "@sky.exr")
     assert work.run(*args).status == 0
     assert work.run(*args, "--environment-rotation", "90").status == 0
-    plain, quarter = (scene.lights[-1] for scene in stage.scenes)
+    plain, quarter = (scene.lights[-1] for scene in recorder.scenes)
     assert isinstance(plain, ls.LightEnvironment) and isinstance(quarter, ls.LightEnvironment)
     np.testing.assert_array_equal(plain.image, sky)
     for light in (plain, quarter):
@@ -252,11 +252,11 @@ def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sk
 
 def test_render_environment_replaces_that_of_the_scene(work, monkeypatch, sky):
     """Other lights stay; up is the up direction of the scene, y down with a capture."""
-    stage = Stage(monkeypatch)
+    recorder = RecordingRenderer(monkeypatch)
     text = SCENE + '[environment]\ncolor = [1, 0, 0]\n[[splats]]\npath = "capture.ply"\n'
     work.path("both.toml").write_text(text)
     assert work.run("render", "@both.toml", "-o", "@out", "--environment", "@sky.exr").status == 0
-    bulb, environment = stage.scenes[0].lights
+    bulb, environment = recorder.scenes[0].lights
     assert isinstance(bulb, ls.LightPoint) and isinstance(environment, ls.LightEnvironment)
     np.testing.assert_array_equal(environment.image, sky)
     np.testing.assert_allclose(turned(environment.rotation_wxyz, (0, 1, 0)), UP["y-down"], atol=1e-12)
@@ -270,7 +270,7 @@ def test_render_refuses_two_scene_files(work):
     assert "are both scene files" in outcome.err
 
 
-LAMP = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])
+LIGHT_ONLY = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])
 NAMES = ("seed", "max_bounces", "response.kernel_degree", "trace.normal_method", "jitter", "shadow_rays.offset")
 GIVEN = {"samples": "--samples"} | {name: f"--set {name}" for name in (*NAMES, "raster.antialiasing")}
 LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
@@ -295,7 +295,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
         ),
         (
             {"raster": {"strategy": ls.config.RasterStrategy.STOCHASTIC}, "lighting": False},
-            LAMP,
+            LIGHT_ONLY,
             [
                 "not used: --exposure, --set shadow_rays.offset "
                 "(used in lit frames: add a light, or switch lighting on)",
@@ -307,7 +307,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
         ),
         (
             {},
-            LAMP,
+            LIGHT_ONLY,
             [
                 "not used: --set max_bounces, --set trace.normal_method "
                 "(used by the pipelines trace, hybrid, path, realtime)",
@@ -323,7 +323,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
         ),
         (
             {"pipeline": ls.Pipeline.HYBRID},
-            LAMP,
+            LIGHT_ONLY,
             [],
         ),
         (
@@ -375,7 +375,7 @@ def test_settings_that_a_pipeline_ignores_are_logged(pipeline: str, lines: list[
     names = ("trace.strategy", "glossy_reflections", "path.primary", "adaptive")
     given = {name: f"--set {name}" for name in names}
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
-    assert list(unused_options(config, LAMP, given, EnvironmentOptions())) == lines
+    assert list(unused_options(config, LIGHT_ONLY, given, EnvironmentOptions())) == lines
 
 
 def test_render_lights_a_scene_in_each_pipeline(work):

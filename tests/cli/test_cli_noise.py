@@ -11,7 +11,7 @@ import warp as wp
 import lumisplat as ls
 from support.files.cli_files import Workspace
 
-LAMP = '[[lights]]\ntype = "rect"\nposition = [0, 2, 1]\ntarget = [0, 0, 0]\nsize = [0.3, 0.3]\nintensity = 30\n'
+AREA_LIGHT = '[[lights]]\ntype = "rect"\nposition = [0, 2, 1]\ntarget = [0, 0, 0]\nsize = [0.3, 0.3]\nintensity = 30\n'
 SKY = "[environment]\ncolor = [1, 1, 1]\n"
 FLOOR = '[[meshes]]\nshape = "plane"\nsize = 6\n'
 BOX = '[[meshes]]\nshape = "box"\nsize = 0.8\nposition = [0, 0.6, 0]\n'
@@ -51,14 +51,14 @@ def noise_of(line: str, samples: str) -> float:
 def test_render_logs_the_noise_of_few_samples_with_a_remedy(lines) -> None:
     """The line appears once for all frames; the noise falls with the square root of the samples."""
     other = "[[cameras]]\neye = [0, 2, -3]\ntarget = [0, 0, 0]\nwidth = 24\nheight = 16\n"
-    (two,) = lines(FLOOR + BOX + LAMP + other, "--samples", "2")
-    (eight,) = lines(FLOOR + BOX + LAMP + other, "--samples", "8")
+    (two,) = lines(FLOOR + BOX + AREA_LIGHT + other, "--samples", "2")
+    (eight,) = lines(FLOOR + BOX + AREA_LIGHT + other, "--samples", "8")
     assert 0.2 < noise_of(eight, "8 samples") < 0.8 * noise_of(two, "2 samples")
 
 
 def test_render_with_one_sample_logs_no_noise_estimate(lines) -> None:
     """The line has no number, and appears only if the frame has light."""
-    (line,) = lines(FLOOR + BOX + LAMP, "--samples", "1")
+    (line,) = lines(FLOOR + BOX + AREA_LIGHT, "--samples", "1")
     assert line.startswith("indirect light is noisy with 1 sample a pixel: more --samples")
     assert lines('[[splats]]\npath = "capture.ply"\n', "--samples", "1") == []
 
@@ -68,8 +68,8 @@ def test_render_with_one_sample_logs_no_noise_estimate(lines) -> None:
     [
         (FLOOR + SKY, ("--samples", "32")),
         ('[[splats]]\npath = "capture.ply"\n', ("--samples", "4")),
-        (FLOOR + BOX + LAMP, ("--samples", "4", "--set=noise=0.02")),
-        (FLOOR + BOX + LAMP, ("--samples", "4", "--lighting", "off")),
+        (FLOOR + BOX + AREA_LIGHT, ("--samples", "4", "--set=noise=0.02")),
+        (FLOOR + BOX + AREA_LIGHT, ("--samples", "4", "--lighting", "off")),
     ],
     ids=["smooth", "kept capture", "noise given", "unlit"],
 )
@@ -80,9 +80,9 @@ def test_render_logs_nothing_about_frames_with_little_noise(lines, scene: str, o
 
 def test_render_logs_no_path_noise_if_denoised_or_of_other_pipelines(lines) -> None:
     """Pipelines that sample lights at random have a different line."""
-    assert lines(FLOOR + BOX + LAMP, "--samples", "2", pipeline="trace") == []
+    assert lines(FLOOR + BOX + AREA_LIGHT, "--samples", "2", pipeline="trace") == []
     pytest.importorskip("mitsuba_oidn")
-    assert lines(FLOOR + BOX + LAMP, "--samples", "2", "--denoise") == []
+    assert lines(FLOOR + BOX + AREA_LIGHT, "--samples", "2", "--denoise") == []
 
 
 def test_logged_noise_covers_95_percent_of_the_pixels() -> None:

@@ -82,7 +82,7 @@ def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("options", "ways"),
+    ("options", "remedies"),
     [
         (
             ("--lighting", "on", "--samples", "2"),
@@ -91,13 +91,13 @@ def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
         ((), "fewer frames (--frames, --seconds, --fps) or a smaller --width"),
     ],
 )
-def test_remaining_time_of_slow_frames_is_announced_once(work, monkeypatch, caplog, options, ways) -> None:
+def test_remaining_time_of_slow_frames_is_announced_once(work, monkeypatch, caplog, options, remedies) -> None:
     """The line follows the second frame, as the first may compile kernels, and names options that save time."""
     monkeypatch.setattr("lumisplat.cli.output.console._LONG_S", 0.0)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES, *options).status == 0
     (line,) = announced(caplog)
-    assert line.startswith("3 frames to go, about 0 s: quicker with ") and line.endswith(ways)
+    assert line.startswith("3 frames to go, about 0 s: quicker with ") and line.endswith(remedies)
 
 
 def test_remaining_time_of_quick_frames_is_not_announced(work, caplog) -> None:

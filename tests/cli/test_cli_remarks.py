@@ -14,7 +14,7 @@ from lumisplat.cli.options.frame import EnvironmentOptions, frame_remarks
 from support.files.cli_files import Workspace
 from support.scenes.raster_scenes import one_gaussian, quad
 
-LAMP, SECOND, SKY = ls.LightPoint((0, 0, 1)), ls.LightPoint((1, 0, 1)), ls.LightEnvironment()
+POINT_LIGHT, SECOND, SKY = ls.LightPoint((0, 0, 1)), ls.LightPoint((1, 0, 1)), ls.LightEnvironment()
 KEPT = ls.SplatInstance(one_gaussian(), shadow_catcher=True)
 RELIT = ls.SplatInstance(one_gaussian(), material=ls.MaterialPbr())
 WALL, MIRROR = quad(4.0), quad(4.0, material=ls.MaterialPbr(roughness=0.0, metallic=1.0))
@@ -28,17 +28,20 @@ def remarks(scene: ls.Scene, **changes: object) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("scene", "things"),
+    ("scene", "objects"),
     [
-        (ls.Scene([KEPT], [WALL], [LAMP]), "meshes"),
-        (ls.Scene([KEPT, RELIT], [], [LAMP]), "relit captures"),
-        (ls.Scene([RELIT], [MIRROR, WALL], [LAMP, ls.LightEnvironment(enabled=False)]), "meshes and relit captures"),
+        (ls.Scene([KEPT], [WALL], [POINT_LIGHT]), "meshes"),
+        (ls.Scene([KEPT, RELIT], [], [POINT_LIGHT]), "relit captures"),
+        (
+            ls.Scene([RELIT], [MIRROR, WALL], [POINT_LIGHT, ls.LightEnvironment(enabled=False)]),
+            "meshes and relit captures",
+        ),
     ],
 )
-def test_render_logs_unlit_sides_of_meshes_beside_captures(scene: ls.Scene, things: str) -> None:
+def test_render_logs_unlit_sides_of_meshes_beside_captures(scene: ls.Scene, objects: str) -> None:
     """One line names the black objects and a remedy."""
     (line,) = remarks(scene)
-    assert line.startswith(f"sides of {things} that no light reaches are black: [environment]")
+    assert line.startswith(f"sides of {objects} that no light reaches are black: [environment]")
     assert "--environment FILE" in line
     assert remarks(scene, lighting=False) == []
     assert remarks(scene, pipeline="realtime") == []  # in real time, the capture lights the meshes
@@ -47,11 +50,11 @@ def test_render_logs_unlit_sides_of_meshes_beside_captures(scene: ls.Scene, thin
 @pytest.mark.parametrize(
     "scene",
     [
-        ls.Scene([KEPT], [WALL], [LAMP, SKY]),
-        ls.Scene([KEPT], [WALL], [LAMP, SECOND]),
-        ls.Scene([], [WALL], [LAMP]),
+        ls.Scene([KEPT], [WALL], [POINT_LIGHT, SKY]),
+        ls.Scene([KEPT], [WALL], [POINT_LIGHT, SECOND]),
+        ls.Scene([], [WALL], [POINT_LIGHT]),
         ls.Scene([KEPT], [WALL]),
-        ls.Scene([KEPT], [MIRROR, LAMPLIT], [LAMP]),
+        ls.Scene([KEPT], [MIRROR, LAMPLIT], [POINT_LIGHT]),
     ],
 )
 def test_render_logs_no_black_sides_if_light_reaches_all_sides(scene: ls.Scene) -> None:
@@ -63,7 +66,7 @@ def test_render_logs_a_capture_with_albedo_but_without_a_material() -> None:
     """Users who run ``delight`` and add lights expect the capture to be lit."""
     found = replace(one_gaussian(), albedo=np.full((1, 3), 0.5, np.float32))
     unlit = ls.SplatInstance(found)
-    for lights in ([LAMP, SECOND], [SKY]):
+    for lights in ([POINT_LIGHT, SECOND], [SKY]):
         (line,) = remarks(ls.Scene([unlit, RELIT], [], lights))
         assert line.startswith("captures with an albedo stay unlit without a material")
     assert remarks(ls.Scene([unlit], [], [SKY]), lighting=False) == []

@@ -73,7 +73,7 @@ def test_full_disk_for_standard_error_keeps_the_exit_status(shell) -> None:
 
 
 def test_render_works_without_standard_error(shell, tmp_path: Path) -> None:
-    """Loading kernels once duplicated the descriptor of standard error."""
+    """Loading kernels must not need the descriptor of standard error."""
     done = shell("render mesh.obj --width 32 --device cpu -o seen.png 2>&-")
     assert (done.returncode, done.stdout) == (0, "seen.png (32 x 18)\n")
     assert (tmp_path / "seen.png").stat().st_size > 0

@@ -94,7 +94,7 @@ def test_normals_of_demo_shapes_are_unit_and_face_outwards(name: str) -> None:
 @pytest.mark.parametrize(
     ("mesh", "expected"),
     [
-        (shapes.torus(1.0, 0.3), lambda p: p - shapes_ring(p)),
+        (shapes.torus(1.0, 0.3), lambda p: p - nearest_on_centre_line(p)),
         (shapes.superellipsoid((1.0, 0.5, 0.8)), lambda p: p / np.array([1.0, 0.25, 0.64])),
         (shapes.rounded_box((1.0, 0.8, 1.2), 0.1), lambda p: p - np.clip(p, [-0.4, -0.3, -0.5], [0.4, 0.3, 0.5])),
     ],
@@ -107,7 +107,7 @@ def test_smooth_normals_of_demo_shapes_match_the_analytic_gradient(mesh: Mesh, e
     assert np.einsum("ij,ij->i", gradient, mesh.normals).min() > np.cos(np.radians(3.0))
 
 
-def shapes_ring(points: np.ndarray) -> np.ndarray:
+def nearest_on_centre_line(points: np.ndarray) -> np.ndarray:
     """Returns the nearest points on the centre line of a torus of major radius 1."""
     flat = points * (1.0, 0.0, 1.0)
     return flat / np.linalg.norm(flat, axis=1, keepdims=True)

@@ -14,7 +14,7 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_warp_sums_add_the_value_of_each_participating_thread_once(device: str) -> None:
-    """In some rows all threads have a part, in others some threads or warps; parts of the other threads are ignored."""
+    """Some rows have a value in every thread, others in some threads or warps; the other threads are ignored."""
     random, blocks, threads = np.random.default_rng(5), 3, 32 * WARPS
     shape = (blocks, ROWS, threads)
     has_part = random.random(shape) < random.choice([0.02, 0.5, 1.0], size=(blocks, ROWS, 1))

@@ -76,7 +76,7 @@ def test_depth_view_runs_from_red_to_blue_over_the_depth_range(frame: ls.Frame) 
 
 
 def test_views_of_a_frame_without_any_surface_are_black_or_unlit(frame: ls.Frame) -> None:
-    """A frame without a surface has views, too: black, or the colour of no light."""
+    """Views of surfaces are black, and the view of shadows has the colour of pixels that no light reaches."""
     empty = replace(
         frame,
         depth=np.full_like(frame.depth, np.inf),

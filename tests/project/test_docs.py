@@ -28,7 +28,7 @@ PROGRAMS = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```python\n(.*?)```", page.read_text(), re.DOTALL))
 ]
-OTHERS_PROGRAMS = [
+OPTIONAL_PROGRAMS = [
     pytest.param(package, block, id=f"{page.stem}-{package}")
     for page in PAGES
     for package, block in re.findall(r"<!-- runnable with (\w+) -->\n```python\n(.*?)```", page.read_text(), re.DOTALL)
@@ -78,7 +78,7 @@ def test_python_blocks_of_the_docs_run(program):
     exec(compile(program, "docs", "exec"), {})
 
 
-@pytest.mark.parametrize(("package", "program"), OTHERS_PROGRAMS)
+@pytest.mark.parametrize(("package", "program"), OPTIONAL_PROGRAMS)
 @pytest.mark.usefixtures("beside")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # others may leave files open
 def test_python_blocks_of_the_docs_run_with_optional_packages(package, program):
@@ -121,7 +121,7 @@ def test_every_row_of_the_reference_pages_has_a_help_text():
 def test_every_python_block_of_the_docs_is_checked():
     """Each block is marked as runnable or as one that needs a package."""
     blocks = sum(page.read_text().count("```python") for page in PAGES)
-    assert len(PROGRAMS) + len(OTHERS_PROGRAMS) == blocks > 0
+    assert len(PROGRAMS) + len(OPTIONAL_PROGRAMS) == blocks > 0
     assert len(SCENE_FILES) > 0
 
 

@@ -1,4 +1,4 @@
-"""The demo scene looks as in the stored frames that somebody approved."""
+"""The demo scene looks as in its stored frames, which were approved by eye."""
 
 from __future__ import annotations
 

@@ -208,7 +208,7 @@ def test_interrupted_farm_ends_its_workers_and_can_continue(ray: Any, tmp_path: 
     folder are not run.
     """
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
-    strangers_modules(tmp_path)
+    write_hostile_modules(tmp_path)
     command = [sys.executable, "-P", "-c", DRIVER, str(tmp_path / "out")]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     maker = FakeMaker(tmp_path / "out", count=200)
@@ -282,7 +282,7 @@ assert len(joined) == 2, "nothing has happened"
 """
 
 
-def strangers_modules(folder: Path) -> None:
+def write_hostile_modules(folder: Path) -> None:
     """Writes modules that create a file ``hostile`` when imported, in a folder that Python could search first."""
     for name in ("multiprocessing.py", "numpy.py", "sitecustomize.py"):
         (folder / name).write_text("open('hostile', 'w').close()")
@@ -291,7 +291,7 @@ def strangers_modules(folder: Path) -> None:
 @pytest.mark.deep
 def test_farm_workers_do_not_import_modules_of_the_working_folder(work: Workspace) -> None:
     """The installed command ``lumisplat`` does not import such modules either, and opens ports to this machine only."""
-    strangers_modules(work.folder)
+    write_hostile_modules(work.folder)
     ls.save(work.path("one.ply"), one_gaussian())
     command = [str(Path(sys.executable).with_name("lumisplat")), "farm", "render", "one.ply", "--width", "16"]
     command += ["--workers", "1", "--device", "cpu", "-o", "frames"]

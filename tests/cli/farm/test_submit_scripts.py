@@ -65,7 +65,7 @@ def launch(job, use_pycuerun):
 """
 
 
-class Farmyard:
+class FakeSchedulers:
     """Folder with programs that stand in for ``lumisplat`` and schedulers."""
 
     def __init__(self, folder: Path, is_real: bool) -> None:
@@ -110,9 +110,9 @@ class Farmyard:
 @pytest.mark.parametrize("scheduler", ["slurm", "deadline", "opencue"])
 def test_scheduler_scripts_render_each_frame_once(tmp_path: Path, scheduler: str) -> None:
     """Each task gets a valid range of frames, and the arguments unchanged, including spaces."""
-    yard = Farmyard(tmp_path, is_real=False)
-    yard.submit(scheduler, "animate", "my scene.toml", "-o", "frames")
-    commands = [re.findall(r'"([^"]*)"', line) for line in yard.log.read_text().splitlines()]
+    schedulers = FakeSchedulers(tmp_path, is_real=False)
+    schedulers.submit(scheduler, "animate", "my scene.toml", "-o", "frames")
+    commands = [re.findall(r'"([^"]*)"', line) for line in schedulers.log.read_text().splitlines()]
     assert len(commands) == 3
     made: list[int] = []
     for command in commands:
@@ -123,22 +123,22 @@ def test_scheduler_scripts_render_each_frame_once(tmp_path: Path, scheduler: str
 
 def test_scheduler_tasks_beyond_the_last_frame_do_nothing(tmp_path: Path) -> None:
     """The job array is larger than the animation."""
-    yard = Farmyard(tmp_path, is_real=False)
+    schedulers = FakeSchedulers(tmp_path, is_real=False)
     variables = {"COUNT": "9", "MIN": "0", "MAX": "8", "STEP": "1", "ID": "8"}
     array = {f"SLURM_ARRAY_TASK_{name}": value for name, value in variables.items()}
-    yard.run(str(EXAMPLES / "slurm_array.sh"), str(COUNT), "animate", "scene.toml", **array)
-    assert not yard.log.read_text()
+    schedulers.run(str(EXAMPLES / "slurm_array.sh"), str(COUNT), "animate", "scene.toml", **array)
+    assert not schedulers.log.read_text()
 
 
 @pytest.mark.deep
 def test_frames_rendered_by_scheduler_scripts_equal_those_of_one_process(tmp_path: Path) -> None:
     """Frames and stored settings are equal bit by bit."""
-    yard = Farmyard(tmp_path, is_real=True)
+    schedulers = FakeSchedulers(tmp_path, is_real=True)
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=60))
     orbit = "orbit", "capture.ply", "--seconds", "0.35", "--fps", "20", "--width", "16", "--height", "12", "-o"
-    yard.run("lumisplat", *orbit, "whole")
+    schedulers.run("lumisplat", *orbit, "whole")
     for scheduler in ("slurm", "deadline", "opencue"):
-        yard.submit(scheduler, *orbit, scheduler)
+        schedulers.submit(scheduler, *orbit, scheduler)
         for path in sorted((tmp_path / "whole").glob("*.png")):
             assert path.read_bytes() == (tmp_path / scheduler / path.name).read_bytes()
         assert (tmp_path / "whole/orbit.json").read_text() == (tmp_path / scheduler / "orbit.json").read_text()

@@ -53,7 +53,7 @@ def _ply_texture(folder: Path, name: str) -> Path:
     return folder / "mesh.ply"
 
 
-NAMERS: dict[str, tuple[Callable[[Path, str], Path], bytes]] = {
+REFERRERS: dict[str, tuple[Callable[[Path, str], Path], bytes]] = {
     "buffer": (_gltf_buffer, quad_gltf().data),
     "image": (_gltf_image, png_bytes()),
     "library": (_obj_library, b"newmtl paint\nKd 1 0 0\n"),
@@ -63,16 +63,18 @@ NAMERS: dict[str, tuple[Callable[[Path, str], Path], bytes]] = {
 """Writers of files that refer to another file, with the content of that file."""
 
 
-@pytest.fixture(params=NAMERS)
-def namer(request) -> tuple[Callable[[Path, str], Path], bytes]:
-    """Returns a writer of `NAMERS`, and the content of the file to which it refers."""
-    return NAMERS[request.param]
+@pytest.fixture(params=REFERRERS)
+def referrer(request) -> tuple[Callable[[Path, str], Path], bytes]:
+    """Returns a writer of `REFERRERS`, and the content of the file to which it refers."""
+    return REFERRERS[request.param]
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_files_may_reference_files_outside_their_folder_only_if_allowed(tmp_path: Path, namer, absolute: bool) -> None:
+def test_files_may_reference_files_outside_their_folder_only_if_allowed(
+    tmp_path: Path, referrer, absolute: bool
+) -> None:
     """References outside the folder are refused before the referenced file is read."""
-    write, content = namer
+    write, content = referrer
     (tmp_path / "model" / "sub").mkdir(parents=True)
     (tmp_path / "secret").write_bytes(content)
     (tmp_path / "model" / "sub" / "own").write_bytes(content)
@@ -83,9 +85,9 @@ def test_files_may_reference_files_outside_their_folder_only_if_allowed(tmp_path
     ls.load(path, allow_outside=True)
 
 
-def test_backslashes_in_references_are_slashes_unless_a_file_has_them(tmp_path: Path, namer) -> None:
+def test_backslashes_in_references_are_slashes_unless_a_file_has_them(tmp_path: Path, referrer) -> None:
     """Windows programs write backslashes; a path with backslashes cannot leave the folder either."""
-    write, content = namer
+    write, content = referrer
     (tmp_path / "model" / "my files").mkdir(parents=True)
     (tmp_path / "model" / "my files" / "one 1").write_bytes(content)
     (tmp_path / "secret").write_bytes(content)
@@ -141,9 +143,9 @@ def test_symbolic_links_and_paths_of_scene_files_may_leave_the_folder(tmp_path: 
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_references_to_pipes_and_devices_are_refused_by_mesh_readers(tmp_path: Path, namer, kind: str) -> None:
+def test_references_to_pipes_and_devices_are_refused_by_mesh_readers(tmp_path: Path, referrer, kind: str) -> None:
     """Reading a pipe would wait for its writer, and a device may never end."""
-    write, _ = namer
+    write, _ = referrer
     name = "/dev/zero"
     if kind == "pipe":
         os.mkfifo(tmp_path / "pipe")

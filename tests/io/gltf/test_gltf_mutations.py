@@ -18,11 +18,11 @@ from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import capture
 
-ODD: tuple[Any, ...] = (
+REPLACEMENTS: tuple[Any, ...] = (
     *(None, True, -1, 0, 1, 3, 255, 5121, 2**31, 2**63, 10**30, 0.5, -1e30, 1e308, float("nan"), float("inf")),
     *("", "ellipse", "VEC4", "nowhere.bin", "data:;base64,AAAA", [], {}, [0], [1e308] * 16, {"0": 0}),
 )
-"""Values that replace others."""
+"""Values that replace values of a document."""
 MEMORY_MAX = 64 * 2**20
 """Memory in bytes that a damaged file of a few thousand bytes may take."""
 
@@ -78,7 +78,7 @@ def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
         other, source = found[rng.integers(len(found))]
         container[key] = json.loads(json.dumps(other[source])) if source in other or isinstance(other, list) else None
     else:
-        container[key] = ODD[rng.integers(len(ODD))]
+        container[key] = REPLACEMENTS[rng.integers(len(REPLACEMENTS))]
 
 
 def play(animation: ls.Animation) -> None:

@@ -196,7 +196,7 @@ def test_sog_codebook_error_is_within_1_percent_of_the_optimum() -> None:
 
 @pytest.mark.data
 def test_frames_of_a_capture_saved_as_sog_match_to_60_db(tmp_path: Path, data_dir: Path) -> None:
-    """The capture is the biker, at 320 x 180 pixels."""
+    """The downloaded biker capture is rendered at 320 x 180 pixels."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     ls.save(tmp_path / "biker.sog", biker)
     camera = ls.frame_camera(ls.Scene(splats=[biker]), width=320, height=180)

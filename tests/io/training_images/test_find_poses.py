@@ -145,7 +145,7 @@ def similarity(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, floa
 
 
 def test_similarity_transform_between_point_sets_is_recovered():
-    """Tests the helper `similarity`."""
+    """The helper `similarity` returns the rotation and the scale that were applied."""
     camera = ls.Camera.look_at((1, 2, 3), (0, 0, 0))
     points = np.random.default_rng(1).normal(size=(9, 3))
     rotation = camera.camera_from_world[:3, :3]

@@ -184,7 +184,7 @@ def crate_with(path: Path, name: bytes, number: int) -> bytes:
     return bytes(data)
 
 
-MOST_MEMORY = """
+PEAK_MEMORY_PROGRAM = """
 import resource, sys
 import lumisplat as ls
 from lumisplat.io.usd import process
@@ -215,13 +215,13 @@ def test_impossible_usd_counts_take_no_memory_of_this_process(tmp_path: Path) ->
             package.writestr("a.usdc", data)
     for path in paths:
         refused(path)
-    command = [sys.executable, "-c", MOST_MEMORY, *map(str, paths)]
+    command = [sys.executable, "-c", PEAK_MEMORY_PROGRAM, *map(str, paths)]
     most = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert 0 < int(most) < 300_000  # kB, mostly of the USD library
 
 
-def laughs(depth: int) -> str:
-    """Returns nested references to 2^depth prims of a few bytes each ("billion laughs")."""
+def nested_references(depth: int) -> str:
+    """Returns nested references to 2^depth prims of a few bytes each ("billion nested_references")."""
     references = "\n".join(
         f'def "a{k}" {{\n def "x" (references = </a{k + 1}>) {{\n}}\n def "y" (references = </a{k + 1}>) {{\n}}\n}}'
         for k in range(depth)
@@ -232,7 +232,7 @@ def laughs(depth: int) -> str:
 def test_exponentially_nested_usd_references_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """References nested 24 deep are 16 million prims: the child process exceeds its time or memory limit."""
     usd_core()
-    path = write_usda(tmp_path / "a.usda", laughs(24))
+    path = write_usda(tmp_path / "a.usda", nested_references(24))
     message = refused(path)
     assert "damaged, or made to exhaust this machine" in message
     monkeypatch.setattr(process, "USD_CPU_SECONDS", 30)
@@ -399,7 +399,7 @@ def test_usd_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) 
 
 
 def test_usd_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
-    """Before, a pipe named with arguments looked like a missing file, and the library waited for its writer."""
+    """A pipe named with arguments would look like a missing file, and the library would wait for its writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
     body = 'def "a" ( references = @./pipe.usda:SDF_FORMAT_ARGS:target=x@ ) {\n}'

@@ -61,7 +61,7 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
 def test_default_sample_count_is_1_unless_randomly_sampled_light_is_reflected_or_blocked(
     content: ls.Scene, settings: dict[str, Any], samples: int
 ) -> None:
-    """Frames in which random light is reflected or blocked have more samples by default."""
+    """Environments, and lights with an extent under soft shadows, are sampled at random."""
     assert FramePlan.of(ls.RenderConfig(**settings), content).samples == samples
 
 

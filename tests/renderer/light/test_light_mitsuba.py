@@ -20,7 +20,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 SCENES = light_scenes()
 SHARP = [name for name, one in SCENES.items() if one.shadows is ls.Shadows.HARD]
 SOFT = [name for name in SCENES if name not in SHARP]
-AGAIN = ("constant", "metal_sky")
+DEEP_SCENES = ("constant", "metal_sky")
 """Scenes of the deep suite; daily tests cover constant environments in closed form, and other materials."""
 DARK = 0.01
 """Fraction of an image's mean below which a pixel counts as unlit."""
@@ -86,7 +86,7 @@ def test_images_lit_by_point_spot_and_directional_lights_equal_mitsuba(name: str
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.deep] if name in AGAIN else []) for name in SOFT]
+    "name", [pytest.param(name, marks=[pytest.mark.deep] if name in DEEP_SCENES else []) for name in SOFT]
 )
 def test_images_lit_by_area_lights_and_environments_equal_mitsuba(name: str) -> None:
     """The lights are rectangle, disk and sphere, a constant environment and one with a sun, rotated about all axes.

@@ -120,7 +120,7 @@ def test_exr_layers_of_a_shadow_catcher_composite_to_the_frame(pipeline: ls.Pipe
     config = ls.RenderConfig(pipeline=unlit, lighting=False, background=None)
     ls.render(ls.Scene(scene.splats), view(), config, device="cpu").save(tmp_path / "plate.exr")
     plate = channels(tmp_path / "plate.exr", "", "RGB")
-    picture, alpha = channels(tmp_path / "lit.exr", "", "RGB"), channels(tmp_path / "plate.exr", "", "A")
+    image, alpha = channels(tmp_path / "lit.exr", "", "RGB"), channels(tmp_path / "plate.exr", "", "A")
     ratio, matte = (
         channels(tmp_path / "lit.exr", "shadow_ratio.", "RGB"),
         channels(tmp_path / "lit.exr", "shadow_matte.", "RGBA"),
@@ -128,12 +128,12 @@ def test_exr_layers_of_a_shadow_catcher_composite_to_the_frame(pipeline: ls.Pipe
     whole = alpha[..., 0] > 0.999
     beside = whole & (frame.instance_index == 0) & _far_from(frame.instance_index == 1)
     assert beside.sum() > 1000 and (ratio[beside] < 0.7).sum() > 100
-    np.testing.assert_allclose((plate * ratio)[beside], picture[beside], rtol=2e-3, atol=1e-4)
+    np.testing.assert_allclose((plate * ratio)[beside], image[beside], rtol=2e-3, atol=1e-4)
     over = matte[..., :3] + (1.0 - matte[..., 3:]) * plate
     away = whole & (beside | _far_from(frame.instance_index != 1))
     assert (away & ~beside).sum() > 300
-    np.testing.assert_allclose(over[away], picture[away], rtol=2e-3, atol=1e-3)
-    assert np.abs(over - picture)[whole].mean() < 4e-3  # edges, too
+    np.testing.assert_allclose(over[away], image[away], rtol=2e-3, atol=1e-3)
+    assert np.abs(over - image)[whole].mean() < 4e-3  # edges, too
     untouched = beside & (ratio == 1.0).all(axis=2)
     np.testing.assert_array_equal(matte[untouched], 0.0)
 
@@ -159,9 +159,9 @@ def test_light_layers_on_shadow_catchers_add_up_to_the_frame(pipeline: ls.Pipeli
     total = layers["emission"] + layers["reflection"]
     for light in ("sun", "bulb"):
         total += layers[f"light.{light}.direct"] * layers[f"light.{light}.shadow"]
-    picture = channels(tmp_path / "lit.exr", "", "RGB")
+    image = channels(tmp_path / "lit.exr", "", "RGB")
     assert frame.shadow_ratio is not None and (frame.shadow_ratio < 0.6).any()
-    np.testing.assert_allclose(total, picture, atol=1e-4)
+    np.testing.assert_allclose(total, image, atol=1e-4)
     on_floor = frame.instance_index == 0
     assert layers["emission"].min() > -1e-5
     assert layers["light.sun.direct"][on_floor].mean() > 0.05

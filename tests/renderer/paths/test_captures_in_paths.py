@@ -97,9 +97,9 @@ def test_floor_below_two_captured_panels_receives_their_blended_display_value() 
 def test_primary_iso_lights_the_blended_material_and_primary_particle_each_gaussian(
     primary: ls.config.PathPrimary,
 ) -> None:
-    """Two lit sheets have unlike albedo: the iso surface lights the blend, particles are lit separately.
+    """Two lit sheets have different albedos: with primary iso their blend is lit, with particle each sheet.
 
-    Their display-referred means differ; means of light do not.
+    Blending albedos in display values and averaging lit colours give different means.
     """
     scene = ls.Scene(
         splats=[wide_sheet(0.0, 0.6, 0.1), wide_sheet(1.0, 0.9, 0.9)],

@@ -21,7 +21,7 @@ from support.scenes.path_scenes import paths
 REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 ROOMS = path_rooms()
 NOISY = ("metal_area", "glass_area", "rough_glass_area")
-SAME_PLACES = 0.001
+EDGE_TOLERANCE = 0.001
 """Relative error of a block at edges, because all pixels are sampled at the same few sub-pixel positions."""
 
 
@@ -55,7 +55,7 @@ def errors_of(name: str, ours: TileMeans) -> tuple[np.ndarray, np.ndarray]:
     return ours.means / theirs.means - 1.0, np.hypot(ours.errors, theirs.errors) / theirs.means
 
 
-def assert_agrees(name: str, ours: TileMeans, systematic: float = SAME_PLACES) -> None:
+def assert_agrees(name: str, ours: TileMeans, systematic: float = EDGE_TOLERANCE) -> None:
     """Asserts that every block, and the whole image, is within four standard errors.
 
     Args:

@@ -47,7 +47,7 @@ def test_rasterised_synthetic_captures_equal_gsplat(renderer: ls.Renderer, name:
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["biker_front", "biker_close"])
 def test_rasterised_real_capture_equals_gsplat(renderer: ls.Renderer, data_dir: Path, name: str) -> None:
-    """The capture is the biker, as a whole and from close up."""
+    """The downloaded biker capture is rendered as a whole and from close up."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     image, camera = reference(name)
     assert_like_gsplat(renderer.render(ls.Scene([biker]), camera), image)

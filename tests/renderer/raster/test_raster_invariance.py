@@ -80,8 +80,10 @@ def test_rasteriser_logs_each_unsupported_kernel_degree_of_a_capture_once(
     for _ in range(2):
         np.testing.assert_array_equal(renderer.render(ls.Scene([quartic]), front_camera()).color, expected.color)
     renderer.render(ls.Scene([gaussian, linear, quartic]), front_camera())
-    said = [record.getMessage() for record in caplog.records]
-    assert [line.partition(",")[0] for line in said] == [f"a capture has kernel degree {degree}" for degree in (4, 0)]
+    messages = [record.getMessage() for record in caplog.records]
+    assert [line.partition(",")[0] for line in messages] == [
+        f"a capture has kernel degree {degree}" for degree in (4, 0)
+    ]
 
 
 def test_set_split_into_instances_is_rasterised_like_the_whole_set(renderer: ls.Renderer) -> None:

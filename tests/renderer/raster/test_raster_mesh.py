@@ -232,14 +232,14 @@ def test_mesh_through_a_splat_covers_one_side_and_is_covered_on_the_other(render
     assert (frame.instance_index[24, 35], frame.instance_index[24, 26]) == (0, 1)
 
 
-@pytest.mark.parametrize(("offset", "is_seen"), [(-1e-3, True), (1e-3, False)])
+@pytest.mark.parametrize(("offset", "is_visible"), [(-1e-3, True), (1e-3, False)])
 def test_splat_a_thousandth_of_a_unit_in_front_of_a_mesh_is_visible(
-    renderer: ls.Renderer, offset: float, is_seen: bool
+    renderer: ls.Renderer, offset: float, is_visible: bool
 ) -> None:
     """A splat a thousandth of a unit behind the mesh is hidden."""
     wall = quad(4.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0 + offset), opacity=0.9)], [wall]), front_camera())
-    assert (frame.gaussian_index[24, 32] == 0) == is_seen
+    assert (frame.gaussian_index[24, 32] == 0) == is_visible
 
 
 @pytest.mark.parametrize(

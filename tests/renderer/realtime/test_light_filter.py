@@ -108,7 +108,7 @@ def coloured(side: Mask, frame: int) -> Doubles:
     return 0.25 * bright * np.where(side[:, None], red, green)
 
 
-def assert_apart(light: Doubles, side: Mask) -> None:
+def assert_no_colour_leaks(light: Doubles, side: Mask) -> None:
     """Checks that no red is on the green side and no green on the red side, and that both sides are smoothed."""
     assert side.any() and not side.all()
     assert not light[side][..., 1].any() and not light[~side][..., 0].any()
@@ -124,7 +124,7 @@ def test_light_denoiser_leaks_no_light_between_perpendicular_planes(extent: floa
         surfaces = visible_box(box_camera(step), extent)
         side = surfaces.face == 1
         light = sequence.render(surfaces, coloured(side, step))
-        assert_apart(light, side)
+        assert_no_colour_leaks(light, side)
 
 
 @EXTENTS
@@ -134,7 +134,7 @@ def test_light_denoiser_leaks_no_light_between_distant_parallel_planes(extent: f
     for step in range(5):
         surfaces, side = with_panel(12.0 + step, extent)
         light = sequence.render(surfaces, coloured(side, step))
-        assert_apart(light, side)
+        assert_no_colour_leaks(light, side)
 
 
 def with_panel(columns: float, extent: float = 0.0, distance: float = 1.5) -> tuple[VisibleSurfaces, Mask]:

@@ -256,11 +256,11 @@ def test_screen_probes_light_a_floor_at_a_grazing_angle_without_loss(slope: floa
     """
     camera = ls.Camera.look_at((0, 0.3, 0), (0, 0.28, -6), (0.03, 1, 0), width=192, height=144, fov_y=0.9)
 
-    def glow(positions: Doubles) -> Doubles:
+    def wall_radiance(positions: Doubles) -> Doubles:
         return 1.05 + slope * np.clip(-positions[:, 2] / 6.0, 0.0, 1.0) ** 2
 
     def trace(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
-        return np.repeat(glow(origins)[:, None], 3, axis=1), np.full(len(directions), 9.0)
+        return np.repeat(wall_radiance(origins)[:, None], 3, axis=1), np.full(len(directions), 9.0)
 
     sequence = ProbeSequence(trace, tile=8)
     found, truth = np.zeros(0), np.zeros(0)
@@ -272,5 +272,5 @@ def test_screen_probes_light_a_floor_at_a_grazing_angle_without_loss(slope: floa
         far = (surfaces.normal[:, 1] == 1.0) & (surfaces.position[:, 2] < -3.0)
         if frame >= 32:
             found = np.append(found, irradiance[far])
-            truth = np.append(truth, np.pi * glow(surfaces.position[far]))
+            truth = np.append(truth, np.pi * wall_radiance(surfaces.position[far]))
     assert found.mean() == pytest.approx(truth.mean(), rel=0.02)

@@ -110,7 +110,7 @@ def test_transmittance_of_shadow_rays_matches_the_float64_reference(rig: ShadowR
 def test_shadow_rays_use_the_extent_and_response_settings_of_camera_rays(
     rig: ShadowRig, response: dict[str, Any]
 ) -> None:
-    """The extent and response of Gaussians are those of camera rays."""
+    """Shadows match the float64 reference with another minimum response and with another kernel degree."""
     assert_matches_reference(
         rig, placed_scene(), ls.RenderConfig(response=ls.config.ResponseConfig(**response)), seed=20
     )
@@ -122,7 +122,7 @@ def test_transmittance_of_shadow_rays_ignores_the_hit_distance_setting(rig: Shad
 
 
 def test_tracer_and_rasteriser_settings_do_not_affect_shadow_rays(rig: ShadowRig) -> None:
-    """The bits are equal, for all Gaussians and for the first hits."""
+    """The bits are equal for exact shadows and for shadows of the first hits."""
     trace = ls.TraceConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
     others = ls.RenderConfig(trace=trace, raster=ls.RasterConfig(transmittance_min=0.5))
     shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}]
@@ -597,7 +597,7 @@ def test_resumed_frames_draw_new_stochastic_shadows_for_each_sample(pipeline: ls
 
 
 def test_stochastic_shadows_of_a_capture_converge_to_exact_shadows(data_dir: Path) -> None:
-    """64 samples of the biker's shadows on itself and around have a PSNR of 35 dB over the image."""
+    """The downloaded biker capture casts shadows on itself and its surroundings; 64 samples have a PSNR of 35 dB."""
     scene = ls.Scene([load_gaussians(data_dir / "splats" / "biker.compressed.ply")])
     camera = ls.Camera.look_at((0.9, -2.2, -3.6), (-0.1, -1.6, 0.0), (0, -1, 0), width=96, height=56, fov_y=0.85)
     directions = (camera.ray_directions() @ camera.camera_from_world[:3, :3]).reshape(-1, 3)

@@ -54,7 +54,7 @@ def test_rays_through_real_captures_equal_the_float64_twin(data_dir: Path, name:
 def test_traced_frames_of_real_captures_are_close_to_rasterised_ones(data_dir: Path, name: str) -> None:
     """Covered pixels reach 30 dB, directly and in a mirror; without footprints the PSNR is far lower.
 
-    The order by peaks costs the biker 5 dB.
+    Ordering hits by peaks lowers the PSNR of the biker capture by 5 dB.
     """
     scene, camera = view_of(data_dir, name, 320)
     raster = ls.render(scene, camera, device="cpu")

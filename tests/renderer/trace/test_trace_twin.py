@@ -17,7 +17,7 @@ from support.twins import TWINS
 
 CASES = {case.name: case for case in cases()}
 WORLD = trace_config((0.3, 0.5, 0.9))
-SURE = 0.75
+CERTAIN_SHARE = 0.75
 """Fraction of pixels at which the twin must leave little tolerance; otherwise the comparison proves nothing."""
 
 
@@ -63,28 +63,30 @@ def assert_agrees(
 ) -> None:
     """Asserts that every image is within the twin's rounding tolerance."""
     for name in colors:
-        assert (twin["slack"] < 0.02).mean() >= SURE, "too much room to compare"
+        assert (twin["slack"] < 0.02).mean() >= CERTAIN_SHARE, "the tolerance is too large to prove anything"
         assert_within(getattr(actual, name), twin[name], 5e-6 + twin["slack"], name)
-    assert (twin["normal_slack"] < 0.1).mean() >= SURE, "too much room to compare"
+    assert (twin["normal_slack"] < 0.1).mean() >= CERTAIN_SHARE, "the tolerance is too large to prove anything"
     assert_within(actual.normal, twin["normal"], 1e-5 + twin["normal_slack"], "normal")
     sure = ~twin["band"]
-    assert sure.mean() >= SURE, "too many surfaces are in doubt to compare"
+    assert sure.mean() >= CERTAIN_SHARE, "too many surfaces are uncertain to compare"
     for name in ("gaussian_index", "instance_index"):
         assert_within(getattr(actual, name)[sure], twin[name][sure], np.zeros(np.count_nonzero(sure)), name)
     found = sure & np.isfinite(twin["depth"])
     np.testing.assert_array_equal(np.isfinite(actual.depth) & sure, found)
     for name in depths:
         expected = twin[name][found]
-        room = 1e-5 * np.abs(expected) + twin["depth_slack"][found]
-        assert_within(getattr(actual, name)[found], expected, room, name)
+        tolerance = 1e-5 * np.abs(expected) + twin["depth_slack"][found]
+        assert_within(getattr(actual, name)[found], expected, tolerance, name)
 
 
-def assert_within(actual: np.ndarray, expected: np.ndarray, room: np.ndarray, name: str) -> None:
-    """Asserts that no value differs by more than the tolerance ``room`` of its pixel, and that none is NaN."""
+def assert_within(actual: np.ndarray, expected: np.ndarray, tolerance: np.ndarray, name: str) -> None:
+    """Asserts that no value differs by more than the tolerance of its pixel, and that none is NaN."""
     assert not np.isnan(actual).any(), f"{name} has {np.isnan(actual).sum()} NaN"
-    error = np.abs(actual.astype(np.float64) - expected).reshape(*room.shape, -1 if actual.size else 1).max(axis=-1)
-    off = np.argwhere(error > room)
+    error = (
+        np.abs(actual.astype(np.float64) - expected).reshape(*tolerance.shape, -1 if actual.size else 1).max(axis=-1)
+    )
+    off = np.argwhere(error > tolerance)
     assert not len(off), (
         f"{name} differs at {len(off)} pixels, first at {tuple(off[0].tolist())}: {actual[tuple(off[0])]} for "
-        f"{expected[tuple(off[0])]}, {error[tuple(off[0])]:.3g} where {room[tuple(off[0])]:.3g} is room"
+        f"{expected[tuple(off[0])]}, {error[tuple(off[0])]:.3g} where {tolerance[tuple(off[0])]:.3g} is allowed"
     )
