@@ -144,7 +144,7 @@ def test_fit_writes_a_fitted_environment_beside_the_scene_file(work):
     assert "environment" in lights_of(work, "f.toml")
 
 
-def test_fit_of_images_without_any_environment_writes_none(work, caplog):
+def test_fit_of_images_without_environment_light_writes_no_environment(work, caplog):
     """Only point lights shone: one line reports it, and the scene has no black environment."""
     options = ("--environment-degree", "1", "--size", "32", "--pipeline", "raster", "--samples", "2", "--device", "cpu")
     done = work.run("fit", "@room.toml", "@door.png", *options, "-o", "@f.toml")

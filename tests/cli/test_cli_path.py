@@ -43,7 +43,7 @@ def test_render_camera_path_moves_between_cameras_of_a_file(work) -> None:
         assert same(work, f"out/frame_{k:05d}.png", camera_path.at(k / 2))
 
 
-def test_orbit_camera_path_is_stretched_to_the_video(work) -> None:
+def test_orbit_camera_path_is_stretched_to_the_duration_of_the_video(work) -> None:
     """Frames of another path are refused."""
     args = ("orbit", "@capture.ply", "-o", "@out", "--seconds", "0.2", "--fps", "20", *SIZE)
     assert work.run(*args, "--camera-path", "@way.json").status == 0

@@ -39,7 +39,7 @@ def object_file(tmp_path) -> str:
     return str(path)
 
 
-def test_dome_cameras_of_a_data_set_are_within_their_ranges() -> None:
+def test_dome_cameras_of_a_data_set_are_within_the_set_ranges() -> None:
     """Ranges limit elevation, azimuth, distance, field of view and aim; images are upright."""
     poses = ls.config.DatasetPoses(
         elevation=(20.0, 40.0), azimuth=(0.0, 90.0), distance=(0.9, 1.1), aim=0.05, fov=(40.0, 50.0)
@@ -92,7 +92,7 @@ def test_data_set_cameras_in_free_space_keep_their_clearance() -> None:
         assert -60.0 - 1e-9 <= math.degrees(math.asin(forward[1])) <= -10.0 + 1e-9
 
 
-def test_data_set_cameras_near_given_ones_move_within_their_limits() -> None:
+def test_data_set_cameras_near_given_cameras_stay_within_the_set_limits() -> None:
     """An empty list of cameras is an error of one line."""
     given = [ls.Camera.look_at((x, 2.0, 4.0), (0.0, 0.5, 0.0)) for x in (-1.0, 1.0)]
     poses = ls.config.DatasetPoses(where=ls.config.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
@@ -203,7 +203,7 @@ def test_data_set_view_depends_only_on_its_index(object_file) -> None:
     assert not np.array_equal(first[0].camera.camera_from_world, shifted.camera.camera_from_world)
 
 
-def test_data_set_lights_are_within_their_ranges() -> None:
+def test_data_set_lights_are_within_the_set_ranges() -> None:
     """Ranges limit elevation, lux and angle of suns and the illuminance of point lights.
 
     Without an environment there is a sky.

@@ -67,7 +67,7 @@ def test_closed_demo_shapes_are_watertight(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CLOSED)
-def test_closed_demo_shapes_face_outwards_and_have_their_size(name: str) -> None:
+def test_closed_demo_shapes_face_outwards_and_have_the_expected_volume(name: str) -> None:
     """Signed volume is positive; volume and area are those of the formula."""
     maker, _, volume, area = CLOSED[name]
     measured_volume, measured_area = volume_and_area(maker())

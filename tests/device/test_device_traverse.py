@@ -247,7 +247,7 @@ def test_box_entry_distances_of_single_rays_are_tight(device: str) -> None:
 
 
 def mean_entries(found: Found, nodes: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Returns the device's least distances of Gaussian means in the children of nodes."""
+    """Returns the device's lower bounds of the distances of Gaussian means in the child boxes of nodes."""
     entries = wp.zeros(len(nodes), dtype=Children)
     inputs = (wp.array(found.slabs, dtype=Slabs), wp.array(nodes, dtype=Node))
     inputs += (wp.array(begins, dtype=float), wp.array(ends, dtype=float))

@@ -92,7 +92,7 @@ def expected(count: int) -> dict[str, str]:
     return {f"frame_{index:04d}.png": f"{index}" for index in range(count)}
 
 
-def test_frames_of_killed_ray_workers_are_made_by_others(
+def test_frames_of_killed_ray_workers_are_made_by_other_workers(
     ray: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """One worker is killed during frame 2 and one exits during frame 7.

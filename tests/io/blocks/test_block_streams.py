@@ -132,7 +132,7 @@ def test_write_blocks_refuses_a_cell_size_that_makes_too_many_cubes(
     assert not (tmp_path / "a").exists()
 
 
-def test_write_blocks_refuses_and_leaves_folders_with_other_files(tmp_path: Path) -> None:
+def test_write_blocks_refuses_folders_with_other_files_and_keeps_the_files(tmp_path: Path) -> None:
     """A folder with other files stays unchanged; a capture with kernel degree 4 is refused, too."""
     capture = random_gaussians(1, count=100)
     (tmp_path / "notes.txt").write_text("mine")

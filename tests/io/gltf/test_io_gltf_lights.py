@@ -47,7 +47,7 @@ def test_gltf_point_light_has_colour_candela_and_range(tmp_path: Path) -> None:
     assert point.radius == 0.0 and point.enabled and point.casts_shadow
 
 
-def test_gltf_lights_have_the_defaults_of_the_extension(tmp_path: Path) -> None:
+def test_missing_gltf_light_properties_have_the_defaults_of_the_extension(tmp_path: Path) -> None:
     """A light is white with 1 candela and infinite range, and a spot's cone fades from its axis to 45 degrees."""
     (spot,) = read(tmp_path, light_gltf({"type": "spot", "spot": {}})).lights
     assert isinstance(spot, ls.LightSpot)

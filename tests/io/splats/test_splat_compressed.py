@@ -115,7 +115,7 @@ def test_compressed_ply_counts_gaussians_with_coarse_positions(
     assert "the positions of 256 Gaussians" in saved_with(farther)  # only the chunk of the outlier, however far it is
 
 
-def test_morton_order_of_coincident_points_is_defined() -> None:
+def test_morton_order_keeps_the_order_of_coincident_points() -> None:
     """A bounding box without extent causes no division by zero."""
     np.testing.assert_array_equal(morton_order(np.ones((3, 3), dtype=np.float32)), [0, 1, 2])
 

@@ -44,7 +44,7 @@ def test_ply_f_rest_columns_are_ordered_by_colour_channel(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_order_of_ply_properties_does_not_matter(tmp_path: Path, seed: int) -> None:
+def test_order_of_ply_properties_does_not_change_the_capture(tmp_path: Path, seed: int) -> None:
     """Shuffled columns, some of them unknown, give the same capture."""
     ls.save(tmp_path / "plain.ply", capture(20, degree=3))
     names, values = parse_ply((tmp_path / "plain.ply").read_bytes())

@@ -73,7 +73,7 @@ def test_training_masks_without_an_image_are_counted_in_a_log_line(
 
 
 @pytest.mark.parametrize("has_val", [False, True])
-def test_blender_test_file_without_images_is_replaced(
+def test_other_images_are_held_out_if_a_blender_test_file_has_no_images(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, has_val: bool
 ) -> None:
     """A log line names the images held out instead: those of the validation file, else training images."""

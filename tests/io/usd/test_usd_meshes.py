@@ -316,7 +316,7 @@ def test_usd_point_instances_are_scaled_rotated_then_translated(tmp_path: Path) 
     )  # orientations are half floats
 
 
-def test_usd_cubes_spheres_and_planes_have_their_sizes(tmp_path: Path) -> None:
+def test_usd_cubes_spheres_and_planes_have_the_stated_sizes(tmp_path: Path) -> None:
     """A plane also has its axis, and a cone is skipped."""
     body = """def Cube "c" {\n double size = 3\n }
     def Sphere "s" {\n double radius = 2\n }

@@ -23,7 +23,7 @@ def captured_sheet(z: float, opacity: float, color: tuple[float, float, float]) 
 
 
 def linear(color: float) -> float:
-    """Returns the decoded sRGB colour."""
+    """Returns the linear value of an sRGB-encoded colour."""
     return ((color + 0.055) / 1.055) ** 2.4
 
 

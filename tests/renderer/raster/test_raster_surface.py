@@ -87,7 +87,7 @@ def test_surface_of_a_gaussian_is_not_behind_the_mesh_that_it_covers(renderer: l
     assert 0.1 < (frame.depth_z[splat] > 5.0999).mean() < 0.6
 
 
-def test_index_layers_count_gaussians_within_their_instance_and_meshes_last(renderer: ls.Renderer) -> None:
+def test_index_layers_number_gaussians_per_instance_and_meshes_after_splats(renderer: ls.Renderer) -> None:
     """Splat instances are numbered first, then meshes; a mesh has no Gaussian index."""
     far, near = random_gaussians(90, 5, center=(0.0, 50.0, 4.0)), one_gaussian((0.5, 0.0, 3.0), 0.1, 0.9)
     target = one_gaussian((-0.5, 0.0, 3.0), 0.1, 0.9)

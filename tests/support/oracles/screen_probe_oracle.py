@@ -85,7 +85,7 @@ def cell_means(side: int) -> Doubles:
 
 @cache
 def cosines(side: int, facing: int) -> Doubles:
-    """Returns mean clamped cosines over the cells, for surfaces that face the centre of cell ``facing`` (16 x 16)."""
+    """Returns each cell's mean clamped cosine, for a surface that faces the centre of cell ``facing`` of 16 x 16."""
     directions = spiral(20_000)
     index = np.array([cell_of(direction, side) for direction in directions])
     towards = directions[[cell_of(direction, 16) == facing for direction in directions]].mean(axis=0)

@@ -36,7 +36,7 @@ class PathRoom:
 
 
 def path_rooms() -> dict[str, PathRoom]:
-    """Returns all rooms, keyed by the names of their references, which join the objects' material and the light."""
+    """Returns all rooms, keyed by the names of their references: the objects' material and the light."""
     objects = {
         "diffuse": [faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))],
         "metal": [faceted_ball(0.0, metal(0.4)), turned_box(metal(0.6))],
