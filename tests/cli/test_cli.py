@@ -347,7 +347,7 @@ def test_render_with_the_trace_pipeline_equals_the_library(work, monkeypatch):
     assert traced == pytest.approx([1 / 3, 2 / 3, 1.0])
 
 
-def test_progress_bar_can_be_shown_again(monkeypatch):
+def test_finished_progress_bar_restarts_when_its_label_is_reported_again(monkeypatch):
     """Finished bars disappear; a bar whose label is reported again starts at zero."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     shown = []

@@ -53,7 +53,7 @@ def test_scene_file_entry_sets_the_kernel_degree_of_its_capture(folder: Path) ->
     np.testing.assert_array_equal(quartic.means, plain.means)
 
 
-def test_scene_file_material_overrides_the_given_values_only(folder: Path) -> None:
+def test_scene_file_material_overrides_only_the_values_that_it_states(folder: Path) -> None:
     """Values that the entry does not set stay, and other entries of the same file are unchanged."""
     (folder / "mesh.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl tin\nf 1 2 3\n")
     (folder / "a.mtl").write_text("newmtl tin\nKd 0.5 0.25 1\nPr 0.75\n")

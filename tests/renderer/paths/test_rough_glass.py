@@ -42,7 +42,9 @@ LIGHTS: dict[str, tuple[Light | ls.Mesh, Light]] = {
 @pytest.mark.parametrize(
     "source", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LIGHTS if name != "sky")]
 )
-def test_light_through_frosted_panes_is_equal_for_sampled_and_hit_lights(source: str, thin: bool) -> None:
+def test_light_through_frosted_panes_is_equal_for_sampled_lights_and_lights_hit_by_rays(
+    source: str, thin: bool
+) -> None:
     """Multiple importance sampling of light samples and hits equals light sampling alone."""
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), diffuse(0.0)) if thin else ls.box(np.array([8.0, 8.0, 0.1]))
     glass = replace(pane, material=replace(FROSTED, roughness=0.5, thin_walled=thin))
