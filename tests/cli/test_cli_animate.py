@@ -357,11 +357,26 @@ def test_animate_logs_black_sides_of_actors_with_a_remedy(work, caplog):
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run("animate", "@dark.toml", "-o", "@frames", "--frames", "0").status == 0
     line = next(record.getMessage() for record in caplog.records if "actors appear at" in record.getMessage())
-    assert re.search(r"a --gamma of \S+ shows them half as bright as captured, \S+ as bright", line)
+    assert re.search(
+        r"--set animation.lighting.transfer.gamma=\S+ shows them half as bright as captured, \S+ as bright", line
+    )
     key = re.search(r"(\w+) in (\[animation.*\])", line)
     assert key is not None
     work.path("bright.toml").write_text(f"{RELIT}\n{key[2]}\n{key[1]} = 12.5\n")
     assert ls.load_animation(work.path("bright.toml")).lighting.transfer.gamma == 12.5
+
+
+def test_animate_does_not_log_relit_actors_with_an_albedo_as_unlit(work, caplog):
+    """Actors made from a mesh have an albedo and need no material, but a capture of the scene does."""
+    floor = work.capture("floor.ply")
+    ls.save(work.path("found.ply"), replace(floor, albedo=np.full((floor.count, 3), 0.5, np.float32)))
+    text = RELIT.replace("ball.ply", "mesh.obj") + "\n[environment]\nintensity = 0.5\n"
+    for capture, count in (("floor.ply", 0), ("found.ply", 1)):
+        work.path("found.toml").write_text(text.replace("floor.ply", capture))
+        caplog.clear()
+        done = work.run("animate", "@found.toml", "-o", f"@found{count}", "--frames", "0", "--device", "cpu")
+        assert done.status == 0, done.err
+        assert caplog.text.count("captures with an albedo stay unlit") == count
 
 
 def test_animate_accepts_a_capture_without_lights_around_the_actors(work, caplog) -> None:

@@ -211,7 +211,7 @@ class _AnimationFrames:
             scene = self._lit_scene(index)
         if is_first:
             # Remarks are about the lit scene, because actors may light a scene without lights.
-            for line in (*self._remarks(scene), *self._light_remarks()):
+            for line in (*self._remarks(self._without_lit_albedos(scene)), *self._light_remarks()):
                 _log.warning("%s", line)
         if self._last != index - 1:
             self._source.cut()
@@ -281,6 +281,14 @@ class _AnimationFrames:
             casts_shadow=[actor.casts_shadow for _, actor in placed],
             relit=[actor.relight for _, actor in placed],
         )
+
+    def _without_lit_albedos(self, scene: ls.Scene) -> ls.Scene:
+        """Returns the scene without albedos of actors that the lighter lights: for remarks, they need no material."""
+        if self._lighter is None:
+            return scene
+        count = len(self._animation.scene.splats)
+        lit = (replace(one, gaussians=replace(one.gaussians, albedo=None)) for one in scene.splats[count:])
+        return replace(scene, splats=(*scene.splats[:count], *lit))
 
     def _light_remarks(self) -> Iterable[str]:
         """Yields a log line about the estimated lights of the first frame."""
