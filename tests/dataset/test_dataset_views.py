@@ -289,3 +289,18 @@ def test_data_set_box_of_a_capture_ignores_stray_gaussians() -> None:
     (thing,) = views.view(0).things
     np.testing.assert_allclose(thing.low, -1.0, atol=0.02)
     np.testing.assert_allclose(thing.high, 1.0, atol=0.02)
+
+
+def test_data_set_captures_and_meshes_without_a_name_share_a_category_of_their_kind() -> None:
+    """Their names have an index."""
+    captures = [random_gaussians(seed, count=30) for seed in (1, 2)]
+    scene = ls.Scene([*captures, ls.SplatInstance(captures[0], name="oak")], [replace(ls.box(1.0), name="")], up="y-up")
+    views = ls.dataset.DatasetViews(scene, small_config(poses=ls.config.DatasetPoses(seen=0.0)), device="cpu")
+    assert views.categories == ("capture", "oak", "mesh")
+    labels = [(thing.name, thing.category, thing.category_id) for thing in views.view(0).things]
+    assert labels == [
+        ("capture 0", "capture", 1),
+        ("capture 1", "capture", 1),
+        ("oak", "oak", 2),
+        ("mesh 0", "mesh", 3),
+    ]

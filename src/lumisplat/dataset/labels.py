@@ -29,7 +29,8 @@ class DatasetThing:
     """
     name: str
     category: str
-    """Category: the name of an object of the scene, or the file name of an inserted object without its extension."""
+    """Category: the name of an object of the scene, ``capture`` or ``mesh`` without a name, or the file name of an
+    inserted object without its extension."""
     category_id: int
     """Id of the category in the layer ``category``, from 1; equal in all views."""
     kind: str
@@ -58,10 +59,12 @@ class Catalogue:
         self._scene = scene
         self._names = [splat.name or f"capture {index}" for index, splat in enumerate(scene.splats)]
         self._names += [mesh.name or mesh.mesh.name or f"mesh {index}" for index, mesh in enumerate(scene.meshes)]
+        self._categories = [splat.name or "capture" for splat in scene.splats]
+        self._categories += [mesh.name or mesh.mesh.name or "mesh" for mesh in scene.meshes]
         self._boxes = [_capture_box(splat) for splat in scene.splats]
         self._boxes += [_box(mesh.mesh.positions) for mesh in scene.meshes]
         self._asset_boxes = {id(asset): _box(asset.points) for asset in assets}
-        self.categories = tuple(dict.fromkeys((*self._names, *(asset.name for asset in assets))))
+        self.categories = tuple(dict.fromkeys((*self._categories, *(asset.name for asset in assets))))
         """Names of the categories, in the order of their ids from 1."""
 
     def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
@@ -100,13 +103,13 @@ class Catalogue:
                 scene.
         """
         instances = (*self._scene.splats, *self._scene.meshes)
-        labelled = zip(instances, self._names, self._boxes, strict=True)
+        labelled = zip(instances, self._names, self._categories, self._boxes, strict=True)
         return [
             DatasetThing(
                 id=index + 1,
                 name=name,
-                category=name,
-                category_id=self.categories.index(name) + 1,
+                category=category,
+                category_id=self.categories.index(category) + 1,
                 kind="capture" if isinstance(instance, SplatInstance) else "mesh",
                 is_object=False,
                 instances=(index if isinstance(instance, SplatInstance) else index + between,),
@@ -114,7 +117,7 @@ class Catalogue:
                 low=low,
                 high=high,
             )
-            for index, (instance, name, (low, high)) in enumerate(labelled)
+            for index, (instance, name, category, (low, high)) in enumerate(labelled)
         ]
 
 
