@@ -163,7 +163,7 @@ def test_animate_continues_an_interrupted_animation(work, monkeypatch):
     times = {path.name: path.stat().st_mtime_ns for path in work.path("frames").glob("frame_*")}
     done = animate(work, "frames", "--video", "@out.mp4")
     assert done.status == 0
-    assert done.out.startswith(f"4 frames in {work.path('frames')}, 2 of them were there\n")
+    assert done.out.startswith(f"4 frames in {work.path('frames')}, 2 of them already existed\n")
     assert frames(work, "frames") == frames(work, "whole")
     for name, time in times.items():
         assert (work.path("frames") / name).stat().st_mtime_ns == time
@@ -277,7 +277,7 @@ def test_animate_reports_a_damaged_frame_that_stops_its_video(work, kept):
     assert not work.path("out.gif").exists()
     frame.unlink()
     done = animate(work, "frames", "--video", "@out.gif")
-    assert done.out.startswith(f"4 frames in {work.path('frames')}, 3 of them were there\n")
+    assert done.out.startswith(f"4 frames in {work.path('frames')}, 3 of them already existed\n")
     assert frames(work, "frames") == made
 
 

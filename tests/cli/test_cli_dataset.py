@@ -68,7 +68,7 @@ def test_dataset_views_rendered_in_parts_equal_the_whole(work, caplog) -> None:
     part = make(work, "parts", "--views", "5", "--seed", "7", "--frames", "4")
     assert "1 view is missing: the same command without --frames makes it" in part.out
     done = make(work, "parts", "--views", "5", "--seed", "7", "--shards", "2")
-    assert "5 views in" in done.out and "4 of them were there" in done.out
+    assert "5 views in" in done.out and "4 of them already existed" in done.out
     assert contents(work, "parts") == contents(work, "whole")
     refused = make(work, "parts", "--views", "5", "--seed", "8")
     assert refused.status == 2 and "holds frames of other settings or files (dataset.seed" in refused.err
@@ -86,7 +86,7 @@ def test_dataset_views_of_a_farm_equal_those_of_one_process(work) -> None:
     assert make(work, "farm", "--views", "4", "--frames", "2").status == 0
     done = make(work, "farm", "--views", "4", "--workers", "2", farm=True)
     assert done.status == 0 and "3 views by 2 workers" in done.out, done.err
-    assert "1 of them was there" in done.out and "contact_sheet.png shows the first" in done.out
+    assert "1 of them already existed" in done.out and "contact_sheet.png shows the first" in done.out
     assert contents(work, "farm") == contents(work, "whole")
 
 

@@ -69,7 +69,7 @@ def test_evaluate_logs_fewer_scales_of_ms_ssim_for_small_images(work, caplog):
 def test_evaluate_output_has_metrics_and_images_of_the_worst_views(work):
     """The report has all metrics, and image, render and difference side by side for the worst views."""
     done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "2", "-o", "@report")
-    assert done.status == 0 and "metrics.json, and the worst 3 views beside the images" in done.out
+    assert done.status == 0 and "metrics.json, and images of the worst 3 views" in done.out
     assert {file for file in work.files() if file.startswith("report")} == {
         "report/metrics.json", "report/v0.png", "report/v2.png", "report/v4.png",
     }  # fmt: skip

@@ -41,9 +41,9 @@ def test_evaluate_materials_table_equals_the_values_of_the_library(work):
     shown = table(done.out)
     assert shown["roughness, rmse"] == f"{result.roughness_rmse:.4f}" != "0.0000"
     assert shown["normals, mean"] == f"{result.normal_mean:.2f}"
-    assert shown["albedo, one scale a channel"] == f"{result.albedo_psnr:.2f}"
+    assert shown["albedo, scaled per channel"] == f"{result.albedo_psnr:.2f}"
     assert shown["relit in dusk, psnr"] == f"{result.relit['dusk'].psnr:.2f}"
-    assert shown["environment, one scale a channel"] == "-"
+    assert shown["environment, scaled per channel"] == "-"
     assert "dB" in done.out and "degrees" in done.out
 
 
@@ -68,10 +68,10 @@ def test_evaluate_materials_writes_metrics_and_comparison_images(work):
 def test_evaluate_materials_compares_the_environment_of_the_capture(work):
     """The environment image is found beside the capture by its name, or given by an option."""
     write_radiance(work.path("ball.environment.exr"), 2.0 * panorama())
-    beside = table(work.run(*COMMAND).out)["environment, one scale a channel"]
+    beside = table(work.run(*COMMAND).out)["environment, scaled per channel"]
     assert float(beside) > 100.0
     write_radiance(work.path("other.exr"), panorama(-1.0))
-    given = table(work.run(*COMMAND, "--environment", "@other.exr").out)["environment, one scale a channel"]
+    given = table(work.run(*COMMAND, "--environment", "@other.exr").out)["environment, scaled per channel"]
     assert float(given) < 40.0
 
 
@@ -100,7 +100,7 @@ def test_evaluate_materials_logs_missing_ground_truth(work, caplog):
         (("evaluate", "@ball.ply", "@ball.ply", "@set", "--materials"), "2 captures given, expected one with"),
         (("evaluate", "@ball.ply", "@set", "--samples", "4"), "--environment, --samples and the pipelines hybrid and"),
         (("evaluate", "@ball.ply", "@set", "--pipeline", "path"), "--environment, --samples and the pipelines hybrid"),
-        (("evaluate", "@mesh.obj", "@set", "--materials"), "mesh.obj: is no capture, expected Gaussians"),
+        (("evaluate", "@mesh.obj", "@set", "--materials"), "mesh.obj: is not a capture, expected Gaussians"),
         ((*COMMAND[:-1], "0"), "samples is 0, expected"),
         ((*COMMAND, "--environment", "@lost.exr"), "lost.exr: no such file"),
         (("evaluate", "@ball.ply", "@lost", "--materials"), "lost: no such folder"),

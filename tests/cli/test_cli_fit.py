@@ -183,7 +183,7 @@ def test_fit_base_colors_writes_colours_of_a_mesh_to_the_scene_file(work):
 def test_fit_overwrites_a_scene_file_only_with_overwrite(work):
     """The output file is here the scene itself."""
     refused = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", *FIT)
-    assert refused.status == 2 and "is there already" in refused.err and "--overwrite" in refused.err
+    assert refused.status == 2 and "already exists" in refused.err and "--overwrite" in refused.err
     allowed = work.run("fit", "@room.toml", "@door.png", "-o", "@room.toml", "--overwrite", *FIT)
     assert allowed.status == 0, allowed.err
     np.testing.assert_allclose(lights_of(work, "room.toml")["left"], (4.0, 2.0, 1.0), rtol=0.02)

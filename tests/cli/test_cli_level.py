@@ -64,7 +64,7 @@ def test_convert_level_rotates_the_ground_to_horizontal(
     ls.save("tilted.ply", ls.transform(garden(), rotation_degrees=(15.0, 0.0, 10.0)))
     assert main(["convert", "tilted.ply", "level.ply", "--level"]) == 0
     printed = capsys.readouterr().out
-    assert "by the ground at height" in printed and "turned by 18.0 degrees, it is y-down" in printed
+    assert "from the ground at height" in printed and "rotated by 18.0 degrees, it is y-down" in printed
     level = load_gaussians(tmp_path / "level.ply")
     assert level.up == (0.0, -1.0, 0.0)
     assert np.ptp(level.means[:2000, 1]) < 0.05

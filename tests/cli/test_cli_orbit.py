@@ -45,7 +45,7 @@ def test_orbit_continues_after_an_interruption(work) -> None:
     orbit(work)
     work.path("round/frame_0002.png").unlink()
     before = work.path("round/frame_0001.png").stat().st_mtime_ns
-    assert "3 of them were there" in orbit(work).out
+    assert "3 of them already existed" in orbit(work).out
     assert work.path("round/frame_0001.png").stat().st_mtime_ns == before
     for options in (("--elevation", "40"), ("--turns", "0.5"), ("--up", "y-up")):
         refused = orbit(work, *options)

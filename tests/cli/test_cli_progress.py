@@ -97,7 +97,7 @@ def test_remaining_time_of_slow_frames_is_announced_once(work, monkeypatch, capl
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES, *options).status == 0
     (line,) = announced(caplog)
-    assert line.startswith("3 frames to go, about 0 s: quicker with ") and line.endswith(remedies)
+    assert line.startswith("3 frames left, in about 0 s: faster with ") and line.endswith(remedies)
 
 
 def test_remaining_time_of_quick_frames_is_not_announced(work, caplog) -> None:

@@ -152,7 +152,7 @@ def test_views_of_realtime_layers_are_written_as_images(work, view):
     assert (outcome.status, outcome.err) == (0, "")
     assert read_image(work.path("a.png"))["srgb"].shape == (16, 24, 3)
     assert ("(violet) to" in outcome.out) == (view in ("history", "probes"))
-    assert ("pixels a frame from 0 (white) to 16 (full)" in outcome.out) == (view == "motion")
+    assert ("pixels per frame, 0 (white) to 16 (full)" in outcome.out) == (view == "motion")
 
 
 def test_view_of_a_realtime_layer_is_refused_by_other_pipelines(work):

@@ -112,10 +112,10 @@ def test_farm_does_not_make_existing_frames_again(tmp_path: Path) -> None:
     for index in (1, 3):
         (tmp_path / "out" / f"frame_{index:04d}.png").unlink()
     farm = Farm(tmp_path, 5)
-    assert farm.run().startswith(f"5 frames in {tmp_path / 'out'}, 3 of them were there\n2 frames by")
+    assert farm.run().startswith(f"5 frames in {tmp_path / 'out'}, 3 of them already existed\n2 frames by")
     assert sorted(farm.tries) == [1, 3]
     again = Farm(tmp_path, 5)
-    assert again.run() == f"5 frames in {tmp_path / 'out'}, 5 of them were there" and not again.ray.given
+    assert again.run() == f"5 frames in {tmp_path / 'out'}, 5 of them already existed" and not again.ray.given
 
 
 def test_farm_replaces_a_lost_worker_and_retries_its_frame(tmp_path: Path, caplog: Any) -> None:
@@ -164,10 +164,10 @@ def test_farm_continues_without_workers_that_cannot_start(tmp_path: Path, caplog
     refused: list[BaseException] = [full, lost, full, lost]
     with pytest.raises(ls.errors.MissingFileError, match="no such file"):
         Farm(tmp_path, 9, lambda worker, _: answer(error=refused[worker]), workers=4).run()
-    assert caplog.messages == ["one worker fewer: no GPU"]
+    assert caplog.messages == ["a worker could not start: no GPU"]
     farm = Farm(tmp_path, 9, lambda worker, index: answer(error=lost) if worker == 0 and index is None else None)
     farm.run()
-    assert len(farm.finished) == 9 and "one worker fewer: lost.ply: no such file" in caplog.messages
+    assert len(farm.finished) == 9 and "a worker could not start: lost.ply: no such file" in caplog.messages
 
 
 def test_farm_replaces_workers_that_die_while_starting_only_once(tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ def test_farm_does_not_use_a_worker_with_different_scene_files(tmp_path: Path, c
     farm.ray.does = farm._does(lambda worker, index: answer(frames=other) if index is None and worker == 1 else None)
     farm.run()
     assert {worker for worker, _ in farm.ray.given} == {0}
-    assert "a worker has other needs than the first one" in caplog.text
+    assert "a worker differs from the first one in needs" in caplog.text
 
 
 def test_farm_refuses_several_workers_for_a_realtime_sequence(tmp_path: Path) -> None:

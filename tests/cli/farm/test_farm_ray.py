@@ -221,11 +221,11 @@ def test_interrupted_farm_ends_its_workers_and_can_continue(ray: Any, tmp_path: 
     assert 3 <= len(maker.contents) < 200, err
     if sent == signal.SIGINT:
         assert f"{tmp_path / 'out'} holds " in out and "of 200 frames; the same command continues" in out, err
-        assert "Traceback" not in err and "its ports are open on 127.0.0.1 alone" in err
+        assert "Traceback" not in err and "its ports are open on 127.0.0.1 only" in err
     assert not (tmp_path / "hostile").exists()
     begun = len(maker.begun)
     finished = len(maker.contents)
-    assert f"{finished} of them were there" in farm(ray, maker)
+    assert f"{finished} of them already existed" in farm(ray, maker)
     assert maker.contents == expected(200) and len(maker.begun) - begun == 200 - finished
 
 
@@ -297,7 +297,7 @@ def test_farm_workers_do_not_import_modules_of_the_working_folder(work: Workspac
     command += ["--workers", "1", "--device", "cpu", "-o", "frames"]
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONSAFEPATH"}
     done = subprocess.run(command, cwd=work.folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and "its ports are open on 127.0.0.1 alone" in done.stderr, done.stderr
+    assert done.returncode == 0 and "its ports are open on 127.0.0.1 only" in done.stderr, done.stderr
     assert not work.path("hostile").exists()
 
 
@@ -334,6 +334,6 @@ def test_farm_reports_a_ray_version_mismatch_in_one_line(monkeypatch: pytest.Mon
     with pytest.raises(ls.ConfigError) as raised, connected("ray://farm:10001", 1):
         pass
     assert str(raised.value) == (
-        "--address ray://farm:10001: the cluster is of Ray 2.40.0 with Python 3.10.1, this process of Ray 2.60.0 with "
-        "Python 3.11.7: install the same on both sides"
+        "--address ray://farm:10001: the cluster runs Ray 2.40.0 with Python 3.10.1, but this process runs Ray 2.60.0 "
+        "with Python 3.11.7: install the same versions on both"
     )

@@ -40,7 +40,7 @@ HEAD = "The actor died unexpectedly before finishing this task.\n\tclass_name: R
             "it could not start: ModuleNotFoundError: No module named 'lumisplat'",
         ),
         (RayTaskError("ray::RayWorker.make() pages of it"), "ValueError: shapes differ"),
-        (OutOfMemoryError("Task was killed"), "killed by Ray for want of memory"),
+        (OutOfMemoryError("Task was killed"), "killed by Ray because memory ran out"),
         (Exception("something\nelse"), "something else"),
     ],
 )

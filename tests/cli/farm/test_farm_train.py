@@ -62,7 +62,7 @@ def test_farm_train_settings_file_sets_options_per_image_folder(ray: Any, tmp_pa
     assert main([*command, one, two]) == 0
     assert (tmp_path / "out/two.ply").read_bytes() == (tmp_path / "two.ply").read_bytes()
     printed = capsys.readouterr().out
-    assert "100 Gaussians" in printed and "60 Gaussians" in printed and "1 of them was there" in printed
+    assert "100 Gaussians" in printed and "60 Gaussians" in printed and "1 of them already existed" in printed
     own.write_text("[two]\ncap = 70\nantialiased = true\n")
     assert main([*command, one, two]) == 2
     assert "holds frames of other settings or files (settings of two" in capsys.readouterr().err

@@ -61,7 +61,7 @@ def test_render_resume_keeps_images_of_the_same_settings_only(work) -> None:
     assert render(work, "out", "--resume", "--frames", "1").status == 0
     assert [*images(work, "out")] == ["right.png"] and work.path("out/render.json").exists()
     before = work.path("out/right.png").stat().st_mtime_ns
-    assert "2 frames in" in (out := render(work, "out", "--resume").out) and "1 of them was there" in out
+    assert "2 frames in" in (out := render(work, "out", "--resume").out) and "1 of them already existed" in out
     assert work.path("out/right.png").stat().st_mtime_ns == before
     assert images(work, "out") == images(work, "whole")
     refused = render(work, "out", "--resume", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0")

@@ -165,7 +165,9 @@ def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
         raise ls.ConfigError(f"--fps is {fps}, expected a positive number")
     length = animation.duration * fps
     if length == math.inf:
-        raise ls.ConfigError(f"--fps is {fps}, too many frames for an animation of {animation.duration:g} s")
+        raise ls.ConfigError(
+            f"--fps is {fps}, too high for an animation of {animation.duration:g} s: choose a lower rate"
+        )
     return replace(animation, fps=fps, frame_count=max(1, round(length)))
 
 

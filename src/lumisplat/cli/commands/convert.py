@@ -169,8 +169,8 @@ class Convert(LevelsCommand):
 
 
 _BY = {
-    "axes": "by the axes of the capture itself, as no ground is found: look whether it is right",
-    "stated": "as the file states it, as no ground is found",
+    "axes": "from the axes of the capture, as no ground was found: check the result",
+    "stated": "from the file, as no ground was found",
 }
 """How the up direction was found if no ground was, by the source that `lumisplat.editing.find_up` reports."""
 
@@ -183,8 +183,8 @@ def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
     cosine = sum(before * after for before, after in zip(found.up, level.up, strict=True))
     how = _BY.get(found.source)
     if found.height is not None and found.share is not None:
-        how = f"by the ground at height {found.height:.4g}, {found.share:.0%} of what shows"
-    turned = f"turned by {math.degrees(math.acos(min(max(cosine, -1.0), 1.0))):.1f} degrees"
+        how = f"from the ground at height {found.height:.4g}, {found.share:.0%} of the visible surface"
+    turned = f"rotated by {math.degrees(math.acos(min(max(cosine, -1.0), 1.0))):.1f} degrees"
     done.append(f"--level: up was {up_name(found.up)}, {how}; {turned}, it is {up_name(level.up)}")
     return level
 
@@ -230,5 +230,5 @@ def _count_of(text: str, whole: int) -> int:
     except (ValueError, OverflowError):
         count, positive = 0, False
     if not positive or not math.isfinite(count):
-        raise ls.ConfigError(f"--decimate: {text}, expected how many Gaussians are left, such as 100000 or 25%")
+        raise ls.ConfigError(f"--decimate: {text}, expected the number of Gaussians to keep, such as 100000 or 25%")
     return max(count, 1)

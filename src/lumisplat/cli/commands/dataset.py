@@ -173,7 +173,7 @@ class Dataset(FrameCommand, InsertingCommand):
             return
         if summary.left_out:
             _log.warning(
-                "%s found no room in %s: views/*.json name them (left_out)",
+                "%s did not fit into views of %s: views/*.json list them as left_out",
                 counted(summary.left_out, "object"),
                 self.output,
             )

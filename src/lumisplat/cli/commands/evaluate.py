@@ -118,7 +118,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         )
         for one, stem in zip(worst, file_stems([one.view.name for one in worst]), strict=True):
             write_view_comparison(one.view, renderer.render(scene, one.view.camera), self.output / f"{stem}.png")
-        print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the images")
+        print(f"{self.output}: metrics.json, and images of the worst {counted(len(worst), 'view')}")
 
     def _compare_materials(self, captures: Sequence[Path], folder: Path) -> None:
         """Compares materials and environment with the ground truth, prints a table, and writes a report if asked."""
@@ -141,7 +141,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             self.quiet_warp()
             capture = self.load_asset(captures[0], report)
             if not isinstance(capture, ls.Gaussians):
-                raise ls.FormatError(captures[0], "is no capture, expected Gaussians")
+                raise ls.FormatError(captures[0], "is not a capture, expected Gaussians")
             result = ls.inverse.evaluate_materials(
                 capture,
                 folder,
@@ -156,7 +156,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         print_columns(*_figure_rows(result))
         if self.output is not None:
             _write_material_report(self.output, result)
-            print(f"{self.output}: metrics.json, and the worst views: found, true, and the difference")
+            print(f"{self.output}: metrics.json, and images of the worst views: estimate, truth and difference")
 
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
@@ -193,12 +193,12 @@ def _common_scales(views: Sequence[ls.io.TrainingImage]) -> int:
 
 
 _FIGURES = {
-    "albedo_psnr": ("albedo, one scale a channel", "dB", 2),
-    "albedo_psnr_unscaled": ("albedo as it is", "dB", 2),
+    "albedo_psnr": ("albedo, scaled per channel", "dB", 2),
+    "albedo_psnr_unscaled": ("albedo, unscaled", "dB", 2),
     "normal_mean": ("normals, mean", "degrees", 2),
     "normal_median": ("normals, median", "degrees", 2),
     "roughness_rmse": ("roughness, rmse", "", 4),
-    "environment_psnr": ("environment, one scale a channel", "dB", 2),
+    "environment_psnr": ("environment, scaled per channel", "dB", 2),
 }
 """Label, unit and number of decimals of each metric in the table, by metric."""
 _VIEW_FIGURES = (

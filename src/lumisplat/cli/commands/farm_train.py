@@ -282,7 +282,7 @@ class TrainSettings:
             elif isinstance(value, str | int | float) and not isinstance(value, bool):
                 args.append(f"--{option.replace('_', '-')}={value}")
             else:
-                raise self._error(name, f"{key} is {value!r}, expected a number or a word, as of the command")
+                raise self._error(name, f"{key} is {value!r}, expected a number or a word, as on the command line")
         try:
             with panels_as_errors("lumisplat train"):
                 own = tyro.cli(Train, args=args, default=training, config=(FlagCreatePairsOff,))

@@ -137,7 +137,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         if self.output.suffix.lower() != ".toml":
             raise ls.FormatError(self.output, "is no .toml: the fitted scene is saved as .toml")
         if self.output.exists() and not self.overwrite:
-            raise ls.FormatError(self.output, "is there already: choose another name, or give --overwrite")
+            raise ls.FormatError(self.output, "already exists: choose another name, or give --overwrite")
         if self.output.is_dir():
             raise ls.FormatError(self.output, "is a folder, expected the name of a file to write")
         check_folder(_assets_of(self.output), self.output)

@@ -241,7 +241,7 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
 
 def _origin(origin: tuple[float, float, float]) -> str:
     """Returns the position of a file's origin in map coordinates as text."""
-    return "{:.12g} {:.12g} {:.12g}, which bounds are about".format(*origin)
+    return "{:.12g} {:.12g} {:.12g}, to which bounds are relative".format(*origin)
 
 
 def block_rows(index: ls.io.BlockIndex) -> Rows:

@@ -215,7 +215,7 @@ class Render(ViewsCommand, FrameCommand):
             "--denoise": self.light.denoise,
         }
         if whole := " and ".join(name for name, is_given in given.items() if is_given):
-            raise ls.ConfigError(f"{whole} and --tiles exclude each other: it needs the whole image")
+            raise ls.ConfigError(f"{whole} and --tiles exclude each other: the former needs the whole image")
 
     @property
     def _layers(self) -> Layers:

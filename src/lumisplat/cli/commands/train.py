@@ -195,10 +195,13 @@ class Train(DeviceCommand):
     def _print_materials(self, found: ls.inverse.FoundMaterials) -> None:
         """Prints the files of the materials, and a line if many albedos are clipped."""
         environment = self.output.with_name(self.output.stem + ".environment.exr")
-        print(f"{environment}: the environment; {self.output.with_suffix('.training')}/materials has images of both")
+        print(
+            f"{environment}: the environment; {self.output.with_suffix('.training')}/materials has images of "
+            "environment and materials"
+        )
         if found.too_light > _TOO_LIGHT:
             print(
-                f"{found.too_light:.0%} of the surface is brighter than the environment that was found can make it: "
+                f"{found.too_light:.0%} of the surface is brighter than the estimated environment can make it: "
                 "highlights, or light that no image shows"
             )
 

@@ -71,7 +71,7 @@ def connected(address: str, cpus: int) -> Generator[Any]:
         line = f"Ray {ray.__version__} at {address}: {resources.get('CPU', 0):g} CPUs, {resources.get('GPU', 0):g} GPUs"
         if address == LOCAL:
             is_private = ray.util.get_node_ip_address() == "127.0.0.1"
-            line += f"; its ports are open on {'127.0.0.1 alone' if is_private else 'all interfaces'}"
+            line += f"; its ports are open on {'127.0.0.1 only' if is_private else 'all interfaces'}"
         _log.warning("%s", line)
         yield ray
     finally:
@@ -94,7 +94,7 @@ def _load_ray() -> Any:
     try:
         return importlib.import_module("ray")
     except ImportError:
-        what = "lumisplat farm, which runs on Ray (plain commands share frames by --frames and --resume),"
+        what = "lumisplat farm, which runs on Ray (other commands can divide frames with --frames and --resume),"
         raise ls.errors.MissingExtraError(what, "farm") from None
 
 
@@ -151,8 +151,8 @@ def _connection_problem(error: BaseException) -> str:
     """Returns the reason why a cluster cannot be used, taken from an error of Ray."""
     if "Version mismatch" in str(error) and len(sides := _VERSIONS.findall(str(error))) == 2:
         there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
-        return f"the cluster is of {there}, this process of {here}: install the same on both sides"
-    return f"no cluster of Ray can be used there: {_short(error)}"
+        return f"the cluster runs {there}, but this process runs {here}: install the same versions on both"
+    return f"no Ray cluster can be used at this address: {_short(error)}"
 
 
 def actor_failure(error: BaseException) -> str:
@@ -166,7 +166,7 @@ def actor_failure(error: BaseException) -> str:
     if "node has died" in text or "node was terminated" in text:
         return f"its node{where} has died"
     if "OutOfMemory" in type(error).__name__ or "running low on memory" in text:
-        return f"killed by Ray{where} for want of memory"
+        return f"killed by Ray{where} because memory ran out"
     return f"its process{where} has ended" if where else _short(error)
 
 

@@ -219,7 +219,7 @@ class Driver:
         for index in self._done:
             if not frames.folder.is_finished(index) and not frames.folder.is_stopped(index):
                 missing[index] = ls.SceneError(
-                    "it is missing, though a worker has made it: do all workers see the same folder?"
+                    "missing, although a worker has written it: check that all workers see the same folder"
                 )
         if missing:
             raise frames.missing_error(missing, self.overwrite)
@@ -277,7 +277,7 @@ class Driver:
             ours, theirs = self._frames.provenance, answer.frames.provenance
             others = {name for name in ours | theirs if ours.get(name) != theirs.get(name)}
             named = ", ".join(sorted(others)[:3]) or "frames"
-            self._refuse(worker, ls.SceneError(f"a worker has other {named} than the first one, and is not used"))
+            self._refuse(worker, ls.SceneError(f"a worker differs from the first one in {named}, and is not used"))
             return
         self._idle.append(worker)
         self._bad_starts = 0
@@ -309,7 +309,7 @@ class Driver:
         """Logs why workers could not start, except the reason ``reported``, which is the job's error."""
         for reason in map(one_line, self._refusals):
             if reason != reported:
-                self._log_once(f"one worker fewer: {reason}")
+                self._log_once(f"a worker could not start: {reason}")
         self._refusals.clear()
 
     def _frame_done(self, worker: Any, frame: int, answer: Answer) -> None:

@@ -197,9 +197,8 @@ def finish_frames(frames: FrameList, made: int, video: Path | None, report: Repo
         joined = folder.join(report)
         return f"{joined[0]}" if len(joined) == 1 else f"{len(joined)} images in {folder.folder}"
     reused = len(frames.wanted) - made
-    were = "was" if reused == 1 else "were"
     lines = f"{counted(len(frames.wanted), frames.unit)} in {frames.folder.folder}"
-    lines += f", {reused} of them {were} there" * bool(reused)
+    lines += f", {reused} of them already existed" * bool(reused)
     if video is None or frames.fps is None:
         return lines
     write_video(video, [frames.folder.path(index) for index in frames.wanted], frames.fps, report)

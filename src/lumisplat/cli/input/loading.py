@@ -247,7 +247,7 @@ def block_views(
         if pixels is not None:
             raise ls.ConfigError(f"--lod pixels= and {needed} exclude each other: the latter needs the whole capture")
         _log.warning(
-            "%s: the whole capture is loaded for %s: only unlit, rasterised images of it alone load what they see",
+            "%s: the whole capture is loaded for %s: only unlit, rasterised images of it alone load visible blocks",
             folders[0],
             needed,
         )

@@ -137,10 +137,10 @@ ViewName = Literal[
 
 _LEGENDS = {
     "depth": "depth in scene units from {:.4g} (red) to {:.4g} (blue)",
-    "motion": "pixels a frame from {:.0f} (white) to {:.0f} (full), red to the right, yellow-green up; unknown: black",
-    "history": "frames that direct light is the mean of, from {:.0f} (violet) to {:.0f} (yellow); no surface: black",
+    "motion": "pixels per frame, {:.0f} (white) to {:.0f} (full), red to the right, yellow-green up; unknown: black",
+    "history": "number of frames averaged in direct light, from {:.0f} (violet) to {:.0f} (yellow); no surface: black",
     "probes": "refreshes of screen probes from {:.0f} (violet) to {:.0f} (yellow), logarithmic",
-    "hits": "Gaussians a ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",
+    "hits": "Gaussians per ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",
 }
 """Meaning of the colours of each view whose colours depend on the scene."""
 
