@@ -40,7 +40,7 @@ def test_loss_gradients_by_exposures_colors_and_alphas_match_central_differences
     pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
     loss = ImageLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
     frame = ExposedFrame(launcher, buffers, exposure, BACKGROUND)
-    found, gradient = loss.differentiate(SIZE, frame.of(pixels), loss.load(*wanted))
+    found, gradient = loss.differentiate(SIZE, frame.apply(pixels), loss.load(*wanted))
     gradient, by_exposure = frame.backward(pixels, gradient)
     arrays = gradient.color, gradient.alpha
     by_color, by_alpha = (np.array(array.numpy()) for array in arrays)  # pyright: ignore[reportUnknownMemberType]
@@ -69,7 +69,7 @@ def test_mean_of_trained_exposures_stays_the_identity() -> None:
     exposures, rng = Exposures.neutral(5), np.random.default_rng(0)
     for _ in range(19):
         for number in rng.permutation(5):
-            exposures.move(int(number), rng.normal(number - 2.0, 0.2, (3, 4)), 0.01)
+            exposures.update(int(number), rng.normal(number - 2.0, 0.2, (3, 4)), 0.01)
     np.testing.assert_allclose(exposures.values.mean(axis=0), np.eye(3, 4), atol=1e-12)
     assert np.abs(exposures.values - np.eye(3, 4)).max() > 0.01
 

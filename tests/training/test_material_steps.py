@@ -40,7 +40,7 @@ def fit(images: Path) -> MaterialFit:
 def moved(fit: MaterialFit, **gradient: np.ndarray) -> Materials:
     """Returns the materials after a step with the given gradients; all other gradients are 0."""
     given = {name: np.zeros(shape) for name, shape in SHAPES.items()} | gradient
-    fit._move(Materials(normals=np.zeros((COUNT, 3)), **given))  # pyright: ignore[reportPrivateUsage]
+    fit._update(Materials(normals=np.zeros((COUNT, 3)), **given))  # pyright: ignore[reportPrivateUsage]
     return fit.materials
 
 

@@ -100,8 +100,8 @@ def test_mean_motion_of_refined_cameras_stays_zero() -> None:
     rng = np.random.default_rng(0)
     for _ in range(9):
         for number in rng.permutation(5):
-            poses.move(int(number), rng.normal(1.0 + number, 0.5, (3, 4)), 1e-3)
-    motions = np.linalg.inv(poses.given) @ poses.values
+            poses.update(int(number), rng.normal(1.0 + number, 0.5, (3, 4)), 1e-3)
+    motions = np.linalg.inv(poses.initial) @ poses.values
     twists = np.array([twist_from_rigid(motion) for motion in motions])
     np.testing.assert_allclose(twists.mean(axis=0), 0.0, atol=1e-4 * np.abs(twists).max())
     assert np.abs(twists).max() > 1e-3

@@ -69,7 +69,7 @@ def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
     total, raster = 0.0, one._backend
     assert isinstance(raster, TrainingRaster)
     if one._surfaces is not None:
-        maps = raster.compare_surfaces(one._surfaces, pixels, target, counted=one._loss.counted, gradient=nothing)
+        maps = raster.compare_surfaces(one._surfaces, pixels, target, weight_sum=one._loss.weight_sum, gradient=nothing)
         total = float(np.asarray(maps.terms.numpy(), np.float64).sum())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
         if one._surfaces.smoothness is not None:
             terms: Any = one._surfaces.smoothness.terms
@@ -154,8 +154,8 @@ def test_densification_statistics_of_normals_match_central_differences() -> None
     p = Parameters.of(one.gaussians(), (0.0, 0.0, 0.0), one._views[0].camera)
     p = replace(p, features=surfaces(p)[:, 1:])
     slopes, agree = differences(lambda q: expected(q, one, normals=7), p, "features")
-    counted = np.asarray(one._views[0].read().weight, np.float64).sum()
-    turns = counted * np.linalg.norm(np.cross(p.features, slopes), axis=1)
+    weight_sum = np.asarray(one._views[0].read().weight, np.float64).sum()
+    turns = weight_sum * np.linalg.norm(np.cross(p.features, slopes), axis=1)
     whole = agree.all(axis=1)
     assert whole.mean() > 0.5
     np.testing.assert_allclose(noted.numpy()[whole], turns[whole], rtol=2e-2, atol=1e-3 * float(turns.max()))

@@ -55,8 +55,8 @@ smooth in directions without normals. With normals in all directions, the penalt
 the weight."""
 
 IRRADIANCE_FLOOR = 0.1
-"""Irradiance, as a fraction of the mean luminance, below which residuals are no longer divided by the irradiance.
-Darker values are mostly noise and the camera's black level."""
+"""Lower bound, as a fraction of the mean luminance, of the irradiance by which residuals are divided. Darker values
+are mostly noise and the camera's black level."""
 
 CHROMATICITY_SAMPLES_MAX = 2000
 """Largest number of Gaussians that NCM-ab uses on each side; of more, a random sample is used. Optimal transport

@@ -150,10 +150,10 @@ class TrainingRaster(_Backend):
         return self._unlit.draw(self._scene).data
 
     def compare_surfaces(
-        self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, counted: float, gradient: PixelGradient
+        self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, weight_sum: float, gradient: PixelGradient
     ) -> SurfaceMaps:
         """Evaluates the surface terms of the loss on the last frame, as `SurfaceLoss.differentiate`."""
-        return surfaces.differentiate(self._scene, self.drawn, pixels, target, counted=counted, gradient=gradient)
+        return surfaces.differentiate(self._scene, self.drawn, pixels, target, weight_sum=weight_sum, gradient=gradient)
 
     def backward(
         self,

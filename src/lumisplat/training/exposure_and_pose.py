@@ -51,7 +51,7 @@ class Exposures:
         for name, values in self.state.items():
             values[:] = state[name]
 
-    def move(self, number: int, gradient: Doubles, rate: float) -> None:
+    def update(self, number: int, gradient: Doubles, rate: float) -> None:
         """Makes an Adam update of one exposure, then shifts all exposures so that their mean is the identity.
 
         Args:
@@ -79,7 +79,7 @@ class ExposedFrame:
         self._exposure.matrix = wp.mat33(*exposure[:, :3].astype(float).reshape(-1))
         self._exposure.offset, self._exposure.background = wp.vec3(*exposure[:, 3]), wp.vec3(*background)
 
-    def of(self, pixels: PixelData) -> PixelData:
+    def apply(self, pixels: PixelData) -> PixelData:
         """Returns a copy of a frame's pixels with the exposure applied."""
         exposed, count = PixelData(), len(pixels.alpha)
         exposed.color, exposed.alpha = self._buffers.get("exposed.color", wp.vec3, count), pixels.alpha
@@ -117,7 +117,7 @@ class Poses:
 
     values: Doubles
     """Current ``camera_from_world`` of each image, shape (K, 4, 4)."""
-    given: Doubles
+    initial: Doubles
     """Initial ``camera_from_world`` of each image, shape (K, 4, 4)."""
     adam: Adam
     length: float
@@ -138,8 +138,8 @@ class Poses:
                     f"the camera of {camera.name} has {what}, expected a single pose to refine: turn off "
                     "TrainConfig.refine_poses"
                 )
-        given = np.stack([np.asarray(camera.camera_from_world, np.float64) for camera in cameras])
-        return cls(given.copy(), given, Adam.still((len(cameras), 6), by_rows=True), length)
+        initial = np.stack([np.asarray(camera.camera_from_world, np.float64) for camera in cameras])
+        return cls(initial.copy(), initial, Adam.still((len(cameras), 6), by_rows=True), length)
 
     @property
     def state(self) -> dict[str, Doubles]:
@@ -155,7 +155,7 @@ class Poses:
         """Returns a copy of ``camera`` with the current pose of image ``number``."""
         return replace(camera, camera_from_world=self.values[number])
 
-    def move(self, number: int, gradient: Doubles, rate: float) -> None:
+    def update(self, number: int, gradient: Doubles, rate: float) -> None:
         """Makes an Adam update of one pose, then moves all poses so that their mean motion is 0.
 
         Args:
@@ -166,8 +166,8 @@ class Poses:
         by_parameters = self._twist_from_parameters.T @ twist_gradient(self.values[number], gradient)
         step = self._twist_from_parameters @ (rate * self.adam.step(by_parameters, row=number))
         self.values[number] = rigid_from_twist(step) @ self.values[number]
-        moved = np.linalg.inv(self.given) @ self.values
-        drift = np.mean([twist_from_rigid(one) for one in moved], axis=0)
+        motions = np.linalg.inv(self.initial) @ self.values
+        drift = np.mean([twist_from_rigid(one) for one in motions], axis=0)
         self.values[:] = self.values @ rigid_from_twist(-drift)
 
     @property

@@ -152,7 +152,7 @@ def find_materials(
         folder = RunFolder.of(Path(output)).path
         files = MaterialFiles.of(folder, gaussians, images.fingerprint, config)
     search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or no_progress)
-    found = search.found()
+    found = search.run()
     found = replace(found, gaussians=replace(found.gaussians, origin=origin))
     if output is not None:
         _write(Path(output), found)
@@ -176,7 +176,7 @@ class _Search:
         self._gaussians, self._views, self._config, self._files = gaussians, views, config, files
         self._device, self._threads, self._progress = device, threads, progress
 
-    def found(self) -> FoundMaterials:
+    def run(self) -> FoundMaterials:
         """Runs or resumes the search."""
         state = None if self._files is None else self._files.read()
         incident = None
@@ -317,7 +317,7 @@ def _write(output: Path, found: FoundMaterials) -> None:
         write_radiance(environment_path(output), image)
 
 
-_INSIDE = 0.99
+_COVERED_MIN = 0.99
 """Lower bound of alpha, and of the pixel's weight in the loss, for pixels whose exposures are compared."""
 
 
@@ -349,12 +349,12 @@ def _stops_brighter(target: TargetPixels, frame: Frame) -> list[float]:
         A list of that one number; an empty list if too few pixels are unclipped.
     """
     image, shown = target.color.mean(axis=2), frame.color.mean(axis=2)
-    inside = frame.alpha > _INSIDE
+    inside = frame.alpha > _COVERED_MIN
     for brightness in (image, shown):
         inside = inside & (brightness > EXPOSURE_RANGE[0]) & (brightness < EXPOSURE_RANGE[1])
     for share in (target.weight, target.alpha):
         if share is not None:
-            inside = inside & (share > _INSIDE)
+            inside = inside & (share > _COVERED_MIN)
     if inside.sum() < EXPOSURE_PIXELS:
         return []
     medians = [float(np.median(decode_srgb(one[inside]))) for one in (image, shown)]

@@ -147,7 +147,10 @@ class IncidentRadiance:
         return 4.0 * np.pi / len(self.directions)
 
     def irradiance(self, normals: Doubles) -> Irradiance:
-        """Returns the irradiance over pi of N Gaussians with the given normals, shape (N, 3), without emitters."""
+        """Returns the irradiance, divided by pi, of N Gaussians with the given normals, shape (N, 3).
+
+        The result has no emitters.
+        """
         cosines = np.maximum(normals @ self.directions.T, 0.0).astype(np.float32)
         shares = cosines * np.float32(self.solid_angle / np.pi)
         return Irradiance(

@@ -66,7 +66,7 @@ class ImageLoss:
     ) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._ssim, self._alpha, self._entropy = ssim, alpha, entropy
-        self.counted = 1.0
+        self.weight_sum = 1.0
         """Sum of the pixel weights of the loaded image."""
 
     def load(self, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None) -> TargetImage:
@@ -78,7 +78,9 @@ class ImageLoss:
             alpha: Target alpha of the frame, shape (H, W); None if unknown.
         """
         target = TargetImage()
-        self.counted = float(color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)) or 1.0
+        self.weight_sum = (
+            float(color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)) or 1.0
+        )
         target.color = self._buffers.upload("target.color", wp.vec3, color.reshape(-1, 3))
         none = np.zeros(0, np.float32)
         for name, values in (("weight", weight), ("alpha", alpha)):
@@ -119,10 +121,10 @@ class ImageLoss:
 
     def _weights(self) -> LossWeights:
         weights = LossWeights()
-        weights.l1 = (1.0 - self._ssim) / (3.0 * self.counted)
-        weights.ssim = self._ssim / (3.0 * self.counted)
-        weights.alpha = self._alpha / self.counted
-        weights.entropy = self._entropy / self.counted
+        weights.l1 = (1.0 - self._ssim) / (3.0 * self.weight_sum)
+        weights.ssim = self._ssim / (3.0 * self.weight_sum)
+        weights.alpha = self._alpha / self.weight_sum
+        weights.entropy = self._entropy / self.weight_sum
         return weights
 
     def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
@@ -130,7 +132,7 @@ class ImageLoss:
 
         The kernels treat pixels of weight 0 as equal to the image, so their SSIM is 1; these pixels do not count.
         """
-        total = self.counted
+        total = self.weight_sum
         ssim = 1.0 - (3.0 * count - float(ssim_rows.sum(dtype=np.float64))) / (3.0 * total)
         means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total, total)
         l1, squared, alpha, entropy = (float(mean) for mean in means)
@@ -174,7 +176,7 @@ class SurfaceLoss:
         self._terms.middle, self._terms.per_unit = middle, 1.0 / extent
         self._shown: RenderedFeatures
         self._by_sums: DeviceArray
-        self._counted = 1.0
+        self._weight_sum = 1.0
         self.smoothness: SmoothnessMaps | None = None
         """Smoothness term of each pixel of the last frame; None if its weight is 0."""
 
@@ -185,7 +187,7 @@ class SurfaceLoss:
         pixels: PixelData,
         target: TargetImage,
         *,
-        counted: float,
+        weight_sum: float,
         gradient: PixelGradient,
     ) -> SurfaceMaps:
         """Evaluates the surface terms of a frame and their gradients.
@@ -198,14 +200,14 @@ class SurfaceLoss:
             drawn: Splats of the frame.
             pixels: Pixels of the frame.
             target: Uploaded image with the weight of each pixel.
-            counted: Sum of the pixel weights.
+            weight_sum: Sum of the pixel weights.
             gradient: Gradient with respect to the pixels; its alpha is changed in place.
 
         Returns:
             Maps with the terms of each pixel.
         """
         run, get, count = self._launcher.run_banded, self._buffers.get, math.prod(scene.image_size)
-        self._terms.normals, self._terms.depth = self._normals / counted, self._depth / counted
+        self._terms.normals, self._terms.depth = self._normals / weight_sum, self._depth / weight_sum
         features = get("surfaces.features", wp.float32, (drawn.splats.count, FEATURES))
         with self._launcher.stage("surfaces"):
             data = scene.assets[0].data
@@ -218,10 +220,10 @@ class SurfaceLoss:
             run(kernels.gather_surfaces, count, *seen, pixels.alpha, shown.of_pixels, maps, by_sums, gradient.alpha)
             if self._smooth > 0.0:
                 self.smoothness = self._buffers.struct("surfaces.smoothness", SmoothnessMaps, count)
-                inputs = (self._smooth / counted, target, shown.of_pixels, self.smoothness)
+                inputs = (self._smooth / weight_sum, target, shown.of_pixels, self.smoothness)
                 run(kernels.compare_smoothness, count, scene.camera, *inputs)
                 run(kernels.gather_smoothness, count, scene.camera, self.smoothness, by_sums)
-        self._shown, self._by_sums, self._counted = shown, by_sums, counted
+        self._shown, self._by_sums, self._weight_sum = shown, by_sums, weight_sum
         return maps
 
     def backward(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray) -> DeviceArray:
@@ -244,7 +246,7 @@ class SurfaceLoss:
             record: Densification statistics, changed in place.
         """
         data: GaussianData = scene.assets[0].data
-        inputs = (scene.camera, self._counted, drawn.splats.rects, data, by_features, record)
+        inputs = (scene.camera, self._weight_sum, drawn.splats.rects, data, by_features, record)
         self._launcher.run_banded(kernels.add_normal_gradients, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:

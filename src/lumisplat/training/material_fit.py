@@ -248,7 +248,7 @@ class MaterialFit:
         epoch, index = divmod(self.iteration, len(self._views))
         order = np.random.default_rng([self._config.seed, 7, epoch]).permutation(len(self._views))
         loss, gradient = self.differentiate(self._views[int(order[index])])
-        self._move(gradient)
+        self._update(gradient)
         self.iteration += 1
         return loss
 
@@ -263,7 +263,7 @@ class MaterialFit:
         self._lit.decode(self._gaussians.rects, by_splats)
         return loss, self._lit.differentiate()
 
-    def _move(self, gradient: Materials) -> None:
+    def _update(self, gradient: Materials) -> None:
         """Adds the smoothness gradients to ``gradient``, and makes an Adam step in logits and logarithms."""
         now = self.materials
         share = (now.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE

@@ -206,7 +206,7 @@ class HeldOut:
         return HeldOutScore(float(np.mean(list(found.values()))), found) if found else None
 
     def render(self, gaussians: Gaussians, image: TrainingImage) -> FloatArray:
-        """Returns the view of the Gaussians by an image's camera, display-referred, 0..1, shape (H, W, 3)."""
+        """Renders the Gaussians with an image's camera, display-referred, 0..1, shape (H, W, 3)."""
         assert self._renderer is not None
         frame = self._renderer.render(Scene([gaussians]), image.camera)
         return np.clip(frame.color, 0.0, 1.0).astype(np.float32)

@@ -242,7 +242,7 @@ def add_by_features(
 def add_normal_gradients(
     start: int,
     camera: wp.array[CameraData],
-    counted: float,
+    weight_sum: float,
     rects: wp.array[TileRect],
     gaussians: GaussianData,
     by_features: wp.array2d[float],
@@ -253,7 +253,7 @@ def add_normal_gradients(
     if is_listed(rects[i]):
         by_normal = normal_at(by_features, i)
         normal_gradient = wp.length(wp.cross(normal_of(camera[0], gaussians, i), by_normal))
-        record_inout.turns[i] = record_inout.turns[i] + counted * normal_gradient
+        record_inout.turns[i] = record_inout.turns[i] + weight_sum * normal_gradient
 
 
 @wp.kernel

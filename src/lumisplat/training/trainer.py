@@ -187,7 +187,7 @@ class Trainer:
         gradient = self._backward(pixels, target, by_pixels)
         if self.poses is not None and self._done >= POSES_AFTER:
             rate = decayed_rate(self.config.rates.poses, self.config.rates.poses_last, self._done)
-            self.poses.move(step_input.number, self._backend.by_pose(step_input.camera), rate)
+            self.poses.update(step_input.number, self._backend.by_pose(step_input.camera), rate)
         self._add_screen_gradients(step_input.camera)
         self._update(gradient)
         self.iteration += 1
@@ -231,7 +231,7 @@ class Trainer:
         if self.exposures is not None:
             exposure = self.exposures.values[step_input.number]
             exposed = ExposedFrame(self._launcher, self._buffers, exposure, step_input.background)
-        loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, target)
+        loss, gradient = self._loss.differentiate(size, exposed.apply(pixels) if exposed else pixels, target)
         if not np.isfinite(loss.total):
             raise DivergedError(
                 f"training stopped at iteration {self.iteration + 1:,}: the loss is {loss.total}: check that the "
@@ -240,7 +240,7 @@ class Trainer:
         if self.exposures is not None and exposed is not None:
             gradient, by_exposure = exposed.backward(pixels, gradient)
             rate = decayed_rate(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
-            self.exposures.move(step_input.number, by_exposure, rate)
+            self.exposures.update(step_input.number, by_exposure, rate)
         return loss, gradient
 
     def _backward(self, pixels: PixelData, target: TargetImage, gradient: PixelGradient) -> GaussianGradient:
@@ -253,7 +253,7 @@ class Trainer:
             return raster.backward(pixels, gradient)
         surfaces = self._surfaces if self._done >= SURFACES_AFTER else None
         if surfaces is not None:
-            raster.compare_surfaces(surfaces, pixels, target, counted=self._loss.counted, gradient=gradient)
+            raster.compare_surfaces(surfaces, pixels, target, weight_sum=self._loss.weight_sum, gradient=gradient)
         record = self._record if self.config.grow_turn > 0.0 else None
         by_gaussians = raster.backward(pixels, gradient, surfaces, record)
         if self.config.flatness > 0.0:

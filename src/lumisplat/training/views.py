@@ -13,7 +13,7 @@ from lumisplat.io.training_images.loading import TrainingImage
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.camera import Camera
 
-LEAST_WEIGHT = 1e-6
+WEIGHT_MIN = 1e-6
 """Lower bound of the total loss weight in a downscaled pixel, which avoids a division by zero."""
 
 
@@ -47,7 +47,7 @@ class TargetPixels:
         if layer is None or self.weight is None or weight is None:
             return None if layer is None else _resized(layer, size)
         shares, total = ((w if layer.ndim == 2 else w[..., None]) for w in (self.weight, weight))
-        return np.asarray(_resized(layer * shares, size) / np.maximum(total, LEAST_WEIGHT), np.float32)
+        return np.asarray(_resized(layer * shares, size) / np.maximum(total, WEIGHT_MIN), np.float32)
 
     def over(self, change: npt.ArrayLike) -> TargetPixels:
         """Returns the pixels composited over another background.

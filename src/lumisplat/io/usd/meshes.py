@@ -127,7 +127,7 @@ class UsdMeshes:
 
     @staticmethod
     def reads(prim: Any) -> bool:
-        """Returns whether a prim is a mesh, or a shape that is read as a mesh."""
+        """Returns whether a prim is a mesh, or a cube, sphere or plane, which are read as meshes."""
         return str(prim.GetTypeName()) in ("Mesh", *_SHAPES)
 
     def instances(self, placed: PlacedPrim) -> list[MeshInstance]:

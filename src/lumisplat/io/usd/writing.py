@@ -297,7 +297,10 @@ def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animati
 
 
 def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
-    """Yields instances with keys that identify them in other frames: kind, material, and index among equals."""
+    """Yields instances with keys that identify them in other frames.
+
+    A key has the instance's kind, a mesh's material, and the index among the instances for which both are equal.
+    """
     counts: Counter[tuple[str, int]] = Counter()
     for instance in instances:
         group = ("mesh", id(instance.mesh.material)) if isinstance(instance, MeshInstance) else ("splats", 0)
