@@ -231,9 +231,9 @@ class _Baker:
             if self.progress:
                 self.progress("baking", 0.5 * (first + begin) / self.total)
             some = instance.gaussians.subset(rows)
-            turned = rotated_directions(self.settings.directions, rotations[rows])
+            directions = rotated_directions(self.settings.directions, rotations[rows])
             pilot = _Views(some, rotated_directions(PILOT_DIRECTIONS, rotations[rows]), rotation, first + begin)
-            yield replace(pilot, directions=pilot.on_visible_sides(self._rendered(pilot, 2), turned))
+            yield replace(pilot, directions=pilot.on_visible_sides(self._rendered(pilot, 2), directions))
 
     def _rendered(self, views: _Views, samples: int) -> ViewRadiance:
         """Renders the given views with ``samples`` samples each."""

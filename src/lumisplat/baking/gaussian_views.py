@@ -54,13 +54,16 @@ class CatcherLight:
 
     def change_and_received(self) -> tuple[Doubles, Doubles]:
         """Returns the change of the total irradiance by the added objects, and the total irradiance without them."""
-        given, rest = self.ambient > 0.0, self.least - self.unshadowed
-        ambient = np.maximum(np.where(given, self.ambient, self.emitted_unshadowed), rest)
+        has_ambient, remainder = self.ambient > 0.0, self.least - self.unshadowed
+        ambient = np.maximum(np.where(has_ambient, self.ambient, self.emitted_unshadowed), remainder)
         emitted_share = np.divide(
-            ambient, self.emitted_unshadowed, out=np.ones_like(rest), where=given & (self.emitted_unshadowed > ambient)
+            ambient,
+            self.emitted_unshadowed,
+            out=np.ones_like(remainder),
+            where=has_ambient & (self.emitted_unshadowed > ambient),
         )
-        blocked = np.divide(self.blocked, self.ambient, out=np.zeros_like(rest), where=given)
-        undetected = np.where(given, np.maximum(ambient - self.emitted_unshadowed, 0.0), 0.0)
+        blocked = np.divide(self.blocked, self.ambient, out=np.zeros_like(remainder), where=has_ambient)
+        undetected = np.where(has_ambient, np.maximum(ambient - self.emitted_unshadowed, 0.0), 0.0)
         return self.change + emitted_share * self.emitted_change - undetected * blocked, self.unshadowed + ambient
 
 

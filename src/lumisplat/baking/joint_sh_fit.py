@@ -173,8 +173,8 @@ class JointShFit:
         self._bounced: tuple[FrameRays, FrameRays] | None = None
         if config.pipeline.traces_paths and config.max_bounces != 0:
             # Equal random numbers: the direct light of both renderers is the same and cancels in the difference.
-            few = replace(config, samples=min(max(half // BOUNCED_FRACTION, BOUNCED_MIN), half))
-            self._bounced = FrameRays(few, launcher), FrameRays(replace(few, max_bounces=0), launcher)
+            indirect = replace(config, samples=min(max(half // BOUNCED_FRACTION, BOUNCED_MIN), half))
+            self._bounced = FrameRays(indirect, launcher), FrameRays(replace(indirect, max_bounces=0), launcher)
             self._paths = FrameRays(replace(self._paths.config, max_bounces=0), launcher)
         # Lit frames sort hits by their peak distance, which also decides what lies before the end of a segment.
         order = config.trace.hit_distance or HitDistance.PEAK
@@ -200,11 +200,11 @@ class JointShFit:
             pixels = self.pixels(rays_of_gaussians.of(order[rows]), rays)
             if not len(pixels.colors):
                 continue
-            here, renamed = np.unique(pixels.gaussian, return_inverse=True)
-            some = replace(pixels, gaussian=renamed)
-            blend = Blend(some, len(here), sh.shape[1], self._launcher)
-            result[here] = refitted_sh(blend, some, result[here], information[here])
-            information[here] += some.information(len(here))
+            indices, renamed = np.unique(pixels.gaussian, return_inverse=True)
+            compact = replace(pixels, gaussian=renamed)
+            blend = Blend(compact, len(indices), sh.shape[1], self._launcher)
+            result[indices] = refitted_sh(blend, compact, result[indices], information[indices])
+            information[indices] += compact.information(len(indices))
         return result
 
     def pixels(self, rays_of_gaussians: SampleRays, count: int) -> Pixels:
@@ -220,18 +220,18 @@ class JointShFit:
         ``count``.
         """
         parts: list[_UsableRays] = []
-        lacking = np.full(len(rays_of_gaussians.gaussian), count)
+        missing = np.full(len(rays_of_gaussians.gaussian), count)
         for number in range(RAY_DRAWS):
-            wanting = np.flatnonzero(lacking)
-            if not len(wanting):
+            incomplete = np.flatnonzero(missing)
+            if not len(incomplete):
                 break
-            for some in _ranges(len(wanting), max(RAYS_AT_ONCE // count, 1)):
-                rows = wanting[some]
+            for some in _ranges(len(incomplete), max(RAYS_AT_ONCE // count, 1)):
+                rows = incomplete[some]
                 usable, found = self._choose_usable(
-                    rays_of_gaussians.of(rows).draw(number, count, self._config.seed), lacking[rows]
+                    rays_of_gaussians.of(rows).draw(number, count, self._config.seed), missing[rows]
                 )
                 parts.append(usable)
-                lacking[rows] -= found
+                missing[rows] -= found
         return _UsableRays.joined(parts)
 
     def _choose_usable(self, drawn: DrawnRays, wanted: _Rows) -> tuple[_UsableRays, _Rows]:
@@ -274,14 +274,14 @@ class JointShFit:
         """Renders the linear radiance of P rays, from even and from odd samples, and denoises it, shape (2, P, 3)."""
         begins, ends, base = self._lit_segments(rays)
         starts = (rays.origins + begins[:, None] * rays.directions).astype(np.float32)
-        twice = (
+        segments_twice = (
             np.tile(starts, (2, 1)),
             np.tile(rays.directions, (2, 1)),
             np.tile((ends - begins).astype(np.float32), 2),
         )
 
         def rendered(paths: FrameRays) -> tuple[Doubles, Doubles]:
-            hits = paths.radiance(self._scene, *twice)
+            hits = paths.radiance(self._scene, *segments_twice)
             hit_share = 1.0 - hits.transmittance.astype(np.float64)
             return hits.radiance.astype(np.float64).reshape(2, -1, 3), hit_share.reshape(2, -1, 1)
 
@@ -330,8 +330,8 @@ class JointShFit:
         """Returns unit directions from camera positions, world space, to Gaussians, in each one's object space."""
         towards = self._means[gaussian] - eyes
         for number, one in enumerate(self._scene.splats):
-            here = self._instance[gaussian] == number
-            towards[here] = towards[here] @ one.transform[:3, :3]
+            in_instance = self._instance[gaussian] == number
+            towards[in_instance] = towards[in_instance] @ one.transform[:3, :3]
         length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
         return (towards / length).astype(np.float32)
 

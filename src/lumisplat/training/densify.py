@@ -186,9 +186,9 @@ def cloned_and_split(
     offsets = np.einsum("nij,nj->ni", axes, scales * rng.normal(size=scales.shape))
     halves.values["means"][:] += offsets
     halves.values["log_scales"][:] = np.log(scales / SPLIT_SHRINKS)
-    kept = np.ones(parameters.count, bool)
-    kept[split] = False
-    return parameters.rows(kept).concatenated(parameters.copies(cloned)).concatenated(halves)
+    is_unsplit = np.ones(parameters.count, bool)
+    is_unsplit[split] = False
+    return parameters.rows(is_unsplit).concatenated(parameters.copies(cloned)).concatenated(halves)
 
 
 def pruned(parameters: TrainedParameters, extent: float) -> TrainedParameters:

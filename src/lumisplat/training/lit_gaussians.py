@@ -254,11 +254,11 @@ def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> Flo
     rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
     points = z[..., None] * rays
     across, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
-    whole = has[1:-1, 1:-1] & has[1:-1, 2:] & has[1:-1, :-2] & has[2:, 1:-1] & has[:-2, 1:-1]
+    is_defined = has[1:-1, 1:-1] & has[1:-1, 2:] & has[1:-1, :-2] & has[2:, 1:-1] & has[:-2, 1:-1]
     area = -np.cross(across, down)
     length = np.linalg.norm(area, axis=-1)
-    whole &= length > 0.0
+    is_defined &= length > 0.0
     normals = np.zeros((camera.height, camera.width, 3))
-    local = area / np.where(whole, length, 1.0)[..., None]
-    normals[1:-1, 1:-1] = np.where(whole[..., None], local @ camera.camera_from_world[:3, :3], 0.0)
+    local = area / np.where(is_defined, length, 1.0)[..., None]
+    normals[1:-1, 1:-1] = np.where(is_defined[..., None], local @ camera.camera_from_world[:3, :3], 0.0)
     return normals.astype(np.float32)

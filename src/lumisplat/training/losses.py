@@ -215,9 +215,18 @@ class SurfaceLoss:
             shown = self._channels.render(scene, drawn, features)
             maps = self._buffers.struct("surfaces.maps", SurfaceMaps, count)
             by_sums = get("surfaces.by_sums", wp.float32, (count, FEATURES))
-            seen = (scene.camera, self._terms)
-            run(kernels.compare_surfaces, count, *seen, target, pixels.alpha, shown.of_pixels, maps, by_sums)
-            run(kernels.gather_surfaces, count, *seen, pixels.alpha, shown.of_pixels, maps, by_sums, gradient.alpha)
+            view_and_terms = (scene.camera, self._terms)
+            run(kernels.compare_surfaces, count, *view_and_terms, target, pixels.alpha, shown.of_pixels, maps, by_sums)
+            run(
+                kernels.gather_surfaces,
+                count,
+                *view_and_terms,
+                pixels.alpha,
+                shown.of_pixels,
+                maps,
+                by_sums,
+                gradient.alpha,
+            )
             if self._smooth > 0.0:
                 self.smoothness = self._buffers.struct("surfaces.smoothness", SmoothnessMaps, count)
                 inputs = (self._smooth / weight_sum, target, shown.of_pixels, self.smoothness)

@@ -63,9 +63,9 @@ class ColoredGaussians:
     ) -> None:
         flat = TrainConfig(sh_degree=0, antialiased=gaussians.antialiased, cap=gaussians.count)
         settings = frame_settings(flat, background)
-        own = (optimizer_kernels, loss_kernels, *kernels)
+        modules = (optimizer_kernels, loss_kernels, *kernels)
         self._raster = TrainingRaster(launcher, buffers, settings)
-        launcher.load([*self._raster.modules(), *own], progress)
+        launcher.load([*self._raster.modules(), *modules], progress)
         self._drawn = DeviceParameters(buffers)
         parameters = _unlit(gaussians)
         self._drawn.upload(parameters)
@@ -449,8 +449,8 @@ def neighbour_pairs(means: FloatArray) -> SimilarPairs:
     if most < 1:
         return SimilarPairs(np.empty(0, np.int64), np.empty(0, np.int64))
     _, near = cKDTree(means).query(means, k=most + 1, workers=-1)
-    own = np.arange(count)[:, None]
+    index = np.arange(count)[:, None]
     # If means coincide, the Gaussian itself may come later in the list, or not at all.
-    is_own = near == own
-    is_own[:, -1] |= ~is_own.any(axis=1)
-    return SimilarPairs(np.repeat(own, most), near[~is_own].astype(np.int64))
+    is_itself = near == index
+    is_itself[:, -1] |= ~is_itself.any(axis=1)
+    return SimilarPairs(np.repeat(index, most), near[~is_itself].astype(np.int64))

@@ -234,8 +234,8 @@ def with_random_points(
         len(points),
         len(added),
     )
-    known = np.full(points.shape, 0.5) if colors is None else colors
-    both = np.concatenate([known, rng.uniform(size=added.shape)])
+    point_colors = np.full(points.shape, 0.5) if colors is None else colors
+    both = np.concatenate([point_colors, rng.uniform(size=added.shape)])
     return np.concatenate([points, added]), both.astype(np.float32)
 
 

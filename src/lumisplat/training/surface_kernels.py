@@ -144,13 +144,13 @@ def compare_surfaces(
     by_alpha = float(0.0)
     across = wp.vec3(0.0)
     down = wp.vec3(0.0)
-    found = wp.vec2(0.0)
+    pixel_terms = wp.vec2(0.0)
     if a > OPAQUE:
         mean = sums[i, 0] / a
         variance = sums[i, 1] / a - mean * mean
         spread = wp.sqrt(wp.max(variance, VARIANCE_MIN))
         thick = wp.exp(-spread / SPREAD)
-        found[1] = share * terms.depth * SPREAD * (1.0 - thick)
+        pixel_terms[1] = share * terms.depth * SPREAD * (1.0 - thick)
         if variance > VARIANCE_MIN:
             slope = share * terms.depth * thick / (2.0 * spread * a)
             by_square = slope
@@ -165,13 +165,13 @@ def compare_surfaces(
             weight = share * terms.normals
             away = area / length
             shown = normal_at(sums, i)
-            found[0] = weight * (a + wp.dot(shown, away))
+            pixel_terms[0] = weight * (a + wp.dot(shown, away))
             by_normal = weight * away
             by_alpha += weight
             by_area = (weight / length) * (shown - wp.dot(shown, away) * away)
             across = wp.cross(below, by_area)
             down = wp.cross(by_area, right)
-    maps_out.terms[i] = found
+    maps_out.terms[i] = pixel_terms
     maps_out.across[i] = across
     maps_out.down[i] = down
     maps_out.alpha[i] = by_alpha
@@ -291,10 +291,10 @@ def edge_weight(change: wp.vec3) -> float:
 @wp.func
 def sign3(v: wp.vec3) -> wp.vec3:
     """Returns the derivative of the absolute value of each component; 0 at 0."""
-    found = wp.vec3(0.0)
+    signs = wp.vec3(0.0)
     for c in range(3):
-        found[c] = wp.where(v[c] > 0.0, 1.0, wp.where(v[c] < 0.0, -1.0, 0.0))
-    return found
+        signs[c] = wp.where(v[c] > 0.0, 1.0, wp.where(v[c] < 0.0, -1.0, 0.0))
+    return signs
 
 
 @wp.func

@@ -178,8 +178,8 @@ class _Run:
         views = [replace(view, camera=self._frame.camera(view.camera)) for view in views]
         cameras = [view.camera for view in views]
         warn_if_few_positions(cameras)
-        known = None if images.points is None else self._frame.points(images.points)
-        points, colors = with_random_points(known, images.point_colors, cameras, config)
+        local_points = None if images.points is None else self._frame.points(images.points)
+        points, colors = with_random_points(local_points, images.point_colors, cameras, config)
         self._trainer = Trainer(
             views,
             config,
@@ -322,9 +322,9 @@ def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
     """Returns the capture with an up direction and a first view, derived from the training cameras in world space."""
     origin, to_origin = np.array(gaussians.origin), np.eye(4)
     view = first_view_of(cameras, gaussians.means + origin)
-    stated = replace(gaussians, up=up_of_cameras(cameras), first_view=view)
+    oriented = replace(gaussians, up=up_of_cameras(cameras), first_view=view)
     to_origin[:3, 3] = -origin
-    return replace(stated, **moved_orientation(stated, to_origin))
+    return replace(oriented, **moved_orientation(oriented, to_origin))
 
 
 def is_evaluated(step: int) -> bool:

@@ -113,10 +113,10 @@ class Trainer:
         self._buffers = Buffers(self._launcher.device)
         settings = frame_settings(config, background)
         self._backend = backend_type(config)(self._launcher, self._buffers, settings)
-        own = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
+        kernels = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
         if config.makes_flat:
-            own += [surface_kernels, *FeatureChannels.modules()]
-        self._launcher.load([*self._backend.modules(), *own], progress)
+            kernels += [surface_kernels, *FeatureChannels.modules()]
+        self._launcher.load([*self._backend.modules(), *kernels], progress)
         of_alpha = {"alpha": config.alpha, "entropy": config.mask_entropy}
         self._loss = ImageLoss(self._launcher, self._buffers, ssim=config.ssim, **of_alpha)
         self._surfaces = self._surface_loss()
@@ -349,11 +349,11 @@ class Trainer:
         """
         parameters = self._device_splats.download()
         for name, values in parameters.values.items():
-            bad = int((~np.isfinite(values.reshape(parameters.count, -1))).any(axis=1).sum())
-            if bad:
+            nonfinite = int((~np.isfinite(values.reshape(parameters.count, -1))).any(axis=1).sum())
+            if nonfinite:
                 raise DivergedError(
-                    f"training stopped at iteration {self.iteration:,}: {name} of {bad:,} of {parameters.count:,} "
-                    "Gaussians are not finite: lower TrainConfig.rates"
+                    f"training stopped at iteration {self.iteration:,}: {name} of {nonfinite:,} of "
+                    f"{parameters.count:,} Gaussians are not finite: lower TrainConfig.rates"
                 )
         return parameters
 

@@ -161,18 +161,18 @@ class UsdMeshes:
 
         The geometry subsets come first, then the faces that no subset contains.
         """
-        rest = np.ones(count, bool)
+        ungrouped = np.ones(count, bool)
         holes = whole_numbers(self._file, prim, "holeIndices")
-        rest[holes[(holes >= 0) & (holes < count)]] = False
+        ungrouped[holes[(holes >= 0) & (holes < count)]] = False
         groups: list[tuple[Flags, ReadMaterial | None]] = []
         for subset in pxr().UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
             numbers = whole_numbers(self._file, subset.GetPrim(), "indices")
             faces = np.zeros(count, bool)
             faces[numbers[(numbers >= 0) & (numbers < count)]] = True
-            faces &= rest
-            rest &= ~faces
+            faces &= ungrouped
+            ungrouped &= ~faces
             groups.append((faces, self._materials.bound_to(subset.GetPrim())))
-        return [group for group in (*groups, (rest, bound)) if group[0].any()]
+        return [group for group in (*groups, (ungrouped, bound)) if group[0].any()]
 
     def _group(self, placed: PlacedPrim, polygons: Polygons, faces: Flags, read: ReadMaterial | None) -> Mesh | None:
         """Returns the masked faces, which have one material, as a mesh; None if no triangle is usable."""

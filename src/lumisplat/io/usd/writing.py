@@ -256,13 +256,13 @@ class _Samples:
         if name not in self._last:
             attribute.Set(value)
         else:
-            at, before, known = self._last[name]
-            if known == mark:
+            last_frame, last_value, last_mark = self._last[name]
+            if last_mark == mark:
                 return
-            if at == 0:
-                attribute.Set(before, 0.0)
-            if at < frame - 1:
-                attribute.Set(before, frame - 1.0)
+            if last_frame == 0:
+                attribute.Set(last_value, 0.0)
+            if last_frame < frame - 1:
+                attribute.Set(last_value, frame - 1.0)
             attribute.Set(value, float(frame))
         self._last[name] = frame, value, mark
 
