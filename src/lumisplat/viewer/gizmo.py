@@ -35,7 +35,6 @@ class GizmoPose:
 
     world_from_gizmo: Matrix
     """Rotation and translation, shape (4, 4)."""
-    can_move: bool = True
     can_rotate: bool = True
 
 
