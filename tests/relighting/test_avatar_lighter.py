@@ -161,8 +161,8 @@ def test_flags_disable_shadow_or_relighting_of_single_actors() -> None:
     scene = stage.light([puppet(-1.0), puppet(1.0)], casts_shadow=[False, True], relit=[True, False])
     left = light_left(ground, scene.splats[0].gaussians)
     assert (left[ground.means[:, 0] < 0.0] == 1.0).all() and left.min() < 0.05
-    kept = [(i.gaussians.sh == puppet().gaussians.sh).all() for i in scene.splats[1:]]
-    assert kept == [False, True]
+    is_unchanged = [(i.gaussians.sh == puppet().gaussians.sh).all() for i in scene.splats[1:]]
+    assert is_unchanged == [False, True]
 
 
 def test_relit_actor_is_lit_by_the_radiance_around_its_position() -> None:
@@ -357,7 +357,7 @@ def test_avatar_lighter_without_shadows_estimates_no_lights() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scene", "lights", "actors", "said"),
+    ("scene", "lights", "actors", "message"),
     [
         (3, None, [], "takes a Scene with captured Gaussians"),
         (ls.Scene(), None, [], "takes a Scene with captured Gaussians"),
@@ -372,10 +372,10 @@ def test_avatar_lighter_without_shadows_estimates_no_lights() -> None:
     ],
 )
 def test_avatar_lighter_refuses_invalid_scenes_lights_and_actors(
-    scene: Any, lights: Any, actors: Any, said: str
+    scene: Any, lights: Any, actors: Any, message: str
 ) -> None:
     """Scenes without captures, lights that cast no shadow, and actors of another type are refused."""
-    with pytest.raises(ls.SceneError, match=said):
+    with pytest.raises(ls.SceneError, match=message):
         lighter(scene, lights).light(actors)
 
 

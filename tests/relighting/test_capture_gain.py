@@ -14,10 +14,10 @@ SH_C0 = 0.28209479177387814
 def shell(color: float, *, half: bool = False) -> ls.SplatInstance:
     """Returns a captured sphere of one grey display value around the origin; ``half`` returns its lower half."""
     gaussians = ls.gaussians_from_mesh(ball(3.0, diffuse(0.5), hollow=True, rows=32), 6000)
-    kept = gaussians.means[:, 1] < (0.0 if half else 9.0)
-    sh = np.full((int(kept.sum()), 1, 3), (color - 0.5) / SH_C0, np.float32)
+    selected = gaussians.means[:, 1] < (0.0 if half else 9.0)
+    sh = np.full((int(selected.sum()), 1, 3), (color - 0.5) / SH_C0, np.float32)
     names = ("means", "rotations_wxyz", "scales", "opacities")
-    values = {name: getattr(gaussians, name)[kept] for name in names}
+    values = {name: getattr(gaussians, name)[selected] for name in names}
     return ls.SplatInstance(ls.Gaussians(**values, sh=sh))
 
 
@@ -78,13 +78,13 @@ def test_estimated_capture_gain_exposes_an_object_like_the_capture_around() -> N
 
 
 @pytest.mark.parametrize(
-    ("scene", "said"),
+    ("scene", "message"),
     [
         (ls.Scene([], [ball(0.3, diffuse(0.5), rows=8)]), "no unlit capture"),
         (ls.Scene([shell(0.5)]), "give the position"),
     ],
 )
-def test_capture_gain_estimate_refuses_scenes_without_captured_light(scene: ls.Scene, said: str) -> None:
+def test_capture_gain_estimate_refuses_scenes_without_captured_light(scene: ls.Scene, message: str) -> None:
     """A scene without an unlit capture, or without an object and a position, is refused."""
-    with pytest.raises(ls.SceneError, match=said):
+    with pytest.raises(ls.SceneError, match=message):
         ls.avatars.estimate_capture_gain(scene, device="cpu")

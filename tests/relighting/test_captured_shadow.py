@@ -101,7 +101,7 @@ def test_irradiance_of_each_light_type_equals_its_definition(light: ls.LightPoin
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "said"),
+    ("change", "error", "message"),
     [
         ({"transmittances": np.ones((1, 3))}, ls.SceneError, r"shape \(1, 3\), expected \(1, 2\)"),
         ({"transmittances": [[0.5, 1.5]]}, ls.SceneError, "1 of 2 are outside 0..1"),
@@ -115,7 +115,7 @@ def test_irradiance_of_each_light_type_equals_its_definition(light: ls.LightPoin
     ],
 )
 def test_shadowed_refuses_invalid_arguments_naming_them(
-    change: dict[str, Any], error: type[Exception], said: str
+    change: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     """The error names the argument and what was expected."""
     arguments: dict[str, Any] = {
@@ -123,7 +123,7 @@ def test_shadowed_refuses_invalid_arguments_naming_them(
         "lights": [ls.LightPoint((0, 0, 3))],
         "transmittances": [[0.5, 0.5]],
     } | change
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=message):
         ls.avatars.shadowed(**arguments)
 
 

@@ -82,7 +82,7 @@ def is_room(opacity: float) -> bool:
     return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, has_normals=False)[1]
 
 
-def test_side_vote_of_one_gaussian_spreads_over_its_plane_only() -> None:
+def test_normal_side_decided_by_one_gaussian_spreads_over_its_plane_only() -> None:
     """One vote settles the side of a floor, another that of an adjoining wall; a weaker wrong vote changes nothing."""
     floor = np.stack([*np.meshgrid(np.arange(20.0), np.arange(20.0)), np.zeros((20, 20))], axis=-1).reshape(-1, 3)
     wall = floor[:, [2, 1, 0]] + (-0.5, 0.0, 0.5)
@@ -231,12 +231,12 @@ def test_relighting_by_the_estimated_light_reproduces_the_capture() -> None:
         return baked, decode_srgb(np.clip(SH_CONSTANT * baked.sh[:, 0] + 0.5, 0.0, 1.0)).mean(axis=1)
 
     captured, wanted = lit(truth, ls.LightEnvironment(color=(0.8, 0.8, 0.8)))
-    apart = {}
+    errors = {}
     for matt in (False, True):
         found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=6, matt=matt), device="cpu")
         _, again = lit(found.gaussians, ls.LightEnvironment(found.environment_image()))
-        apart[matt] = np.median(np.abs(again / wanted - 1.0)[is_dark])
-    assert apart[False] < 0.08 and apart[True] > 0.25
+        errors[matt] = np.median(np.abs(again / wanted - 1.0)[is_dark])
+    assert errors[False] < 0.08 and errors[True] > 0.25
 
 
 def test_gaussian_darker_in_a_channel_than_its_specular_part_is_flagged(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
@@ -417,10 +417,10 @@ def test_progress_of_delight_covers_all_stages_and_never_decreases(ball: tuple[l
     """The fraction ends at 1, after over a hundred reports."""
     reported: list[tuple[str, float]] = []
     ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
-    ours = [(label, share) for label, share in reported if label.startswith("delighting")]
-    shares = [share for _, share in ours]
+    delight_reports = [(label, share) for label, share in reported if label.startswith("delighting")]
+    shares = [share for _, share in delight_reports]
     assert shares == sorted(shares) and shares[-1] == 1.0 and len(set(shares)) > 100
-    stages = dict.fromkeys(label.partition(", ")[2] for label, _ in ours)
+    stages = dict.fromkeys(label.partition(", ")[2] for label, _ in delight_reports)
     assert list(stages)[:3] == ["finding sides", "tracing the light", "finding the light"]
 
 
@@ -464,8 +464,8 @@ def walls(*leave_out: int) -> list[ls.Mesh]:
     """Returns the sides of a cube about the origin as separate sheets, except those of given numbers."""
     x, y, z = np.eye(3)
     sides = [(axis, sign, u, v) for axis, u, v in ((y, z, x), (x, y, z), (z, x, y)) for sign in (-1.0, 1.0)]
-    kept = [side for number, side in enumerate(sides) if number not in leave_out]
-    return [quad(sign * axis - u - v, 2.0 * u, 2.0 * v, ls.MaterialPbr()) for axis, sign, u, v in kept]
+    selected = [side for number, side in enumerate(sides) if number not in leave_out]
+    return [quad(sign * axis - u - v, 2.0 * u, 2.0 * v, ls.MaterialPbr()) for axis, sign, u, v in selected]
 
 
 ALONE, GROUND, WALL = sphere(0.5), plane(6.0, 6.0), walls()[0]

@@ -63,7 +63,7 @@ def test_tabulated_bsdf_lobes_match_the_float64_equations(lobes: Lobes) -> None:
             assert np.allclose(table[number, ::5][:, rows], expected, rtol=2e-4, atol=2e-5)
 
 
-def test_direction_samples_fall_into_their_bin_in_frames_about_normals() -> None:
+def test_every_direction_sample_is_found_in_its_bin_of_the_hemisphere() -> None:
     """The frames are rotations that take z to the normals, and `bins_of` finds each sample in its bin."""
     normals = even_directions(50)
     frames = frames_of(normals)

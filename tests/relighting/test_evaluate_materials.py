@@ -94,8 +94,8 @@ def test_evaluation_recovers_the_albedo_scale_of_each_channel(folder, ball):
     for view in NAMES:
         albedo, inside = read_layer(folder, "albedo", view), region(folder, view)
         write_layer(folder, "albedo", view, factors * albedo)
-        apart = encode_srgb(factors * albedo[inside]) - encode_srgb(albedo[inside])
-        expected.append(-10.0 * np.log10(np.mean(apart**2)))
+        difference = encode_srgb(factors * albedo[inside]) - encode_srgb(albedo[inside])
+        expected.append(-10.0 * np.log10(np.mean(difference**2)))
     result = evaluate(ball, folder)
     np.testing.assert_allclose(result.albedo_scale, factors, rtol=1e-5)
     assert result.albedo_psnr > 90.0
@@ -137,11 +137,11 @@ def test_normals_rotated_by_10_degrees_give_an_error_of_10_degrees(folder, ball)
 
 
 def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ball):
-    """Random values outside the object change nothing; random values inside it spoil all metrics."""
+    """Random values outside the object change nothing; random values inside it randomise all metrics."""
     before = evaluate(ball, folder)
     rng = np.random.default_rng(1)
 
-    def spoil(where: np.ndarray, view: str) -> None:
+    def randomise(where: np.ndarray, view: str) -> None:
         for name in ("albedo", "normal", "roughness"):
             layer = read_layer(folder, name, view)
             write_layer(folder, name, view, np.where(where[..., None], rng.random(layer.shape), layer))
@@ -150,7 +150,7 @@ def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ba
         write_png(path, np.where(where[..., None], rng.random(image.shape), image))
 
     for view in NAMES:
-        spoil(~region(folder, view), view)
+        randomise(~region(folder, view), view)
     after = evaluate(ball, folder)
     names = ("albedo_scale", "albedo_psnr", "normal_mean", "normal_median", "roughness_rmse")
     assert [getattr(after, name) for name in names] == [getattr(before, name) for name in names]
@@ -158,10 +158,14 @@ def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ba
     assert after.relit["dusk"].ssim == pytest.approx(
         before.relit["dusk"].ssim, abs=0.02
     )  # SSIM windows across the edge differ
-    spoil(region(folder, NAMES[0]), NAMES[0])
-    spoilt = evaluate(ball, folder)
-    assert spoilt.views[0].albedo_psnr < 20.0 and spoilt.normal_mean > 10.0 and spoilt.roughness_rmse > 0.1
-    assert spoilt.relit["dusk"].psnr < 40.0
+    randomise(region(folder, NAMES[0]), NAMES[0])
+    wrong_inside = evaluate(ball, folder)
+    assert (
+        wrong_inside.views[0].albedo_psnr < 20.0
+        and wrong_inside.normal_mean > 10.0
+        and wrong_inside.roughness_rmse > 0.1
+    )
+    assert wrong_inside.relit["dusk"].psnr < 40.0
 
 
 def test_specular_strength_of_relit_images_comes_from_the_data_set(folder, ball):

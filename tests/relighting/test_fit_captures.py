@@ -94,6 +94,6 @@ def test_light_fit_uses_pixels_of_relit_captures_but_not_of_unlit_ones():
     image = noisy(image_of(shown, SMALL, HYBRID), 0.01)
     found = fitted(replace(shown, lights=initial_lights(*three_lights())), image)
     assert_powers(found.lights, three_lights(), 0.05)
-    kept = ls.render(shown, SMALL, HYBRID, device="cpu").captured_weight
-    assert kept is not None and (kept > 0.5).mean() > 0.02
-    assert (found.views[0].weights[kept > 0.5] == 0.0).all()
+    unlit_weight = ls.render(shown, SMALL, HYBRID, device="cpu").captured_weight
+    assert unlit_weight is not None and (unlit_weight > 0.5).mean() > 0.02
+    assert (found.views[0].weights[unlit_weight > 0.5] == 0.0).all()

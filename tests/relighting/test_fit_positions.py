@@ -73,7 +73,7 @@ def test_light_fit_reports_progress_for_every_render(monkeypatch):
     assert list(dict.fromkeys(labels)) == ["fitting lights", *(f"fitting lights, {stage}" for stage in stages)]
 
 
-def test_light_fit_recovers_a_position_if_no_downscaled_pixel_is_whole():
+def test_light_fit_recovers_a_position_although_dots_spoil_all_downscaled_pixels():
     """Black dots spoil every pixel of a downscaled image, so the search runs at full size."""
     light = three_lights()[1]
     image = image_of(closed(light), view(48, 36))

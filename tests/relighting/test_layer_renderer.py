@@ -35,7 +35,7 @@ def test_captured_colors_that_replace_albedo_are_decoded_to_linear() -> None:
     """Display value 0.5 is 0.214 linear; values beyond black and white are clipped."""
     values = np.array([0.5, 1.3, -0.2])
     captured = replace(sheet(), albedo=None, sh=np.tile((values - 0.5) / SH_C0, (500, 1, 1)))
-    found, kept = with_albedo(captured).albedo, with_albedo(sheet()).albedo
-    assert found is not None and kept is not None
-    np.testing.assert_allclose(found, np.tile((0.21404, 1.0, 0.0), (500, 1)), atol=1e-4)
-    np.testing.assert_array_equal(kept, sheet().albedo)  # pyright: ignore[reportArgumentType]
+    replaced, stored = with_albedo(captured).albedo, with_albedo(sheet()).albedo
+    assert replaced is not None and stored is not None
+    np.testing.assert_allclose(replaced, np.tile((0.21404, 1.0, 0.0), (500, 1)), atol=1e-4)
+    np.testing.assert_array_equal(stored, sheet().albedo)  # pyright: ignore[reportArgumentType]

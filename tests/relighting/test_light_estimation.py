@@ -175,8 +175,8 @@ def test_radius_and_separation_bound_the_light_search() -> None:
     distances = [np.linalg.norm(np.subtract(position, CENTER)) for position in POSITIONS]
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=near)
     assert len(found.lights) == sum(distance < 2.1 for distance in distances) < 3
-    apart = looks(separation=100.0)
-    assert len(ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=apart).lights) == 1
+    wide = looks(separation=100.0)
+    assert len(ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=wide).lights) == 1
 
 
 def test_very_bright_outlier_does_not_hide_lamps_from_light_estimation() -> None:
@@ -191,7 +191,7 @@ def test_very_bright_outlier_does_not_hide_lamps_from_light_estimation() -> None
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"center": (100.0, 0.0, 0.0), "config": looks(radius=1.0)}, "no Gaussians within 1 of"),
         (
@@ -205,9 +205,9 @@ def test_very_bright_outlier_does_not_hide_lamps_from_light_estimation() -> None
         ({"scene": captured(np.random.default_rng(0).random((100, 3)), np.zeros(3))}, "nothing bright stands out"),
     ],
 )
-def test_light_estimation_refuses_scenes_and_regions_without_lights(change: dict[str, Any], said: str) -> None:
+def test_light_estimation_refuses_scenes_and_regions_without_lights(change: dict[str, Any], message: str) -> None:
     """Regions without Gaussians, scenes without captures, and dark captures are refused."""
-    with pytest.raises(ls.SceneError, match=said):
+    with pytest.raises(ls.SceneError, match=message):
         ls.inverse.estimate_lights(**{"scene": walls(100), "center": CENTER} | change)
 
 

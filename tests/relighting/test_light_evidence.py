@@ -133,7 +133,7 @@ def test_shading_regression_recovers_the_factor_of_a_light() -> None:
     assert abs(again.share) < 1e-3
 
 
-def test_random_texture_per_block_is_seldom_significant_as_shading() -> None:
+def test_random_brightness_per_block_is_seldom_taken_for_shading() -> None:
     """Standard errors by spatial blocks keep the false positive rate for brightness that is random per block."""
     rng = np.random.default_rng(1)
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))

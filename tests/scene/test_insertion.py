@@ -129,9 +129,9 @@ def test_mesh_inserted_into_a_capture_without_ground_is_in_the_first_view(
     """The whole mesh is visible in front of a captured wall, and a log line reports the missing ground."""
     across, up = (axis.ravel() for axis in np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-2, 2, 41)))
     wall = np.stack([across, up, np.zeros_like(up)], axis=1)
-    sky = spread * np.random.default_rng(0).normal(size=(600, 3))
+    distant = spread * np.random.default_rng(0).normal(size=(600, 3))
     view = ls.Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=64, height=48, focus_distance=5.0)
-    shown = gaussians_at(np.concatenate([wall, sky] if spread else [wall]), "y-up")
+    shown = gaussians_at(np.concatenate([wall, distant] if spread else [wall]), "y-up")
     shown = replace(shown, up=(0.0, 1.0, 0.0), first_view=view)
     scene = ls.insert(ls.Scene([shown]), cone(height))
     places = corners(scene)
@@ -164,9 +164,13 @@ def test_inserted_mesh_stands_on_a_ground_of_sparse_gaussians(size: float) -> No
 def test_mesh_inserted_beside_an_object_without_ground_stands_at_its_foot() -> None:
     """In a capture of a block without ground, the mesh stands beside it, as low as its lowest part."""
     whole = capture("y-down", ((0.0, 0.0),))
-    kept = np.abs(whole.means[:, [0, 2]]).max(axis=1) < 0.52
+    block_rows = np.abs(whole.means[:, [0, 2]]).max(axis=1) < 0.52
     alone = ls.Gaussians(
-        whole.means[kept], whole.rotations_wxyz[kept], whole.scales[kept], whole.opacities[kept], whole.sh[kept]
+        whole.means[block_rows],
+        whole.rotations_wxyz[block_rows],
+        whole.scales[block_rows],
+        whole.opacities[block_rows],
+        whole.sh[block_rows],
     )
     placed = corners(ls.insert(ls.Scene([alone], up="y-down"), cone(0.3)))
     assert np.abs(placed[4, [0, 2]]).max() > 0.5
@@ -304,12 +308,12 @@ def test_scene_file_entry_with_only_a_front_axis_stands_upright(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "is_logged"),
     [("position = [0, 0, 0]", True), ("ground = 0.5", True), ("position = [0, 0, 0]\nupright = false", False),
      ("position = [0, 0, 0]\nrotation_wxyz = [1, 0, 0, 0]", False), ("position = [0, 0, 0]\nfront = '-z'", False)],
 )  # fmt: skip
 def test_scene_file_entry_with_a_position_but_no_rotation_is_logged(
-    tmp_path: Path, keys: str, said: bool, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, keys: str, is_logged: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """If the file's y is not up in the scene, one log line suggests ``upright``; explicit rotations log nothing."""
     file = scene_file(tmp_path, keys)
@@ -317,7 +321,7 @@ def test_scene_file_entry_with_a_position_but_no_rotation_is_logged(
         caplog.clear()
         read(file)
         lines = [record.getMessage() for record in caplog.records]
-        assert len(lines) == said and all("upright = true rotates it" in line for line in lines)
+        assert len(lines) == is_logged and all("upright = true rotates it" in line for line in lines)
     file.write_text(file.read_text().replace("y-down", "y-up"))
     caplog.clear()
     ls.load(file)

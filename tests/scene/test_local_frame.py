@@ -101,10 +101,10 @@ def test_local_origin_is_needed_at_a_distance_of_many_scene_sizes() -> None:
     for unit in (1.0, 1000.0, 1e-3):
         origin = needed_origin(unit * (points + UTM), unit * 0.05)
         assert np.abs(origin / unit - UTM).max() < 10.0
-    spoilt = points.copy()
-    spoilt[::50] = 1e9
-    spoilt[1] = np.nan
-    assert not needed_origin(spoilt, 0.05).any()
+    with_outliers = points.copy()
+    with_outliers[::50] = 1e9
+    with_outliers[1] = np.nan
+    assert not needed_origin(with_outliers, 0.05).any()
 
 
 def test_local_frame_of_cameras_gives_them_the_requested_extent() -> None:

@@ -390,8 +390,8 @@ def shaken(gaussians: Gaussians, seed: int) -> Gaussians:
 
 
 @pytest.mark.parametrize("settings", [{}, {"hit_distance": HitDistance.HULL, "normal_method": NormalMethod.ELLIPSOID}])
-def test_oracle_slack_covers_rounding_of_the_inputs(settings: dict) -> None:
-    """Moving inputs by a rounding error changes colour, normal and distance by no more than the oracle's slack."""
+def test_oracle_error_bound_covers_rounding_of_the_inputs(settings: dict) -> None:
+    """Moving inputs by a rounding error changes colour, normal and distance by at most the oracle's ``slack``."""
     needles = random_gaussians(11, 150, degree=1, scale_range=(1e-6, 0.8))
     camera = front_camera(20, 15, 20.0)
     first, second = (
@@ -412,16 +412,16 @@ def test_oracle_slack_covers_rounding_of_the_inputs(settings: dict) -> None:
     assert (shift <= first["depth_slack"][sure] + 1e-6).all()
 
 
-def test_oracle_slack_lets_a_ray_miss_a_needle_thinner_than_rounding() -> None:
-    """The slack allows a ray to miss a needle thinner than rounding, even through its centre."""
+def test_oracle_error_bound_lets_a_ray_miss_a_needle_thinner_than_rounding() -> None:
+    """The oracle's ``slack`` covers a miss, even if the ray is aimed at the needle's centre."""
     needle = one_gaussian((0.1, 0.2, 4.0), (1.0, 1e-6, 1e-6), 0.8)
     through = Ray(np.zeros(3), oracles.normalized(needle.means[0].astype(float)))
     assert traced(Scene([needle]), through).slack > 0.5
     assert traced(Scene([one_gaussian((0.1, 0.2, 4.0), (1.0, 1e-3, 1e-3), 0.8)]), through).slack < 1e-3
 
 
-def test_oracle_slack_covers_swapped_hits_closer_than_rounding() -> None:
-    """The slack allows either order, and either surface, for two Gaussians closer than rounding."""
+def test_oracle_error_bound_covers_swapped_hits_closer_than_rounding() -> None:
+    """The oracle's ``slack`` allows two close Gaussians in either order, and ``band`` either surface."""
     red, blue = one_gaussian((0.0, 0.0, 4.0), 0.2, 0.8, (1, 0, 0)), one_gaussian((0.0, 0.0, 4.0), 0.3, 0.5, (0, 0, 1))
     for gap, slack, band in ((0.0, 0.4, True), (4e-7, 0.4, True), (1e-4, 0.0, False)):
         behind = replace(blue, means=blue.means + np.array([0.0, 0.0, gap], np.float32))
@@ -430,8 +430,8 @@ def test_oracle_slack_covers_swapped_hits_closer_than_rounding() -> None:
         assert one.band == band
 
 
-def test_oracle_slack_covers_values_at_thresholds() -> None:
-    """An alpha of 1/255, a peak at the ray's start and a transmittance at a threshold are doubtful."""
+def test_oracle_error_bound_covers_values_at_thresholds() -> None:
+    """An alpha of 1/255, a peak at the ray's start and a transmittance at a threshold may round either way."""
     faint = one_gaussian((0.0, 0.0, 4.0), opacity=1.0 / 255.0)
     assert traced(Scene([faint])).slack == pytest.approx(1.0 / 255.0, rel=1e-3)
     half = Scene([one_gaussian((0.0, 0.0, 4.0), opacity=0.5)])

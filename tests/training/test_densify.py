@@ -71,8 +71,8 @@ def test_densification_relocates_dead_gaussians_onto_living_ones() -> None:
         source = next(i for i in (0, 2) if (after.values["means"][dead] == after.values["means"][i]).all())
         assert after.opacities[dead] == pytest.approx(after.opacities[source])
         assert not after.first["means"][dead].any() and not after.second["logits"][source]
-    kept = [i for i in (0, 2) if after.first["means"][i].any()]
-    for i in kept:
+    unchanged = [i for i in (0, 2) if after.first["means"][i].any()]
+    for i in unchanged:
         assert all((after.values[name][i] == before.values[name][i]).all() for name in NAMES)
 
 

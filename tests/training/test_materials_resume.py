@@ -128,26 +128,26 @@ def test_material_search_discards_the_state_of_another_search(
     output, path = tmp_path / "a.ply", tmp_path / "a.training" / "materials.npz"
     with pytest.raises(Killed):
         found(matte(ball(150), 0.5 * GREY, bright_above), folder, output, dies_at=4)
-    whose = {"another capture": path.read_bytes()}
+    states = {"another capture": path.read_bytes()}
     ls.inverse.find_materials(
         capture, folder, ls.config.MaterialsConfig(directions=32, iterations=2), output=output, device="cpu"
     )
-    whose |= {"other settings": path.read_bytes(), "half of it": path.read_bytes()[:300], "nothing": b""}
+    states |= {"other settings": path.read_bytes(), "half of it": path.read_bytes()[:300], "nothing": b""}
     with np.load(path) as held:
         good = dict(held)
-    for why, change in {
+    for case, change in {
         "half": {"start.albedo": good["start.albedo"][:75]},
         "no moments": {"fit.albedo.first": np.zeros(3)},
         "not finite": {"start.sky": np.full_like(good["start.sky"], np.nan)},
     }.items():
         np.savez(tmp_path / "changed.npz", **(good | change))
-        whose[why] = (tmp_path / "changed.npz").read_bytes()
-    for why, data in whose.items():
+        states[case] = (tmp_path / "changed.npz").read_bytes()
+    for case, data in states.items():
         path.write_bytes(data)
         caplog.clear()
         with caplog.at_level(logging.WARNING, logger="lumisplat"):
             assert_same(found(capture, folder, output), whole)
-        assert "materials.npz: is damaged, or of another capture, other images or settings" in caplog.text, why
+        assert "materials.npz: is damaged, or of another capture, other images or settings" in caplog.text, case
 
 
 def test_material_search_refuses_an_unwritable_output_before_reading(

@@ -150,15 +150,17 @@ def test_densification_statistics_of_normals_match_central_differences() -> None
     """The statistic is the length of the loss gradient perpendicular to each normal, summed over pixels."""
     one = started(normals=NORMALS, normal_smoothness=SMOOTH, densification="adaptive", grow_turn=1.0)
     found_by(one)
-    noted: Any = one._record.turns
+    statistics: Any = one._record.turns
     p = Parameters.of(one.gaussians(), (0.0, 0.0, 0.0), one._views[0].camera)
     p = replace(p, features=surfaces(p)[:, 1:])
     slopes, agree = differences(lambda q: expected(q, one, normals=7), p, "features")
     weight_sum = np.asarray(one._views[0].read().weight, np.float64).sum()
-    turns = weight_sum * np.linalg.norm(np.cross(p.features, slopes), axis=1)
+    expected_statistics = weight_sum * np.linalg.norm(np.cross(p.features, slopes), axis=1)
     whole = agree.all(axis=1)
     assert whole.mean() > 0.5
-    np.testing.assert_allclose(noted.numpy()[whole], turns[whole], rtol=2e-2, atol=1e-3 * float(turns.max()))
+    np.testing.assert_allclose(
+        statistics.numpy()[whole], expected_statistics[whole], rtol=2e-2, atol=1e-3 * float(expected_statistics.max())
+    )
 
 
 def test_flatness_term_acts_only_on_the_smallest_scale_of_drawn_gaussians() -> None:

@@ -313,20 +313,20 @@ def test_phone_panel_is_a_drawer_and_the_scene_fits_above_it(browser: Any, viewe
 def test_clicking_a_thumbnail_moves_the_page_to_its_key_view(browser: Any, viewer: ls.Viewer) -> None:
     """Only the clicked page moves, to the first of two key views, and its horizon stays level."""
     page, other = open_page(browser, viewer), open_page(browser, viewer)
-    (mine, others) = viewer._pages.values()
+    (clicked, unclicked) = viewer._pages.values()
     page.get_by_role("tab", name="Video").click()
     page.get_by_text("add key view", exact=True).click()
     until(lambda: len(keys_of(viewer.document)) == 1, page)
-    start, elsewhere = mine.pose, others.pose
+    start, unclicked_pose = clicked.pose, unclicked.pose
     client = viewer._viser.get_clients()[min(viewer._viser.get_clients())]
     client.camera.position = np.asarray(client.camera.position) + np.array([1.0, -0.5, -1.0])
-    until(lambda: mine.pose != start, page)
+    until(lambda: clicked.pose != start, page)
     page.get_by_text("add key view", exact=True).click()
     until(lambda: len(keys_of(viewer.document)) == 2, page)
     page.locator('img[data-command="look 0"]').click()
     assert start is not None
-    until(lambda: bool(np.allclose(mine.pose.position, start.position, atol=1e-3)), page)  # pyright: ignore
-    assert others.pose == elsewhere
+    until(lambda: bool(np.allclose(clicked.pose.position, start.position, atol=1e-3)), page)  # pyright: ignore
+    assert unclicked.pose == unclicked_pose
     up = np.asarray(client.camera.up_direction)
     np.testing.assert_allclose(up, viewer.scene.up_direction, atol=1e-6)
     page.close()

@@ -54,8 +54,8 @@ def test_viewer_lights_actors_as_in_animation_frames(scenes: SceneBuilder) -> No
     wanted = animation()
     shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
     expected = ls.AvatarLighter(wanted.scene, config=wanted.lighting, device="cpu").light(wanted.actors_at(1.0))
-    for ours, theirs in zip(colors(shown), colors(expected), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    for found, wanted_colors in zip(colors(shown), colors(expected), strict=True):
+        np.testing.assert_array_equal(found, wanted_colors)
     assert np.abs(colors(shown)[0] - colors(wanted.scene)[0]).max() > 0.1  # there is a shadow
 
 
@@ -88,8 +88,8 @@ def test_disabled_actor_lighting_changes_no_colour_of_floor_or_actor(scenes: Sce
     """Without shadows and relighting, floor and actor keep their colours."""
     off = ls.config.AvatarLightingConfig(shadows=False, relight=False)
     shown = scenes.of(ls.io.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)
-    for ours, theirs in zip(colors(shown), [colors(animation().scene)[0], cloud().sh], strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    for found, wanted_colors in zip(colors(shown), [colors(animation().scene)[0], cloud().sh], strict=True):
+        np.testing.assert_array_equal(found, wanted_colors)
 
 
 def test_viewer_shows_actors_unlit_if_no_light_is_found() -> None:

@@ -635,13 +635,13 @@ def test_status_line_describes_the_image_of_its_page_only(viewer: ls.Viewer) -> 
         narrow.look(replace(camera(), width=60))
         for page in (wide, narrow):
             settled(viewer, page)
-        for page, mine, other in ((wide, "160 × 90", "60 × 90"), (narrow, "60 × 90", "160 × 90")):
+        for page, own_size, other_size in ((wide, "160 × 90", "60 × 90"), (narrow, "60 × 90", "160 × 90")):
             lines_sent = [
                 str(m["updates"].get("_markdown", "")) for m in page.messages if m["type"] == "GuiUpdateMessage"
             ]
             lines = [line for line in lines_sent if "ms" in line and "×" in line]
-            assert lines and all(mine in line and f"· {other}" not in line for line in lines), lines
-            assert not any(line.startswith(other) for line in lines)
+            assert lines and all(own_size in line and f"· {other_size}" not in line for line in lines), lines
+            assert not any(line.startswith(other_size) for line in lines)
 
 
 def test_saving_a_scene_reports_unreadable_objects_that_it_would_drop(viewer: ls.Viewer, tmp_path: Path) -> None:

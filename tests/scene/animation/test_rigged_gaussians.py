@@ -100,7 +100,7 @@ def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.nd
     return cross / np.linalg.norm(cross, axis=1, keepdims=True)
 
 
-def test_rigged_gaussians_stay_at_their_barycentric_coordinates(tmp_path):
+def test_rigged_gaussians_keep_their_barycentric_coordinates_in_a_pose(tmp_path):
     """In a bent pose, each mean is the barycentric mean of the oracle's posed triangle vertices."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)

@@ -59,10 +59,10 @@ def test_affine_transform_by_a_similarity_equals_lumisplat_transform() -> None:
     """A rotation with uniform scale gives the result of `lumisplat.transform`."""
     before = capture(degree=3)
     turn = matrix_of(2.0 * np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]))
-    ours, theirs = under_affine(before, turn), ls.transform(before, turn)
-    np.testing.assert_allclose(ours.sh, theirs.sh, atol=1e-6)
-    error = np.abs(covariances(ours) - covariances(theirs)).max(axis=(1, 2))
-    assert (error / np.abs(covariances(theirs)).max(axis=(1, 2))).max() < 2e-6
+    by_affine, by_transform = under_affine(before, turn), ls.transform(before, turn)
+    np.testing.assert_allclose(by_affine.sh, by_transform.sh, atol=1e-6)
+    error = np.abs(covariances(by_affine) - covariances(by_transform)).max(axis=(1, 2))
+    assert (error / np.abs(covariances(by_transform)).max(axis=(1, 2))).max() < 2e-6
 
 
 def test_affine_transform_refuses_a_singular_matrix() -> None:

@@ -87,10 +87,10 @@ def test_select_limits_each_property_on_one_side_or_both(capture: ls.Gaussians, 
     all_values = values(capture)
     low, high = (float(x) for x in np.quantile(all_values, (0.313, 0.717)))
     for limits in ((low, None), (None, high), (low, high)):
-        kept = all_values >= (low if limits[0] is not None else -np.inf)
-        kept &= all_values <= (high if limits[1] is not None else np.inf)
+        in_range = all_values >= (low if limits[0] is not None else -np.inf)
+        in_range &= all_values <= (high if limits[1] is not None else np.inf)
         selected = ls.editing.select(capture, **{name: limits})
-        assert rows_of(selected, capture) == np.flatnonzero(kept).tolist()
+        assert rows_of(selected, capture) == np.flatnonzero(in_range).tolist()
 
 
 def test_select_keeps_gaussians_that_are_within_all_given_ranges(capture: ls.Gaussians) -> None:
@@ -116,9 +116,9 @@ def cloud_with_strays() -> tuple[ls.Gaussians, int]:
 def test_remove_floaters_removes_isolated_small_gaussians_but_no_wide_background() -> None:
     """Isolated small Gaussians are removed; isolated wide ones, which reach others, stay."""
     cloud, solid = cloud_with_strays()
-    heard: list[float] = []
-    assert rows_of(ls.editing.remove_floaters(cloud, progress=heard.append), cloud) == list(range(solid))
-    assert heard == sorted(heard) and heard[-1] == 1.0
+    progress: list[float] = []
+    assert rows_of(ls.editing.remove_floaters(cloud, progress=progress.append), cloud) == list(range(solid))
+    assert progress == sorted(progress) and progress[-1] == 1.0
 
 
 @pytest.mark.parametrize(("neighbours", "reach"), [(1, 1.0), (4, 3.0), (20, 2.0)])
@@ -130,9 +130,9 @@ def test_remove_floaters_counts_neighbours_as_brute_force_does(neighbours: int, 
     radii = np.float32(reach) * np.maximum(largest, np.median(largest).astype(np.float32))
     steps = capture.means[:, None] - capture.means[None]
     others = (np.einsum("ijk,ijk->ij", steps, steps) <= radii[:, None] ** 2).sum(axis=1) - 1
-    kept = np.flatnonzero(others >= neighbours)
-    assert 0 < kept.size < 700
-    assert rows_of(ls.editing.remove_floaters(capture, neighbours, reach), capture) == kept.tolist()
+    expected = np.flatnonzero(others >= neighbours)
+    assert 0 < expected.size < 700
+    assert rows_of(ls.editing.remove_floaters(capture, neighbours, reach), capture) == expected.tolist()
 
 
 def test_limit_sh_degree_leaves_the_lower_degrees_unchanged(capture: ls.Gaussians) -> None:

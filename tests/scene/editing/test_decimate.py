@@ -117,11 +117,11 @@ def test_decimation_merges_copies_and_transparent_gaussians_to_finite_values() -
 def test_decimation_is_deterministic_and_reports_progress() -> None:
     """Two runs are identical, and progress grows to 1."""
     gaussians = random_gaussians(9, count=3000)
-    heard: list[float] = []
-    first, second = ls.editing.decimate(gaussians, 200, progress=heard.append), ls.editing.decimate(gaussians, 200)
+    progress: list[float] = []
+    first, second = ls.editing.decimate(gaussians, 200, progress=progress.append), ls.editing.decimate(gaussians, 200)
     for name, values in first.arrays().items():
         np.testing.assert_array_equal(values, second.arrays()[name])
-    assert heard == sorted(heard) and heard[-1] == 1.0 and len(heard) > 4
+    assert progress == sorted(progress) and progress[-1] == 1.0 and len(progress) > 4
 
 
 def test_covariances_convert_to_rotations_and_scales_and_back() -> None:

@@ -58,12 +58,12 @@ def test_poisson_disk_selection_spaces_points_without_gaps() -> None:
     points = np.column_stack([rng.random((4000, 2)), np.zeros(4000)]).astype(np.float32)
     spacing = (1.0 / 800) ** 0.5
     pairs = neighbour_pairs(points, 0.86 * spacing)
-    kept = poisson_disk(pairs, rng.permutation(4000), 800, 0.86 * spacing)
-    assert kept.shape == (800,)
-    assert (np.diff(kept) > 0).all()
-    distance = np.linalg.norm(points[kept][:, None] - points[kept][None], axis=2) + 9.0 * np.eye(800)
+    selected = poisson_disk(pairs, rng.permutation(4000), 800, 0.86 * spacing)
+    assert selected.shape == (800,)
+    assert (np.diff(selected) > 0).all()
+    distance = np.linalg.norm(points[selected][:, None] - points[selected][None], axis=2) + 9.0 * np.eye(800)
     assert distance.min() > 0.6 * spacing
-    assert np.linalg.norm(points[:, None] - points[kept][None], axis=2).min(axis=1).max() < 0.87 * spacing
+    assert np.linalg.norm(points[:, None] - points[selected][None], axis=2).min(axis=1).max() < 0.87 * spacing
 
 
 def test_poisson_disk_selects_the_point_of_smaller_priority_number() -> None:

@@ -257,11 +257,11 @@ def pole(*more: np.ndarray) -> ls.Gaussians:
 def test_frame_camera_shows_connected_thin_parts_but_no_strays():
     """A pole of 1 % of the opacity connects to the ball and is framed; floating strays do not widen the view."""
     strays = np.random.default_rng(6).uniform(-30.0, 30.0, (40, 3))
-    plain, strewn = (ls.frame_camera(ls.Scene([pole(*more)])) for more in ((), (strays,)))
-    tip = plain.camera_from_world @ (0.0, -2.5, 0.0, 1.0)
-    row = plain.cy + plain.fy * tip[1] / tip[2]
-    assert 0.0 < row < 0.1 * plain.height
-    assert strewn.focus_distance == pytest.approx(plain.focus_distance, rel=0.05)
+    without_strays, with_strays = (ls.frame_camera(ls.Scene([pole(*more)])) for more in ((), (strays,)))
+    tip = without_strays.camera_from_world @ (0.0, -2.5, 0.0, 1.0)
+    row = without_strays.cy + without_strays.fy * tip[1] / tip[2]
+    assert 0.0 < row < 0.1 * without_strays.height
+    assert with_strays.focus_distance == pytest.approx(without_strays.focus_distance, rel=0.05)
     low, high = ls.Scene([pole()]).bulk_bounds()
     assert low[1] > -1.0 and high[1] < 1.0  # the bulk excludes the pole
 
@@ -269,5 +269,5 @@ def test_frame_camera_shows_connected_thin_parts_but_no_strays():
 def test_frame_camera_ignores_small_parts_across_a_gap():
     """A second ball across a gap does not count unless it is part of the bulk."""
     other = np.array([0.0, -6.0, 0.0]) + np.random.default_rng(7).normal(size=(30, 3)) * 0.05
-    apart = ls.frame_camera(ls.Scene([pole(other)]))
-    assert apart.focus_distance == pytest.approx(ls.frame_camera(ls.Scene([pole()])).focus_distance, rel=0.05)
+    with_gap = ls.frame_camera(ls.Scene([pole(other)]))
+    assert with_gap.focus_distance == pytest.approx(ls.frame_camera(ls.Scene([pole()])).focus_distance, rel=0.05)

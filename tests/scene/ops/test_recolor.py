@@ -92,7 +92,7 @@ def test_scale_light_by_one_changes_no_bits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factors", "said"),
+    ("factors", "message"),
     [
         (np.ones(4), r"shape \(4,\), expected \(5,\) or \(5, 3\)"),
         (np.ones((5, 1)), r"shape \(5, 1\)"),
@@ -100,7 +100,7 @@ def test_scale_light_by_one_changes_no_bits() -> None:
         ([1, np.nan, np.inf, 1, 1], "2 non-finite"),
     ],
 )
-def test_scale_light_refuses_factors_of_invalid_shape_or_value(factors: npt.ArrayLike, said: str) -> None:
+def test_scale_light_refuses_factors_of_invalid_shape_or_value(factors: npt.ArrayLike, message: str) -> None:
     """Invalid shapes and numbers are refused."""
-    with pytest.raises(ls.SceneError, match=said):
+    with pytest.raises(ls.SceneError, match=message):
         scale_light(gaussians(5), factors)
