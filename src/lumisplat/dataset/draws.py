@@ -15,7 +15,10 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 class Purpose(IntEnum):
-    """Purpose of random numbers. Each purpose has a separate stream: a setting of one does not change another."""
+    """Purpose of random numbers.
+
+    Each purpose has a separate stream, so that a setting for one purpose does not change the numbers of another.
+    """
 
     POSE = 0
     OBJECTS = 1

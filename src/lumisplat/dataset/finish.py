@@ -218,7 +218,7 @@ _NOT_ON_SHEET = ("exr",)
 def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
     """Writes a contact sheet: each view with its layers side by side.
 
-    Depth is shown as grey values, the nearest surface white. Each id is shown in a colour of its own.
+    Depth is shown as grey values, the nearest surface white. Each id is shown in a different colour.
 
     Args:
         path: The PNG file.

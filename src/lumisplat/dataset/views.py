@@ -36,7 +36,7 @@ from lumisplat.scene.scene import Scene, SplatInstance
 _log = logging.getLogger("lumisplat")
 
 Loader = Callable[[Path], Gaussians | Mesh | Scene]
-"""Function that loads a capture, a mesh or a scene."""
+"""Function that loads a capture, a mesh or a scene from a file."""
 
 
 class DatasetViews:

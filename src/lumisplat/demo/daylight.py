@@ -23,7 +23,8 @@ class Daylight:
     sun_direction: tuple[float, float, float]
     """Direction towards the sun, of any length."""
     sun_color: tuple[float, float, float] = (2.6, 1.95, 1.2)
-    """Irradiance of a surface that faces the sun, linear Rec.709; white paper is 1."""
+    """Irradiance of a surface that faces the sun, linear Rec.709; white paper with irradiance 1 is shown as display
+    white."""
     sky_color: tuple[float, float, float] = (0.74, 0.80, 0.86)
     """Irradiance of a horizontal, unoccluded surface from the sky alone, linear Rec.709."""
     bounce_color: tuple[float, float, float] = (0.36, 0.28, 0.20)

@@ -330,14 +330,14 @@ def stones(rng: np.random.Generator) -> list[Mesh]:
 
 
 def ball(rng: np.random.Generator) -> Mesh:
-    """Returns a striped glass ball, which stays a mesh instead of becoming part of the capture."""
+    """Returns a striped glass ball; the scene keeps it as a mesh, and the capture does not contain it."""
     swirl = stripes(((0.78, 0.72, 0.60), (0.50, 0.075, 0.035), (0.80, 0.37, 0.06)), 2, rng)
     material = _material("striped glass", roughness=0.05, texture=swirl)
     return _placed_mesh(sphere(0.19, rows=96, columns=192), material, _placement(-0.46, 0.193, 0.30, angle=0.4))
 
 
 def knot() -> Mesh:
-    """Returns a brass torus knot on the cube, which stays a mesh instead of becoming part of the capture."""
+    """Returns a brass torus knot on the cube; the scene keeps it as a mesh, and the capture does not contain it."""
     brass = _material("brass", (0.80, 0.53, 0.17), roughness=0.25, metallic=1.0)
     body = torus_knot(2, 3, major=0.155, minor=0.075, radius=0.042, columns=420, rows=40)
     up = np.eye(4)
@@ -352,7 +352,7 @@ def cube(rng: np.random.Generator) -> Mesh:
 
 
 def jewel() -> Mesh:
-    """Returns a cut stone on the cushion, which stays a mesh instead of becoming part of the capture."""
+    """Returns a cut stone on the cushion; the scene keeps the stone as a mesh, and the capture does not contain it."""
     cos, sin = np.cos(-0.765), np.sin(-0.765)
     lying = np.eye(4)
     lying[:2, :2] = [[cos, -sin], [sin, cos]]

@@ -57,8 +57,8 @@ def ssim(image: npt.ArrayLike, reference: npt.ArrayLike, *, region: npt.ArrayLik
     """Returns the structural similarity (Wang et al. 2004), the mean over pixels and channels.
 
     Means, variances and covariance are weighted by a Gaussian of 1.5 pixels in windows of 11 x 11 pixels; K1 = 0.01 and
-    K2 = 0.03 as in the paper. Only windows inside the image count, so the outermost 5 pixels have no value of their
-    own; implementations that pad the image differ there. Computed by scikit-image.
+    K2 = 0.03 as in the paper. Only windows inside the image count, so the outermost 5 pixels have no value;
+    implementations that pad the image differ there. Computed by scikit-image.
 
     Args:
         image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3), at least 11 pixels in both directions.
@@ -67,7 +67,7 @@ def ssim(image: npt.ArrayLike, reference: npt.ArrayLike, *, region: npt.ArrayLik
             the region, with the image set to its reference outside of the region.
 
     Returns:
-        -1..1, the higher the better; 1 if both are equal.
+        -1..1, the higher the better; 1 if the images are equal.
 
     Raises:
         SceneError: The images differ in size, leave 0..1 or are smaller than the window, or no window has its centre in
@@ -102,7 +102,7 @@ def flip(
         region: The pixels to compare, booleans of shape (H, W); None: all. The image is set to its reference elsewhere.
 
     Returns:
-        0..1, the lower the better; 0 if both are equal.
+        0..1, the lower the better; 0 if the images are equal.
 
     Raises:
         ConfigError: ``pixels_per_degree`` is out of range.

@@ -102,7 +102,10 @@ class LitGaussians:
         self._launcher.run_banded(material_kernels.decode_gradients, self._count, *inputs)
 
     def differentiate(self) -> Materials:
-        """Returns the gradient of the loss, after ``decode``, with one element for each number in `Materials`."""
+        """Returns the gradient of the loss with respect to materials and environment, in the form of `Materials`.
+
+        Requires a preceding call of ``decode``.
+        """
         run, get, count = self._launcher.run_banded, self._buffers.get, self._count
         gradient = MaterialGradient()
         gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))

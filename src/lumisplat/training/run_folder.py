@@ -155,7 +155,7 @@ class HeldOutScore:
     """PSNR of a capture on images that were held out of training."""
 
     psnr: float
-    """Mean over the held-out images, dB."""
+    """Mean PSNR over the held-out images, dB."""
     of_views: dict[str, float]
     """PSNR of each held-out image by name, dB."""
 

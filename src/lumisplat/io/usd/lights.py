@@ -419,7 +419,7 @@ def _shadow_api(prim: Any) -> Any:
 
 
 def _light_transform(position: Any, direction: Any = None) -> Doubles:
-    """Returns a transform, shape (4, 4), that moves the origin to ``position`` and rotates -z to any ``direction``."""
+    """Returns a transform, shape (4, 4), from the origin to ``position`` and, if given, from -z to ``direction``."""
     transform = np.eye(4)
     transform[:3, 3] = position
     if direction is not None:

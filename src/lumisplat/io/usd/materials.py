@@ -624,7 +624,7 @@ class _Network:
             self._set(self._surface, "opacityMode", "Token", "presence")
 
     def _write_plane(self, texture: str, name: str, factor: float, channel: str, scale: tuple[float, ...]) -> None:
-        """Writes the shader input ``name`` as the constant ``factor``, or as a texture channel times ``scale``."""
+        """Writes the shader input ``name``: a texture channel times ``scale``, or ``factor`` without a texture."""
         source = self._texture(texture, scale)
         if source is None:
             self._set(self._surface, name, "Float", factor)

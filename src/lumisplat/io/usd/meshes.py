@@ -225,7 +225,7 @@ class UsdMeshes:
 
 
 def _rotated_plane(mesh: Mesh, axis: str) -> Mesh:
-    """Rotates a plane that faces +y to face ``axis``. The plane's width then lies along x, or along z if it faces x."""
+    """Rotates a plane that faces +y to face ``axis``. Its width then lies along z if ``axis`` is x, else along x."""
     order, signs = {"X": ([1, 2, 0], (1, 1, 1)), "Z": ([0, 2, 1], (1, -1, 1))}.get(axis, ([0, 1, 2], (1, 1, 1)))
     assert mesh.normals is not None
     return replace(mesh, positions=mesh.positions[:, order] * signs, normals=mesh.normals[:, order] * signs)

@@ -155,7 +155,7 @@ def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:
 
 
 def define_field(writer: StageWriter, path: str, gaussians: Gaussians) -> Any:
-    """Writes a capture as a particle field, in the capture's own space, and returns the prim."""
+    """Writes a capture as a particle field, in object space, and returns the prim."""
     px = pxr()
     prim = px.UsdVol.ParticleField3DGaussianSplat.Define(writer.stage, path).GetPrim()
     for name, values in particle_values(gaussians).items():

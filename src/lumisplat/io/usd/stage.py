@@ -245,7 +245,7 @@ def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
 
     Args:
         file: The open file.
-        asset: An ``Sdf.AssetPath`` with its resolved path, or a plain path.
+        asset: An ``Sdf.AssetPath`` with its resolved path, or a path as text.
         label: The prim or shader that names the asset, for messages.
 
     Raises:
@@ -257,7 +257,7 @@ def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
 
 
 def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
-    """Reads the bytes of an asset, a file of its own or an uncompressed entry of a .usdz package."""
+    """Reads the bytes of an asset: a separate file, or an uncompressed entry of a .usdz package."""
     ar, name = pxr().Ar, asset_name(asset)
     found = str(getattr(asset, "resolvedPath", "")) or name
     if found == name and file.path.suffix.lower() == ".usdz":  # a path that is not resolved may lie in the package

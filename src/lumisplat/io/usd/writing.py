@@ -112,7 +112,7 @@ class AssetWriter:
             self.writer.set_transform(prim, instance.transform)
 
     def define(self, path: str, instance: Instance) -> Any:
-        """Writes the capture or mesh of an instance in its own space, and returns the prim."""
+        """Writes the capture or mesh of an instance, in object space, and returns the prim."""
         if isinstance(instance, MeshInstance):
             prim = _define_mesh(self.writer, path, instance.mesh)
             self.materials.bind(prim, instance.mesh.material, instance.mesh.colors is not None)
@@ -161,7 +161,7 @@ def _key(instance: Instance) -> tuple[int, int, int]:
 
 
 def _define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
-    """Writes a mesh without its material, in its own space, and returns the prim."""
+    """Writes a mesh without its material, in object space, and returns the prim."""
     px = pxr()
     types, tokens, vt = px.Sdf.ValueTypeNames, px.UsdGeom.Tokens, px.Vt
     defined = px.UsdGeom.Mesh.Define(writer.stage, path)
