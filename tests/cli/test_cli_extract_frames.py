@@ -14,13 +14,13 @@ from lumisplat.cli import main
 def test_extract_frames_writes_images_and_prints_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The printed train command names the folder, and a scale that makes a first training quick."""
+    """The printed train command names the folder, and for images of 640 pixels and more a scale."""
     video, folder = tmp_path / "walk.mp4", tmp_path / "walk"
-    ls.save_animation(video, np.random.default_rng(0).uniform(size=(6, 48, 64, 3)), fps=4)
+    ls.save_animation(video, np.random.default_rng(0).uniform(size=(6, 360, 480, 3)), fps=4)
     assert main(["extract-frames", str(video), "-o", str(folder)]) == 0
     assert len(list((folder / "images").glob("*.jpg"))) == 3
     printed = capsys.readouterr().out
-    assert printed.startswith(f"{folder / 'images'}: 3 images of 64 x 48\n")
+    assert printed.startswith(f"{folder / 'images'}: 3 images of 480 x 360\n")
     assert f"next: lumisplat train {folder} -o walk.ply --poses colmap-film --stop-after 5m" in printed
     ls.save_animation(video, np.random.default_rng(0).uniform(size=(4, 640, 400, 3)), fps=4)
     assert main(["extract-frames", str(video), "-o", str(tmp_path / "tall")]) == 0

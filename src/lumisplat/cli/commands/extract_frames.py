@@ -14,6 +14,8 @@ from lumisplat.cli.output.console import counted, progress_bars
 
 _FIRST_SIZE = 320
 """Longer side of the images, in pixels, in the first training that the command suggests, so that it is quick."""
+_FIRST_SCALE = 0.5
+"""Largest suggested scale: images that are smaller than 640 pixels train quickly at their size."""
 
 
 @own_options_first
@@ -47,8 +49,8 @@ class ExtractFrames(Command):
         if len(files) < 2:
             print(f"training needs more than one image: give less than --every {self.every:g}, or a longer video")
             return
-        scale = min(max(round(_FIRST_SIZE / max(width, height), 1), 0.1), 1.0)
-        first = "" if scale == 1.0 else f" --scale {scale}"
+        scale = max(round(_FIRST_SIZE / max(width, height), 1), 0.1)
+        first = f" --scale {scale}" if scale <= _FIRST_SCALE else ""
         print(
             f"next: lumisplat train {self.output} -o {self.output.name}.ply --poses colmap-film{first} --stop-after 5m"
         )
