@@ -125,7 +125,7 @@ def test_surface_points_have_the_mean_and_spread_of_their_gaussian() -> None:
 
 
 def test_irradiance_matches_a_constant_environment_and_a_white_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """A constant environment of radiance 1 gives irradiance pi; inside a ball of one colour, irradiance has it, too."""
+    """An environment of radiance 1 gives irradiance pi; inside a ball of one colour, irradiance has that colour."""
     plain, _ = ball
     outward = np.asarray(plain.normals, np.float64)
     cells, no_emitters = EnvironmentCells.even(8), np.full(plain.count, -1)

@@ -76,7 +76,7 @@ def test_every_direction_sample_is_found_in_its_bin_of_the_hemisphere() -> None:
 
 
 def test_sh_projection_keeps_low_degrees_and_removes_high_ones(lobes: Lobes) -> None:
-    """Degree 1 passes up to the ridge, a function of high degree hardly passes, and degree 0 keeps only the mean."""
+    """Degree 1 is kept except for the shrinkage by the ridge, high degrees are removed, and degree 0 keeps the mean."""
     low = sh_basis(lobes.views, 1)[:, 1:]
     assert np.abs(sh_projection(lobes.views, 3) @ low - low).max() < 0.02
     high = np.cos(12.0 * np.arctan2(lobes.views[:, 1], lobes.views[:, 0]))

@@ -20,7 +20,7 @@ def too_light(box: CapturedBox) -> int:
 
 @pytest.fixture(scope="module")
 def box() -> CapturedBox:
-    """Returns the captured box with one Gaussian that is too bright for its light."""
+    """Returns the captured box with one Gaussian that is brighter than the light on it allows."""
     plain = captured_box()
     radiance = plain.albedo * plain.irradiance + plain.is_emitter[:, None] * LIGHT
     radiance[too_light(plain)] *= FACTOR
@@ -38,7 +38,7 @@ def estimate(box: CapturedBox) -> MaterialEstimate:
 
 
 def test_estimate_of_a_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: MaterialEstimate) -> None:
-    """Rays that escape only pass gaps between Gaussians; the emitter's radiance is above the recordable white."""
+    """The few rays that escape pass through gaps between Gaussians; the emitter's radiance is above display white."""
     assert estimate.is_inside and not len(estimate.cells) and estimate.environment.shape == (0, 3)
     assert not estimate.environment_image().any()
     np.testing.assert_array_equal(estimate.emitter_of == 0, box.is_emitter)

@@ -63,7 +63,7 @@ def folder(tmp_path: Path, made: Path) -> Path:
 
 
 def render_truth(folder: Path, ball: ls.Gaussians, lights: tuple, config: ls.RenderConfig) -> None:
-    """Renders the ground-truth images of the light "dusk", and replaces those of the data set."""
+    """Renders the ground-truth images of the light "dusk" into the data set."""
     renderer = ls.create_renderer(replace(config, background=None), "cpu")
     scene = relit_scene(ball, lights, (1.0, 1.0, 1.0), 0.5)
     for view in ls.io.load_training_images(folder).held_out:

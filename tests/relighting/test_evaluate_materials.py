@@ -124,7 +124,7 @@ def test_known_errors_of_layers_give_the_expected_metrics(folder, ball):
 
 
 def test_normals_rotated_by_10_degrees_give_an_error_of_10_degrees(folder, ball):
-    """Only the first view is rotated, so the mean over both views is weighted by their covered pixels."""
+    """Normals of one of two views are rotated; the mean over the views is weighted by their covered pixels."""
     normal = read_layer(folder, "normal", NAMES[0])
     side = np.cross(normal, (0.3, 0.5, 0.8))
     side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-6)

@@ -76,7 +76,7 @@ def test_fit_of_all_base_colors_includes_captures_with_a_material():
 
 
 def test_fitted_colours_of_a_capture_stay_at_most_white():
-    """The image is three times too bright: albedo ends at 1, and a remark counts the white Gaussians."""
+    """The image is three times too bright: fitted albedo ends at 1, and a remark counts the white Gaussians."""
     truth = room_with_capture()
     bright = replace(truth, lights=[replace(light, intensity=3.0 * light.intensity) for light in three_lights()])
     linear = ls.render(bright, SMALL, HYBRID, device="cpu").color

@@ -270,7 +270,7 @@ def test_light_fit_recovers_an_environment_with_two_black_channels():
 
 
 def test_light_fit_keeps_the_image_of_an_environment_light():
-    """Only its colour and intensity are fitted, and no SH environment is added by default."""
+    """Only colour and intensity of the environment are fitted, and no SH environment is added by default."""
     image = sh_environment().image(16)
     truth = ls.LightEnvironment(image, (1.0, 0.8, 0.6), 1.4, visible=False, name="sky")
     many = ls.RenderConfig(samples=64)

@@ -36,7 +36,7 @@ def smooth_probe(seed: int = 0, degree: int = 2) -> ls.avatars.EnvironmentProbe:
 
 @pytest.mark.parametrize("face_px", [1, 2, 7, 64])
 def test_solid_angles_of_cube_map_pixels_sum_to_4_pi(face_px: int) -> None:
-    """Pixels in the middle of a face have a larger solid angle than those in its corners."""
+    """Pixels in the middle of a face have a larger solid angle than pixels in its corners."""
     angles = cube_solid_angles(face_px)
     assert angles.shape == (face_px, face_px)
     np.testing.assert_allclose(6.0 * angles.sum(), 4.0 * np.pi, rtol=1e-13)

@@ -162,7 +162,7 @@ def test_inserted_mesh_stands_on_a_ground_of_sparse_gaussians(size: float) -> No
 
 
 def test_mesh_inserted_beside_an_object_without_ground_stands_at_its_foot() -> None:
-    """In a capture of a block without ground, the mesh stands beside it, as low as its lowest part."""
+    """A mesh inserted beside a captured block without ground stands as low as the lowest part of the block."""
     whole = capture("y-down", ((0.0, 0.0),))
     block_rows = np.abs(whole.means[:, [0, 2]]).max(axis=1) < 0.52
     alone = ls.Gaussians(

@@ -12,7 +12,7 @@ from lumisplat.scene.gaussians import merge_gaussians
 
 
 def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
-    """Returns Gaussians whose SH coefficients are ones."""
+    """Returns Gaussians whose SH coefficients are all 1."""
     return ls.Gaussians(
         np.full((count, 3), count, dtype=np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),

@@ -98,7 +98,7 @@ def test_splat_instances_take_the_placement_arguments_of_mesh_instances():
     ],
 )
 def test_instances_refuse_invalid_placement_arguments_in_one_line(words, message):
-    """Both kinds of instances refuse invalid arguments in one line."""
+    """Mesh instances and splat instances refuse the same arguments."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MeshInstance(BOX, **words)
     with pytest.raises(ls.SceneError, match=message):

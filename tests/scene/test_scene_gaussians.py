@@ -123,6 +123,6 @@ def test_subset_of_gaussians_keeps_the_given_order_and_metadata() -> None:
 
 
 def test_bounds_of_gaussians_enclose_their_means() -> None:
-    """The bounds are the box of the means."""
+    """The bounds are the axis-aligned box of the means."""
     low, high = random_gaussians(2, 50, center=(1.0, 2.0, 3.0), extent=(1.0, 1.0, 1.0)).bounds()
     assert (low >= [0, 1, 2]).all() and (high <= [2, 3, 4]).all() and (low < high).all()

@@ -21,7 +21,7 @@ def test_one_number_as_material_colour_sets_all_three_channels() -> None:
 
 
 def test_default_simple_material_emits_the_captured_colours_only() -> None:
-    """The defaults equal those of a splat set without material: it emits its captured colours, and reflects nothing."""
+    """A capture with the default material looks like one without material: emission is 1, and no light is reflected."""
     material = ls.MaterialSimple()
     assert material.emissive == material.base_color == (1.0, 1.0, 1.0)
     assert material.ambient == material.diffuse == material.specular == (0.0, 0.0, 0.0)

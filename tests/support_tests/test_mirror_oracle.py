@@ -164,7 +164,7 @@ def test_mirror_shows_the_view_of_the_mirrored_eye() -> None:
 
 
 def test_metal_tints_reflection_and_glass_tints_transmission() -> None:
-    """Metals tint reflection, glass tints transmission, the rest of a dielectric is flat colour; all are encoded."""
+    """The remaining light of a dielectric is its flat colour; all colours are sRGB encoded."""
     base = np.array([0.2, 0.5, 0.8])
     metal = replace(MIRROR, base_color=tuple(base))
     assert traced(Scene([], [quad(4.0, material=metal)]), background=0.5).color == pytest.approx(

@@ -179,7 +179,7 @@ def test_gaussians_with_opacity_below_the_minimum_are_never_hit() -> None:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 def test_hull_hit_distance_is_the_nearer_point_at_the_reach(degree: int) -> None:
-    """In hull mode, t is the nearer of the two points at which the canonical distance is the reach."""
+    """In hull mode, the hit is the nearer of two points on the ray whose canonical distance is the reach."""
     scene = Scene([replace(random_gaussians(4, 80), kernel_degree=degree)])
     world = world_of(scene, None)
     found = found_on(scene, hit_distance=HitDistance.HULL)
@@ -246,7 +246,7 @@ def layers(*opacities: float, colors: tuple[tuple[float, float, float], ...] = (
 
 
 def test_two_hits_on_a_ray_blend_front_to_back() -> None:
-    """The nearer hit occludes the farther; depth, index and normal are those at transmittance 0.7."""
+    """The nearer hit occludes the farther; depth, index and normal are of the hit that lowers transmittance below 0.7."""
     scene = layers(0.25, 0.5, colors=((1.0, 0.0, 0.2), (0.0, 1.0, 0.4)))
     one = traced(scene)
     assert one.color == pytest.approx(0.25 * np.array([1.0, 0.0, 0.2]) + 0.375 * np.array([0.0, 1.0, 0.4]), abs=1e-6)

@@ -27,7 +27,7 @@ def colored(part: np.ndarray) -> int:
 
 
 def test_training_curve_plot_has_tick_labels_and_titles_on_both_axes() -> None:
-    """Labels lie along the whole of both axes; a single held-out evaluation is drawn, too."""
+    """Tick labels lie along the whole of both axes, and a single held-out evaluation is drawn."""
     curve = Curve(steps=[50, 700], squared=[0.1, 0.001], measured=[(700, 28.0)])
     pixels = np.asarray(curve.image())
     left, below = pixels[:, : MARGIN - 2], pixels[HEIGHT - MARGIN + 2 :]

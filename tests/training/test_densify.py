@@ -85,7 +85,7 @@ def test_densification_adds_a_twentieth_of_the_gaussians_up_to_the_cap() -> None
 
 
 def test_small_gaussians_of_large_gradient_are_cloned_and_large_ones_split() -> None:
-    """A large screen-space gradient selects Gaussians; a split leaves two smaller ones inside the original."""
+    """A split Gaussian is replaced by two smaller ones inside it."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
     after = cloned_and_split(before, record, CONFIG, np.random.default_rng(0))
@@ -121,7 +121,7 @@ def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:
 
 
 def test_densification_prunes_transparent_and_oversized_gaussians() -> None:
-    """The other Gaussians keep their order; without a finite extent, no size is too large."""
+    """The remaining Gaussians keep their order; with an infinite extent, no size is too large."""
     after = pruned(parameters([0.5, 0.001, 0.5, 0.4], [0.01, 0.01, 5.0, 0.02]), extent=1.0)
     np.testing.assert_allclose(after.opacities, [0.5, 0.4], rtol=1e-5)
     assert pruned(parameters([0.5], [5.0]), extent=math.inf).count == 1

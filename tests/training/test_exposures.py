@@ -133,7 +133,7 @@ def shown_gains(of: Trainer, seen: Sequence[ls.Camera]) -> np.ndarray:
 
 
 def beyond_directions(errors: np.ndarray, seen: Sequence[ls.Camera]) -> np.ndarray:
-    """Returns the residual of a linear fit by view direction, because degree-1 SH explains such errors as well."""
+    """Returns the residual of a linear fit to the errors by view direction, which degree-1 SH would explain as well."""
     directions = [camera.eye / np.linalg.norm(camera.eye) for camera in seen]
     basis = np.column_stack([np.ones(len(seen)), np.array(directions)])
     return errors - basis @ np.linalg.lstsq(basis, errors, rcond=None)[0]

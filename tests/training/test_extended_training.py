@@ -30,7 +30,7 @@ def checkpoint_of(output: Path) -> Path:
 
 
 def test_finished_training_resumes_with_more_iterations(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Learning rates follow the new total; one log line reports it, and the usual files are written."""
+    """Learning rates follow the new total, which one log line reports, and the usual files are written."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     images = ls.io.load_training_images(folder, background="black")
     ls.train(images, SHORT, output=output, device="cpu")

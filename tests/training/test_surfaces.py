@@ -94,7 +94,7 @@ class Sums(Loss):
 
 
 def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
-    """Returns the terms in float64: equation 13 of Huang et al. 2024, and two terms like those of Gao et al. 2024.
+    """Returns the surface terms in float64: equation 13 of Huang et al. 2024, and two terms as in Gao et al. 2024.
 
     Args:
         p: The Gaussians.

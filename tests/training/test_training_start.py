@@ -119,7 +119,7 @@ def test_ctrl_c_ends_training_between_iterations_with_a_checkpoint(
 
 
 def test_training_in_another_thread_does_not_handle_ctrl_c(tmp_path: Path) -> None:
-    """Only the main thread may install signal handlers."""
+    """Only the main thread may install signal handlers, so the training runs without one."""
     folder, found = write_training_folder(tmp_path / "set"), list[Any]()
     thread = threading.Thread(target=lambda: found.append(ls.train(folder, SHORT, device="cpu")))
     thread.start()

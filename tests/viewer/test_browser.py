@@ -311,7 +311,7 @@ def test_phone_panel_is_a_drawer_and_the_scene_fits_above_it(browser: Any, viewe
 
 
 def test_clicking_a_thumbnail_moves_the_page_to_its_key_view(browser: Any, viewer: ls.Viewer) -> None:
-    """Only the clicked page moves, to the first of two key views, and its horizon stays level."""
+    """The clicked page moves to the first of two key views with a level horizon; another page does not move."""
     page, other = open_page(browser, viewer), open_page(browser, viewer)
     (clicked, unclicked) = viewer._pages.values()
     page.get_by_role("tab", name="Video").click()

@@ -85,7 +85,7 @@ def test_detail_controller_skips_steps_after_two_very_slow_frames() -> None:
 
 @pytest.mark.parametrize(("count", "level", "scale"), [(1000, 1, 1.0), (2_000_000, 1, 1.0), (3_000_000, 2, 0.5)])
 def test_first_frame_of_a_large_scene_has_a_coarse_detail_step(count: int, level: int, scale: float) -> None:
-    """The first frame of a large scene has at most `MOVING_GAUSSIANS_MAX` Gaussians; others start at a quarter."""
+    """The first frame has at most `MOVING_GAUSSIANS_MAX` Gaussians; small scenes start at a quarter of theirs."""
     assert GAUSSIAN_STEPS[first_step(count)] == DetailStep(level, scale)
 
 

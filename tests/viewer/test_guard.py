@@ -201,7 +201,7 @@ def test_any_thread_event_can_be_set_while_waiters_come_and_go() -> None:
 
 
 def test_page_server_uses_thread_safe_events(server: PageServer) -> None:
-    """The server's message buffer has thread-safe events; those of pages are created in the same way."""
+    """The message buffer of the server has thread-safe events; buffers of pages are created in the same way."""
     buffer: Any = server.viser
     assert isinstance(buffer._websock_server._broadcast_buffer.message_event, AnyThreadEvent)
 

@@ -60,38 +60,38 @@ EXTENT = Extent((0.0, 0.0, 0.0), 2.0)
 
 
 class Kind(Enum):
-    """A kind."""
+    """Kinds of a sample."""
 
     ONE = "one"
-    """The first. This second sentence is not part of the hint."""
+    """The first kind. This second sentence is not part of the hint."""
     TWO = "two"
-    """The second."""
+    """The second kind."""
 
 
 @dataclass(frozen=True)
 class Inner:
-    """Inner settings."""
+    """Nested settings of a sample."""
 
     depth: Annotated[int, Range(1, 64, "layers of paint")] = 3
-    """How deep."""
+    """Thickness of the paint."""
 
 
 @frozen
 class Sample:
-    """Settings that the package does not have."""
+    """Settings of a dataclass that is not part of the package."""
 
     share: Annotated[float, Range(0.0, 0.9, "cd")] = 0.5
-    """A share."""
+    """Fraction of light."""
     count: Annotated[int, Range(2)] | None = None
-    """How many."""
+    """Number of samples."""
     kind: Kind = Kind.ONE
-    """Which one."""
+    """Kind of the sample."""
     base_color: tuple[float, float, float] = given(converter=UNIT_COLOR, default=(1.0, 0.0, 0.0))
-    """Its colour."""
+    """Colour of the sample."""
     inner: Inner = Inner()
-    """What is inside."""
+    """Group of nested settings."""
     array: np.ndarray | None = None
-    """No control shows this."""
+    """Array, which has no control."""
 
 
 def field(name: str, cls: type = Sample) -> Setting:
@@ -104,10 +104,13 @@ def test_controls_of_any_dataclass_have_kind_range_and_help() -> None:
     assert [one.name for one in control_settings(Sample)] == ["share", "count", "kind", "base_color", "inner"]
     assert (field("share").kind, field("share").low, field("share").high) == ("number", 0.0, 0.9)
     assert (field("count").kind, field("count").is_optional, field("count").low) == ("whole", True, 2.0)
-    assert field("kind").help == "Which one. one: The first. two: The second."
+    assert field("kind").help == "Kind of the sample. one: The first kind. two: The second kind."
     assert field("base_color").kind == "color" and field("inner").group is Inner
     assert (field("depth", Inner).low, field("depth", Inner).high) == (1.0, 64.0)
-    assert hint_of(field("depth", Inner)) == "How deep. Takes a whole number from 1 to 64, in layers of paint."
+    assert (
+        hint_of(field("depth", Inner))
+        == "Thickness of the paint. Takes a whole number from 1 to 64, in layers of paint."
+    )
     assert [label_of(one) for one in (field("share"), field("depth", Inner))] == ["share (cd)", "depth"]
 
 
@@ -294,7 +297,7 @@ def test_bounding_boxes_enclose_scene_entries_and_are_cached(tmp_path: Path) -> 
 
 
 def test_outliner_escapes_names_from_files(tmp_path: Path) -> None:
-    """Names never become tags or scripts; entries that could not be read are listed, too."""
+    """Names never become tags or scripts; entries that could not be read are listed as not loaded."""
     evil = "<img src=x onerror=alert(1)>"
     mesh = ls.MeshInstance(ls.box(1.0), name=evil)
     text = tree_html(ls.io.SceneDocument.of(ls.Scene(meshes=[mesh])), BoxCache())
@@ -619,7 +622,7 @@ def test_numbers_are_rounded_to_fit_their_control(value: float, room: int, shown
 
 
 def test_editing_one_vector_component_keeps_the_others_exact() -> None:
-    """Typing one component leaves the others exact, although fewer digits are displayed."""
+    """The other components keep all their digits, although fewer digits are displayed."""
     before = (12.15493217, 0.0123456789, -3.0)
     field = Setting("position", "vector", "")
     given = (to_control_value(field, before)[0], 0.5, -3.0)

@@ -50,7 +50,7 @@ def colors(scene: ls.Scene) -> list[np.ndarray]:
 
 
 def test_viewer_lights_actors_as_in_animation_frames(scenes: SceneBuilder) -> None:
-    """The shadowed floor and the relit actor equal those of `AvatarLighter` bit for bit."""
+    """Floor and actor have the colours that `AvatarLighter` gives them, bit for bit."""
     wanted = animation()
     shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
     expected = ls.AvatarLighter(wanted.scene, config=wanted.lighting, device="cpu").light(wanted.actors_at(1.0))

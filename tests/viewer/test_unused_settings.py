@@ -55,7 +55,7 @@ def test_view_that_a_pipeline_lacks_falls_back_to_color() -> None:
 
 
 def test_settings_that_a_pipeline_does_not_use_change_no_pixel() -> None:
-    """Each setting that a pipeline does not use is given another value, except invalid ones."""
+    """For each pipeline, every unused setting is given another valid value."""
     others: dict[str, Any] = {
         "max_bounces": 0,
         "seed": 7,

@@ -68,7 +68,7 @@ def test_orbit_rotation_keeps_target_distance_and_horizon(up: tuple[float, ...],
 
 @pytest.mark.parametrize("above", [-50.0, 50.0])
 def test_orbit_elevation_is_clamped_at_the_poles(above: float) -> None:
-    """After the clamp, the camera returns to the same side."""
+    """From the clamped elevation, the camera rotates back to where it was."""
     start = Orbit.of(EYE, TARGET, UP, 0.8)
     steep = start.rotated(0.0, above)
     assert steep.elevation == pytest.approx(math.copysign(ELEVATION_MAX, above))

@@ -100,7 +100,7 @@ def test_select_keeps_gaussians_that_are_within_all_given_ranges(capture: ls.Gau
 
 
 def cloud_with_strays() -> tuple[ls.Gaussians, int]:
-    """Returns a dense sheet of small Gaussians, a sparse background of wide ones, and three small strays."""
+    """Returns a sheet of small Gaussians, wide background ones and three small strays, and the count without strays."""
     rng = np.random.default_rng(1)
     sheet = np.column_stack([rng.uniform(-1, 1, (2000, 2)), np.full(2000, 4.0)])
     far = np.column_stack([10.0 * np.indices((5, 5)).reshape(2, -1).T - 20.0, np.full(25, 50.0)])
@@ -114,7 +114,7 @@ def cloud_with_strays() -> tuple[ls.Gaussians, int]:
 
 
 def test_remove_floaters_removes_isolated_small_gaussians_but_no_wide_background() -> None:
-    """Isolated small Gaussians are removed; isolated wide ones, which reach others, stay."""
+    """Background Gaussians are as isolated as strays, but so wide that they reach their neighbours."""
     cloud, solid = cloud_with_strays()
     progress: list[float] = []
     assert rows_of(ls.editing.remove_floaters(cloud, progress=progress.append), cloud) == list(range(solid))
@@ -136,7 +136,7 @@ def test_remove_floaters_counts_neighbours_as_brute_force_does(neighbours: int, 
 
 
 def test_limit_sh_degree_leaves_the_lower_degrees_unchanged(capture: ls.Gaussians) -> None:
-    """Higher SH degrees are removed, lower ones stay identical."""
+    """SH coefficients above the limit are removed."""
     for degree in (0, 1):
         limited = ls.editing.limit_sh_degree(capture, degree)
         assert limited.sh_degree == degree

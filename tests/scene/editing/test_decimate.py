@@ -77,7 +77,7 @@ def test_decimation_preserves_mass_mean_and_covariance_of_the_capture(count: int
 
 
 def test_decimated_discs_of_a_plane_stay_flat_and_in_the_plane() -> None:
-    """Adjacent discs merge to larger discs with the plane's normal and the thickness of the original ones."""
+    """Adjacent discs merge to larger discs with the plane's normal and the original thickness."""
     x, y = np.meshgrid(np.arange(32.0), np.arange(32.0))
     means = np.column_stack([x.ravel(), y.ravel(), np.full(1024, 5.0)])
     scales = np.tile([0.7, 0.7, 1e-4], (1024, 1))

@@ -45,7 +45,7 @@ def test_display_sh_minimise_the_squared_error_over_directions(degree: int) -> N
 
 
 def test_display_sh_of_small_contrasts_scale_by_the_slope_of_the_srgb_curve() -> None:
-    """Small display coefficients are the linear ones times the slope of the curve at the mean colour."""
+    """Small display coefficients are the linear coefficients times the slope of the curve at the mean colour."""
     sh = np.zeros((1, 4, 3))
     sh[0, 2] = 1e-4
     slope = (encode_srgb(0.5 + 1e-6) - encode_srgb(0.5 - 1e-6)) / 2e-6

@@ -83,7 +83,7 @@ def with_faint(gaussians: ls.Gaussians, means: np.ndarray, opacity: float, scale
 
 
 def test_distant_and_faint_gaussians_do_not_flip_the_estimated_normals() -> None:
-    """Distant Gaussians do not coarsen the voxels, and faint ones around the set do not count as a wall."""
+    """Distant Gaussians do not coarsen the voxels, and faint Gaussians around the set do not count as a wall."""
     gaussians, truth = bare(shapes.torus(1.0, 0.3), 12_000)
     haze = np.random.default_rng(3).uniform(-1.6, 1.6, (3000, 3))
     strays = np.random.default_rng(4).uniform(-300.0, 300.0, (40, 3))
@@ -145,7 +145,7 @@ def test_single_and_coincident_gaussians_get_unit_normals(method: ls.config.Norm
 
 
 def test_estimated_normals_of_a_thin_sheet_agree_on_one_side() -> None:
-    """If both sides are equally open, neighbours agree on one side, whatever the signs of their axes."""
+    """Both sides of the sheet are equally open, and the thin axes of its Gaussians have random signs."""
     flat, truth = bare(shapes.plane(2.0, 2.0), 2000)
     w, x, y, z = flat.rotations_wxyz.T
     flipped = np.stack([-x, w, z, -y], axis=1)  # half a turn about the Gaussian's own first axis

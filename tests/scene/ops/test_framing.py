@@ -170,7 +170,7 @@ def test_orbit_cameras_refuses_invalid_arguments_in_one_line(arguments, message)
 @pytest.mark.parametrize("spread", [0.0, 1.0, 1e6])
 @pytest.mark.parametrize("count", [1, 2, 50, 5000])
 def test_bulk_bounds_exclude_2_percent_of_the_opacity_at_each_end(count, spread):
-    """The bounds equal those found by sorting, to the bit, even with equal heights and distant outliers."""
+    """The bounds equal those by sorting to the bit, even with equal heights and distant outliers."""
     rng = np.random.default_rng(count)
     heights = np.round(rng.standard_cauchy(count), 1) * spread
     weights = rng.uniform(0.0, 1.0, count).astype(np.float32)
