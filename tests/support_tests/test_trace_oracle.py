@@ -246,7 +246,7 @@ def layers(*opacities: float, colors: tuple[tuple[float, float, float], ...] = (
 
 
 def test_two_hits_on_a_ray_blend_front_to_back() -> None:
-    """The nearer hit occludes the farther; depth, index and normal are of the hit that lowers transmittance below 0.7."""
+    """The nearer hit occludes the farther; depth, index and normal are of the hit that passes transmittance 0.7."""
     scene = layers(0.25, 0.5, colors=((1.0, 0.0, 0.2), (0.0, 1.0, 0.4)))
     one = traced(scene)
     assert one.color == pytest.approx(0.25 * np.array([1.0, 0.0, 0.2]) + 0.375 * np.array([0.0, 1.0, 0.4]), abs=1e-6)
