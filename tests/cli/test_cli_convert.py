@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.commands.convert import _count_of, _value_ranges
+from lumisplat.cli.commands.convert import _target_count, _value_ranges
 from support.files.cli_files import Workspace
 
 
@@ -111,7 +111,7 @@ def test_convert_drop_invalid_counts_the_dropped_gaussians(work: Workspace, capl
 )
 def test_convert_decimate_accepts_counts_and_percentages(text: str, count: int) -> None:
     """At least one Gaussian remains."""
-    assert _count_of(text, 1000) == count
+    assert _target_count(text, 1000) == count
 
 
 def test_convert_keep_accepts_open_and_closed_value_ranges() -> None:

@@ -17,7 +17,7 @@ from lumisplat.cli.input.loading import block_folder, size_on_disk
 from lumisplat.cli.options.command import Flag, LoadingCommand, own_options_first
 from lumisplat.cli.output.console import Report, byte_size, counted, print_columns, progress_bars
 
-_LEVEL_SHARE = 1.34
+_SIZE_OF_LEVELS = 1.34
 """Size of all levels of detail relative to the finest: each level has a quarter of the Gaussians of the next finer
 one."""
 
@@ -59,9 +59,9 @@ class Blocks(LoadingCommand):
             return
         output = self._checked_output()
         with progress_bars() as report:
-            parts = [self._part(path, report) for path in self.files]
+            parts = [self._opened(path, report) for path in self.files]
             cell = self.cell or max(_cell(part) for part in parts)
-            self._check_room(output, parts)
+            self._check_disk_space(output, parts)
             cutting = partial(report, "cutting")
             index = ls.io.write_blocks(output, _pieces(parts), cell, levels=self.coarser, progress=cutting)
         levels = counted(self.coarser, "coarser level") if self.coarser else "no coarser levels"
@@ -88,7 +88,7 @@ class Blocks(LoadingCommand):
             )
         return self.output
 
-    def _part(self, path: Path, report: Report) -> ls.io.PlyStream | ls.Gaussians:
+    def _opened(self, path: Path, report: Report) -> ls.io.PlyStream | ls.Gaussians:
         """Opens a capture: as a stream that is read piece by piece if its format allows, else loads it."""
         if ls.io.can_stream(path):
             return ls.io.stream_ply(
@@ -99,11 +99,11 @@ class Blocks(LoadingCommand):
             raise ls.FormatError(path, "is not one capture: lumisplat convert joins those of a scene")
         return loaded
 
-    def _check_room(self, output: Path, parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> None:
+    def _check_disk_space(self, output: Path, parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> None:
         """Raises an error if the disk has too little free space for the blocks."""
         count = sum(part.count for part in parts)
         sh_count = max(part.sh_count if isinstance(part, ls.io.PlyStream) else part.sh.shape[1] for part in parts)
-        needed = 4 * (11 + 3 * sh_count) * count * (_LEVEL_SHARE if self.coarser else 1.0)
+        needed = 4 * (11 + 3 * sh_count) * count * (_SIZE_OF_LEVELS if self.coarser else 1.0)
         there = next(path for path in (output, *output.absolute().parents) if path.exists())
         free = shutil.disk_usage(there).free
         if needed > free:

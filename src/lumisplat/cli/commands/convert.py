@@ -121,8 +121,8 @@ class Convert(LevelsCommand):
         """Loads a capture; the captures of a glTF or OpenUSD scene are merged."""
         loaded = self.load_asset(source, report)
         if isinstance(loaded, ls.Scene) and loaded.splats and not loaded.meshes:
-            turn = (180.0, 0.0, 0.0) if loaded.up == (0.0, 1.0, 0.0) else (0.0, 0.0, 0.0)  # captures have y down
-            placed = (ls.transform(one.gaussians, one.transform, rotation_degrees=turn) for one in loaded.splats)
+            rotation = (180.0, 0.0, 0.0) if loaded.up == (0.0, 1.0, 0.0) else (0.0, 0.0, 0.0)  # captures have y down
+            placed = (ls.transform(one.gaussians, one.transform, rotation_degrees=rotation) for one in loaded.splats)
             return ls.merge(list(placed))
         if not isinstance(loaded, ls.Gaussians):
             raise ls.FormatError(
@@ -135,10 +135,10 @@ class Convert(LevelsCommand):
     def _edits(self, report: Report, done: list[str]) -> Iterator[tuple[str, _Edit]]:
         """Yields the edits in order, each with the options that ask for it, and appends lines to print to ``done``."""
         if self.box is not None or self.sphere is not None:
-            box = None if self.box is None else _halves(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
+            box = None if self.box is None else _split_at(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
             sphere = None
             if self.sphere is not None:
-                center, (radius,) = _halves(numbers("--sphere", self.sphere, 4, "0,0,0,2"), 3)
+                center, (radius,) = _split_at(numbers("--sphere", self.sphere, 4, "0,0,0,2"), 3)
                 sphere = (center, radius)
             given = [name for name, value in (("--box", box), ("--sphere", sphere)) if value is not None]
             yield ", ".join(given), lambda g: ls.editing.crop(g, box, sphere, outside=self.outside)
@@ -152,9 +152,9 @@ class Convert(LevelsCommand):
             yield "--floaters", lambda g: ls.editing.remove_floaters(g, neighbours, progress=bar)
         if (degree := self.sh_degree) is not None:
             yield "--sh-degree", lambda g: ls.editing.limit_sh_degree(g, degree, pad=True)
-        if (share := self.decimate) is not None:
+        if (target := self.decimate) is not None:
             merging = partial(report, "merging neighbours")
-            yield "--decimate", lambda g: ls.editing.decimate(g, _count_of(share, g.count), progress=merging)
+            yield "--decimate", lambda g: ls.editing.decimate(g, _target_count(target, g.count), progress=merging)
         if self.level:
             yield "--level", lambda g: _levelled(g, done)
         if self.scale != 1.0 or self.rotate is not None or self.translate is not None:
@@ -163,12 +163,12 @@ class Convert(LevelsCommand):
             yield "--morton", ls.editing.sort_morton
 
     def _placed(self, gaussians: ls.Gaussians) -> ls.Gaussians:
-        turn = (0.0, 0.0, 0.0) if self.rotate is None else vector("--rotate", self.rotate, "180,0,0")
-        move = (0.0, 0.0, 0.0) if self.translate is None else vector("--translate", self.translate)
-        return ls.transform(gaussians, scale=self.scale, rotation_degrees=turn, translation=move)
+        rotation = (0.0, 0.0, 0.0) if self.rotate is None else vector("--rotate", self.rotate, "180,0,0")
+        translation = (0.0, 0.0, 0.0) if self.translate is None else vector("--translate", self.translate)
+        return ls.transform(gaussians, scale=self.scale, rotation_degrees=rotation, translation=translation)
 
 
-_BY = {
+_UP_SOURCES = {
     "axes": "from the axes of the capture, as no ground was found: check the result",
     "stated": "from the file, as no ground was found",
 }
@@ -181,15 +181,15 @@ def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
     level = ls.editing.level(gaussians, found.up)
     assert level.up is not None
     cosine = sum(before * after for before, after in zip(found.up, level.up, strict=True))
-    how = _BY.get(found.source)
+    how = _UP_SOURCES.get(found.source)
     if found.height is not None and found.share is not None:
         how = f"from the ground at height {found.height:.4g}, {found.share:.0%} of the visible surface"
-    turned = f"rotated by {math.degrees(math.acos(min(max(cosine, -1.0), 1.0))):.1f} degrees"
-    done.append(f"--level: up was {up_name(found.up)}, {how}; {turned}, it is {up_name(level.up)}")
+    rotation = f"rotated by {math.degrees(math.acos(min(max(cosine, -1.0), 1.0))):.1f} degrees"
+    done.append(f"--level: up was {up_name(found.up)}, {how}; {rotation}, it is {up_name(level.up)}")
     return level
 
 
-def _halves(values: tuple[float, ...], first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _split_at(values: tuple[float, ...], first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Splits values into the first ``first`` values and the rest."""
     return values[:first], values[first:]
 
@@ -222,7 +222,7 @@ def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
     return ranges
 
 
-def _count_of(text: str, whole: int) -> int:
+def _target_count(text: str, whole: int) -> int:
     """Returns the number of Gaussians that ``--decimate`` asks for, as a count or as a percentage of ``whole``."""
     try:
         count = round(whole * float(text[:-1]) / 100.0) if text.endswith("%") else int(text)

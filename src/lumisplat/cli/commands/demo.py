@@ -146,10 +146,10 @@ def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) ->
     assert isinstance(spot, ls.LightSpot)
     renderer = start(replace(_lit_config(), samples=_SWING_SAMPLES))
     pictures: list[npt.NDArray[np.float32]] = []
-    turn = _SWING_FRAMES // 2
-    for step in range(turn + 1):
-        report("moving a light", step / (turn + 1))
-        swing = math.cos(math.pi * step / turn)
+    half = _SWING_FRAMES // 2
+    for step in range(half + 1):
+        report("moving a light", step / (half + 1))
+        swing = math.cos(math.pi * step / half)
         (x, y, z), (dx, dy, dz) = spot.position, spot.direction
         position = (_SWING_MIDDLE + swing * (x - _SWING_MIDDLE), y, z)
         moved = replace(spot, position=position, direction=(swing * dx, dy, dz))

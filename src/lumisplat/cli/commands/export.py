@@ -53,7 +53,7 @@ class Export(InsertingCommand):
                 ls.save(self.output, replace(animation, scene=scene, cameras=cameras))
             else:
                 ls.save(self.output, scene, cameras=cameras)
-        lights, held_cameras = _held(self.output, scene, cameras)
+        lights, held_cameras = _written_counts(self.output, scene, cameras)
         counts = (
             (len(scene.splats), "capture"),
             (scene.gaussian_count, "Gaussian"),
@@ -70,7 +70,7 @@ class Export(InsertingCommand):
         if self.output.suffix.lower() not in USD or [file.suffix.lower() for file in self.scene] != [".toml"]:
             return None
         (file,) = self.scene
-        if not _moves(file):
+        if not _is_animated(file):
             return None
         report(f"loading {file.name}", 0.0)
         return ls.load_animation(file, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
@@ -83,7 +83,7 @@ class Export(InsertingCommand):
         return [camera for file in files for camera in ls.load_cameras(file)]
 
 
-def _held(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, int]:
+def _written_counts(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, int]:
     """Counts the lights and cameras in the written file, which may lack some of the scene's."""
     if path.suffix.lower() in USD:
         return len(scene.lights), sum(camera.model is not ls.CameraModel.FISHEYE for camera in cameras)
@@ -93,7 +93,7 @@ def _held(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, i
     return lights, sum("camera" in node for node in nodes)
 
 
-def _moves(file: Path) -> bool:
+def _is_animated(file: Path) -> bool:
     """Returns True if a scene file has actors or moving cameras; False also for a file that cannot be read."""
     values: dict[str, Any] = {}
     with suppress(OSError, ValueError):

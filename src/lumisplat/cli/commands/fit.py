@@ -157,10 +157,10 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
                 f"--camera names {len(self.camera)} and there are {len(images)} images: name one for each"
             )
         if self.camera:
-            return [_named(path, known, name) for name in self.camera]
+            return [_camera_named(path, known, name) for name in self.camera]
         if len(known) == len(images) == 1:
             return known
-        return [_named(path, known, image.stem) for image in images]
+        return [_camera_named(path, known, image.stem) for image in images]
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
         """Returns the render settings of the fit: path tracing, unless ``--pipeline`` is given."""
@@ -191,7 +191,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             raise ls.ConfigError(f"--exposure is '{self.exposure}', expected stops, or fit") from None
 
 
-def _named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
+def _camera_named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
     """Returns the camera with a name; the name may leave out the camera's file extension."""
     for camera in cameras:
         if name in (camera.name, Path(camera.name).stem):
@@ -230,7 +230,7 @@ def _fitted_document(
         if isinstance(light, ls.LightEnvironment):
             table: dict[str, Any] = _environment_table(light)
             if fit.environment is not None:
-                image = {"path": _relative_name(document, _written(fit, output))}
+                image = {"path": _relative_name(document, _saved_environment(fit, output))}
             document, _ = document.added("environment", table | (image if light.image is not None else {}))
     return document, remarks
 
@@ -241,7 +241,7 @@ def _environment_table(light: ls.LightEnvironment) -> dict[str, Any]:
     return {key: value for key, value in entry.table.items() if key != "path"}
 
 
-def _written(fit: ls.inverse.LightFit, output: Path) -> Path:
+def _saved_environment(fit: ls.inverse.LightFit, output: Path) -> Path:
     """Writes the SH environment as an image file, and returns the path."""
     assert fit.environment is not None
     path = _made_assets(output) / "environment.exr"
@@ -360,7 +360,7 @@ def _write_report(
         width = min(camera.width, _WIDTH)
         shown = replace(camera.scaled(width), exposure=view.camera.exposure)
         frame = renderer.render(fit.scene, shown)
-        write_comparison(folder / f"{stem}.png", [_beside(ls.load_image(image), frame)])
+        write_comparison(folder / f"{stem}.png", [_image_and_frame(ls.load_image(image), frame)])
 
 
 def _figures(fit: ls.inverse.LightFit, images: Sequence[Path]) -> dict[str, Any]:
@@ -398,7 +398,7 @@ def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
     return [float(channel * light.intensity) for channel in light.color]
 
 
-def _beside(image: Any, frame: ls.Frame) -> tuple[Any, Any]:
+def _image_and_frame(image: Any, frame: ls.Frame) -> tuple[Any, Any]:
     """Returns an image resized to a frame, and the frame, both in display colours, shape (H, W, 3)."""
     import numpy as np
     from PIL import Image

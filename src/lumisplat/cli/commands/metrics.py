@@ -97,12 +97,12 @@ class Metrics(LoadingCommand):
             raise ls.ConfigError(f"{_counted(self.files)}, expected one avatar to compare with --scene")
         paths = [path for path in (self.before, self.files[0]) if path is not None]
         with progress_bars() as report:
-            surroundings = self._capture(scene, report)
+            captured_scene = self._capture(scene, report)
             avatars = [self._capture(path, report) for path in paths]
             figures: list[Figures] = []
             for index, avatar in enumerate(avatars):
                 report("comparing light", index / len(avatars))
-                figures.append(self._light_figures(avatar, surroundings))
+                figures.append(self._light_figures(avatar, captured_scene))
             report("comparing light", 1.0)
         if len(figures) == 2:
             _print_gain(*figures, as_json=self.json)

@@ -85,7 +85,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
             renderer = self.start_renderer(report, rendering)
             avatar = self._loaded_avatar(report)
             scene = self.load_scene(self.scene, report, given_up=parse_up(self.up))
-            position = at or _middle(avatar)
+            position = at or _center_of_bulk(avatar)
             report("gathering light", 0.0)
             probe = ls.avatars.EnvironmentProbe.capture(scene, position, self.degree, near=self.near, renderer=renderer)
             report("relighting", 0.0)
@@ -134,7 +134,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
             print(f"{self.probe}: the light as an image")
 
 
-def _middle(avatar: ls.SplatInstance) -> tuple[float, float, float]:
+def _center_of_bulk(avatar: ls.SplatInstance) -> tuple[float, float, float]:
     """Returns the centre of an avatar's bounding box, ignoring stray Gaussians."""
     low, high = ls.Scene(splats=(avatar,)).bulk_bounds()
     x, y, z = (float(value) for value in 0.5 * (low + high))

@@ -25,9 +25,9 @@ _POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "
 """Files with camera poses: if the folder has one of these, ``--poses`` does not search for poses."""
 _WORST = 5
 """Number of the worst held-out views in the printed table."""
-_RELIGHTABLE = (0.3, 0.05, 0.3)
+_RELIGHTABLE_WEIGHTS = (0.3, 0.05, 0.3)
 """Weights of the losses ``flatness``, ``normals`` and ``depth_spread`` with ``--relightable``."""
-_TOO_LIGHT = 0.02
+_CLIPPED_MAX = 0.02
 """Fraction of visible Gaussians with a clipped albedo above which the command prints a line about them."""
 
 
@@ -161,7 +161,9 @@ class Train(DeviceCommand):
                 progress=report,
             )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{self._again} continues; with --stop-after 1s, it writes the capture") from None
+            raise KeyboardInterrupt(
+                f"{self._same_command} continues; with --stop-after 1s, it writes the capture"
+            ) from None
         return result, self._materials(result, images, self._materials_config(), report)
 
     def print_results(self, result: ls.training.TrainResult, found: ls.inverse.FoundMaterials | None) -> None:
@@ -188,7 +190,7 @@ class Train(DeviceCommand):
                 result.gaussians, images, config, output=self.output, device=self.device, progress=report
             )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{self._again} continues; {self.output} has no materials yet") from None
+            raise KeyboardInterrupt(f"{self._same_command} continues; {self.output} has no materials yet") from None
         _write_materials(self.output.with_suffix(".training") / "materials", found, images, self.device)
         return found
 
@@ -199,7 +201,7 @@ class Train(DeviceCommand):
             f"{environment}: the environment; {self.output.with_suffix('.training')}/materials has images of "
             "environment and materials"
         )
-        if found.too_light > _TOO_LIGHT:
+        if found.too_light > _CLIPPED_MAX:
             print(
                 f"{found.too_light:.0%} of the surface is brighter than the estimated environment can make it: "
                 "highlights, or light that no image shows"
@@ -217,7 +219,7 @@ class Train(DeviceCommand):
         given = given_settings_of(self, ls.TrainConfig)
         names = ("flatness", "normals", "depth_spread")
         if self.relightable and given.keys().isdisjoint(names):
-            given |= dict(zip(names, _RELIGHTABLE, strict=True))
+            given |= dict(zip(names, _RELIGHTABLE_WEIGHTS, strict=True))
         return ls.TrainConfig(**given, random_background=self._is_random)
 
     @property
@@ -251,15 +253,15 @@ class Train(DeviceCommand):
                 f"{self._config().prune_below:g} in every image (--prune-below)"
             )
         if not result.is_finished:
-            print(f"{self._again} continues the training")
+            print(f"{self._same_command} continues the training")
 
     @property
-    def _again(self) -> str:
+    def _same_command(self) -> str:
         """Wording for messages of the command that continues the training."""
         return "the same command without --overwrite" if self.overwrite else "the same command"
 
 
-_VIEWS = 4
+_MATERIAL_VIEWS = 4
 """Number of views for which a PNG shows the training image beside its materials."""
 _ENVIRONMENT_PX = 16
 """Magnification of the environment's pixels in its PNG."""
@@ -274,7 +276,7 @@ def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.
     import numpy as np
 
     make_folder(folder)
-    views = (images.held_out or images.training)[:_VIEWS]
+    views = (images.held_out or images.training)[:_MATERIAL_VIEWS]
     renderer = ls.create_renderer(ls.RenderConfig(lighting=False), device)
     layers = [ls.Scene([layer]) for layer in _layers(found.gaussians)]
     for view, stem in zip(views, file_stems([view.name for view in views]), strict=True):

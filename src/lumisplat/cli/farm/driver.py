@@ -366,11 +366,11 @@ class Driver:
 
     def _assign_frames(self) -> None:
         """Assigns a frame to each idle worker."""
-        while self._idle and (frame := self._next()) is not None:
+        while self._idle and (frame := self._next_frame()) is not None:
             worker = self._idle.pop(0)
             self._tasks[worker.make.remote(frame)] = _Task(worker, frame, self.clock())
 
-    def _next(self) -> int | None:
+    def _next_frame(self) -> int | None:
         """Removes and returns the first waiting frame whose prerequisite frames exist; None if no frame can start.
 
         Frames whose prerequisite has failed fail, too.

@@ -35,7 +35,7 @@ class FrameList:
     """Numbers of the prerequisite frames that a frame is made from, by the frame's number."""
     unit: str = "frame"
     """Noun for one frame in messages, such as ``view``."""
-    go_on: str = "without --overwrite"
+    resume_hint: str = "without --overwrite"
     """How to change the command so that it continues an interrupted run, for messages."""
 
     def begin(self, overwrite: bool) -> list[int]:
@@ -51,7 +51,7 @@ class FrameList:
     def count_line(self, overwrite: bool = False) -> str:
         """Returns text that says how many frames exist and which command continues."""
         count = sum(map(self.folder.is_finished, self.wanted))
-        again = f"the same command {self.go_on}" if overwrite else "the same command"
+        again = f"the same command {self.resume_hint}" if overwrite else "the same command"
         return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} continues"
 
     def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> ls.LumisplatError:

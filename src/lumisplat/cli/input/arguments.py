@@ -119,7 +119,7 @@ _MEMBER = re.compile(r"\b([A-Z]\w+)\.([A-Z][A-Z_]*)\b")
 _FIELD = re.compile(r"\b([A-Z]\w*Config)\.((?:\w+\.)*[a-z]\w*)\b(?:=(True|False)\b)?")
 
 
-_NAMED = re.compile(r"(?:camera )?(\w+) is ")
+_REFUSED = re.compile(r"(?:camera )?(\w+) is ")
 """Pattern of the start of a message about a refused value, with the setting's name."""
 
 
@@ -132,7 +132,7 @@ def shell_words(message: str, command: Command, setting: str | None = None) -> s
         setting: Name of the refused setting, from `lumisplat.LumisplatError.setting`. At the start of the message, the
             name is replaced by its option if the user gave that option. None takes the name from the message.
     """
-    if setting is None and (found := _NAMED.match(message)):
+    if setting is None and (found := _REFUSED.match(message)):
         setting = found[1]
     if setting is not None:
         option = _OPTION_OF.get(setting, f"--{setting.replace('_', '-')}")

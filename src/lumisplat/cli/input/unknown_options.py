@@ -81,7 +81,7 @@ _SYNONYMS = {
 _OPTION = re.compile(r"--[A-Za-z][\w.-]*")
 _SIMILARITY = 0.7
 """Smallest `difflib` ratio of a suggested name: 0.67 would suggest --cap for --cpu."""
-_NAMED = 3
+_SUGGESTIONS_MAX = 3
 """Largest number of suggestions, or of commands, in one message."""
 
 
@@ -119,16 +119,16 @@ def _answer(option: str, value: str, command: type[Any], commands: Mapping[str, 
             texts = (name if "=" in name else f"{name}={value or 'VALUE'}" for name in former)
             return f"{option} is a setting: {' '.join(f'--set {text}' for text in texts)}"
         if texts := _settings(option, value):
-            return f"{option} is a setting: {' or '.join(f'--set {text}' for text in texts[:_NAMED])}"
-    meant = _meant(option, command)
+            return f"{option} is a setting: {' or '.join(f'--set {text}' for text in texts[:_SUGGESTIONS_MAX])}"
+    meant = _suggestions(option, command)
     others = [name for name, other in commands.items() if option in options_of(other)]
     others.sort(key=lambda name: not name.endswith(program.rpartition(" ")[2]))
     if not meant and "--set" in known and not others:
         meant = [f"--set {text}" for text in _near_settings(option, value)]
-    hint = f"; perhaps you meant {' or '.join(meant[:_NAMED])}" if meant else ""
+    hint = f"; perhaps you meant {' or '.join(meant[:_SUGGESTIONS_MAX])}" if meant else ""
     if not meant and others:
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-        hint = f", but of {', '.join(others[:_NAMED])}{more}"
+        more = f" and {len(others) - _SUGGESTIONS_MAX} more" if len(others) > _SUGGESTIONS_MAX else ""
+        hint = f", but of {', '.join(others[:_SUGGESTIONS_MAX])}{more}"
     return f"{option} is no option of {program}{hint} (see {program} --help)"
 
 
@@ -156,7 +156,7 @@ def _near_settings(option: str, value: str) -> list[str]:
     return [f"{name}={value or 'VALUE'}" for name in declared if name.rpartition(".")[2].replace("_", "-") in near]
 
 
-def _meant(option: str, command: type[Any]) -> list[str]:
+def _suggestions(option: str, command: type[Any]) -> list[str]:
     """Returns suggestions for an unknown option.
 
     The first of these that exists: a synonym, options that begin with the given text, an option with the given word as

@@ -133,9 +133,9 @@ class EnvironmentOptions(LightOptions):
         w, x, y, z = scene.upright_wxyz
         c, s = math.cos(half), math.sin(half)
         # Rotates about the image's vertical, +y, first: Hamilton's product upright * (c, 0, s, 0).
-        turned = replace(environment, rotation_wxyz=(w * c - y * s, x * c - z * s, w * s + y * c, x * s + z * c))
+        rotated = replace(environment, rotation_wxyz=(w * c - y * s, x * c - z * s, w * s + y * c, x * s + z * c))
         others = (light for light in scene.lights if not isinstance(light, ls.LightEnvironment))
-        return replace(scene, lights=(*others, turned))
+        return replace(scene, lights=(*others, rotated))
 
 
 LightGroup = Annotated[LightOptions, arg(name="light"), OmitArgPrefixes]

@@ -105,7 +105,7 @@ class FrameFolder:
             temporary.write_text(json.dumps(self._stamped(stamp, provenance), indent=1) + "\n")
             if overwrite:
                 self._clear(stamp)
-            while not _put(temporary, stamp):  # another run has put its stamp there meanwhile
+            while not _create_stamp(temporary, stamp):  # another run has put its stamp there meanwhile
                 stored = stored_provenance(stamp)
                 if overwrite:
                     self._clear(stamp)
@@ -190,7 +190,7 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def _put(temporary: Path, stamp: Path) -> bool:
+def _create_stamp(temporary: Path, stamp: Path) -> bool:
     """Renames a file to the stamp's name, unless a stamp exists; returns True on success.
 
     If two runs do this at the same time, one of them succeeds.
