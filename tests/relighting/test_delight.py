@@ -394,7 +394,7 @@ def test_captures_of_other_programs_do_not_count_as_haze(data_dir: Path, name: s
         (flattened(haze(3000, 0.03, 0.5)), "normals of neighbouring Gaussians differ as if they were random"),
         (thick_wall(), "of their transmittance away from their depth"),
     ],
-    ids=["dense haze", "dense haze of many", "flat ones", "thin haze of flat ones", "a thick wall"],
+    ids=["dense haze", "dense haze of many Gaussians", "flat Gaussians", "thin haze of flat Gaussians", "thick wall"],
 )
 def test_capture_with_an_unclear_surface_is_reported_with_advice(
     capture: ls.Gaussians, fault: str, caplog: Any

@@ -50,7 +50,7 @@ def parameters(opacities: list[float], scales: list[float] | None = None) -> Tra
 def test_relocated_gaussians_together_render_like_the_original(count: int, opacity: float, degree: int) -> None:
     """Alpha at the centre and the integral of alpha along a line are equal (equation 9 of Kheradmand et al. 2024)."""
     each, factor = relocation(np.array([opacity]), np.array([count]), degree)
-    assert each[0] >= 0.005, "no Gaussian is dead"
+    assert each[0] >= 0.005, "a relocated Gaussian is below the minimum opacity"
     if 1.0 - (1.0 - opacity) ** (1.0 / count) < 0.005:
         assert each[0] == 0.005
     if each[0] > 0.005:
@@ -91,14 +91,14 @@ def test_small_gaussians_of_large_gradient_are_cloned_and_large_ones_split() -> 
     after = cloned_and_split(before, record, CONFIG, np.random.default_rng(0))
     assert after.count == 4 + 1 + 1
     positions = after.values["means"]
-    assert (positions == before.values["means"][0]).all(axis=1).sum() == 2, "a clone is where its source is"
-    assert not (positions == before.values["means"][2]).all(axis=1).any(), "the split Gaussian is gone"
+    assert (positions == before.values["means"][0]).all(axis=1).sum() == 2, "no clone is at the position of its source"
+    assert not (positions == before.values["means"][2]).all(axis=1).any(), "the split Gaussian is still present"
     halves = np.flatnonzero(np.isclose(after.scales[:, 0], 0.5 / 1.6, rtol=1e-5))
     assert halves.size == 2 and np.linalg.norm(positions[halves] - before.values["means"][2], axis=1).max() < 4 * 0.5
     strongest = cloned_and_split(
         before, record, TrainConfig(densification=Densification.ADAPTIVE, cap=5), np.random.default_rng(0)
     )
-    assert strongest.count == 5, "no more than the cap"
+    assert strongest.count == 5, "there are more Gaussians than the cap"
 
 
 def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:

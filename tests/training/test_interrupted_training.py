@@ -70,7 +70,7 @@ def finished(folder: Path, output: Path, *more: str) -> dict[str, bytes]:
     if "--relightable" in more:
         pictures = {f"materials/{name}" for name in ("00.png", "08.png", "environment.png", "materials.json")}
         expected |= {Path("a.training", name) for name in ("materials.npz", *pictures)}
-    assert left == expected, "no temporary file stays"
+    assert left == expected, "files are missing or temporary files are left"
     return {output.name: output.read_bytes()} | {
         name: (output.with_suffix(".training") / name).read_bytes() for name in RESULTS
     }

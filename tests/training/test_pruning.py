@@ -48,7 +48,7 @@ ALONG = ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)
         ({"projection": ls.config.Projection.UNSCENTED}, {"raster": ALONG}, {}, False),
         ({"projection": ls.config.Projection.UNSCENTED}, {"raster": ALONG}, LENS, True),
     ],
-    ids=["rays", "along rays", "along rays of a lens that moves"],
+    ids=["ray traced", "unscented", "unscented, moving fisheye"],
 )
 def test_largest_blending_weights_along_rays_match_rendered_frames(
     settings: dict[str, Any], frames: dict[str, Any], lens: dict[str, Any], moves: bool

@@ -68,7 +68,7 @@ def test_training_recovers_perturbed_camera_poses_to_a_fifth() -> None:
 @pytest.mark.parametrize(
     "drawn_by",
     [{}, {"pipeline": ls.Pipeline.TRACE}, {"projection": ls.config.Projection.UNSCENTED}],
-    ids=["ellipses", "rays", "along rays"],
+    ids=["splats", "ray traced", "unscented"],
 )
 def test_loss_gradients_by_camera_poses_match_central_differences(drawn_by: dict[str, Any]) -> None:
     """The reference moves the camera and compares the losses of the trainer's frames."""

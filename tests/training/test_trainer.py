@@ -180,7 +180,7 @@ def test_checkpoints_of_other_trainings_or_with_damage_are_refused(tmp_path: Pat
             message = f"{file}: is damaged, or not a training checkpoint: remove it, or start again (--overwrite, "
             assert str(error) == message + "overwrite=True)"
         else:
-            assert len(damaged) == len(held), "bytes without meaning, such as a date"
+            assert len(damaged) == len(held), "only a changed byte without meaning, such as of a date, may pass"
             file.write_bytes(held)
     again = ls.train(folder, config, output=output, overwrite=True, device="cpu")
     assert again.iterations == 20 and file.read_bytes() == held

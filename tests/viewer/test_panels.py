@@ -382,7 +382,7 @@ def test_lights_added_in_the_viewer_are_in_view_and_light_the_centre_equally(asp
     for kind, table in tables.items():
         light: Any = ls.io.SceneDocument.of(ls.Scene()).added("lights", {"type": kind, **table})[0].scene().lights[0]
         if kind == "directional":
-            assert np.array(light.direction) @ (0.0, 1.0, 0.0) > 0.5, "it shines from above"
+            assert np.array(light.direction) @ (0.0, 1.0, 0.0) > 0.5, "the sun does not shine from above"
             continue
         local = view.camera_from_world @ (*light.position, 1.0)
         x, y = local[0] / local[2] * view.fx + view.cx, local[1] / local[2] * view.fy + view.cy

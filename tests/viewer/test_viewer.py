@@ -206,10 +206,10 @@ def test_controls_of_a_viewer_page_change_its_image(viewer: ls.Viewer) -> None:
         page.look(camera())
         before = settled(viewer, page)
         page.choose("exposure", 1.5)
-        eventually(lambda: viewer._session.state.exposure == 1.5, "the exposure stayed")
+        eventually(lambda: viewer._session.state.exposure == 1.5, "the exposure did not change")
         assert settled(viewer, page).mean() > 1.2 * before.mean()
         page.choose("shadows", "off")
-        eventually(lambda: viewer._session.state.config.shadows is ls.Shadows.OFF, "the shadows stayed")
+        eventually(lambda: viewer._session.state.config.shadows is ls.Shadows.OFF, "the shadows did not change")
         state = viewer._session.state
         page.choose("samples", "many")
         eventually(lambda: any("many" in note for note in page.notes()), "no notification arrived")
@@ -235,7 +235,7 @@ def test_tone_map_exposure_and_view_changes_render_no_new_samples(
         session.configure(lambda config: replace(config, tone_map=ls.ToneMap.AGX))
         pictures.append(settled(viewer, page))
         page.choose("exposure", 1.0)
-        eventually(lambda: session.state.exposure == 1.0, "the exposure stayed")
+        eventually(lambda: session.state.exposure == 1.0, "the exposure did not change")
         pictures.append(settled(viewer, page))
         session.set_options(view="depth")
         pictures.append(settled(viewer, page))
@@ -346,7 +346,7 @@ def test_displayed_command_renders_the_image_of_the_page(
         page.look(camera(0.7))
         page.choose("scene file", "edited.toml")
         page.press("save scene")
-        eventually((tmp_path / "edited.toml").exists, "nothing was saved")
+        eventually((tmp_path / "edited.toml").exists, "the scene was not saved")
         shown = settled(viewer, page)
         (open_page,) = viewer._pages.values()
         assert open_page.pose is not None
@@ -422,7 +422,7 @@ def test_page_opened_after_a_lost_connection_shows_the_edited_scene(recwarn: pyt
     settled(viewer, page)
     (client,) = viewer._viser.get_clients().values()
     page._socket.socket.shutdown(socket.SHUT_RDWR)  # like a page whose process is killed
-    eventually(lambda: not viewer._pages, "the page is still there")
+    eventually(lambda: not viewer._pages, "the closed page was not removed")
     client.scene.set_background_image(np.zeros((4, 4, 3), np.uint8))
     assert not recwarn.list
     eventually(lambda: not page_threads() - before, "the page's thread has not ended")
@@ -554,18 +554,18 @@ def test_each_shown_gizmo_gets_a_new_node_name(viewer: ls.Viewer) -> None:
 def test_viewer_notifications_wait_until_a_page_is_open(viewer: ls.Viewer) -> None:
     """Log warnings about a scene wait like errors, and repeated messages are shown once."""
     log = logging.getLogger("lumisplat")
-    log.warning("colours of leaves are odd")
+    log.warning("colours of leaves are out of range")
     viewer._session.report("a file was left out")
     with PageClient(viewer.url) as page:
         page.look(camera())
         eventually(lambda: len(page.notes()) == 2, "no notification arrived")
         for _ in range(5):
             viewer._session.report("a crop that leaves nothing")
-        log.error("for those at the machine")
+        log.error("an error of the log only")
         viewer._session.report("the last one")
         eventually(lambda: len(page.notes()) >= 4, "no notification arrived")
         assert page.notes() == [
-            "warning: colours of leaves are odd",
+            "warning: colours of leaves are out of range",
             "error: a file was left out",
             "error: a crop that leaves nothing",
             "error: the last one",
@@ -588,7 +588,7 @@ def test_undo_of_a_colour_temperature_resets_its_slider(viewer: ls.Viewer) -> No
         page.picture()
         for _ in range(2):
             page.choose("temperature (K)", 3000.0)
-            eventually(lambda: viewer.scene.lights[0].color != (1.0, 1.0, 1.0), "the colour stayed")
+            eventually(lambda: viewer.scene.lights[0].color != (1.0, 1.0, 1.0), "the colour did not change")
             assert viewer._session.undo() and viewer.scene.lights[0].color == (1.0, 1.0, 1.0)
 
 
@@ -611,7 +611,7 @@ def test_gizmo_drag_keeps_edits_of_other_pages(viewer: ls.Viewer) -> None:
         page.send("TransformControlsUpdateMessage", **move, position=[3.0, -1.0, 0.0])
         page.send("TransformControlsDragEndMessage", name=viewer._gizmo.node)
         page.choose("exposure", 1.0)  # handled after all earlier events
-        eventually(lambda: viewer._session.state.exposure == 1.0, "the exposure stayed")
+        eventually(lambda: viewer._session.state.exposure == 1.0, "the exposure did not change")
         assert not viewer.scene.lights and not page.notes()
 
 
