@@ -31,7 +31,7 @@ _SIZE = 0.09
 
 @dataclass(frozen=True)
 class GizmoPose:
-    """Pose of the gizmo for an object, and what the gizmo can change."""
+    """Pose of the gizmo for an object, and the kinds of change that the gizmo offers."""
 
     world_from_gizmo: Matrix
     """Rotation and translation, shape (4, 4)."""
@@ -40,7 +40,7 @@ class GizmoPose:
 
 @dataclass(frozen=True)
 class Drag:
-    """State of an entry when a drag began."""
+    """State of a scene entry at the start of a drag."""
 
     entry: ls.io.SceneEntry
     """Entry as it was when the drag began."""

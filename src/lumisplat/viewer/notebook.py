@@ -31,7 +31,7 @@ _Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Orbit:
-    """Orbit camera: its position relative to a target, in scene units."""
+    """Camera that orbits a target; lengths in scene units."""
 
     target: Vector
     """World position at the centre of the image."""
@@ -46,7 +46,7 @@ class Orbit:
 
     @classmethod
     def of(cls, eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike, fov_y: float) -> Orbit:
-        """Creates the camera that looks from an eye at a target, with its elevation clamped to the allowed range."""
+        """Creates the camera that looks from an eye at a target; clamps its elevation to `ELEVATION_MAX`."""
         offset = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
         distance = float(np.linalg.norm(offset))
         orbit = cls(_vector(target), _vector(offset / distance), distance, _vector(_unit(up)), fov_y)
@@ -194,7 +194,7 @@ class PointerControl:
 _log = logging.getLogger("lumisplat")
 
 Bundle = tuple[dict[str, Any], dict[str, Any]]
-"""Representations by MIME type, and their metadata."""
+"""Representations of an object by MIME type, and metadata by MIME type."""
 
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _TEXT = "text/plain"

@@ -18,7 +18,7 @@ from lumisplat.viewer.scene_extent import pose_of, world_corners
 from lumisplat.viewer.session import Session
 
 _LIGHT_SIZE = 0.03
-"""Size of the marks of lights without a size, as a fraction of the scene size."""
+"""Size of the marks of point-like lights, as a fraction of the scene size."""
 _POINT_SIZE = 0.008
 """Size of the marks of clicked points, as a fraction of the scene size."""
 _INSETS = ("depth", "normal")
@@ -111,8 +111,8 @@ def light_outline(light: Any, size: float, *, is_selected: bool) -> Outline | No
 
     Args:
         light: The light.
-        size: Size of the mark of a light without a size, scene units.
-        is_selected: True draws cone and range too; False draws only the position and size.
+        size: Size of the mark of a point-like light, scene units.
+        is_selected: True draws the cone and the range too; False draws only position and size.
     """
     color = _SELECTED if is_selected else _OTHERS
     match light:
@@ -209,7 +209,10 @@ def draw_outlines(
 
 
 def _split_by_visibility(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Points, Points]:
-    """Projects lines and returns the hidden and the visible segments, each as end points in pixels, shape (N, 4)."""
+    """Projects lines to the image and divides them into hidden and visible segments.
+
+    Each result has N segments as end points in pixels, x0, y0, x1, y1, shape (N, 4).
+    """
     camera, points = frame.camera, np.concatenate(lines)
     local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     depth = np.maximum(local[:, 2], camera.near)
@@ -260,7 +263,10 @@ def _wire_sphere(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
 
 
 def _cone_lines(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
-    """Returns the outer cone and a circle of the inner cone of a spot light, as long as its range or six mark sizes."""
+    """Returns lines of a spot light's cones: the whole outer cone, and a circle of the inner cone.
+
+    The cone is as long as the light's range; without a range, six mark sizes.
+    """
     length = light.range if math.isfinite(light.range) else 6.0 * size
     position, along = np.array(light.position), np.array(light.direction)
     lines: list[Points] = []

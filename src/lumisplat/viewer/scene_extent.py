@@ -20,7 +20,7 @@ PAGE_SIZES = (0.3, 30.0)
 
 @dataclass(frozen=True)
 class Extent:
-    """Bulk of a scene, measured when the scene is opened. The ground is measured again when up changes."""
+    """Bounding box of a scene's bulk, measured when the scene is opened; only the ground is updated when up changes."""
 
     center: Vector = (0.0, 0.0, 0.0)
     size: float = 1.0
@@ -82,7 +82,7 @@ class BoxCache:
 
     def __init__(self) -> None:
         self._cached: dict[int, tuple[tuple[object, ...], Box]] = {}
-        """Measured assets and their box, by entry id."""
+        """Measured assets of an entry and their bounding box, by entry id."""
 
     def of(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Box | None:
         """Returns the box around the bulk of an entry at a time in seconds, in file coordinates; None for lights.

@@ -46,7 +46,9 @@ def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
 
 
 def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
-    """Returns settings, and groups of settings, that do not affect frames, each with a reason that names what would.
+    """Returns the settings, and groups of settings, that do not affect frames, each with the reason.
+
+    A reason names the change that would give the setting an effect.
 
     Args:
         config: Render settings.
@@ -56,7 +58,7 @@ def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
 
 
 def _excluded(config: ls.RenderConfig) -> dict[str, str]:
-    """Returns settings whose other values the current settings would reject, each with the reason."""
+    """Returns settings that cannot change while other settings keep their values, each with the reason."""
     raster, excluded = config.raster, dict[str, str]()
     is_sorted, is_iso = (
         raster.strategy is ls.config.RasterStrategy.SORTED,
@@ -81,7 +83,7 @@ class State:
 
 
 VIEWS = ("color", *ls.Frame.VIEWS)
-"""Views that a page can show of frames."""
+"""Views of a frame that a page may show."""
 
 
 @dataclass(frozen=True)
@@ -103,9 +105,10 @@ class Options:
     insets: bool = False
     """True if pages show small images of depth and normals in a corner."""
     loading: tuple[str, ...] = ()
-    """Command-line options that load the files as this viewer did."""
+    """Command-line options that were given when the files were loaded, to repeat them in printed commands."""
     split: float | None = None
-    """Left fraction of the image that shows the reference state for comparison, 0 to 1; None turns comparison off."""
+    """Fraction of the image width, from the left, in which *compare* shows the earlier state, 0 to 1; None disables
+    it."""
 
     def __post_init__(self) -> None:
         for name, value, (low, high) in (("height", self.height, HEIGHTS), ("budget", self.budget_ms, BUDGETS_MS)):
@@ -126,8 +129,8 @@ class Session:
         self.changed = threading.Condition(threading.RLock())
         """Condition that is notified when a frame may be out of date. Its lock is held during every change."""
         self.state = self.opened = State()
-        """The current state. ``opened`` is the reference state that *compare* shows: the one first opened, or last
-        marked."""
+        """The current state. ``opened`` is the state on the left side of the comparison: the first state, or the one
+        marked last."""
         self.selected: int | None = None
         """Id of the selected entry; None if nothing is selected."""
         self.locked: frozenset[int] = frozenset()
@@ -239,7 +242,7 @@ class Session:
         return self._step(self._future, self._past)
 
     def mark(self) -> None:
-        """Makes the current state the reference for *compare*."""
+        """Makes the current state the left side of the comparison (option *compare*)."""
         with self.changed:
             self.opened = self.state
             self._show(self.state)

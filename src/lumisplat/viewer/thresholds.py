@@ -78,7 +78,7 @@ DRAG_ENDS_S = 1.0
 """Time without movement after which a drag counts as ended, seconds, because its page may have closed."""
 
 BEFORE_SAMPLES = 16
-"""Samples per pixel of the reference side of *compare* in a still view."""
+"""Samples per pixel on the left side of the comparison in a still view."""
 
 PLAY_STEPS_PER_S = 30.0
 """Number of times per second that playback advances the animation time."""

@@ -364,13 +364,13 @@ def _preload_renderer() -> None:
 
 
 def _looks_along(client: viser.ClientHandle, up: tuple[float, float, float]) -> bool:
-    """True if a page looks almost straight up or down, so that it cannot be turned upright in place."""
+    """True if a page looks almost straight up or down, so that a rotation in place cannot make it upright."""
     forward = np.asarray(client.camera.look_at) - np.asarray(client.camera.position)
     return bool(abs(forward @ np.array(up)) > _STEEP_COSINE * np.linalg.norm(forward))
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:
-    """True if a page's camera is still at the given initial position."""
+    """True if a page's camera is still at the given position, where the viewer placed it."""
     return bool(np.linalg.norm(np.asarray(client.camera.position) - position) < 0.05 * np.linalg.norm(position))
 
 

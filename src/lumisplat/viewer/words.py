@@ -17,7 +17,7 @@ _MEMBER = re.compile(r"\b([A-Z]\w*)\.([A-Z][A-Z0-9_]*)\b")
 _WORD = re.compile(r"(?<![\w.'\"/\\-])[a-z]+(?:_[a-z]+)*(?![\w'\"/\\-]|\.\w)")
 """Pattern of a word that is not quoted and not part of a path or file name."""
 _OTHERS = {"aovs": "layers", "time_limit": "time limit (s)", "sh_degree": "SH degree"}
-"""Settings whose label on the page differs from their name."""
+"""Label of each setting whose label is not its name."""
 
 
 def label(name: str) -> str:

@@ -60,7 +60,7 @@ def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
 
 
 class Renderers:
-    """Holds one renderer per use, such as moving and still views, and reconfigures it when settings change.
+    """Holds one renderer per purpose, such as moving or still views, and reconfigures a renderer when settings change.
 
     Args:
         device: Device that renders, as in `lumisplat.create_renderer`.
@@ -72,23 +72,25 @@ class Renderers:
         self._held: dict[Hashable, ls.Renderer] = {}
         _noise_log.addFilter(self._is_from_other_thread)
 
-    def of(self, use: Hashable, config: ls.RenderConfig) -> ls.Renderer:
-        """Returns the renderer of a use with the given settings. The scene stays on the device when settings change.
+    def of(self, purpose: Hashable, config: ls.RenderConfig) -> ls.Renderer:
+        """Returns the renderer of a purpose with the given settings; changed settings leave the scene on the device.
 
         Raises:
             DeviceError: The device does not exist or is out of memory.
         """
-        held = self._held.get(use)
+        held = self._held.get(purpose)
         if held is None:
-            held = self._held[use] = ls.create_renderer(config, self._device, progress=self._progress, compiles=False)
+            held = self._held[purpose] = ls.create_renderer(
+                config, self._device, progress=self._progress, compiles=False
+            )
         elif held.config != config:
             held.reconfigure(config)
             _return_freed_memory()
         return held
 
-    def has(self, use: Hashable, config: ls.RenderConfig) -> bool:
-        """True if the use already has a renderer with these settings."""
-        held = self._held.get(use)
+    def has(self, purpose: Hashable, config: ls.RenderConfig) -> bool:
+        """True if a renderer with the given purpose and settings exists."""
+        held = self._held.get(purpose)
         return held is not None and held.config == config
 
     def close(self) -> None:
@@ -96,16 +98,16 @@ class Renderers:
         self._held.clear()
         _noise_log.removeFilter(self._is_from_other_thread)
 
-    def retain_only(self, uses: Collection[Hashable]) -> None:
-        """Frees the renderers of all uses that are not listed."""
-        if gone := self._held.keys() - set(uses):
-            for use in gone:
-                self.drop(use)
+    def retain_only(self, purposes: Collection[Hashable]) -> None:
+        """Frees the renderers of all purposes except the given ones."""
+        if gone := self._held.keys() - set(purposes):
+            for purpose in gone:
+                self.drop(purpose)
             _return_freed_memory()
 
-    def drop(self, use: Hashable) -> None:
-        """Frees the renderer of a use."""
-        self._held.pop(use, None)
+    def drop(self, purpose: Hashable) -> None:
+        """Frees the renderer of a purpose."""
+        self._held.pop(purpose, None)
 
     def _is_from_other_thread(self, record: logging.LogRecord) -> bool:
         """Log filter that drops noise warnings of the render thread: its first samples are always noisy."""
@@ -113,7 +115,7 @@ class Renderers:
 
 
 def _return_freed_memory() -> None:
-    """Returns freed memory to the system. glibc keeps freed blocks of up to 32 MiB, of other sizes each time."""
+    """Returns freed memory to the system. glibc would keep blocks of up to 32 MiB, whose sizes seldom recur."""
     with contextlib.suppress(OSError, AttributeError):  # only glibc has malloc_trim
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -121,7 +123,7 @@ def _return_freed_memory() -> None:
 _log = logging.getLogger("lumisplat")
 
 _MOVING, _AT_REST, _BEFORE = "moving", "at rest", "before"
-"""Uses of renderers shared by all pages. Realtime pipelines use one renderer per page instead."""
+"""Purposes of renderers that all pages share. In realtime pipelines, each page has its own renderer instead."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,10 @@ class _Job:
     pose: Pose
     state: State
     before: State
-    """Reference state for the left side of *compare*."""
+    """State on the left side of the comparison (option *compare*)."""
     options: Options
     moves: bool
-    """True if the view moves; False if it is still."""
+    """True if the view moves; False if the view is still."""
 
 
 class RenderLoop:
@@ -167,12 +169,12 @@ class RenderLoop:
         """Time of the last frame of a moving view, seconds of the monotonic clock."""
         self._levels = Levels(self._wake, on_levels, self._is_busy)
         self.scenes = SceneBuilder(self._levels, device, progress, session.report)
-        """Builds the scenes of frames; only the render thread uses it."""
+        """Builds the scenes of frames; only the render thread uses this object."""
         self._scenes_before = SceneBuilder(self._levels, device, progress, session.report)
         self._pages: list[Page] = []
         self._background: deque[Generator[None]] = deque()
         self._background_waited = False
-        """True if a still view had the last slot while a background job waited."""
+        """True if the render thread last served a still view while a background job waited; the job is then next."""
         self._is_open = True
         self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
 
@@ -246,7 +248,7 @@ class RenderLoop:
         self._levels.close()
 
     def _is_busy(self) -> bool:
-        """True if a view moves or a page waits for its first image."""
+        """True if a view moves or a page waits for its first image; long steps should then wait."""
         with self._session.changed:
             is_waiting = any(page.key is None and page.pose is not None for page in self._pages)
         return is_waiting or time.monotonic() - self._moved_at < SETTLED_S
@@ -268,7 +270,7 @@ class RenderLoop:
                 self._step(steps)
                 continue
             assert job is not None
-            self._renderers.retain_only(self._uses(job))
+            self._renderers.retain_only(self._purposes(job))
             try:
                 if job.moves:
                     if not self._develop(job):
@@ -283,7 +285,7 @@ class RenderLoop:
             steps.close()
 
     def _next_background_job(self, job: _Job | None) -> Generator[None] | None:
-        """Returns the background job to run next; None if the frame comes first. The caller holds the lock."""
+        """Returns the background job to continue next; None if a frame comes first. The caller holds the lock."""
         if not self._background or (job is not None and (job.moves or not self._background_waited)):
             self._background_waited = bool(self._background)
             return None
@@ -302,7 +304,7 @@ class RenderLoop:
         self._background.popleft()
 
     def _give_up(self, job: _Job, error: Exception) -> None:
-        """Reports an error and renders nothing more for the page until something changes."""
+        """Reports an error, and stops rendering for the page until its view or the scene changes."""
         with self._session.changed:
             job.page.key, job.page.is_finished = job.key, True
             self._session.changed.notify_all()
@@ -317,7 +319,7 @@ class RenderLoop:
     # --- Scheduling; the caller holds the lock ---
 
     def _next_job(self) -> _Job | None:
-        """Returns a frame of a page whose view changed, else of an unfinished still view; None if there is no work."""
+        """Returns the next frame to render: of a changed view, else of an unfinished still view; None without work."""
         now = time.monotonic()
         resting: Page | None = None
         for page in self._pages:
@@ -340,11 +342,11 @@ class RenderLoop:
         session = self._session
         return _Job(page, key, page.pose, session.state, session.opened, session.options, moves)
 
-    def _uses(self, job: _Job) -> list[Hashable]:
-        """Returns the renderer uses that the state of a job needs; the other renderers can be freed."""
+    def _purposes(self, job: _Job) -> list[Hashable]:
+        """Returns the purposes of the renderers that a job needs; all other renderers can be freed."""
         in_sequence = job.state.config.pipeline.is_sequence
-        uses: list[Hashable] = [*self._pages] if in_sequence else [_MOVING, _AT_REST]
-        return uses if job.options.split is None else [*uses, (_BEFORE, True), (_BEFORE, False)]
+        purposes: list[Hashable] = [*self._pages] if in_sequence else [_MOVING, _AT_REST]
+        return purposes if job.options.split is None else [*purposes, (_BEFORE, True), (_BEFORE, False)]
 
     def _move_to_back(self, page: Page) -> None:
         """Moves a page to the end of the list, so that pages take turns."""
@@ -352,14 +354,17 @@ class RenderLoop:
         self._pages.append(page)
 
     def _time_to_rest(self) -> float | None:
-        """Returns the seconds until the next view counts as still; None if no view is waiting."""
+        """Returns the seconds until the next moving view counts as still; None if all views are still."""
         waiting = [page.changed_at + SETTLED_S for page in self._pages if page.key is not None and not page.is_finished]
         return max(min(waiting) - time.monotonic(), 1e-3) if waiting else None
 
     # --- Frames ---
 
     def _develop(self, job: _Job) -> bool:
-        """Develops the page's frame again, if only tone map, exposure or view changed; returns False otherwise."""
+        """Applies exposure, tone map and view to the page's last frame again, without rendering.
+
+        Returns False, and does nothing, if anything else has changed.
+        """
         page, state, options = job.page, job.state, job.options
         config = frame_config(state.config, options.view)
         frame, content = page.frame, _frame_inputs(job, config)
@@ -371,8 +376,8 @@ class RenderLoop:
         ):
             return False
         started = time.perf_counter()
-        use = page if config.pipeline.is_sequence else _AT_REST if page.frames_at_rest else _MOVING
-        renderer = self._renderers.of(use, config)
+        purpose = page if config.pipeline.is_sequence else _AT_REST if page.frames_at_rest else _MOVING
+        renderer = self._renderers.of(purpose, config)
         frame = renderer.develop(frame, state.exposure, encode=options.view == "color")
         shown = ScreenImage(
             self._picture(job, frame, level=0), JPEG_QUALITY_AT_REST if page.frames_at_rest else JPEG_QUALITY_MOVING
@@ -387,11 +392,11 @@ class RenderLoop:
         """Renders a frame of a changed view, with as much detail as the time budget allows."""
         page, state, options = job.page, job.state, job.options
         self._moved_at = time.monotonic()
-        follows = state.config.pipeline.bounces_light  # the frame time depends on the pixel count
-        steps = PIXEL_STEPS if follows else GAUSSIAN_STEPS
+        is_limited_by_pixels = state.config.pipeline.bounces_light  # the frame time depends on the pixel count
+        steps = PIXEL_STEPS if is_limited_by_pixels else GAUSSIAN_STEPS
         if page.detail.steps is not steps:
             page.detail = DetailController(steps, first=len(steps) - 2)
-        elif page.key is None and not follows:
+        elif page.key is None and not is_limited_by_pixels:
             page.detail = DetailController(first=first_step(state.document.scene(options.time).gaussian_count))
         step, started = page.detail.step, time.perf_counter()
         config = frame_config(state.config, options.view)
@@ -429,30 +434,30 @@ class RenderLoop:
             progress=None if in_sequence else _ignore,
             stop=self.must_yield,
         )
-        rests, noise = page.frames_at_rest + 1, page.noise
+        frame_count, noise = page.frames_at_rest + 1, page.noise
         if frame.stats is not None and frame.stats.noise is not None:
             noise = frame.stats.noise
-        is_finished = _is_finished(frame, rests, noise, state.config)
+        is_finished = _is_finished(frame, frame_count, noise, state.config)
         shown: ScreenImage | None = None
         if page.takes_frames or is_finished:
             depth = page_depth(frame, self._session.extent.page_from_scene)
             shown = ScreenImage(self._picture(job, frame, level=0), JPEG_QUALITY_AT_REST, depth)
         with self._session.changed:
-            page.frame, page.frames_at_rest, page.noise, page.is_finished = frame, rests, noise, is_finished
+            page.frame, page.frames_at_rest, page.noise, page.is_finished = frame, frame_count, noise, is_finished
             page.content = _frame_inputs(job, config)
         if shown is not None:
             page.show(shown)
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
 
     def _picture(self, job: _Job, frame: ls.Frame, level: int) -> Picture:
-        """Returns the image that a page shows of a frame, with the comparison and overlays of the view options."""
+        """Converts a frame to the image that a page shows, with comparison and overlays as the view options ask."""
         picture, share = frame_image(frame, job.options.view), job.options.split
         if share is not None:
             picture = split_image(self._before_image(job, frame.camera, level), picture, share)
         return self._overlay(picture, frame)
 
     def _before_image(self, job: _Job, camera: ls.Camera, level: int) -> Picture:
-        """Renders the reference state for *compare*; a still view has `BEFORE_SAMPLES` samples per pixel."""
+        """Renders the left side of the comparison; in a still view, with `BEFORE_SAMPLES` samples per pixel."""
         page, options = job.page, job.options
         config = frame_config(job.before.config, options.view)
         if not config.pipeline.is_sequence and not job.moves:
@@ -469,13 +474,13 @@ class RenderLoop:
 
 
 def _frame_inputs(job: _Job, config: ls.RenderConfig) -> tuple[object, ...]:
-    """Returns the inputs that determine a frame before it is developed."""
+    """Returns the inputs that determine a frame, except its exposure and tone map."""
     undeveloped = replace(config, tone_map=ls.ToneMap.NONE)
     return job.state.document, job.pose, undeveloped, job.options.height, job.options.time
 
 
 def _has_same_inputs(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
-    """True if two frames have the same document and equal settings."""
+    """True if two results of `_frame_inputs` have the same document object and equal other values."""
     return one[0] is other[0] and one[1:] == other[1:]
 
 
@@ -483,10 +488,10 @@ def _ignore(label: str, fraction: float) -> None:
     """Discards progress; passing a progress function makes the renderer estimate the noise."""
 
 
-def _is_finished(frame: ls.Frame, rests: int, noise: float | None, config: ls.RenderConfig) -> bool:
-    """True if a still view needs no further frame after ``rests`` frames."""
+def _is_finished(frame: ls.Frame, frame_count: int, noise: float | None, config: ls.RenderConfig) -> bool:
+    """True if a still view needs no further frame, given its last frame, number of frames, and noise."""
     if config.pipeline.is_sequence:
-        return rests >= REALTIME_FRAMES_AT_REST
+        return frame_count >= REALTIME_FRAMES_AT_REST
     if frame.samples == 0:
         return True  # the sorted raster is exact
     if noise is not None and noise <= (config.noise or NOISE_AT_REST):

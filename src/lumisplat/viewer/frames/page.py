@@ -56,7 +56,7 @@ PIXEL_STEPS = tuple(DetailStep(0, scale) for scale in PIXEL_SCALES)
 
 
 def first_step(count: int) -> int:
-    """Returns the index into `GAUSSIAN_STEPS` of the first frame of a scene with ``count`` Gaussians, usually 1."""
+    """Returns the index into `GAUSSIAN_STEPS` for the first frame of a scene with ``count`` Gaussians."""
     level = next((n for n in range(1, _LAST) if count * LEVEL_FRACTIONS[n] <= MOVING_GAUSSIANS_MAX), _LAST)
     return next(number for number, step in enumerate(GAUSSIAN_STEPS) if step.level == level)
 
@@ -194,9 +194,9 @@ class Page:
         self.frame: ls.Frame | None = None
         """Frame that the page displays."""
         self.content: tuple[object, ...] | None = None
-        """Inputs of the displayed frame, without those of its development."""
+        """Inputs that determine the displayed frame, except exposure and tone map; None before a frame."""
         self.before_image: Picture | None = None
-        """Image of the reference state for *compare*."""
+        """Image of the left side of the comparison."""
         self.before_image_key: object = None
         """View and size for which `before_image` was rendered."""
         self.is_finished = False
@@ -219,12 +219,12 @@ class Page:
 
     @property
     def takes_frames(self) -> bool:
-        """True if no image waits to be sent, so a new image would be displayed next."""
+        """True if no image waits to be sent, so that a new image would be displayed next."""
         return self.is_open and self._waiting is None
 
     @property
     def is_at_rest(self) -> bool:
-        """True if the finished image has been sent and acknowledged."""
+        """True if the page has displayed and acknowledged the finished image of a still view."""
         with self._changed:
             return self.is_finished and self._waiting is None and not self._is_sending
 

@@ -124,7 +124,7 @@ def move_page_to(
 ASPECT = 16.0 / 9.0
 """Aspect ratio of a landscape screen, width over height. The first view moves back on narrower pages."""
 _NARROW = 0.4
-"""Aspect ratio of the narrowest pages: phones, above the panel."""
+"""Aspect ratio, width over height, of the narrowest pages: phones, where the panel covers the lower part."""
 FOV_Y = 0.8
 """Vertical field of view, radians."""
 

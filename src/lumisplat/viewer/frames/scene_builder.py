@@ -31,20 +31,20 @@ Progress = Callable[[str, float], None]
 
 @dataclass(eq=False)
 class _ActorLighting:
-    """The static scene, and the lighters that light actors in it."""
+    """Lighters of actors in one static scene."""
 
     scene: ls.Scene
     lighting: ls.config.AvatarLightingConfig
     background: tuple[float, float, float]
     lighters: dict[int, tuple[ls.Scene, ls.AvatarLighter]] = field(default_factory=lambda: {})
-    """Static scene and its lighter, by level of detail."""
+    """Static scene and its lighter for each level of detail."""
     has_failed: bool = False
     """True if light estimation failed; actors then show their captured colours."""
 
     def matches(
         self, scene: ls.Scene, lighting: ls.config.AvatarLightingConfig, background: tuple[float, float, float]
     ) -> bool:
-        """True if the static scene, lighting settings and background are those given."""
+        """True if this object was made for the given static scene, lighting settings and background."""
         return (
             (self.lighting, self.background) == (lighting, background)
             and _are_same_objects(self.scene.splats, scene.splats)
@@ -70,7 +70,7 @@ class SceneBuilder:
         self._animation: tuple[ls.io.SceneDocument, ls.Animation | None] | None = None
         self._stage: _ActorLighting | None = None
         self._last: dict[int, tuple[tuple[object, ...], ls.Scene]] = {}
-        """Inputs and result of the last scene, by level. Reusing the same objects avoids another upload."""
+        """Inputs and result of the last scene, by level of detail. Returning the same objects avoids another upload."""
 
     def of(
         self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float, level: int, *, waits: bool
@@ -124,7 +124,7 @@ class SceneBuilder:
     def _avatar_lighter(
         self, animation: ls.Animation, stage: _ActorLighting, still: ls.Scene, level: int
     ) -> ls.AvatarLighter:
-        """Returns the lighter for a level of detail. Lights are estimated once, for the actors of the first frame."""
+        """Returns the actors' lighter at a level of detail; estimates lights once, for the actors of the first frame."""
         held = stage.lighters.get(level)
         if held is not None and held[0] is still:
             return held[1]
@@ -231,7 +231,7 @@ class Levels:
         return coarse
 
     def close(self) -> None:
-        """Ends the thread after its current block."""
+        """Ends the thread after the block of Gaussians that it is merging."""
         self._closing.set()
         self._wanted.put(None)
         self._thread.join()

@@ -137,13 +137,13 @@ class AddPanel:
         return self._session.apply(insert)
 
     def _selected(self, document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
-        """Selects an entry and returns the document unchanged, so that the selection appears with the new entry."""
+        """Selects an entry and returns the document unchanged, so that selection and new entry appear at once."""
         self._session.selected = number
         return document
 
 
 def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
-    """Returns scene-file tables of new lights by type, halfway to the orbit centre and to the upper left of the image.
+    """Returns scene-file tables of new lights by type, at `_NEW_LIGHT_POSITION` in the view of a page.
 
     All types produce the same irradiance at the orbit centre.
 

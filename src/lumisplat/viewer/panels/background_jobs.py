@@ -136,7 +136,7 @@ _SH_C0 = 0.28209479177387814
 
 
 def _world_gaussians(instance: ls.SplatInstance, units: float) -> tuple[npt.NDArray[np.float32], ...]:
-    """Returns the means, shape (N, 3), and covariances, shape (N, 3, 3), of an instance in page units."""
+    """Returns means, shape (N, 3), and covariances, shape (N, 3, 3), of an instance's N Gaussians, in page units."""
     from viser import transforms
 
     matrix = units * instance.transform[:3, :4]

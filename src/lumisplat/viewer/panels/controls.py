@@ -75,12 +75,12 @@ def _decoded(encoded: float) -> float:
 
 
 AUTO = "auto"
-"""Text that stands for None."""
+"""Text in a control that stands for the value None."""
 
 _DIGITS = 7
-"""Most decimals that users can type."""
+"""Largest number of decimals that users can type."""
 _NUMBER_CHARACTERS, _VECTOR_CHARACTERS = 11, 8
-"""Characters that fit into the control of a number, and of each component of a vector."""
+"""Number of characters that fit into the control of a number, and into that of a vector component."""
 _SLIDER_SPAN = 1e4
 """Largest upper end of a range that gets a slider; larger ranges get a number box."""
 
@@ -190,12 +190,12 @@ def keep_unchanged_numbers(given: Any, before: Any, width: int = _NUMBER_CHARACT
 
 
 def set_unused(handle: Any, hint: str | None, reason: str | None) -> None:
-    """Disables a control without an effect and adds the reason to its tooltip.
+    """Disables a control that has no effect, and adds the reason to its tooltip.
 
     Args:
         handle: The control.
         hint: Tooltip of the enabled control.
-        reason: What would give the control an effect; None enables the control.
+        reason: Text that says what would give the control an effect; None enables the control.
     """
     set_if_changed(handle, "disabled", reason is not None)
     set_if_changed(handle, "hint", hint if reason is None else f"{reason} {hint or ''}".strip())
@@ -422,7 +422,7 @@ class SettingsPanel(Generic[Settings]):
                 set_if_changed(handle, "visible", visible)
 
     def set_unused(self, unused: Mapping[str, str]) -> None:
-        """Disables controls without an effect and hides groups without an effect.
+        """Disables controls, and hides groups of controls, whose settings have no effect.
 
         Args:
             unused: Reasons by field name; ``group.field`` names a field of a nested group.
@@ -453,7 +453,7 @@ class SettingsPanel(Generic[Settings]):
 
 
 def _is_allowed(settings: Any, field: Setting, choice: Enum) -> bool:
-    """True if the settings accept a choice for a field."""
+    """True if the settings accept the given choice for a field."""
     try:
         replace(settings, **{field.name: choice})
     except ls.ConfigError:

@@ -45,20 +45,20 @@ _SUN = (
         range=Range(0.0, 24.0),
     ),
 )
-"""Fields that replace the direction of a sun."""
+"""Fields of the inspector that replace the direction of a sun."""
 _CAPTURE_SHADING: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_catcher": None},
     "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
     "relit, simple": {"material": {"type": "simple"}, "shadow_catcher": None},
     "shadow catcher": {"material": None, "shadow_catcher": True},
 }
-"""Shading modes of a capture, with the entry's keys that select each."""
+"""Shading modes of a capture, each with the keys of the scene entry that select it."""
 _MESH_SHADING: dict[str, dict[str, Any]] = {
     "as in the file": {"material": None},
     "PBR": {"material": {"type": "pbr"}},
     "simple": {"material": {"type": "simple"}},
 }
-"""Material types of a mesh, with the entry's keys that select each."""
+"""Material types of a mesh, each with the keys of the scene entry that select it."""
 _CAPTURE_HINT = (
     "as captured: unlit, with the captured colours. relit: lights illuminate a material. shadow catcher: as captured, "
     "but other objects cast shadows on it."
@@ -320,7 +320,10 @@ def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any)
 
 
 def _cleared_aliases(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
-    """Returns the keys to clear because they specify the same as a field, such as ``target`` beside ``direction``."""
+    """Returns the keys that must be cleared when a field is set, because they specify the same property.
+
+    An example is ``target`` when ``direction`` is set.
+    """
     light: Any = entry.lights[0] if entry.kind == "lights" else None
     if light is None or name not in light.aim_fields:
         return {}
@@ -411,7 +414,7 @@ _MARGIN = 0.25
 _STEPS = 400
 
 Ends = npt.NDArray[np.float64]
-"""Lower and upper ends along x, y and z, shape (2, 3)."""
+"""Lower and upper ends of a range along x, y and z, shape (2, 3)."""
 
 
 class Crop:

@@ -234,7 +234,7 @@ _CLICK = "click 3 ground points"
 _ON_LINE = 0.02
 """Smallest sine of a triangle angle for which three points define a plane; below it, noise determines the plane."""
 _SAME = math.radians(0.05)
-"""Smallest angle between the old and new up direction that changes the scene, radians."""
+"""Smallest angle between the old and the new up direction for which the scene is changed, radians."""
 
 
 class LevelPanel:

@@ -29,7 +29,7 @@ _FRAMES = 100
 
 @dataclass
 class _Line:
-    """Status line of a page."""
+    """Status line of one page."""
 
     handle: viser.GuiMarkdownHandle
     written: float = 0.0
@@ -45,7 +45,7 @@ class StatusPanel:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._wait = gui.add_html(wait_html("starting", 0.0))
-        """Message over the image area until the first image is displayed."""
+        """Message over the image area of all pages until the first image is displayed."""
         self._line = gui.add_markdown("starting")
         self._lines: dict[Page, _Line] = {}
         """Status line of each page, which describes the page's own image."""

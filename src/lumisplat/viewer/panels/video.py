@@ -33,7 +33,7 @@ FORMATS = ("mp4", "gif", "webp")
 _THUMBNAIL = (128, 72)
 """Width and height of the thumbnails of key views, pixels."""
 _KEY_ROWS = 720
-"""Image height of the camera saved in the scene file, pixels."""
+"""Image height of the camera path's camera in the scene file, pixels."""
 
 
 class VideoPanel:
@@ -214,7 +214,7 @@ def video_file(pictures: Iterable[npt.NDArray[np.float32]], fps: float, suffix: 
 
 
 def _part(steps: Generator[float, None, ls.Frame], number: int, count: int) -> Generator[float, None, ls.Frame]:
-    """Converts the progress of one frame to that of all frames; returns the frame."""
+    """Reports the progress of one frame of a video as progress of the whole video; returns the frame."""
     while True:
         try:
             share = next(steps)

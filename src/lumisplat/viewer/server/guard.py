@@ -20,7 +20,7 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 from lumisplat.viewer.thresholds import MESSAGE_BYTES_MAX, UPLOAD_BYTES_MAX
 
 Refusal = tuple[http.HTTPStatus, str]
-"""HTTP status and text of the answer to a rejected request."""
+"""HTTP status and text of the answer to a refused request."""
 
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 """Host names that always refer to this machine."""
@@ -140,7 +140,7 @@ class Inbox:
 
     def __init__(self) -> None:
         self._left: dict[str, int] = {}
-        """Remaining bytes of each upload."""
+        """Bytes that each upload may still send, by upload id."""
         self.dropped = 0
 
     def accepts(self, raw: object) -> bool:
