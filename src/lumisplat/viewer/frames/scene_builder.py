@@ -124,7 +124,7 @@ class SceneBuilder:
     def _avatar_lighter(
         self, animation: ls.Animation, stage: _ActorLighting, still: ls.Scene, level: int
     ) -> ls.AvatarLighter:
-        """Returns the actors' lighter at a level of detail; estimates lights once, for the actors of the first frame."""
+        """Returns the actors' lighter at a level of detail; lights are estimated once, at the first frame."""
         held = stage.lighters.get(level)
         if held is not None and held[0] is still:
             return held[1]
