@@ -278,13 +278,15 @@ def test_render_writes_layers_as_channels_of_an_exr(work):
     assert np.isinf(channels["depth.Z"][0, 0])
 
 
-def test_render_logs_that_an_exr_ignores_the_background(work, caplog):
-    """Without ``--background``, nothing is logged."""
+def test_render_logs_that_an_exr_has_no_background_colour(work, caplog):
+    """Without ``--background``, and with a transparent one, which hides an environment, nothing is logged."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frames", "left", "-o", "@a.exr")
     assert work.run(*args).status == 0
+    assert work.run(*args, "--background", "transparent").status == 0
     assert caplog.text == ""
     assert work.run(*args, "--background", "white").status == 0
-    assert [record.getMessage().partition(":")[0] for record in caplog.records] == ["--background is not used"]
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert line.startswith("--background shows only in mirrors and glass: an EXR stores")
 
 
 def test_render_stats_prints_times_of_stages_and_counts(work):

@@ -192,6 +192,11 @@ class Render(ViewsCommand, FrameCommand):
         for line in frame_remarks(config, scene, dict(given_settings(self)), self.light, device=self.device):
             _log.warning("%s", line)
         shots = shots or self._shots([self.viewpoint_camera(scene, *self.scene)])
+        if self.background and config.background is not None and shots[0].path.suffix.lower() == ".exr":
+            _log.warning(
+                "--background shows only in mirrors and glass: an EXR stores premultiplied colour and alpha, without a "
+                "background"
+            )
         return _ImageJob(scene, shots, self.frame_source(renderer, self._warm_up(), blocks), writer)
 
     def _blocks(self, config: ls.RenderConfig, *, lit: bool) -> BlockViews | None:
@@ -325,8 +330,6 @@ class Render(ViewsCommand, FrameCommand):
             raise ls.ConfigError(f"{shots[0].path}: --view writes an image in colours, expected .png")
         if self._layers.cryptomatte and shots[0].path.suffix.lower() != ".exr":
             raise ls.ConfigError(f"{shots[0].path}: --aov cryptomatte needs an EXR: name one, or give --format exr")
-        if self.background is not None and shots[0].path.suffix.lower() == ".exr":
-            _log.warning("--background is not used: an EXR stores premultiplied colour and alpha, without a background")
         return shots
 
 
