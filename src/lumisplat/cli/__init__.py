@@ -77,7 +77,7 @@ _GROUPS: dict[str, dict[str, type[Any]]] = {
 """Classes of the commands by name, in the groups of ``lumisplat --help``."""
 
 _RENAMED_COMMANDS = {"frames": "extract-frames"}
-"""Former name of a command -> present name."""
+"""Present name of each renamed command, by its former name."""
 
 _Command: Any = Union[  # noqa: UP007, as the members are computed
     tuple(Annotated[kind, subcommand(name)] for kinds in _GROUPS.values() for name, kind in kinds.items())

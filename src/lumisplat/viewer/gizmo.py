@@ -256,7 +256,7 @@ class Gizmo:
             self.follow()
 
     def _axis_length(self, entry: ls.io.SceneEntry) -> float:
-        """Returns the axis length that extends beyond the bounding box of an entry, scene units."""
+        """Returns the length of the gizmo's axes, scene units: they extend beyond the bounding box of an entry."""
         size = self._session.boxes.size(entry, self._session.options.time)
         return 0.0 if size is None else 0.6 * float(np.max(size))
 

@@ -281,7 +281,10 @@ class Notebook:
             self._loop.remove(page)
 
     def _first_frame(self, page: Page, samples_s: float) -> ls.Frame | None:
-        """Returns the page's frame. Without one, waits for the first full frame and ``samples_s`` more seconds."""
+        """Returns the frame of the notebook's page, after waiting for it if there is none.
+
+        The wait lasts until the first full frame, and then ``samples_s`` seconds more, in which samples accumulate.
+        """
         if page.frame is None:
             self._wait(lambda: page.frames_at_rest > 0 or page.is_finished, _FRAME_S)
             self._wait(lambda: page.is_finished, samples_s)

@@ -282,7 +282,7 @@ class Viewer:
                 self._look(client)
 
     def _update_up(self) -> None:
-        """Turns the pages upright after the up direction of the scene has changed."""
+        """Turns the cameras of all pages upright after the up direction of the scene has changed."""
         scene = self._session.scene
         if (scene.splats or scene.meshes) and scene.up_direction != self._first_view.up:
             self._set_first_view(scene)
@@ -310,7 +310,7 @@ class Viewer:
         return any(np.linalg.norm(at - position) < 1e-3 * np.linalg.norm(position) for position in positions)
 
     def _fly(self, camera: ls.Camera) -> None:
-        """Moves all pages to a camera."""
+        """Moves the views of all pages to a camera."""
         for client in self._viser.get_clients().values():
             move_page_to(client, camera, self._session.extent.page_from_scene, self._session.scene.up_direction)
 

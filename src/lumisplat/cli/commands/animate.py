@@ -37,7 +37,7 @@ class Animate(FrameCommand):
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE")]]
-    """Read a scene.toml, an OpenUSD file, or a glTF with a clip."""
+    """Read a scene.toml, an OpenUSD file, or a glTF with an animation clip."""
     output: Annotated[
         Path | None,
         arg(aliases=("-o",), metavar="DIR", help_behavior_hint="(default: named after the video, or frames)"),
@@ -66,7 +66,7 @@ class Animate(FrameCommand):
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, and loads the scene.
+        """Checks options and files, loads the scene, and returns the frames as a job.
 
         Args:
             report: Receives the progress.

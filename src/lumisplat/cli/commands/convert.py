@@ -28,8 +28,7 @@ _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 class Convert(LevelsCommand):
     """Convert, cut, clean, thin and join captures.
 
-    Extract the middle of a scene, without floaters: lumisplat convert garden.ply --sphere 0 0 3 5 --floaters 4 -o
-    mid.ply
+    Extract the middle, without floaters: lumisplat convert garden.ply --sphere 0 0 3 5 --floaters 4 -o middle.ply
 
     Edits apply in the order of this list: join, --box and --sphere, --keep, --floaters,
     --sh-degree, --decimate, --level, --scale, --rotate, --translate, --morton.
@@ -133,7 +132,7 @@ class Convert(LevelsCommand):
         return loaded
 
     def _edits(self, report: Report, done: list[str]) -> Iterator[tuple[str, _Edit]]:
-        """Yields the edits in order, each with the options that ask for it, and appends lines to print to ``done``."""
+        """Yields the edits in order, each with the options that ask for it; appends messages for the user to ``done``."""
         if self.box is not None or self.sphere is not None:
             box = None if self.box is None else _split_at(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
             sphere = None

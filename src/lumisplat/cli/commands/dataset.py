@@ -40,7 +40,7 @@ _NOT_IN_PROVENANCE = ("views", "shard_views")
 class Dataset(FrameCommand, InsertingCommand):
     """Render training data: random views, light and objects.
 
-    The same command continues after an interruption; more --views add to existing ones.
+    The same command continues after an interruption; a larger --views adds to the existing views.
     Guide: docs/guide/dataset.md.
     First try: lumisplat dataset garden.ply --views 20 -o set
     """
@@ -115,7 +115,7 @@ class Dataset(FrameCommand, InsertingCommand):
         return config
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, and loads the scene.
+        """Checks options and files, loads the scene, and returns the views as a job.
 
         Args:
             report: Receives the progress.

@@ -32,7 +32,7 @@ from lumisplat.cli.output.images import check_folder, file_stems, make_folder
 _log = logging.getLogger("lumisplat")
 
 _HOLD_OUT = 8
-"""Default of ``--hold-out``."""
+"""Default of ``--hold-out``: every eighth image is held out."""
 _WORST = 3
 """Number of the worst views that the report lists and writes as images."""
 

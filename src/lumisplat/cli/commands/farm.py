@@ -53,7 +53,7 @@ class FarmOrbit(Orbit):
 @own_options_first
 @dataclass(frozen=True, kw_only=True)
 class FarmRender(Render):
-    """Render an image for each camera by several workers; existing ones stay.
+    """Render an image for each camera by several workers; existing images stay.
 
     Guide: docs/guide/farm.md, tiles.md.
     First try: lumisplat farm render garden.ply --cameras transforms.json --workers 2 -o out

@@ -82,7 +82,7 @@ class FarmTrain(Train):
             print(f"{'the same command without --overwrite' if self.overwrite else 'the same command'} continues")
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and folders.
+        """Checks options and folders, and returns the trainings as a job of one "frame" each.
 
         Args:
             report: Receives the progress.

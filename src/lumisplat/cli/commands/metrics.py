@@ -48,7 +48,7 @@ class Metrics(LoadingCommand):
     ] = ()
     """Compare two images, or two folders; with --scene, read an avatar."""
     metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
-    """Compute some of psnr, ssim, ms-ssim, flip, sae, sm-iou, bf."""
+    """Choose the metrics: psnr, ssim, ms-ssim, flip, sae, sm-iou, bf."""
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Compare the light on the avatar with this capture around it."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None

@@ -65,7 +65,7 @@ class Orbit(ViewsCommand, FrameCommand):
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, and loads the scene.
+        """Checks options and files, loads the scene, and returns the frames as a job.
 
         Args:
             report: Receives the progress.

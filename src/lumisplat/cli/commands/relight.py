@@ -42,7 +42,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     """
 
     avatar: Positional[Annotated[Path, arg(metavar="AVATAR")]]
-    """Read a capture, or a scene.toml that positions one."""
+    """Read a capture, or a scene.toml that places one."""
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """Gather light from these captures and meshes, or a scene.toml."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")

@@ -47,7 +47,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("NAME", "avg")] = None
     """Convert opacity to absorption by the method simple, avg, mass or diag."""
     sampling: Annotated[Literal["center", "stencil", "monte-carlo"] | None, setting("NAME", "monte-carlo")] = None
-    """Read the map at a Gaussian's center, stencil (7 points), or monte-carlo points."""
+    """Sample the map per Gaussian by center, stencil (7 points) or monte-carlo (random points)."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
     """Set the number of texels across the map."""
 

@@ -36,7 +36,7 @@ _CLIPPED_MAX = 0.02
 class Train(DeviceCommand):
     """Train a capture from images with poses.
 
-    Writes FILE, and beside it a .training folder with checkpoints, settings, curve and held-out images.
+    Writes FILE, and beside it a .training folder with checkpoints, settings, training curve and held-out images.
     The same command continues after an interruption.
     Guide: docs/guide/training.md, relightable.md.
     First try: lumisplat train fox/ -o fox.ply --stop-after 10m
@@ -57,9 +57,9 @@ class Train(DeviceCommand):
     poses: Annotated[Literal["colmap", "colmap-film"] | None, arg(metavar="NAME", help_behavior_hint="")] = None
     """Find missing poses by colmap, or colmap-film for video frames; needs pip install 'lumisplat[poses]'."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
-    """Fill the background: a name, #rrggbb, r,g,b, or random."""
+    """Fill the background: a name, #rrggbb, r,g,b, or random in each step."""
     densification: Annotated[Literal["mcmc", "adaptive"] | None, setting("NAME", "mcmc")] = None
-    """Add Gaussians by mcmc, up to --cap, or adaptive, by gradient."""
+    """Add Gaussians by mcmc (up to --cap), or where gradients are large (adaptive)."""
     sh_degree: Annotated[int | None, setting("0..3", "3")] = None
     """Set the SH degree of view-dependent colour."""
     pipeline: Annotated[Literal["raster", "trace"] | None, setting("raster|trace", "raster")] = None

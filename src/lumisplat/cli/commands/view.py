@@ -45,7 +45,7 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
     height: Annotated[int, arg(metavar="PX")] = 720
     """Set the image height while the view is still."""
     budget: Annotated[float, arg(metavar="MS", help_behavior_hint="(default: 40)")] = 40.0
-    """Limit the time of a frame while the view moves."""
+    """Limit the time of each frame while the view moves, by reducing detail."""
     up: UpOption = "auto"
     """Set the up direction: y-up, y-down, z-up ..., or a vector."""
     light: LightGroup = field(default_factory=LightOptions)

@@ -120,7 +120,7 @@ class FrameMaker(Protocol):
     """Command that makes a set of frames."""
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, and loads the scene."""
+        """Checks options and files, loads the scene, and returns the frames as a job."""
         ...
 
 

@@ -205,7 +205,7 @@ def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
 
 
 def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
-    """Returns table rows with memory and counts: Gaussians, triangles, visible splats and tile pairs."""
+    """Returns table rows with memory and counts: Gaussians, triangles, visible splats, and tiles touched by splats."""
     stats = frame.stats
     assert stats is not None
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]

@@ -48,11 +48,11 @@ GAUSSIAN_STEPS = (
     *(DetailStep(level, PIXEL_SCALES[-2]) for level in range(2, _LAST + 1)),
     DetailStep(_LAST, PIXEL_SCALES[-1]),
 )
-"""Steps for frames whose time depends on the Gaussian count. A quarter of the Gaussians is three times faster; half
-the pixels saves a sixth."""
+"""Detail steps for frames whose time depends on the Gaussian count. A quarter of the Gaussians is three times faster;
+half the pixels saves a sixth of the time."""
 
 PIXEL_STEPS = tuple(DetailStep(0, scale) for scale in PIXEL_SCALES)
-"""Steps for frames whose time depends on the ray count, or that reuse earlier frames."""
+"""Detail steps for frames whose time depends on the ray count, or that reuse earlier frames."""
 
 
 def first_step(count: int) -> int:

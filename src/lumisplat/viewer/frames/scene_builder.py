@@ -293,7 +293,7 @@ class Levels:
 
 
 def thinned(gaussians: ls.Gaussians, fraction: float) -> ls.Gaussians:
-    """Returns every ``1 / fraction``-th Gaussian of a capture, scaled by the cube root of that step.
+    """Returns every ``1 / fraction``-th Gaussian of a capture, enlarged by the cube root of ``1 / fraction``.
 
     The square root would preserve covered area, and no scaling would preserve outlines. The cube root is between them
     and gives the image closest to that of all Gaussians.
