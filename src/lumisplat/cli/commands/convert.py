@@ -132,7 +132,7 @@ class Convert(LevelsCommand):
         return loaded
 
     def _edits(self, report: Report, done: list[str]) -> Iterator[tuple[str, _Edit]]:
-        """Yields the edits in order, each with the options that ask for it; appends messages for the user to ``done``."""
+        """Yields the edits in order, each with the options that ask for it; appends user messages to ``done``."""
         if self.box is not None or self.sphere is not None:
             box = None if self.box is None else _split_at(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
             sphere = None
