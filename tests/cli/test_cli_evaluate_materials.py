@@ -50,7 +50,7 @@ def test_evaluate_materials_table_equals_the_values_of_the_library(work):
 def test_evaluate_materials_writes_metrics_and_comparison_images(work):
     """The report has metrics of all views, and for the worst views images of estimate, truth and difference."""
     done = work.run(*COMMAND, "-o", "@report")
-    assert done.status == 0 and "metrics.json, and the worst views: found, true" in done.out
+    assert done.status == 0 and "images of the worst views: estimate, truth" in done.out
     assert {name for name in work.files() if name.startswith("report")} == {
         "report/metrics.json", "report/r_002.png", "report/r_003.png",
     }  # fmt: skip

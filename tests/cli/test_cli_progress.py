@@ -78,7 +78,7 @@ def test_frames_limited_by_time_or_noise_print_their_samples(work, caplog) -> No
 
 def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
     """Returns the lines about the time of frames."""
-    return [record.getMessage() for record in caplog.records if "to go" in record.getMessage()]
+    return [record.getMessage() for record in caplog.records if "faster with" in record.getMessage()]
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_remaining_time_of_slow_frames_is_announced_once(work, monkeypatch, capl
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*FIVE_FRAMES, *options).status == 0
     (line,) = announced(caplog)
-    assert line.startswith("3 frames left, in about 0 s: faster with ") and line.endswith(remedies)
+    assert line.startswith("3 frames left, about 0 s: faster with ") and line.endswith(remedies)
 
 
 def test_remaining_time_of_quick_frames_is_not_announced(work, caplog) -> None:
@@ -116,8 +116,8 @@ def test_slow_renders_of_cameras_and_animations_are_announced(work, monkeypatch,
         moved = work.run("animate", "@move.toml", "-o", "@frames", *SIZE)
         assert moved.status == 0, moved.err
     rendered, animated = announced(caplog)
-    assert "0 frames to go" in rendered and "(--frames)" in rendered
-    assert "1 frame to go" in animated and "(--frames)" in animated
+    assert "0 frames left" in rendered and "(--frames)" in rendered
+    assert "1 frame left" in animated and "(--frames)" in animated
 
 
 def test_progress_without_a_terminal_prints_a_line_each_minute(

@@ -254,7 +254,7 @@ class FrameProgress:
         if left * seconds > _LONG_S:
             remedies = [f"fewer frames ({self._fewer})"] * bool(self._fewer) + ["--samples 1"] * (samples > 1)
             _log.warning(
-                "%s left, in about %s: faster with %s",
+                "%s left, about %s: faster with %s",
                 counted(left, self._unit),
                 duration_text(left * seconds),
                 " or ".join([", ".join(remedies)] * bool(remedies) + ["a smaller --width"]),
