@@ -50,11 +50,10 @@ REALTIME_FRAMES_AT_REST = 128
 """Number of realtime frames after which a still view is finished."""
 
 ANSWER_S = 0.5
-"""Longest wait for the first acknowledgement of a frame, seconds. A page that misses it is sent frames without
-waiting."""
+"""Longest wait for a page to acknowledge its first frame, seconds. After that, frames are sent without waiting."""
 
 BUSY_ANSWER_S = 5.0
-"""Longest wait for a page that has acknowledged a frame before, seconds; such a page is busy or hidden."""
+"""Longest wait for an acknowledgement by a page that has sent one before, seconds: the page may be busy or hidden."""
 
 DEPTH_STRIDE = 4
 """Step in pixels, along each axis, at which the depth of a frame is sent to the page to occlude gizmos."""

@@ -120,7 +120,7 @@ def test_run_stops_if_another_run_starts_in_its_frame_folder(tmp_path: Path) -> 
 
     for overtaken_job in (replace(job, render=overtaken_while_rendering), replace(job, write=overtaken_while_writing)):
         overtaken_job.frames.begin(True)
-        with pytest.raises(ls.ConfigError, match="this one stops, so that frames do not mix"):
+        with pytest.raises(ls.ConfigError, match="this run stops, so that frames do not mix"):
             overtaken_job.make(3, lambda *_: None)
         assert not list((tmp_path / "out").glob("*.png"))
 
@@ -136,7 +136,7 @@ def test_stopped_run_leaves_the_frames_of_the_run_that_replaced_it(tmp_path: Pat
         return job.render(index, lambda *_: None)
 
     job.frames.begin(True)
-    with pytest.raises(ls.ConfigError, match="this one stops, so that frames do not mix"):
+    with pytest.raises(ls.ConfigError, match="this run stops, so that frames do not mix"):
         replace(job, render=overtaken).make(3, lambda *_: None)
     assert theirs.folder.path(3).read_text() == "theirs"
 

@@ -141,8 +141,8 @@ class FrameFolder:
         stored = stored_provenance(self.folder / self.stamp)
         if stored is None or self._differing(stored, provenance):
             raise ls.ConfigError(
-                f"{self.folder}: {self.stamp} is not what this run has written: another run with other settings has "
-                "begun there, or the folder was emptied; this one stops, so that frames do not mix"
+                f"{self.folder}: {self.stamp} has changed: another run with other settings has begun there, or the "
+                "folder was emptied; this run stops, so that frames do not mix"
             )
 
     def _frames(self) -> list[Path]:

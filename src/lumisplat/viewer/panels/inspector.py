@@ -513,7 +513,8 @@ def cropped(
 Vector = npt.NDArray[np.float64]
 
 LATITUDE = math.radians(45.0)
-"""Latitude for which the hour sets the sun's position, at the equinox: sunrise at 6, sunset at 18."""
+"""Latitude, radians north, of the sun path that the hour selects. The date is the equinox: sunrise at 6, sunset at 18.
+"""
 
 
 def sun_angles(direction: npt.ArrayLike, up: tuple[float, float, float]) -> tuple[float, float, float]:
