@@ -134,6 +134,19 @@ def test_progress_without_a_terminal_prints_a_line_each_minute(
     assert lines == ["training, 61 dB: 30%, 2 min left", "training, 122 dB: 61%, 78 s left"]
 
 
+def test_progress_estimates_no_remaining_time_before_its_pace_is_known(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first percent contains preparation, such as compilation."""
+    clock = [0.0]
+    monkeypatch.setattr("lumisplat.cli.output.console.time.monotonic", lambda: clock[0])
+    with progress_bars() as report:
+        for seconds, fraction in ((1.0, 0.0), (61.5, 0.01), (123.0, 0.5)):
+            clock[0] = seconds
+            report("delighting", fraction)
+    assert capsys.readouterr().err.splitlines() == ["delighting: 1%", "delighting: 50%, 2 min left"]
+
+
 def test_progress_bar_keeps_percentage_and_times_in_80_columns(monkeypatch) -> None:
     """Only a long description is shortened."""
     monkeypatch.setenv("FORCE_COLOR", "1")

@@ -16,7 +16,7 @@ from lumisplat.math.transforms import rotation_matrix
 from lumisplat.relighting import delight as steps
 from lumisplat.relighting.albedo_fit import AlbedoPairFit, EnvironmentCells, Light, initial_light
 from lumisplat.relighting.capture_measures import measure_surface
-from lumisplat.relighting.delight import MaterialEstimate, emitters_of, is_white
+from lumisplat.relighting.delight import MaterialEstimate, _costs, emitters_of, is_white
 from lumisplat.relighting.incident import IncidentRays, Smoother, SurfacePoints, agreed_sides, neighbours_of
 from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.scene.ops.neighbours import cross_pairs
@@ -411,6 +411,15 @@ def test_capture_with_an_unclear_surface_is_reported_with_advice(
     with pytest.raises(KeyboardInterrupt):
         ls.delight(capture, device="cpu", progress=report)
     assert [record.message for record in caplog.records] == [remark] and stop == ["delighting, finding sides"]
+
+
+def test_expected_cost_of_light_fits_in_rays_follows_the_measured_pace_of_rays() -> None:
+    """Fits take as many seconds whether rays are fast or slow."""
+    config = ls.DelightConfig(cells=4)
+    slow, fast = (_costs(1000, config, inside=True, shines=True, rays_per_s=pace) for pace in (1e4, 1e5))
+    assert slow["finding sides"] == fast["finding sides"] and slow["tracing the light"] == fast["tracing the light"]
+    for stage in ("finding the light", "finding highlights"):
+        assert fast[stage] == pytest.approx(10.0 * slow[stage])
 
 
 def test_progress_of_delight_covers_all_stages_and_never_decreases(ball: tuple[ls.Gaussians, np.ndarray]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -185,17 +186,22 @@ _BRIGHT = tuple(
     (f"tracing bright cells ({number} of {BRIGHT_REFINEMENTS})", f"{_LIGHT} ({number} of {BRIGHT_REFINEMENTS})")
     for number in range(1, BRIGHT_REFINEMENTS + 1)
 )
-_FIT_COST, _HIGHLIGHT_COST = 5e6, 500.0
-"""Expected time of one light fit (`_FIT_COST`) and of fitting the highlights of one Gaussian (`_HIGHLIGHT_COST`), as
-the number of rays traced in that time; measured with 20,000 Gaussians."""
+_FIT_S, _HIGHLIGHT_S = 10.0, 1e-3
+"""Expected time of one light fit, and of fitting the highlights of one Gaussian, seconds; measured with 20,000
+Gaussians."""
+_RAYS_PER_S = 5e5
+"""Rays per second that are expected until they are timed; captures with many layers take 20 times longer."""
 
 
-def _costs(count: int, config: DelightConfig, *, inside: bool, shines: bool) -> dict[str, float]:
+def _costs(
+    count: int, config: DelightConfig, *, inside: bool, shines: bool, rays_per_s: float = _RAYS_PER_S
+) -> dict[str, float]:
     """Returns the expected cost of each stage for ``count`` Gaussians, as a number of traced rays."""
-    costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: 1.0 * config.cells**2 * count, _LIGHT: _FIT_COST}
+    fit = _FIT_S * rays_per_s
+    costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: 1.0 * config.cells**2 * count, _LIGHT: fit}
     for bright, light in () if inside else _BRIGHT:
-        costs |= {bright: 1.0 * BRIGHT_CELLS * BRIGHT_PARTS**2 * count, light: 2.0 * _FIT_COST}
-    return costs | ({_HIGHLIGHTS: _HIGHLIGHT_COST * count} if shines else {})
+        costs |= {bright: 1.0 * BRIGHT_CELLS * BRIGHT_PARTS**2 * count, light: 2.0 * fit}
+    return costs | ({_HIGHLIGHTS: _HIGHLIGHT_S * rays_per_s * count} if shines else {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +221,11 @@ class _Delighter:
         near = neighbours_of(self.gaussians)
         given = self.gaussians.normals
         axes = _agreeing_axes(self.gaussians) if given is None else given.astype(np.float64)
+        begun = time.perf_counter()
         normals, inside = self.rays.facing(axes, near, self.config.inside, has_normals=given is not None)
+        rays_per_s = min(
+            SIDE_DIRECTIONS * count / (time.perf_counter() - begun), _RAYS_PER_S
+        )  # so no progress is undone
         white = is_white(self.gaussians, normals)
         outgoing = self._checked_outgoing(normals, white)
         # White parts of an object are surfaces, not emitters.
@@ -224,7 +234,8 @@ class _Delighter:
         cells = EnvironmentCells.even(self.config.cells)
         # Irradiance from emitters is not stored by direction, so that their highlights cannot be modelled.
         shines = may_shine and emitters.max(initial=-1) < 0
-        self.pace.plan(_costs(count, self.config, inside=inside, shines=shines))
+        costs = _costs(count, self.config, inside=inside, shines=shines, rays_per_s=rays_per_s)
+        self.pace.plan(costs)
         self.pace.begin(_RAYS)
         incident = smoother.incident(self.rays.incident(normals, emitters, cells, stores_directions=shines))
         if inside:  # rays that escape a room pass gaps between Gaussians
@@ -244,7 +255,7 @@ class _Delighter:
             fit = RoughnessFit(self.gaussians, normals, near, lobes)
             self.pace.begin(_HIGHLIGHTS)
             arriving = arriving_light(normals, cells, incident, light)
-            rough = fit.fitted(arriving, lambda tried: self.pace.add(_HIGHLIGHT_COST * tried))
+            rough = fit.fitted(arriving, lambda tried: self.pace.add(costs[_HIGHLIGHTS] * tried / count))
         irradiance = incident.total(light.environment, light.emitters)
         reflectance = outgoing / np.maximum(irradiance, RADIANCE_LEAST)
         matt, mirrored = self._parts(rough.value, lobes)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 60.0
 """Time between two progress lines where no terminal can show bars, seconds."""
 
+_PACE_KNOWN = 0.02
+"""Progress from which the remaining time is estimated: preparation takes much of the time before."""
+
 _NARROW = 100
 """Terminal width, in columns, below which progress bars are short, so that most labels fit beside them."""
 _BAR_NARROW, _BAR_WIDE = 10, 40
@@ -148,8 +151,10 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
 
 
 def _time_left(seconds: float, first: float, fraction: float) -> str:
-    """Estimates the remaining time, as text, if ``first`` to ``fraction`` took ``seconds``; empty without progress."""
-    return f"{duration_text(seconds * (1.0 - fraction) / (fraction - first))} left" if fraction > first else ""
+    """Estimates the remaining time, as text, if ``first`` to ``fraction`` took a time; empty until `_PACE_KNOWN`."""
+    if fraction - first < _PACE_KNOWN:
+        return ""
+    return f"{duration_text(seconds * (1.0 - fraction) / (fraction - first))} left"
 
 
 def duration_text(seconds: float) -> str:
