@@ -4,7 +4,7 @@
 #   deadline_submit.sh 240 10 animate scene.toml -o /share/frames            240 frames, 10 a task
 #
 # Paths are those of the workers. Deadline repeats a task with an exit status other than 0; finished frames are
-# kept. The video at the end: lumisplat animate scene.toml -o /share/frames --video film.mp4
+# kept. The video at the end: lumisplat animate scene.toml -o /share/frames --video walk.mp4
 set -eu
 
 count=$1

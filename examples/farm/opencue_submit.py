@@ -3,7 +3,7 @@
 python opencue_submit.py 240 10 animate scene.toml -o /share/frames          240 frames, 10 a task
 
 Paths are those of the hosts. OpenCue repeats a task with an exit status other than 0; finished frames are kept.
-The video at the end: lumisplat animate scene.toml -o /share/frames --video film.mp4
+The video at the end: lumisplat animate scene.toml -o /share/frames --video walk.mp4
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 #   sbatch --array=0-9 slurm_array.sh 240 animate scene.toml -o frames       240 frames by 10 tasks
 #
 # A stopped task, or one with exit status 3 (some frames failed), continues when it is queued again; status 2 is a
-# usage error and repeats. The video at the end, after all tasks: lumisplat animate scene.toml -o frames --video film.mp4
+# usage error and repeats. The video at the end, after all tasks: lumisplat animate scene.toml -o frames --video walk.mp4
 #SBATCH --job-name=lumisplat
 #SBATCH --cpus-per-task=4
 #SBATCH --requeue
