@@ -184,6 +184,20 @@ def test_negative_and_nonfinite_radiance_becomes_0_and_is_counted(
     np.testing.assert_array_equal(image[1], [(1, 1, 0)] * 4)
 
 
+def test_slightly_negative_radiance_becomes_0_without_a_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Filters leave small negative values beside bright lights; noticeable ones are counted as always."""
+    plane = np.ones((8, 16), np.float32)
+    plane[3, 4:6] = 500.0, -0.2
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        image = ls.io.load_radiance(write_exr(tmp_path / "a.exr", R=plane, G=plane, B=plane))
+        assert (image[3, 5] == 0.0).all() and not caplog.records
+        plane[3, 5] = -2.0
+        ls.io.load_radiance(write_exr(tmp_path / "a.exr", R=plane, G=plane, B=plane))
+    assert caplog.messages[0].endswith("a.exr: values set to 0: 3 negative")
+
+
 def test_environment_light_does_not_copy_its_loaded_image(tmp_path: Path) -> None:
     """The image of the light is the loaded array."""
     image = load(tmp_path, hdr_bytes(GOOD))

@@ -37,6 +37,10 @@ LINEAR = (".exr", ".hdr", ".pic")
 """Extensions of image files that hold linear radiance."""
 
 
+_NOTICEABLE = 1e-3
+"""Fraction of an image's light that negative values may take away unnoticed, such as the ringing of a filter."""
+
+
 def read_radiance(path: PathLike) -> FloatArray:
     """Reads linear radiance; see `lumisplat.io.load_radiance`."""
     data = read_bytes(path)
@@ -76,15 +80,20 @@ def _exr_colors(path: PathLike) -> FloatArray:
 
 
 def _without_invalid(path: PathLike, image: FloatArray) -> FloatArray:
-    """Replaces negative and non-finite values by 0, and logs their number. Returns a read-only image."""
+    """Replaces negative and non-finite values by 0, and logs their number. Returns a read-only image.
+
+    Negative values that sum up to less than `_NOTICEABLE` of the image are not logged.
+    """
     not_finite = ~np.isfinite(image)
     with np.errstate(invalid="ignore"):
         negative = (image < 0.0) & ~not_finite
-    counts = {"not finite": np.count_nonzero(not_finite), "negative": np.count_nonzero(negative)}
-    if any(counts.values()):
-        listed = ", ".join(f"{count:,} {problem}" for problem, count in counts.items() if count)
-        _log.warning("%s: values set to 0: %s", os.fspath(path), listed)
+    if not_finite.any() or negative.any():
+        lost = -image[negative].sum(dtype=np.float64)
         image = np.where(not_finite | negative, np.float32(0.0), image)
+        is_noticeable = lost > _NOTICEABLE * image.sum(dtype=np.float64)
+        counts = {"not finite": np.count_nonzero(not_finite), "negative": is_noticeable * np.count_nonzero(negative)}
+        if listed := ", ".join(f"{count:,} {problem}" for problem, count in counts.items() if count):
+            _log.warning("%s: values set to 0: %s", os.fspath(path), listed)
     image.flags.writeable = False
     return image
 
