@@ -132,13 +132,13 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
         raise FormatError(path, f"has no level {lod}: its levels are 0 (finest) to {levels - 1}")
     chosen = all_blocks(index, lod or 0)
     if lod is None and budget is not None:
-        tried = (all_blocks(index, level) for level in range(levels))
-        chosen = next((one for one in tried if _bytes_of(index, one) <= budget * index.row_bytes), None)
-        if chosen is None:
-            chosen = all_blocks(index, levels - 1)
-            count = _bytes_of(index, chosen) // index.row_bytes
-            line = "%s: its coarsest level, which is loaded, has %s Gaussians, more than the budget of %s"
-            _log.warning(line, os.fspath(path), f"{count:,}", f"{budget:,}")
+        counts = [_bytes_of(index, all_blocks(index, level)) // index.row_bytes for level in range(levels)]
+        fitting = [level for level in range(levels) if counts[level] <= budget]
+        level = fitting[0] if fitting else levels - 1
+        why = "" if fitting else f"no level has as few as {budget:,}: "
+        line = "%s: %slevel %d (of 0 to %d) is loaded, with %s Gaussians"
+        _log.warning(line, os.fspath(path), why, level, levels - 1, f"{counts[level]:,}")
+        chosen = all_blocks(index, level)
     return load_blocks(index, chosen)
 
 

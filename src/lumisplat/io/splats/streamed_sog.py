@@ -77,7 +77,7 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
         lod: The level, 0 the finest. A leaf without this level uses the next coarser level that it has, or else its
             coarsest one. None: 0, or the level that ``budget`` chooses.
         budget: Read the finest level with at most this many Gaussians. If all levels have more, the coarsest one is
-            read, and a log line says so. None: no limit.
+            read. A log line names the level. None: no limit.
 
     Raises:
         FormatError: A file is missing or damaged, there is no such level, or a capture lacks the rows of a leaf.
@@ -150,17 +150,11 @@ def _level(path: Path, leaves: list[Leaf], levels: int, lod: int | None, budget:
         return lod or 0
     counts = [sum(_at_level(leaf, level).count for leaf in leaves) for level in range(levels)]
     fitting = [level for level in range(lod or 0, levels) if 0 < counts[level] <= budget]
-    if fitting:
-        return fitting[0]
-    coarsest = levels - 1
-    _log.warning(
-        "%s: no level has %s Gaussians or fewer: level %s is loaded, with %s",
-        os.fspath(path),
-        f"{budget:,}",
-        coarsest,
-        f"{counts[coarsest]:,}",
-    )
-    return coarsest
+    chosen = fitting[0] if fitting else levels - 1
+    why = "" if fitting else f"no level has as few as {budget:,}: "
+    line = "%s: %slevel %d (of 0 to %d) is loaded, with %s Gaussians"
+    _log.warning(line, os.fspath(path), why, chosen, levels - 1, f"{counts[chosen]:,}")
+    return chosen
 
 
 def _at_level(leaf: Leaf, level: int) -> _Rows:
