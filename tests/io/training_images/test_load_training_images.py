@@ -262,22 +262,6 @@ def test_undistortion_of_training_images_is_logged_once(tmp_path, caplog):
     assert line.endswith("/bent/transforms.json: 4 images of distorted or fisheye lenses are resampled to pinholes")
 
 
-def test_distortion_of_training_images_below_a_tenth_of_a_pixel_is_ignored(tmp_path, caplog):
-    """The displacement of the corner that is farthest from the principal point decides; a line is logged above."""
-    camera = ring_cameras(1)[0]
-    corner = np.array((camera.cx, camera.height - camera.cy))
-    radius = np.linalg.norm(corner / (camera.fx, camera.fy))
-    for name, pixels in (("less", 0.09), ("more", 0.11)):
-        k1 = pixels / (radius**2 * np.linalg.norm(corner))
-        bent = ring_cameras(4, distortion=(k1, 0.0, 0.0, 0.0, 0.0, 0.0))
-        caplog.clear()
-        for straighten in (True, False):
-            folder = write_nerfstudio_images(tmp_path / name / str(straighten), bent)
-            view = ls.io.load_training_images(folder, straighten=straighten).training[0]
-            assert view.camera.is_distorted == (name == "more" and not straighten)
-        assert caplog.text.count("are resampled to pinholes") == (name == "more")
-
-
 def test_training_images_in_subfolders_get_unique_names(tmp_path):
     """Equal file names in several folders get numbers."""
     cameras = ring_cameras(2, 8, 6)

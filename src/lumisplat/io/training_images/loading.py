@@ -263,9 +263,9 @@ def load_training_images(
     black in the mask are used. Log lines count skipped images, images without a pose, unused models and unused masks.
 
     Distorted and fisheye lenses are resampled to pinholes with the same focal lengths and size by Catmull-Rom
-    interpolation, unless ``straighten`` is False; a log line says so. A pinhole whose distortion is less than 0.1
-    pixels in the whole image counts as undistorted. Pinhole pixels outside the original image are masked out.
-    Downscaling takes area means of display-referred values, the space in which captures blend, before undistortion.
+    interpolation, unless ``straighten`` is False; a log line says so. Pinhole pixels outside the original image are
+    masked out. Downscaling takes area means of display-referred values, the space in which captures blend, before
+    undistortion.
 
     Args:
         folder: The folder.
@@ -395,7 +395,7 @@ def _views(
     for entry in listed:
         _check(file, entry)
     ordered = sorted(listed, key=lambda entry: entry.image)
-    cameras = unique_names([_without_slight_distortion(entry.camera) for entry in ordered])
+    cameras = unique_names([entry.camera for entry in ordered])
     curvilinear = sum(is_curvilinear(camera) for camera in cameras)
     if curvilinear and settings.straighten:
         _log.warning("%s: %d images of distorted or fisheye lenses are resampled to pinholes", file, curvilinear)
@@ -437,8 +437,6 @@ def _scaled(camera: Camera, scale: float) -> Camera:
 
 Plane = npt.NDArray[np.uint8]
 
-_SLIGHT_DISTORTION = 0.1
-"""Displacement by distortion, in pixels of the file, below which it counts as none: resampling would only blur."""
 _COVERAGE_MIN = 1e-3
 """Unmasked fraction of a pixel's area below which the pixel counts as fully masked: smaller fractions are rounding
 errors."""
@@ -496,17 +494,6 @@ def is_curvilinear(camera: Camera) -> bool:
 def pinhole_of(camera: Camera) -> Camera:
     """Returns a pinhole without distortion that has the camera's pose, focal lengths, principal point and size."""
     return replace(camera, model=CameraModel.PINHOLE, distortion=(0.0,) * 6)
-
-
-def _without_slight_distortion(camera: Camera) -> Camera:
-    """Returns a pinhole without its distortion if no position in its image moves by `_SLIGHT_DISTORTION` or more."""
-    if not camera.is_distorted or camera.model is not CameraModel.PINHOLE:
-        return camera
-    x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
-    center, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
-    directions = (np.stack([x, y], axis=-1) - center) / focal
-    moved = np.linalg.norm((distort(directions, camera.distortion) - directions) * focal, axis=-1)
-    return pinhole_of(camera) if moved.max() < _SLIGHT_DISTORTION else camera
 
 
 def lens_points(camera: Camera) -> tuple[Doubles, Flags]:
